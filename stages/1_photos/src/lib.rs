@@ -1,0 +1,1 @@
+//! Stage 1: decoded photos to linear images with intrinsics, masks and a preflight.

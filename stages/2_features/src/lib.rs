@@ -1,0 +1,1 @@
+//! Stage 2: linear photos to keypoints and verified matches.

@@ -1,0 +1,1 @@
+//! Image, OpenEXR, PLY, COLMAP and JSON formats.

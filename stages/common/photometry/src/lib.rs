@@ -1,0 +1,1 @@
+//! Spherical harmonics, their rotation and fits, per-pixel lighting.

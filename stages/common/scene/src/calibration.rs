@@ -1,0 +1,49 @@
+//! Output of stage 4: lighting of every view.
+
+use crate::ids::ViewIdx;
+use crate::lighting::Lighting;
+use crate::sphere::LightKind;
+use serde::{Deserialize, Serialize};
+
+/// Where the lighting came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LightSource {
+    /// The reference sphere in the photos.
+    Sphere,
+    /// A photo of a sphere in the object's place.
+    CalibrationPhoto,
+    /// Fitted on a given shape.
+    Shape,
+    /// Given by the user.
+    Given,
+    /// Estimated on the program's own rough shape: uncalibrated.
+    OwnShape,
+}
+
+/// Lighting of one view, in its camera frame, times the object's mean albedo.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewLighting {
+    /// The view.
+    pub view: ViewIdx,
+    /// One row of harmonics per channel.
+    pub lighting: Lighting,
+    /// Relative RMS residual of the fit in this view, where the light was fitted on it.
+    pub residual: Option<f64>,
+    /// Gain of the photo per channel, 1 where exposure does not vary; already contained in
+    /// `lighting`.
+    pub gain: Vec<f64>,
+}
+
+/// Lighting of all views.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightingCalibration {
+    /// Where it came from.
+    pub source: LightSource,
+    /// What the light is fixed to.
+    pub kind: LightKind,
+    /// The environment in the world frame (one row per channel), for a light fixed in the world.
+    pub environment_in_world: Option<Lighting>,
+    /// One entry per posed view, in their order.
+    pub views: Vec<ViewLighting>,
+}

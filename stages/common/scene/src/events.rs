@@ -1,0 +1,128 @@
+//! Typed events that stages emit; the program renders them as bars, lines or JSON.
+
+use serde::{Deserialize, Serialize};
+
+/// The six stages, in the order in which data flow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum StageId {
+    /// `1_photos`
+    #[serde(rename = "1_photos")]
+    Photos,
+    /// `2_features`
+    #[serde(rename = "2_features")]
+    Features,
+    /// `3_poses`
+    #[serde(rename = "3_poses")]
+    Poses,
+    /// `4_lighting`
+    #[serde(rename = "4_lighting")]
+    Lighting,
+    /// `5_shading`
+    #[serde(rename = "5_shading")]
+    Shading,
+    /// `6_fusion`
+    #[serde(rename = "6_fusion")]
+    Fusion,
+}
+
+impl StageId {
+    /// All stages in order.
+    pub const ALL: [Self; 6] = [
+        Self::Photos,
+        Self::Features,
+        Self::Poses,
+        Self::Lighting,
+        Self::Shading,
+        Self::Fusion,
+    ];
+
+    /// Name, as of the folder in a run directory.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Photos => "1_photos",
+            Self::Features => "2_features",
+            Self::Poses => "3_poses",
+            Self::Lighting => "4_lighting",
+            Self::Shading => "5_shading",
+            Self::Fusion => "6_fusion",
+        }
+    }
+}
+
+impl std::fmt::Display for StageId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// What a stage tells while it works.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    /// Part of a stage's work is done.
+    Progress {
+        /// The stage.
+        stage: StageId,
+        /// What is being done ("detecting keypoints").
+        step: String,
+        /// Items done.
+        done: usize,
+        /// Items in all.
+        total: usize,
+    },
+    /// One iteration of a solver.
+    Iteration {
+        /// The stage.
+        stage: StageId,
+        /// Zero-based.
+        iteration: usize,
+        /// At most this many will follow from the start.
+        max_num_iterations: usize,
+        /// Energy.
+        energy: f64,
+        /// Primal residual, where the solver has one.
+        primal_residual: Option<f64>,
+        /// Dual residual, where the solver has one.
+        dual_residual: Option<f64>,
+        /// Penalty, where the solver has one.
+        beta: Option<f64>,
+    },
+    /// Something the user should know; the stage goes on.
+    Warning {
+        /// The stage.
+        stage: StageId,
+        /// What, about which photo or file, and what to try.
+        message: String,
+    },
+}
+
+/// An observer's answer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Flow {
+    /// Go on.
+    Continue,
+    /// Stop soon, leaving nothing half done.
+    Stop,
+}
+
+/// Receives events, from any thread.
+pub trait Observer: Sync {
+    /// Takes one event; [`Flow::Stop`] asks the stage to end with its `Interrupted` error.
+    fn event(&self, event: Event) -> Flow;
+
+    /// Whether the stage should stop, without telling anything.
+    fn flow(&self) -> Flow {
+        Flow::Continue
+    }
+}
+
+/// An observer that ignores everything.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Silent;
+
+impl Observer for Silent {
+    fn event(&self, _event: Event) -> Flow {
+        Flow::Continue
+    }
+}

@@ -1,0 +1,45 @@
+//! The words all stages speak: cameras, transforms, maps, lighting, clouds, ids and events.
+//!
+//! # Conventions (fixed here, used everywhere)
+//! * Camera frame: x right, y down, z forward. Pixel centres lie at integer coordinates, so the
+//!   frame of an image of `width` columns spans `-0.5 ..= width - 0.5`.
+//! * Depth is `z` along the optical axis, never the length of the ray; 0 means "no value".
+//! * A visible surface has `normal · view ray < 0`, hence `n3 < 0` for a frontal patch.
+//! * Intensities are linear, 1 is the photo's white.
+//! * Transforms are named `target_from_source`; positions carry their frame in the name.
+//! * Spherical harmonics are ordered as the basis of [`lighting::SphericalHarmonics`].
+//!
+//! Every stage is a function from these types to these types. This crate imports no sibling.
+
+pub mod calibration;
+pub mod camera;
+pub mod cloud;
+pub mod events;
+pub mod ids;
+pub mod lighting;
+pub mod maps;
+pub mod matches;
+pub mod photos;
+pub mod poses;
+pub mod raster;
+pub mod shaded;
+pub mod sphere;
+pub mod transform;
+
+pub use calibration::{LightSource, LightingCalibration, ViewLighting};
+pub use camera::{Distortion, FocalSource, Intrinsics};
+pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
+pub use events::{Event, Flow, Observer, Silent, StageId};
+pub use ids::{PhotoIdx, PointIdx, ViewIdx};
+pub use lighting::{Lighting, SphericalHarmonics};
+pub use maps::{ConfidenceMap, DepthMap, NormalMap};
+pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
+pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
+pub use poses::{
+    Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,
+    SparsePoint, TrackElement, Unit, Unregistered,
+};
+pub use raster::{LinearImage, Mask, Raster};
+pub use shaded::{ShadedView, ShadedViews};
+pub use sphere::{LightKind, LocatedSphere, SphereCalibration, SphereMark, SphereRequest};
+pub use transform::RigidTransform;

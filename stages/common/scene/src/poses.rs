@@ -1,0 +1,149 @@
+//! Output of stage 3: posed views, sparse points, depth anchors, scale and the located sphere.
+
+use crate::camera::Intrinsics;
+use crate::ids::{PhotoIdx, ViewIdx};
+use crate::sphere::LocatedSphere;
+use crate::transform::RigidTransform;
+use serde::{Deserialize, Serialize};
+
+/// Unit of the world frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Unit {
+    /// Metres.
+    Metre,
+    /// Unknown scale.
+    #[default]
+    Arbitrary,
+}
+
+/// What fixed the scale.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleSource {
+    /// Nothing: the first baseline is 1.
+    #[default]
+    Gauge,
+    /// The reference sphere's known radius.
+    Sphere,
+    /// Poses given by the user.
+    GivenPoses,
+    /// A known distance between two cameras or two marked points.
+    KnownDistance,
+}
+
+/// Scale of the world frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Scale {
+    /// Unit of every length in the world frame.
+    pub unit: Unit,
+    /// Where it comes from.
+    pub source: ScaleSource,
+    /// Relative standard deviation of the scale, where it can be told.
+    pub relative_sigma: Option<f64>,
+}
+
+/// A photo with a pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PosedView {
+    /// Its photo.
+    pub photo: PhotoIdx,
+    /// The photo's name without ending.
+    pub name: String,
+    /// The photo's file name.
+    pub file_name: String,
+    /// Camera, as given or as refined.
+    pub intrinsics: Intrinsics,
+    /// Pose.
+    pub cam_from_world: RigidTransform,
+}
+
+/// A photo without a pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Unregistered {
+    /// The photo.
+    pub photo: PhotoIdx,
+    /// Its file name.
+    pub file_name: String,
+    /// Why it has no pose, and what to try.
+    pub reason: String,
+}
+
+/// One sighting of a sparse point.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TrackElement {
+    /// The view.
+    pub view: ViewIdx,
+    /// Index of the keypoint in the view's photo.
+    pub keypoint_idx: u32,
+    /// Observed pixel.
+    pub pixel: [f64; 2],
+}
+
+/// A triangulated track.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SparsePoint {
+    /// Position in the world frame.
+    pub position: [f64; 3],
+    /// Display colour, sRGB.
+    pub color: [u8; 3],
+    /// Mean reprojection error, pixels.
+    pub error_px: f64,
+    /// Sightings, at least two.
+    pub track: Vec<TrackElement>,
+}
+
+/// How an anchor was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AnchorOrigin {
+    /// A SIFT track on the object.
+    Sift,
+    /// Matched along epipolar lines and refined by patch alignment.
+    Guided,
+    /// Grown from a neighbouring anchor and refined by patch alignment.
+    Grown,
+}
+
+/// A view's share of an anchor.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AnchorObservation {
+    /// The view.
+    pub view: ViewIdx,
+    /// Where it sees the anchor, pixels.
+    pub pixel: [f64; 2],
+    /// Depth of the anchor in this view, world's unit.
+    pub depth: f64,
+    /// Standard deviation of the logarithm of that depth.
+    pub sigma_ln_depth: f64,
+}
+
+/// A surface point whose depth the photos determine without shading.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Anchor {
+    /// Position in the world frame.
+    pub position: [f64; 3],
+    /// Covariance of the position (xx, xy, xz, yy, yz, zz), world's unit squared.
+    pub covariance: [f64; 6],
+    /// How it was found.
+    pub origin: AnchorOrigin,
+    /// Views that see it, at least two.
+    pub observations: Vec<AnchorObservation>,
+}
+
+/// Posed views with everything that hangs on the poses.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PosedViews {
+    /// Views, ordered by photo.
+    pub views: Vec<PosedView>,
+    /// Photos that got no pose.
+    pub unregistered: Vec<Unregistered>,
+    /// Sparse points.
+    pub points: Vec<SparsePoint>,
+    /// Depth anchors on the object.
+    pub anchors: Vec<Anchor>,
+    /// Unit and origin of the scale.
+    pub scale: Scale,
+    /// The reference sphere, when there is one.
+    pub sphere: Option<LocatedSphere>,
+}

@@ -1,0 +1,1 @@
+//! Ground-truth scenes, a renderer, and gauge-aligned comparison.
