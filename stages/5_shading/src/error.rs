@@ -1,0 +1,120 @@
+//! Why shading could not give a shape.
+
+/// Errors of stage 5; each carries the facts and says what to try.
+#[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
+pub enum ShadingError {
+    /// The observer asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+    /// An option lies outside its range.
+    #[error("option {option} is {value}, but must be {expected}")]
+    InvalidOption {
+        /// Name of the option, as in a configuration file.
+        option: &'static str,
+        /// What was given.
+        value: String,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// There is nothing to solve.
+    #[error("no view to solve: give at least one image with a mask")]
+    NoViews,
+    /// A view's inputs do not fit together.
+    #[error("view {view}: {what} is {found}, but the image is {image}; give maps of one size")]
+    SizeMismatch {
+        /// The view's name.
+        view: String,
+        /// Which input.
+        what: &'static str,
+        /// Its size.
+        found: String,
+        /// Size of the image.
+        image: String,
+    },
+    /// The mask leaves no usable pixel.
+    #[error("view {view}: no usable pixel inside the mask ({num_masked} masked); {advice}")]
+    EmptyMask {
+        /// The view's name.
+        view: String,
+        /// Pixels of the mask.
+        num_masked: usize,
+        /// What to try.
+        advice: &'static str,
+    },
+    /// The lighting does not depend on the normal, so that intensities say nothing on shape.
+    #[error(
+        "view {view}: the lighting is {reason}, so the image says nothing about shape; check the lighting file"
+    )]
+    UninformativeLighting {
+        /// The view's name.
+        view: String,
+        /// "zero", "not finite" or "the same for every normal".
+        reason: &'static str,
+    },
+    /// Number of channels of lighting and image differ.
+    #[error("view {view}: the lighting has {lighting} channel(s), the image {image}")]
+    ChannelMismatch {
+        /// The view's name.
+        view: String,
+        /// Rows of the lighting.
+        lighting: usize,
+        /// Channels of the image.
+        image: usize,
+    },
+    /// The camera cannot be used.
+    #[error("view {view}: {reason}")]
+    BadCamera {
+        /// The view's name.
+        view: String,
+        /// Why.
+        reason: String,
+    },
+    /// A view index in matches or lighting does not exist.
+    #[error("{what} names view {index}, but there are only {num_views}")]
+    UnknownView {
+        /// Where the index stands.
+        what: &'static str,
+        /// The index.
+        index: usize,
+        /// Views in the problem.
+        num_views: usize,
+    },
+    /// Views that are coupled by matches need poses.
+    #[error(
+        "views {first} and {second} are matched but {missing} has no pose; add it to its camera file"
+    )]
+    MissingPose {
+        /// First view's name.
+        first: String,
+        /// Second view's name.
+        second: String,
+        /// The one without a pose.
+        missing: String,
+    },
+    /// A posed view has no lighting.
+    #[error("view {view} has no lighting")]
+    MissingLighting {
+        /// The view's name.
+        view: String,
+    },
+    /// Neither anchors, nor a start, nor a pose fixes the depth of the object.
+    #[error(
+        "view {view}: nothing fixes its depth; give an initial depth, a prior, anchors or matches"
+    )]
+    NoDepth {
+        /// The view's name.
+        view: String,
+    },
+    /// Pixels of a photo could not be loaded.
+    #[error(transparent)]
+    Pixels(#[from] rilievo_scene::PixelError),
+    /// A linear system could not be solved.
+    #[error("view {view}: {reason}")]
+    Numerics {
+        /// The view's name.
+        view: String,
+        /// What failed.
+        reason: String,
+    },
+}

@@ -1,0 +1,244 @@
+//! Options of stage 5.
+
+use crate::error::ShadingError;
+use rilievo_numerics::robust::RobustLoss;
+use serde::{Deserialize, Serialize};
+
+/// Which model explains the photos.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ShadingModel {
+    /// Shading with visibility, and the photos' agreement with each other (several posed views).
+    #[default]
+    Photo,
+    /// The paper's model: distant harmonics and depth anchors only.
+    Paper,
+}
+
+/// How the non-linear shading term is separated from the integration of slopes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Splitting {
+    /// The whole shading term on the slopes: constant z-step (default).
+    #[default]
+    Full,
+    /// Eq. 9–12 of the paper: frozen linearisation in the z-step, penalty adapted as in He et al.
+    Paper,
+    /// The fixed point without splitting, which the paper shows to fail; for comparison.
+    None,
+}
+
+/// Order of the harmonics that are used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum HarmonicOrder {
+    /// Four coefficients.
+    #[serde(rename = "1")]
+    First,
+    /// Nine coefficients.
+    #[default]
+    #[serde(rename = "2")]
+    Second,
+}
+
+/// How a pixel's ray is modelled.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Projection {
+    /// Pinhole; the unknown is the logarithm of depth.
+    #[default]
+    Perspective,
+    /// Parallel rays; the unknown is depth in pixels.
+    Orthographic,
+}
+
+/// Where the iteration starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StartShape {
+    /// Anchors where there are enough, else the given depth, else the prior, else a plane.
+    #[default]
+    Automatic,
+    /// The view's initial depth.
+    Given,
+    /// A fronto-parallel plane at the median known depth.
+    Plane,
+    /// Thin plate through the anchors.
+    Anchors,
+}
+
+/// How views are tied together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Coupling {
+    /// Each match or track is triangulated once and anchors the depth of each view.
+    #[default]
+    Anchors,
+    /// Eq. 15: the distance between the two views' points of every match, re-linearised.
+    Literal,
+}
+
+/// Course of the penalty β (METHOD 4).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PenaltySchedule {
+    /// Start and growth computed from the lighting and from what holds the low frequencies.
+    #[default]
+    Automatic,
+    /// `beta = start · growthᵏ`, intensities scaled so that white is 1.
+    Explicit {
+        /// First penalty. Too small drifts where the light is ambiguous, too large stays at the start.
+        start: f64,
+        /// Factor per iteration, above 1.
+        growth: f64,
+        /// Number of iterations.
+        num_iterations: usize,
+        /// Iterations with a global search over slopes.
+        num_search_iterations: usize,
+    },
+}
+
+/// Options of [`crate::solve`] and [`crate::run`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ShadingOptions {
+    /// What explains the photos, for several posed views.
+    pub model: ShadingModel,
+    /// How slopes and depth are separated.
+    pub splitting: Splitting,
+    /// Order of the harmonics.
+    pub order: HarmonicOrder,
+    /// Projection.
+    pub projection: Projection,
+    /// Start.
+    pub start: StartShape,
+    /// How matched views are tied.
+    pub coupling: Coupling,
+    /// Penalty.
+    pub schedule: PenaltySchedule,
+    /// Loss on an intensity residual; its scale is a share of the image's robust maximum.
+    /// Too small a scale ignores good pixels, too large lets stains shape the surface.
+    pub loss: RobustLoss,
+    /// Standard deviation of intensities as a share of the image's robust maximum; weighs shading
+    /// against anchors and prior. Too small overrules the anchors, too large ignores fine relief.
+    pub noise: f64,
+    /// Standard deviation of a match in pixels; `None` estimates it from the epipolar distances.
+    pub match_noise_px: Option<f64>,
+    /// Weight of the area term of RGB-D refinement, per pixel of the reference plane, with shading
+    /// weighing 1 and slopes in (log depth, pixel) units; 0 is off. Too large flattens.
+    pub area_weight: f64,
+    /// Cut the gradient where the surface breaks. Off for objects without occluding edges.
+    pub depth_edges: bool,
+    /// Solve on coarser grids first. Off in the paper's splitting.
+    pub coarse_to_fine: bool,
+    /// Leave out pixels in cast or attached shadow below this share of the robust maximum.
+    pub shadow_level: f64,
+    /// Largest number of iterations of the paper's splitting and of the fixed point.
+    pub max_num_iterations: usize,
+    /// Relative change of energy at which the paper's splitting and the fixed point stop.
+    pub relative_tolerance: f64,
+    /// Unknowns up to which the z-step is factorised; multigrid beyond.
+    pub max_factorized_unknowns: usize,
+    /// Compute the confidence map.
+    pub confidence: bool,
+}
+
+impl Default for ShadingOptions {
+    fn default() -> Self {
+        Self {
+            model: ShadingModel::default(),
+            splitting: Splitting::default(),
+            order: HarmonicOrder::default(),
+            projection: Projection::default(),
+            start: StartShape::default(),
+            coupling: Coupling::default(),
+            schedule: PenaltySchedule::default(),
+            loss: RobustLoss::Squared,
+            noise: 0.01,
+            match_noise_px: None,
+            area_weight: 0.0,
+            depth_edges: true,
+            coarse_to_fine: true,
+            shadow_level: 0.0,
+            max_num_iterations: 100,
+            relative_tolerance: 1e-3,
+            max_factorized_unknowns: 0,
+            confidence: true,
+        }
+    }
+}
+
+impl ShadingOptions {
+    /// Checks ranges.
+    ///
+    /// # Errors
+    /// [`ShadingError::InvalidOption`] names the first option outside its range.
+    pub fn validate(&self) -> Result<(), ShadingError> {
+        let check = |ok: bool, option: &'static str, value: f64, expected: &'static str| {
+            if ok {
+                Ok(())
+            } else {
+                Err(ShadingError::InvalidOption {
+                    option,
+                    value: value.to_string(),
+                    expected,
+                })
+            }
+        };
+        let positive = |v: f64| v.is_finite() && v > 0.0;
+        check(positive(self.noise), "noise", self.noise, "positive")?;
+        if let Some(sigma) = self.match_noise_px {
+            check(positive(sigma), "match_noise_px", sigma, "positive")?;
+        }
+        check(
+            self.area_weight.is_finite() && self.area_weight >= 0.0,
+            "area_weight",
+            self.area_weight,
+            "zero or positive",
+        )?;
+        check(
+            (0.0..1.0).contains(&self.shadow_level),
+            "shadow_level",
+            self.shadow_level,
+            "at least 0 and below 1",
+        )?;
+        check(
+            positive(self.relative_tolerance),
+            "relative_tolerance",
+            self.relative_tolerance,
+            "positive",
+        )?;
+        check(
+            self.max_num_iterations > 0,
+            "max_num_iterations",
+            self.max_num_iterations as f64,
+            "positive",
+        )?;
+        if let RobustLoss::Huber(s) | RobustLoss::Cauchy(s) | RobustLoss::GemanMcClure(s) =
+            self.loss
+        {
+            check(positive(s), "loss", s, "of positive scale")?;
+        }
+        if let PenaltySchedule::Explicit {
+            start,
+            growth,
+            num_iterations,
+            ..
+        } = self.schedule
+        {
+            check(positive(start), "schedule.start", start, "positive")?;
+            check(
+                growth.is_finite() && growth > 1.0,
+                "schedule.growth",
+                growth,
+                "above 1",
+            )?;
+            check(
+                num_iterations > 0,
+                "schedule.num_iterations",
+                num_iterations as f64,
+                "positive",
+            )?;
+        }
+        Ok(())
+    }
+}
