@@ -1,1 +1,49 @@
-//! Image, OpenEXR, PLY, COLMAP and JSON formats.
+//! Image, OpenEXR, PLY, COLMAP and JSON formats: everything that crosses the disk.
+//!
+//! Every reader returns an [`IoError`] that names the file, the key and the value that it refuses,
+//! and what to try; no content makes one panic. Every writer writes the whole file to the path it
+//! is given and syncs nothing: committing is the caller's.
+//!
+//! | content | functions |
+//! |---|---|
+//! | photos (JPEG, PNG, TIFF, OpenEXR) with EXIF | [`decode_photo`] |
+//! | masks and their names | [`read_mask`], [`write_mask`], [`mask_names`] |
+//! | depth, normals, confidence, linear images as OpenEXR | [`exr_maps`] |
+//! | cameras: `cameras.json`, `camera.json`, COLMAP | [`read_cameras`], [`write_cameras`], [`colmap`] |
+//! | the reference sphere | [`read_sphere_file`] |
+//! | lighting | [`read_lighting`], [`write_lighting`] |
+//! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
+//! | point clouds and meshes as PLY | [`ply`] |
+//! | pictures for people | [`write_preview_png`] |
+//!
+//! # Conventions
+//! Files follow the conventions of [`rilievo_scene`] (pixel centres at integers, camera x right,
+//! y down, z forward, depth along the axis); a format with others is converted here, both ways.
+
+pub mod cameras;
+pub mod colmap;
+pub mod error;
+pub mod exr_maps;
+pub mod lighting_file;
+pub mod mask;
+pub mod mask_names;
+pub mod photo;
+pub mod ply;
+pub mod preview;
+pub mod scene_file;
+pub mod sphere_file;
+
+pub use cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};
+pub use colmap::write_colmap_text;
+pub use error::{IoError, IoErrorKind};
+pub use exr_maps::{
+    LinearFile, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
+    write_linear, write_normal,
+};
+pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
+pub use mask::{read_mask, write_mask};
+pub use photo::{decode_photo, is_photo_name};
+pub use ply::{read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};
+pub use preview::{Preview, encode_preview_png, write_preview_png};
+pub use scene_file::{SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene};
+pub use sphere_file::{SphereFile, SphereFileCalibration, read_sphere_file};

@@ -14,6 +14,7 @@
 pub mod calibration;
 pub mod camera;
 pub mod cloud;
+pub mod decoded;
 pub mod events;
 pub mod ids;
 pub mod lighting;
@@ -29,6 +30,7 @@ pub mod transform;
 pub use calibration::{LightSource, LightingCalibration, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
+pub use decoded::{DecodedPhoto, ExifFacts, Samples};
 pub use events::{Event, Flow, Observer, Silent, StageId};
 pub use ids::{PhotoIdx, PointIdx, ViewIdx};
 pub use lighting::{Lighting, SphericalHarmonics};

@@ -1,0 +1,153 @@
+//! Why a photo, or a set of photos, cannot be used.
+
+use thiserror::Error;
+
+/// A photo or a set that cannot be used.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum PhotosError {
+    /// An option is out of its range.
+    #[error("option {name} is {value}: {reason}")]
+    Option {
+        /// The option.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it must be.
+        reason: &'static str,
+    },
+    /// The photo is too small to hold an object.
+    #[error(
+        "{photo}: {width} x {height} pixels are too few; at least {min} on each side are needed"
+    )]
+    TooSmall {
+        /// The photo.
+        photo: String,
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Fewest pixels on a side.
+        min: usize,
+    },
+    /// The decoded samples do not fill the frame.
+    #[error("{photo}: {found} samples, {expected} expected for {width} x {height} x {channels}")]
+    Samples {
+        /// The photo.
+        photo: String,
+        /// Samples found.
+        found: usize,
+        /// Samples expected.
+        expected: usize,
+        /// Columns.
+        width: usize,
+        /// Rows.
+        height: usize,
+        /// Channels.
+        channels: usize,
+    },
+    /// Every pixel has the same value.
+    #[error("{photo}: every pixel has the same value {value}; is the lens cap off?")]
+    Blank {
+        /// The photo.
+        photo: String,
+        /// The linear value.
+        value: f32,
+    },
+    /// Masks were given, but none belongs to this photo.
+    #[error(
+        "{photo}: no mask belongs to it among {num_masks} files in {folder}; name it {expected}"
+    )]
+    MaskMissing {
+        /// The photo.
+        photo: String,
+        /// Files in the masks' folder.
+        num_masks: usize,
+        /// The masks' folder.
+        folder: String,
+        /// A name that would have been found.
+        expected: String,
+    },
+    /// The mask has another size than the photo.
+    #[error(
+        "mask of {photo} has {mask_width} x {mask_height} pixels, the photo {width} x {height}; \
+         export it at the photo's size, not rotated"
+    )]
+    MaskSize {
+        /// The photo.
+        photo: String,
+        /// Columns of the mask.
+        mask_width: usize,
+        /// Rows of the mask.
+        mask_height: usize,
+        /// Columns of the photo.
+        width: usize,
+        /// Rows of the photo.
+        height: usize,
+    },
+    /// The mask has no object pixel, or hardly any.
+    #[error("mask of {photo} is black: {num_pixels} object pixels; white must mark the object")]
+    MaskEmpty {
+        /// The photo.
+        photo: String,
+        /// Object pixels.
+        num_pixels: usize,
+    },
+    /// The mask marks the whole frame.
+    #[error(
+        "mask of {photo} is white everywhere; leave it away, or mark the object alone in white"
+    )]
+    MaskFull {
+        /// The photo.
+        photo: String,
+    },
+    /// The mask marks most of the frame's border but not its middle.
+    #[error(
+        "mask of {photo} is probably inverted: it marks {border_percent:.0} % of the frame's \
+         border and leaves out the middle; white must mark the object"
+    )]
+    MaskInverted {
+        /// The photo.
+        photo: String,
+        /// Share of the border that the mask marks, per cent.
+        border_percent: f64,
+    },
+    /// The given camera belongs to an image of another size.
+    #[error(
+        "camera of {photo} is for {camera_width} x {camera_height} pixels, the photo has \
+         {width} x {height}; give the camera for this size (a rotated photo keeps the sensor's frame)"
+    )]
+    CameraSize {
+        /// The photo.
+        photo: String,
+        /// Columns of the camera.
+        camera_width: usize,
+        /// Rows of the camera.
+        camera_height: usize,
+        /// Columns of the photo.
+        width: usize,
+        /// Rows of the photo.
+        height: usize,
+    },
+    /// Two photos would write the same artifacts.
+    #[error("{first} and {second} both have the name {name}, which names the results; rename one")]
+    DuplicateName {
+        /// The name without ending.
+        name: String,
+        /// One photo.
+        first: String,
+        /// The other.
+        second: String,
+    },
+    /// Colour and grey photos in one set.
+    #[error("{grey} is grey and {color} has colours; convert all photos to one kind")]
+    MixedChannels {
+        /// A grey photo.
+        grey: String,
+        /// A colour photo.
+        color: String,
+    },
+    /// There is no usable photo.
+    #[error("no usable photo")]
+    NoPhotos,
+}

@@ -1,0 +1,116 @@
+//! Options of stage 1.
+
+use crate::error::PhotosError;
+use serde::{Deserialize, Serialize};
+
+/// How the samples of a photo relate to light.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Encoding {
+    /// By the file's format and metadata, photo by photo (see the table in [`crate::encoding`]).
+    #[default]
+    Auto,
+    /// The sRGB curve, whatever the file says.
+    Srgb,
+    /// Proportional to light, whatever the file says.
+    Linear,
+}
+
+/// Options of stage 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PhotosOptions {
+    /// How samples relate to light. Taking sRGB for linear bends every slope; taking linear for
+    /// sRGB the other way.
+    pub encoding: Encoding,
+    /// Focal length of a camera of which nothing is known, over the longer side of the image.
+    /// It is refined with the poses; a start that is off by more than half may fail there.
+    pub focal_guess_factor: f64,
+    /// Stored value, over white, at and above which a channel counts as clipped. Too small loses
+    /// bright pixels, too large takes clipped ones for measurements.
+    pub clip_fraction: f64,
+    /// Fewest pixels on a side of a usable photo.
+    pub min_side_px: usize,
+    /// Fewest object pixels of a usable mask.
+    pub min_mask_px: usize,
+    /// Share of the frame's border that a mask must mark, besides missing the middle, to be taken
+    /// for inverted. Too small refuses objects that the frame cuts, too large misses inversions.
+    pub inverted_border_share: f64,
+    /// Clipped share of the object (or of the frame without mask) from which the user is warned.
+    pub clipped_warning_share: f64,
+    /// Spread of exposure between photos, in EV, from which the user is warned.
+    pub exposure_warning_ev: f64,
+}
+
+impl Default for PhotosOptions {
+    fn default() -> Self {
+        Self {
+            encoding: Encoding::Auto,
+            focal_guess_factor: 1.2,
+            // One step below white in 8 bits: JPEG rings around clipped areas by about that much.
+            clip_fraction: 254.0 / 255.0,
+            min_side_px: 32,
+            min_mask_px: 64,
+            inverted_border_share: 0.75,
+            clipped_warning_share: 0.02,
+            exposure_warning_ev: 0.1,
+        }
+    }
+}
+
+impl PhotosOptions {
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// [`PhotosError::Option`] with the first option that is out of range.
+    pub fn validate(&self) -> Result<(), PhotosError> {
+        let checks = [
+            (
+                "focal_guess_factor",
+                self.focal_guess_factor,
+                0.1..=100.0,
+                "it must lie between 0.1 and 100",
+            ),
+            (
+                "clip_fraction",
+                self.clip_fraction,
+                0.1..=1.0,
+                "it must lie between 0.1 and 1",
+            ),
+            (
+                "inverted_border_share",
+                self.inverted_border_share,
+                0.1..=1.0,
+                "it must lie between 0.1 and 1",
+            ),
+            (
+                "clipped_warning_share",
+                self.clipped_warning_share,
+                0.0..=1.0,
+                "it must lie between 0 and 1",
+            ),
+            (
+                "exposure_warning_ev",
+                self.exposure_warning_ev,
+                0.0..=100.0,
+                "it must lie between 0 and 100",
+            ),
+            (
+                "min_side_px",
+                self.min_side_px as f64,
+                2.0..=1e6,
+                "it must be at least 2",
+            ),
+        ];
+        for (name, value, range, reason) in checks {
+            if !range.contains(&value) {
+                return Err(PhotosError::Option {
+                    name,
+                    value,
+                    reason,
+                });
+            }
+        }
+        Ok(())
+    }
+}

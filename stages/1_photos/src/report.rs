@@ -1,0 +1,103 @@
+//! Facts of the preflight: what the photos are, before anything is computed from them.
+
+use rilievo_scene::{ExifFacts, FocalSource, Intrinsics, RigidTransform};
+use serde::{Deserialize, Serialize};
+
+/// Which curve was undone.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AppliedEncoding {
+    /// None: samples were proportional to light.
+    Linear,
+    /// The sRGB curve.
+    Srgb,
+}
+
+/// Everything but the pixels of a usable photo.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PhotoFacts {
+    /// File name with its ending.
+    pub file_name: String,
+    /// File name without its ending.
+    pub name: String,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// 1 or 3.
+    pub channels: usize,
+    /// Bits of a stored sample.
+    pub bits: u32,
+    /// Which curve was undone.
+    pub encoding: AppliedEncoding,
+    /// Why.
+    pub encoding_reason: String,
+    /// Camera before poses.
+    pub intrinsics: Intrinsics,
+    /// Where its focal length came from.
+    pub focal_source: FocalSource,
+    /// How it was computed, in words.
+    pub focal_note: String,
+    /// Pose given by the user.
+    pub given_cam_from_world: Option<RigidTransform>,
+    /// EXIF orientation, 1 to 8; noted, not applied.
+    pub orientation: u8,
+    /// Share of the frame that the mask marks, where there is a mask.
+    pub mask_coverage: Option<f64>,
+    /// Share of pixels with a clipped channel, over the whole frame.
+    pub clipped_share: f64,
+    /// The same over the mask.
+    pub clipped_share_on_object: Option<f64>,
+    /// Linear value at and above which a channel counts as clipped.
+    pub clip_level: f32,
+    /// Pixels that were not a number or infinite, and were set to zero.
+    pub num_invalid_px: usize,
+    /// Median linear grey value over the mask, or over the frame.
+    pub median_level: f64,
+    /// Standard deviation of the noise, linear, from the finest differences.
+    pub noise_sigma: f64,
+    /// Sharpness: variance of the Laplacian of the grey image over its squared mean level, 0 is
+    /// blank. Comparable only between photos of one object at one size.
+    pub sharpness: f64,
+    /// What EXIF says.
+    pub exif: ExifFacts,
+}
+
+/// A photo that cannot be used.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RejectedPhoto {
+    /// The file.
+    pub file: String,
+    /// Why, and what to try.
+    pub reason: String,
+}
+
+/// Photos that share their intrinsics.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraGroup {
+    /// Body, lens, zoom and size in words.
+    pub description: String,
+    /// File names.
+    pub photos: Vec<String>,
+}
+
+/// The preflight of a set.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PhotosReport {
+    /// Usable photos, in the set's order.
+    pub photos: Vec<PhotoFacts>,
+    /// Photos that could not be used (filled in by whoever read the files).
+    pub rejected: Vec<RejectedPhoto>,
+    /// Groups of photos with shared intrinsics, by their number.
+    pub camera_groups: Vec<CameraGroup>,
+    /// Photos with a mask.
+    pub num_masks: usize,
+    /// Mean share of the frame that masks mark.
+    pub mean_mask_coverage: Option<f64>,
+    /// Largest over smallest exposure by EXIF, in EV; absent unless every photo tells its own.
+    pub exposure_spread_ev: Option<f64>,
+    /// Largest over smallest median level over the masks (or frames), in EV.
+    pub level_spread_ev: f64,
+    /// What the user should know, each with the photo and what to try.
+    pub warnings: Vec<String>,
+}
