@@ -1,0 +1,69 @@
+//! Errors of stage 6.
+
+use rilievo_scene::PixelError;
+
+/// Why the views could not be fused.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum FusionError {
+    /// An option has a value that makes no sense.
+    #[error("option {option} = {value} is not usable: it must be {reason}")]
+    InvalidOption {
+        /// Name of the option.
+        option: &'static str,
+        /// Its value.
+        value: String,
+        /// What it must be.
+        reason: &'static str,
+    },
+    /// No view has any depth.
+    #[error("none of the {num_views} views has a depth map with values; run stage 5 first")]
+    NoDepth {
+        /// Views given.
+        num_views: usize,
+    },
+    /// A view's maps do not belong to its camera.
+    #[error(
+        "the {what} of {view} is {got:?} pixels and its camera is {expected:?}; give maps and \
+         cameras of the same photos"
+    )]
+    SizeMismatch {
+        /// The view.
+        view: String,
+        /// Which map.
+        what: &'static str,
+        /// Its size, columns and rows.
+        got: (usize, usize),
+        /// The camera's size.
+        expected: (usize, usize),
+    },
+    /// A view of the maps is not among the posed ones.
+    #[error("maps are given for view {view_idx} ({view}), but only {num_posed} views have a pose")]
+    NoCamera {
+        /// The view.
+        view: String,
+        /// Its index.
+        view_idx: usize,
+        /// Posed views.
+        num_posed: usize,
+    },
+    /// No point passed the checks.
+    #[error(
+        "no surface point is confirmed by {min_num_views} views ({num_candidates} candidates): the \
+         views do not overlap or lie more than {tolerance_px} pixels apart; check the poses, or \
+         lower min_num_views"
+    )]
+    NothingAgrees {
+        /// Points that were tried.
+        num_candidates: usize,
+        /// Views that had to agree.
+        min_num_views: usize,
+        /// Tolerance in pixel footprints.
+        tolerance_px: f64,
+    },
+    /// Pixels for the colours could not be loaded.
+    #[error("colours cannot be taken from the photos")]
+    Pixels(#[from] PixelError),
+    /// The observer asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}

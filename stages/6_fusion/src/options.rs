@@ -1,0 +1,163 @@
+//! Options of stage 6.
+
+use crate::error::FusionError;
+use serde::{Deserialize, Serialize};
+
+/// What the points' colours show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ColorMode {
+    /// The mean of the photos that see the point, light and shadow included.
+    #[default]
+    Photographed,
+    /// The photos divided by the shading that the result explains: the surface's own colour. Needs
+    /// the rendered images of stage 5, and falls back to the photos without them.
+    Albedo,
+}
+
+/// Options of [`crate::run`]. Lengths along and across the surface are in *pixel footprints*
+/// `z / f`, the size of a pixel on a surface at depth `z` that faces the camera, so that they need
+/// no knowledge of the object's size.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FusionOptions {
+    /// Two views agree on a point when their depths differ by no more than this many pixel
+    /// footprints. Too small: views that lie on each other only to a few footprints lose points;
+    /// too large: false surface near edges survives.
+    pub depth_tolerance_px: f64,
+    /// Two views agree on a point when their normals differ by no more than this angle, degrees.
+    pub normal_tolerance_deg: f64,
+    /// Views that must agree on a point, itself included; 1 keeps everything. Where the cameras
+    /// leave only one view a choice (`num_views` possible observers below this), it is dropped.
+    pub min_num_views: usize,
+    /// Surface seen under a larger angle than this to its normal is dropped, degrees: there a
+    /// pixel covers several footprints and its depth is a guess.
+    pub max_grazing_deg: f64,
+    /// Pixels next to the border of the map that are dropped: there the depth is extrapolated.
+    pub border_px: usize,
+    /// Distance between the points of the cloud, world's unit; 0 keeps one point per pixel of the
+    /// view that sees the surface best.
+    pub spacing: f64,
+    /// Whether smooth offsets between the views' depth maps are adjusted away before fusion.
+    pub reconcile: bool,
+    /// Distance of the nodes of the correction grid, pixels. Too small: the correction follows
+    /// detail and noise; too large: it cannot bend as the offsets do.
+    pub reconcile_grid_px: f64,
+    /// Offsets that the correction may take up: their standard deviation, pixel footprints. The
+    /// weight of leaving a map as it is against bringing it onto the others.
+    pub reconcile_sigma_px: f64,
+    /// Largest offset between views that still belongs to one surface while they are adjusted,
+    /// pixel footprints.
+    pub reconcile_max_offset_px: f64,
+    /// Whether to make a mesh.
+    pub mesh: bool,
+    /// Edge of the mesh's cells, pixel footprints. Smaller keeps more of the maps' detail and
+    /// costs memory with its square.
+    pub voxel_px: f64,
+    /// Distance from the surface over which the views are averaged, cells. Must exceed the
+    /// noise of the depths; large values close narrow grooves.
+    pub truncation_voxels: f64,
+    /// Whether the mesh is closed where no view saw anything.
+    pub watertight: bool,
+    /// What the colours show.
+    pub color: ColorMode,
+    /// Memory that the mesh's cells may take, MiB; the cells are made larger where they would need
+    /// more, and the report says so.
+    pub memory_mib: usize,
+}
+
+impl Default for FusionOptions {
+    fn default() -> Self {
+        Self {
+            depth_tolerance_px: 4.0,
+            normal_tolerance_deg: 40.0,
+            min_num_views: 2,
+            max_grazing_deg: 78.0,
+            border_px: 1,
+            spacing: 0.0,
+            reconcile: true,
+            reconcile_grid_px: 48.0,
+            reconcile_sigma_px: 2.0,
+            reconcile_max_offset_px: 8.0,
+            mesh: true,
+            voxel_px: 1.0,
+            truncation_voxels: 4.0,
+            watertight: false,
+            color: ColorMode::Photographed,
+            memory_mib: 1024,
+        }
+    }
+}
+
+impl FusionOptions {
+    /// Refuses values that cannot work.
+    ///
+    /// # Errors
+    /// [`FusionError::InvalidOption`] names the option.
+    pub fn validate(&self) -> Result<(), FusionError> {
+        let check = |usable: bool, option: &'static str, value: f64, reason: &'static str| {
+            if usable {
+                return Ok(());
+            }
+            Err(FusionError::InvalidOption {
+                option,
+                value: value.to_string(),
+                reason,
+            })
+        };
+        let positive = |option, value: f64| {
+            check(
+                value.is_finite() && value > 0.0,
+                option,
+                value,
+                "a positive number",
+            )
+        };
+        positive("depth_tolerance_px", self.depth_tolerance_px)?;
+        positive("reconcile_sigma_px", self.reconcile_sigma_px)?;
+        positive("reconcile_max_offset_px", self.reconcile_max_offset_px)?;
+        positive("voxel_px", self.voxel_px)?;
+        check(
+            (0.0..=180.0).contains(&self.normal_tolerance_deg),
+            "normal_tolerance_deg",
+            self.normal_tolerance_deg,
+            "0 to 180 degrees",
+        )?;
+        check(
+            (1..=255).contains(&self.min_num_views),
+            "min_num_views",
+            self.min_num_views as f64,
+            "1 to 255",
+        )?;
+        check(
+            (0.0..=90.0).contains(&self.max_grazing_deg),
+            "max_grazing_deg",
+            self.max_grazing_deg,
+            "0 to 90 degrees",
+        )?;
+        check(
+            self.spacing.is_finite() && self.spacing >= 0.0,
+            "spacing",
+            self.spacing,
+            "0, or a length in the world's unit",
+        )?;
+        check(
+            self.reconcile_grid_px >= 4.0 && self.reconcile_grid_px.is_finite(),
+            "reconcile_grid_px",
+            self.reconcile_grid_px,
+            "4 pixels or more",
+        )?;
+        check(
+            (1.5..=50.0).contains(&self.truncation_voxels),
+            "truncation_voxels",
+            self.truncation_voxels,
+            "1.5 to 50 cells",
+        )?;
+        check(
+            self.memory_mib >= 16,
+            "memory_mib",
+            self.memory_mib as f64,
+            "16 MiB or more",
+        )
+    }
+}

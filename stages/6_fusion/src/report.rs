@@ -1,0 +1,82 @@
+//! What stage 6 tells of its work.
+
+use serde::{Deserialize, Serialize};
+
+/// How far overlapping views lie apart along the surface's normal.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Layering {
+    /// Pairs of corresponding pixels that were measured.
+    pub num_pairs: usize,
+    /// Root mean square distance, world's unit.
+    pub rms: f64,
+    /// Median of the absolute distance, world's unit.
+    pub median: f64,
+    /// 90 % quantile of the absolute distance, world's unit.
+    pub p90: f64,
+    /// Root mean square distance of the smooth part (the mean over windows of the correction
+    /// grid's size), world's unit: what an offset between maps causes, and noise does not.
+    pub smooth_rms: f64,
+    /// Mean pixel footprint, world's unit, for comparison.
+    pub footprint: f64,
+}
+
+/// One view's share of the result.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ViewFusion {
+    /// The photo's name without ending.
+    pub name: String,
+    /// Pixels with a depth.
+    pub num_depths: usize,
+    /// Pixels dropped because their values are not finite or not positive.
+    pub num_invalid: usize,
+    /// Pixels dropped at the border of the map or at a depth edge.
+    pub num_border: usize,
+    /// Pixels dropped because the surface is seen too obliquely.
+    pub num_grazing: usize,
+    /// Pixels dropped because another view sees through them or too few agree.
+    pub num_inconsistent: usize,
+    /// Points of the cloud that come from this view.
+    pub num_points: usize,
+    /// Root mean square of the correction that reconciled this view, world's unit.
+    pub correction_rms: f64,
+}
+
+/// The mesh in numbers.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct MeshReport {
+    /// Vertices.
+    pub num_vertices: usize,
+    /// Triangles.
+    pub num_triangles: usize,
+    /// Edge of a cell, world's unit.
+    pub voxel: f64,
+    /// Factor by which the cells are larger than asked for, to stay within the memory; 1: not.
+    pub coarsened_by: f64,
+    /// Memory of the cells, MiB.
+    pub memory_mib: f64,
+    /// Pieces that were too small to be surface and were dropped.
+    pub num_dropped_pieces: usize,
+    /// Mean distance of the cloud's points from the mesh, world's unit.
+    pub mean_distance_to_cloud: Option<f64>,
+}
+
+/// Report of [`crate::run`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FusionReport {
+    /// Points of the cloud.
+    pub num_points: usize,
+    /// Mean number of views that agree on a point.
+    pub mean_num_views: f64,
+    /// Distance between views as they came.
+    pub layering_before: Layering,
+    /// Distance between views after the adjustment.
+    pub layering_after: Layering,
+    /// Iterations of the adjustment; 0 when it was switched off or had nothing to do.
+    pub reconcile_iterations: usize,
+    /// Every view.
+    pub views: Vec<ViewFusion>,
+    /// The mesh, where one was made.
+    pub mesh: Option<MeshReport>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}

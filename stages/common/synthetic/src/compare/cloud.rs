@@ -1,0 +1,366 @@
+//! A point cloud against the true surface.
+//!
+//! * Accuracy: distance of every cloud point to the surface, `d(p, M)`; its median, and the share
+//!   `P(τ)` within a threshold τ.
+//! * Completeness `C(τ)`: share of the surface's area with a cloud point within τ. What no camera
+//!   saw is nobody's to reconstruct: with the truth's depth maps given, only the surface that at
+//!   least two views see counts.
+//! * `F = 2 P C / (P + C)`.
+//!
+//! Steps: samples on the triangles no farther apart than τ/3; nearest samples by a k-d tree; the
+//! exact distance to the triangles of the nearest eight samples.
+
+use super::align::Similarity;
+use super::maps::TruthView;
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+use rilievo_numerics::robust::quantile;
+use rilievo_scene::{CloudPoint, Mesh, RigidTransform};
+use serde::Serialize;
+use std::num::NonZero;
+
+/// Threshold as a share of the surface's bounding-box diagonal: half a millimetre for an object a
+/// hand wide.
+const THRESHOLD_SHARE: f64 = 1.0 / 500.0;
+/// Triangles that compete for being nearest: a point above an edge finds both sides among them.
+const NUM_CANDIDATES: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(7);
+/// At most this many samples on the surface, which bounds memory at about 100 MB.
+const MAX_NUM_SAMPLES: f64 = 1.5e6;
+/// A surface point counts as seen where the depth map agrees within this share of the depth.
+const SEEN_TOLERANCE: f64 = 2e-3;
+
+/// A cloud against the true surface, lengths in the truth's unit.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct CloudComparison {
+    /// Median distance of the points from the surface.
+    pub accuracy_median: f64,
+    /// 90 % quantile of it.
+    pub accuracy_p90: f64,
+    /// Mean distance.
+    pub accuracy_mean: f64,
+    /// Share of the points within the threshold.
+    pub precision: f64,
+    /// Share of the surface (that two views see, where depth maps tell) within the threshold of a
+    /// point.
+    pub completeness: f64,
+    /// Harmonic mean of precision and completeness.
+    pub f_score: f64,
+    /// The threshold.
+    pub threshold: f64,
+    /// Share of the whole surface that `completeness` is measured on.
+    pub counted_surface: f64,
+}
+
+/// What the cloud is compared with.
+#[derive(Clone, Copy, Debug)]
+pub struct TrueSurface<'a> {
+    /// The surface.
+    pub mesh: &'a Mesh,
+    /// True views; empty: the whole surface counts.
+    pub views: &'a [(RigidTransform, &'a TruthView)],
+    /// Distance that still counts as found, truth's unit; `None` takes a five-hundredth of the
+    /// surface's diagonal.
+    pub threshold: Option<f64>,
+}
+
+/// Samples on a mesh, with the triangle of each.
+pub(crate) struct Samples {
+    pub points: Vec<[f64; 3]>,
+    pub triangles: Vec<u32>,
+    pub areas: Vec<f64>,
+}
+
+fn corners(mesh: &Mesh, triangle: usize) -> [Point3<f64>; 3] {
+    mesh.triangles[triangle].map(|v| {
+        let [x, y, z] = mesh.vertices[v as usize];
+        Point3::new(x.into(), y.into(), z.into())
+    })
+}
+
+/// Points on the triangles, at most `spacing` apart.
+pub(crate) fn sample(mesh: &Mesh, spacing: f64) -> Samples {
+    let mut samples = Samples {
+        points: Vec::new(),
+        triangles: Vec::new(),
+        areas: Vec::new(),
+    };
+    for triangle in 0..mesh.triangles.len() {
+        let [a, b, c] = corners(mesh, triangle);
+        let (ab, ac) = (b - a, c - a);
+        let area = 0.5 * ab.cross(&ac).norm();
+        if area.is_nan() || area <= 0.0 {
+            continue;
+        }
+        let longest = ab.norm().max(ac.norm()).max((c - b).norm());
+        let n = (longest / spacing).ceil().clamp(1.0, 200.0) as usize;
+        // The centroids of the n² similar triangles.
+        for i in 0..n {
+            for j in 0..n - i {
+                let mut add = |s: f64, t: f64| {
+                    let p = a + ab * (s / n as f64) + ac * (t / n as f64);
+                    samples.points.push([p.x, p.y, p.z]);
+                    samples.triangles.push(triangle as u32);
+                    samples.areas.push(area / (n * n) as f64);
+                };
+                add(i as f64 + 1.0 / 3.0, j as f64 + 1.0 / 3.0);
+                if i + j + 1 < n {
+                    add(i as f64 + 2.0 / 3.0, j as f64 + 2.0 / 3.0);
+                }
+            }
+        }
+    }
+    samples
+}
+
+/// Distance of a point from a triangle.
+pub(crate) fn distance_to_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> f64 {
+    let segment = |a: &Point3<f64>, b: &Point3<f64>| {
+        let ab = b - a;
+        let t = ((p - a).dot(&ab) / ab.norm_squared()).clamp(0.0, 1.0);
+        (p - (a + ab * t)).norm()
+    };
+    let normal: Vector3<f64> = (b - a).cross(&(c - a));
+    let inside = [(a, b), (b, c), (c, a)]
+        .iter()
+        .all(|(u, v)| (*v - *u).cross(&(p - *u)).dot(&normal) >= 0.0);
+    if inside {
+        return ((p - a).dot(&normal) / normal.norm()).abs();
+    }
+    segment(a, b).min(segment(b, c)).min(segment(c, a))
+}
+
+/// A mesh that answers how far points lie from it.
+pub struct MeshDistance<'a> {
+    mesh: &'a Mesh,
+    samples: Samples,
+    tree: ImmutableKdTree<f64, 3>,
+}
+
+impl<'a> MeshDistance<'a> {
+    /// Indexes the surface with samples at most `spacing` apart; `None` for an empty one.
+    pub fn new(mesh: &'a Mesh, spacing: f64) -> Option<Self> {
+        let area: f64 = (0..mesh.triangles.len())
+            .map(|t| {
+                let [a, b, c] = corners(mesh, t);
+                0.5 * (b - a).cross(&(c - a)).norm()
+            })
+            .sum();
+        // Two samples per square of the spacing.
+        let samples = sample(mesh, spacing.max((2.0 * area / MAX_NUM_SAMPLES).sqrt()));
+        let tree = ImmutableKdTree::new_from_slice(&samples.points).ok()?;
+        (!samples.points.is_empty()).then_some(Self {
+            mesh,
+            samples,
+            tree,
+        })
+    }
+
+    /// Distance of a finite point from the surface, and the nearest triangle.
+    pub fn nearest(&self, p: &Point3<f64>) -> (f64, usize) {
+        self.tree
+            .query(&[p.x, p.y, p.z])
+            .nearest_n::<SquaredEuclidean<f64>>(NUM_CANDIDATES)
+            .execute()
+            .into_iter()
+            .map(|found| {
+                let triangle = self.samples.triangles[found.item as usize] as usize;
+                (
+                    distance_to_triangle(p, &corners(self.mesh, triangle)),
+                    triangle,
+                )
+            })
+            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))
+            .unwrap_or((f64::INFINITY, 0))
+    }
+}
+
+/// Length of the diagonal of a mesh's bounding box.
+fn diagonal(mesh: &Mesh) -> f64 {
+    let mut low = Vector3::repeat(f64::INFINITY);
+    let mut high = Vector3::repeat(f64::NEG_INFINITY);
+    for v in &mesh.vertices {
+        let v = Vector3::new(v[0].into(), v[1].into(), v[2].into());
+        low = low.inf(&v);
+        high = high.sup(&v);
+    }
+    (high - low).norm()
+}
+
+/// Whether a point of the surface is the one that a view sees along its ray.
+fn sees(view: &(RigidTransform, &TruthView), p: &Point3<f64>) -> bool {
+    let in_cam = view.0.apply(p);
+    view.1
+        .intrinsics
+        .project(&in_cam)
+        .and_then(|pixel| {
+            view.1
+                .depth
+                .get(pixel.x.round() as isize, pixel.y.round() as isize)
+        })
+        .is_some_and(|&z| {
+            z > 0.0 && (in_cam.z - f64::from(z)).abs() <= SEEN_TOLERANCE * f64::from(z)
+        })
+}
+
+/// Compares the cloud, moved by `similarity`, with the true surface; `None` when either is empty.
+pub fn compare_cloud(
+    cloud: &[CloudPoint],
+    truth: &TrueSurface<'_>,
+    similarity: &Similarity,
+) -> Option<CloudComparison> {
+    let threshold = truth
+        .threshold
+        .unwrap_or(THRESHOLD_SHARE * diagonal(truth.mesh));
+    let surface = MeshDistance::new(truth.mesh, threshold / 3.0)?;
+    let points: Vec<[f64; 3]> = cloud
+        .iter()
+        .map(|p| similarity.apply(&Point3::from(p.position.map(f64::from))))
+        .filter(|p| p.iter().all(|c| c.is_finite()))
+        .map(Into::into)
+        .collect();
+    if points.is_empty() {
+        return None;
+    }
+    let mut distances: Vec<f64> = points
+        .par_iter()
+        .map(|p| surface.nearest(&Point3::from(*p)).0)
+        .collect();
+    let num = distances.len() as f64;
+    let precision = distances.iter().filter(|&&d| d <= threshold).count() as f64 / num;
+    let accuracy_mean = distances.iter().sum::<f64>() / num;
+
+    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&points).ok()?;
+    let samples = &surface.samples;
+    // 0: not counted, 1: counted and missed, 2: found.
+    let states: Vec<u8> = samples
+        .points
+        .par_iter()
+        .map(|sample| {
+            let p = Point3::from(*sample);
+            let num_seen = truth.views.iter().filter(|view| sees(view, &p)).count();
+            if !truth.views.is_empty() && num_seen < 2 {
+                return 0;
+            }
+            let nearest = tree
+                .query(sample)
+                .nearest_one::<SquaredEuclidean<f64>>()
+                .execute();
+            1 + u8::from(nearest.distance <= threshold * threshold)
+        })
+        .collect();
+    let area_of = |wanted: &dyn Fn(u8) -> bool| -> f64 {
+        states
+            .iter()
+            .zip(&samples.areas)
+            .filter(|(state, _)| wanted(**state))
+            .map(|(_, area)| area)
+            .sum()
+    };
+    let counted = area_of(&|s| s > 0);
+    let completeness = if counted > 0.0 {
+        area_of(&|s| s == 2) / counted
+    } else {
+        0.0
+    };
+    let sum = precision + completeness;
+    Some(CloudComparison {
+        accuracy_median: quantile(&mut distances, 0.5)?,
+        accuracy_p90: quantile(&mut distances, 0.9)?,
+        accuracy_mean,
+        precision,
+        completeness,
+        f_score: if sum > 0.0 {
+            2.0 * precision * completeness / sum
+        } else {
+            0.0
+        },
+        threshold,
+        counted_surface: counted / area_of(&|_| true),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The unit square in `z = 0`, two triangles.
+    fn square() -> Mesh {
+        Mesh {
+            vertices: vec![
+                [0.0, 0.0, 0.0],
+                [1.0, 0.0, 0.0],
+                [1.0, 1.0, 0.0],
+                [0.0, 1.0, 0.0],
+            ],
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..Mesh::default()
+        }
+    }
+
+    fn cloud(lift: f32, columns: usize) -> Vec<CloudPoint> {
+        (0..100 * columns)
+            .map(|i| CloudPoint {
+                position: [
+                    ((i % columns) as f32 + 0.5) / 100.0,
+                    ((i / columns) as f32 + 0.5) / 100.0,
+                    lift,
+                ],
+                normal: [0.0, 0.0, 1.0],
+                color: [0; 3],
+                confidence: 1.0,
+                num_views: 2,
+            })
+            .collect()
+    }
+
+    fn surface(mesh: &Mesh) -> TrueSurface<'_> {
+        TrueSurface {
+            mesh,
+            views: &[],
+            threshold: Some(0.02),
+        }
+    }
+
+    #[test]
+    fn a_lifted_half_plane_has_the_lift_as_accuracy_and_half_the_surface() {
+        let mesh = square();
+        let whole = compare_cloud(
+            &cloud(0.003, 50),
+            &surface(&mesh),
+            &Similarity::identity("test"),
+        )
+        .expect("neither is empty");
+        assert!((whole.accuracy_median - 0.003).abs() < 1e-8, "{whole:?}");
+        assert_eq!(whole.precision, 1.0);
+        // The threshold reaches 0.015 beyond the last column.
+        assert!((whole.completeness - 0.515).abs() < 0.01, "{whole:?}");
+        let expected = 2.0 * whole.completeness / (1.0 + whole.completeness);
+        assert!((whole.f_score - expected).abs() < 1e-12, "{whole:?}");
+    }
+
+    #[test]
+    fn the_distance_is_exact_over_faces_edges_and_corners() {
+        let mesh = square();
+        let surface = MeshDistance::new(&mesh, 0.05).expect("a surface");
+        for (p, expected) in [
+            (Point3::new(0.31, 0.77, 0.2), 0.2),
+            (Point3::new(-0.3, 0.5, 0.4), 0.5),
+            (Point3::new(1.2, 1.1, -0.2), 0.3),
+        ] {
+            let (d, _) = surface.nearest(&p);
+            assert!((d - expected).abs() < 1e-12, "{p:?}: {d} {expected}");
+        }
+    }
+
+    #[test]
+    fn an_empty_cloud_or_surface_has_no_comparison() {
+        let (mesh, empty) = (square(), Mesh::default());
+        let identity = Similarity::identity("test");
+        assert_eq!(compare_cloud(&[], &surface(&mesh), &identity), None);
+        assert_eq!(
+            compare_cloud(&cloud(0.0, 3), &surface(&empty), &identity),
+            None
+        );
+    }
+}

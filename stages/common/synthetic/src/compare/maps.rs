@@ -1,0 +1,441 @@
+//! Depth and normal maps of one view against the truth, pixel by pixel.
+//!
+//! * Depth: `|s z_e − z_t| / z_t` wherever both have a value, `s` the one scale of the scene.
+//! * Normals: the angle between estimate and truth in the camera frame. A truth without normals
+//!   (a fused stereo surface) is too coarse for single pixels; there both sides are replaced by
+//!   planes fitted to 21×21 pixels: on a plane `a X + b Y + c Z = 1`, the inverse depth
+//!   `1/z = a u + b v + c` is linear in the normalised pixel `(u, v)`, so that each window is a
+//!   3×3 normal system, and `n ∝ −(a, b, c)`.
+//! * Completeness: the share of the truth's pixels that have a depth; pixels without one enter
+//!   nothing else.
+
+use crate::error::SyntheticError;
+use nalgebra::{Matrix3, Point2, Vector3};
+use rilievo_numerics::robust::quantile;
+use rilievo_scene::{DepthMap, Intrinsics, NormalMap, Raster};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Half the side of the windows of planes, pixels: 21×21, about the detail that a stereo surface
+/// of a hand-sized object resolves.
+pub const PLANE_HALF_WINDOW_PX: usize = 10;
+/// Share of a window that must be filled for its plane to count.
+const MIN_WINDOW_SHARE: f64 = 0.3;
+
+/// Truth of one view.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TruthView {
+    /// The photo's name without ending.
+    pub name: String,
+    /// Camera of the maps.
+    pub intrinsics: Intrinsics,
+    /// Depth, truth's unit; its non-zero pixels are the mask.
+    pub depth: DepthMap,
+    /// Normals, where the truth has them.
+    pub normal: Option<NormalMap>,
+}
+
+/// Where compared normals come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NormalSource {
+    /// The normal maps of both sides.
+    Maps,
+    /// Planes fitted to the depths of both sides.
+    Planes,
+}
+
+/// Errors of one view's pixels, in the order of the pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PixelErrors {
+    /// Pixels with a true depth.
+    pub num_truth: usize,
+    /// Those of them with an estimate.
+    pub num_estimated: usize,
+    /// Angles between normals, degrees.
+    pub normal_deg: Vec<f64>,
+    /// Relative errors of depth, absolute values.
+    pub depth_rel: Vec<f64>,
+    /// Where the normals come from.
+    pub normal_source: NormalSource,
+}
+
+/// Summary of pixel errors; what there is no pixel for is `None`, and `reasons` says why.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct MapComparison {
+    /// Share of the truth's pixels with a depth, 0 to 1.
+    pub complete: Option<f64>,
+    /// Mean angle between normals, degrees.
+    pub normal_mae_deg: Option<f64>,
+    /// Median angle between normals, degrees.
+    pub normal_median_deg: Option<f64>,
+    /// Median relative depth error.
+    pub depth_median_rel: Option<f64>,
+    /// 90 % quantile of the relative depth error.
+    pub depth_p90_rel: Option<f64>,
+    /// Root mean square of the relative depth error.
+    pub depth_rms_rel: Option<f64>,
+    /// Share of compared normals within 11.25, 22.5 and 30 degrees.
+    pub normal_within_11_22_30_deg: Option<[f64; 3]>,
+    /// Where the normals come from.
+    pub normals_from: NormalSource,
+    /// Pixels of the truth.
+    pub num_truth_px: usize,
+    /// Key of a null value: why it could not be computed.
+    pub reasons: BTreeMap<String, String>,
+}
+
+impl PixelErrors {
+    /// Means and quantiles.
+    pub fn summary(&self) -> MapComparison {
+        let mut reasons = BTreeMap::new();
+        if self.num_truth == 0 {
+            reasons.insert("complete".into(), "the truth has no depth here".into());
+        }
+        if self.depth_rel.is_empty() {
+            for key in ["depth_median_rel", "depth_p90_rel", "depth_rms_rel"] {
+                reasons.insert(
+                    key.into(),
+                    "no pixel has both an estimated and a true depth".into(),
+                );
+            }
+        }
+        if self.normal_deg.is_empty() {
+            for key in [
+                "normal_mae_deg",
+                "normal_median_deg",
+                "normal_within_11_22_30_deg",
+            ] {
+                reasons.insert(
+                    key.into(),
+                    "no pixel has both an estimated and a true normal".into(),
+                );
+            }
+        }
+        let mean = |values: &[f64]| {
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let share_within = |limit: f64| {
+            self.normal_deg.iter().filter(|&&a| a < limit).count() as f64
+                / self.normal_deg.len() as f64
+        };
+        let mut depth = self.depth_rel.clone();
+        let mut normal = self.normal_deg.clone();
+        MapComparison {
+            complete: (self.num_truth > 0)
+                .then(|| self.num_estimated as f64 / self.num_truth as f64),
+            normal_mae_deg: mean(&self.normal_deg),
+            normal_median_deg: quantile(&mut normal, 0.5),
+            depth_median_rel: quantile(&mut depth, 0.5),
+            depth_p90_rel: quantile(&mut depth, 0.9),
+            depth_rms_rel: mean(&self.depth_rel.iter().map(|d| d * d).collect::<Vec<_>>())
+                .map(f64::sqrt),
+            normal_within_11_22_30_deg: (!normal.is_empty())
+                .then(|| [share_within(11.25), share_within(22.5), share_within(30.0)]),
+            normals_from: self.normal_source,
+            num_truth_px: self.num_truth,
+            reasons,
+        }
+    }
+}
+
+/// The pixels of several views as one; `None` without a view.
+pub fn aggregate<'a>(views: impl Iterator<Item = &'a PixelErrors>) -> Option<MapComparison> {
+    views
+        .fold(None, |all: Option<PixelErrors>, view| {
+            let Some(mut all) = all else {
+                return Some(view.clone());
+            };
+            all.num_truth += view.num_truth;
+            all.num_estimated += view.num_estimated;
+            all.normal_deg.extend_from_slice(&view.normal_deg);
+            all.depth_rel.extend_from_slice(&view.depth_rel);
+            Some(all)
+        })
+        .map(|all| all.summary())
+}
+
+/// Compares one view; `depth` in the estimate's unit is multiplied by `scale`. A view without a
+/// result (`depth` is `None`) counts as missing everywhere.
+///
+/// # Errors
+/// Maps of another size than the truth's.
+pub fn compare_maps(
+    truth: &TruthView,
+    depth: Option<&DepthMap>,
+    normal: Option<&NormalMap>,
+    scale: f64,
+) -> Result<PixelErrors, SyntheticError> {
+    let expected = (truth.depth.width, truth.depth.height);
+    let sizes = [
+        ("depth map", depth.map(|m| (m.width, m.height))),
+        ("normal map", normal.map(|m| (m.width, m.height))),
+        (
+            "true normal map",
+            truth.normal.as_ref().map(|m| (m.width, m.height)),
+        ),
+    ];
+    for (what, size) in sizes {
+        if let Some(got) = size.filter(|&size| size != expected) {
+            return Err(SyntheticError::SizeMismatch {
+                view: truth.name.clone(),
+                what,
+                got,
+                expected,
+            });
+        }
+    }
+    let is_depth = |z: f32| z.is_finite() && z > 0.0;
+    let num_truth = truth.depth.data.iter().filter(|&&z| is_depth(z)).count();
+    let normal_source = match truth.normal {
+        Some(_) => NormalSource::Maps,
+        None => NormalSource::Planes,
+    };
+    let mut errors = PixelErrors {
+        num_truth,
+        num_estimated: 0,
+        normal_deg: Vec::new(),
+        depth_rel: Vec::new(),
+        normal_source,
+    };
+    let Some(depth) = depth else {
+        return Ok(errors);
+    };
+    for (&z, &z_true) in depth.data.iter().zip(&truth.depth.data) {
+        if is_depth(z) && is_depth(z_true) {
+            errors.num_estimated += 1;
+            let z_true = f64::from(z_true);
+            errors
+                .depth_rel
+                .push(((scale * f64::from(z) - z_true) / z_true).abs());
+        }
+    }
+    let planes;
+    let (estimated, true_normals) = match (&truth.normal, normal) {
+        (Some(true_normals), Some(normal)) => (normal, true_normals),
+        (Some(_), None) => return Ok(errors),
+        (None, _) => {
+            let both = Raster::from_fn(expected.0, expected.1, |x, y| {
+                is_depth(*depth.at(x, y)) && is_depth(*truth.depth.at(x, y))
+            });
+            planes = [depth, &truth.depth]
+                .map(|map| plane_normals(map, &both, &truth.intrinsics, PLANE_HALF_WINDOW_PX));
+            (&planes[0], &planes[1])
+        }
+    };
+    for y in 0..expected.1 {
+        for x in 0..expected.0 {
+            if !is_depth(*truth.depth.at(x, y)) {
+                continue;
+            }
+            if let (Some(e), Some(t)) = (estimated.normal(x, y), true_normals.normal(x, y)) {
+                let angle = angle_deg(&e, &t);
+                if angle.is_finite() {
+                    errors.normal_deg.push(angle);
+                }
+            }
+        }
+    }
+    Ok(errors)
+}
+
+/// Angle between two directions, accurate at small angles where the arc cosine is not.
+pub(crate) fn angle_deg(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
+    a.cross(b).norm().atan2(a.dot(b)).to_degrees()
+}
+
+/// Normals of planes fitted to the depths inside `mask` over windows of `2 half + 1` pixels.
+pub fn plane_normals(
+    depth: &DepthMap,
+    mask: &Raster<bool>,
+    intrinsics: &Intrinsics,
+    half: usize,
+) -> NormalMap {
+    let (width, height) = (depth.width, depth.height);
+    // Moments of each pixel: uu, uv, vv, u, v, 1, u/z, v/z, 1/z.
+    let moments = |x: usize, y: usize| -> [f64; 9] {
+        if !*mask.at(x, y) {
+            return [0.0; 9];
+        }
+        let n = intrinsics.normalized(&Point2::new(x as f64, y as f64));
+        let w = 1.0 / f64::from(*depth.at(x, y));
+        [
+            n.x * n.x,
+            n.x * n.y,
+            n.y * n.y,
+            n.x,
+            n.y,
+            1.0,
+            n.x * w,
+            n.y * w,
+            w,
+        ]
+    };
+    // Sums over the window's rows, per column; then a sliding sum over its columns.
+    let mut columns = vec![[0.0; 9]; width];
+    let add_row = |columns: &mut [[f64; 9]], y: usize, sign: f64| {
+        for (x, column) in columns.iter_mut().enumerate() {
+            for (sum, m) in column.iter_mut().zip(moments(x, y)) {
+                *sum += sign * m;
+            }
+        }
+    };
+    for y in 0..half.min(height) {
+        add_row(&mut columns, y, 1.0);
+    }
+    let mut normals = NormalMap::filled(width, height, [0.0; 3]);
+    let full = ((2 * half + 1) * (2 * half + 1)) as f64;
+    for y in 0..height {
+        if y + half < height {
+            add_row(&mut columns, y + half, 1.0);
+        }
+        if y > half {
+            add_row(&mut columns, y - half - 1, -1.0);
+        }
+        let mut window = [0.0; 9];
+        let slide = |window: &mut [f64; 9], x: usize, sign: f64| {
+            for (sum, c) in window.iter_mut().zip(columns[x]) {
+                *sum += sign * c;
+            }
+        };
+        for x in 0..half.min(width) {
+            slide(&mut window, x, 1.0);
+        }
+        for x in 0..width {
+            if x + half < width {
+                slide(&mut window, x + half, 1.0);
+            }
+            if x > half {
+                slide(&mut window, x - half - 1, -1.0);
+            }
+            if *mask.at(x, y) && window[5] > MIN_WINDOW_SHARE * full {
+                if let Some(n) = plane_of(&window) {
+                    *normals.at_mut(x, y) = [n.x as f32, n.y as f32, n.z as f32];
+                }
+            }
+        }
+    }
+    normals
+}
+
+/// Normal of the plane whose inverse depth fits the window's moments, towards the camera.
+fn plane_of(m: &[f64; 9]) -> Option<Vector3<f64>> {
+    // About the window's centroid the system is well scaled however far off the axis it lies.
+    let (u, v, w) = (m[3] / m[5], m[4] / m[5], m[8] / m[5]);
+    let uu = m[0] / m[5] - u * u;
+    let uv = m[1] / m[5] - u * v;
+    let vv = m[2] / m[5] - v * v;
+    let uw = m[6] / m[5] - u * w;
+    let vw = m[7] / m[5] - v * w;
+    let system = Matrix3::new(uu, uv, 0.0, uv, vv, 0.0, 0.0, 0.0, 1.0);
+    let determinant = uu * vv - uv * uv;
+    // A window filled along a line only has no plane.
+    if determinant.is_nan() || determinant <= 1e-3 * uu * vv {
+        return None;
+    }
+    let slopes = system.try_inverse()? * Vector3::new(uw, vw, 0.0);
+    let normal = -Vector3::new(slopes.x, slopes.y, w - slopes.x * u - slopes.y * v);
+    normal.try_normalize(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera() -> Intrinsics {
+        Intrinsics::pinhole(60, 50, 80.0, 29.5, 24.5)
+    }
+
+    /// Depth of the plane `n · X = d` in every pixel.
+    fn plane(n: Vector3<f64>, d: f64) -> DepthMap {
+        DepthMap::from_fn(60, 50, |x, y| {
+            (d / n.dot(&camera().ray(&Point2::new(x as f64, y as f64)))) as f32
+        })
+    }
+
+    fn truth(with_normals: bool) -> TruthView {
+        let n = Vector3::new(0.3, -0.2, -1.0).normalize();
+        let normal = n.map(|c| c as f32);
+        TruthView {
+            name: "IMG_0001".into(),
+            intrinsics: camera(),
+            depth: plane(n, -1.0),
+            normal: with_normals.then(|| NormalMap::filled(60, 50, normal.into())),
+        }
+    }
+
+    #[test]
+    fn planes_are_recovered_up_to_the_border() {
+        let truth = truth(true);
+        let all = Raster::filled(60, 50, true);
+        let planes = plane_normals(&truth.depth, &all, &camera(), PLANE_HALF_WINDOW_PX);
+        // Half windows at the frame's sides still hold a third of the pixels, corners do not.
+        let (mut worst, mut count) = (0.0_f64, 0);
+        for (p, t) in planes.data.iter().zip(&truth.normal.expect("given").data) {
+            let to = |v: &[f32; 3]| Vector3::new(v[0].into(), v[1].into(), v[2].into());
+            if p != &[0.0; 3] {
+                worst = worst.max(angle_deg(&to(p), &to(t)));
+                count += 1;
+            }
+        }
+        assert!(worst < 1e-2, "{worst} degrees");
+        assert!(count > 2500, "{count}");
+    }
+
+    #[test]
+    fn the_scale_and_missing_pixels_are_counted() {
+        for with_normals in [true, false] {
+            let truth = truth(with_normals);
+            let mut depth = truth.depth.clone();
+            for z in &mut depth.data {
+                *z *= 0.5;
+            }
+            for x in 0..30 {
+                for y in 0..50 {
+                    *depth.at_mut(x, y) = 0.0;
+                }
+            }
+            let normal = truth.normal.clone();
+            let errors = compare_maps(&truth, Some(&depth), normal.as_ref(), 2.02);
+            let summary = errors.expect("sizes agree").summary();
+            assert_eq!(summary.complete, Some(0.5));
+            let median = summary.depth_median_rel.expect("pixels in common");
+            assert!((median - 0.01).abs() < 1e-6, "{median}");
+            let mae = summary.normal_mae_deg.expect("pixels in common");
+            assert!(mae < 1e-2, "{mae}");
+        }
+    }
+
+    #[test]
+    fn a_tilt_shows_as_its_angle() {
+        let truth = truth(false);
+        let tilted = nalgebra::Rotation3::from_axis_angle(&Vector3::x_axis(), 5_f64.to_radians())
+            * Vector3::new(0.3, -0.2, -1.0).normalize();
+        let errors = compare_maps(&truth, Some(&plane(tilted, -1.0)), None, 1.0);
+        let summary = errors.expect("sizes agree").summary();
+        let expected = angle_deg(&tilted, &Vector3::new(0.3, -0.2, -1.0));
+        let median = summary.normal_median_deg.expect("planes");
+        assert!((median - expected).abs() < 1e-2, "{median} {expected}");
+    }
+
+    #[test]
+    fn nothing_estimated_is_null_with_a_reason_and_another_size_an_error() {
+        let truth = truth(true);
+        let none = compare_maps(&truth, None, None, 1.0).expect("no map, no conflict");
+        let summary = none.summary();
+        assert_eq!(
+            (summary.complete, summary.normal_mae_deg),
+            (Some(0.0), None)
+        );
+        assert!(summary.reasons.contains_key("normal_mae_deg"));
+        let small = DepthMap::filled(10, 10, 1.0);
+        let error = compare_maps(&truth, Some(&small), None, 1.0);
+        assert!(
+            matches!(
+                error,
+                Err(SyntheticError::SizeMismatch { got: (10, 10), .. })
+            ),
+            "{error:?}"
+        );
+    }
+}

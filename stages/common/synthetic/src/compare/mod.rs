@@ -1,0 +1,17 @@
+//! Results against truth, the gauge said aloud.
+//!
+//! A reconstruction lives in a frame `e` of its own, the truth in `t`. [`align`] finds the
+//! similarity `x_t = s R x_e + b` from the camera poses that both sides know and says which kind
+//! of motion it used; the other functions take it and never align again.
+
+mod align;
+mod cloud;
+mod evaluation;
+mod maps;
+
+pub use align::{AlignmentRequest, NamedPose, PoseComparison, Similarity, align, compare_poses};
+pub use cloud::{CloudComparison, MeshDistance, TrueSurface, compare_cloud};
+pub use evaluation::{Alignment, Evaluation, evaluate};
+pub use maps::{
+    MapComparison, NormalSource, PixelErrors, TruthView, aggregate, compare_maps, plane_normals,
+};

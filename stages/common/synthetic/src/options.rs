@@ -1,0 +1,253 @@
+//! Options of the synthetic scene and of its photographs.
+
+use crate::error::SyntheticError;
+use serde::{Deserialize, Serialize};
+
+/// What stands on the mat.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Subject {
+    /// A carved bust on a plinth: hair strands, folds, tool marks.
+    #[default]
+    Bust,
+    /// A weathered stone without overhangs.
+    Stone,
+    /// A plain ellipsoid, for tests that want an analytic surface.
+    Ellipsoid,
+}
+
+/// The world in front of the camera.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SceneOptions {
+    /// Seed of shape, relief, light and mat: another seed is another object.
+    pub seed: u64,
+    /// What stands on the mat.
+    pub subject: Subject,
+    /// Height of the object, metres.
+    pub height_m: f64,
+    /// Amplitude of the carved relief relative to the shape's own design, 0 for none. Above 2 the
+    /// grooves shadow themselves.
+    pub relief: f64,
+    /// Albedo of object and sphere, red, green, blue.
+    pub albedo: [f64; 3],
+    /// Relative standard deviation of the object's albedo, a fine speckle. It gives keypoints
+    /// something to hold on to; shading takes it for shape.
+    pub speckle: f64,
+    /// Radius of the reference sphere, metres; 0 for none.
+    pub sphere_radius_m: f64,
+    /// Edge of the surface mesh, metres. Finer costs time with its third power, coarser loses relief
+    /// in `mesh` (depth and normals are exact either way).
+    pub mesh_spacing_m: f64,
+}
+
+impl Default for SceneOptions {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            subject: Subject::Bust,
+            height_m: 0.24,
+            relief: 1.0,
+            albedo: [0.56, 0.53, 0.48],
+            speckle: 0.03,
+            sphere_radius_m: 0.03,
+            mesh_spacing_m: 0.0015,
+        }
+    }
+}
+
+/// How light reaches the surface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LightModel {
+    /// Nine harmonics of the normal, no shadow and no bounce: the photos obey eq. 1 exactly.
+    Harmonics,
+    /// The environment with cast shadows and own shadows.
+    Shadowed,
+    /// Shadows and one bounce between object, sphere and mat.
+    #[default]
+    Bounce,
+}
+
+/// The photographs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RenderOptions {
+    /// Number of photos.
+    pub num_views: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Focal length in widths of the image.
+    pub focal_in_widths: f64,
+    /// Angle between the first and the last camera, seen from the object, degrees; 360 closes the
+    /// ring.
+    pub arc_deg: f64,
+    /// Mean height of the cameras over the horizon, degrees.
+    pub elevation_deg: f64,
+    /// OpenCV distortion k1, k2, p1, p2, k3.
+    pub distortion: [f64; 5],
+    /// How light reaches the surface.
+    pub light: LightModel,
+    /// Standard deviation of the noise at white, relative (shot noise: it falls with the square
+    /// root of the intensity), 0 for none.
+    pub noise: f64,
+    /// Standard deviation of the exposure from photo to photo, in stops.
+    pub exposure_drift_ev: f64,
+    /// Rays per side of a pixel on edges, against staircases; 1 leaves the centre ray.
+    pub edge_samples: usize,
+    /// Rays per surface point for shadows and bounce.
+    pub shadow_rays: usize,
+}
+
+impl Default for RenderOptions {
+    fn default() -> Self {
+        Self {
+            num_views: 6,
+            width: 640,
+            height: 480,
+            focal_in_widths: 1.35,
+            arc_deg: 75.0,
+            elevation_deg: 24.0,
+            distortion: [0.0; 5],
+            light: LightModel::Bounce,
+            noise: 0.004,
+            exposure_drift_ev: 0.0,
+            edge_samples: 3,
+            shadow_rays: 128,
+        }
+    }
+}
+
+fn check(
+    usable: bool,
+    option: &'static str,
+    value: impl std::fmt::Debug,
+    reason: &'static str,
+) -> Result<(), SyntheticError> {
+    if usable {
+        return Ok(());
+    }
+    Err(SyntheticError::InvalidOption {
+        option,
+        value: format!("{value:?}"),
+        reason,
+    })
+}
+
+impl SceneOptions {
+    /// Refuses values that describe no scene.
+    ///
+    /// # Errors
+    /// [`SyntheticError::InvalidOption`] names the option.
+    pub fn validate(&self) -> Result<(), SyntheticError> {
+        check(
+            (0.01..=10.0).contains(&self.height_m),
+            "height_m",
+            self.height_m,
+            "0.01 to 10 metres",
+        )?;
+        check(
+            (0.0..=5.0).contains(&self.relief),
+            "relief",
+            self.relief,
+            "0 to 5",
+        )?;
+        check(
+            self.albedo.iter().all(|a| (0.01..=0.95).contains(a)),
+            "albedo",
+            self.albedo,
+            "0.01 to 0.95 in each channel",
+        )?;
+        check(
+            (0.0..=0.3).contains(&self.speckle),
+            "speckle",
+            self.speckle,
+            "0 to 0.3",
+        )?;
+        check(
+            (0.0..=0.5 * self.height_m).contains(&self.sphere_radius_m),
+            "sphere_radius_m",
+            self.sphere_radius_m,
+            "0 to half the object's height",
+        )?;
+        check(
+            (self.height_m / 400.0..=self.height_m / 10.0).contains(&self.mesh_spacing_m),
+            "mesh_spacing_m",
+            self.mesh_spacing_m,
+            "a tenth to a four-hundredth of the object's height",
+        )
+    }
+}
+
+impl RenderOptions {
+    /// Refuses values that describe no photographs.
+    ///
+    /// # Errors
+    /// [`SyntheticError::InvalidOption`] names the option.
+    pub fn validate(&self) -> Result<(), SyntheticError> {
+        check(
+            (1..=1000).contains(&self.num_views),
+            "num_views",
+            self.num_views,
+            "1 to 1000",
+        )?;
+        for (option, value) in [("width", self.width), ("height", self.height)] {
+            check(
+                (16..=20_000).contains(&value),
+                option,
+                value,
+                "16 to 20000 pixels",
+            )?;
+        }
+        check(
+            (0.3..=20.0).contains(&self.focal_in_widths),
+            "focal_in_widths",
+            self.focal_in_widths,
+            "0.3 to 20",
+        )?;
+        check(
+            (0.0..=360.0).contains(&self.arc_deg),
+            "arc_deg",
+            self.arc_deg,
+            "0 to 360 degrees",
+        )?;
+        check(
+            (5.0..=80.0).contains(&self.elevation_deg),
+            "elevation_deg",
+            self.elevation_deg,
+            "5 to 80 degrees",
+        )?;
+        check(
+            self.distortion.iter().all(|d| d.abs() <= 0.5),
+            "distortion",
+            self.distortion,
+            "coefficients up to 0.5",
+        )?;
+        check(
+            (0.0..=0.2).contains(&self.noise),
+            "noise",
+            self.noise,
+            "0 to 0.2",
+        )?;
+        check(
+            (0.0..=3.0).contains(&self.exposure_drift_ev),
+            "exposure_drift_ev",
+            self.exposure_drift_ev,
+            "0 to 3 stops",
+        )?;
+        check(
+            (1..=8).contains(&self.edge_samples),
+            "edge_samples",
+            self.edge_samples,
+            "1 to 8",
+        )?;
+        check(
+            (16..=4096).contains(&self.shadow_rays),
+            "shadow_rays",
+            self.shadow_rays,
+            "16 to 4096",
+        )
+    }
+}
