@@ -2,4 +2,5 @@
 //! conjugate gradients, least squares, robust losses and a derivative checker.
 
 pub mod derivatives;
+pub mod least_squares;
 pub mod robust;

@@ -1,0 +1,132 @@
+//! Options of stage 2.
+
+use crate::error::FeaturesError;
+use serde::{Deserialize, Serialize};
+
+/// How keypoints are found and matched.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FeaturesOptions {
+    /// Keypoints kept per photo; more cost matching time (quadratic), fewer lose weak anchors.
+    pub max_num_keypoints: usize,
+    /// Contrast below which SIFT drops a keypoint (OpenCV's scale, its default is 0.04). Plain
+    /// objects need a low one; below 0.005 only the cost grows.
+    pub contrast_threshold: f64,
+    /// Ratio of principal curvatures above which a keypoint counts as an edge; larger keeps more.
+    pub edge_threshold: f64,
+    /// Cells along the longer side of the photo; keypoints are kept evenly per cell, so that one
+    /// busy corner does not use up the budget.
+    pub num_grid_cells: usize,
+    /// Photos with more megapixels are halved before detection; bounds memory (about 180 bytes
+    /// per pixel).
+    pub max_detection_mpx: f64,
+    /// Largest ratio of the best to the second-best descriptor distance; nearer to 1 admits
+    /// ambiguous matches.
+    pub max_ratio: f64,
+    /// Largest distance from the epipolar line, pixels.
+    pub max_epipolar_error_px: f64,
+    /// Pairs with fewer verified matches are dropped.
+    pub min_num_inliers: usize,
+    /// Up to this many photos all pairs are tried; beyond, only candidates.
+    pub max_num_exhaustive_photos: usize,
+    /// Beyond the exhaustive limit: neighbours in file order that are paired with each photo.
+    pub num_sequential_neighbors: usize,
+    /// Beyond the exhaustive limit: most similar photos that are paired with each photo.
+    pub num_similar_neighbors: usize,
+    /// Largest number of RANSAC samples per pair.
+    pub max_num_ransac_samples: usize,
+}
+
+impl Default for FeaturesOptions {
+    fn default() -> Self {
+        Self {
+            max_num_keypoints: 8000,
+            contrast_threshold: 0.01,
+            edge_threshold: 15.0,
+            num_grid_cells: 16,
+            max_detection_mpx: 8.0,
+            max_ratio: 0.8,
+            max_epipolar_error_px: 3.0,
+            min_num_inliers: 15,
+            max_num_exhaustive_photos: 60,
+            num_sequential_neighbors: 8,
+            num_similar_neighbors: 12,
+            max_num_ransac_samples: 2000,
+        }
+    }
+}
+
+impl FeaturesOptions {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// Names the first option that is out of its range.
+    pub fn validate(&self) -> Result<(), FeaturesError> {
+        let check = |ok: bool, option: &'static str, value: f64, range: &'static str| {
+            if ok {
+                Ok(())
+            } else {
+                Err(FeaturesError::InvalidOption {
+                    option,
+                    value,
+                    range,
+                })
+            }
+        };
+        let positive = "must be positive";
+        check(
+            self.max_num_keypoints >= 8,
+            "max_num_keypoints",
+            self.max_num_keypoints as f64,
+            "must be at least 8",
+        )?;
+        check(
+            self.contrast_threshold > 0.0 && self.contrast_threshold < 1.0,
+            "contrast_threshold",
+            self.contrast_threshold,
+            "must lie between 0 and 1",
+        )?;
+        check(
+            self.edge_threshold > 1.0,
+            "edge_threshold",
+            self.edge_threshold,
+            "must exceed 1",
+        )?;
+        check(
+            self.num_grid_cells >= 1,
+            "num_grid_cells",
+            self.num_grid_cells as f64,
+            positive,
+        )?;
+        check(
+            self.max_detection_mpx > 0.0,
+            "max_detection_mpx",
+            self.max_detection_mpx,
+            positive,
+        )?;
+        check(
+            self.max_ratio > 0.0 && self.max_ratio <= 1.0,
+            "max_ratio",
+            self.max_ratio,
+            "must lie in (0, 1]",
+        )?;
+        check(
+            self.max_epipolar_error_px > 0.0,
+            "max_epipolar_error_px",
+            self.max_epipolar_error_px,
+            positive,
+        )?;
+        check(
+            self.min_num_inliers >= 8,
+            "min_num_inliers",
+            self.min_num_inliers as f64,
+            "must be at least 8",
+        )?;
+        check(
+            self.max_num_ransac_samples >= 1,
+            "max_num_ransac_samples",
+            self.max_num_ransac_samples as f64,
+            positive,
+        )
+    }
+}

@@ -1,0 +1,86 @@
+//! Errors of stage 3.
+
+use rilievo_scene::PixelError;
+
+/// Why stage 3 failed.
+#[derive(Debug, thiserror::Error)]
+pub enum PosesError {
+    /// An option is out of range.
+    #[error("option {option} = {value} {range}")]
+    InvalidOption {
+        /// Its name.
+        option: &'static str,
+        /// Its value.
+        value: f64,
+        /// What is allowed.
+        range: &'static str,
+    },
+    /// Poses need at least two photos.
+    #[error(
+        "{num_photos} usable photo(s), at least 2 are needed; add photos from other directions"
+    )]
+    TooFewPhotos {
+        /// Usable photos.
+        num_photos: usize,
+    },
+    /// No two photos have enough matches in common.
+    #[error(
+        "no two of {num_photos} photos match (best pair: {best} matches, {needed} needed); take photos closer together, 10 to 20 degrees apart, or put a printed mat under the object"
+    )]
+    NoMatches {
+        /// Photos in the set.
+        num_photos: usize,
+        /// Matches of the best pair.
+        best: usize,
+        /// Matches needed.
+        needed: usize,
+    },
+    /// Every pair that matches is explained by a homography.
+    #[error(
+        "all {num_pairs} matching pairs show a pure rotation or a flat scene (a homography explains {least_share:.0} % or more of their matches); move the camera sideways between photos"
+    )]
+    OnlyHomographies {
+        /// Pairs with enough matches.
+        num_pairs: usize,
+        /// Smallest homography share, per cent.
+        least_share: f64,
+    },
+    /// No pair gives enough well-conditioned points to start from.
+    #[error(
+        "none of {num_pairs} matching pairs gives a start: best has {best_points} points at {best_angle_deg:.1} degrees, needed are {needed_points} at {needed_angle_deg:.1}; move further between photos"
+    )]
+    NoInitialPair {
+        /// Pairs tried.
+        num_pairs: usize,
+        /// Points of the best pair.
+        best_points: usize,
+        /// Its median triangulation angle, degrees.
+        best_angle_deg: f64,
+        /// Points needed.
+        needed_points: usize,
+        /// Angle needed, degrees.
+        needed_angle_deg: f64,
+    },
+    /// Given poses contradict the photos.
+    #[error("the given cameras do not explain the matches ({share_consistent:.0} % agree); {hint}")]
+    GivenPosesInconsistent {
+        /// Share of verified matches consistent with the given poses, per cent.
+        share_consistent: f64,
+        /// Which convention explains them, or what to try.
+        hint: String,
+    },
+    /// A photo could not be read.
+    #[error(transparent)]
+    Pixels(#[from] PixelError),
+    /// The bundle adjustment broke down.
+    #[error("bundle adjustment of {num_views} views failed: {reason}")]
+    Adjustment {
+        /// Views in the problem.
+        num_views: usize,
+        /// What happened.
+        reason: String,
+    },
+    /// The observer asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}

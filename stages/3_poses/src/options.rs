@@ -1,0 +1,115 @@
+//! Options of stage 3.
+
+use crate::anchors::AnchorOptions;
+use crate::error::PosesError;
+use serde::{Deserialize, Serialize};
+
+/// Which intrinsics the adjustment may change.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RefineIntrinsics {
+    /// Focal length where it is not from a camera file; everything else stays bit-identical.
+    #[default]
+    Auto,
+    /// Nothing.
+    None,
+    /// Focal length of every camera group.
+    Focal,
+    /// Focal length, principal point and distortion of every camera group.
+    All,
+}
+
+/// What to do with poses that the user gave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GivenPoses {
+    /// Keep them exactly; only triangulate.
+    #[default]
+    Keep,
+    /// Start from them and adjust.
+    Refine,
+    /// Ignore them.
+    Ignore,
+}
+
+/// How poses are found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PosesOptions {
+    /// Which intrinsics may change.
+    pub refine_intrinsics: RefineIntrinsics,
+    /// What to do with poses given for all photos.
+    pub given_poses: GivenPoses,
+    /// Largest reprojection error of an observation, pixels; smaller loses true tracks on large
+    /// photos, larger lets wrong ones bend the poses.
+    pub max_reprojection_error_px: f64,
+    /// Smallest angle between two rays of a triangulated point, degrees.
+    pub min_triangulation_angle_deg: f64,
+    /// Smallest median triangulation angle of the first pair, degrees.
+    pub min_initial_angle_deg: f64,
+    /// Points that a photo must see to be registered.
+    pub min_num_visible_points: usize,
+    /// Least inliers of the first pair.
+    pub min_num_initial_inliers: usize,
+    /// Whether track positions are refined by patch alignment before the last adjustment.
+    pub refine_tracks: bool,
+    /// Seed of all random samples.
+    pub seed: u64,
+    /// How depth anchors are found.
+    pub anchors: AnchorOptions,
+}
+
+impl Default for PosesOptions {
+    fn default() -> Self {
+        Self {
+            refine_intrinsics: RefineIntrinsics::Auto,
+            given_poses: GivenPoses::Keep,
+            max_reprojection_error_px: 3.0,
+            min_triangulation_angle_deg: 1.5,
+            min_initial_angle_deg: 8.0,
+            min_num_visible_points: 15,
+            min_num_initial_inliers: 30,
+            refine_tracks: true,
+            seed: 1,
+            anchors: AnchorOptions::default(),
+        }
+    }
+}
+
+impl PosesOptions {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// Names the first option that is out of its range.
+    pub fn validate(&self) -> Result<(), PosesError> {
+        for (option, value) in [
+            ("max_reprojection_error_px", self.max_reprojection_error_px),
+            (
+                "min_triangulation_angle_deg",
+                self.min_triangulation_angle_deg,
+            ),
+            ("min_initial_angle_deg", self.min_initial_angle_deg),
+        ] {
+            if value.is_nan() || value <= 0.0 {
+                return Err(PosesError::InvalidOption {
+                    option,
+                    value,
+                    range: "must be positive",
+                });
+            }
+        }
+        for (option, value) in [
+            ("min_num_visible_points", self.min_num_visible_points),
+            ("min_num_initial_inliers", self.min_num_initial_inliers),
+        ] {
+            if value < 6 {
+                return Err(PosesError::InvalidOption {
+                    option,
+                    value: value as f64,
+                    range: "must be at least 6",
+                });
+            }
+        }
+        self.anchors.validate()
+    }
+}

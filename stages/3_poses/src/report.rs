@@ -1,0 +1,67 @@
+//! Facts about a run of stage 3.
+
+use crate::anchors::AnchorReport;
+use rilievo_numerics::least_squares::SolveReport;
+use rilievo_scene::Scale;
+use serde::{Deserialize, Serialize};
+
+/// One bundle adjustment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AdjustmentReport {
+    /// What it was for ("global, 5 views").
+    pub step: String,
+    /// Views with free poses.
+    pub num_views: usize,
+    /// Points.
+    pub num_points: usize,
+    /// Observations.
+    pub num_observations: usize,
+    /// RMS reprojection error per coordinate after it, pixels.
+    pub rms_px: f64,
+    /// Cost per iteration and why it ended.
+    pub solve: SolveReport,
+}
+
+/// A posed view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewReport {
+    /// The photo's file name.
+    pub file_name: String,
+    /// Points that it sees.
+    pub num_points: usize,
+    /// Mean reprojection error, pixels.
+    pub mean_error_px: f64,
+    /// Standard deviation of the rotation, degrees (largest axis).
+    pub rotation_sigma_deg: Option<f64>,
+    /// Standard deviation of the centre, world's unit (largest axis).
+    pub center_sigma: Option<f64>,
+}
+
+/// Facts about a run of stage 3.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PosesReport {
+    /// File names of the first pair, when poses were found incrementally.
+    pub initial_pair: Option<(String, String)>,
+    /// Views in the order of the result.
+    pub views: Vec<ViewReport>,
+    /// Sparse points.
+    pub num_points: usize,
+    /// Mean number of sightings of a point.
+    pub mean_track_length: f64,
+    /// Mean reprojection error over all sightings, pixels.
+    pub mean_reprojection_error_px: f64,
+    /// Standard deviation of a refined keypoint coordinate, from the last adjustment, pixels.
+    pub keypoint_sigma_px: f64,
+    /// Photos in models that were smaller than the one kept.
+    pub other_model_sizes: Vec<usize>,
+    /// Camera groups whose focal length was refined: (group, before, after), pixels.
+    pub refined_focals_px: Vec<(usize, f64, f64)>,
+    /// Unit and origin of the scale.
+    pub scale: Scale,
+    /// The adjustments that shaped the result.
+    pub adjustments: Vec<AdjustmentReport>,
+    /// Depth anchors.
+    pub anchors: Option<AnchorReport>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+}

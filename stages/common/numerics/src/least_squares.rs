@@ -1,0 +1,261 @@
+//! Levenberg-Marquardt for small dense problems.
+//!
+//! Minimises `E(x) = Σ ρ(r_k(x))` over a manifold: the problem hands out the Gauss-Newton matrix
+//! `H = JᵀWJ` and the gradient `g = JᵀWr` at a state and moves the state by a tangent step; the
+//! driver damps, accepts and stops. A step solves `(H + λ diag H) δ = −g`; `λ` shrinks by the
+//! gain ratio `(E − E⁺) / (−gᵀδ − ½ δᵀHδ)` and doubles ever faster on rejection
+//! (Nielsen's rule: Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems",
+//! 2004, eq. 2.21).
+
+use nalgebra::{SMatrix, SVector};
+use serde::{Deserialize, Serialize};
+
+/// A problem with `N` tangent parameters.
+pub trait LeastSquaresProblem<const N: usize> {
+    /// Where the cost is evaluated.
+    type State: Clone;
+
+    /// Cost, Gauss-Newton matrix and gradient at a state; infinite cost where it is undefined.
+    fn linearize(&self, state: &Self::State) -> (f64, SMatrix<f64, N, N>, SVector<f64, N>);
+
+    /// Cost alone; infinite where it is undefined.
+    fn cost(&self, state: &Self::State) -> f64;
+
+    /// The state moved by a tangent step.
+    fn retract(&self, state: &Self::State, step: &SVector<f64, N>) -> Self::State;
+}
+
+/// When to stop.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LeastSquaresOptions {
+    /// Upper bound on the iterations; too few leave the minimum unreached.
+    pub max_num_iterations: usize,
+    /// Stop when the cost falls by less than this share in an accepted step.
+    pub relative_cost_change: f64,
+    /// Damping at the start, relative to the diagonal.
+    pub initial_damping: f64,
+}
+
+impl Default for LeastSquaresOptions {
+    fn default() -> Self {
+        Self {
+            max_num_iterations: 50,
+            relative_cost_change: 1e-10,
+            initial_damping: 1e-4,
+        }
+    }
+}
+
+/// Why a solver stopped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Termination {
+    /// The cost no longer changes.
+    Converged,
+    /// The limit on iterations was reached.
+    MaxIterations,
+    /// No step lowers the cost any more, at the limit of the arithmetic.
+    NoProgress,
+}
+
+/// One accepted or rejected step.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct IterationRecord {
+    /// Cost after the step (before it, when rejected).
+    pub cost: f64,
+    /// Damping used.
+    pub damping: f64,
+    /// Length of the step in the tangent space.
+    pub step_norm: f64,
+    /// Whether it was taken.
+    pub accepted: bool,
+}
+
+/// Outcome of a solve as data.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SolveReport {
+    /// Why it ended.
+    pub termination: Termination,
+    /// Cost at the start.
+    pub initial_cost: f64,
+    /// Cost at the end.
+    pub final_cost: f64,
+    /// Steps, in order.
+    pub iterations: Vec<IterationRecord>,
+}
+
+/// Why a solve is impossible.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum LeastSquaresError {
+    /// The cost at the start is not a number.
+    #[error("the cost at the initial state is {cost}")]
+    InvalidStart {
+        /// What it is.
+        cost: f64,
+    },
+    /// The damped normal matrix is not positive definite at any damping.
+    #[error("the normal matrix is singular after {num_iterations} iterations")]
+    Singular {
+        /// Iterations done.
+        num_iterations: usize,
+    },
+}
+
+/// Damping beyond which a step is too short to change anything.
+const MAX_DAMPING: f64 = 1e12;
+
+/// Nielsen's damping rule, shared by every Levenberg-Marquardt driver of the program.
+#[derive(Clone, Copy, Debug)]
+pub struct Damping {
+    /// Current damping, relative to the diagonal of the normal matrix.
+    pub lambda: f64,
+    growth: f64,
+}
+
+impl Damping {
+    /// Starts at a given damping.
+    pub fn new(lambda: f64) -> Self {
+        Self {
+            lambda,
+            growth: 2.0,
+        }
+    }
+
+    /// After a step that lowered the cost by `gain_ratio` times the predicted amount.
+    pub fn accept(&mut self, gain_ratio: f64) {
+        let shrink = 1.0 - (2.0 * gain_ratio - 1.0).powi(3);
+        self.lambda = (self.lambda * shrink.clamp(1.0 / 3.0, 2.0)).max(1e-15);
+        self.growth = 2.0;
+    }
+
+    /// After a rejected step; `false` once the damping is past all use.
+    pub fn reject(&mut self) -> bool {
+        self.lambda *= self.growth;
+        self.growth *= 2.0;
+        self.lambda < MAX_DAMPING
+    }
+}
+
+/// Minimises a problem from a start.
+///
+/// # Errors
+/// When the start has no finite cost or the normal matrix is singular however damped.
+pub fn minimize<const N: usize, P: LeastSquaresProblem<N>>(
+    problem: &P,
+    start: P::State,
+    options: &LeastSquaresOptions,
+) -> Result<(P::State, SolveReport), LeastSquaresError> {
+    let mut state = start;
+    let (mut cost, mut hessian, mut gradient) = problem.linearize(&state);
+    if !cost.is_finite() {
+        return Err(LeastSquaresError::InvalidStart { cost });
+    }
+    let mut report = SolveReport {
+        termination: Termination::MaxIterations,
+        initial_cost: cost,
+        final_cost: cost,
+        iterations: Vec::new(),
+    };
+    let mut damping = Damping::new(options.initial_damping);
+    'outer: for _ in 0..options.max_num_iterations {
+        loop {
+            let mut damped = hessian;
+            for k in 0..N {
+                damped[(k, k)] += damping.lambda * hessian[(k, k)].max(1e-300);
+            }
+            let Some(factor) = damped.cholesky() else {
+                if damping.reject() {
+                    continue;
+                }
+                return Err(LeastSquaresError::Singular {
+                    num_iterations: report.iterations.len(),
+                });
+            };
+            let step = -factor.solve(&gradient);
+            let candidate = problem.retract(&state, &step);
+            let candidate_cost = problem.cost(&candidate);
+            let predicted = -gradient.dot(&step) - 0.5 * step.dot(&(hessian * step));
+            let accepted = candidate_cost < cost;
+            report.iterations.push(IterationRecord {
+                cost: if accepted { candidate_cost } else { cost },
+                damping: damping.lambda,
+                step_norm: step.norm(),
+                accepted,
+            });
+            if accepted {
+                damping.accept((cost - candidate_cost) / predicted.max(f64::MIN_POSITIVE));
+                let change = cost - candidate_cost;
+                state = candidate;
+                (cost, hessian, gradient) = problem.linearize(&state);
+                if change <= options.relative_cost_change * cost {
+                    report.termination = Termination::Converged;
+                    break 'outer;
+                }
+                break;
+            }
+            // At the minimum rounding decides the sign of the change: that is convergence.
+            if predicted <= options.relative_cost_change * cost {
+                report.termination = Termination::Converged;
+                break 'outer;
+            }
+            if !damping.reject() {
+                report.termination = Termination::NoProgress;
+                break 'outer;
+            }
+        }
+    }
+    report.final_cost = cost;
+    Ok((state, report))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Rosenbrock;
+
+    impl LeastSquaresProblem<2> for Rosenbrock {
+        type State = SVector<f64, 2>;
+
+        fn linearize(&self, x: &Self::State) -> (f64, SMatrix<f64, 2, 2>, SVector<f64, 2>) {
+            let r = SVector::<f64, 2>::new(10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]);
+            let j = SMatrix::<f64, 2, 2>::new(-20.0 * x[0], 10.0, -1.0, 0.0);
+            (0.5 * r.norm_squared(), j.transpose() * j, j.transpose() * r)
+        }
+
+        fn cost(&self, x: &Self::State) -> f64 {
+            self.linearize(x).0
+        }
+
+        fn retract(&self, x: &Self::State, step: &SVector<f64, 2>) -> Self::State {
+            x + step
+        }
+    }
+
+    #[test]
+    fn walks_the_rosenbrock_valley() {
+        let (x, report) = minimize(
+            &Rosenbrock,
+            SVector::<f64, 2>::new(-1.2, 1.0),
+            &LeastSquaresOptions::default(),
+        )
+        .unwrap();
+        assert!((x - SVector::<f64, 2>::new(1.0, 1.0)).norm() < 1e-6, "{x}");
+        assert!(report.final_cost < 1e-12, "{report:?}");
+        assert!(report.initial_cost > report.final_cost);
+    }
+
+    #[test]
+    fn refuses_a_start_without_cost() {
+        let result = minimize(
+            &Rosenbrock,
+            SVector::<f64, 2>::new(f64::NAN, 1.0),
+            &LeastSquaresOptions::default(),
+        );
+        assert!(matches!(
+            result,
+            Err(LeastSquaresError::InvalidStart { .. })
+        ));
+    }
+}
