@@ -1,1 +1,11 @@
-//! Spherical harmonics, their rotation and fits, per-pixel lighting.
+//! What light does to a matte surface: spherical harmonics, their rotation and their fits, and the
+//! geometry of the reference sphere from which they are read.
+//!
+//! * [`harmonics`]: the nine coefficients of eq. 1 in another frame, and their robust fit.
+//! * [`sphere`]: outline, normals, detection and position of a sphere in perspective.
+//!
+//! Shared by stages 3 (metric scale), 4 (lighting) and 5 (per-pixel lighting).
+
+pub mod harmonics;
+mod robust;
+pub mod sphere;

@@ -1,0 +1,466 @@
+//! Robust weighted least squares for harmonics.
+//!
+//! # Problem
+//! `min over l of Σ_i w_i ρ(r_i / σ)`, `r_i = l · h(n_i) − I_i`, for each channel by itself:
+//! samples `i` with unit normals `n_i`, intensities `I_i`, weights `w_i`, and `σ` the scale of
+//! the residuals (1.4826 times their median absolute value).
+//!
+//! # Steps
+//! 1. Starts: a plain fit on all samples, and fits that each leave out the samples around one of
+//!    twelve directions. A shadow covers a connected patch of normals, which a fit on all samples
+//!    bends to explain; one of the partial fits has not seen it. The start with the smallest
+//!    residual at the `start_quantile` wins.
+//! 2. Iteratively re-weighted least squares, first Huber (convex), then Geman–McClure
+//!    (redescending: gross errors lose all influence).
+//! 3. Conditioning of the columns scaled to unit length. Where nine coefficients cannot be told
+//!    from each other (few or nearly parallel normals), four are fitted instead.
+//! 4. Covariance `σ² (Σ w h hᵀ)⁻¹` with the final weights.
+
+use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
+use rilievo_scene::{Lighting, SphericalHarmonics};
+use serde::{Deserialize, Serialize};
+
+/// Options of [`fit_robust`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FitOptions {
+    /// Order of the harmonics: 2 for nine coefficients, 1 for four.
+    pub order: u8,
+    /// Residuals beyond this many `σ` are damped in the convex phase. Too small biases the fit by
+    /// throwing away good samples, too large lets shadows through.
+    pub huber_sigmas: f64,
+    /// Scale of the redescending phase in `σ`; influence falls beyond it.
+    pub redescending_sigmas: f64,
+    /// Iterations of each phase.
+    pub max_num_iterations: usize,
+    /// The share of good samples that a start is judged by.
+    pub start_quantile: f64,
+    /// Share of the samples that each partial start leaves out; 0 starts from all samples only.
+    pub start_left_out: f64,
+    /// Condition number above which nine coefficients give way to four. The visible half of a
+    /// sphere has about 25, half of that half 150; beyond 1000 one percent of noise becomes
+    /// hundreds.
+    pub max_condition: f64,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            order: 2,
+            huber_sigmas: 1.5,
+            redescending_sigmas: 3.0,
+            max_num_iterations: 15,
+            start_quantile: 0.6,
+            start_left_out: 0.35,
+            max_condition: 1000.0,
+        }
+    }
+}
+
+impl FitOptions {
+    /// Says which value cannot be used.
+    ///
+    /// # Errors
+    /// [`FitError::Option`] names it.
+    pub fn validate(&self) -> Result<(), FitError> {
+        let bad = |option, why| Err(FitError::Option { option, why });
+        if !(self.order == 1 || self.order == 2) {
+            return bad("order", "must be 1 or 2");
+        }
+        if !(self.huber_sigmas > 0.0 && self.redescending_sigmas > 0.0) {
+            return bad("huber_sigmas, redescending_sigmas", "must be positive");
+        }
+        if !(0.0..0.9).contains(&self.start_left_out) {
+            return bad("start_left_out", "must lie in 0 to 0.9");
+        }
+        if !(0.0..=1.0).contains(&self.start_quantile) {
+            return bad("start_quantile", "must lie in 0 to 1");
+        }
+        if self.max_condition.is_nan() || self.max_condition < 1.0 {
+            return bad("max_condition", "must be at least 1");
+        }
+        Ok(())
+    }
+}
+
+/// Why no lighting could be fitted.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// An option out of range.
+    #[error("option {option} {why}")]
+    Option {
+        /// Its name.
+        option: &'static str,
+        /// What it must be.
+        why: &'static str,
+    },
+    /// Not enough samples.
+    #[error("{available} usable samples, at least {needed} are needed")]
+    TooFewSamples {
+        /// Samples with a positive weight.
+        available: usize,
+        /// What is needed.
+        needed: usize,
+    },
+    /// The normals do not determine even four coefficients.
+    #[error("normals too much alike: condition number {condition:.1e} for four coefficients")]
+    Degenerate {
+        /// Condition number of the four-column problem.
+        condition: f64,
+    },
+    /// A sample is NaN or infinite.
+    #[error("sample {sample_idx} is not a finite number")]
+    NotFinite {
+        /// Its index.
+        sample_idx: usize,
+    },
+    /// Slices of different lengths.
+    #[error("{normals} normals but {values} values")]
+    Lengths {
+        /// Number of normals.
+        normals: usize,
+        /// Number of intensities or weights.
+        values: usize,
+    },
+}
+
+/// One channel's coefficients with everything that tells how far to trust them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct HarmonicsFit {
+    /// The coefficients; the last five are 0 where only four were fitted.
+    pub coefficients: SphericalHarmonics,
+    /// Order that was fitted, 1 or 2.
+    pub order: u8,
+    /// Samples with a positive weight.
+    pub num_samples: usize,
+    /// Scale of the residuals (from their median absolute value), in intensity.
+    pub sigma: f64,
+    /// Root mean square of the residuals of the samples within three `sigma`, relative to the root
+    /// mean square of the intensities.
+    pub relative_rms: f64,
+    /// The same over all samples.
+    pub relative_rms_all: f64,
+    /// Share of samples within three `sigma`.
+    pub inlier_share: f64,
+    /// Condition number of the columns that were fitted, scaled to unit length.
+    pub condition: f64,
+    /// Covariance of the coefficients, 9 by 9 row by row; zero rows where not fitted. It holds
+    /// for independent samples; correlated model errors make the true one larger.
+    pub covariance: Vec<f64>,
+}
+
+/// All channels of a lighting.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightingFit {
+    /// One fit per channel.
+    pub channels: Vec<HarmonicsFit>,
+}
+
+impl LightingFit {
+    /// The coefficients alone.
+    pub fn lighting(&self) -> Lighting {
+        Lighting {
+            channels: self.channels.iter().map(|fit| fit.coefficients).collect(),
+        }
+    }
+
+    /// Relative residual of all channels together (root mean square).
+    pub fn relative_rms(&self) -> f64 {
+        let sum: f64 = self.channels.iter().map(|f| f.relative_rms.powi(2)).sum();
+        (sum / self.channels.len().max(1) as f64).sqrt()
+    }
+}
+
+/// Fits one channel.
+///
+/// # Shapes
+/// `intensities`, and `weights` where given, have one entry per normal. A weight of 0 leaves a
+/// sample out.
+///
+/// # Errors
+/// See [`FitError`].
+pub fn fit_robust(
+    normals: &[Vector3<f64>],
+    intensities: &[f64],
+    weights: Option<&[f64]>,
+    options: &FitOptions,
+) -> Result<HarmonicsFit, FitError> {
+    options.validate()?;
+    for values in [Some(intensities), weights].into_iter().flatten() {
+        if values.len() != normals.len() {
+            return Err(FitError::Lengths {
+                normals: normals.len(),
+                values: values.len(),
+            });
+        }
+    }
+    let samples = collect_samples(normals, intensities, weights)?;
+    let order_two = (options.order == 2 && samples.len() >= 9)
+        .then(|| fit_order::<9>(&samples, options))
+        .flatten()
+        .filter(|fit| fit.condition <= options.max_condition);
+    if let Some(fit) = order_two {
+        return Ok(fit);
+    }
+    if samples.len() < 4 {
+        return Err(FitError::TooFewSamples {
+            available: samples.len(),
+            needed: 4,
+        });
+    }
+    match fit_order::<4>(&samples, options) {
+        Some(fit) if fit.condition <= options.max_condition => Ok(fit),
+        Some(fit) => Err(FitError::Degenerate {
+            condition: fit.condition,
+        }),
+        None => Err(FitError::Degenerate {
+            condition: f64::INFINITY,
+        }),
+    }
+}
+
+/// Fits every channel; a sample holds the channels of one pixel, `usable` says which of them count.
+///
+/// # Errors
+/// As [`fit_robust`], for the first channel that fails.
+pub fn fit_lighting(
+    normals: &[Vector3<f64>],
+    pixels: &[Vec<f64>],
+    usable: &[Vec<bool>],
+    options: &FitOptions,
+) -> Result<LightingFit, FitError> {
+    let num_channels = pixels.first().map_or(1, Vec::len);
+    let channels = (0..num_channels)
+        .map(|channel| {
+            let values: Vec<f64> = pixels.iter().map(|pixel| pixel[channel]).collect();
+            let weights: Vec<f64> = usable
+                .iter()
+                .map(|flags| f64::from(u8::from(flags[channel])))
+                .collect();
+            fit_robust(normals, &values, Some(&weights), options)
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(LightingFit { channels })
+}
+
+struct Sample {
+    normal: Vector3<f64>,
+    basis: [f64; 9],
+    value: f64,
+    weight: f64,
+}
+
+fn collect_samples(
+    normals: &[Vector3<f64>],
+    intensities: &[f64],
+    weights: Option<&[f64]>,
+) -> Result<Vec<Sample>, FitError> {
+    let mut samples = Vec::with_capacity(normals.len());
+    for (sample_idx, (normal, &value)) in normals.iter().zip(intensities).enumerate() {
+        let weight = weights.map_or(1.0, |w| w[sample_idx]);
+        if weight == 0.0 {
+            continue;
+        }
+        if !(normal.iter().all(|v| v.is_finite()) && value.is_finite() && weight > 0.0) {
+            return Err(FitError::NotFinite { sample_idx });
+        }
+        samples.push(Sample {
+            normal: *normal,
+            basis: SphericalHarmonics::basis(normal),
+            value,
+            weight,
+        });
+    }
+    Ok(samples)
+}
+
+/// Residual scale below which data count as exact, relative to the intensities' size; it keeps the
+/// robust weights finite on exact data.
+const EXACT: f64 = 1e-9;
+
+fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option<HarmonicsFit> {
+    let size = (samples.iter().map(|s| s.value * s.value).sum::<f64>() / samples.len() as f64)
+        .sqrt()
+        .max(f64::MIN_POSITIVE);
+    let mut l = best_start::<N>(samples, options)?;
+    let mut residuals = vec![0.0; samples.len()];
+    let scale_of = |l: &SVector<N>, residuals: &mut [f64]| {
+        for (residual, sample) in residuals.iter_mut().zip(samples) {
+            *residual = (predict(l, sample) - sample.value).abs();
+        }
+        let mut sorted = residuals.to_vec();
+        let median = crate::robust::quantile(&mut sorted, 0.5)?;
+        Some((crate::robust::SIGMA_FROM_MAD * median).max(EXACT * size))
+    };
+    // The robust weights of the last iteration are those of the covariance.
+    let mut sigma = scale_of(&l, &mut residuals)?;
+    let mut normal_matrix = SMatrix::<f64, N, N>::zeros();
+    for phase in 0..2 {
+        for _ in 0..options.max_num_iterations {
+            let weight = |k: usize, residual: f64| {
+                let r = residual / sigma;
+                let robust = if phase == 0 {
+                    (options.huber_sigmas / r).min(1.0)
+                } else {
+                    let c2 = options.redescending_sigmas.powi(2);
+                    (c2 / (c2 + r * r)).powi(2)
+                };
+                samples[k].weight * robust
+            };
+            let (matrix, next) = solve::<N>(samples, |k| weight(k, residuals[k]))?;
+            let change = (next - l).norm();
+            normal_matrix = matrix;
+            l = next;
+            sigma = scale_of(&l, &mut residuals)?;
+            if change <= 1e-10 * l.norm() {
+                break;
+            }
+        }
+    }
+    let mut coefficients = [0.0; 9];
+    coefficients[..N].copy_from_slice(l.as_slice());
+    let inverse = DMatrix::from_fn(N, N, |r, c| normal_matrix[(r, c)]).try_inverse()?;
+    let mut covariance = vec![0.0; 81];
+    for row in 0..N {
+        for column in 0..N {
+            covariance[row * 9 + column] = sigma * sigma * inverse[(row, column)];
+        }
+    }
+    let inliers: Vec<usize> = (0..samples.len())
+        .filter(|&k| residuals[k] <= 3.0 * sigma)
+        .collect();
+    let rms = |indices: &mut dyn Iterator<Item = usize>| {
+        let (mut error, mut total) = (0.0, 0.0);
+        for k in indices {
+            error += residuals[k] * residuals[k];
+            total += samples[k].value * samples[k].value;
+        }
+        (error / total.max(f64::MIN_POSITIVE)).sqrt()
+    };
+    Some(HarmonicsFit {
+        coefficients: SphericalHarmonics(coefficients),
+        order: if N == 9 { 2 } else { 1 },
+        num_samples: samples.len(),
+        sigma,
+        relative_rms: rms(&mut inliers.iter().copied()),
+        relative_rms_all: rms(&mut (0..samples.len())),
+        inlier_share: inliers.len() as f64 / samples.len() as f64,
+        condition: condition(&normal_matrix),
+        covariance,
+    })
+}
+
+type SVector<const N: usize> = SMatrix<f64, N, 1>;
+
+#[inline]
+fn predict<const N: usize>(l: &SVector<N>, sample: &Sample) -> f64 {
+    (0..N).map(|k| l[k] * sample.basis[k]).sum()
+}
+
+/// Normal matrix and solution of the weighted least squares.
+fn solve<const N: usize>(
+    samples: &[Sample],
+    weight: impl Fn(usize) -> f64,
+) -> Option<(SMatrix<f64, N, N>, SVector<N>)> {
+    let mut matrix = SMatrix::<f64, N, N>::zeros();
+    let mut right = SVector::<N>::zeros();
+    for (k, sample) in samples.iter().enumerate() {
+        let w = weight(k);
+        if w == 0.0 {
+            continue;
+        }
+        for row in 0..N {
+            let scaled = w * sample.basis[row];
+            right[row] += scaled * sample.value;
+            for column in 0..=row {
+                matrix[(row, column)] += scaled * sample.basis[column];
+            }
+        }
+    }
+    for row in 0..N {
+        for column in row + 1..N {
+            matrix[(row, column)] = matrix[(column, row)];
+        }
+    }
+    // The symmetric eigen-decomposition copes with near-singular problems (few normals), which
+    // the condition number then rejects; a Cholesky factor would fail without telling why.
+    let dense = DMatrix::from_fn(N, N, |r, c| matrix[(r, c)]);
+    let eigen = dense.symmetric_eigen();
+    let largest = eigen.eigenvalues.max();
+    if largest.is_nan() || largest <= 0.0 {
+        return None;
+    }
+    let projected = eigen.eigenvectors.transpose() * DVector::from_column_slice(right.as_slice());
+    let scaled = projected.zip_map(&eigen.eigenvalues, |p, e| {
+        if e > 1e-14 * largest { p / e } else { 0.0 }
+    });
+    let solution = eigen.eigenvectors * scaled;
+    Some((matrix, SVector::<N>::from_fn(|k, _| solution[k])))
+}
+
+/// Condition number of the design matrix with columns of unit length.
+fn condition<const N: usize>(normal_matrix: &SMatrix<f64, N, N>) -> f64 {
+    let scaled = DMatrix::from_fn(N, N, |r, c| {
+        normal_matrix[(r, c)] / (normal_matrix[(r, r)] * normal_matrix[(c, c)]).sqrt()
+    });
+    if scaled.iter().any(|v| !v.is_finite()) {
+        return f64::INFINITY;
+    }
+    let eigenvalues = scaled.symmetric_eigenvalues();
+    let (smallest, largest) = (eigenvalues.min(), eigenvalues.max());
+    if smallest <= 0.0 {
+        return f64::INFINITY;
+    }
+    (largest / smallest).sqrt()
+}
+
+/// Vertices of an icosahedron: the twelve directions whose surroundings the starts leave out.
+fn icosahedron() -> [Vector3<f64>; 12] {
+    let golden = 0.5 * (1.0 + 5.0_f64.sqrt());
+    std::array::from_fn(|k| {
+        let a = if k & 1 == 0 { 1.0 } else { -1.0 };
+        let b = if k & 2 == 0 { golden } else { -golden };
+        let v = match k / 4 {
+            0 => Vector3::new(0.0, a, b),
+            1 => Vector3::new(a, b, 0.0),
+            _ => Vector3::new(b, 0.0, a),
+        };
+        v.normalize()
+    })
+}
+
+fn best_start<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option<SVector<N>> {
+    let (_, all) = solve::<N>(samples, |k| samples[k].weight)?;
+    if options.start_left_out == 0.0 || samples.len() < 20 * N {
+        return Some(all);
+    }
+    // A few thousand samples rank the starts as well as a million.
+    let stride = samples.len().div_ceil(4000);
+    let few = || samples.iter().step_by(stride);
+    let cost = |l: &SVector<N>| {
+        let mut residuals: Vec<f64> = few().map(|s| (predict(l, s) - s.value).abs()).collect();
+        crate::robust::quantile(&mut residuals, options.start_quantile)
+    };
+    let mean: Vector3<f64> = few().map(|s| s.normal).sum::<Vector3<f64>>() / few().count() as f64;
+    let (mut best, mut best_cost) = (all, cost(&all)?);
+    for direction in icosahedron() {
+        let side = |s: &Sample| (s.normal - mean).dot(&direction);
+        let mut sides: Vec<f64> = few().map(side).collect();
+        let limit = crate::robust::quantile(&mut sides, 1.0 - options.start_left_out)?;
+        let partial = solve::<N>(samples, |k| {
+            if k % stride == 0 && side(&samples[k]) <= limit {
+                samples[k].weight
+            } else {
+                0.0
+            }
+        });
+        if let Some((_, l)) = partial {
+            let c = cost(&l)?;
+            // A clear gain only: on clean data the fit on all samples is the better one.
+            if c < 0.9 * best_cost {
+                (best, best_cost) = (l, c);
+            }
+        }
+    }
+    Some(best)
+}

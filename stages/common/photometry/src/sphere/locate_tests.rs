@@ -1,0 +1,165 @@
+//! Rungs of the fit over many views.
+
+use super::locate::{PosedOutline, WorldScale, locate};
+use super::{SphereError, SphereInCamera, SphereOptions};
+use nalgebra::{Point2, Point3, Rotation3, Vector3};
+use rilievo_scene::{Intrinsics, PhotoIdx, RigidTransform};
+
+const RADIUS: f64 = 0.04;
+
+fn center() -> Point3<f64> {
+    Point3::new(0.2, 0.04, 0.06)
+}
+
+/// Eight cameras on an arc, one metre away, the world shrunk by `shrink`.
+fn views(shrink: f64, noise_px: f64) -> Vec<PosedOutline> {
+    let mut state = 7_u64;
+    let mut noise = move || {
+        let mut sum = -6.0;
+        for _ in 0..12 {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
+        }
+        sum
+    };
+    (0..8)
+        .map(|k| {
+            let angle = -0.8 + 0.2 * k as f64;
+            let eye = Point3::new(angle.sin(), 0.3 + 0.1 * (k % 2) as f64, angle.cos());
+            let forward = (Point3::new(0.0, 0.1, 0.0) - eye).normalize();
+            let right = forward.cross(&Vector3::y()).normalize();
+            let down = forward.cross(&right);
+            let world_from_cam = Rotation3::from_basis_unchecked(&[right, down, forward]);
+            let metric = RigidTransform::from_world_pose(world_from_cam, eye);
+            let intrinsics = Intrinsics::pinhole(1280, 960, 1700.0, 639.5, 479.5);
+            let outline = SphereInCamera {
+                center: metric.apply(&center()),
+                radius: RADIUS,
+            }
+            .outline(&intrinsics, 200)
+            .into_iter()
+            .map(|p| Point2::new(p.x + noise_px * noise(), p.y + noise_px * noise()))
+            .collect();
+            PosedOutline {
+                photo: PhotoIdx(k),
+                intrinsics,
+                cam_from_world: RigidTransform {
+                    translation: metric.translation * shrink,
+                    ..metric
+                },
+                outline,
+            }
+        })
+        .collect()
+}
+
+#[test]
+fn exact_outlines_give_center_and_scale_exactly() {
+    let fit = locate(
+        &views(0.37, 0.0),
+        RADIUS,
+        WorldScale::Free,
+        &SphereOptions::default(),
+    )
+    .unwrap();
+    let scale_error = (fit.metres_per_unit * 0.37 - 1.0).abs();
+    let found = Point3::from(fit.sphere.center_in_world) * fit.metres_per_unit;
+    let error = (found - center()).norm();
+    assert!(scale_error < 1e-9, "scale off by {scale_error}");
+    assert!(error < 1e-9, "centre off by {error}");
+    assert_eq!(fit.sphere.seen_in.len(), 8);
+}
+
+#[test]
+fn noise_stays_within_the_stated_deviations() {
+    let options = SphereOptions {
+        outline_bias_px: 0.0,
+        ..SphereOptions::default()
+    };
+    let fit = locate(&views(0.37, 0.3), RADIUS, WorldScale::Free, &options).unwrap();
+    let scale_error = (fit.metres_per_unit * 0.37 - 1.0).abs();
+    assert!(
+        scale_error < 4.0 * fit.relative_sigma && fit.relative_sigma < 1e-3,
+        "scale off by {scale_error}, stated {}",
+        fit.relative_sigma
+    );
+    let found = fit.sphere.center_in_world;
+    for (axis, found) in found.iter().enumerate() {
+        let error = (found - 0.37 * center()[axis]).abs();
+        let sigma = fit.sphere.center_sigma[axis];
+        assert!(
+            error < 4.0 * sigma && sigma < 1e-3,
+            "axis {axis}: {error}, stated {sigma}"
+        );
+    }
+}
+
+#[test]
+fn one_bad_view_is_left_out_and_named() {
+    let mut views = views(1.0, 0.1);
+    for point in &mut views[3].outline {
+        point.x += 60.0;
+    }
+    for scale in [WorldScale::Free, WorldScale::Metric] {
+        let fit = locate(&views, RADIUS, scale, &SphereOptions::default()).unwrap();
+        assert!(!fit.views[3].used && fit.views[3].reason.is_some());
+        assert_eq!(fit.sphere.seen_in.len(), 7, "{:?}", fit.views);
+        let error = (Point3::from(fit.sphere.center_in_world) - center()).norm();
+        assert!(error < 2e-4, "centre off by {error}");
+    }
+}
+
+#[test]
+fn degenerate_input_gives_named_errors() {
+    let options = SphereOptions::default();
+    let all = views(1.0, 0.0);
+    let result = locate(&all, -1.0, WorldScale::Free, &options);
+    assert!(
+        matches!(result, Err(SphereError::Radius { .. })),
+        "{result:?}"
+    );
+    let result = locate(&all[..1], RADIUS, WorldScale::Free, &options);
+    assert_eq!(result, Err(SphereError::OneView));
+    let result = locate(&[], RADIUS, WorldScale::Metric, &options);
+    assert_eq!(result, Err(SphereError::NoView));
+    assert!(locate(&all[..1], RADIUS, WorldScale::Metric, &options).is_ok());
+    let mut two = all[..2].to_vec();
+    for point in &mut two[1].outline {
+        point.y += 200.0;
+    }
+    let result = locate(&two, RADIUS, WorldScale::Metric, &options);
+    assert!(
+        matches!(result, Err(SphereError::Contradiction { .. })),
+        "{result:?}"
+    );
+}
+
+#[test]
+fn residual_derivatives_match_differences() {
+    let sphere = SphereInCamera {
+        center: Point3::new(0.1, -0.2, 0.9),
+        radius: 0.05,
+    };
+    let ray = Vector3::new(0.15, -0.16, 1.0).normalize();
+    let (_, by_center, by_radius) = super::locate::residual(&sphere, &ray).unwrap();
+    let h = 1e-6;
+    for axis in 0..4 {
+        let value = |sign: f64| {
+            let mut moved = sphere;
+            if axis < 3 {
+                moved.center[axis] += sign * h;
+            } else {
+                moved.radius += sign * h;
+            }
+            super::locate::residual(&moved, &ray).unwrap().0
+        };
+        let numeric = (value(1.0) - value(-1.0)) / (2.0 * h);
+        let analytic = if axis < 3 { by_center[axis] } else { by_radius };
+        assert!(
+            (numeric - analytic).abs() < 1e-8,
+            "axis {axis}: {numeric} {analytic}"
+        );
+    }
+}

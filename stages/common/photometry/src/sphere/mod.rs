@@ -1,0 +1,34 @@
+//! The reference sphere in perspective: outline, normals, position, detection.
+//!
+//! # Problem
+//! A sphere of radius `R` at `C` (camera frame) is met by the rays within the half-angle
+//! `a = asin(R / |C|)` of the axis `u = C / |C|`: a cone. Its outline in the picture is an ellipse
+//! (METHOD 8), displaced from the image of the centre and elongated away from the optical axis;
+//! treating it as orthographic turns all normals by the angle off the axis.
+//!
+//! * [`SphereInCamera`]: normals, outline and ellipse of a known sphere.
+//! * [`OutlineCone`]: the cone from outline points, masks, ellipses or circles.
+//! * [`locate`]: one centre, and the world's scale, from marks in many posed views.
+//! * [`locate_request`]: the same from what the user said, refined on the images.
+//! * [`refine_outline`]: outline points at sub-pixel precision on the image.
+//! * [`detect`]: finding the sphere without marks.
+
+mod cone;
+mod detect;
+mod error;
+mod locate;
+#[cfg(test)]
+mod locate_tests;
+mod mark;
+mod options;
+mod refine;
+mod request;
+
+pub use cone::{EllipsePx, OutlineCone, SphereInCamera, SpherePixel};
+pub use detect::detect;
+pub use error::SphereError;
+pub use locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
+pub use mark::{MarkFit, cone_from_mark, cone_from_points, outline_of_mark};
+pub use options::SphereOptions;
+pub use refine::{RefinedOutline, refine_outline};
+pub use request::{PosedImage, load_posed_images, locate_request, refine_in_views};

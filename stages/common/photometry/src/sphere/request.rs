@@ -1,0 +1,203 @@
+//! From what the user said of the sphere to the sphere in the world.
+//!
+//! # Steps
+//! 1. Marks locate it ([`super::locate`]); without marks it is searched for ([`super::detect`]),
+//!    or taken from a stated centre.
+//! 2. The outline that the common sphere predicts in *every* posed photo is looked for on the
+//!    image, so that marks in two photos suffice for all, and the fit is repeated on these edge
+//!    points, with a narrower search each time.
+
+use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
+use super::{SphereError, SphereInCamera, SphereOptions, outline_of_mark, refine_outline};
+use rilievo_scene::{
+    Intrinsics, LinearImage, LocatedSphere, Mask, PhotoIdx, PhotoSet, PosedView, RigidTransform,
+    SphereRequest,
+};
+use std::sync::Arc;
+
+/// A posed photo with its pixels.
+#[derive(Clone, Debug)]
+pub struct PosedImage {
+    /// The photo.
+    pub photo: PhotoIdx,
+    /// Linear pixels.
+    pub image: Arc<LinearImage>,
+    /// Camera.
+    pub intrinsics: Intrinsics,
+    /// Pose, in the world's unit.
+    pub cam_from_world: RigidTransform,
+    /// Object mask: no outline is looked for on it.
+    pub object: Option<Arc<Mask>>,
+    /// Linear value from which a channel counts as clipped.
+    pub clip_level: f32,
+}
+
+impl PosedImage {
+    /// The sphere in this camera's frame.
+    pub fn sphere(&self, located: &LocatedSphere) -> SphereInCamera {
+        SphereInCamera {
+            center: self
+                .cam_from_world
+                .apply(&nalgebra::Point3::from(located.center_in_world)),
+            radius: located.radius,
+        }
+    }
+}
+
+/// Loads the pixels of posed views.
+///
+/// # Errors
+/// [`SphereError::Pixels`].
+pub fn load_posed_images(
+    photos: &PhotoSet,
+    views: &[PosedView],
+) -> Result<Vec<PosedImage>, SphereError> {
+    views
+        .iter()
+        .map(|view| {
+            let photo = &photos.photos[view.photo.0];
+            Ok(PosedImage {
+                photo: view.photo,
+                image: photo.pixels.load()?,
+                intrinsics: view.intrinsics,
+                cam_from_world: view.cam_from_world,
+                object: photo.mask.clone(),
+                clip_level: photo.clip_level,
+            })
+        })
+        .collect()
+}
+
+/// Locates the sphere that a request describes in posed views.
+///
+/// With [`WorldScale::Free`], multiply the world by `metres_per_unit` of the result to make it
+/// metric.
+///
+/// # Errors
+/// See [`SphereError`]; [`SphereError::Radius`] when the request has none.
+pub fn locate_request(
+    photos: &PhotoSet,
+    views: &[PosedView],
+    request: &SphereRequest,
+    scale: WorldScale,
+    options: &SphereOptions,
+) -> Result<SphereFit, SphereError> {
+    options.validate()?;
+    let radius = request
+        .radius
+        .ok_or(SphereError::Radius { radius: f64::NAN })?;
+    let outlines: Vec<PosedOutline> = request
+        .marks
+        .iter()
+        .filter_map(|(photo, mark)| {
+            let view = views.iter().find(|view| view.photo == *photo)?;
+            Some(PosedOutline {
+                photo: *photo,
+                intrinsics: view.intrinsics,
+                cam_from_world: view.cam_from_world,
+                outline: outline_of_mark(mark),
+            })
+        })
+        .collect();
+    if let (Some(center), true) = (request.center_in_world, outlines.is_empty()) {
+        return Ok(stated(center.coords.into(), radius));
+    }
+    if !outlines.is_empty() {
+        let fit = locate(&outlines, radius, scale, options)?;
+        if !options.refine {
+            return Ok(fit);
+        }
+        let images = load_posed_images(photos, views)?;
+        return Ok(refine_in_views(&images, fit, radius, scale, options));
+    }
+    if request.detect {
+        let images = load_posed_images(photos, views)?;
+        return super::detect(&images, radius, scale, options);
+    }
+    Err(SphereError::NoView)
+}
+
+fn stated(center_in_world: [f64; 3], radius: f64) -> SphereFit {
+    SphereFit {
+        sphere: LocatedSphere {
+            center_in_world,
+            radius,
+            center_sigma: [0.0; 3],
+            seen_in: Vec::new(),
+        },
+        metres_per_unit: 1.0,
+        relative_sigma: 0.0,
+        radius_ratio: None,
+        views: Vec::new(),
+    }
+}
+
+/// Repeats the fit on the edges found near the outline that it predicts, in all photos. Keeps the
+/// given fit where the edges do not support a better one.
+pub fn refine_in_views(
+    images: &[PosedImage],
+    fit: SphereFit,
+    radius: f64,
+    scale: WorldScale,
+    options: &SphereOptions,
+) -> SphereFit {
+    let mut best = fit;
+    for narrowing in [1.0, 0.7, 0.5] {
+        let search_px = (options.search_px * narrowing).max(1.5);
+        let outlines = edges_in_views(images, &best.sphere, search_px, options);
+        match locate(&outlines, radius, scale, options) {
+            // Marks that no edge follows stay in the list of views, unused.
+            Ok(next) => best = with_missing(next, &best),
+            Err(_) => break,
+        }
+    }
+    best
+}
+
+/// Outlines that the images show near a predicted sphere, where enough of an outline is seen.
+fn edges_in_views(
+    images: &[PosedImage],
+    sphere: &LocatedSphere,
+    search_px: f64,
+    options: &SphereOptions,
+) -> Vec<PosedOutline> {
+    images
+        .iter()
+        .filter_map(|view| {
+            let found = refine_outline(
+                &view.image,
+                &view.intrinsics,
+                &view.sphere(sphere),
+                search_px,
+                view.object.as_deref(),
+            );
+            // A quarter of the outline still fixes the ellipse's centre across that arc.
+            let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;
+            enough.then_some(PosedOutline {
+                photo: view.photo,
+                intrinsics: view.intrinsics,
+                cam_from_world: view.cam_from_world,
+                outline: found.points,
+            })
+        })
+        .collect()
+}
+
+fn with_missing(mut next: SphereFit, before: &SphereFit) -> SphereFit {
+    let missing: Vec<ViewAgreement> =
+        before
+            .views
+            .iter()
+            .filter(|old| next.views.iter().all(|new| new.photo != old.photo))
+            .map(|old| ViewAgreement {
+                used: false,
+                reason: Some(old.reason.clone().unwrap_or_else(|| {
+                    "no edge follows the marked outline in this photo".to_owned()
+                })),
+                ..old.clone()
+            })
+            .collect();
+    next.views.extend(missing);
+    next.views.sort_by_key(|view| view.photo);
+    next
+}
