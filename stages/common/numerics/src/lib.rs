@@ -1,6 +1,9 @@
 //! Numerical building blocks that know nothing of photographs: masked-grid operators, multigrid,
 //! conjugate gradients, least squares, robust losses and a derivative checker.
 
+pub mod corner_grid;
+pub mod corner_poisson;
 pub mod derivatives;
 pub mod least_squares;
+mod multigrid;
 pub mod robust;
