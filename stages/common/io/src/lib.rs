@@ -38,11 +38,12 @@ pub use colmap::write_colmap_text;
 pub use error::{IoError, IoErrorKind};
 pub use exr_maps::{
     LinearFile, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
-    write_linear, write_normal,
+    write_linear, write_linear_half, write_normal,
 };
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{read_mask, write_mask};
-pub use photo::{decode_photo, is_photo_name};
+pub use mask_names::{expected_mask_name, find_mask, is_mask_among};
+pub use photo::{decode_photo, decode_photo_bytes, is_photo_name};
 pub use ply::{read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};
 pub use preview::{Preview, encode_preview_png, write_preview_png};
 pub use scene_file::{SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene};

@@ -99,6 +99,9 @@ pub struct DecodedPhoto {
     pub linear_by_metadata: bool,
     /// Why, in words ("OpenEXR", "8 bit", "16 bit without colour metadata", "gAMA 1.0").
     pub encoding_reason: String,
+    /// Tone curve of the embedded colour profile, where there is one that is neither linear nor
+    /// sRGB: linear value at equal steps of the stored value from 0 to white.
+    pub profile_curve: Option<Vec<f32>>,
     /// Pixels whose alpha is at least one half, where there is an alpha channel that is not
     /// opaque everywhere.
     pub alpha: Option<Mask>,
