@@ -2,75 +2,32 @@
 //!
 //! In: a decoded photo, its mask and its camera where the user gave them, one photo at a time
 //! ([`prepare`]); then all usable photos together ([`assemble`]).
-//! Out: a [`PhotoSet`] and a [`PhotosReport`] that lists every photo with what was found.
+//! Out: a [`PhotoSet`](rilievo_scene::PhotoSet) and a [`PhotosReport`] that lists every photo with
+//! what was found.
+//!
+//! Steps, each in its module:
+//! 1. [`encoding`]: stored samples to linear intensities, by the file's metadata or the user's word;
+//! 2. `mask`: refuse masks that cannot be an object's;
+//! 3. [`focal`]: the camera before poses, from the best source there is;
+//! 4. `measures`: level, clipping, noise, sharpness and colour for the preflight;
+//! 5. `assemble`: order, groups of photos that share a camera, spreads over the set, warnings.
+//!
+//! Pixels are never rotated or scaled: EXIF orientation is noted, and masks and cameras must be in
+//! the same, stored frame.
 
+mod assemble;
 pub mod encoding;
 pub mod error;
+pub mod focal;
+mod mask;
+mod measures;
 pub mod options;
+mod prepare;
 pub mod report;
 
+pub use assemble::assemble;
 pub use encoding::linearize;
 pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions};
+pub use prepare::{GivenCamera, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};
-
-use rilievo_scene::{
-    DecodedPhoto, Intrinsics, LinearImage, Mask, PhotoSet, PixelSource, RigidTransform,
-};
-use std::sync::Arc;
-
-/// A camera that the user gave for a photo.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GivenCamera {
-    /// Intrinsics.
-    pub intrinsics: Intrinsics,
-    /// Pose, where given.
-    pub cam_from_world: Option<RigidTransform>,
-}
-
-/// A usable photo. To keep a large set out of memory, store `image` and replace `pixels` by a
-/// source that reads it back.
-#[derive(Clone, Debug)]
-pub struct PreparedPhoto {
-    /// Its pixels.
-    pub pixels: Arc<dyn PixelSource>,
-    /// Its object mask, where the user gave masks.
-    pub mask: Option<Arc<Mask>>,
-    /// Everything else; serialisable.
-    pub facts: PhotoFacts,
-}
-
-impl PreparedPhoto {
-    /// A photo whose pixels are in memory.
-    pub fn in_memory(image: LinearImage, mask: Option<Mask>, facts: PhotoFacts) -> Self {
-        Self {
-            pixels: Arc::new(rilievo_scene::InMemoryPixels(Arc::new(image))),
-            mask: mask.map(Arc::new),
-            facts,
-        }
-    }
-}
-
-/// Makes a linear image of a decoded photo and checks everything that is known of it.
-///
-/// # Errors
-/// Why the photo cannot be used; other photos may be.
-pub fn prepare(
-    _decoded: DecodedPhoto,
-    _mask: Option<Mask>,
-    _camera: Option<GivenCamera>,
-    _options: &PhotosOptions,
-) -> Result<PreparedPhoto, PhotosError> {
-    Err(PhotosError::NoPhotos)
-}
-
-/// Orders photos by file name, groups them by camera, and reports on the set.
-///
-/// # Errors
-/// When no photo is left, or two have the same name.
-pub fn assemble(
-    _photos: Vec<PreparedPhoto>,
-    _options: &PhotosOptions,
-) -> Result<(PhotoSet, PhotosReport), PhotosError> {
-    Err(PhotosError::NoPhotos)
-}

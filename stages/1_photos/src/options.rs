@@ -23,6 +23,10 @@ pub struct PhotosOptions {
     /// How samples relate to light. Taking sRGB for linear bends every slope; taking linear for
     /// sRGB the other way.
     pub encoding: Encoding,
+    /// Focal length in 35 mm equivalents, mm, for photos without a camera file; overrules EXIF.
+    /// Absent: what EXIF says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub focal_35mm: Option<f64>,
     /// Focal length of a camera of which nothing is known, over the longer side of the image.
     /// It is refined with the poses; a start that is off by more than half may fail there.
     pub focal_guess_factor: f64,
@@ -46,6 +50,7 @@ impl Default for PhotosOptions {
     fn default() -> Self {
         Self {
             encoding: Encoding::Auto,
+            focal_35mm: None,
             focal_guess_factor: 1.2,
             // One step below white in 8 bits: JPEG rings around clipped areas by about that much.
             clip_fraction: 254.0 / 255.0,
@@ -65,6 +70,12 @@ impl PhotosOptions {
     /// [`PhotosError::Option`] with the first option that is out of range.
     pub fn validate(&self) -> Result<(), PhotosError> {
         let checks = [
+            (
+                "focal_35mm",
+                self.focal_35mm.unwrap_or(35.0),
+                1.0..=10_000.0,
+                "it must lie between 1 and 10000 mm",
+            ),
             (
                 "focal_guess_factor",
                 self.focal_guess_factor,

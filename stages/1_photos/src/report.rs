@@ -11,6 +11,8 @@ pub enum AppliedEncoding {
     Linear,
     /// The sRGB curve.
     Srgb,
+    /// The tone curve of the embedded colour profile.
+    Profile,
 }
 
 /// Everything but the pixels of a usable photo.
@@ -56,9 +58,11 @@ pub struct PhotoFacts {
     pub median_level: f64,
     /// Standard deviation of the noise, linear, from the finest differences.
     pub noise_sigma: f64,
-    /// Sharpness: variance of the Laplacian of the grey image over its squared mean level, 0 is
-    /// blank. Comparable only between photos of one object at one size.
+    /// Sharpness: root mean square of the finest second differences over the median level.
+    /// Comparable only between photos of one object at one size.
     pub sharpness: f64,
+    /// Red over green and blue over green, over the mask or the frame, of unclipped pixels.
+    pub color_ratios: Option<[f64; 2]>,
     /// What EXIF says.
     pub exif: ExifFacts,
 }
@@ -98,6 +102,9 @@ pub struct PhotosReport {
     pub exposure_spread_ev: Option<f64>,
     /// Largest over smallest median level over the masks (or frames), in EV.
     pub level_spread_ev: f64,
+    /// Largest over smallest ratio of colours over the masks (or frames), of both ratios the worse;
+    /// absent unless all photos have colours.
+    pub white_balance_spread: Option<f64>,
     /// What the user should know, each with the photo and what to try.
     pub warnings: Vec<String>,
 }

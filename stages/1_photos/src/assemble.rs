@@ -1,0 +1,259 @@
+//! The set: order, camera groups, spreads over the photos, warnings.
+
+use crate::error::PhotosError;
+use crate::options::PhotosOptions;
+use crate::prepare::PreparedPhoto;
+use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
+use rilievo_scene::{FocalSource, Photo, PhotoSet};
+
+/// Ratio of colours between photos from which the user is warned: a tenth is a visible tint.
+const WHITE_BALANCE_WARNING: f64 = 1.1;
+
+/// Orders photos by file name, groups them by camera, and reports on the set.
+///
+/// # Errors
+/// When no photo is left, two have the same name, or grey and colour photos are mixed.
+pub fn assemble(
+    mut photos: Vec<PreparedPhoto>,
+    options: &PhotosOptions,
+) -> Result<(PhotoSet, PhotosReport), PhotosError> {
+    options.validate()?;
+    photos.sort_by(|a, b| a.facts.file_name.cmp(&b.facts.file_name));
+    check_set(&photos)?;
+
+    let mut groups: Vec<(GroupKey, CameraGroup)> = Vec::new();
+    let mut set = PhotoSet::default();
+    for prepared in &photos {
+        let facts = &prepared.facts;
+        let key = GroupKey::of(facts);
+        let camera_group = groups
+            .iter()
+            .position(|(known, _)| *known == key)
+            .unwrap_or_else(|| {
+                let description = describe(facts);
+                groups.push((
+                    key,
+                    CameraGroup {
+                        description,
+                        photos: Vec::new(),
+                    },
+                ));
+                groups.len() - 1
+            });
+        groups[camera_group].1.photos.push(facts.file_name.clone());
+        set.photos.push(Photo {
+            file_name: facts.file_name.clone(),
+            name: facts.name.clone(),
+            pixels: prepared.pixels.clone(),
+            intrinsics: facts.intrinsics,
+            focal_source: facts.focal_source,
+            camera_group,
+            orientation: facts.orientation,
+            mask: prepared.mask.clone(),
+            clip_level: facts.clip_level,
+            given_cam_from_world: facts.given_cam_from_world,
+        });
+    }
+
+    let facts: Vec<PhotoFacts> = photos.into_iter().map(|photo| photo.facts).collect();
+    let coverages: Vec<f64> = facts.iter().filter_map(|f| f.mask_coverage).collect();
+    let mut report = PhotosReport {
+        rejected: Vec::new(),
+        camera_groups: groups.into_iter().map(|(_, group)| group).collect(),
+        num_masks: coverages.len(),
+        mean_mask_coverage: (!coverages.is_empty())
+            .then(|| coverages.iter().sum::<f64>() / coverages.len() as f64),
+        exposure_spread_ev: facts
+            .iter()
+            .map(|f| f.exif.relative_exposure())
+            .collect::<Option<Vec<f64>>>()
+            .and_then(|values| ratio(&values))
+            .map(f64::log2),
+        level_spread_ev: ratio(&facts.iter().map(|f| f.median_level).collect::<Vec<_>>())
+            .map_or(0.0, f64::log2),
+        white_balance_spread: white_balance_spread(&facts),
+        warnings: Vec::new(),
+        photos: facts,
+    };
+    report.warnings = warnings(&report, options);
+    Ok((set, report))
+}
+
+fn check_set(photos: &[PreparedPhoto]) -> Result<(), PhotosError> {
+    let first = &photos.first().ok_or(PhotosError::NoPhotos)?.facts;
+    let mut by_name: Vec<&PhotoFacts> = photos.iter().map(|photo| &photo.facts).collect();
+    by_name.sort_by(|a, b| a.name.cmp(&b.name));
+    if let Some(pair) = by_name.windows(2).find(|pair| pair[0].name == pair[1].name) {
+        return Err(PhotosError::DuplicateName {
+            name: pair[0].name.clone(),
+            first: pair[0].file_name.clone(),
+            second: pair[1].file_name.clone(),
+        });
+    }
+    let other = photos
+        .iter()
+        .map(|photo| &photo.facts)
+        .find(|facts| facts.channels != first.channels);
+    if let Some(other) = other {
+        let (grey, color) = if first.channels == 1 {
+            (first, other)
+        } else {
+            (other, first)
+        };
+        return Err(PhotosError::MixedChannels {
+            grey: grey.file_name.clone(),
+            color: color.file_name.clone(),
+        });
+    }
+    Ok(())
+}
+
+/// What photos of one camera group have in common.
+#[derive(Clone, Debug, PartialEq)]
+enum GroupKey {
+    /// Intrinsics given by the user.
+    Given([u64; 11]),
+    /// Body, lens and zoom, by EXIF; photos without any of it and of one size are one group.
+    Exif {
+        texts: [Option<String>; 4],
+        focal: [Option<u64>; 2],
+        size: (usize, usize),
+    },
+}
+
+impl GroupKey {
+    fn of(facts: &PhotoFacts) -> Self {
+        if facts.focal_source == FocalSource::CameraFile {
+            let i = &facts.intrinsics;
+            let d = &i.distortion;
+            return Self::Given([
+                i.width as u64,
+                i.height as u64,
+                i.fx.to_bits(),
+                i.fy.to_bits(),
+                i.cx.to_bits(),
+                i.cy.to_bits(),
+                d.k1.to_bits(),
+                d.k2.to_bits(),
+                d.p1.to_bits(),
+                d.p2.to_bits(),
+                d.k3.to_bits(),
+            ]);
+        }
+        let exif = &facts.exif;
+        Self::Exif {
+            texts: [
+                exif.make.clone(),
+                exif.model.clone(),
+                exif.serial.clone(),
+                exif.lens.clone(),
+            ],
+            focal: [
+                exif.focal_mm.map(f64::to_bits),
+                exif.focal_35mm.map(f64::to_bits),
+            ],
+            size: (facts.width, facts.height),
+        }
+    }
+}
+
+fn describe(facts: &PhotoFacts) -> String {
+    let exif = &facts.exif;
+    let mut parts: Vec<String> = [&exif.model, &exif.lens]
+        .into_iter()
+        .flatten()
+        .cloned()
+        .collect();
+    parts.extend(exif.focal_mm.map(|focal| format!("{focal} mm")));
+    parts.push(format!("{} x {}", facts.width, facts.height));
+    parts.push(format!(
+        "f = {:.1} px ({})",
+        facts.intrinsics.focal_px(),
+        facts.focal_note
+    ));
+    parts.join(", ")
+}
+
+/// Largest over smallest of positive values.
+fn ratio(values: &[f64]) -> Option<f64> {
+    let smallest = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let largest = values.iter().copied().fold(0.0, f64::max);
+    (smallest > 0.0 && smallest.is_finite()).then(|| largest / smallest)
+}
+
+fn white_balance_spread(facts: &[PhotoFacts]) -> Option<f64> {
+    let ratios = facts
+        .iter()
+        .map(|f| f.color_ratios)
+        .collect::<Option<Vec<_>>>()?;
+    let spread = |c: usize| ratio(&ratios.iter().map(|r| r[c]).collect::<Vec<_>>());
+    Some(spread(0)?.max(spread(1)?))
+}
+
+fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
+    let mut warnings = Vec::new();
+    // One line for what concerns several photos: a list of five hundred is not read.
+    let mut about = |photos: Vec<&PhotoFacts>, text: &str| {
+        if let Some(first) = photos.first() {
+            let others = match photos.len() {
+                1 => String::new(),
+                n => format!(" and {} more", n - 1),
+            };
+            warnings.push(format!("{}{others}: {text}", first.file_name));
+        }
+    };
+    let which = |condition: &dyn Fn(&PhotoFacts) -> bool| -> Vec<&PhotoFacts> {
+        report.photos.iter().filter(|f| condition(f)).collect()
+    };
+
+    about(
+        which(&|f| f.focal_source == FocalSource::Guess),
+        "focal length unknown, guessed and then refined with the poses; depth and normals depend \
+         on it, give --cameras or a photo with EXIF",
+    );
+    about(
+        which(&|f| {
+            f.clipped_share_on_object.unwrap_or(f.clipped_share) > options.clipped_warning_share
+        }),
+        "many clipped pixels, which say nothing of the shape; expose less",
+    );
+    about(
+        which(&|f| f.num_invalid_px > 0),
+        "has pixels that are not numbers; they were set to zero",
+    );
+    about(
+        which(&|f| f.orientation != 1),
+        "EXIF asks to rotate it for display; it is used as stored, and masks and cameras must be \
+         in that frame",
+    );
+    about(
+        which(&|f| {
+            f.encoding == AppliedEncoding::Linear && f.encoding_reason.contains("without colour")
+        }),
+        "16 bit without colour metadata, taken as linear; say --encoding srgb if it is not",
+    );
+    let first = report.photos.first();
+    about(
+        which(&|f| first.is_some_and(|first| f.encoding != first.encoding)),
+        "encoded otherwise than the first photo; say --encoding if that is wrong",
+    );
+    about(
+        which(&|f| f.mask_coverage.is_none() && report.num_masks > 0),
+        "has no mask though others have",
+    );
+    if let Some(spread) = report.exposure_spread_ev
+        && spread > options.exposure_warning_ev
+    {
+        warnings.push(format!(
+            "exposure varies by {spread:.2} EV between the photos; shoot with fixed exposure"
+        ));
+    }
+    if let Some(spread) = report.white_balance_spread
+        && spread > WHITE_BALANCE_WARNING
+    {
+        warnings.push(format!(
+            "colours differ by a factor of {spread:.2} between the photos; fix the white balance"
+        ));
+    }
+    warnings
+}

@@ -1,0 +1,176 @@
+//! One photo: linear pixels, camera, checked mask, measured facts.
+
+use crate::encoding::{clip_level, linearize};
+use crate::error::PhotosError;
+use crate::focal::{FirstCamera, first_camera};
+use crate::options::PhotosOptions;
+use crate::report::PhotoFacts;
+use crate::{mask, measures};
+use rilievo_scene::{
+    DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, PixelSource,
+    RigidTransform,
+};
+use std::sync::Arc;
+
+/// A camera that the user gave for a photo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GivenCamera {
+    /// Intrinsics.
+    pub intrinsics: Intrinsics,
+    /// Pose, where given.
+    pub cam_from_world: Option<RigidTransform>,
+}
+
+/// A usable photo.
+///
+/// To keep a large set out of memory, store the pixels and replace `pixels` by a source that reads
+/// them back; the facts are serialisable.
+#[derive(Clone, Debug)]
+pub struct PreparedPhoto {
+    /// Its pixels.
+    pub pixels: Arc<dyn PixelSource>,
+    /// Its object mask, where the user gave masks.
+    pub mask: Option<Arc<Mask>>,
+    /// Everything else.
+    pub facts: PhotoFacts,
+}
+
+impl PreparedPhoto {
+    /// A photo whose pixels are in memory.
+    pub fn in_memory(image: LinearImage, mask: Option<Mask>, facts: PhotoFacts) -> Self {
+        Self {
+            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
+            mask: mask.map(Arc::new),
+            facts,
+        }
+    }
+}
+
+/// Makes a linear image of a decoded photo and checks everything that is known of it.
+///
+/// The photo's own alpha channel is not used: pass it as `mask` to make it the object's.
+///
+/// # Errors
+/// Why this photo cannot be used; other photos may be.
+pub fn prepare(
+    decoded: DecodedPhoto,
+    mask: Option<Mask>,
+    camera: Option<GivenCamera>,
+    options: &PhotosOptions,
+) -> Result<PreparedPhoto, PhotosError> {
+    options.validate()?;
+    check_frame(&decoded, options)?;
+    let size = (decoded.width, decoded.height);
+    if let Some(mask) = &mask {
+        mask::check(&decoded.file_name, size, mask, options)?;
+    }
+    let first = match camera {
+        Some(given) => given_camera(&decoded, given.intrinsics)?,
+        None => first_camera(size.0, size.1, &decoded.exif, options),
+    };
+
+    let (mut image, encoding) = linearize(&decoded, options.encoding);
+    let clip_level = clip_level(&decoded, options.encoding, options.clip_fraction);
+    let num_invalid_px = zero_invalid(&mut image);
+    let blank_value = image.data[0];
+    if image.data.iter().all(|&value| value == blank_value) {
+        return Err(PhotosError::Blank {
+            photo: decoded.file_name,
+            value: blank_value,
+        });
+    }
+
+    let measured = measures::measure(&image, mask.as_ref(), clip_level);
+    let facts = PhotoFacts {
+        name: name_of(&decoded.file_name).to_owned(),
+        width: size.0,
+        height: size.1,
+        channels: decoded.channels,
+        bits: decoded.samples.bits(),
+        encoding,
+        encoding_reason: decoded.encoding_reason,
+        intrinsics: first.intrinsics,
+        focal_source: first.source,
+        focal_note: first.note,
+        given_cam_from_world: camera.and_then(|camera| camera.cam_from_world),
+        orientation: decoded.exif.orientation.unwrap_or(1),
+        mask_coverage: mask.as_ref().map(Mask::coverage),
+        clipped_share: measured.clipped_share,
+        clipped_share_on_object: measured.clipped_share_on_object,
+        clip_level,
+        num_invalid_px,
+        median_level: measured.median_level,
+        noise_sigma: measured.noise_sigma,
+        sharpness: measured.sharpness,
+        color_ratios: measured.color_ratios,
+        exif: decoded.exif,
+        file_name: decoded.file_name,
+    };
+    Ok(PreparedPhoto::in_memory(image, mask, facts))
+}
+
+/// File name without its ending.
+fn name_of(file_name: &str) -> &str {
+    match file_name.rfind('.') {
+        Some(dot) if dot > 0 => &file_name[..dot],
+        _ => file_name,
+    }
+}
+
+fn check_frame(decoded: &DecodedPhoto, options: &PhotosOptions) -> Result<(), PhotosError> {
+    let (width, height) = (decoded.width, decoded.height);
+    // A pixel on each side of the inside is needed for differences, whatever the options say.
+    let min = options.min_side_px.max(2);
+    if width.min(height) < min {
+        return Err(PhotosError::TooSmall {
+            photo: decoded.file_name.clone(),
+            width,
+            height,
+            min,
+        });
+    }
+    let expected = width * height * decoded.channels;
+    if decoded.samples.len() != expected || !matches!(decoded.channels, 1 | 3) {
+        return Err(PhotosError::Samples {
+            photo: decoded.file_name.clone(),
+            found: decoded.samples.len(),
+            expected,
+            width,
+            height,
+            channels: decoded.channels,
+        });
+    }
+    Ok(())
+}
+
+fn given_camera(
+    decoded: &DecodedPhoto,
+    intrinsics: Intrinsics,
+) -> Result<FirstCamera, PhotosError> {
+    if (intrinsics.width, intrinsics.height) != (decoded.width, decoded.height) {
+        return Err(PhotosError::CameraSize {
+            photo: decoded.file_name.clone(),
+            camera_width: intrinsics.width,
+            camera_height: intrinsics.height,
+            width: decoded.width,
+            height: decoded.height,
+        });
+    }
+    Ok(FirstCamera {
+        intrinsics,
+        source: FocalSource::CameraFile,
+        note: "camera file".to_owned(),
+    })
+}
+
+/// Replaces what is not a finite number by zero, which no later step can be hurt by.
+fn zero_invalid(image: &mut LinearImage) -> usize {
+    let mut num_px = 0;
+    for pixel in image.data.chunks_exact_mut(image.channels) {
+        if pixel.iter().any(|value| !value.is_finite()) {
+            pixel.fill(0.0);
+            num_px += 1;
+        }
+    }
+    num_px
+}

@@ -1,0 +1,86 @@
+//! Stage 1 on the photographs in the shared folder beside the repository, where it is there.
+
+use rilievo_io::{decode_photo, read_mask};
+use rilievo_photos::{PhotosOptions, assemble, prepare};
+use rilievo_scene::FocalSource;
+use std::path::{Path, PathBuf};
+
+fn data(name: &str) -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .nth(3)?
+        .join("shared/data")
+        .join(name);
+    if !folder.is_dir() {
+        eprintln!("skipped: no {}", folder.display());
+        return None;
+    }
+    Some(folder)
+}
+
+#[test]
+fn focal_length_of_a_compact_camera_from_exif() {
+    let Some(folder) = data("sceaux") else { return };
+    let decoded = decode_photo(&folder.join("100_7100.JPG")).unwrap();
+    let done = prepare(decoded, None, None, &PhotosOptions::default()).unwrap();
+    assert_eq!(done.facts.focal_source, FocalSource::Exif35mm);
+    let found = done.facts.intrinsics.focal_px();
+    // Calibrated focal length; EXIF rounds to whole millimetres of 35.
+    assert!((found / 2905.88 - 1.0).abs() < 0.02, "{found}");
+}
+
+#[test]
+fn the_same_scene_from_jpeg_and_from_16_bit() {
+    let Some(folder) = data("studio_stone") else {
+        return;
+    };
+    let options = PhotosOptions::default();
+    let load = |name: &str| {
+        let decoded = decode_photo(&folder.join(name)).unwrap();
+        prepare(decoded, None, None, &options).unwrap()
+    };
+    let (jpeg, png) = (load("photos/IMG_0004.jpg"), load("linear/IMG_0004.png"));
+    let focal = jpeg.facts.intrinsics.focal_px();
+    assert!((focal / 1_777.777_8 - 1.0).abs() < 1e-6, "{focal}");
+    assert_eq!(png.facts.focal_source, FocalSource::Guess);
+    let (a, b) = (jpeg.pixels.load().unwrap(), png.pixels.load().unwrap());
+    let mut differences: Vec<f32> = a
+        .data
+        .iter()
+        .zip(&b.data)
+        .filter(|(_, b)| **b > 0.05 && **b < 0.95)
+        .map(|(a, b)| (a / b - 1.0).abs())
+        .collect();
+    differences.sort_by(f32::total_cmp);
+    let median = differences[differences.len() / 2];
+    assert!(median < 0.02, "{median}");
+}
+
+#[test]
+fn a_whole_folder_with_masks() {
+    let Some(folder) = data("sokrates8") else {
+        return;
+    };
+    let options = PhotosOptions::default();
+    let photos = ["color000001", "color000024"]
+        .map(|name| {
+            let decoded = decode_photo(&folder.join(format!("photos/{name}.png"))).unwrap();
+            let mask = read_mask(&folder.join(format!("masks/{name}.png"))).unwrap();
+            prepare(decoded, Some(mask), None, &options).unwrap()
+        })
+        .to_vec();
+    let (set, report) = assemble(photos, &options).unwrap();
+    assert_eq!(set.photos.len(), 2);
+    assert_eq!(report.camera_groups.len(), 1);
+    assert!(
+        report
+            .mean_mask_coverage
+            .is_some_and(|c| (0.5..0.75).contains(&c)),
+        "{report:?}"
+    );
+    assert!(
+        report.warnings.iter().any(|w| w.contains("guessed")),
+        "{:?}",
+        report.warnings
+    );
+}

@@ -1,0 +1,215 @@
+//! Stage 1 as a whole, on made photos and, where they are at hand, on real ones.
+
+use rilievo_photos::{GivenCamera, PhotosError, PhotosOptions, PreparedPhoto, assemble, prepare};
+use rilievo_scene::{DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, Raster, Samples};
+
+fn photo(file_name: &str, exif: ExifFacts) -> DecodedPhoto {
+    let (width, height) = (64, 48);
+    DecodedPhoto {
+        file_name: file_name.to_owned(),
+        width,
+        height,
+        channels: 3,
+        samples: Samples::U8((0..width * height * 3).map(|i| (i % 251) as u8).collect()),
+        linear_by_metadata: false,
+        encoding_reason: "8 bit".to_owned(),
+        profile_curve: None,
+        alpha: None,
+        exif,
+    }
+}
+
+fn prepared(file_name: &str, exif: ExifFacts) -> PreparedPhoto {
+    prepare(
+        photo(file_name, exif),
+        None,
+        None,
+        &PhotosOptions::default(),
+    )
+    .unwrap()
+}
+
+fn disc() -> Mask {
+    Raster::from_fn(64, 48, |x, y| {
+        (x as f64 - 30.0).hypot(y as f64 - 20.0) < 15.0
+    })
+}
+
+fn zoom(focal_mm: f64) -> ExifFacts {
+    ExifFacts {
+        focal_mm: Some(focal_mm),
+        focal_35mm: Some(2.0 * focal_mm),
+        model: Some("Model S".to_owned()),
+        ..ExifFacts::default()
+    }
+}
+
+#[test]
+fn photos_are_ordered_and_share_cameras_by_body_and_zoom() {
+    let photos = vec![
+        prepared("c.jpg", zoom(20.0)),
+        prepared("a.jpg", zoom(20.0)),
+        prepared("b.jpg", zoom(35.0)),
+    ];
+    let (set, report) = assemble(photos, &PhotosOptions::default()).unwrap();
+    let order: Vec<(&str, usize)> = set
+        .photos
+        .iter()
+        .map(|photo| (photo.name.as_str(), photo.camera_group))
+        .collect();
+    assert_eq!(order, [("a", 0), ("b", 1), ("c", 0)]);
+    assert_eq!(report.camera_groups[0].photos, ["a.jpg", "c.jpg"]);
+    assert_eq!(report.photos.len(), 3);
+    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+}
+
+#[test]
+fn a_given_camera_is_kept_bit_for_bit() {
+    let mut intrinsics = Intrinsics::pinhole(64, 48, 71.123_456_789, 31.4, 23.7);
+    intrinsics.distortion.k1 = -0.1;
+    let camera = GivenCamera {
+        intrinsics,
+        cam_from_world: None,
+    };
+    let options = PhotosOptions::default();
+    let done = prepare(
+        photo("a.jpg", zoom(20.0)),
+        Some(disc()),
+        Some(camera),
+        &options,
+    )
+    .unwrap();
+    assert_eq!(done.facts.intrinsics, intrinsics);
+    assert_eq!(done.facts.focal_source, FocalSource::CameraFile);
+    assert!(
+        done.facts
+            .mask_coverage
+            .is_some_and(|c| (0.15..0.3).contains(&c))
+    );
+
+    let camera = GivenCamera {
+        intrinsics: Intrinsics::pinhole(48, 64, 71.0, 23.5, 31.5),
+        cam_from_world: None,
+    };
+    let error = prepare(photo("a.jpg", zoom(20.0)), None, Some(camera), &options).unwrap_err();
+    assert!(matches!(error, PhotosError::CameraSize { .. }), "{error}");
+}
+
+#[test]
+fn orientation_is_noted_and_changes_nothing() {
+    let plain = prepared("a.jpg", ExifFacts::default());
+    let plain_pixels = plain.pixels.load().unwrap();
+    for orientation in 1..=8 {
+        let turned = prepared(
+            "a.jpg",
+            ExifFacts {
+                orientation: Some(orientation),
+                ..ExifFacts::default()
+            },
+        );
+        assert_eq!(turned.facts.orientation, orientation);
+        assert_eq!(turned.facts.intrinsics, plain.facts.intrinsics);
+        assert_eq!(turned.pixels.load().unwrap(), plain_pixels);
+    }
+}
+
+#[test]
+fn facts_survive_json() {
+    let facts = prepared("ä b.jpg", zoom(20.0)).facts;
+    let text = serde_json::to_string(&facts).unwrap();
+    assert_eq!(
+        serde_json::from_str::<rilievo_photos::PhotoFacts>(&text).unwrap(),
+        facts
+    );
+}
+
+#[test]
+fn photos_that_cannot_be_used_are_named() {
+    let options = PhotosOptions::default();
+    let mut small = photo("small.jpg", ExifFacts::default());
+    (small.width, small.height) = (1, 1);
+    small.samples = Samples::U8(vec![1, 2, 3]);
+    let error = prepare(small, None, None, &options)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("small.jpg") && error.contains("1 x 1"),
+        "{error}"
+    );
+
+    let mut blank = photo("blank.jpg", ExifFacts::default());
+    blank.samples = Samples::U8(vec![7; 64 * 48 * 3]);
+    let error = prepare(blank, None, None, &options).unwrap_err();
+    assert!(matches!(error, PhotosError::Blank { .. }), "{error}");
+
+    let mut short = photo("short.jpg", ExifFacts::default());
+    short.samples = Samples::U8(vec![7; 10]);
+    assert!(matches!(
+        prepare(short, None, None, &options),
+        Err(PhotosError::Samples { found: 10, .. })
+    ));
+
+    let mut float = photo("nan.exr", ExifFacts::default());
+    let mut samples: Vec<f32> = (0..64 * 48 * 3).map(|i| i as f32 * 1e-4).collect();
+    samples[5] = f32::NAN;
+    samples[100] = f32::INFINITY;
+    float.samples = Samples::F32(samples);
+    float.linear_by_metadata = true;
+    let done = prepare(float, None, None, &options).unwrap();
+    assert_eq!(done.facts.num_invalid_px, 2);
+    assert!(
+        done.pixels
+            .load()
+            .unwrap()
+            .data
+            .iter()
+            .all(|v| v.is_finite())
+    );
+}
+
+#[test]
+fn a_set_with_two_equal_names_or_no_photo_is_refused() {
+    let options = PhotosOptions::default();
+    let twins = vec![prepared("a.jpg", zoom(20.0)), prepared("a.png", zoom(20.0))];
+    let error = assemble(twins, &options).unwrap_err();
+    assert!(
+        matches!(error, PhotosError::DuplicateName { .. }),
+        "{error}"
+    );
+    assert_eq!(
+        assemble(Vec::new(), &options).unwrap_err(),
+        PhotosError::NoPhotos
+    );
+}
+
+#[test]
+fn options_out_of_range_are_refused_by_name() {
+    let options = PhotosOptions {
+        clip_fraction: f64::NAN,
+        ..PhotosOptions::default()
+    };
+    let error = options.validate().unwrap_err().to_string();
+    assert!(error.contains("clip_fraction"), "{error}");
+}
+
+#[test]
+fn exposure_that_varies_is_told() {
+    let with = |time: f64| ExifFacts {
+        exposure_time_s: Some(time),
+        f_number: Some(8.0),
+        iso: Some(100.0),
+        ..zoom(20.0)
+    };
+    let photos = vec![prepared("a.jpg", with(0.01)), prepared("b.jpg", with(0.02))];
+    let (_, report) = assemble(photos, &PhotosOptions::default()).unwrap();
+    let spread = report.exposure_spread_ev;
+    assert!(
+        spread.is_some_and(|s| (s - 1.0).abs() < 1e-12),
+        "{spread:?}"
+    );
+    assert!(
+        report.warnings.iter().any(|w| w.contains("exposure")),
+        "{:?}",
+        report.warnings
+    );
+}
