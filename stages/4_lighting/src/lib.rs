@@ -24,11 +24,16 @@
 //! # Entry
 //! [`run`]; [`fit_on_shape`] for a single view; [`check_on_surface`] after stage 5.
 
+mod cells;
 mod error;
+mod gains;
+mod kind;
 mod options;
 mod report;
 mod request;
+mod samples;
 mod shape;
+mod sphere_light;
 
 pub use error::LightingError;
 pub use options::{GainMode, LightingOptions};
@@ -58,7 +63,9 @@ pub fn run(
     match request {
         LightingRequest::Given(lightings, kind) => request::given(posed, lightings, *kind),
         LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, options, observer),
-        LightingRequest::Sphere(_) => Err(LightingError::NoSphere),
+        LightingRequest::Sphere(sphere) => {
+            sphere_light::run(photos, posed, sphere, options, observer)
+        }
         LightingRequest::OwnShape => Err(LightingError::TooFewAnchors {
             available: posed.anchors.len(),
             needed: 50,

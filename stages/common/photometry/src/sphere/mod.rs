@@ -25,7 +25,7 @@ mod refine;
 mod request;
 
 pub use cone::{EllipsePx, OutlineCone, SphereInCamera, SpherePixel};
-pub use detect::detect;
+pub use detect::{detect, detect_in_photo};
 pub use error::SphereError;
 pub use locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
 pub use mark::{MarkFit, cone_from_mark, cone_from_points, outline_of_mark};

@@ -1,0 +1,176 @@
+//! Measures sphere, scale and light on a photo set with known poses and truth.
+//!
+//! `cargo run --release -p rilievo-lighting --example sphere_report -- SET [photos|linear]
+//! [auto|marks] [calibration]` prints, per photo: outline overlap with `sphere_masks`, radius,
+//! gain, residual on the sphere, and the residual of the light applied to the true normals.
+//! `SET` is a folder with `photos`, `masks`, `truth` as in `studio_stone`.
+
+mod data;
+
+use data::Set;
+use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, run};
+use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
+use rilievo_scene::{LightKind, Scale, ScaleSource, Silent, SphereRequest, Unit};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let folder = arguments.first().ok_or("give the folder of a set")?;
+    let has = |word: &str| arguments.iter().any(|a| a == word);
+    let mut set = Set::load(std::path::Path::new(folder), has("linear"))?;
+    let request = SphereRequest {
+        radius: Some(set.radius),
+        light: if has("camera") {
+            LightKind::Camera
+        } else {
+            LightKind::World
+        },
+        marks: if has("marks") {
+            set.marks.clone()
+        } else {
+            Vec::new()
+        },
+        detect: !has("marks"),
+        calibration: if has("calibration") {
+            set.calibration.clone()
+        } else {
+            Vec::new()
+        },
+        ..SphereRequest::default()
+    };
+    // The world shrunk by an arbitrary factor, as poses without scale are.
+    let shrink = if has("metric") { 1.0 } else { 0.37 };
+    for view in &mut set.posed.views {
+        view.cam_from_world.translation *= shrink;
+    }
+    let scale = if has("metric") {
+        WorldScale::Metric
+    } else {
+        WorldScale::Free
+    };
+    let options = SphereOptions::default();
+    let start = std::time::Instant::now();
+    let fit = locate_request(&set.photos, &set.posed.views, &request, scale, &options)?;
+    println!("located in {:.2} s", start.elapsed().as_secs_f64());
+    let mut sphere = fit.sphere.clone();
+    for view in &mut set.posed.views {
+        view.cam_from_world.translation /= shrink;
+    }
+    let to_metres = fit.metres_per_unit;
+    let error: f64 = (0..3)
+        .map(|k| (sphere.center_in_world[k] * to_metres - set.center[k]).powi(2))
+        .sum::<f64>()
+        .sqrt();
+    // The error of the centre in the true world, scale apart.
+    let place: f64 = (0..3)
+        .map(|k| (sphere.center_in_world[k] / shrink - set.center[k]).powi(2))
+        .sum::<f64>()
+        .sqrt();
+    println!(
+        "seen in {} of {}; centre off by {:.3} mm ({:.3} mm by its own scale), sigma {:.3} mm; \
+         scale off by {:+.3} %, sigma {:.3} %; radius ratio {:?}",
+        sphere.seen_in.len(),
+        set.posed.views.len(),
+        1e3 * place,
+        1e3 * error,
+        1e3 * sphere
+            .center_sigma
+            .iter()
+            .map(|s| s * s)
+            .sum::<f64>()
+            .sqrt()
+            / shrink,
+        100.0 * (to_metres * shrink - 1.0),
+        100.0 * fit.relative_sigma,
+        fit.radius_ratio,
+    );
+    for k in 0..3 {
+        sphere.center_in_world[k] /= shrink;
+    }
+    sphere.radius /= shrink;
+    for agreement in &fit.views {
+        let view = set
+            .posed
+            .views
+            .iter()
+            .find(|v| v.photo == agreement.photo)
+            .ok_or("view")?;
+        let in_camera = SphereInCamera {
+            center: view
+                .cam_from_world
+                .apply(&nalgebra::Point3::from(sphere.center_in_world)),
+            radius: sphere.radius,
+        };
+        println!(
+            "  {} used {} rms {:.2} px bias {:+.2} px inliers {:.2} IoU {:.3} {}",
+            view.name,
+            agreement.used,
+            agreement.rms_px,
+            agreement.bias_px,
+            agreement.inlier_share,
+            set.overlap(agreement.photo, &in_camera, &view.intrinsics),
+            agreement.reason.clone().unwrap_or_default()
+        );
+    }
+    set.posed.sphere = Some(sphere);
+    set.posed.scale = Scale {
+        unit: Unit::Metre,
+        source: ScaleSource::Sphere,
+        relative_sigma: Some(fit.relative_sigma),
+    };
+    let options = LightingOptions::default();
+    let start = std::time::Instant::now();
+    let (calibration, report) = run(
+        &set.photos,
+        &set.posed,
+        &LightingRequest::Sphere(request),
+        &options,
+        &Silent,
+    )?;
+    println!(
+        "light in {:.2} s from {:?}",
+        start.elapsed().as_secs_f64(),
+        report.source
+    );
+    for channel in &report.channels {
+        println!("  {channel:?}");
+    }
+    println!(
+        "  {:?}\n  gains applied {}",
+        report.kind_check, report.gains_applied
+    );
+    let surface = check_on_surface(
+        &set.photos,
+        &set.posed,
+        &calibration,
+        &set.true_shape()?,
+        &options,
+        &Silent,
+    )?;
+    for (view, facts) in calibration.views.iter().zip(&report.views) {
+        println!(
+            "  {} pixels {} clipped {:.2} hidden {:.2} residual {:?} gain {:.3?} ± {:.4?} true {:.3?} \
+             | on true normals {:.1} %{}",
+            facts.name,
+            facts.num_pixels,
+            facts.clipped_share,
+            facts.hidden_share,
+            view.residual.map(|r| (1000.0 * r).round() / 1000.0),
+            facts.gain,
+            facts.gain_sigma,
+            set.true_gain(view.view.0),
+            100.0 * set.residual_on_truth(view.view.0, &view.lighting)?,
+            facts
+                .left_out
+                .clone()
+                .map(|r| format!(" LEFT OUT: {r}"))
+                .unwrap_or_default()
+        );
+    }
+    for view in &surface.views {
+        println!("  {view:?}");
+    }
+    for line in report.warnings.iter().chain(&surface.advice) {
+        println!("  ! {line}");
+    }
+    Ok(())
+}

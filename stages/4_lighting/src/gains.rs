@@ -1,0 +1,80 @@
+//! Exposure and white balance of the photos, from the sphere.
+//!
+//! Under a resting light every point of the sphere has one brightness. What differs between photos
+//! at equal normals in the world is a gain per photo and channel; one factor common to all photos
+//! stays undetermined (it is part of the albedo) and is set so that the gains' geometric mean is 1.
+//! Under a light fixed to the camera the light may differ from photo to photo as well, and gain and
+//! light cannot be told apart; nor does it matter, as each photo has its own lighting.
+
+use crate::cells::{CellMean, TwoWay, cell_means, two_way};
+use crate::options::GainMode;
+use crate::samples::SphereSamples;
+use nalgebra::UnitQuaternion;
+use rilievo_photometry::harmonics::LightingFit;
+
+/// Gains of all views.
+#[derive(Clone, Debug)]
+pub(crate) struct Gains {
+    /// Per view and channel.
+    pub gain: Vec<Vec<f64>>,
+    /// Relative standard deviation per view, the worst channel; `None` where it cannot be told.
+    pub sigma: Vec<Option<f64>>,
+    /// Whether they differ from 1 by more than their uncertainty (or were asked for always).
+    pub apply: bool,
+}
+
+/// Differences of exposure below this are left alone: no photo's light is known better.
+const SMALLEST_GAIN: f64 = 0.01;
+
+/// Finds them. `world_from_cam` per view; `environment` in the world, where one is known already,
+/// takes the light's slope within a cell out of the comparison.
+pub(crate) fn find(
+    samples: &[SphereSamples],
+    world_from_cam: &[UnitQuaternion<f64>],
+    environment: Option<&LightingFit>,
+    mode: GainMode,
+) -> Gains {
+    let num_views = samples.len();
+    let num_channels = samples
+        .iter()
+        .find_map(|s| s.values.first().map(Vec::len))
+        .unwrap_or(1);
+    let mut gains = Gains {
+        gain: vec![vec![1.0; num_channels]; num_views],
+        sigma: vec![None; num_views],
+        apply: false,
+    };
+    if mode == GainMode::Off {
+        return gains;
+    }
+    for channel in 0..num_channels {
+        let mut means: Vec<CellMean> = Vec::new();
+        for (view, (sample, rotation)) in samples.iter().zip(world_from_cam).enumerate() {
+            let ratios = (0..sample.normals.len())
+                .filter(|&k| sample.usable[k][channel])
+                .map(|k| {
+                    let normal = rotation * sample.normals[k];
+                    let predicted = environment
+                        .map_or(1.0, |e| e.channels[channel].coefficients.evaluate(&normal));
+                    (normal, sample.values[k][channel] / predicted.max(1e-6))
+                });
+            means.extend(cell_means(view, ratios));
+        }
+        let TwoWay { ln_gain, sigma, .. } = two_way(num_views, &means, true);
+        for view in 0..num_views {
+            gains.gain[view][channel] = ln_gain[view].exp();
+            let worst = match (gains.sigma[view], sigma[view]) {
+                (Some(a), Some(b)) => Some(f64::max(a, b)),
+                (a, b) if channel == 0 => a.or(b),
+                _ => None,
+            };
+            gains.sigma[view] = worst;
+        }
+    }
+    let differs = gains.gain.iter().zip(&gains.sigma).any(|(gain, sigma)| {
+        let threshold = sigma.map_or(f64::INFINITY, |s| (3.0 * s).max(SMALLEST_GAIN));
+        gain.iter().any(|g| g.ln().abs() > threshold)
+    });
+    gains.apply = mode == GainMode::Always || differs;
+    gains
+}

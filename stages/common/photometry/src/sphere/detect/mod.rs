@@ -1,0 +1,289 @@
+//! Finding the sphere without marks.
+//!
+//! # Steps
+//! 1. In each photo: edges, circle votes, and candidates whose outline and shading a sphere
+//!    explains.
+//! 2. Between posed photos: every pair of candidates proposes a centre and a radius in the world;
+//!    the proposal that the candidates of most photos agree with is the sphere. Things that look
+//!    round in one photo do not stay a sphere of one size in one place.
+//! 3. The fit of [`super::locate`], refined on the edges of all photos; then support and shading
+//!    are checked once more where the common sphere is predicted.
+//!
+//! A single photo is searched by step 1 alone, with a stricter threshold.
+
+mod edges;
+mod verify;
+mod votes;
+
+use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
+use super::request::{PosedImage, refine_in_views};
+use super::{OutlineCone, SphereError, SphereInCamera, SphereOptions};
+use nalgebra::{Matrix3, Point3};
+use rayon::prelude::*;
+use rilievo_scene::{Intrinsics, LinearImage};
+use verify::{Candidate, Photo, shading_residual};
+
+/// Circles that are looked at more closely per photo.
+const MAX_CIRCLES: usize = 60;
+/// Candidates kept per photo.
+const MAX_CANDIDATES: usize = 8;
+
+fn candidates(photo: &Photo, options: &SphereOptions) -> Vec<Candidate> {
+    let edges = edges::find_edges(photo.image);
+    let longer = photo.image.width.max(photo.image.height) as f64;
+    let range = [
+        options.min_radius_share * longer,
+        options.max_radius_share * longer,
+    ];
+    let mut found: Vec<Candidate> = votes::circles(&edges, range, MAX_CIRCLES)
+        .iter()
+        .filter_map(|circle| verify::verify(photo, circle, options))
+        .filter(|candidate| candidate.shading < 2.0 * options.max_shading_residual)
+        .collect();
+    found.sort_by(|a, b| b.score(options).total_cmp(&a.score(options)));
+    let mut kept: Vec<Candidate> = Vec::new();
+    for candidate in found {
+        let known = kept.iter().any(|other| {
+            other.cone.axis.dot(&candidate.cone.axis) > (0.1 * other.cone.half_angle).cos()
+        });
+        if !known && kept.len() < MAX_CANDIDATES {
+            kept.push(candidate);
+        }
+    }
+    kept
+}
+
+/// Score of a candidate that one photo alone is believed.
+const SINGLE_PHOTO_SCORE: f64 = 0.55;
+
+/// Finds the sphere in one photo (a calibration photo, or photos without poses).
+///
+/// # Errors
+/// [`SphereError::NotFound`].
+pub fn detect_in_photo(
+    image: &LinearImage,
+    intrinsics: &Intrinsics,
+    clip_level: f32,
+    options: &SphereOptions,
+) -> Result<OutlineCone, SphereError> {
+    options.validate()?;
+    let photo = Photo {
+        image,
+        intrinsics,
+        object: None,
+        clip_level,
+    };
+    match candidates(&photo, options).first() {
+        Some(best) if best.score(options) >= SINGLE_PHOTO_SCORE => Ok(best.cone),
+        Some(best) => Err(SphereError::NotFound {
+            why: format!(
+                "the best candidate has {:.0} % of its outline on an edge and leaves {:.1} % of \
+                 its shading unexplained; mark the sphere by hand",
+                100.0 * best.support,
+                100.0 * best.shading
+            ),
+        }),
+        None => Err(SphereError::NotFound {
+            why: "no round outline with the shading of a sphere; mark it by hand".to_owned(),
+        }),
+    }
+}
+
+/// Finds the sphere in posed photos.
+///
+/// `radius` in metres; in a metric world the sphere must have it to 10 %.
+///
+/// # Errors
+/// [`SphereError::NotFound`], and those of [`locate`].
+pub fn detect(
+    images: &[PosedImage],
+    radius: f64,
+    scale: WorldScale,
+    options: &SphereOptions,
+) -> Result<SphereFit, SphereError> {
+    options.validate()?;
+    let found: Vec<Vec<Candidate>> = images
+        .par_iter()
+        .map(|view| candidates(&as_photo(view), options))
+        .collect();
+    let num_with = found.iter().filter(|list| !list.is_empty()).count();
+    let best = best_proposal(images, &found, radius, scale, options);
+    let Some((_, agreeing)) = best else {
+        return Err(SphereError::NotFound {
+            why: format!(
+                "{num_with} of {} photos have a round outline with the shading of a sphere, but no \
+                 two of them agree on one place and size; mark it in two photos",
+                images.len()
+            ),
+        });
+    };
+    let outlines: Vec<PosedOutline> = agreeing
+        .iter()
+        .map(|&(view, candidate)| PosedOutline {
+            photo: images[view].photo,
+            intrinsics: images[view].intrinsics,
+            cam_from_world: images[view].cam_from_world,
+            outline: found[view][candidate].outline.clone(),
+        })
+        .collect();
+    let first = locate(&outlines, radius, scale, options)?;
+    let fit = refine_in_views(images, first, radius, scale, options);
+    confirm(images, fit, options)
+}
+
+fn as_photo(view: &PosedImage) -> Photo<'_> {
+    Photo {
+        image: &view.image,
+        intrinsics: &view.intrinsics,
+        object: view.object.as_deref(),
+        clip_level: view.clip_level,
+    }
+}
+
+/// A proposal in the world, with the `(view, candidate)` pairs that agree with it.
+type Proposal = ((Point3<f64>, f64), Vec<(usize, usize)>);
+
+/// Deviation of centre and radius, in radii, within which a candidate agrees with a proposal.
+const AGREEMENT: f64 = 0.12;
+
+fn best_proposal(
+    images: &[PosedImage],
+    found: &[Vec<Candidate>],
+    radius: f64,
+    scale: WorldScale,
+    options: &SphereOptions,
+) -> Option<Proposal> {
+    let mut best: Option<(f64, Proposal)> = None;
+    for first in 0..images.len() {
+        for second in first + 1..images.len() {
+            for a in &found[first] {
+                for b in &found[second] {
+                    let Some(sphere) = pair(&images[first], a, &images[second], b) else {
+                        continue;
+                    };
+                    if scale == WorldScale::Metric && (sphere.1 / radius - 1.0).abs() > 0.1 {
+                        continue;
+                    }
+                    let agreeing = agreeing_candidates(images, found, &sphere, options);
+                    let score: f64 = agreeing
+                        .iter()
+                        .map(|&(view, k)| found[view][k].score(options))
+                        .sum();
+                    if agreeing.len() >= 2 && best.as_ref().is_none_or(|(s, _)| score > *s) {
+                        best = Some((score, (sphere, agreeing)));
+                    }
+                }
+            }
+        }
+    }
+    best.map(|(_, proposal)| proposal)
+}
+
+/// Nearest point of two candidates' axes and the radius there; `None` where they disagree.
+fn pair(
+    view_a: &PosedImage,
+    a: &Candidate,
+    view_b: &PosedImage,
+    b: &Candidate,
+) -> Option<(Point3<f64>, f64)> {
+    let axis_a = view_a.cam_from_world.rotation.inverse() * a.cone.axis;
+    let axis_b = view_b.cam_from_world.rotation.inverse() * b.cone.axis;
+    // Below two degrees the depth of the crossing is guesswork.
+    if axis_a.cross(&axis_b).norm() < 0.035 {
+        return None;
+    }
+    let (eye_a, eye_b) = (
+        view_a.cam_from_world.center_in_source(),
+        view_b.cam_from_world.center_in_source(),
+    );
+    let across = |d: &nalgebra::Vector3<f64>| Matrix3::identity() - d * d.transpose();
+    let (pa, pb) = (across(&axis_a), across(&axis_b));
+    let center = Point3::from((pa + pb).try_inverse()? * (pa * eye_a.coords + pb * eye_b.coords));
+    let radius_a = (center - eye_a).norm() * a.cone.half_angle.sin();
+    let radius_b = (center - eye_b).norm() * b.cone.half_angle.sin();
+    let radius = 0.5 * (radius_a + radius_b);
+    let gap = (pa * (center - eye_a)).norm() + (pb * (center - eye_b)).norm();
+    let in_front = view_a.cam_from_world.apply(&center).z > radius
+        && view_b.cam_from_world.apply(&center).z > radius;
+    (in_front
+        && gap < 2.0 * AGREEMENT * radius
+        && (radius_a / radius_b - 1.0).abs() < 2.0 * AGREEMENT)
+        .then_some((center, radius))
+}
+
+fn agreeing_candidates(
+    images: &[PosedImage],
+    found: &[Vec<Candidate>],
+    sphere: &(Point3<f64>, f64),
+    options: &SphereOptions,
+) -> Vec<(usize, usize)> {
+    let mut agreeing = Vec::new();
+    for (view, image) in images.iter().enumerate() {
+        let in_camera = SphereInCamera {
+            center: image.cam_from_world.apply(&sphere.0),
+            radius: sphere.1,
+        };
+        let Some(cone) = in_camera.cone() else {
+            continue;
+        };
+        let best = found[view]
+            .iter()
+            .enumerate()
+            .filter(|(_, candidate)| {
+                let off = candidate.cone.axis.angle(&cone.axis) / cone.half_angle;
+                let larger = (candidate.cone.half_angle / cone.half_angle - 1.0).abs();
+                off < AGREEMENT && larger < AGREEMENT
+            })
+            .max_by(|a, b| a.1.score(options).total_cmp(&b.1.score(options)));
+        agreeing.extend(best.map(|(k, _)| (view, k)));
+    }
+    agreeing
+}
+
+/// The common sphere must be seen where it is predicted, and shaded as a sphere, in most of the
+/// photos that should show it.
+fn confirm(
+    images: &[PosedImage],
+    fit: SphereFit,
+    options: &SphereOptions,
+) -> Result<SphereFit, SphereError> {
+    let mut shading: Vec<f64> = Vec::new();
+    let mut num_expected = 0;
+    for view in images {
+        let in_camera = view.sphere(&fit.sphere);
+        let Some(cone) = in_camera.cone() else {
+            continue;
+        };
+        let inside = view.intrinsics.project(&in_camera.center).is_some_and(|p| {
+            let (x, y) = (p.x.round() as isize, p.y.round() as isize);
+            x >= 0
+                && y >= 0
+                && (x as usize) < view.intrinsics.width
+                && (y as usize) < view.intrinsics.height
+                && !view.object.as_ref().is_some_and(|mask| mask.contains(x, y))
+        });
+        if inside {
+            num_expected += 1;
+        }
+        if fit
+            .sphere
+            .seen_in
+            .iter()
+            .any(|(photo, _)| *photo == view.photo)
+        {
+            shading.extend(shading_residual(&as_photo(view), &cone));
+        }
+    }
+    let num_seen = fit.sphere.seen_in.len();
+    let residual = crate::robust::quantile(&mut shading, 0.5).unwrap_or(f64::INFINITY);
+    if num_seen < 2 || 2 * num_seen < num_expected || residual > options.max_shading_residual {
+        return Err(SphereError::NotFound {
+            why: format!(
+                "the best candidate is seen in {num_seen} of the {num_expected} photos that should \
+                 show it, and leaves {:.1} % of its shading unexplained; mark it in two photos",
+                100.0 * residual
+            ),
+        });
+    }
+    Ok(fit)
+}

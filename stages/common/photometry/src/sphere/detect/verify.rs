@@ -1,0 +1,137 @@
+//! A candidate against what only a sphere shows.
+//!
+//! 1. Outline: the edge follows one cone around most of the visible outline.
+//! 2. Shading: nine harmonics over the exact normals of that cone explain the pixels inside it.
+//!    Flat things, faces and textured patches leave several times the residual of a sphere.
+
+use super::votes::Circle;
+use crate::harmonics::{FitOptions, fit_robust};
+use crate::sphere::{
+    OutlineCone, SphereOptions, cone_from_points, outline_of_mark, refine_outline,
+};
+use nalgebra::{Point2, Vector3};
+use rilievo_scene::{Intrinsics, LinearImage, Mask, SphereMark};
+
+/// A verified candidate in one photo.
+#[derive(Clone, Debug)]
+pub(super) struct Candidate {
+    pub cone: OutlineCone,
+    pub outline: Vec<Point2<f64>>,
+    /// Share of the searched outline that lies on the cone.
+    pub support: f64,
+    /// Share of the outline inside the frame and not hidden by the object.
+    pub visible: f64,
+    /// Relative residual of nine harmonics.
+    pub shading: f64,
+}
+
+impl Candidate {
+    /// Higher is better; both terms lie between 0 and about 1.
+    pub fn score(&self, options: &SphereOptions) -> f64 {
+        self.support
+            * self.visible.sqrt()
+            * (1.0 - 0.5 * (self.shading / options.max_shading_residual).min(2.0))
+    }
+}
+
+/// A photo that is searched.
+pub(super) struct Photo<'a> {
+    pub image: &'a LinearImage,
+    pub intrinsics: &'a Intrinsics,
+    pub object: Option<&'a Mask>,
+    pub clip_level: f32,
+}
+
+/// Refines a circle to a cone and measures it; `None` where no edge follows it.
+pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) -> Option<Candidate> {
+    let mark = SphereMark::Circle {
+        center_px: circle.center,
+        radius_px: circle.radius,
+    };
+    let start = cone_from_points(&outline_of_mark(&mark), photo.intrinsics, options).ok()?;
+    let loose = SphereOptions {
+        min_inlier_share: 0.3,
+        ..options.clone()
+    };
+    let mut cone = start.cone;
+    let mut best = None;
+    // From the tenth of the radius that voting leaves open down to the width of the edge.
+    for search_px in [
+        (0.12 * circle.radius).max(4.0),
+        (0.06 * circle.radius).max(3.0),
+        3.0,
+        2.0,
+    ] {
+        let found = refine_outline(
+            photo.image,
+            photo.intrinsics,
+            &cone.sphere(1.0),
+            search_px,
+            photo.object,
+        );
+        if found.visible_share() < 0.3 {
+            return None;
+        }
+        let fit = cone_from_points(&found.points, photo.intrinsics, &loose).ok()?;
+        cone = fit.cone;
+        let support = fit.inliers.len() as f64 / found.num_searched.max(1) as f64;
+        best = Some((fit, support, found.visible_share()));
+    }
+    let (fit, support, visible) = best?;
+    if support < options.min_edge_support {
+        return None;
+    }
+    let shading = shading_residual(photo, &cone)?;
+    Some(Candidate {
+        cone,
+        outline: fit.inliers,
+        support,
+        visible,
+        shading,
+    })
+}
+
+/// Share of samples that may be shadowed, dirty or hidden without counting against a candidate.
+const TOLERATED: f64 = 0.1;
+
+/// Relative residual of nine harmonics over the exact normals of a cone, root mean square over all
+/// but the worst tenth of its pixels; `None` with too few unclipped pixels.
+pub(in crate::sphere) fn shading_residual(photo: &Photo, cone: &OutlineCone) -> Option<f64> {
+    let sphere = cone.sphere(1.0);
+    let radius_px = sphere.radius_px(photo.intrinsics);
+    let pixels = sphere.pixels(photo.intrinsics, 2.0_f64.min(0.2 * radius_px));
+    // A few thousand pixels tell as much as all.
+    let stride = pixels.len().div_ceil(3000).max(1);
+    let (mut normals, mut values): (Vec<Vector3<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
+    for pixel in pixels.iter().step_by(stride) {
+        let hidden = photo
+            .object
+            .is_some_and(|mask| mask.contains(pixel.x as isize, pixel.y as isize));
+        let channels = photo.image.pixel(pixel.x, pixel.y);
+        let clipped = channels.iter().any(|&v| v >= 0.97 * photo.clip_level);
+        if hidden || clipped || pixel.cos_view < 0.1 {
+            continue;
+        }
+        normals.push(pixel.normal_in_cam);
+        values.push(f64::from(channels.iter().sum::<f32>()) / channels.len() as f64);
+    }
+    if normals.len() < 80 {
+        return None;
+    }
+    let options = FitOptions {
+        start_left_out: 0.0,
+        max_condition: f64::INFINITY,
+        ..FitOptions::default()
+    };
+    let fit = fit_robust(&normals, &values, None, &options).ok()?;
+    let mut residuals: Vec<f64> = normals
+        .iter()
+        .zip(&values)
+        .map(|(n, v)| (fit.coefficients.evaluate(n) - v).powi(2))
+        .collect();
+    residuals.sort_by(f64::total_cmp);
+    let kept = ((1.0 - TOLERATED) * residuals.len() as f64) as usize;
+    let size: f64 = values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64;
+    let square = residuals[..kept].iter().sum::<f64>() / kept.max(1) as f64;
+    (size > 0.0).then(|| (square / size).sqrt())
+}
