@@ -1,1 +1,29 @@
-fn main() {}
+//! `rilievo`: photographs of a plain, matte object to an accurate, finely detailed 3D model.
+//!
+//! The program knows files, flags and the terminal; the stages in `stages/` are functions from data
+//! to data. See ARCHITECTURE.md for how data flow.
+
+mod cli;
+mod commands;
+mod config;
+mod exit;
+mod interrupt;
+mod observe;
+mod pipeline;
+mod report;
+mod store;
+
+use clap::Parser;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let cli = cli::Cli::parse();
+    interrupt::listen();
+    match commands::dispatch(cli.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(exit::code_of(&error))
+        }
+    }
+}

@@ -1,0 +1,367 @@
+//! The command line, as other tools call it.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use rilievo_scene::StageId;
+use std::path::PathBuf;
+
+/// Photographs of a plain, matte object to an accurate, finely detailed 3D model, by shading.
+#[derive(Debug, Parser)]
+#[command(version, max_term_width = 100, after_help = EXIT_CODES)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+const EXIT_CODES: &str = "Exit codes: 0 done, 1 unexpected error, 2 wrong usage, 3 input that cannot \
+be used, 4 the data do not allow a result, 5 run directory in use, damaged or of another version, \
+6 reading or writing failed, 130 interrupted (the same command goes on).";
+
+/// The commands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// A synthetic scene, photographed, reconstructed and measured: about a minute
+    Demo(DemoArgs),
+    /// Photographs to depth maps, a point cloud and a mesh
+    Reconstruct(Box<ReconstructArgs>),
+    /// One stage of a run again, with what the run directory says
+    Run(RunArgs),
+    /// Which stages of a run are valid, stale (and why) or missing
+    Status(StatusArgs),
+    /// Why a stage would be redone or kept
+    Why(StageArgs),
+    /// Deletes the results of a stage
+    Clean(StageArgs),
+    /// Shape from shading alone: one view, or several coupled; refinement of a measured depth
+    Shade(Box<ShadeArgs>),
+    /// Accuracy of a run against ground truth
+    Evaluate(EvaluateArgs),
+    /// A synthetic photo folder with ground truth
+    Synth(SynthArgs),
+}
+
+/// `rilievo demo`
+#[derive(Debug, Args)]
+pub struct DemoArgs {
+    /// Folder for photos, truth and the run
+    #[arg(short, long, value_name = "DIR", default_value = "demo")]
+    pub output: PathBuf,
+    /// Another seed is another object
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    #[command(flatten)]
+    pub work: WorkArgs,
+}
+
+/// How to work, without any effect on results.
+#[derive(Clone, Debug, Args)]
+pub struct WorkArgs {
+    /// Number of threads; all cores by default. Results do not depend on it
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub threads: Option<u16>,
+    /// Memory to stay within, as 4G or 800M; half of the free memory by default
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    pub memory: Option<u64>,
+    /// One JSON object a line on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `rilievo reconstruct`
+#[derive(Debug, Args)]
+pub struct ReconstructArgs {
+    /// A folder of photos, or any number of files
+    #[arg(required = true, value_name = "PHOTOS")]
+    pub photos: Vec<PathBuf>,
+    /// Run directory: results, and what is needed to go on from there
+    #[arg(short, long, value_name = "RUN")]
+    pub output: PathBuf,
+    /// Folder of object masks (white on black), named as the photos
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// Cameras: cameras.json, or the folder of a COLMAP model
+    #[arg(long, value_name = "FILE|COLMAP_DIR")]
+    pub cameras: Option<PathBuf>,
+    /// Reference sphere: its file, `auto` to find it, or `none`
+    #[arg(long, value_name = "FILE|auto|none", default_value = "none")]
+    pub sphere: PathBuf,
+    /// Radius of the reference sphere
+    #[arg(long, value_name = "METRES")]
+    pub sphere_radius: Option<f64>,
+    /// Known lighting; NAME picks one of several in the file
+    #[arg(long, value_name = "FILE[:NAME]", conflicts_with = "lighting_shape")]
+    pub lighting: Option<String>,
+    /// Fit the lighting on known depth maps, DIR/NAME_depth.exr
+    #[arg(long, value_name = "DIR")]
+    pub lighting_shape: Option<PathBuf>,
+    /// What explains the photos: photo (visibility and the photos' agreement) or paper
+    #[arg(long, value_name = "MODEL")]
+    pub model: Option<Model>,
+    /// How depth anchors are found
+    #[arg(long, value_name = "MODE")]
+    pub anchors: Option<Anchors>,
+    /// How samples relate to light
+    #[arg(long, value_name = "ENCODING")]
+    pub encoding: Option<Encoding>,
+    /// Options of the stages, as TOML
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Redo from this stage on, valid or not
+    #[arg(long, value_name = "STAGE", value_parser = parse_stage)]
+    pub from: Option<StageId>,
+    /// Stop after this stage
+    #[arg(long, value_name = "STAGE", value_parser = parse_stage)]
+    pub until: Option<StageId>,
+    #[command(flatten)]
+    pub work: WorkArgs,
+}
+
+/// `--model`
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Model {
+    /// Shading with visibility, and the photos' agreement with each other
+    Photo,
+    /// Distant harmonics and depth anchors only
+    Paper,
+}
+
+/// `--anchors`
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Anchors {
+    /// Grown over the surface from refined matches
+    Grown,
+    /// Matched along epipolar lines and refined
+    Guided,
+    /// Keypoint tracks alone
+    Sift,
+}
+
+/// `--encoding`
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Encoding {
+    /// By format and metadata
+    Auto,
+    /// The sRGB curve
+    Srgb,
+    /// Proportional to light
+    Linear,
+}
+
+/// `rilievo run`
+#[derive(Debug, Args)]
+pub struct RunArgs {
+    /// The stage: 5_shading, 5 or shading
+    #[arg(value_parser = parse_stage)]
+    pub stage: StageId,
+    /// The run directory
+    pub run: PathBuf,
+    #[command(flatten)]
+    pub work: WorkArgs,
+}
+
+/// `rilievo status`
+#[derive(Debug, Args)]
+pub struct StatusArgs {
+    /// The run directory
+    pub run: PathBuf,
+    /// As JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `rilievo why`, `rilievo clean`
+#[derive(Debug, Args)]
+pub struct StageArgs {
+    /// The run directory
+    pub run: PathBuf,
+    /// The stage: 5_shading, 5 or shading
+    #[arg(value_parser = parse_stage)]
+    pub stage: StageId,
+}
+
+/// `rilievo shade`
+#[derive(Debug, Args)]
+pub struct ShadeArgs {
+    /// Several views to be solved together
+    #[arg(value_name = "SCENE.json", required_unless_present = "image")]
+    pub scene: Option<PathBuf>,
+    /// Image of a single view
+    #[arg(long, value_name = "F", conflicts_with = "scene", requires = "camera")]
+    pub image: Option<PathBuf>,
+    /// Its mask; the whole frame by default
+    #[arg(long, value_name = "F", conflicts_with = "scene")]
+    pub mask: Option<PathBuf>,
+    /// Its camera
+    #[arg(long, value_name = "F", conflicts_with = "scene")]
+    pub camera: Option<PathBuf>,
+    /// Lighting; fitted on the initial or prior shape by default
+    #[arg(long, value_name = "FILE[:NAME]")]
+    pub lighting: Option<String>,
+    /// Start: a depth map, a plane, or the matches
+    #[arg(long, value_name = "DEPTH.exr|plane|anchors")]
+    pub init: Option<String>,
+    /// Measured depth that is to be refined
+    #[arg(long, value_name = "DEPTH.exr", conflicts_with = "scene")]
+    pub prior: Option<PathBuf>,
+    /// Weight of the prior: squared difference of log depths against squared intensities
+    #[arg(long, value_name = "W", default_value_t = 500.0)]
+    pub prior_weight: f64,
+    /// Weight of the surface's area; 0 by default
+    #[arg(long, value_name = "W")]
+    pub area_weight: Option<f64>,
+    /// How slopes and depth are separated: full, or as in the paper
+    #[arg(long, value_name = "SPLITTING")]
+    pub splitting: Option<Splitting>,
+    /// Order of the harmonics
+    #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2))]
+    pub order: Option<u8>,
+    /// How a pixel's ray is modelled
+    #[arg(long, value_name = "PROJECTION")]
+    pub projection: Option<Projection>,
+    /// How samples relate to light
+    #[arg(long, value_name = "ENCODING")]
+    pub encoding: Option<Encoding>,
+    /// Options, as TOML (tables [photos], [shading] and [lighting])
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Folder for the results
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub work: WorkArgs,
+}
+
+/// `--splitting`
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Splitting {
+    /// The whole shading term on the slopes
+    Full,
+    /// Frozen linearisation, as in the paper
+    Paper,
+}
+
+/// `--projection`
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Projection {
+    /// Pinhole
+    Perspective,
+    /// Parallel rays
+    Orthographic,
+}
+
+/// `rilievo evaluate`
+#[derive(Debug, Args)]
+pub struct EvaluateArgs {
+    /// The run directory
+    pub run: PathBuf,
+    /// Folder with cameras.json, NAME_depth.exr, NAME_normal.exr, mesh.ply
+    #[arg(long, value_name = "DIR")]
+    pub truth: PathBuf,
+    /// How the frames are brought together before comparing
+    #[arg(long, value_name = "ALIGNMENT", default_value = "auto")]
+    pub align: Align,
+    /// As JSON on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `--align`
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Align {
+    /// None where the cameras stand in the truth's frame already, else a similarity; it is said
+    Auto,
+    /// None
+    None,
+    /// Rotation and translation
+    Se3,
+    /// Rotation, translation and scale
+    Sim3,
+}
+
+/// `rilievo synth`
+#[derive(Debug, Args)]
+pub struct SynthArgs {
+    /// Folder to write: photos, masks, sphere masks, truth
+    pub output: PathBuf,
+    /// Number of photos
+    #[arg(long, value_name = "N", default_value_t = 6)]
+    pub views: usize,
+    /// Size of the photos
+    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = parse_dimensions)]
+    pub size: (usize, usize),
+    /// Another seed is another object
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Options of scene and photographs, as TOML (tables [scene] and [photographs])
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// One JSON object a line on stdout
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// `5_shading`, `5` or `shading`.
+fn parse_stage(text: &str) -> Result<StageId, String> {
+    StageId::ALL
+        .into_iter()
+        .find(|stage| {
+            let name = stage.name();
+            name == text || name.get(..1) == Some(text) || name.get(2..) == Some(text)
+        })
+        .ok_or_else(|| {
+            let names: Vec<_> = StageId::ALL.iter().map(|stage| stage.name()).collect();
+            format!("stages are {}", names.join(", "))
+        })
+}
+
+/// `800M`, `4G`, or a number of bytes.
+fn parse_size(text: &str) -> Result<u64, String> {
+    let trimmed = text
+        .trim()
+        .trim_end_matches(['b', 'B'])
+        .trim_end_matches('i');
+    let (number, factor) = match trimmed.char_indices().last() {
+        Some((at, 'k' | 'K')) => (&trimmed[..at], 1 << 10),
+        Some((at, 'm' | 'M')) => (&trimmed[..at], 1 << 20),
+        Some((at, 'g' | 'G')) => (&trimmed[..at], 1 << 30),
+        Some((at, 't' | 'T')) => (&trimmed[..at], 1u64 << 40),
+        _ => (trimmed, 1),
+    };
+    match number.trim().parse::<f64>() {
+        Ok(value) if value.is_finite() && value * factor as f64 >= 1.0 => {
+            Ok((value * factor as f64) as u64)
+        }
+        _ => Err("a size looks like 800M or 4G".to_owned()),
+    }
+}
+
+/// `640x480`
+fn parse_dimensions(text: &str) -> Result<(usize, usize), String> {
+    text.split_once(['x', 'X'])
+        .and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)))
+        .ok_or_else(|| "a size looks like 640x480".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_definition_is_consistent() {
+        <Cli as clap::CommandFactory>::command().debug_assert();
+    }
+
+    #[test]
+    fn stages_sizes_and_dimensions_are_understood() {
+        assert_eq!(parse_stage("3_poses"), Ok(StageId::Poses));
+        assert_eq!(parse_stage("5"), Ok(StageId::Shading));
+        assert_eq!(parse_stage("fusion"), Ok(StageId::Fusion));
+        assert!(parse_stage("7").is_err());
+        assert_eq!(parse_size("2G"), Ok(2 << 30));
+        assert_eq!(parse_size("1.5GiB"), Ok(3 << 29));
+        assert_eq!(parse_size("800m"), Ok(800 << 20));
+        assert!(parse_size("much").is_err() && parse_size("-1G").is_err());
+        assert_eq!(parse_dimensions("640x480"), Ok((640, 480)));
+        assert!(parse_dimensions("640").is_err());
+    }
+}

@@ -1,0 +1,60 @@
+//! One file per command of the command line.
+
+mod clean;
+mod demo;
+mod evaluate;
+mod reconstruct;
+mod run;
+mod shade;
+mod status;
+mod synth;
+
+use crate::cli::Command;
+use crate::exit::Failure;
+use crate::observe::Console;
+use crate::pipeline::Request;
+use crate::store::{RunDir, StoreError};
+
+/// Runs the command of a command line.
+///
+/// # Errors
+/// Whatever makes the command fail; [`crate::exit::code_of`] knows its exit code.
+pub fn dispatch(command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Demo(args) => demo::demo(&args),
+        Command::Reconstruct(args) => reconstruct::reconstruct(&args),
+        Command::Run(args) => run::run(&args),
+        Command::Status(args) => status::status(&args),
+        Command::Why(args) => status::why(&args),
+        Command::Clean(args) => clean::clean(&args),
+        Command::Shade(args) => shade::shade(&args),
+        Command::Evaluate(args) => evaluate::evaluate(&args),
+        Command::Synth(args) => synth::synth(&args),
+    }
+}
+
+/// The request that a run directory was made for.
+fn stored_request(run: &RunDir) -> Result<Request, Failure> {
+    let value = run.read_run_file()?;
+    let request = value.get("request").cloned().unwrap_or_default();
+    serde_json::from_value(request).map_err(|error| {
+        StoreError::Damaged {
+            path: run.root().join("run.json"),
+            reason: error.to_string(),
+        }
+        .into()
+    })
+}
+
+/// Tells scripts how a command ended.
+fn finish(console: &Console, outcome: &anyhow::Result<()>, summary: serde_json::Value) {
+    let mut line = serde_json::json!({ "exit_code": 0 });
+    if let (Some(line), serde_json::Value::Object(summary)) = (line.as_object_mut(), summary) {
+        line.extend(summary);
+    }
+    if let Err(error) = outcome {
+        line["exit_code"] = crate::exit::code_of(error).into();
+        line["error"] = format!("{error:#}").into();
+    }
+    console.finished(&line);
+}

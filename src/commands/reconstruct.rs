@@ -1,0 +1,98 @@
+//! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
+
+use super::finish;
+use crate::cli::{ReconstructArgs, WorkArgs};
+use crate::exit::Failure;
+use crate::observe::Console;
+use crate::pipeline::{Context, Inputs, Plan, Range, Request, Resources, bring_up_to_date};
+use crate::report::{self, Outcome};
+use crate::store::{Contents, RunDir};
+use rilievo_scene::StageId;
+use std::path::Path;
+
+/// Runs the command.
+///
+/// # Errors
+/// The first failure; stages before it stay committed, and the same command goes on from there.
+pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
+    let console = Console::new(args.work.json);
+    let range = Range {
+        redo_from: args.from,
+        until: args.until.unwrap_or(StageId::Fusion),
+    };
+    let outcome = Request::from_args(args)
+        .map_err(anyhow::Error::new)
+        .and_then(|request| {
+            bring_run_up_to_date(&request, &args.output, range, &args.work, &console)
+        });
+    finish(
+        &console,
+        &outcome,
+        serde_json::json!({"run": args.output, "until": range.until}),
+    );
+    outcome
+}
+
+/// Opens or creates a run directory for a request and brings its stages up to date.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn bring_run_up_to_date(
+    request: &Request,
+    root: &Path,
+    range: Range,
+    work: &WorkArgs,
+    console: &Console,
+) -> anyhow::Result<()> {
+    if let (Some(from), until) = (range.redo_from, range.until)
+        && from > until
+    {
+        return Err(Failure::Usage(format!("--from {from} comes after --until {until}")).into());
+    }
+    let resources = Resources::new(work);
+    let run = RunDir::create_or_open(root)?;
+    // The request is written first, so that the folder is known as ours whatever follows.
+    run.write_run_file(request)?;
+    let outcome = work_in(&run, request, range, resources, console);
+    if !matches!(&outcome, Ok(false)) {
+        let told = Outcome::of(outcome.as_ref().err());
+        // A report that cannot be written must not hide why the run failed.
+        let written = report::write(&run, request, &told);
+        if outcome.is_ok() {
+            written?;
+        }
+    }
+    let redone = outcome?;
+    if redone {
+        console.note(&format!("results are in {}", root.display()));
+    } else {
+        console.note(&format!(
+            "everything in {} is up to date: nothing to do",
+            root.display()
+        ));
+    }
+    Ok(())
+}
+
+/// Brings stages up to date; tells whether anything had to be done.
+fn work_in(
+    run: &RunDir,
+    request: &Request,
+    range: Range,
+    resources: Resources,
+    console: &Console,
+) -> anyhow::Result<bool> {
+    let mut contents = Contents::load(run.root());
+    let inputs = Inputs::scan(request, &mut contents)?;
+    contents.save()?;
+    let plan = Plan::new(request, &inputs);
+    let context = Context {
+        run,
+        request,
+        inputs: &inputs,
+        resources,
+        console,
+    };
+    let redone = bring_up_to_date(&context, &plan, range)?;
+    Ok(!redone.is_empty() || !report::exists(run))
+}

@@ -1,0 +1,58 @@
+//! `rilievo run STAGE RUN`: one stage again, with what the run directory says.
+
+use super::{finish, stored_request};
+use crate::cli::RunArgs;
+use crate::exit::Failure;
+use crate::observe::Console;
+use crate::pipeline::{Context, Inputs, Plan, Resources, StageState, run_stage, upstream};
+use crate::report::{self, Outcome};
+use crate::store::{Contents, RunDir};
+
+/// Runs the command.
+///
+/// # Errors
+/// When a stage that this one reads is missing or stale, or the stage fails.
+pub fn run(args: &RunArgs) -> anyhow::Result<()> {
+    let console = Console::new(args.work.json);
+    let outcome = redo(args, &console);
+    finish(
+        &console,
+        &outcome,
+        serde_json::json!({"run": args.run, "stage": args.stage}),
+    );
+    outcome
+}
+
+fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<()> {
+    let resources = Resources::new(&args.work);
+    let run = RunDir::open(&args.run)?;
+    let request = stored_request(&run)?;
+    let mut contents = Contents::load(run.root());
+    let inputs = Inputs::scan(&request, &mut contents)?;
+    contents.save()?;
+    let plan = Plan::new(&request, &inputs);
+    for &needed in upstream(args.stage) {
+        match plan.state(&run, needed)? {
+            StageState::Valid => {}
+            state => {
+                return Err(Failure::RunDirectory(format!(
+                    "stage {} needs {needed}, which is {state}; run it first, or use \
+                     `rilievo reconstruct`",
+                    args.stage
+                ))
+                .into());
+            }
+        }
+    }
+    let context = Context {
+        run: &run,
+        request: &request,
+        inputs: &inputs,
+        resources,
+        console,
+    };
+    let outcome = run_stage(&context, &plan, args.stage, "redone as asked");
+    let written = report::write(&run, &request, &Outcome::of(outcome.as_ref().err()));
+    outcome?;
+    written
+}

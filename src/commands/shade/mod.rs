@@ -1,0 +1,139 @@
+//! `rilievo shade`: shape from shading alone, one view or several coupled (eq. 17), and refinement
+//! of a measured depth.
+//!
+//! Writes `DIR/depth/NAME.exr`, `DIR/normal/NAME.exr`, `DIR/rendered/NAME.exr` with a picture
+//! beside each, and `DIR/report.json`.
+
+mod problem;
+
+use super::finish;
+use crate::cli::{Projection, ShadeArgs, Splitting};
+use crate::config::StageOptions;
+use crate::exit::Failure;
+use crate::observe::{Console, StageNews};
+use crate::pipeline::{Resources, from_io, from_shading, write_previews};
+use crate::store::{StoreError, write_atomically};
+use rilievo_io::{write_channel, write_depth, write_linear, write_normal};
+use rilievo_scene::{ShadedView, StageId, ViewIdx};
+use rilievo_shading::{HarmonicOrder, SolvedView, StartShape};
+use std::path::Path;
+use std::time::Instant;
+
+/// Runs the command.
+///
+/// # Errors
+/// Unusable input, or a problem that the solver refuses.
+pub fn shade(args: &ShadeArgs) -> anyhow::Result<()> {
+    let console = Console::new(args.work.json);
+    let outcome = run(args, &console);
+    finish(
+        &console,
+        &outcome,
+        serde_json::json!({"folder": args.output}),
+    );
+    outcome
+}
+
+fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
+    // Sets the number of threads; shading has no memory to bound.
+    let _ = Resources::new(&args.work);
+    let options = options(args)?;
+    let problem = problem::build(args, &options, console)?;
+    std::fs::create_dir_all(&args.output).map_err(StoreError::files("create", &args.output))?;
+
+    let began = Instant::now();
+    let started = format!("solving {} view(s)", problem.problem.views.len());
+    console.stage(StageId::Shading, &StageNews::Started(started));
+    let solution = rilievo_shading::solve(&problem.problem, &options.shading, console)
+        .map_err(from_shading)?;
+    for warning in &solution.report.warnings {
+        console.warn(StageId::Shading, warning.clone());
+    }
+    for view in &solution.views {
+        write_view(&args.output, view)?;
+    }
+    let seconds = began.elapsed().as_secs_f64();
+    let report = serde_json::json!({
+        "program": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
+        "options": options.shading,
+        "lighting": problem.lighting,
+        "seconds": seconds,
+        "report": solution.report,
+    });
+    write_atomically(
+        &args.output.join("report.json"),
+        &serde_json::to_vec_pretty(&report)?,
+    )?;
+    console.stage(StageId::Shading, &StageNews::Finished(seconds));
+    for view in &solution.report.views {
+        console.note(&format!(
+            "  {}: {} pixels, re-rendered image differs by {:.4} RMS (start {:.4})",
+            view.name, view.num_pixels, view.rms_rendered, view.rms_start
+        ));
+    }
+    console.note(&format!("results are in {}", args.output.display()));
+    Ok(())
+}
+
+fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
+    let mut options = match &args.config {
+        Some(path) => StageOptions::read(path)?,
+        None => StageOptions::default(),
+    };
+    options.override_with(None, None, args.encoding);
+    match args.splitting {
+        Some(Splitting::Full) => options.shading.splitting = rilievo_shading::Splitting::Full,
+        Some(Splitting::Paper) => options.shading.splitting = rilievo_shading::Splitting::Paper,
+        None => {}
+    }
+    match args.order {
+        Some(1) => options.shading.order = HarmonicOrder::First,
+        Some(_) => options.shading.order = HarmonicOrder::Second,
+        None => {}
+    }
+    match args.projection {
+        Some(Projection::Perspective) => {
+            options.shading.projection = rilievo_shading::Projection::Perspective;
+        }
+        Some(Projection::Orthographic) => {
+            options.shading.projection = rilievo_shading::Projection::Orthographic;
+        }
+        None => {}
+    }
+    match args.init.as_deref() {
+        None => {}
+        Some("plane") => options.shading.start = StartShape::Plane,
+        Some("anchors") => options.shading.start = StartShape::Anchors,
+        Some(_) => options.shading.start = StartShape::Given,
+    }
+    if let Some(weight) = args.area_weight {
+        options.shading.area_weight = weight;
+    }
+    options.validate()?;
+    Ok(options)
+}
+
+fn write_view(folder: &Path, view: &SolvedView) -> anyhow::Result<()> {
+    let path = |kind: &str| -> Result<std::path::PathBuf, StoreError> {
+        let dir = folder.join(kind);
+        std::fs::create_dir_all(&dir).map_err(StoreError::files("create", &dir))?;
+        Ok(dir.join(format!("{}.exr", view.name)))
+    };
+    write_depth(&path("depth")?, &view.depth).map_err(from_io)?;
+    write_normal(&path("normal")?, &view.normal).map_err(from_io)?;
+    write_linear(&path("rendered")?, &view.rendered).map_err(from_io)?;
+    if let Some(confidence) = &view.confidence {
+        write_channel(&path("confidence")?, "C", confidence).map_err(from_io)?;
+    }
+    let shaded = ShadedView {
+        view: ViewIdx(0),
+        name: view.name.clone(),
+        depth: view.depth.clone(),
+        normal: view.normal.clone(),
+        confidence: None,
+        rendered: Some(view.rendered.clone()),
+        albedo: None,
+    };
+    write_previews(folder, &shaded)?;
+    Ok(())
+}

@@ -1,0 +1,211 @@
+//! The shading problem that a command line or a scene file describes.
+
+use crate::cli::ShadeArgs;
+use crate::config::StageOptions;
+use crate::exit::Failure;
+use crate::observe::Console;
+use crate::pipeline::{from_io, from_lighting};
+use rilievo_io::{
+    LightingFile, SceneFile, SceneView, decode_photo, read_cameras, read_depth, read_lighting,
+    read_mask, read_matches_csv, read_scene, split_lighting_spec,
+};
+use rilievo_scene::{DepthMap, Lighting, LinearImage, Mask, StageId};
+use rilievo_shading::{DepthPrior, ShadingProblem, ShadingView, ViewLight, ViewMatches};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// The problem, and where each view's lighting came from.
+pub struct Described {
+    /// The problem.
+    pub problem: ShadingProblem,
+    /// One entry per view.
+    pub lighting: Vec<serde_json::Value>,
+}
+
+/// Reads everything that the command line or the scene names.
+///
+/// # Errors
+/// [`Failure::Input`] names the file that cannot be used.
+pub fn build(
+    args: &ShadeArgs,
+    options: &StageOptions,
+    console: &Console,
+) -> anyhow::Result<Described> {
+    let scene = match (&args.scene, &args.image, &args.camera) {
+        (Some(path), _, _) => read_scene(path).map_err(from_io)?,
+        (None, Some(image), Some(camera)) => single(args, image.clone(), camera.clone()),
+        _ => {
+            return Err(
+                Failure::Usage("give SCENE.json, or --image and --camera".to_owned()).into(),
+            );
+        }
+    };
+    let mut problem = ShadingProblem::default();
+    let mut lighting = Vec::new();
+    for view in &scene.views {
+        let (view, source) = read_view(view, args, options)?;
+        console.note(&format!("  {}: lighting {source}", view.name));
+        lighting.push(serde_json::json!({"view": view.name, "lighting": source}));
+        problem.views.push(view);
+    }
+    for matches in &scene.matches {
+        let index = |name: &String| {
+            let found = scene.views.iter().position(|view| view.name == *name);
+            found.ok_or_else(|| {
+                let file = args.scene.clone().unwrap_or_default();
+                Failure::input(
+                    file,
+                    format!("\"matches\" names a view \"{name}\" that is not there"),
+                )
+            })
+        };
+        problem.matches.push(ViewMatches {
+            views: [index(&matches.views[0])?, index(&matches.views[1])?],
+            pixels: read_matches_csv(&matches.file).map_err(from_io)?,
+        });
+    }
+    if problem.matches.is_empty() && problem.views.len() > 1 {
+        console.warn(
+            StageId::Shading,
+            "no matches tie the views together; each is solved alone",
+        );
+    }
+    Ok(Described { problem, lighting })
+}
+
+/// A scene of one view from the command line.
+fn single(args: &ShadeArgs, image: PathBuf, camera: PathBuf) -> SceneFile {
+    let name = image.file_stem().map_or("image".to_owned(), |stem| {
+        stem.to_string_lossy().into_owned()
+    });
+    let view = SceneView {
+        name,
+        image,
+        mask: args.mask.clone(),
+        camera,
+        lighting: None,
+        init: None,
+        prior: args.prior.clone(),
+    };
+    SceneFile {
+        views: vec![view],
+        matches: Vec::new(),
+    }
+}
+
+/// One view; what the command line says replaces what the scene says.
+fn read_view(
+    view: &SceneView,
+    args: &ShadeArgs,
+    options: &StageOptions,
+) -> anyhow::Result<(ShadingView, String)> {
+    let decoded = decode_photo(&view.image).map_err(from_io)?;
+    let measured_as_float = decoded.samples.bits() == 32;
+    let (image, _) = rilievo_photos::linearize(&decoded, options.photos.encoding);
+    // A float image may hold any value; integers end at white, where they are clipped.
+    let clip_level = (!measured_as_float).then_some(options.photos.clip_fraction as f32);
+    let cameras = read_cameras(&view.camera).map_err(from_io)?;
+    let camera = cameras
+        .cameras
+        .first()
+        .ok_or_else(|| Failure::input(&view.camera, "holds no camera"))?;
+    let mask = match &view.mask {
+        Some(path) => read_mask(path).map_err(from_io)?,
+        None => Mask::filled(image.width, image.height, true),
+    };
+    if !(mask.width == image.width && mask.height == image.height) {
+        let path = view.mask.as_ref().unwrap_or(&view.image);
+        let reason = format!(
+            "the mask has {} x {} pixels, the image {} x {}",
+            mask.width, mask.height, image.width, image.height
+        );
+        return Err(Failure::input(path, reason).into());
+    }
+    let prior = view.prior.as_deref().map(read_depth).transpose();
+    let prior = prior.map_err(from_io)?;
+    let initial = initial_depth(view, args)?;
+
+    let spec = args.lighting.as_deref().map(split_lighting_spec);
+    let (lighting, source) = match spec.or_else(|| view.lighting.clone()) {
+        Some((path, name)) => given_lighting(path, name, &view.name)?,
+        None => {
+            let shape = prior.as_ref().or(initial.as_ref());
+            let shape = shape.ok_or_else(|| {
+                Failure::Usage(format!(
+                    "view {} has no lighting: give --lighting FILE[:NAME], or a shape to fit it on \
+                     (--init or --prior DEPTH.exr)",
+                    view.name
+                ))
+            })?;
+            fitted_lighting(&image, &mask, camera, shape, clip_level, options)?
+        }
+    };
+    let mut solved = ShadingView::new(
+        view.name.clone(),
+        Arc::new(image),
+        mask,
+        camera.intrinsics,
+        ViewLight::Uniform(lighting),
+    );
+    solved.clip_level = clip_level;
+    solved.cam_from_world = camera.cam_from_world;
+    solved.initial_depth = initial;
+    solved.prior = prior.map(|depth| DepthPrior {
+        depth,
+        weight: args.prior_weight,
+    });
+    Ok((solved, source))
+}
+
+/// The depth map to start from, where the command line or the scene names one.
+fn initial_depth(view: &SceneView, args: &ShadeArgs) -> Result<Option<DepthMap>, Failure> {
+    match args.init.as_deref().or(view.init.as_deref()) {
+        None | Some("plane" | "anchors") => Ok(None),
+        Some(file) => read_depth(file.as_ref()).map(Some).map_err(from_io),
+    }
+}
+
+fn given_lighting(
+    path: PathBuf,
+    name: Option<String>,
+    view: &str,
+) -> Result<(Lighting, String), Failure> {
+    let file = read_lighting(&path, name.as_deref()).map_err(from_io)?;
+    let source = match &name {
+        Some(name) => format!("{name} of {}", path.display()),
+        None => format!("of {}", path.display()),
+    };
+    match &file {
+        LightingFile::ForAll(lighting) => Ok((lighting.clone(), source)),
+        LightingFile::PerView(_) => {
+            let lighting = file.for_view(view).ok_or_else(|| {
+                Failure::input(&path, format!("has no lighting of view \"{view}\""))
+            })?;
+            Ok((lighting.clone(), source))
+        }
+    }
+}
+
+fn fitted_lighting(
+    image: &LinearImage,
+    mask: &Mask,
+    camera: &rilievo_io::CameraEntry,
+    shape: &DepthMap,
+    clip_level: Option<f32>,
+    options: &StageOptions,
+) -> anyhow::Result<(Lighting, String)> {
+    let (lighting, fit) = rilievo_lighting::fit_on_shape(
+        image,
+        Some(mask),
+        &camera.intrinsics,
+        shape,
+        clip_level.unwrap_or(f32::INFINITY),
+        &options.lighting,
+    )
+    .map_err(from_lighting)?;
+    let source = format!(
+        "fitted on the given shape, residual {:.1} %",
+        100.0 * fit.relative_rms()
+    );
+    Ok((lighting, source))
+}

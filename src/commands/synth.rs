@@ -1,0 +1,162 @@
+//! `rilievo synth OUT`: a synthetic photo folder with ground truth.
+//!
+//! ```text
+//! OUT/photos/IMG_0001.jpg …       8-bit sRGB with EXIF-free names, as a camera would write them
+//! OUT/masks/IMG_0001.png …        the object
+//! OUT/sphere_masks/IMG_0001.png … the reference sphere
+//! OUT/intrinsics.json             cameras without poses
+//! OUT/sphere.json                 the sphere's radius and masks
+//! OUT/truth/                      cameras.json, NAME_depth.exr, NAME_normal.exr, lighting.json, mesh.ply
+//! ```
+
+use super::finish;
+use crate::cli::SynthArgs;
+use crate::exit::Failure;
+use crate::observe::Console;
+use crate::pipeline::from_io;
+use crate::store::StoreError;
+use rilievo_io::{
+    CameraEntry, CameraFile, write_cameras, write_depth, write_mask, write_mesh_ply, write_normal,
+    write_photo_jpeg,
+};
+use rilievo_scene::{Event, Flow, Observer, StageId, Unit};
+use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions};
+use serde::Deserialize;
+use std::path::Path;
+
+/// JPEG quality of the photos: a camera's usual "fine".
+const JPEG_QUALITY: u8 = 95;
+
+/// Options of `--config`.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SynthOptions {
+    /// The world in front of the camera.
+    pub scene: SceneOptions,
+    /// The photographs.
+    pub photographs: RenderOptions,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Unusable options, or a folder that cannot be written.
+pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
+    let console = Console::new(args.json);
+    let outcome = options(args).and_then(|options| write_set(&args.output, &options, &console));
+    if outcome.is_ok() {
+        console.note(&format!(
+            "{} photos, masks and ground truth are in {}",
+            args.views,
+            args.output.display()
+        ));
+    }
+    finish(
+        &console,
+        &outcome,
+        serde_json::json!({"folder": args.output}),
+    );
+    outcome
+}
+
+fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
+    let mut options = match &args.config {
+        None => SynthOptions::default(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path)
+                .map_err(|error| Failure::input(path, format!("cannot be read: {error}")))?;
+            toml::from_str(&text).map_err(|error| {
+                Failure::Usage(format!("config file {}: {error}", path.display()))
+            })?
+        }
+    };
+    options.scene.seed = args.seed;
+    options.photographs.num_views = args.views;
+    (options.photographs.width, options.photographs.height) = args.size;
+    Ok(options)
+}
+
+/// Makes a scene, photographs it, and writes photos and truth.
+///
+/// # Errors
+/// As [`synth`].
+pub fn write_set(folder: &Path, options: &SynthOptions, console: &Console) -> anyhow::Result<()> {
+    let usage = |error: rilievo_synthetic::SyntheticError| Failure::Usage(error.to_string());
+    let scene = Scene::new(options.scene.clone()).map_err(usage)?;
+    let renderer = Renderer::new(&scene, &options.photographs).map_err(usage)?;
+    for name in ["photos", "masks", "sphere_masks", "truth"] {
+        let path = folder.join(name);
+        std::fs::create_dir_all(&path).map_err(StoreError::files("create", &path))?;
+    }
+    let total = renderer.num_views();
+    let mut cameras = CameraFile {
+        unit: Unit::Metre,
+        ..CameraFile::default()
+    };
+    let mut sphere_views = serde_json::Map::new();
+    let mut lighting = serde_json::Map::new();
+    for index in 0..total {
+        let view = renderer.render(index).map_err(usage)?;
+        write_view(folder, &view)?;
+        let file_name = format!("{}.jpg", view.name);
+        if view.sphere_mask.count() > 0 {
+            let mask = serde_json::json!({"mask": format!("sphere_masks/{}.png", view.name)});
+            sphere_views.insert(file_name.clone(), mask);
+        }
+        lighting.insert(view.name.clone(), serde_json::to_value(&view.lighting)?);
+        cameras.cameras.push(CameraEntry {
+            image: Some(file_name),
+            intrinsics: view.intrinsics,
+            cam_from_world: Some(view.cam_from_world),
+        });
+        let flow = console.event(Event::Progress {
+            stage: StageId::Photos,
+            step: "photographing the scene".to_owned(),
+            done: index + 1,
+            total,
+        });
+        if flow == Flow::Stop {
+            return Err(Failure::Interrupted.into());
+        }
+    }
+    write_cameras(&folder.join("truth/cameras.json"), &cameras).map_err(from_io)?;
+    for camera in &mut cameras.cameras {
+        camera.cam_from_world = None;
+    }
+    write_cameras(&folder.join("intrinsics.json"), &cameras).map_err(from_io)?;
+    if let Some(sphere) = &scene.sphere {
+        let file = serde_json::json!({
+            "radius": sphere.radius, "unit": "metre", "light": "world", "views": sphere_views
+        });
+        write_json(&folder.join("sphere.json"), &file)?;
+    }
+    let lighting = serde_json::json!({
+        "basis": rilievo_scene::SphericalHarmonics::BASIS,
+        "frame": "camera",
+        "includes_albedo": true,
+        "views": lighting,
+    });
+    write_json(&folder.join("truth/lighting.json"), &lighting)?;
+    write_mesh_ply(&folder.join("truth/mesh.ply"), &scene.mesh, Unit::Metre).map_err(from_io)?;
+    Ok(())
+}
+
+fn write_view(folder: &Path, view: &RenderedView) -> Result<(), Failure> {
+    let name = &view.name;
+    let photo = folder.join(format!("photos/{name}.jpg"));
+    write_photo_jpeg(&photo, &view.image, JPEG_QUALITY).map_err(from_io)?;
+    let mask = folder.join(format!("masks/{name}.png"));
+    write_mask(&mask, &view.object_mask).map_err(from_io)?;
+    let sphere = folder.join(format!("sphere_masks/{name}.png"));
+    write_mask(&sphere, &view.sphere_mask).map_err(from_io)?;
+    let depth = folder.join(format!("truth/{name}_depth.exr"));
+    write_depth(&depth, &view.depth).map_err(from_io)?;
+    let normal = folder.join(format!("truth/{name}_normal.exr"));
+    write_normal(&normal, &view.normal).map_err(from_io)
+}
+
+fn write_json(path: &Path, value: &serde_json::Value) -> anyhow::Result<()> {
+    std::fs::write(path, serde_json::to_vec_pretty(value)?)
+        .map_err(StoreError::files("write", path))?;
+    Ok(())
+}

@@ -1,0 +1,72 @@
+//! Plain lines on stderr, for logs and pipes: rare enough to read.
+
+use super::pace::{Pace, in_words};
+use super::{Display, StageNews};
+use rilievo_scene::{Event, StageId};
+use std::time::Duration;
+
+/// A line at most this often within one step.
+const INTERVAL: Duration = Duration::from_secs(5);
+
+/// Prints one line per noteworthy event.
+#[derive(Default)]
+pub struct Lines {
+    pace: Option<Pace>,
+}
+
+impl Display for Lines {
+    fn stage(&mut self, stage: StageId, news: &StageNews) {
+        self.pace = None;
+        match news {
+            StageNews::Started(reason) => eprintln!("{stage}: {reason}"),
+            StageNews::Reused => eprintln!("{stage}: kept, nothing changed"),
+            StageNews::Finished(seconds) => eprintln!("{stage}: done in {seconds:.1} s"),
+        }
+    }
+
+    fn event(&mut self, event: &Event) {
+        match event {
+            Event::Progress {
+                stage,
+                step,
+                done,
+                total,
+            } => {
+                let pace = match &mut self.pace {
+                    Some(pace) if pace.is_of(step) => pace,
+                    slot => slot.insert(Pace::new(step)),
+                };
+                if pace.due(INTERVAL) || done == total {
+                    let left = pace.left(*done, *total).filter(|_| done < total);
+                    let left = left.map_or(String::new(), |d| format!(", {} left", in_words(d)));
+                    eprintln!("{stage}: {step} {done}/{total}{left}");
+                }
+            }
+            Event::Iteration {
+                stage,
+                iteration,
+                max_num_iterations,
+                energy,
+                ..
+            } => {
+                let pace = match &mut self.pace {
+                    Some(pace) if pace.is_of("iterating") => pace,
+                    slot => slot.insert(Pace::new("iterating")),
+                };
+                if pace.due(INTERVAL) {
+                    eprintln!(
+                        "{stage}: iteration {} of at most {max_num_iterations}, energy {energy:.4e}",
+                        iteration + 1
+                    );
+                }
+            }
+            Event::Warning { stage, message } => eprintln!("{stage}: warning: {message}"),
+        }
+    }
+
+    fn note(&mut self, message: &str) {
+        eprintln!("{message}");
+    }
+
+    fn finished(&mut self, _summary: &serde_json::Value) {}
+}

@@ -1,0 +1,122 @@
+//! What the program shows while it works: one stream of events, three ways to show it.
+//!
+//! Bars on a terminal, plain lines in a pipe, one JSON object a line with `--json`. Text for
+//! people goes to stderr; stdout carries results and the JSON lines.
+
+mod bars;
+mod json;
+mod lines;
+mod pace;
+
+use crate::interrupt;
+use rilievo_scene::{Event, Flow, Observer, StageId};
+use std::io::IsTerminal;
+use std::sync::Mutex;
+
+/// How a stage came to its result.
+#[derive(Clone, Debug)]
+pub enum StageNews {
+    /// Work starts, for this reason.
+    Started(String),
+    /// The earlier result is kept.
+    Reused,
+    /// Work ended after so many seconds.
+    Finished(f64),
+}
+
+/// One way to show events.
+trait Display: Send {
+    fn stage(&mut self, stage: StageId, news: &StageNews);
+    fn event(&mut self, event: &Event);
+    fn note(&mut self, message: &str);
+    fn finished(&mut self, summary: &serde_json::Value);
+}
+
+/// The observer of a whole command.
+pub struct Console {
+    display: Mutex<Box<dyn Display>>,
+    warnings: Mutex<Vec<(StageId, String)>>,
+}
+
+impl Console {
+    /// A console that suits where the output goes.
+    pub fn new(json: bool) -> Self {
+        let display: Box<dyn Display> = if json {
+            Box::new(json::JsonLines)
+        } else if std::io::stderr().is_terminal() {
+            Box::new(bars::Bars::new())
+        } else {
+            Box::new(lines::Lines::default())
+        };
+        Self {
+            display: Mutex::new(display),
+            warnings: Mutex::new(Vec::new()),
+        }
+    }
+
+    /// Tells where a stage stands.
+    pub fn stage(&self, stage: StageId, news: &StageNews) {
+        self.with(|display| display.stage(stage, news));
+    }
+
+    /// A sentence for people.
+    pub fn note(&self, message: &str) {
+        self.with(|display| display.note(message));
+    }
+
+    /// A warning that is shown now and kept for the report.
+    pub fn warn(&self, stage: StageId, message: impl Into<String>) {
+        // Whether to stop is asked again by the next event.
+        let _ = self.event(Event::Warning {
+            stage,
+            message: message.into(),
+        });
+    }
+
+    /// The last word, for scripts.
+    pub fn finished(&self, summary: &serde_json::Value) {
+        self.with(|display| display.finished(summary));
+    }
+
+    /// Takes the warnings of a stage out, for its manifest.
+    pub fn take_warnings(&self, stage: StageId) -> Vec<String> {
+        let mut warnings = match self.warnings.lock() {
+            Ok(warnings) => warnings,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        let (taken, kept) = warnings.drain(..).partition(|(of, _)| *of == stage);
+        *warnings = kept;
+        let taken: Vec<(StageId, String)> = taken;
+        taken.into_iter().map(|(_, message)| message).collect()
+    }
+
+    fn with(&self, show: impl FnOnce(&mut dyn Display)) {
+        let mut display = match self.display.lock() {
+            Ok(display) => display,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        show(display.as_mut());
+    }
+}
+
+impl Observer for Console {
+    fn event(&self, event: Event) -> Flow {
+        if let Event::Warning { stage, message } = &event {
+            let mut warnings = match self.warnings.lock() {
+                Ok(warnings) => warnings,
+                Err(poisoned) => poisoned.into_inner(),
+            };
+            warnings.push((*stage, message.clone()));
+        }
+        self.with(|display| display.event(&event));
+        self.flow()
+    }
+
+    fn flow(&self) -> Flow {
+        if interrupt::requested() {
+            Flow::Stop
+        } else {
+            Flow::Continue
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! Errors of stages and formats as failures with an exit code.
+
+use crate::exit::{Failure, Problem};
+use rilievo_features::FeaturesError;
+use rilievo_fusion::FusionError;
+use rilievo_io::{IoError, IoErrorKind};
+use rilievo_lighting::LightingError;
+use rilievo_poses::PosesError;
+use rilievo_shading::ShadingError;
+
+/// A file that could not be read, used or written.
+pub fn from_io(error: IoError) -> Failure {
+    match error.kind {
+        IoErrorKind::Input => {
+            let reason = match error.hint {
+                Some(hint) => format!("{} ({hint})", error.reason),
+                None => error.reason,
+            };
+            Failure::Input(vec![Problem {
+                file: error.path,
+                reason,
+            }])
+        }
+        IoErrorKind::Read | IoErrorKind::Write => Failure::ReadOrWrite(error.to_string()),
+    }
+}
+
+/// Stage 2.
+pub fn from_features(error: FeaturesError) -> anyhow::Error {
+    match error {
+        FeaturesError::Interrupted => Failure::Interrupted.into(),
+        FeaturesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        FeaturesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
+        FeaturesError::CountMismatch { .. } | FeaturesError::OpenCv { .. } => {
+            anyhow::Error::new(error)
+        }
+    }
+}
+
+/// Stage 3.
+pub fn from_poses(error: PosesError) -> anyhow::Error {
+    match error {
+        PosesError::Interrupted => Failure::Interrupted.into(),
+        PosesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        PosesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
+        other => Failure::NoResult(other.to_string()).into(),
+    }
+}
+
+/// Stage 4.
+pub fn from_lighting(error: LightingError) -> anyhow::Error {
+    match error {
+        LightingError::Interrupted => Failure::Interrupted.into(),
+        LightingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        LightingError::Option { .. } => Failure::Usage(error.to_string()).into(),
+        other => Failure::NoResult(other.to_string()).into(),
+    }
+}
+
+/// Stage 5.
+pub fn from_shading(error: ShadingError) -> anyhow::Error {
+    match error {
+        ShadingError::Interrupted => Failure::Interrupted.into(),
+        ShadingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        ShadingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
+        ShadingError::Numerics { .. } => anyhow::Error::new(error),
+        other => Failure::NoResult(other.to_string()).into(),
+    }
+}
+
+/// Stage 6.
+pub fn from_fusion(error: FusionError) -> anyhow::Error {
+    match error {
+        FusionError::Interrupted => Failure::Interrupted.into(),
+        FusionError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        FusionError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
+        other => Failure::NoResult(other.to_string()).into(),
+    }
+}

@@ -1,0 +1,117 @@
+//! Stage 2: `keypoints/NAME.bin` (postcard), `pairs.bin`.
+
+use super::Context;
+use super::errors::from_features;
+use super::parallel::map_items;
+use crate::exit::Failure;
+use crate::store::{Item, StageWriter, StoreError, hash_json};
+use anyhow::Context as _;
+use rilievo_scene::{FeatureMatches, PairMatches, Photo, PhotoKeypoints, StageId};
+use std::path::Path;
+
+/// Bytes per pixel at the peak of SIFT with its upsampled octave.
+const BYTES_PER_PX: u64 = 260;
+
+/// Detects keypoints photo by photo and matches them.
+///
+/// # Errors
+/// When photos cannot be read, or the user asked to stop.
+pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+    let photos = super::photos::load(context)?;
+    let options = &context.request.options.features;
+    let manifest = context
+        .run
+        .manifest(StageId::Photos)?
+        .ok_or_else(|| super::poses::not_there(StageId::Photos))?;
+    let largest = photos
+        .photos
+        .iter()
+        .map(|photo| (photo.intrinsics.width * photo.intrinsics.height) as u64)
+        .max()
+        .unwrap_or(0);
+    let detected = map_items(
+        &photos.photos,
+        context.resources.at_once(largest * BYTES_PER_PX),
+        StageId::Features,
+        "detecting keypoints",
+        context.console,
+        |photo| {
+            let key = hash_json(&(
+                "2_features",
+                1,
+                options,
+                manifest.items.get(&photo.name).map(|item| &item.key),
+            ));
+            one(context, writer, photo, key)
+        },
+    )
+    .ok_or(Failure::Interrupted)?;
+    let keypoints = detected.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    let (matches, report) =
+        rilievo_features::match_photos(&photos, keypoints, options, context.console)
+            .map_err(from_features)?;
+    write_binary(&writer.path("pairs.bin")?, &matches.pairs)?;
+    for warning in &report.warnings {
+        context.console.warn(StageId::Features, warning.clone());
+    }
+    Ok(serde_json::to_value(report)?)
+}
+
+/// Keypoints and matches of a committed stage 2, for the photos of stage 1.
+///
+/// # Errors
+/// When files are missing or damaged.
+pub fn load(context: &Context<'_>, photos: &[Photo]) -> anyhow::Result<FeatureMatches> {
+    let dir = context.run.stage_dir(StageId::Features);
+    let keypoints = photos
+        .iter()
+        .map(|photo| read_binary::<PhotoKeypoints>(&dir.join(keypoints_file(&photo.name))))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    Ok(FeatureMatches {
+        photos: keypoints,
+        pairs: read_binary::<Vec<PairMatches>>(&dir.join("pairs.bin"))?,
+    })
+}
+
+fn keypoints_file(name: &str) -> String {
+    format!("keypoints/{name}.bin")
+}
+
+fn one(
+    context: &Context<'_>,
+    writer: &StageWriter,
+    photo: &Photo,
+    key: String,
+) -> anyhow::Result<PhotoKeypoints> {
+    let file = keypoints_file(&photo.name);
+    if writer.reuse(&photo.name, &key)?.is_some() {
+        return read_binary(&writer.dir().join(&file));
+    }
+    let keypoints = rilievo_features::detect(photo, &context.request.options.features)
+        .map_err(from_features)
+        .with_context(|| format!("detecting keypoints in {}", photo.file_name))?;
+    write_binary(&writer.path(&file)?, &keypoints)?;
+    let item = Item {
+        key,
+        files: vec![file],
+        facts: serde_json::json!({"num_keypoints": keypoints.keypoints.len()}),
+    };
+    writer.finish(&photo.name, item)?;
+    Ok(keypoints)
+}
+
+/// Writes a value in the compact binary form that is kept for descriptors.
+fn write_binary(path: &Path, value: &impl serde::Serialize) -> anyhow::Result<()> {
+    let bytes = postcard::to_stdvec(value)?;
+    std::fs::write(path, bytes).map_err(StoreError::files("write", path))?;
+    Ok(())
+}
+
+fn read_binary<T: serde::de::DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
+    let bytes = std::fs::read(path).map_err(StoreError::files("read", path))?;
+    let value = postcard::from_bytes(&bytes).map_err(|error| StoreError::Damaged {
+        path: path.to_path_buf(),
+        reason: error.to_string(),
+    })?;
+    Ok(value)
+}

@@ -1,0 +1,300 @@
+//! The files that a request names, found and checked before anything is computed.
+
+use super::request::{LightingInput, Request, SphereInput};
+use crate::exit::{Failure, Problem};
+use crate::store::{Contents, hash_json};
+use rilievo_io::{CameraEntry, SphereFile, find_mask, read_cameras, read_sphere_file};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// One photo file with what belongs to it.
+#[derive(Clone, Debug)]
+pub struct PhotoInput {
+    /// The file.
+    pub path: PathBuf,
+    /// Its name with ending.
+    pub file_name: String,
+    /// Its name without ending: names its artifacts.
+    pub name: String,
+    /// Content hash.
+    pub hash: String,
+    /// Its mask with content hash, where masks were given.
+    pub mask: Option<(PathBuf, String)>,
+    /// Its camera, where cameras were given.
+    pub camera: Option<CameraEntry>,
+}
+
+/// Everything that comes from outside the run directory.
+#[derive(Clone, Debug)]
+pub struct Inputs {
+    /// Photos, ordered by file name.
+    pub photos: Vec<PhotoInput>,
+    /// Files that were passed over because they are no photos.
+    pub skipped: Vec<Problem>,
+    /// Things that the user should know (cameras of photos that are not there).
+    pub warnings: Vec<String>,
+    /// The sphere file.
+    pub sphere: Option<SphereFile>,
+    /// Content hashes of the sphere's files, by role.
+    pub sphere_hashes: BTreeMap<String, String>,
+    /// Content hashes of the lighting's files, by role.
+    pub lighting_hashes: BTreeMap<String, String>,
+}
+
+impl Inputs {
+    /// Finds the files of a request and their content hashes.
+    ///
+    /// # Errors
+    /// [`Failure::Input`] with every file that makes the request impossible.
+    pub fn scan(request: &Request, contents: &mut Contents) -> Result<Self, Failure> {
+        let (paths, skipped) = photo_files(&request.photos)?;
+        let cameras = request
+            .cameras
+            .as_deref()
+            .map(read_cameras)
+            .transpose()
+            .map_err(super::errors::from_io)?;
+        let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
+
+        let mut problems = Vec::new();
+        let mut photos = Vec::with_capacity(paths.len());
+        let mut by_name = BTreeMap::<String, PathBuf>::new();
+        for path in paths {
+            let file_name = text_of(path.file_name());
+            let name = text_of(path.file_stem());
+            if let Some(other) = by_name.insert(name.clone(), path.clone()) {
+                problems.push(Problem {
+                    file: path,
+                    reason: format!(
+                        "has the same name as {}; names tell results apart, so rename one",
+                        other.display()
+                    ),
+                });
+                continue;
+            }
+            let hash = match contents.hash(&path) {
+                Ok(hash) => hash,
+                Err(error) => {
+                    problems.push(Problem {
+                        file: path,
+                        reason: error.to_string(),
+                    });
+                    continue;
+                }
+            };
+            let mask = match masks.as_ref().map(|folder| folder.find(&file_name)) {
+                Some(Ok(mask)) => {
+                    let hash = contents.hash(&mask)?;
+                    Some((mask, hash))
+                }
+                // A mask may also be the photo's own alpha channel, which only decoding shows.
+                Some(Err(_)) | None => None,
+            };
+            let camera = cameras
+                .as_ref()
+                .and_then(|file| file.find(&file_name).cloned());
+            photos.push(PhotoInput {
+                path,
+                file_name,
+                name,
+                hash,
+                mask,
+                camera,
+            });
+        }
+        if !problems.is_empty() {
+            return Err(Failure::Input(problems));
+        }
+        photos.sort_by(|a, b| a.file_name.cmp(&b.file_name));
+
+        let mut warnings = Vec::new();
+        if let Some(cameras) = &cameras {
+            let without: Vec<&str> = photos
+                .iter()
+                .filter(|photo| photo.camera.is_none())
+                .map(|photo| photo.file_name.as_str())
+                .collect();
+            if without.len() == photos.len() {
+                return Err(Failure::input(
+                    request.cameras.clone().unwrap_or_default(),
+                    format!(
+                        "none of its {} cameras belongs to a photo; the key \"image\" must be a \
+                         photo's file name",
+                        cameras.cameras.len()
+                    ),
+                ));
+            }
+            if !without.is_empty() {
+                warnings.push(format!(
+                    "the camera file has no entry for {}; their focal length comes from EXIF",
+                    without.join(", ")
+                ));
+            }
+        }
+        let (sphere, sphere_hashes) = sphere_inputs(&request.sphere, contents)?;
+        let lighting_hashes = lighting_inputs(&request.lighting, &photos, contents)?;
+        Ok(Self {
+            photos,
+            skipped,
+            warnings,
+            sphere,
+            sphere_hashes,
+            lighting_hashes,
+        })
+    }
+
+    /// What decides a photo's share of stage 1, apart from options.
+    pub fn photo_hash(photo: &PhotoInput) -> String {
+        let camera = photo.camera.as_ref().map(|camera| {
+            let pose = camera.cam_from_world;
+            (camera.intrinsics, pose)
+        });
+        let mask = photo.mask.as_ref().map(|(_, hash)| hash);
+        hash_json(&(&photo.file_name, &photo.hash, mask, camera))
+    }
+}
+
+/// Photo files of folders and arguments, in the order of their names.
+fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Failure> {
+    let mut files = Vec::new();
+    let mut skipped = Vec::new();
+    for argument in arguments {
+        if !argument.is_dir() {
+            if !argument.exists() {
+                return Err(Failure::input(argument, "there is no such file any more"));
+            }
+            files.push(argument.clone());
+            continue;
+        }
+        let unreadable =
+            |error| Failure::ReadOrWrite(format!("cannot read {}: {error}", argument.display()));
+        let mut found = Vec::new();
+        for entry in std::fs::read_dir(argument).map_err(unreadable)? {
+            let path = entry.map_err(unreadable)?.path();
+            if path.is_dir() || text_of(path.file_name()).starts_with('.') {
+                continue;
+            }
+            if rilievo_io::is_photo_name(&path) {
+                found.push(path);
+            } else {
+                skipped.push(Problem {
+                    file: path,
+                    reason: "is no photo by its name; passed over".to_owned(),
+                });
+            }
+        }
+        if found.is_empty() {
+            return Err(Failure::input(
+                argument,
+                "the folder holds no photo (JPEG, PNG, TIFF or OpenEXR)",
+            ));
+        }
+        files.extend(found);
+    }
+    files.sort();
+    files.dedup();
+    skipped.sort_by(|a, b| a.file.cmp(&b.file));
+    Ok((files, skipped))
+}
+
+/// The folder of masks with the names of its files.
+struct MaskFolder {
+    folder: PathBuf,
+    names: Vec<String>,
+}
+
+impl MaskFolder {
+    fn open(folder: &Path) -> Result<Self, Failure> {
+        let entries = std::fs::read_dir(folder)
+            .map_err(|error| Failure::input(folder, format!("cannot be read: {error}")))?;
+        let mut names: Vec<String> = entries
+            .flatten()
+            .map(|entry| text_of(Some(&entry.file_name())))
+            .collect();
+        names.sort();
+        if names.is_empty() {
+            return Err(Failure::input(folder, "the folder of masks is empty"));
+        }
+        Ok(Self {
+            folder: folder.to_path_buf(),
+            names,
+        })
+    }
+
+    fn find(&self, photo: &str) -> Result<PathBuf, usize> {
+        find_mask(photo, &self.names)
+            .map(|name| self.folder.join(name))
+            .ok_or(self.names.len())
+    }
+}
+
+fn sphere_inputs(
+    sphere: &SphereInput,
+    contents: &mut Contents,
+) -> Result<(Option<SphereFile>, BTreeMap<String, String>), Failure> {
+    let mut hashes = BTreeMap::new();
+    match sphere {
+        SphereInput::None => Ok((None, hashes)),
+        SphereInput::Auto { radius } => {
+            hashes.insert("sphere search".into(), hash_json(radius));
+            Ok((None, hashes))
+        }
+        SphereInput::File { path, radius } => {
+            let mut file = read_sphere_file(path).map_err(super::errors::from_io)?;
+            if let Some(radius) = radius {
+                file.radius = Some(*radius);
+                hashes.insert("sphere radius".into(), hash_json(radius));
+            }
+            hashes.insert("sphere file".into(), contents.hash(path)?);
+            for named in &file.files {
+                let role = format!("sphere's {}", named.display());
+                hashes.insert(role, contents.hash(named)?);
+            }
+            Ok((Some(file), hashes))
+        }
+    }
+}
+
+fn lighting_inputs(
+    lighting: &LightingInput,
+    photos: &[PhotoInput],
+    contents: &mut Contents,
+) -> Result<BTreeMap<String, String>, Failure> {
+    let mut hashes = BTreeMap::new();
+    match lighting {
+        LightingInput::Found => {}
+        LightingInput::File { path, name } => {
+            hashes.insert("lighting file".into(), contents.hash(path)?);
+            if let Some(name) = name {
+                hashes.insert("lighting name".into(), name.clone());
+            }
+        }
+        LightingInput::Shape { folder } => {
+            let mut found = 0;
+            for photo in photos {
+                let file = shape_file(folder, &photo.name);
+                if file.exists() {
+                    found += 1;
+                    let role = format!("shape of {}", photo.name);
+                    hashes.insert(role, contents.hash(&file)?);
+                }
+            }
+            if found == 0 {
+                return Err(Failure::input(
+                    folder,
+                    "holds no NAME_depth.exr of any photo (--lighting-shape)",
+                ));
+            }
+        }
+    }
+    Ok(hashes)
+}
+
+/// Depth map of a photo in the folder of `--lighting-shape`.
+pub fn shape_file(folder: &Path, name: &str) -> PathBuf {
+    folder.join(format!("{name}_depth.exr"))
+}
+
+fn text_of(name: Option<&std::ffi::OsStr>) -> String {
+    name.map_or(String::new(), |name| name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,95 @@
+//! Stage 4: `lighting.json`, `calibration.json` (everything that the stage found).
+
+use super::Context;
+use super::errors::{from_io, from_lighting};
+use super::inputs::shape_file;
+use super::request::LightingInput;
+use crate::exit::Failure;
+use crate::store::{StageWriter, StoreError};
+use rilievo_io::{LightingFile, read_depth, read_lighting, write_lighting};
+use rilievo_lighting::LightingRequest;
+use rilievo_scene::{
+    LightKind, LightingCalibration, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx,
+};
+
+const CALIBRATION: &str = "calibration.json";
+
+/// Calibrates the lighting of every view.
+///
+/// # Errors
+/// When the lighting cannot be had, or the user asked to stop.
+pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+    let photos = super::photos::load(context)?;
+    let views = super::poses::load(context.run)?;
+    let request = lighting_request(context, &photos, &views)?;
+    let (calibration, report) = rilievo_lighting::run(
+        &photos,
+        &views,
+        &request,
+        &context.request.options.lighting,
+        context.console,
+    )
+    .map_err(from_lighting)?;
+    for warning in &report.warnings {
+        context.console.warn(StageId::Lighting, warning.clone());
+    }
+    write_lighting(&writer.path("lighting.json")?, &calibration, &views).map_err(from_io)?;
+    let path = writer.path(CALIBRATION)?;
+    let text = serde_json::to_vec_pretty(&calibration)?;
+    std::fs::write(&path, text).map_err(StoreError::files("write", &path))?;
+    Ok(serde_json::to_value(report)?)
+}
+
+/// Lighting of a committed stage 4.
+///
+/// # Errors
+/// When it is missing or damaged.
+pub fn load(context: &Context<'_>) -> anyhow::Result<LightingCalibration> {
+    let path = context.run.stage_dir(StageId::Lighting).join(CALIBRATION);
+    let text = std::fs::read(&path).map_err(|_| super::poses::not_there(StageId::Lighting))?;
+    let calibration = serde_json::from_slice(&text).map_err(|error| StoreError::Damaged {
+        path,
+        reason: error.to_string(),
+    })?;
+    Ok(calibration)
+}
+
+fn lighting_request(
+    context: &Context<'_>,
+    photos: &PhotoSet,
+    views: &PosedViews,
+) -> Result<LightingRequest, Failure> {
+    match &context.request.lighting {
+        LightingInput::File { path, name } => {
+            let file = read_lighting(path, name.as_deref()).map_err(from_io)?;
+            let given = match file {
+                LightingFile::PerView(views) => views,
+                LightingFile::ForAll(lighting) => views
+                    .views
+                    .iter()
+                    .map(|view| (view.name.clone(), lighting.clone()))
+                    .collect(),
+            };
+            Ok(LightingRequest::Given(given, LightKind::Camera))
+        }
+        LightingInput::Shape { folder } => {
+            let mut shapes = Vec::new();
+            for (index, view) in views.views.iter().enumerate() {
+                let file = shape_file(folder, &view.name);
+                if file.exists() {
+                    let depth = read_depth(&file).map_err(from_io)?;
+                    shapes.push((ViewIdx(index), depth));
+                }
+            }
+            Ok(LightingRequest::Shape(shapes))
+        }
+        LightingInput::Found => {
+            let sphere = super::poses::sphere_request(context, photos)?;
+            Ok(
+                sphere.map_or(LightingRequest::OwnShape, |sphere: SphereRequest| {
+                    LightingRequest::Sphere(sphere)
+                }),
+            )
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! The six stages in order: load what a stage reads, run it, save what it makes.
+//!
+//! A stage's input is always read back from the run directory, also right after the stage before
+//! it, so that a run that was stopped and continued sees the same bytes as an undisturbed one.
+
+mod errors;
+mod features;
+mod fusion;
+mod inputs;
+mod lighting;
+mod parallel;
+mod photos;
+mod plan;
+mod poses;
+mod request;
+mod shading;
+
+pub use errors::{from_io, from_lighting, from_shading};
+pub use inputs::Inputs;
+pub use parallel::Resources;
+pub use plan::{Plan, StageState, upstream};
+pub use poses::load as load_poses;
+pub use request::{LightingInput, Request, SphereInput};
+pub use shading::write_previews;
+
+use crate::exit::Failure;
+use crate::interrupt;
+use crate::observe::{Console, StageNews};
+use crate::store::{FORMAT_VERSION, Manifest, RunDir, StageWriter};
+use rilievo_scene::StageId;
+use std::time::Instant;
+
+/// What every stage may look at.
+pub struct Context<'a> {
+    /// The run directory.
+    pub run: &'a RunDir,
+    /// What was asked for.
+    pub request: &'a Request,
+    /// The files from outside.
+    pub inputs: &'a Inputs,
+    /// Threads and memory.
+    pub resources: Resources,
+    /// Where events go.
+    pub console: &'a Console,
+}
+
+/// Which stages to bring up to date.
+#[derive(Clone, Copy, Debug)]
+pub struct Range {
+    /// Redo from here on even where results are valid.
+    pub redo_from: Option<StageId>,
+    /// Last stage.
+    pub until: StageId,
+}
+
+/// Brings stages up to date in order; tells which were redone.
+///
+/// # Errors
+/// The first failure; stages before it stay committed.
+pub fn bring_up_to_date(
+    context: &Context<'_>,
+    plan: &Plan,
+    range: Range,
+) -> anyhow::Result<Vec<StageId>> {
+    let mut redone = Vec::new();
+    for stage in StageId::ALL {
+        if stage > range.until {
+            break;
+        }
+        let state = plan.state(context.run, stage)?;
+        let forced = range.redo_from.is_some_and(|from| stage >= from);
+        let reason = match state {
+            StageState::Valid if !forced => {
+                context.console.stage(stage, &StageNews::Reused);
+                continue;
+            }
+            StageState::Valid => "redone as asked".to_owned(),
+            StageState::Missing => "starting".to_owned(),
+            StageState::Stale { reasons } => format!("redoing, because {}", reasons.join("; ")),
+        };
+        run_stage(context, plan, stage, &reason)?;
+        redone.push(stage);
+    }
+    Ok(redone)
+}
+
+/// Runs one stage and commits its result.
+///
+/// # Errors
+/// When the stage fails; its earlier result is then untouched.
+pub fn run_stage(
+    context: &Context<'_>,
+    plan: &Plan,
+    stage: StageId,
+    reason: &str,
+) -> anyhow::Result<()> {
+    if interrupt::requested() {
+        return Err(Failure::Interrupted.into());
+    }
+    context
+        .console
+        .stage(stage, &StageNews::Started(reason.to_owned()));
+    let began = Instant::now();
+    let writer = context.run.begin(stage)?;
+    let report = dispatch(context, stage, &writer)?;
+    if interrupt::requested() {
+        return Err(Failure::Interrupted.into());
+    }
+    let ingredients = plan.of(stage).clone();
+    let seconds = began.elapsed().as_secs_f64();
+    let manifest = Manifest {
+        format_version: FORMAT_VERSION,
+        program: concat!("rilievo ", env!("CARGO_PKG_VERSION")).to_owned(),
+        fingerprint: ingredients.fingerprint(),
+        ingredients,
+        items: Default::default(),
+        seed: context.request.options.poses.seed,
+        seconds,
+        warnings: context.console.take_warnings(stage),
+        files: Default::default(),
+        report,
+    };
+    writer.commit(manifest)?;
+    context.console.stage(stage, &StageNews::Finished(seconds));
+    Ok(())
+}
+
+/// Loads, runs and saves one stage; returns its report.
+fn dispatch(
+    context: &Context<'_>,
+    stage: StageId,
+    writer: &StageWriter,
+) -> anyhow::Result<serde_json::Value> {
+    match stage {
+        StageId::Photos => photos::run(context, writer),
+        StageId::Features => features::run(context, writer),
+        StageId::Poses => poses::run(context, writer),
+        StageId::Lighting => lighting::run(context, writer),
+        StageId::Shading => shading::run(context, writer),
+        StageId::Fusion => fusion::run(context, writer),
+    }
+}

@@ -1,0 +1,101 @@
+//! Work photo by photo on all cores, as far as memory allows.
+
+use crate::cli::WorkArgs;
+use rayon::prelude::*;
+use rilievo_scene::{Event, Flow, Observer, StageId};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Threads and memory of a command; results do not depend on either.
+#[derive(Clone, Copy, Debug)]
+pub struct Resources {
+    /// Bytes to stay within.
+    pub memory: u64,
+}
+
+impl Resources {
+    /// Sets the number of threads for the whole program and reads the memory limit.
+    pub fn new(args: &WorkArgs) -> Self {
+        if let Some(threads) = args.threads {
+            // Fails only when a pool exists already, which then has been set up the same way.
+            let _ = rayon::ThreadPoolBuilder::new()
+                .num_threads(usize::from(threads))
+                .build_global();
+        }
+        Self {
+            memory: args.memory.unwrap_or_else(half_of_free_memory),
+        }
+    }
+
+    /// How many items of a size can be worked on at once: at least one, or nothing would move.
+    pub fn at_once(self, bytes_each: u64) -> usize {
+        let fitting = self.memory / bytes_each.max(1);
+        (fitting.max(1) as usize).min(rayon::current_num_threads())
+    }
+}
+
+/// Half of what the system says is available; 2 GiB where it does not say.
+fn half_of_free_memory() -> u64 {
+    let available = std::fs::read_to_string("/proc/meminfo")
+        .ok()
+        .and_then(|text| {
+            let line = text
+                .lines()
+                .find(|line| line.starts_with("MemAvailable:"))?;
+            line.split_whitespace().nth(1)?.parse::<u64>().ok()
+        });
+    available.map_or(2 << 30, |kib| kib * 1024 / 2)
+}
+
+/// Maps items in parallel, at most `at_once` at a time, and tells how far it is; results come in
+/// the items' order. `None` when the observer asked to stop.
+pub fn map_items<T: Sync, R: Send>(
+    items: &[T],
+    at_once: usize,
+    stage: StageId,
+    step: &str,
+    observer: &dyn Observer,
+    work: impl Fn(&T) -> R + Sync,
+) -> Option<Vec<R>> {
+    let done = AtomicUsize::new(0);
+    let next = |item: &T| {
+        if observer.flow() == Flow::Stop {
+            return None;
+        }
+        let result = work(item);
+        let event = Event::Progress {
+            stage,
+            step: step.to_owned(),
+            done: done.fetch_add(1, Ordering::Relaxed) + 1,
+            total: items.len(),
+        };
+        match observer.event(event) {
+            Flow::Continue => Some(result),
+            Flow::Stop => None,
+        }
+    };
+    if at_once >= rayon::current_num_threads() {
+        return items.par_iter().map(next).collect();
+    }
+    let mut results = Vec::with_capacity(items.len());
+    for chunk in items.chunks(at_once) {
+        let part: Option<Vec<R>> = chunk.par_iter().map(next).collect();
+        results.extend(part?);
+    }
+    Some(results)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::Silent;
+
+    #[test]
+    fn results_keep_the_order_whatever_runs_at_once() {
+        let items: Vec<usize> = (0..50).collect();
+        for at_once in [1, 3, 64] {
+            let squares = map_items(&items, at_once, StageId::Photos, "x", &Silent, |i| i * i);
+            let expected: Vec<usize> = items.iter().map(|i| i * i).collect();
+            assert_eq!(squares, Some(expected));
+        }
+    }
+}

@@ -1,0 +1,311 @@
+//! Stage 1: `linear/NAME.exr`, `masks/NAME.png`, and the preflight in the manifest.
+
+use super::Context;
+use super::errors::from_io;
+use super::inputs::{Inputs, PhotoInput};
+use super::parallel::map_items;
+use crate::exit::{Failure, Problem};
+use crate::store::{Item, StageWriter, StoreError, hash_json};
+use rilievo_io::{LinearFile, decode_photo, read_mask, write_linear, write_mask};
+use rilievo_photos::{
+    GivenCamera, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
+};
+use rilievo_scene::{PhotoSet, StageId};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Bytes per pixel while a photo is decoded, made linear and looked at.
+const BYTES_PER_PX: u64 = 48;
+
+/// What the manifest keeps of a photo.
+#[derive(Debug, Serialize, Deserialize)]
+enum Kept {
+    Usable { facts: Box<PhotoFacts>, mask: bool },
+    Rejected(RejectedPhoto),
+}
+
+/// Why one photo could not be prepared.
+enum Trouble {
+    /// The photo is left out; the others go on.
+    Photo(String),
+    /// A mask or camera that was asked for cannot be used: never go on silently without it.
+    Request(Problem),
+    /// The program or the disk failed.
+    Fatal(anyhow::Error),
+}
+
+impl From<StoreError> for Trouble {
+    fn from(error: StoreError) -> Self {
+        Self::Fatal(error.into())
+    }
+}
+
+/// Prepares every photo and reports on the set.
+///
+/// # Errors
+/// Unusable masks, or no usable photo.
+pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+    let inputs = context.inputs;
+    for problem in &inputs.skipped {
+        context.console.warn(StageId::Photos, problem.to_string());
+    }
+    for warning in &inputs.warnings {
+        context.console.warn(StageId::Photos, warning.clone());
+    }
+    let options = serde_json::to_value(&context.request.options.photos)?;
+    let prepared = map_items(
+        &inputs.photos,
+        context
+            .resources
+            .at_once(largest_photo_px(inputs) * BYTES_PER_PX),
+        StageId::Photos,
+        "reading photos",
+        context.console,
+        |photo| {
+            let key = hash_json(&(
+                "1_photos",
+                1,
+                &options,
+                Inputs::photo_hash(photo),
+                context.request.masks.is_some(),
+            ));
+            one(context, writer, photo, key)
+        },
+    )
+    .ok_or(Failure::Interrupted)?;
+
+    let mut usable = Vec::new();
+    let mut rejected = Vec::new();
+    let mut problems = Vec::new();
+    for (photo, outcome) in inputs.photos.iter().zip(prepared) {
+        match outcome {
+            Ok(Kept::Usable { facts, mask }) => {
+                usable.push(from_disk(writer.dir(), *facts, mask)?);
+            }
+            Ok(Kept::Rejected(photo)) => rejected.push(photo),
+            Err(Trouble::Photo(reason)) => rejected.push(RejectedPhoto {
+                file: photo.path.display().to_string(),
+                reason,
+            }),
+            Err(Trouble::Request(problem)) => problems.push(problem),
+            Err(Trouble::Fatal(error)) => return Err(error),
+        }
+    }
+    if !problems.is_empty() {
+        return Err(Failure::Input(problems).into());
+    }
+    for photo in &rejected {
+        context.console.warn(
+            StageId::Photos,
+            format!("{} is left out: {}", photo.file, photo.reason),
+        );
+    }
+    if usable.is_empty() {
+        let problems = rejected.into_iter().map(|photo| Problem {
+            file: photo.file.into(),
+            reason: photo.reason,
+        });
+        return Err(Failure::Input(problems.collect()).into());
+    }
+    let (_, mut report) = assemble(usable, context)?;
+    report.rejected = rejected;
+    for warning in &report.warnings {
+        context.console.warn(StageId::Photos, warning.clone());
+    }
+    preflight(&report, context);
+    Ok(serde_json::to_value(report)?)
+}
+
+/// Photos of a committed stage 1.
+///
+/// # Errors
+/// When its files are missing or damaged.
+pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
+    let dir = context.run.stage_dir(StageId::Photos);
+    let manifest = context
+        .run
+        .manifest(StageId::Photos)?
+        .ok_or_else(|| super::poses::not_there(StageId::Photos))?;
+    let mut usable = Vec::new();
+    for item in manifest.items.into_values() {
+        if let Kept::Usable { facts, mask } = serde_json::from_value(item.facts)? {
+            usable.push(from_disk(&dir, *facts, mask)?);
+        }
+    }
+    Ok(assemble(usable, context)?.0)
+}
+
+fn assemble(
+    usable: Vec<PreparedPhoto>,
+    context: &Context<'_>,
+) -> Result<(PhotoSet, PhotosReport), Failure> {
+    rilievo_photos::assemble(usable, &context.request.options.photos)
+        .map_err(|error| Failure::NoResult(error.to_string()))
+}
+
+fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto, Failure> {
+    let mask = if mask {
+        Some(Arc::new(
+            read_mask(&dir.join(mask_file(&facts.name))).map_err(from_io)?,
+        ))
+    } else {
+        None
+    };
+    Ok(PreparedPhoto {
+        pixels: Arc::new(LinearFile {
+            path: dir.join(linear_file(&facts.name)),
+        }),
+        mask,
+        facts,
+    })
+}
+
+fn linear_file(name: &str) -> String {
+    format!("linear/{name}.exr")
+}
+
+fn mask_file(name: &str) -> String {
+    format!("masks/{name}.png")
+}
+
+/// One photo: taken over from an earlier run, or decoded, checked and written.
+fn one(
+    context: &Context<'_>,
+    writer: &StageWriter,
+    photo: &PhotoInput,
+    key: String,
+) -> Result<Kept, Trouble> {
+    if let Some(item) = writer.reuse(&photo.name, &key)?
+        && let Ok(kept) = serde_json::from_value(item.facts)
+    {
+        return Ok(kept);
+    }
+    let (kept, files) = match prepare(context, photo) {
+        Ok(prepared) => write(writer, prepared)?,
+        Err(Trouble::Photo(reason)) => {
+            let rejected = RejectedPhoto {
+                file: photo.path.display().to_string(),
+                reason,
+            };
+            (Kept::Rejected(rejected), Vec::new())
+        }
+        Err(other) => return Err(other),
+    };
+    let facts = serde_json::to_value(&kept).map_err(|error| Trouble::Fatal(error.into()))?;
+    writer.finish(&photo.name, Item { key, files, facts })?;
+    Ok(kept)
+}
+
+fn prepare(context: &Context<'_>, photo: &PhotoInput) -> Result<PreparedPhoto, Trouble> {
+    let decoded = decode_photo(&photo.path).map_err(|error| {
+        let hint = error
+            .hint
+            .map_or(String::new(), |hint| format!(" ({hint})"));
+        Trouble::Photo(format!("{}{hint}", error.reason))
+    })?;
+    let mut mask_path = photo.path.clone();
+    let mask = match &photo.mask {
+        Some((path, _)) => {
+            mask_path = path.clone();
+            Some(read_mask(path).map_err(|error| {
+                Trouble::Request(Problem {
+                    file: error.path.clone(),
+                    reason: error.reason,
+                })
+            })?)
+        }
+        None if decoded.alpha.is_some() => decoded.alpha.clone(),
+        None => match &context.request.masks {
+            Some(folder) => {
+                return Err(Trouble::Request(Problem {
+                    file: photo.path.clone(),
+                    reason: format!(
+                        "has no mask in {}; name it {}.png",
+                        folder.display(),
+                        photo.name
+                    ),
+                }));
+            }
+            None => None,
+        },
+    };
+    let camera = photo.camera.as_ref().map(|camera| GivenCamera {
+        intrinsics: camera.intrinsics,
+        cam_from_world: camera.cam_from_world,
+    });
+    let options = &context.request.options.photos;
+    rilievo_photos::prepare(decoded, mask, camera, options).map_err(|error| match error {
+        PhotosError::MaskMissing { .. }
+        | PhotosError::MaskSize { .. }
+        | PhotosError::MaskEmpty { .. }
+        | PhotosError::MaskFull { .. }
+        | PhotosError::MaskInverted { .. } => Trouble::Request(Problem {
+            file: mask_path,
+            reason: error.to_string(),
+        }),
+        PhotosError::CameraSize { .. } => Trouble::Request(Problem {
+            file: context
+                .request
+                .cameras
+                .clone()
+                .unwrap_or_else(|| photo.path.clone()),
+            reason: error.to_string(),
+        }),
+        other => Trouble::Photo(other.to_string()),
+    })
+}
+
+fn write(writer: &StageWriter, prepared: PreparedPhoto) -> Result<(Kept, Vec<String>), Trouble> {
+    let name = prepared.facts.name.clone();
+    let image = prepared
+        .pixels
+        .load()
+        .map_err(|error| Trouble::Fatal(error.into()))?;
+    let fatal = |error| Trouble::Fatal(from_io(error).into());
+    let linear = linear_file(&name);
+    write_linear(&writer.path(&linear)?, &image).map_err(fatal)?;
+    let mut files = vec![linear];
+    if let Some(mask) = &prepared.mask {
+        let file = mask_file(&name);
+        write_mask(&writer.path(&file)?, mask).map_err(fatal)?;
+        files.push(file);
+    }
+    let kept = Kept::Usable {
+        mask: prepared.mask.is_some(),
+        facts: Box::new(prepared.facts),
+    };
+    Ok((kept, files))
+}
+
+/// Pixels of the largest photo, from the files' sizes: JPEG stores a pixel in a bit or more.
+fn largest_photo_px(inputs: &Inputs) -> u64 {
+    let bytes = |photo: &PhotoInput| std::fs::metadata(&photo.path).map_or(0, |m| m.len());
+    inputs.photos.iter().map(bytes).max().unwrap_or(0) * 8
+}
+
+/// One line per photo: what was found before anything is computed.
+fn preflight(report: &PhotosReport, context: &Context<'_>) {
+    for photo in &report.photos {
+        let mask = photo.mask_coverage.map_or("no mask".to_owned(), |share| {
+            format!("mask {:.1} %", 100.0 * share)
+        });
+        context.console.note(&format!(
+            "  {}: {} x {}, focal {:.0} px ({}), {mask}, {:.2} % clipped",
+            photo.file_name,
+            photo.width,
+            photo.height,
+            photo.intrinsics.focal_px(),
+            photo.focal_note,
+            100.0 * photo.clipped_share_on_object.unwrap_or(photo.clipped_share),
+        ));
+    }
+    if report.num_masks > 0 {
+        context.console.note(&format!(
+            "  masks: {}/{} matched, mean coverage {:.1} %",
+            report.num_masks,
+            report.photos.len(),
+            100.0 * report.mean_mask_coverage.unwrap_or(0.0)
+        ));
+    }
+}

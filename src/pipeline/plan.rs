@@ -1,0 +1,167 @@
+//! What each stage is made from, and whether its result in the run directory is still that.
+
+use super::inputs::Inputs;
+use super::request::{Request, SphereInput};
+use crate::exit::Failure;
+use crate::store::{Ingredients, Manifest, RunDir};
+use rilievo_scene::StageId;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// State of a stage's result.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "state", rename_all = "snake_case")]
+pub enum StageState {
+    /// Made from exactly what it would be made from now.
+    Valid,
+    /// Made from something else.
+    Stale {
+        /// What changed.
+        reasons: Vec<String>,
+    },
+    /// Not there.
+    Missing,
+}
+
+impl std::fmt::Display for StageState {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Valid => f.write_str("valid"),
+            Self::Stale { reasons } => write!(f, "stale: {}", reasons.join("; ")),
+            Self::Missing => f.write_str("missing"),
+        }
+    }
+}
+
+/// Raised with every change of a stage that changes its results.
+fn version(stage: StageId) -> u32 {
+    match stage {
+        StageId::Photos => 1,
+        StageId::Features => 1,
+        StageId::Poses => 1,
+        StageId::Lighting => 1,
+        StageId::Shading => 1,
+        StageId::Fusion => 1,
+    }
+}
+
+/// Stages whose results a stage reads.
+pub fn upstream(stage: StageId) -> &'static [StageId] {
+    use StageId::{Features, Lighting, Photos, Poses, Shading};
+    match stage {
+        Photos => &[],
+        Features => &[Photos],
+        Poses => &[Photos, Features],
+        Lighting => &[Photos, Poses],
+        Shading => &[Photos, Poses, Lighting],
+        StageId::Fusion => &[Photos, Poses, Shading],
+    }
+}
+
+/// Ingredients of all stages, as of now.
+pub struct Plan {
+    ingredients: BTreeMap<StageId, Ingredients>,
+}
+
+impl Plan {
+    /// Computes them from what was asked and the files' contents.
+    pub fn new(request: &Request, inputs: &Inputs) -> Self {
+        let mut ingredients = BTreeMap::<StageId, Ingredients>::new();
+        for stage in StageId::ALL {
+            let upstream = upstream(stage)
+                .iter()
+                .filter_map(|of| Some((of.name().to_owned(), ingredients.get(of)?.fingerprint())))
+                .collect();
+            let own = Ingredients {
+                stage,
+                stage_version: version(stage),
+                options: options(stage, request),
+                inputs: stage_inputs(stage, request, inputs),
+                upstream,
+            };
+            ingredients.insert(stage, own);
+        }
+        Self { ingredients }
+    }
+
+    /// What a stage would be made from now.
+    pub fn of(&self, stage: StageId) -> &Ingredients {
+        // Every stage of `StageId::ALL` was inserted above.
+        &self.ingredients[&stage]
+    }
+
+    /// State of a stage's result.
+    ///
+    /// # Errors
+    /// When its manifest cannot be read, or is of another version.
+    pub fn state(&self, run: &RunDir, stage: StageId) -> Result<StageState, Failure> {
+        let Some(manifest) = run.manifest(stage)? else {
+            return Ok(StageState::Missing);
+        };
+        Ok(self.state_of(&manifest, run, stage))
+    }
+
+    fn state_of(&self, manifest: &Manifest, run: &RunDir, stage: StageId) -> StageState {
+        let now = self.of(stage);
+        if let Some(damage) = manifest.damage(&run.stage_dir(stage)) {
+            return StageState::Stale {
+                reasons: vec![damage],
+            };
+        }
+        if manifest.fingerprint == now.fingerprint() {
+            return StageState::Valid;
+        }
+        let mut reasons = now.changes_since(&manifest.ingredients);
+        if reasons.is_empty() {
+            reasons.push("its manifest was changed by hand".to_owned());
+        }
+        StageState::Stale { reasons }
+    }
+}
+
+/// Options that affect a stage's result.
+fn options(stage: StageId, request: &Request) -> serde_json::Value {
+    fn value(options: &impl Serialize) -> serde_json::Value {
+        // Options are plain data; they always have a JSON form.
+        serde_json::to_value(options).unwrap_or_default()
+    }
+    match stage {
+        StageId::Photos => value(&request.options.photos),
+        StageId::Features => value(&request.options.features),
+        StageId::Poses => value(&request.options.poses),
+        StageId::Lighting => value(&request.options.lighting),
+        StageId::Shading => value(&request.options.shading),
+        StageId::Fusion => value(&request.options.fusion),
+    }
+}
+
+/// Content hashes of the files that a stage reads from outside the run directory.
+fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<String, String> {
+    match stage {
+        StageId::Photos => {
+            let mut hashes: BTreeMap<_, _> = inputs
+                .photos
+                .iter()
+                .map(|photo| {
+                    let role = format!("photo {}", photo.file_name);
+                    (role, Inputs::photo_hash(photo))
+                })
+                .collect();
+            // With masks asked for, a photo without one is an error and not a choice.
+            hashes.insert(
+                "masks asked for".into(),
+                request.masks.is_some().to_string(),
+            );
+            hashes
+        }
+        StageId::Poses => inputs.sphere_hashes.clone(),
+        StageId::Lighting => {
+            let mut hashes = inputs.lighting_hashes.clone();
+            if request.sphere != SphereInput::None {
+                hashes.extend(inputs.sphere_hashes.clone());
+            }
+            hashes
+        }
+        StageId::Features | StageId::Shading | StageId::Fusion => BTreeMap::new(),
+    }
+}

@@ -1,0 +1,133 @@
+//! Stage 3: `cameras.json`, `sparse/*.txt` (COLMAP), `posed_views.json` (everything, anchors too).
+
+use super::Context;
+use super::errors::{from_io, from_poses};
+use super::request::SphereInput;
+use crate::exit::Failure;
+use crate::store::{RunDir, StageWriter, StoreError};
+use rilievo_io::{CameraFile, decode_photo, write_cameras, write_colmap_text};
+use rilievo_scene::{LightKind, LinearImage, PhotoSet, PosedViews, SphereRequest, StageId};
+use std::io::{BufReader, BufWriter, Write};
+
+const POSED_VIEWS: &str = "posed_views.json";
+
+/// Finds poses, points, scale and anchors.
+///
+/// # Errors
+/// When the photos do not determine them, or the user asked to stop.
+pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+    let photos = super::photos::load(context)?;
+    let matches = super::features::load(context, &photos.photos)?;
+    let sphere = sphere_request(context, &photos)?;
+    let (views, report) = rilievo_poses::run(
+        &photos,
+        &matches,
+        sphere.as_ref(),
+        &context.request.options.poses,
+        context.console,
+    )
+    .map_err(from_poses)?;
+    for photo in &views.unregistered {
+        context.console.warn(
+            StageId::Poses,
+            format!("{} got no pose: {}", photo.file_name, photo.reason),
+        );
+    }
+    for warning in &report.warnings {
+        context.console.warn(StageId::Poses, warning.clone());
+    }
+    context.console.note(&format!(
+        "  {} of {} photos posed, {} points, reprojection error {:.2} px, {} anchors",
+        views.views.len(),
+        photos.photos.len(),
+        views.points.len(),
+        report.mean_reprojection_error_px,
+        views.anchors.len(),
+    ));
+
+    write_cameras(
+        &writer.path("cameras.json")?,
+        &CameraFile::from_posed_views(&views),
+    )
+    .map_err(from_io)?;
+    let sparse = writer.path("sparse/cameras.txt")?;
+    write_colmap_text(sparse.parent().unwrap_or(writer.dir()), &views).map_err(from_io)?;
+    let path = writer.path(POSED_VIEWS)?;
+    let file = std::fs::File::create(&path).map_err(StoreError::files("write", &path))?;
+    let mut out = BufWriter::new(file);
+    serde_json::to_writer(&mut out, &views)?;
+    out.flush().map_err(StoreError::files("write", &path))?;
+    Ok(serde_json::to_value(report)?)
+}
+
+/// Poses of a committed stage 3.
+///
+/// # Errors
+/// When they are missing or damaged.
+pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
+    let path = run.stage_dir(StageId::Poses).join(POSED_VIEWS);
+    let file = std::fs::File::open(&path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => anyhow::Error::new(not_there(StageId::Poses)),
+        _ => StoreError::files("read", &path)(error).into(),
+    })?;
+    let views =
+        serde_json::from_reader(BufReader::new(file)).map_err(|error| StoreError::Damaged {
+            path,
+            reason: error.to_string(),
+        })?;
+    Ok(views)
+}
+
+/// The result of a stage that another one needs does not exist.
+pub fn not_there(stage: StageId) -> Failure {
+    Failure::RunDirectory(format!(
+        "stage {stage} has no result yet; `rilievo reconstruct` makes it, or `rilievo run {stage}`"
+    ))
+}
+
+/// What the user said of the reference sphere, for a set of photos.
+///
+/// # Errors
+/// When the sphere file does not fit the photos, or a calibration photo cannot be read.
+pub fn sphere_request(
+    context: &Context<'_>,
+    photos: &PhotoSet,
+) -> Result<Option<SphereRequest>, Failure> {
+    if let SphereInput::Auto { radius } = context.request.sphere {
+        return Ok(Some(SphereRequest {
+            radius: Some(radius),
+            light: LightKind::World,
+            detect: true,
+            ..SphereRequest::default()
+        }));
+    }
+    let Some(file) = &context.inputs.sphere else {
+        return Ok(None);
+    };
+    let images = file
+        .calibration
+        .iter()
+        .map(|calibration| calibration_image(context, &calibration.image))
+        .collect::<Result<Vec<_>, _>>()?;
+    let (request, missing) = file.to_request(photos, images).map_err(from_io)?;
+    if !missing.is_empty() {
+        context.console.warn(
+            StageId::Poses,
+            format!(
+                "{} marks the sphere in photos that are not used: {}",
+                file.path.display(),
+                missing.join(", ")
+            ),
+        );
+    }
+    Ok(Some(request))
+}
+
+fn calibration_image(
+    context: &Context<'_>,
+    path: &std::path::Path,
+) -> Result<LinearImage, Failure> {
+    let decoded = decode_photo(path).map_err(from_io)?;
+    let encoding = context.request.options.photos.encoding;
+    Ok(rilievo_photos::linearize(&decoded, encoding).0)
+}

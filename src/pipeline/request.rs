@@ -1,0 +1,142 @@
+//! What the user asked for: everything but how to work. Stored in `run.json`, so that `status`,
+//! `why` and `run` need only the run directory.
+
+use crate::cli::ReconstructArgs;
+use crate::config::StageOptions;
+use crate::exit::Failure;
+use rilievo_io::split_lighting_spec;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Where the reference sphere is to be had from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SphereInput {
+    /// There is none.
+    None,
+    /// It is to be found in the photos.
+    Auto {
+        /// Its radius, metres.
+        radius: f64,
+    },
+    /// A sphere file; a radius beside it replaces the file's.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Radius from the command line, metres.
+        radius: Option<f64>,
+    },
+}
+
+/// Where the lighting is to be had from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LightingInput {
+    /// From the sphere where there is one, else from the program's own rough shape.
+    Found,
+    /// A lighting file, and the name to pick from it.
+    File {
+        /// The file.
+        path: PathBuf,
+        /// Which of its lightings.
+        name: Option<String>,
+    },
+    /// Fitted on depth maps `NAME_depth.exr` in this folder.
+    Shape {
+        /// The folder.
+        folder: PathBuf,
+    },
+}
+
+/// A reconstruction, as asked for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Request {
+    /// Folders and files, absolute.
+    pub photos: Vec<PathBuf>,
+    /// Folder of masks.
+    pub masks: Option<PathBuf>,
+    /// Camera file or COLMAP folder.
+    pub cameras: Option<PathBuf>,
+    /// The sphere.
+    pub sphere: SphereInput,
+    /// The lighting.
+    pub lighting: LightingInput,
+    /// Options of the stages.
+    pub options: StageOptions,
+}
+
+impl Request {
+    /// The request of a command line.
+    ///
+    /// # Errors
+    /// Contradictory or invalid options, and paths that do not exist.
+    pub fn from_args(args: &ReconstructArgs) -> Result<Self, Failure> {
+        let mut options = match &args.config {
+            Some(path) => StageOptions::read(path)?,
+            None => StageOptions::default(),
+        };
+        options.override_with(args.model, args.anchors, args.encoding);
+        options.validate()?;
+        if let Some(radius) = args.sphere_radius
+            && !(radius.is_finite() && radius > 0.0)
+        {
+            return Err(Failure::Usage(format!(
+                "--sphere-radius {radius} must be a positive length in metres"
+            )));
+        }
+        let lighting = match (&args.lighting, &args.lighting_shape) {
+            (Some(spec), _) => {
+                let (path, name) = split_lighting_spec(spec);
+                LightingInput::File {
+                    path: existing(&path, "--lighting")?,
+                    name,
+                }
+            }
+            (None, Some(folder)) => LightingInput::Shape {
+                folder: existing(folder, "--lighting-shape")?,
+            },
+            (None, None) => LightingInput::Found,
+        };
+        Ok(Self {
+            photos: args
+                .photos
+                .iter()
+                .map(|path| existing(path, "photos"))
+                .collect::<Result<_, _>>()?,
+            masks: optional(args.masks.as_deref(), "--masks")?,
+            cameras: optional(args.cameras.as_deref(), "--cameras")?,
+            sphere: sphere_input(&args.sphere, args.sphere_radius)?,
+            lighting,
+            options,
+        })
+    }
+}
+
+fn sphere_input(sphere: &Path, radius: Option<f64>) -> Result<SphereInput, Failure> {
+    match (sphere.to_str(), radius) {
+        (Some("none"), None) => Ok(SphereInput::None),
+        (Some("none"), Some(_)) => Err(Failure::Usage(
+            "--sphere-radius needs --sphere auto or --sphere FILE".to_owned(),
+        )),
+        (Some("auto"), Some(radius)) => Ok(SphereInput::Auto { radius }),
+        (Some("auto"), None) => Err(Failure::Usage(
+            "--sphere auto needs --sphere-radius METRES".to_owned(),
+        )),
+        _ => Ok(SphereInput::File {
+            path: existing(sphere, "--sphere")?,
+            radius,
+        }),
+    }
+}
+
+fn optional(path: Option<&Path>, option: &str) -> Result<Option<PathBuf>, Failure> {
+    path.map(|path| existing(path, option)).transpose()
+}
+
+/// An absolute path, so that the run can be continued from any folder.
+fn existing(path: &Path, option: &str) -> Result<PathBuf, Failure> {
+    std::path::absolute(path)
+        .ok()
+        .filter(|path| path.exists())
+        .ok_or_else(|| Failure::input(path, format!("there is no such file or folder ({option})")))
+}

@@ -1,0 +1,133 @@
+//! Stage 5: `depth/NAME.exr`, `normal/NAME.exr`, and `confidence`, `rendered`, `albedo` where the
+//! stage gives them; a picture in PNG beside each.
+
+use super::Context;
+use super::errors::{from_io, from_shading};
+use crate::exit::Failure;
+use crate::store::{RunDir, StageWriter};
+use rilievo_io::{
+    Preview, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
+    write_linear, write_normal, write_preview_png,
+};
+use rilievo_scene::{ShadedView, ShadedViews, StageId, ViewIdx};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Longer side of the pictures, pixels: all detail of usual photos, little space.
+const PREVIEW_SIDE: usize = 1600;
+
+/// What a view has beside depth and normals.
+#[derive(Debug, Serialize, Deserialize)]
+struct ViewFiles {
+    name: String,
+    view: ViewIdx,
+    confidence: bool,
+    rendered: bool,
+    albedo: bool,
+}
+
+/// Finds the dense shape of every view.
+///
+/// # Errors
+/// When it cannot be found, or the user asked to stop.
+pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+    let photos = super::photos::load(context)?;
+    let views = super::poses::load(context.run)?;
+    let lighting = super::lighting::load(context)?;
+    let (shaded, report) = rilievo_shading::run(
+        &photos,
+        &views,
+        &lighting,
+        &context.request.options.shading,
+        context.console,
+    )
+    .map_err(from_shading)?;
+    for warning in &report.warnings {
+        context.console.warn(StageId::Shading, warning.clone());
+    }
+    let mut files = Vec::new();
+    for view in &shaded.views {
+        write_view(writer, view)?;
+        files.push(ViewFiles {
+            name: view.name.clone(),
+            view: view.view,
+            confidence: view.confidence.is_some(),
+            rendered: view.rendered.is_some(),
+            albedo: view.albedo.is_some(),
+        });
+    }
+    let path = writer.path("views.json")?;
+    std::fs::write(&path, serde_json::to_vec_pretty(&files)?)
+        .map_err(crate::store::StoreError::files("write", &path))?;
+    Ok(serde_json::to_value(report)?)
+}
+
+fn write_view(writer: &StageWriter, view: &ShadedView) -> anyhow::Result<()> {
+    let file = |kind: &str, ending: &str| writer.path(&format!("{kind}/{}.{ending}", view.name));
+    write_depth(&file("depth", "exr")?, &view.depth).map_err(from_io)?;
+    write_normal(&file("normal", "exr")?, &view.normal).map_err(from_io)?;
+    if let Some(confidence) = &view.confidence {
+        write_channel(&file("confidence", "exr")?, "C", confidence).map_err(from_io)?;
+    }
+    if let Some(rendered) = &view.rendered {
+        write_linear(&file("rendered", "exr")?, rendered).map_err(from_io)?;
+    }
+    if let Some(albedo) = &view.albedo {
+        write_linear(&file("albedo", "exr")?, albedo).map_err(from_io)?;
+    }
+    write_previews(writer.dir(), view)?;
+    Ok(())
+}
+
+/// Writes the pictures of a view beside its maps.
+///
+/// # Errors
+/// When they cannot be written.
+pub fn write_previews(dir: &Path, view: &ShadedView) -> Result<(), Failure> {
+    let write = |kind: &str, preview: Preview<'_>| {
+        let path = dir.join(kind).join(format!("{}.png", view.name));
+        write_preview_png(&path, preview, PREVIEW_SIDE).map_err(from_io)
+    };
+    write("depth", Preview::Depth(&view.depth))?;
+    write("normal", Preview::Normal(&view.normal))?;
+    if let Some(rendered) = &view.rendered {
+        write("rendered", Preview::Linear(rendered))?;
+    }
+    Ok(())
+}
+
+/// Maps of a committed stage 5.
+///
+/// # Errors
+/// When they are missing or damaged.
+pub fn load(run: &RunDir) -> anyhow::Result<ShadedViews> {
+    let dir = run.stage_dir(StageId::Shading);
+    let text = std::fs::read(dir.join("views.json"))
+        .map_err(|_| super::poses::not_there(StageId::Shading))?;
+    let files: Vec<ViewFiles> = serde_json::from_slice(&text)?;
+    let views = files.into_iter().map(|file| read_view(&dir, file));
+    Ok(ShadedViews {
+        views: views.collect::<Result<_, _>>()?,
+    })
+}
+
+fn read_view(dir: &Path, files: ViewFiles) -> Result<ShadedView, Failure> {
+    let path = |kind: &str| dir.join(kind).join(format!("{}.exr", files.name));
+    let image = |present: bool, kind: &str| {
+        present
+            .then(|| read_linear(&path(kind)).map_err(from_io))
+            .transpose()
+    };
+    Ok(ShadedView {
+        view: files.view,
+        depth: read_depth(&path("depth")).map_err(from_io)?,
+        normal: read_normal(&path("normal")).map_err(from_io)?,
+        confidence: files
+            .confidence
+            .then(|| read_channel(&path("confidence"), "C").map_err(from_io))
+            .transpose()?,
+        rendered: image(files.rendered, "rendered")?,
+        albedo: image(files.albedo, "albedo")?,
+        name: files.name,
+    })
+}

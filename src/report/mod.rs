@@ -1,0 +1,59 @@
+//! `report.json` and `report.html`: what a person, or a program, judges a run by.
+
+mod html;
+mod json;
+mod system;
+
+use crate::exit::{self, Failure, Problem};
+use crate::pipeline::Request;
+use crate::store::{RunDir, write_atomically};
+use serde::Serialize;
+
+/// How the command ended.
+#[derive(Clone, Debug, Serialize)]
+pub struct Outcome {
+    /// The exit code.
+    pub exit_code: u8,
+    /// The error, where there was one.
+    pub error: Option<String>,
+    /// Files that could not be used.
+    pub problems: Vec<Problem>,
+}
+
+impl Outcome {
+    /// Outcome of a command that failed with `error`, or did not fail.
+    pub fn of(error: Option<&anyhow::Error>) -> Self {
+        match error {
+            None => Self {
+                exit_code: 0,
+                error: None,
+                problems: Vec::new(),
+            },
+            Some(error) => Self {
+                exit_code: exit::code_of(error),
+                error: Some(format!("{error:#}")),
+                problems: error
+                    .downcast_ref::<Failure>()
+                    .map_or(Vec::new(), |failure| failure.problems().to_vec()),
+            },
+        }
+    }
+}
+
+/// Whether a run has its report.
+pub fn exists(run: &RunDir) -> bool {
+    run.root().join("report.json").exists() && run.root().join("report.html").exists()
+}
+
+/// Writes both reports of a run.
+///
+/// # Errors
+/// When artifacts cannot be read, or the reports cannot be written.
+pub fn write(run: &RunDir, request: &Request, outcome: &Outcome) -> anyhow::Result<()> {
+    let report = json::collect(run, request, outcome)?;
+    let text = serde_json::to_vec_pretty(&report)?;
+    write_atomically(&run.root().join("report.json"), &text)?;
+    let page = html::page(run, &report)?;
+    write_atomically(&run.root().join("report.html"), page.as_bytes())?;
+    Ok(())
+}

@@ -1,0 +1,79 @@
+//! What can be wrong with a run directory.
+
+use std::path::{Path, PathBuf};
+
+/// A run directory that cannot be used, or a file in it that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The folder holds something else.
+    #[error(
+        "{} is not empty and is not a run directory of rilievo (it has no run.json); \
+         choose another folder with -o",
+        path.display()
+    )]
+    NotARun {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// There is no run directory.
+    #[error("{} is not a run directory of rilievo: it has no run.json", path.display())]
+    Missing {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Written by a version that this one does not know.
+    #[error(
+        "{} was written in format {found}, this program reads format {known}; \
+         use the newer program, or another folder",
+        path.display()
+    )]
+    OtherVersion {
+        /// The folder.
+        path: PathBuf,
+        /// Format in the folder.
+        found: u64,
+        /// Format of this program.
+        known: u64,
+    },
+    /// Another process works there.
+    #[error(
+        "{} is in use by process {owner}; wait for it, or choose another folder",
+        path.display()
+    )]
+    InUse {
+        /// The folder.
+        path: PathBuf,
+        /// Process id, as written by the owner.
+        owner: String,
+    },
+    /// A file in it cannot be understood.
+    #[error("{} is damaged: {reason}; `rilievo clean` the stage and run it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The disk said no.
+    #[error("cannot {action} {}: {source}", path.display())]
+    Files {
+        /// What was tried ("write").
+        action: &'static str,
+        /// On which file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+}
+
+impl StoreError {
+    /// Wraps a system error with what was tried.
+    pub fn files(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_path_buf();
+        move |source| Self::Files {
+            action,
+            path,
+            source,
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! The run directory: fingerprints, atomic commits, a lock, and what is valid, stale or missing.
+//!
+//! ```text
+//! RUN/run.json            what was asked (photos, masks, options) and the format version
+//! RUN/1_photos … 6_fusion artifacts of each stage; manifest.json says what they were made from
+//! RUN/.work/STAGE         a stage in progress; renamed to RUN/STAGE when it is complete
+//! RUN/.contents.json      content hashes by size and date, so that unchanged files are not read again
+//! RUN/.lock               the process that works here
+//! ```
+//! A stage is committed by one rename after all its files, the manifest last, are on disk: whatever
+//! stops the program, `RUN/STAGE` is either the old result or the new one.
+
+mod contents;
+mod error;
+mod fingerprint;
+mod lock;
+mod manifest;
+mod run_dir;
+mod writer;
+
+pub use contents::Contents;
+pub use error::StoreError;
+pub use fingerprint::{Ingredients, hash_json};
+pub use manifest::{Item, Manifest};
+pub use run_dir::{FORMAT_VERSION, RunDir, write_atomically};
+pub use writer::StageWriter;

@@ -1,0 +1,259 @@
+//! Opening a run directory, and finding its way back from an interrupted commit.
+
+use super::error::StoreError;
+use super::lock::Lock;
+use super::manifest::Manifest;
+use super::writer::StageWriter;
+use rilievo_scene::StageId;
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Version of the layout and of the manifests; another one is refused, never guessed at.
+pub const FORMAT_VERSION: u64 = 1;
+
+/// File that marks a run directory.
+const RUN_FILE: &str = "run.json";
+
+/// A run directory, locked when it was opened for work.
+#[derive(Debug)]
+pub struct RunDir {
+    root: PathBuf,
+    lock: Option<Lock>,
+}
+
+impl RunDir {
+    /// Opens a run directory for work, creating it when the folder is absent or empty.
+    ///
+    /// # Errors
+    /// When it belongs to another program or version, is in use, or cannot be written.
+    pub fn create_or_open(root: &Path) -> Result<Self, StoreError> {
+        if root.join(RUN_FILE).exists() {
+            return Self::open(root);
+        }
+        if root.exists() {
+            let mut entries = std::fs::read_dir(root).map_err(StoreError::files("read", root))?;
+            // A lock alone is what a process leaves that dies right after creating the folder.
+            let foreign = entries.any(|entry| {
+                entry.map_or(true, |e| e.file_name() != std::ffi::OsStr::new(".lock"))
+            });
+            if foreign {
+                return Err(StoreError::NotARun {
+                    path: root.to_path_buf(),
+                });
+            }
+        }
+        std::fs::create_dir_all(root).map_err(StoreError::files("create", root))?;
+        Ok(Self {
+            root: root.to_path_buf(),
+            lock: Some(Lock::take(root)?),
+        })
+    }
+
+    /// Opens an existing run directory for work.
+    ///
+    /// # Errors
+    /// When there is none, it is of another version, or in use.
+    pub fn open(root: &Path) -> Result<Self, StoreError> {
+        let mut run = Self::open_to_read(root)?;
+        run.lock = Some(Lock::take(root)?);
+        run.recover()?;
+        Ok(run)
+    }
+
+    /// Opens an existing run directory without the right to change it.
+    ///
+    /// # Errors
+    /// When there is none, or it is of another version.
+    pub fn open_to_read(root: &Path) -> Result<Self, StoreError> {
+        let run = Self {
+            root: root.to_path_buf(),
+            lock: None,
+        };
+        let value = run.read_run_file()?;
+        let found = value
+            .get("format_version")
+            .and_then(serde_json::Value::as_u64);
+        let ours = value.get("program").and_then(serde_json::Value::as_str) == Some("rilievo");
+        match (ours, found) {
+            (true, Some(FORMAT_VERSION)) => Ok(run),
+            (true, Some(found)) => Err(StoreError::OtherVersion {
+                path: root.to_path_buf(),
+                found,
+                known: FORMAT_VERSION,
+            }),
+            _ => Err(StoreError::NotARun {
+                path: root.to_path_buf(),
+            }),
+        }
+    }
+
+    /// The folder itself.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Folder of a committed stage.
+    pub fn stage_dir(&self, stage: StageId) -> PathBuf {
+        self.root.join(stage.name())
+    }
+
+    /// Manifest of a committed stage; `None` when the stage has none.
+    ///
+    /// # Errors
+    /// When it cannot be read, or is of another version.
+    pub fn manifest(&self, stage: StageId) -> Result<Option<Manifest>, StoreError> {
+        let manifest = Manifest::read(&self.stage_dir(stage))?;
+        match &manifest {
+            Some(found) if found.format_version != FORMAT_VERSION => {
+                Err(StoreError::OtherVersion {
+                    path: self.stage_dir(stage),
+                    found: found.format_version,
+                    known: FORMAT_VERSION,
+                })
+            }
+            _ => Ok(manifest),
+        }
+    }
+
+    /// Parsed `run.json`.
+    ///
+    /// # Errors
+    /// When it is absent or damaged.
+    pub fn read_run_file(&self) -> Result<serde_json::Value, StoreError> {
+        let path = self.root.join(RUN_FILE);
+        let text = std::fs::read(&path).map_err(|error| match error.kind() {
+            std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => {
+                StoreError::Missing {
+                    path: self.root.clone(),
+                }
+            }
+            _ => StoreError::files("read", &path)(error),
+        })?;
+        serde_json::from_slice(&text).map_err(|error| StoreError::Damaged {
+            path,
+            reason: error.to_string(),
+        })
+    }
+
+    /// Writes `run.json` with what was asked; untouched when it says the same already.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write_run_file(&self, request: &impl Serialize) -> Result<(), StoreError> {
+        let value = serde_json::json!({
+            "program": "rilievo",
+            "format_version": FORMAT_VERSION,
+            "request": request,
+        });
+        if self.read_run_file().is_ok_and(|found| found == value) {
+            return Ok(());
+        }
+        let text = serde_json::to_vec_pretty(&value).unwrap_or_default();
+        write_atomically(&self.root.join(RUN_FILE), &text)
+    }
+
+    /// Starts a stage: its files go to a work folder until they are committed.
+    ///
+    /// # Errors
+    /// When the work folder cannot be prepared.
+    pub fn begin(&self, stage: StageId) -> Result<StageWriter, StoreError> {
+        StageWriter::begin(&self.root, stage)
+    }
+
+    /// Deletes a stage's results.
+    ///
+    /// # Errors
+    /// When they cannot be deleted.
+    pub fn clean(&self, stage: StageId) -> Result<bool, StoreError> {
+        let mut found = false;
+        for folder in [
+            self.stage_dir(stage),
+            self.root.join(".work").join(stage.name()),
+            self.root.join(".old").join(stage.name()),
+        ] {
+            if folder.exists() {
+                found = true;
+                std::fs::remove_dir_all(&folder).map_err(StoreError::files("delete", &folder))?;
+            }
+        }
+        Ok(found)
+    }
+
+    /// A commit moves the old result aside before the new one takes its name; put the old one
+    /// back where the program died in between.
+    fn recover(&self) -> Result<(), StoreError> {
+        for stage in StageId::ALL {
+            let old = self.root.join(".old").join(stage.name());
+            if !old.exists() {
+                continue;
+            }
+            let place = self.stage_dir(stage);
+            if place.exists() {
+                std::fs::remove_dir_all(&old).map_err(StoreError::files("delete", &old))?;
+            } else {
+                std::fs::rename(&old, &place).map_err(StoreError::files("rename", &old))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes a file so that it is either the old one or the complete new one.
+///
+/// # Errors
+/// When it cannot be written; the old file is then untouched.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let write = || -> std::io::Result<()> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".writing-");
+        // Temporary files are private by default; a result is as readable as the umask allows.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut file = builder.tempfile_in(folder)?;
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        file.persist(path)?;
+        Ok(())
+    };
+    write().map_err(StoreError::files("write", path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn foreign_newer_and_absent_folders_are_told_apart() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("run");
+        assert!(matches!(
+            RunDir::open_to_read(&root),
+            Err(StoreError::Missing { .. })
+        ));
+        let run = RunDir::create_or_open(&root).unwrap();
+        run.write_run_file(&"asked").unwrap();
+        assert!(matches!(RunDir::open(&root), Err(StoreError::InUse { .. })));
+        drop(run);
+        assert!(RunDir::open(&root).is_ok());
+
+        std::fs::write(
+            root.join(RUN_FILE),
+            r#"{"program": "rilievo", "format_version": 99}"#,
+        )
+        .unwrap();
+        assert!(matches!(
+            RunDir::create_or_open(&root),
+            Err(StoreError::OtherVersion { found: 99, .. })
+        ));
+
+        let other = dir.path().join("other");
+        std::fs::create_dir(&other).unwrap();
+        std::fs::write(other.join("letter.txt"), "x").unwrap();
+        assert!(matches!(
+            RunDir::create_or_open(&other),
+            Err(StoreError::NotARun { .. })
+        ));
+    }
+}

@@ -1,0 +1,293 @@
+//! Writing a stage: everything into a work folder, then one rename.
+
+use super::error::StoreError;
+use super::manifest::{Item, MANIFEST, Manifest};
+use rilievo_scene::StageId;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+/// Folder of finished items' records inside the work folder; not part of the result.
+const ITEMS: &str = ".items";
+
+/// A stage in progress.
+#[derive(Debug)]
+pub struct StageWriter {
+    root: PathBuf,
+    stage: StageId,
+    work: PathBuf,
+    /// Items that an interrupted or an earlier run finished, with the folder that has their files.
+    reusable: BTreeMap<String, (PathBuf, Item)>,
+    items: Mutex<BTreeMap<String, Item>>,
+}
+
+impl StageWriter {
+    /// Prepares an empty work folder; what an interrupted run left there is kept as a source of
+    /// finished items.
+    pub(super) fn begin(root: &Path, stage: StageId) -> Result<Self, StoreError> {
+        let work = root.join(".work").join(stage.name());
+        let previous = root
+            .join(".work")
+            .join(format!("{}.previous", stage.name()));
+        if work.exists() {
+            if previous.exists() {
+                remove_dir(&previous)?;
+            }
+            std::fs::rename(&work, &previous).map_err(StoreError::files("rename", &work))?;
+        }
+        let items_dir = work.join(ITEMS);
+        std::fs::create_dir_all(&items_dir).map_err(StoreError::files("create", &items_dir))?;
+
+        let committed = root.join(stage.name());
+        let mut reusable = BTreeMap::new();
+        if let Ok(Some(manifest)) = Manifest::read(&committed) {
+            for (name, item) in manifest.items {
+                reusable.insert(name, (committed.clone(), item));
+            }
+        }
+        for (name, item) in finished_items(&previous) {
+            reusable.insert(name, (previous.clone(), item));
+        }
+        Ok(Self {
+            root: root.to_path_buf(),
+            stage,
+            work,
+            reusable,
+            items: Mutex::new(BTreeMap::new()),
+        })
+    }
+
+    /// Where to write an artifact; creates the folders above it.
+    ///
+    /// # Errors
+    /// When the folder cannot be created.
+    pub fn path(&self, relative: &str) -> Result<PathBuf, StoreError> {
+        let path = self.work.join(relative);
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+        }
+        Ok(path)
+    }
+
+    /// The work folder, where artifacts lie until the commit.
+    pub fn dir(&self) -> &Path {
+        &self.work
+    }
+
+    /// Takes over an item that was finished before, when it has the same key.
+    ///
+    /// # Errors
+    /// When its files can be neither linked nor copied.
+    pub fn reuse(&self, name: &str, key: &str) -> Result<Option<Item>, StoreError> {
+        let Some((folder, item)) = self.reusable.get(name).filter(|(_, item)| item.key == key)
+        else {
+            return Ok(None);
+        };
+        for file in &item.files {
+            let (source, target) = (folder.join(file), self.path(file)?);
+            if !source.exists() {
+                return Ok(None);
+            }
+            // Committed files are never written again, so a link is as good as a copy.
+            if std::fs::hard_link(&source, &target).is_err() {
+                std::fs::copy(&source, &target).map_err(StoreError::files("copy", &source))?;
+            }
+        }
+        self.finish(name, item.clone())?;
+        Ok(Some(item.clone()))
+    }
+
+    /// Records a finished item, so that an interrupted run need not do it again.
+    ///
+    /// # Errors
+    /// When its files cannot be brought to disk.
+    pub fn finish(&self, name: &str, item: Item) -> Result<(), StoreError> {
+        for file in &item.files {
+            sync(&self.work.join(file))?;
+        }
+        let record = self.work.join(ITEMS).join(format!("{name}.json"));
+        let text = serde_json::to_vec(&(name, &item)).unwrap_or_default();
+        super::run_dir::write_atomically(&record, &text)?;
+        let mut items = match self.items.lock() {
+            Ok(items) => items,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        items.insert(name.to_owned(), item);
+        Ok(())
+    }
+
+    /// Completes the stage: all files to disk, the manifest last, then one rename.
+    ///
+    /// # Errors
+    /// When something cannot be written; the earlier result is then untouched.
+    pub fn commit(self, mut manifest: Manifest) -> Result<(), StoreError> {
+        remove_dir(&self.work.join(ITEMS))?;
+        manifest.items = match self.items.into_inner() {
+            Ok(items) => items,
+            Err(poisoned) => poisoned.into_inner(),
+        };
+        manifest.files = BTreeMap::new();
+        collect_and_sync(&self.work, "", &mut manifest.files)?;
+        let text = serde_json::to_vec_pretty(&manifest).unwrap_or_default();
+        super::run_dir::write_atomically(&self.work.join(MANIFEST), &text)?;
+        sync(&self.work)?;
+
+        let place = self.root.join(self.stage.name());
+        let old = self.root.join(".old").join(self.stage.name());
+        if place.exists() {
+            let folder = self.root.join(".old");
+            std::fs::create_dir_all(&folder).map_err(StoreError::files("create", &folder))?;
+            std::fs::rename(&place, &old).map_err(StoreError::files("rename", &place))?;
+        }
+        std::fs::rename(&self.work, &place).map_err(StoreError::files("rename", &self.work))?;
+        sync(&self.root)?;
+
+        // From here on the stage is committed; leftovers cost only space, and are cleared again
+        // by the next run that opens this folder.
+        let previous = self
+            .root
+            .join(".work")
+            .join(format!("{}.previous", self.stage.name()));
+        for leftover in [old, previous] {
+            if leftover.exists() {
+                remove_dir(&leftover)?;
+            }
+        }
+        for folder in [".work", ".old"] {
+            // Fails when another stage still has something there, as it should.
+            let _ = std::fs::remove_dir(self.root.join(folder));
+        }
+        Ok(())
+    }
+}
+
+/// Items whose record is complete in an abandoned work folder.
+fn finished_items(work: &Path) -> Vec<(String, Item)> {
+    let Ok(entries) = std::fs::read_dir(work.join(ITEMS)) else {
+        return Vec::new();
+    };
+    entries
+        .flatten()
+        .filter_map(|entry| std::fs::read(entry.path()).ok())
+        .filter_map(|text| serde_json::from_slice(&text).ok())
+        .collect()
+}
+
+fn collect_and_sync(
+    folder: &Path,
+    prefix: &str,
+    files: &mut BTreeMap<String, u64>,
+) -> Result<(), StoreError> {
+    let entries = std::fs::read_dir(folder).map_err(StoreError::files("read", folder))?;
+    for entry in entries {
+        let entry = entry.map_err(StoreError::files("read", folder))?;
+        let path = entry.path();
+        let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+        let metadata = entry.metadata().map_err(StoreError::files("read", &path))?;
+        if metadata.is_dir() {
+            collect_and_sync(&path, &format!("{name}/"), files)?;
+        } else {
+            files.insert(name, metadata.len());
+        }
+        sync(&path)?;
+    }
+    Ok(())
+}
+
+fn sync(path: &Path) -> Result<(), StoreError> {
+    File::open(path)
+        .and_then(|file| file.sync_all())
+        .map_err(StoreError::files("write", path))
+}
+
+fn remove_dir(path: &Path) -> Result<(), StoreError> {
+    std::fs::remove_dir_all(path).map_err(StoreError::files("delete", path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FORMAT_VERSION, Ingredients, RunDir};
+    use super::*;
+
+    fn manifest() -> Manifest {
+        let ingredients = Ingredients {
+            stage: StageId::Features,
+            stage_version: 1,
+            options: serde_json::Value::Null,
+            inputs: BTreeMap::new(),
+            upstream: BTreeMap::new(),
+        };
+        Manifest {
+            format_version: FORMAT_VERSION,
+            program: String::new(),
+            fingerprint: ingredients.fingerprint(),
+            ingredients,
+            items: BTreeMap::new(),
+            seed: 0,
+            seconds: 0.0,
+            warnings: Vec::new(),
+            files: BTreeMap::new(),
+            report: serde_json::Value::Null,
+        }
+    }
+
+    fn item(key: &str) -> Item {
+        Item {
+            key: key.into(),
+            files: vec!["a.bin".into()],
+            facts: serde_json::Value::Null,
+        }
+    }
+
+    #[test]
+    fn a_stage_appears_only_when_it_is_committed_and_items_survive_a_crash() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunDir::create_or_open(&dir.path().join("run")).unwrap();
+
+        let writer = run.begin(StageId::Features).unwrap();
+        std::fs::write(writer.path("a.bin").unwrap(), b"first").unwrap();
+        writer.finish("a", item("k1")).unwrap();
+        drop(writer);
+        assert_eq!(run.manifest(StageId::Features).unwrap(), None);
+
+        let writer = run.begin(StageId::Features).unwrap();
+        assert_eq!(writer.reuse("a", "k2").unwrap(), None);
+        assert_eq!(writer.reuse("a", "k1").unwrap(), Some(item("k1")));
+        writer.commit(manifest()).unwrap();
+        let committed = run.manifest(StageId::Features).unwrap().unwrap();
+        assert_eq!(committed.files, [("a.bin".to_owned(), 5)].into());
+        let stage_dir = run.stage_dir(StageId::Features);
+        assert_eq!(committed.damage(&stage_dir), None);
+
+        // A second commit replaces the first, and takes unchanged items along.
+        let writer = run.begin(StageId::Features).unwrap();
+        assert!(writer.reuse("a", "k1").unwrap().is_some());
+        std::fs::write(writer.path("b/c.bin").unwrap(), b"more").unwrap();
+        writer.commit(manifest()).unwrap();
+        let committed = run.manifest(StageId::Features).unwrap().unwrap();
+        assert_eq!(committed.files.len(), 2);
+        std::fs::remove_file(stage_dir.join("a.bin")).unwrap();
+        assert_eq!(
+            committed.damage(&stage_dir),
+            Some("a.bin is gone".to_owned())
+        );
+    }
+
+    #[test]
+    fn a_commit_that_died_between_its_renames_is_undone() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("run");
+        let run = RunDir::create_or_open(&root).unwrap();
+        run.write_run_file(&"asked").unwrap();
+        run.begin(StageId::Poses)
+            .unwrap()
+            .commit(manifest())
+            .unwrap();
+        drop(run);
+        std::fs::create_dir(root.join(".old")).unwrap();
+        std::fs::rename(root.join("3_poses"), root.join(".old/3_poses")).unwrap();
+        let run = RunDir::open(&root).unwrap();
+        assert!(run.manifest(StageId::Poses).unwrap().is_some());
+    }
+}

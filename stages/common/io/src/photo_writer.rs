@@ -1,0 +1,57 @@
+//! Writes photos as a camera would: 8-bit JPEG with the sRGB curve.
+
+use crate::error::IoError;
+use image::ExtendedColorType;
+use image::codecs::jpeg::JpegEncoder;
+use rilievo_scene::LinearImage;
+use std::path::Path;
+
+/// The sRGB curve, linear to encoded, both 0 to 1 (IEC 61966-2-1).
+fn srgb_encode(linear: f32) -> f32 {
+    if linear <= 0.003_130_8 {
+        12.92 * linear
+    } else {
+        1.055 * linear.powf(1.0 / 2.4) - 0.055
+    }
+}
+
+/// Writes a linear image as JPEG; values outside 0 to 1 are clipped, as in a camera.
+///
+/// # Errors
+/// When the file cannot be written, or is too large for JPEG.
+pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result<(), IoError> {
+    let samples: Vec<u8> = photo
+        .data
+        .iter()
+        .map(|&linear| (255.0 * srgb_encode(linear.clamp(0.0, 1.0))).round() as u8)
+        .collect();
+    let color = if photo.channels == 1 {
+        ExtendedColorType::L8
+    } else {
+        ExtendedColorType::Rgb8
+    };
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality)
+        .encode(&samples, photo.width as u32, photo.height as u32, color)
+        .map_err(|error| IoError::write(path, error))?;
+    std::fs::write(path, bytes).map_err(|error| IoError::write(path, error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_written_photo_decodes_to_the_same_light() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("grey.jpg");
+        write_photo_jpeg(&path, &LinearImage::filled(64, 48, 3, 0.18), 95).unwrap();
+        let decoded = crate::decode_photo(&path).unwrap();
+        let rilievo_scene::decoded::Samples::U8(samples) = &decoded.samples else {
+            panic!("{:?}", decoded.samples.bits());
+        };
+        // 18 % grey is 118 in sRGB; JPEG rounds colours by a step.
+        let worst = samples.iter().map(|&s| (i32::from(s) - 118).abs()).max();
+        assert!(worst.is_some_and(|w| w <= 1), "{worst:?}");
+    }
+}
