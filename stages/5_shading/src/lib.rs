@@ -2,6 +2,7 @@
 
 mod error;
 mod options;
+pub mod photo;
 mod problem;
 mod solution;
 

@@ -6,4 +6,5 @@ pub mod corner_poisson;
 pub mod derivatives;
 pub mod least_squares;
 mod multigrid;
+pub mod plate_system;
 pub mod robust;

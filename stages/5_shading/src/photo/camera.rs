@@ -1,0 +1,185 @@
+//! Pinhole cameras of one pyramid level, and the warp between two of them.
+//!
+//! A pixel `x = (x, y, 1)` of view i at inverse depth `w` lies in view j at
+//! `P = K_j R_ji K_i⁻¹ x + w K_j t_ji`, pixel `(P₀, P₁) / P₂`, depth `P₂ / w`.
+//! With `ζ = ln z = −ln w`: `∂P/∂ζ = −w K_j t_ji`.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rilievo_scene::{Intrinsics, RigidTransform};
+
+/// A pinhole without distortion, with its pose.
+#[derive(Clone, Debug)]
+pub(crate) struct Camera {
+    pub width: usize,
+    pub height: usize,
+    pub fx: f64,
+    pub fy: f64,
+    pub cx: f64,
+    pub cy: f64,
+    /// `cam_from_world`.
+    pub rotation: Matrix3<f64>,
+    pub translation: Vector3<f64>,
+    /// Centre in the world.
+    pub center: Point3<f64>,
+}
+
+impl Camera {
+    pub fn new(intrinsics: &Intrinsics, pose: &RigidTransform) -> Self {
+        Self {
+            width: intrinsics.width,
+            height: intrinsics.height,
+            fx: intrinsics.fx,
+            fy: intrinsics.fy,
+            cx: intrinsics.cx,
+            cy: intrinsics.cy,
+            rotation: pose.rotation_matrix(),
+            translation: pose.translation,
+            center: pose.center_in_source(),
+        }
+    }
+
+    /// The camera of the image cropped to a window that starts at `(x0, y0)`.
+    pub fn cropped(&self, x0: usize, y0: usize, width: usize, height: usize) -> Self {
+        Self {
+            width,
+            height,
+            cx: self.cx - x0 as f64,
+            cy: self.cy - y0 as f64,
+            ..self.clone()
+        }
+    }
+
+    /// The camera of the image at half resolution (2×2 blocks).
+    pub fn halved(&self) -> Self {
+        Self {
+            width: self.width / 2,
+            height: self.height / 2,
+            fx: 0.5 * self.fx,
+            fy: 0.5 * self.fy,
+            cx: 0.5 * (self.cx + 0.5) - 0.5,
+            cy: 0.5 * (self.cy + 0.5) - 0.5,
+            ..self.clone()
+        }
+    }
+
+    pub fn focal(&self) -> f64 {
+        0.5 * (self.fx + self.fy)
+    }
+
+    fn matrix(&self) -> Matrix3<f64> {
+        Matrix3::new(self.fx, 0.0, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
+    }
+
+    /// Ray of a pixel in the camera frame, `z = 1`.
+    #[inline]
+    pub fn ray(&self, x: f64, y: f64) -> Vector3<f64> {
+        Vector3::new((x - self.cx) / self.fx, (y - self.cy) / self.fy, 1.0)
+    }
+
+    /// World point at a pixel and a depth.
+    #[inline]
+    pub fn unproject(&self, x: f64, y: f64, depth: f64) -> Point3<f64> {
+        self.center + self.rotation.tr_mul(&(self.ray(x, y) * depth))
+    }
+
+    /// Pixel and depth of a world point.
+    #[inline]
+    pub fn project(&self, point: &Point3<f64>) -> Option<(f64, f64, f64)> {
+        let p = self.rotation * point.coords + self.translation;
+        (p.z > 0.0).then(|| {
+            (
+                self.fx * p.x / p.z + self.cx,
+                self.fy * p.y / p.z + self.cy,
+                p.z,
+            )
+        })
+    }
+}
+
+/// Maps pixels of one view at an inverse depth into another.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Warp {
+    pub a: Matrix3<f64>,
+    pub b: Vector3<f64>,
+}
+
+/// Where a pixel lands, and how that depends on `ζ`.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Landing {
+    pub u: f64,
+    pub v: f64,
+    /// Log depth in the other view.
+    pub zeta: f64,
+    /// `∂u/∂ζ`, `∂v/∂ζ`, `∂ζ_other/∂ζ`.
+    pub du: f64,
+    pub dv: f64,
+    pub dzeta: f64,
+}
+
+impl Warp {
+    pub fn between(from: &Camera, to: &Camera) -> Option<Self> {
+        let inverse = from.matrix().try_inverse()?;
+        let rotation = to.rotation * from.rotation.transpose();
+        let translation = to.translation - rotation * from.translation;
+        Some(Self {
+            a: to.matrix() * rotation * inverse,
+            b: to.matrix() * translation,
+        })
+    }
+
+    /// Lands pixel `(x, y)` with log depth `zeta`; `None` behind the other camera.
+    #[inline]
+    pub fn land(&self, x: f64, y: f64, zeta: f64) -> Option<Landing> {
+        let w = (-zeta).exp();
+        let p = self.a * Vector3::new(x, y, 1.0) + self.b * w;
+        if p.z.is_nan() || p.z <= 1e-9 {
+            return None;
+        }
+        let d = -self.b * w;
+        let (u, v) = (p.x / p.z, p.y / p.z);
+        Some(Landing {
+            u,
+            v,
+            zeta: p.z.ln() + zeta,
+            du: (d.x - u * d.z) / p.z,
+            dv: (d.y - v * d.z) / p.z,
+            dzeta: d.z / p.z + 1.0,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    #[test]
+    fn landing_agrees_with_projection_and_its_derivatives_with_differences() {
+        let k = Intrinsics::pinhole(640, 480, 700.0, 319.5, 239.5);
+        let first = Camera::new(&k, &RigidTransform::identity());
+        let second = Camera::new(
+            &k,
+            &RigidTransform {
+                rotation: UnitQuaternion::from_euler_angles(0.02, -0.3, 0.05),
+                translation: Vector3::new(0.3, -0.02, 0.1),
+            },
+        );
+        let Some(warp) = Warp::between(&first, &second) else {
+            panic!("singular camera")
+        };
+        let zeta = 1.1_f64.ln();
+        let at = |z: f64| warp.land(300.0, 200.0, z);
+        let projected = second.project(&first.unproject(300.0, 200.0, 1.1));
+        let (Some(l), Some((u, v, z))) = (at(zeta), projected) else {
+            panic!("not visible")
+        };
+        assert!((l.u - u).abs() < 1e-9 && (l.v - v).abs() < 1e-9, "{l:?}");
+        assert!((l.zeta - z.ln()).abs() < 1e-12, "{l:?}");
+        let (Some(p), Some(m)) = (at(zeta + 1e-6), at(zeta - 1e-6)) else {
+            panic!("not visible")
+        };
+        assert!(((p.u - m.u) / 2e-6 - l.du).abs() < 1e-4, "{l:?}");
+        assert!(((p.v - m.v) / 2e-6 - l.dv).abs() < 1e-4, "{l:?}");
+        assert!(((p.zeta - m.zeta) / 2e-6 - l.dzeta).abs() < 1e-6, "{l:?}");
+    }
+}

@@ -1,0 +1,141 @@
+//! Exposure of each photo, and how far photos disagree where they see the same point.
+//!
+//! At pixels whose depth two views agree on, `ln I_j(x') − ln I_i(x) = g_j − g_i + noise` per channel.
+//! The medians of all pairs determine the log gains `g` (least squares, weights from the pairs'
+//! spread, largest gain 1); the median absolute deviation that is left is the photos' disagreement,
+//! from which every photometric weight follows.
+
+use super::level::Level;
+use super::sampling;
+use super::start::Agreement;
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
+
+/// Exposure gains and the disagreement that they leave.
+#[derive(Clone, Debug)]
+pub(crate) struct Exposure {
+    /// Gain of every photo and channel; dividing by it makes brightness constant.
+    pub gains: Vec<[f64; 3]>,
+    /// Standard deviation of the log ratio between views at the same point, after the gains.
+    pub disagreement: f64,
+    /// The same per view: median over its pairs.
+    pub per_view: Vec<f64>,
+}
+
+/// Fewest common points of a pair.
+const MIN_POINTS: usize = 100;
+
+struct Pair {
+    from: usize,
+    to: usize,
+    log_ratio: [f64; 3],
+    spread: f64,
+    count: usize,
+}
+
+/// Compares all pairs of views at the points on which they agree.
+pub(crate) fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Agreement]) -> Exposure {
+    let num_views = level.views.len();
+    let pairs: Vec<Pair> = (0..num_views)
+        .into_par_iter()
+        .flat_map_iter(|i| {
+            (0..level.sources[i].len())
+                .filter_map(move |k| compare(level, depths, &agreement[i], i, k))
+        })
+        .collect();
+    let mut gains = vec![[1.0; 3]; num_views];
+    for channel in 0..3 {
+        let mut normal = DMatrix::<f64>::identity(num_views, num_views) * 1e-6;
+        let mut rhs = DVector::<f64>::zeros(num_views);
+        for pair in &pairs {
+            let w = pair.count as f64 / pair.spread.max(0.005).powi(2);
+            let r = pair.log_ratio[channel];
+            normal[(pair.to, pair.to)] += w;
+            normal[(pair.from, pair.from)] += w;
+            normal[(pair.to, pair.from)] -= w;
+            normal[(pair.from, pair.to)] -= w;
+            rhs[pair.to] += w * r;
+            rhs[pair.from] -= w * r;
+        }
+        if let Some(factor) = normal.cholesky() {
+            let g = factor.solve(&rhs);
+            for (i, gain) in gains.iter_mut().enumerate() {
+                gain[channel] = g[i].exp();
+            }
+        }
+    }
+    // One factor for all photos is free: the brightest keeps its intensities.
+    let largest = gains.iter().flatten().copied().fold(0.0, f64::max);
+    for gain in gains.iter_mut().flatten() {
+        *gain /= largest.max(1e-9);
+    }
+    let mut spreads: Vec<f64> = pairs.iter().map(|p| p.spread).collect();
+    let disagreement = median(&mut spreads).unwrap_or(0.05);
+    let per_view = (0..num_views)
+        .map(|i| {
+            let mut own: Vec<f64> = pairs
+                .iter()
+                .filter(|p| p.from == i || p.to == i)
+                .map(|p| p.spread)
+                .collect();
+            median(&mut own).unwrap_or(disagreement)
+        })
+        .collect();
+    Exposure {
+        gains,
+        disagreement,
+        per_view,
+    }
+}
+
+fn compare(
+    level: &Level,
+    depths: &[Vec<f64>],
+    agreement: &Agreement,
+    i: usize,
+    k: usize,
+) -> Option<Pair> {
+    let (j, warp) = &level.sources[i][k];
+    let (view, other) = (&level.views[i], &level.views[*j]);
+    let mut ratios: [Vec<f64>; 3] = Default::default();
+    let mut grey = Vec::new();
+    for (p, &depth) in depths[i].iter().enumerate() {
+        if agreement.which[p] & (1 << k) == 0 || !view.is_usable(p) {
+            continue;
+        }
+        let (x, y) = view.xy(p);
+        let Some(landing) = warp.land(x, y, depth) else {
+            continue;
+        };
+        if !sampling::inside(&other.mask, landing.u, landing.v)
+            || sampling::bilinear(&other.usable, landing.u, landing.v) < 0.999
+        {
+            continue;
+        }
+        let here = view.intensity(p);
+        let (there, _, _) = sampling::bicubic(&other.image, landing.u, landing.v);
+        for c in 0..3 {
+            ratios[c].push((f64::from(there[c]).max(1e-4) / f64::from(here[c]).max(1e-4)).ln());
+        }
+        let (a, b) = (here.iter().sum::<f32>(), there.iter().sum::<f32>());
+        grey.push((f64::from(b).max(1e-4) / f64::from(a).max(1e-4)).ln());
+    }
+    if grey.len() < MIN_POINTS {
+        return None;
+    }
+    let centre = median(&mut grey)?;
+    let mut deviations: Vec<f64> = grey.iter().map(|g| (g - centre).abs()).collect();
+    let spread = SIGMA_FROM_MAD * median(&mut deviations)?;
+    let mut log_ratio = [0.0; 3];
+    for c in 0..3 {
+        log_ratio[c] = median(&mut ratios[c])?;
+    }
+    Some(Pair {
+        from: i,
+        to: *j,
+        log_ratio,
+        spread,
+        count: grey.len(),
+    })
+}

@@ -1,0 +1,238 @@
+//! A view at one resolution: linear image, usable pixels, mask and camera, cropped to the object.
+
+use super::camera::{Camera, Warp};
+use super::sampling;
+use rilievo_numerics::plate_system::PixelNumbering;
+use rilievo_scene::{LinearImage, Mask, Raster};
+
+/// Pixels kept around the mask's bounding box, so that interpolation never meets the crop.
+const MARGIN_PX: usize = 8;
+
+/// One view at one pyramid level.
+#[derive(Clone, Debug)]
+pub(crate) struct LevelView {
+    pub camera: Camera,
+    /// Three channels; grey photos are repeated.
+    pub image: LinearImage,
+    pub grey: Raster<f32>,
+    /// 1 where no channel is clipped.
+    pub usable: Raster<f32>,
+    pub mask: Mask,
+    pub pixels: PixelNumbering,
+}
+
+impl LevelView {
+    /// Crops a photo to its mask.
+    ///
+    /// Returns the view and the crop's corner in the photo.
+    pub fn from_photo(
+        camera: &Camera,
+        image: &LinearImage,
+        mask: &Mask,
+        clip_level: f32,
+    ) -> (Self, (usize, usize)) {
+        let (mut x0, mut y0, mut x1, mut y1) = (mask.width, mask.height, 0, 0);
+        for y in 0..mask.height {
+            for x in 0..mask.width {
+                if *mask.at(x, y) {
+                    (x0, x1) = (x0.min(x), x1.max(x));
+                    (y0, y1) = (y0.min(y), y1.max(y));
+                }
+            }
+        }
+        let (x0, y0) = (x0.saturating_sub(MARGIN_PX), y0.saturating_sub(MARGIN_PX));
+        let width = (x1 + 1 + MARGIN_PX).min(mask.width).saturating_sub(x0);
+        let height = (y1 + 1 + MARGIN_PX).min(mask.height).saturating_sub(y0);
+        let mut data = Vec::with_capacity(width * height * 3);
+        let mut usable = Vec::with_capacity(width * height);
+        for y in y0..y0 + height {
+            for x in x0..x0 + width {
+                let pixel = image.pixel(x, y);
+                let clipped = pixel.iter().any(|&v| !v.is_finite() || v >= clip_level);
+                usable.push(if clipped { 0.0 } else { 1.0 });
+                for c in 0..3 {
+                    let value = pixel[c.min(image.channels - 1)];
+                    data.push(if value.is_finite() {
+                        value.max(0.0)
+                    } else {
+                        0.0
+                    });
+                }
+            }
+        }
+        let cropped = Raster::from_fn(width, height, |x, y| *mask.at(x + x0, y + y0));
+        let image = LinearImage {
+            width,
+            height,
+            channels: 3,
+            data,
+        };
+        let usable = Raster {
+            width,
+            height,
+            data: usable,
+        };
+        let camera = camera.cropped(x0, y0, width, height);
+        (Self::assemble(camera, image, usable, cropped), (x0, y0))
+    }
+
+    fn assemble(camera: Camera, image: LinearImage, usable: Raster<f32>, mask: Mask) -> Self {
+        let pixels = PixelNumbering::new(&mask);
+        Self {
+            camera,
+            grey: image.to_grey(),
+            image,
+            usable,
+            mask,
+            pixels,
+        }
+    }
+
+    /// The view at half resolution; a pixel is masked where all four of its parents are.
+    pub fn halved(&self) -> Self {
+        let camera = self.camera.halved();
+        let (width, height) = (camera.width, camera.height);
+        let mut image = LinearImage::filled(width, height, 3, 0.0);
+        for y in 0..height {
+            for x in 0..width {
+                for c in 0..3 {
+                    let sum: f32 = [(0, 0), (1, 0), (0, 1), (1, 1)]
+                        .iter()
+                        .map(|&(dx, dy)| self.image.pixel(2 * x + dx, 2 * y + dy)[c])
+                        .sum();
+                    image.pixel_mut(x, y)[c] = 0.25 * sum;
+                }
+            }
+        }
+        let all = |x: usize, y: usize, f: &dyn Fn(usize, usize) -> bool| {
+            f(2 * x, 2 * y) && f(2 * x + 1, 2 * y) && f(2 * x, 2 * y + 1) && f(2 * x + 1, 2 * y + 1)
+        };
+        let mask = Raster::from_fn(width, height, |x, y| all(x, y, &|a, b| *self.mask.at(a, b)));
+        let usable = Raster::from_fn(width, height, |x, y| {
+            let ok = all(x, y, &|a, b| *self.usable.at(a, b) > 0.5);
+            if ok { 1.0 } else { 0.0 }
+        });
+        Self::assemble(camera, image, usable, mask)
+    }
+
+    /// Divides the image by a gain.
+    pub fn divide_by_gain(&mut self, gain: [f64; 3]) {
+        for pixel in self.image.data.chunks_exact_mut(3) {
+            for (value, g) in pixel.iter_mut().zip(gain) {
+                *value /= g as f32;
+            }
+        }
+        self.grey = self.image.to_grey();
+    }
+
+    /// Column and row of a masked pixel.
+    #[inline]
+    pub fn xy(&self, index: usize) -> (f64, f64) {
+        (
+            f64::from(self.pixels.xs[index]),
+            f64::from(self.pixels.ys[index]),
+        )
+    }
+
+    /// Intensities of a masked pixel.
+    #[inline]
+    pub fn intensity(&self, index: usize) -> [f32; 3] {
+        let p = self.image.pixel(
+            self.pixels.xs[index] as usize,
+            self.pixels.ys[index] as usize,
+        );
+        [p[0], p[1], p[2]]
+    }
+
+    /// Whether a masked pixel is unclipped.
+    #[inline]
+    pub fn is_usable(&self, index: usize) -> bool {
+        *self.usable.at(
+            self.pixels.xs[index] as usize,
+            self.pixels.ys[index] as usize,
+        ) > 0.5
+    }
+
+    /// Spreads values of the masked pixels over the raster.
+    pub fn spread(&self, values: &[f64], outside: f32) -> Raster<f32> {
+        let mut raster = Raster::filled(self.mask.width, self.mask.height, outside);
+        for (i, &value) in values.iter().enumerate() {
+            *raster.at_mut(self.pixels.xs[i] as usize, self.pixels.ys[i] as usize) = value as f32;
+        }
+        raster
+    }
+}
+
+/// All views at one resolution, with the sources of each: the views it is compared with.
+#[derive(Clone, Debug)]
+pub(crate) struct Level {
+    pub views: Vec<LevelView>,
+    /// For every view, its sources (best first) and the warps into them.
+    pub sources: Vec<Vec<(usize, Warp)>>,
+}
+
+impl Level {
+    pub fn new(views: Vec<LevelView>, sources: &[Vec<usize>]) -> Self {
+        let sources = sources
+            .iter()
+            .enumerate()
+            .map(|(i, list)| {
+                list.iter()
+                    .filter_map(|&j| {
+                        Warp::between(&views[i].camera, &views[j].camera).map(|warp| (j, warp))
+                    })
+                    .collect()
+            })
+            .collect();
+        Self { views, sources }
+    }
+
+    /// Typical focal length, pixels: one over it is the relative depth of a pixel's footprint.
+    pub fn focal(&self) -> f64 {
+        let sum: f64 = self.views.iter().map(|v| v.camera.focal()).sum();
+        sum / self.views.len().max(1) as f64
+    }
+
+    /// Mean number of masked pixels of a view.
+    pub fn mean_pixels(&self) -> usize {
+        let sum: usize = self.views.iter().map(|v| v.pixels.len()).sum();
+        sum / self.views.len().max(1)
+    }
+}
+
+/// Log depth of every view's raster (0 outside), for sampling by other views.
+pub(crate) fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
+    use rayon::prelude::*;
+    level
+        .views
+        .par_iter()
+        .zip(depths)
+        .map(|(view, depth)| view.spread(depth, 0.0))
+        .collect()
+}
+
+/// Log depth of a finer level from a coarser one: bilinear where all four parents are masked.
+/// Returns the values and where they are known.
+pub(crate) fn upsample(
+    coarse: &LevelView,
+    fine: &LevelView,
+    values: &[f64],
+) -> (Vec<f64>, Vec<bool>) {
+    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();
+    let raster = coarse.spread(&centred, 0.0);
+    let mut out = Vec::with_capacity(fine.pixels.len());
+    let mut known = Vec::with_capacity(fine.pixels.len());
+    for i in 0..fine.pixels.len() {
+        let (x, y) = fine.xy(i);
+        let (x, y) = (0.5 * (x + 0.5) - 0.5, 0.5 * (y + 0.5) - 0.5);
+        if sampling::inside(&coarse.mask, x, y) {
+            out.push(f64::from(sampling::bilinear(&raster, x, y)) + mean);
+            known.push(true);
+        } else {
+            out.push(mean);
+            known.push(false);
+        }
+    }
+    (out, known)
+}

@@ -1,0 +1,167 @@
+//! The photos' agreement: intensities of a surface point in two views.
+//!
+//! For pixel `x` of view i and a source j that sees its point at `x'(ζ)`, per channel
+//! `r = (m I_j(x') − I_i(x)) / (σ ½ (m I_j + I_i))`, `∂r/∂ζ = m ∇I_j · ∂x'/∂ζ / (σ ½ (…))`,
+//! with Huber's weight on the channels' RMS. `m` is a smooth field of gains between the two photos
+//! (ratio of means over a bell): it takes up what the photos' own gains leave, such as gloss and
+//! inter-reflections, and costs next to nothing where brightness is constant.
+//! A source counts where its own depth agrees with the point's (no occluder), and where neither
+//! pixel is clipped.
+
+use super::level::Level;
+use super::sampling;
+use rayon::prelude::*;
+use rilievo_scene::Raster;
+
+/// How the photos are compared.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MatchOptions {
+    /// Standard deviation of an intensity difference, relative to the intensity.
+    pub sigma: f64,
+    /// Residual (in σ) beyond which the penalty grows only linearly.
+    pub knee: f64,
+    /// Largest relative depth difference to a source that sees the point.
+    pub visible_tolerance: f64,
+    /// Standard deviation of the bell of the gain field, pixels; 0 turns it off.
+    pub gain_field_px: f64,
+    /// A source to leave out (cross-validation).
+    pub left_out: Option<usize>,
+}
+
+/// Diagonal normal equations of the increment of `ζ`, per masked pixel.
+#[derive(Clone, Debug)]
+pub(crate) struct MatchTerms {
+    pub hessian: Vec<f64>,
+    pub rhs: Vec<f64>,
+    /// Sources that see the pixel.
+    pub num_visible: Vec<u8>,
+    /// RMS of the residual over visible sources and channels, relative (not divided by σ).
+    pub residual: Vec<f32>,
+}
+
+#[derive(Clone, Copy, Default)]
+struct Sample {
+    visible: bool,
+    value: [f32; 3],
+    /// `∂I_j/∂ζ`.
+    slope: [f32; 3],
+}
+
+/// Compares view `index` with its sources at the given log depths.
+pub(crate) fn terms(
+    level: &Level,
+    index: usize,
+    depth: &[f64],
+    rasters: &[Raster<f32>],
+    options: &MatchOptions,
+) -> MatchTerms {
+    let view = &level.views[index];
+    let n = view.pixels.len();
+    let mut out = MatchTerms {
+        hessian: vec![0.0; n],
+        rhs: vec![0.0; n],
+        num_visible: vec![0; n],
+        residual: vec![0.0; n],
+    };
+    let here: Vec<[f32; 3]> = (0..n).map(|p| view.intensity(p)).collect();
+    let floor = darkest(&here);
+    for (j, warp) in &level.sources[index] {
+        if options.left_out == Some(*j) {
+            continue;
+        }
+        let other = &level.views[*j];
+        let raster = &rasters[*j];
+        let samples: Vec<Sample> = (0..n)
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|p| {
+                let (x, y) = view.xy(p);
+                let Some(l) = warp.land(x, y, depth[p]) else {
+                    return Sample::default();
+                };
+                if !view.is_usable(p)
+                    || !sampling::inside(&other.mask, l.u, l.v)
+                    || sampling::bilinear(&other.usable, l.u, l.v) < 0.999
+                    || (f64::from(sampling::bilinear(raster, l.u, l.v)) - l.zeta).abs()
+                        > options.visible_tolerance
+                {
+                    return Sample::default();
+                }
+                let (value, gx, gy) = sampling::bicubic(&other.image, l.u, l.v);
+                Sample {
+                    visible: true,
+                    value,
+                    slope: [0, 1, 2].map(|c| gx[c] * l.du as f32 + gy[c] * l.dv as f32),
+                }
+            })
+            .collect();
+        let gains = gain_field(view, &here, &samples, floor, options.gain_field_px);
+        for p in 0..n {
+            let sample = &samples[p];
+            if !sample.visible {
+                continue;
+            }
+            let (mut rr, mut jj, mut jr, mut relative) = (0.0, 0.0, 0.0, 0.0);
+            for c in 0..3 {
+                let gain = f64::from(gains[p][c]);
+                let (a, b) = (f64::from(here[p][c]), gain * f64::from(sample.value[c]));
+                let mean = (0.5 * (a + b)).max(f64::from(floor));
+                let scale = 1.0 / (options.sigma * mean);
+                let r = (b - a) * scale;
+                let d = gain * f64::from(sample.slope[c]) * scale;
+                rr += r * r / 3.0;
+                jj += d * d / 3.0;
+                jr += d * r / 3.0;
+                relative += ((b - a) / mean).powi(2) / 3.0;
+            }
+            let norm = rr.sqrt();
+            let weight = if norm < options.knee {
+                1.0
+            } else {
+                options.knee / norm
+            };
+            out.hessian[p] += weight * jj;
+            out.rhs[p] -= weight * jr;
+            out.num_visible[p] += 1;
+            out.residual[p] += relative as f32;
+        }
+    }
+    for (residual, &count) in out.residual.iter_mut().zip(&out.num_visible) {
+        *residual = (*residual / f32::from(count.max(1))).sqrt();
+    }
+    out
+}
+
+/// A fiftieth of the mean intensity: below it the relative error is that of the dark noise.
+fn darkest(values: &[[f32; 3]]) -> f32 {
+    let sum: f64 = values.iter().flatten().map(|&v| f64::from(v)).sum();
+    (0.02 * sum / (3 * values.len()).max(1) as f64).max(1e-6) as f32
+}
+
+fn gain_field(
+    view: &super::level::LevelView,
+    here: &[[f32; 3]],
+    samples: &[Sample],
+    floor: f32,
+    sigma_px: f64,
+) -> Vec<[f32; 3]> {
+    if sigma_px <= 0.0 {
+        return vec![[1.0; 3]; here.len()];
+    }
+    let weights: Vec<f32> = samples
+        .iter()
+        .map(|s| f32::from(u8::from(s.visible)))
+        .collect();
+    let both: Vec<[f32; 6]> = here
+        .iter()
+        .zip(samples)
+        .map(|(a, s)| {
+            let b = s.value.map(|v| v.max(0.0));
+            [a[0], a[1], a[2], b[0], b[1], b[2]]
+        })
+        .collect();
+    sampling::smooth(&view.pixels, &both, &weights, sigma_px)
+        .iter()
+        .map(|m| [0, 1, 2].map(|c| ((m[c] + floor) / (m[c + 3] + floor)).clamp(0.5, 2.0)))
+        .collect()
+}

@@ -1,0 +1,56 @@
+//! Photographs' own model: shading under per-pixel light beside the photos' agreement with each other.
+//!
+//! On real photographs distant harmonics miss a tenth of the intensity and more, and bend the surface;
+//! the photos' agreement under a static light holds it. Per view, unknown the log depth `ζ` of every
+//! masked pixel:
+//!
+//! `min Σ_j ρ((I_j(x'(ζ)) − I_i(x))/σ_m) + Σ ρ((l·h(n(∇ζ)) − Ĩ(1+e))/σ_s) + Σ_j ρ(r_ij/σ_c) + α Σ ρ(D²ζ)`:
+//! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
+//! views' surfaces, a weak robust thin plate.
+//!
+//! Steps: dense search inside the visual hull ([`hull`], [`patchmatch`]); exposure gains and the
+//! photos' disagreement ([`gains`]), from which the weights follow; a start that the views agree on
+//! ([`start`]); Gauss-Newton rounds ([`step`]) over the terms [`matching`], [`consensus`], [`plate`]
+//! and [`shading`], first without shading, then in laps of light and shape; finer levels at last.
+
+mod camera;
+mod consensus;
+mod gains;
+mod hull;
+mod level;
+mod matching;
+mod options;
+mod patchmatch;
+mod plate;
+mod rectify;
+mod report;
+mod sampling;
+mod shading;
+mod solve;
+mod start;
+mod step;
+mod views;
+
+pub use options::PhotoOptions;
+pub use report::{LapReport, PhotoReport, PhotoViewReport};
+
+use crate::error::ShadingError;
+use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
+
+/// Dense shape of all posed views, at least two.
+///
+/// `lighting` is a start and a fall-back: the light is fitted again on sphere and object.
+///
+/// # Errors
+/// See [`ShadingError`].
+pub fn run(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    lighting: &LightingCalibration,
+    options: &PhotoOptions,
+    observer: &dyn Observer,
+) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+    options.validate()?;
+    let scene = views::load(photos, posed, options)?;
+    solve::solve(scene, posed, lighting, options, observer)
+}

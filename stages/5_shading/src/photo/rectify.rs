@@ -1,0 +1,145 @@
+//! Lens distortion: photos are straightened to a pinhole before, and results bent back after.
+
+use rilievo_scene::{DepthMap, Distortion, Intrinsics, LinearImage, Mask, NormalMap, Raster};
+
+/// A photo's camera and the pinhole of the same matrix.
+#[derive(Clone, Debug)]
+pub(crate) struct Rectification {
+    pub original: Intrinsics,
+    pub pinhole: Intrinsics,
+}
+
+impl Rectification {
+    pub fn new(intrinsics: &Intrinsics) -> Self {
+        Self {
+            original: *intrinsics,
+            pinhole: Intrinsics {
+                distortion: Distortion::default(),
+                ..*intrinsics
+            },
+        }
+    }
+
+    pub fn is_identity(&self) -> bool {
+        self.original.distortion.is_none()
+    }
+
+    /// Straightened image and mask. Pixels that come from outside the photo are not masked.
+    pub fn straighten(&self, image: &LinearImage, mask: &Mask) -> (LinearImage, Mask) {
+        let mut out = LinearImage::filled(image.width, image.height, image.channels, 0.0);
+        let mut out_mask = Mask::filled(image.width, image.height, false);
+        for y in 0..image.height {
+            for x in 0..image.width {
+                let (xs, ys) = self.bent(x as f64, y as f64);
+                let mut complete = true;
+                for c in 0..image.channels {
+                    match image.sample(xs, ys, c) {
+                        Some(value) => out.pixel_mut(x, y)[c] = value,
+                        None => complete = false,
+                    }
+                }
+                *out_mask.at_mut(x, y) =
+                    complete && mask.contains(xs.round() as isize, ys.round() as isize);
+            }
+        }
+        (out, out_mask)
+    }
+
+    /// Pixel of the photo that shows a pixel of the pinhole image.
+    fn bent(&self, x: f64, y: f64) -> (f64, f64) {
+        let k = &self.original;
+        let (u, v) = k.distortion.distort((x - k.cx) / k.fx, (y - k.cy) / k.fy);
+        (k.fx * u + k.cx, k.fy * v + k.cy)
+    }
+
+    /// Maps of the pinhole image on the photo's own pixels, inside the photo's mask.
+    pub fn bend_back(
+        &self,
+        mask: &Mask,
+        depth: &DepthMap,
+        normal: &NormalMap,
+    ) -> (DepthMap, NormalMap) {
+        let mut out_depth = Raster::filled(mask.width, mask.height, 0.0);
+        let mut out_normal = Raster::filled(mask.width, mask.height, [0.0; 3]);
+        for y in 0..mask.height {
+            for x in 0..mask.width {
+                if !*mask.at(x, y) {
+                    continue;
+                }
+                let ray = self
+                    .original
+                    .normalized(&nalgebra::Point2::new(x as f64, y as f64));
+                let xs = self.original.fx * ray.x + self.original.cx;
+                let ys = self.original.fy * ray.y + self.original.cy;
+                let (x0, y0) = (xs.floor() as isize, ys.floor() as isize);
+                let (mut sum, mut total, mut n) = (0.0_f64, 0.0_f64, [0.0_f64; 3]);
+                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                    let weight = (1.0 - (xs - (x0 + dx) as f64).abs())
+                        * (1.0 - (ys - (y0 + dy) as f64).abs())
+                        + 1e-6;
+                    match depth.get(x0 + dx, y0 + dy) {
+                        Some(&z) if z > 0.0 => {
+                            sum += weight * f64::from(z);
+                            total += weight;
+                            if let Some(m) = normal.get(x0 + dx, y0 + dy) {
+                                for k in 0..3 {
+                                    n[k] += weight * f64::from(m[k]);
+                                }
+                            }
+                        }
+                        _ => {}
+                    }
+                }
+                let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+                if total > 0.0 && length > 0.0 {
+                    *out_depth.at_mut(x, y) = (sum / total) as f32;
+                    *out_normal.at_mut(x, y) = n.map(|v| (v / length) as f32);
+                }
+            }
+        }
+        (out_depth, out_normal)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bending_back_undoes_straightening() {
+        let camera = Intrinsics {
+            distortion: Distortion {
+                k1: -0.1,
+                k2: 0.02,
+                ..Distortion::default()
+            },
+            ..Intrinsics::pinhole(120, 90, 110.0, 59.5, 44.5)
+        };
+        let image = LinearImage {
+            width: 120,
+            height: 90,
+            channels: 1,
+            data: (0..120 * 90).map(|i| (i % 120) as f32).collect(),
+        };
+        let mask = Raster::from_fn(120, 90, |x, y| {
+            (10..110).contains(&x) && (10..80).contains(&y)
+        });
+        let rectification = Rectification::new(&camera);
+        let (straight, straight_mask) = rectification.straighten(&image, &mask);
+        let depth = Raster::from_fn(120, 90, |x, y| {
+            if *straight_mask.at(x, y) {
+                straight.pixel(x, y)[0]
+            } else {
+                0.0
+            }
+        });
+        let normal = Raster::filled(120, 90, [0.0, 0.0, -1.0]);
+        let (back, _) = rectification.bend_back(&mask, &depth, &normal);
+        for y in 12..78 {
+            for x in 12..108 {
+                let value = *back.at(x, y);
+                assert!((value - x as f32).abs() < 0.01, "({x}, {y}): {value}");
+            }
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! Facts on a run of the photo model.
+
+use serde::Serialize;
+
+/// Facts on one view.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PhotoViewReport {
+    /// The view's name.
+    pub name: String,
+    /// Masked pixels.
+    pub num_pixels: usize,
+    /// Views that it was compared with.
+    pub sources: Vec<String>,
+    /// Exposure gain per channel against the brightest photo.
+    pub gain: [f64; 3],
+    /// Standard deviation of the log ratio to other views at the same point, after the gains.
+    pub disagreement: f64,
+    /// Share of the pixels whose dense depth another view confirms.
+    pub confirmed: f64,
+    /// Share of the pixels that only this view sees.
+    pub seen_alone: f64,
+    /// Median relative residual of the light at the final shape, where shading was used.
+    pub light_residual: Option<f64>,
+}
+
+/// One lap.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LapReport {
+    /// Pyramid level, 0 is full resolution.
+    pub level: usize,
+    /// What took part.
+    pub kind: String,
+    /// RMS change of log depth in the last round, pixel footprints.
+    pub last_change: f64,
+    /// Rounds.
+    pub num_rounds: usize,
+    /// Relative standard deviation that shading was given; 0 where it took no part.
+    pub sigma_shading: f64,
+    /// Median relative residual between the photos over all views.
+    pub match_residual: f64,
+    /// Seconds.
+    pub seconds: f64,
+}
+
+/// Facts on a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PhotoReport {
+    /// Per view.
+    pub views: Vec<PhotoViewReport>,
+    /// In order.
+    pub laps: Vec<LapReport>,
+    /// Standard deviation of the log ratio between views at the same point.
+    pub disagreement: f64,
+    /// Standard deviation that follows for the match term.
+    pub sigma_match: f64,
+    /// Whether shading took part, and why not.
+    pub shading: String,
+    /// What the data could not tell.
+    pub notes: Vec<String>,
+}

@@ -1,0 +1,226 @@
+//! Interpolation in rasters, and smoothing inside a mask.
+
+use rilievo_numerics::plate_system::PixelNumbering;
+use rilievo_scene::{LinearImage, Mask, Raster};
+
+/// Whether the four pixels around a position are masked.
+#[inline]
+pub(crate) fn inside(mask: &Mask, x: f64, y: f64) -> bool {
+    if !(x >= 0.0 && y >= 0.0 && x < (mask.width - 1) as f64 && y < (mask.height - 1) as f64) {
+        return false;
+    }
+    let base = y as usize * mask.width + x as usize;
+    mask.data[base]
+        && mask.data[base + 1]
+        && mask.data[base + mask.width]
+        && mask.data[base + mask.width + 1]
+}
+
+/// Bilinear value; the position must be [`inside`].
+#[inline]
+pub(crate) fn bilinear(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
+    let (x0, y0) = (x as usize, y as usize);
+    let (a, b) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
+    let base = y0 * raster.width + x0;
+    let d = &raster.data;
+    let top = d[base] + a * (d[base + 1] - d[base]);
+    let below = base + raster.width;
+    let bottom = d[below] + a * (d[below + 1] - d[below]);
+    top + b * (bottom - top)
+}
+
+/// Bilinear value and its derivatives along x and y; the position must be [`inside`].
+#[inline]
+pub(crate) fn bilinear_with_slope(raster: &Raster<f32>, x: f64, y: f64) -> (f64, f64, f64) {
+    let (x0, y0) = (x as usize, y as usize);
+    let (a, b) = (x - x0 as f64, y - y0 as f64);
+    let base = y0 * raster.width + x0;
+    let at = |i: usize| f64::from(raster.data[i]);
+    let (p, q) = (at(base), at(base + 1));
+    let (r, s) = (at(base + raster.width), at(base + raster.width + 1));
+    let top = p + a * (q - p);
+    let bottom = r + a * (s - r);
+    (
+        top + b * (bottom - top),
+        (1.0 - b) * (q - p) + b * (s - r),
+        bottom - top,
+    )
+}
+
+/// Weights of the Catmull-Rom spline at offset `t` of 0 to 1, and their derivatives.
+#[inline]
+fn catmull_rom(t: f32) -> ([f32; 4], [f32; 4]) {
+    let (t2, t3) = (t * t, t * t * t);
+    (
+        [
+            0.5 * (-t3 + 2.0 * t2 - t),
+            0.5 * (3.0 * t3 - 5.0 * t2 + 2.0),
+            0.5 * (-3.0 * t3 + 4.0 * t2 + t),
+            0.5 * (t3 - t2),
+        ],
+        [
+            0.5 * (-3.0 * t2 + 4.0 * t - 1.0),
+            0.5 * (9.0 * t2 - 10.0 * t),
+            0.5 * (-9.0 * t2 + 8.0 * t + 1.0),
+            0.5 * (3.0 * t2 - 2.0 * t),
+        ],
+    )
+}
+
+/// Three channels at a position, with their derivatives along x and y (Catmull-Rom).
+/// Positions closer than a pixel to the raster's edge repeat the edge.
+#[inline]
+pub(crate) fn bicubic(image: &LinearImage, x: f64, y: f64) -> ([f32; 3], [f32; 3], [f32; 3]) {
+    let (x0, y0) = (x.floor(), y.floor());
+    let (wx, gx) = catmull_rom((x - x0) as f32);
+    let (wy, gy) = catmull_rom((y - y0) as f32);
+    let column = |k: usize| (x0 as isize + k as isize - 1).clamp(0, image.width as isize - 1);
+    let columns = [column(0), column(1), column(2), column(3)].map(|c| 3 * c as usize);
+    let (mut value, mut along_x, mut along_y) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+    for k in 0..4 {
+        let row = (y0 as isize + k as isize - 1).clamp(0, image.height as isize - 1) as usize;
+        let row = &image.data[3 * row * image.width..3 * (row + 1) * image.width];
+        let (mut v, mut d) = ([0.0_f32; 3], [0.0_f32; 3]);
+        for (l, &start) in columns.iter().enumerate() {
+            for c in 0..3 {
+                v[c] += wx[l] * row[start + c];
+                d[c] += gx[l] * row[start + c];
+            }
+        }
+        for c in 0..3 {
+            value[c] += wy[k] * v[c];
+            along_x[c] += wy[k] * d[c];
+            along_y[c] += gy[k] * v[c];
+        }
+    }
+    (value, along_x, along_y)
+}
+
+/// Smooths values of masked pixels: weighted means over a bell of standard deviation `sigma_px`.
+///
+/// `values` holds `weights.len()` rows of `N`; pixels of zero weight receive the mean of the others.
+/// The bell is three passes of a box with running sums: cost independent of its width.
+pub(crate) fn smooth<const N: usize>(
+    pixels: &PixelNumbering,
+    values: &[[f32; N]],
+    weights: &[f32],
+    sigma_px: f64,
+) -> Vec<[f32; N]> {
+    let (width, height) = (pixels.width, pixels.height);
+    // Three boxes of half-width r have the variance r (r + 1).
+    let radius = ((sigma_px * sigma_px + 0.25).sqrt() - 0.5).round().max(1.0) as usize;
+    let mut field = vec![0.0_f32; width * height * (N + 1)];
+    for i in 0..pixels.len() {
+        let at = (pixels.ys[i] as usize * width + pixels.xs[i] as usize) * (N + 1);
+        for c in 0..N {
+            field[at + c] = values[i][c] * weights[i];
+        }
+        field[at + N] = weights[i];
+    }
+    let mut line = Vec::new();
+    for _ in 0..3 {
+        for y in 0..height {
+            box_line::<N>(&mut field, y * width, 1, width, radius, &mut line);
+        }
+        for x in 0..width {
+            box_line::<N>(&mut field, x, width, height, radius, &mut line);
+        }
+    }
+    (0..pixels.len())
+        .map(|i| {
+            let at = (pixels.ys[i] as usize * width + pixels.xs[i] as usize) * (N + 1);
+            let weight = field[at + N];
+            let mut out = [0.0; N];
+            if weight > 1e-9 {
+                for c in 0..N {
+                    out[c] = field[at + c] / weight;
+                }
+            }
+            out
+        })
+        .collect()
+}
+
+/// Box mean along one line of `count` places, `stride` apart, `N + 1` channels.
+fn box_line<const N: usize>(
+    field: &mut [f32],
+    start: usize,
+    stride: usize,
+    count: usize,
+    radius: usize,
+    line: &mut Vec<f32>,
+) {
+    let channels = N + 1;
+    line.clear();
+    for k in 0..count {
+        let at = (start + k * stride) * channels;
+        line.extend_from_slice(&field[at..at + channels]);
+    }
+    let scale = 1.0 / (2 * radius + 1) as f64;
+    for c in 0..channels {
+        let mut sum = 0.0_f64;
+        for k in 0..radius.min(count) {
+            sum += f64::from(line[k * channels + c]);
+        }
+        for k in 0..count {
+            if k + radius < count {
+                sum += f64::from(line[(k + radius) * channels + c]);
+            }
+            if k > radius {
+                sum -= f64::from(line[(k - radius - 1) * channels + c]);
+            }
+            // Rounding must not turn an empty window into a tiny negative weight.
+            field[(start + k * stride) * channels + c] = if sum.abs() < 1e-12 {
+                0.0
+            } else {
+                (sum * scale) as f32
+            };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bicubic_reproduces_a_quadratic_with_its_slopes() {
+        let mut image = LinearImage::filled(12, 10, 3, 0.0);
+        let f = |x: f64, y: f64, c: f64| 0.3 * x * x - 0.2 * x * y + (1.0 + c) * y;
+        for y in 0..10 {
+            for x in 0..12 {
+                for c in 0..3 {
+                    image.pixel_mut(x, y)[c] = f(x as f64, y as f64, c as f64) as f32;
+                }
+            }
+        }
+        let (x, y) = (5.3, 4.6);
+        let (value, gx, gy) = bicubic(&image, x, y);
+        for c in 0..3 {
+            let cf = c as f64;
+            assert!(
+                (f64::from(value[c]) - f(x, y, cf)).abs() < 1e-4,
+                "{value:?}"
+            );
+            assert!(
+                (f64::from(gx[c]) - (0.6 * x - 0.2 * y)).abs() < 1e-4,
+                "{gx:?}"
+            );
+            assert!(
+                (f64::from(gy[c]) - (-0.2 * x + 1.0 + cf)).abs() < 1e-4,
+                "{gy:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn smoothing_keeps_a_constant_and_fills_unweighted_pixels() {
+        let mask = Raster::from_fn(30, 20, |x, y| x > 3 && y < 15);
+        let pixels = PixelNumbering::new(&mask);
+        let values = vec![[2.5_f32]; pixels.len()];
+        let weights: Vec<f32> = (0..pixels.len()).map(|i| (i % 3) as f32).collect();
+        for value in smooth(&pixels, &values, &weights, 3.0) {
+            assert!((value[0] - 2.5).abs() < 1e-5, "{value:?}");
+        }
+    }
+}

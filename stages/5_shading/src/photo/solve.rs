@@ -1,0 +1,460 @@
+//! The course of a run: search, exposure, start, laps, finer levels, output.
+
+use super::consensus;
+use super::gains::{self, Exposure};
+use super::hull;
+use super::level::{self, Level};
+use super::matching::MatchOptions;
+use super::options::PhotoOptions;
+use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
+use super::plate;
+use super::report::{LapReport, PhotoReport, PhotoViewReport};
+use super::shading::ShadingTerm;
+use super::start;
+use super::step::{self, StepOptions};
+use super::views::Scene;
+use crate::error::ShadingError;
+use nalgebra::Point3;
+use rayon::prelude::*;
+use rilievo_numerics::plate_system::{PlateError, PlateSolver};
+use rilievo_numerics::robust::median;
+use rilievo_scene::{
+    DepthMap, Event, Flow, LightingCalibration, Mask, NormalMap, Observer, PosedViews, ShadedView,
+    ShadedViews, StageId,
+};
+use std::time::Instant;
+
+/// Relative noise of 8-bit photographs: no photos agree better than this.
+const MIN_DISAGREEMENT: f64 = 0.012;
+/// Beyond this the photos hardly show the same object.
+const MAX_DISAGREEMENT: f64 = 0.2;
+/// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
+/// surface and moves nothing.
+const SIGMA_SHARE: f64 = 0.4;
+
+/// Builds the shading term of a view at the current depths.
+pub(crate) type TermBuilder<'a> =
+    dyn Fn(usize, &[Vec<f64>]) -> ShadingTerm<'a> + Sync + 'a;
+
+/// Everything that the steps of a run share.
+pub(crate) struct Course<'a> {
+    pub scene: Scene,
+    pub options: &'a PhotoOptions,
+    pub observer: &'a dyn Observer,
+    pub report: PhotoReport,
+    pub sigma_match: f64,
+}
+
+/// Solves a loaded scene.
+pub(crate) fn solve(
+    scene: Scene,
+    posed: &PosedViews,
+    _lighting: &LightingCalibration,
+    options: &PhotoOptions,
+    observer: &dyn Observer,
+) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+    let mut course = Course {
+        scene,
+        options,
+        observer,
+        report: PhotoReport::default(),
+        sigma_match: 0.0,
+    };
+    if course.scene.frames.len() < 2 {
+        return Err(ShadingError::NoDepth {
+            view: course.scene.frames[0].name.clone(),
+        });
+    }
+    let exposure = course.find_exposure(posed)?;
+    let mut depths = course.find_surface(posed, &exposure)?;
+    let mut at = course.scene.coarse;
+    let mut solvers = course.solvers(at)?;
+    course.lap(
+        at,
+        &solvers,
+        &mut depths,
+        None,
+        "photos",
+        options.max_num_rounds,
+    )?;
+    depths = course.fused(at, &solvers, &depths)?;
+    course.lap(at, &solvers, &mut depths, None, "photos after fusion", 3)?;
+    while at > 0 {
+        at -= 1;
+        solvers = course.solvers(at)?;
+        depths = course.descend(at, &solvers, &depths)?;
+        let rounds = options.num_fine_rounds;
+        course.lap(at, &solvers, &mut depths, None, "photos, finer", rounds)?;
+    }
+    course.finish(depths)
+}
+
+impl Course<'_> {
+    /// Tells a step; ends the run when asked to.
+    pub(crate) fn tell(&self, step: &str, done: usize, total: usize) -> Result<(), ShadingError> {
+        match self.observer.event(Event::Progress {
+            stage: StageId::Shading,
+            step: step.to_owned(),
+            done,
+            total,
+        }) {
+            Flow::Continue => Ok(()),
+            Flow::Stop => Err(ShadingError::Interrupted),
+        }
+    }
+
+    fn failed(&self, view: usize, error: &PlateError) -> ShadingError {
+        ShadingError::Numerics {
+            view: self.scene.frames[view].name.clone(),
+            reason: error.to_string(),
+        }
+    }
+
+    /// Factorisations of a level, one per view.
+    pub(crate) fn solvers(&self, at: usize) -> Result<Vec<PlateSolver>, ShadingError> {
+        let results: Vec<_> = self.scene.pyramid[at]
+            .views
+            .par_iter()
+            .map(|view| PlateSolver::new(&view.pixels))
+            .collect();
+        results
+            .into_iter()
+            .enumerate()
+            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+
+    fn dense_search(
+        &self,
+        at: usize,
+        posed: &PosedViews,
+        cost: PatchCost,
+        start: Option<&[Planes]>,
+    ) -> Result<Vec<Planes>, ShadingError> {
+        let level = &self.scene.pyramid[at];
+        let points: Vec<Point3<f64>> = posed
+            .points
+            .iter()
+            .map(|p| Point3::from(p.position))
+            .chain(posed.anchors.iter().map(|a| Point3::from(a.position)))
+            .collect();
+        let ranges =
+            hull::object_ranges(&level.views, self.scene.masked, &points).ok_or_else(|| {
+                ShadingError::NoDepth {
+                    view: self.scene.frames[0].name.clone(),
+                }
+            })?;
+        // A pixel of slack: masks of different views never meet exactly.
+        let masks: Vec<Mask> = level
+            .views
+            .iter()
+            .map(|v| hull::dilate(&v.mask, 1))
+            .collect();
+        let options = PatchMatchOptions {
+            cost,
+            radius_px: 6,
+            stride_px: 2,
+            num_sweeps: self.options.num_sweeps,
+            num_trials: 6,
+            num_best: 3,
+            seed: self.options.seed,
+        };
+        Ok((0..level.views.len())
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|i| {
+                let ranges = hull::pixel_ranges(&level.views, &masks, i, ranges[i]);
+                patchmatch::search(level, i, &masks, &ranges, start.map(|s| &s[i]), &options)
+            })
+            .collect())
+    }
+
+    /// Gains of the photos, divided out of every level, and the weight of the match term.
+    fn find_exposure(
+        &mut self,
+        posed: &PosedViews,
+    ) -> Result<(Exposure, Vec<Planes>), ShadingError> {
+        let began = Instant::now();
+        let at = (self.scene.coarse + 1).min(self.scene.pyramid.len() - 1);
+        self.tell("comparing exposures", 0, 1)?;
+        let planes = self.dense_search(at, posed, PatchCost::Correlation, None)?;
+        let level = &self.scene.pyramid[at];
+        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
+        let exposure = gains::estimate(level, &depths, &agreement);
+        for level in &mut self.scene.pyramid {
+            for (view, gain) in level.views.iter_mut().zip(&exposure.gains) {
+                view.divide_by_gain(*gain);
+            }
+        }
+        let disagreement = exposure
+            .disagreement
+            .clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT);
+        self.sigma_match = SIGMA_SHARE * disagreement;
+        self.report.disagreement = exposure.disagreement;
+        self.report.sigma_match = self.sigma_match;
+        self.report.laps.push(LapReport {
+            level: at,
+            kind: "exposure".to_owned(),
+            seconds: began.elapsed().as_secs_f64(),
+            ..LapReport::default()
+        });
+        self.report.views = self
+            .scene
+            .frames
+            .iter()
+            .enumerate()
+            .map(|(i, frame)| PhotoViewReport {
+                name: frame.name.clone(),
+                num_pixels: self.scene.pyramid[0].views[i].pixels.len(),
+                sources: self.scene.sources[i]
+                    .iter()
+                    .map(|&j| self.scene.frames[j].name.clone())
+                    .collect(),
+                gain: exposure.gains[i],
+                disagreement: exposure.per_view[i],
+                ..PhotoViewReport::default()
+            })
+            .collect();
+        Ok((exposure, planes))
+    }
+
+    /// The surface that the views agree on, continued over their masks.
+    fn find_surface(
+        &mut self,
+        posed: &PosedViews,
+        (exposure, _planes): &(Exposure, Vec<Planes>),
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let began = Instant::now();
+        let at = self.scene.coarse;
+        self.tell("searching depth", 0, 1)?;
+        // Where brightness is as good as constant, differences tell more than correlation.
+        let cost = if exposure.disagreement < 0.055 {
+            PatchCost::SquaredDifferences {
+                sigma: (2.7 * self.sigma_match) as f32,
+            }
+        } else {
+            PatchCost::Correlation
+        };
+        let planes = self.dense_search(at, posed, cost, None)?;
+        let solvers = self.solvers(at)?;
+        let level = &self.scene.pyramid[at];
+        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
+        let filled: Vec<_> = level
+            .views
+            .par_iter()
+            .enumerate()
+            .map(|(i, view)| {
+                let weight: Vec<f64> = agreement[i]
+                    .count
+                    .iter()
+                    .map(|&c| match c {
+                        0 => 0.0,
+                        1 => 0.5,
+                        _ => 1.0,
+                    })
+                    .collect();
+                start::fill(
+                    view,
+                    &solvers[i],
+                    &depths[i],
+                    &weight,
+                    1.0 / level.focal(),
+                    10.0,
+                )
+            })
+            .collect();
+        for (i, agreement) in agreement.iter().enumerate() {
+            let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
+            self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
+        }
+        self.report.laps.push(LapReport {
+            level: at,
+            kind: "search".to_owned(),
+            seconds: began.elapsed().as_secs_f64(),
+            ..LapReport::default()
+        });
+        filled
+            .into_iter()
+            .enumerate()
+            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+
+    /// Weights at a level: lengths are in footprints of a pixel of the coarse level.
+    pub(crate) fn step_options(&self, at: usize) -> StepOptions {
+        let level = &self.scene.pyramid[at];
+        let footprint = 1.0 / level.focal();
+        StepOptions {
+            matching: MatchOptions {
+                sigma: self.sigma_match,
+                knee: 2.0,
+                visible_tolerance: 3.5 * footprint,
+                gain_field_px: 8.0,
+                left_out: None,
+            },
+            sigma_consensus: 0.9 * footprint,
+            plate_weight: 30.0,
+            plate_knee: 0.05,
+            max_step: 9.0 * footprint,
+        }
+    }
+
+    /// Gauss-Newton rounds over all views. Views of even and odd number take turns, so that two
+    /// views never swap their surfaces.
+    pub(crate) fn lap(
+        &mut self,
+        at: usize,
+        solvers: &[PlateSolver],
+        depths: &mut [Vec<f64>],
+        light: Option<&TermBuilder<'_>>,
+        kind: &str,
+        num_rounds: usize,
+    ) -> Result<(), ShadingError> {
+        let began = Instant::now();
+        let options = self.step_options(at);
+        let mut record = LapReport {
+            level: at,
+            kind: kind.to_owned(),
+            ..LapReport::default()
+        };
+        for round in 0..num_rounds {
+            self.tell(kind, round, num_rounds)?;
+            let level = &self.scene.pyramid[at];
+            let (mut change, mut residuals) = (0.0, Vec::new());
+            for parity in 0..2 {
+                let rasters = level::depth_rasters(level, depths);
+                let outcomes: Vec<_> = (parity..level.views.len())
+                    .step_by(2)
+                    .collect::<Vec<_>>()
+                    .into_par_iter()
+                    .with_max_len(1)
+                    .map(|i| {
+                        let term = light.map(|build| build(i, depths));
+                        let outcome = step::improve(
+                            level,
+                            i,
+                            &solvers[i],
+                            depths,
+                            &rasters,
+                            term.as_ref(),
+                            &options,
+                        );
+                        (i, outcome)
+                    })
+                    .collect();
+                for (i, outcome) in outcomes {
+                    let outcome = outcome.map_err(|e| self.failed(i, &e))?;
+                    depths[i] = outcome.depth;
+                    change += outcome.change.powi(2);
+                    residuals.extend(
+                        outcome
+                            .matches
+                            .residual
+                            .iter()
+                            .zip(&outcome.matches.num_visible)
+                            .step_by(7)
+                            .filter(|&(_, &n)| n > 0)
+                            .map(|(&r, _)| f64::from(r)),
+                    );
+                    let alone = outcome
+                        .matches
+                        .num_visible
+                        .iter()
+                        .filter(|&&n| n == 0)
+                        .count();
+                    self.report.views[i].seen_alone =
+                        alone as f64 / outcome.matches.num_visible.len().max(1) as f64;
+                }
+            }
+            let level = &self.scene.pyramid[at];
+            record.last_change = (change / level.views.len() as f64).sqrt() * level.focal();
+            record.match_residual = median(&mut residuals).unwrap_or(f64::NAN);
+            record.num_rounds = round + 1;
+            if record.last_change < self.options.round_tolerance {
+                break;
+            }
+        }
+        record.seconds = began.elapsed().as_secs_f64();
+        self.report.laps.push(record);
+        Ok(())
+    }
+
+    /// All views' surfaces made one.
+    pub(crate) fn fused(
+        &self,
+        at: usize,
+        _solvers: &[PlateSolver],
+        depths: &[Vec<f64>],
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let level = &self.scene.pyramid[at];
+        self.tell("fusing views", 0, 1)?;
+        Ok(consensus::fuse(level, depths, 4.0 / level.focal()))
+    }
+
+    /// The surface at the next finer level.
+    fn descend(
+        &self,
+        at: usize,
+        solvers: &[PlateSolver],
+        depths: &[Vec<f64>],
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        let filled: Vec<_> = (0..fine.views.len())
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|i| {
+                let (values, known) = level::upsample(&coarse.views[i], &fine.views[i], &depths[i]);
+                let weight: Vec<f64> = known.iter().map(|&k| f64::from(u8::from(k))).collect();
+                start::fill(&fine.views[i], &solvers[i], &values, &weight, 1.0, 1e-5)
+            })
+            .collect();
+        filled
+            .into_iter()
+            .enumerate()
+            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+
+    /// Maps on the photos' own pixels.
+    fn finish(self, depths: Vec<Vec<f64>>) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+        let views = self
+            .scene
+            .frames
+            .into_par_iter()
+            .enumerate()
+            .map(|(i, frame)| {
+                let view = &self.scene.pyramid[0].views[i];
+                let (width, height) = (frame.mask.width, frame.mask.height);
+                let mut depth = DepthMap::filled(width, height, 0.0);
+                let mut normal = NormalMap::filled(width, height, [0.0; 3]);
+                let normals = plate::normals(view, &depths[i]);
+                for (p, n) in normals.iter().enumerate() {
+                    let x = view.pixels.xs[p] as usize + frame.corner.0;
+                    let y = view.pixels.ys[p] as usize + frame.corner.1;
+                    *depth.at_mut(x, y) = depths[i][p].exp() as f32;
+                    *normal.at_mut(x, y) = n.map(|v| v as f32);
+                }
+                if !frame.rectification.is_identity() {
+                    (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
+                }
+                ShadedView {
+                    view: frame.view,
+                    name: frame.name,
+                    depth,
+                    normal,
+                    confidence: None,
+                    rendered: None,
+                    albedo: None,
+                }
+            })
+            .collect();
+        Ok((ShadedViews { views }, self.report))
+    }
+}
+
+/// Relative depth within which two views' dense depths agree: a few pixels of the level.
+fn agreement_tolerance(level: &Level) -> f64 {
+    2.7 / level.focal()
+}

@@ -1,0 +1,102 @@
+//! One Gauss-Newton step on the log depth of one view.
+//!
+//! `min_ζ Σ ρ(r_match) + Σ ρ(r_consensus) + Σ ρ(r_shading) + α Σ ρ(bends)`; every term is linearised
+//! around the current depth and the increment solves the thirteen-point normal equations.
+
+use super::consensus;
+use super::level::Level;
+use super::matching::{self, MatchOptions, MatchTerms};
+use super::plate::{self, RobustPlate};
+use super::shading::ShadingTerm;
+use rilievo_numerics::plate_system::{PlateError, PlateSolver, PlateSystem};
+use rilievo_scene::Raster;
+
+/// Weights of a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct StepOptions {
+    pub matching: MatchOptions,
+    /// Standard deviation of the log depth against the other views' surfaces; 0 is off.
+    pub sigma_consensus: f64,
+    /// Weight of squared bends (slope change per pixel).
+    pub plate_weight: f64,
+    /// Bend beyond which the penalty grows only linearly.
+    pub plate_knee: f64,
+    /// Largest change of log depth.
+    pub max_step: f64,
+}
+
+/// What a step did.
+#[derive(Clone, Debug)]
+pub(crate) struct StepOutcome {
+    /// New log depths.
+    pub depth: Vec<f64>,
+    /// RMS change of log depth.
+    pub change: f64,
+    /// Terms of the photos' agreement before the step.
+    pub matches: MatchTerms,
+}
+
+/// Improves view `index`.
+pub(crate) fn improve(
+    level: &Level,
+    index: usize,
+    solver: &PlateSolver,
+    depths: &[Vec<f64>],
+    rasters: &[Raster<f32>],
+    shading: Option<&ShadingTerm>,
+    options: &StepOptions,
+) -> Result<StepOutcome, PlateError> {
+    let view = &level.views[index];
+    let depth = &depths[index];
+    let n = view.pixels.len();
+    let mut matches = matching::terms(level, index, depth, rasters, &options.matching);
+    if options.sigma_consensus > 0.0 {
+        let (mut h, mut b) = (vec![0.0; n], vec![0.0; n]);
+        consensus::add_terms(
+            level,
+            index,
+            depth,
+            rasters,
+            options.sigma_consensus,
+            2.0 * options.matching.visible_tolerance,
+            (&mut h, &mut b),
+        );
+        for i in 0..n {
+            matches.hessian[i] += h[i];
+            matches.rhs[i] += b[i];
+        }
+    }
+    let mut system = PlateSystem::new(n);
+    for i in 0..n {
+        // A tiny pull to the current depth keeps unseen islands solvable.
+        system.coefficients[i][0] += matches.hessian[i] + 1e-6;
+        system.rhs[i] += matches.rhs[i];
+    }
+    plate::add_plate(
+        view,
+        &mut system,
+        options.plate_weight,
+        Some(&RobustPlate {
+            depth,
+            knee: options.plate_knee,
+        }),
+    );
+    if let Some(shading) = shading {
+        shading.add(view, depth, &mut system);
+    }
+    let increment = solver.solve(&system)?;
+    let mut squares = 0.0;
+    let depth = depth
+        .iter()
+        .zip(&increment)
+        .map(|(z, d)| {
+            squares += d * d;
+            z + d.clamp(-options.max_step, options.max_step)
+        })
+        .collect();
+    Ok(StepOutcome {
+        depth,
+        change: (squares / n.max(1) as f64).sqrt(),
+        matches,
+    })
+}

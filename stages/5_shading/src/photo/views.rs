@@ -1,0 +1,199 @@
+//! From photos and poses to the views that are solved: linear images cropped to the object, their
+//! pyramid, and the choice of the views with which each is compared.
+
+use super::camera::Camera;
+use super::level::{Level, LevelView};
+use super::options::PhotoOptions;
+use super::rectify::Rectification;
+use crate::error::ShadingError;
+use nalgebra::Point3;
+use rayon::prelude::*;
+use rilievo_scene::{Mask, PhotoSet, PosedViews, ViewIdx};
+
+/// One posed view with everything that leads back to its photo.
+#[derive(Debug)]
+pub(crate) struct SolvedFrame {
+    pub view: ViewIdx,
+    pub name: String,
+    /// Corner of the crop in the rectified photo.
+    pub corner: (usize, usize),
+    pub rectification: Rectification,
+    /// The mask in the photo's own frame.
+    pub mask: Mask,
+}
+
+/// All views of a run.
+#[derive(Debug)]
+pub(crate) struct Scene {
+    pub frames: Vec<SolvedFrame>,
+    /// Finest first.
+    pub pyramid: Vec<Level>,
+    /// Index of the level at which the surface is found.
+    pub coarse: usize,
+    /// Whether every view has a mask of its own.
+    pub masked: bool,
+    /// For every view, the views it is compared with.
+    pub sources: Vec<Vec<usize>>,
+}
+
+/// Loads all posed views.
+pub(crate) fn load(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    options: &PhotoOptions,
+) -> Result<Scene, ShadingError> {
+    if posed.views.is_empty() {
+        return Err(ShadingError::NoViews);
+    }
+    let loaded = posed
+        .views
+        .par_iter()
+        .enumerate()
+        .map(|(index, posed_view)| {
+            let photo = photos
+                .photos
+                .get(posed_view.photo.0)
+                .ok_or(ShadingError::UnknownView {
+                    what: "a posed view's photo",
+                    index: posed_view.photo.0,
+                    num_views: photos.photos.len(),
+                })?;
+            let image = photo.pixels.load()?;
+            let mask = match &photo.mask {
+                Some(mask) => mask.as_ref().clone(),
+                None => Mask::filled(image.width, image.height, true),
+            };
+            let size = |w: usize, h: usize| format!("{w}x{h}");
+            let intrinsics = &posed_view.intrinsics;
+            for (what, w, h) in [
+                ("the mask", mask.width, mask.height),
+                ("its camera's image", intrinsics.width, intrinsics.height),
+            ] {
+                if (w, h) != (image.width, image.height) {
+                    return Err(ShadingError::SizeMismatch {
+                        view: posed_view.name.clone(),
+                        what,
+                        found: size(w, h),
+                        image: size(image.width, image.height),
+                    });
+                }
+            }
+            let rectification = Rectification::new(intrinsics);
+            let camera = Camera::new(&rectification.pinhole, &posed_view.cam_from_world);
+            let (view, corner) = if rectification.is_identity() {
+                LevelView::from_photo(&camera, &image, &mask, photo.clip_level)
+            } else {
+                let straight = rectification.straighten(&image, &mask);
+                LevelView::from_photo(&camera, &straight.0, &straight.1, photo.clip_level)
+            };
+            if view.pixels.is_empty() {
+                return Err(ShadingError::EmptyMask {
+                    view: posed_view.name.clone(),
+                    num_masked: 0,
+                    advice: "give a mask that covers the object, or leave the photo out",
+                });
+            }
+            let frame = SolvedFrame {
+                view: ViewIdx(index),
+                name: posed_view.name.clone(),
+                corner,
+                rectification,
+                mask,
+            };
+            Ok((frame, view, photo.mask.is_some()))
+        })
+        .collect::<Vec<_>>();
+    let (mut frames, mut views, mut masked) = (Vec::new(), Vec::new(), true);
+    for result in loaded {
+        let (frame, view, own_mask) = result?;
+        frames.push(frame);
+        views.push(view);
+        masked &= own_mask;
+    }
+    let target = object_center(&views, posed);
+    let sources = choose_sources(&views, &target, options.max_num_sources);
+    let mut pyramid = vec![Level::new(views, &sources)];
+    loop {
+        let last = &pyramid[pyramid.len() - 1];
+        // One level more than the coarse one serves the first search.
+        if last.mean_pixels() <= options.coarse_pixels / 3 {
+            break;
+        }
+        let halved: Vec<LevelView> = last.views.par_iter().map(LevelView::halved).collect();
+        if halved.iter().any(|v| v.pixels.len() < 500) {
+            break;
+        }
+        pyramid.push(Level::new(halved, &sources));
+    }
+    let coarse = pyramid
+        .iter()
+        .position(|level| level.mean_pixels() <= options.coarse_pixels)
+        .unwrap_or(pyramid.len() - 1);
+    Ok(Scene {
+        frames,
+        pyramid,
+        coarse,
+        masked,
+        sources,
+    })
+}
+
+/// Middle of the known points, else of the optical axes' closest approach.
+fn object_center(views: &[LevelView], posed: &PosedViews) -> Point3<f64> {
+    let mut coordinates: [Vec<f64>; 3] = Default::default();
+    let known: Vec<[f64; 3]> = if posed.anchors.is_empty() {
+        posed.points.iter().map(|p| p.position).collect()
+    } else {
+        posed.anchors.iter().map(|a| a.position).collect()
+    };
+    for point in &known {
+        for k in 0..3 {
+            coordinates[k].push(point[k]);
+        }
+    }
+    if known.len() >= 10 {
+        let middle =
+            [0, 1, 2].map(|k| rilievo_numerics::robust::median(&mut coordinates[k]).unwrap_or(0.0));
+        return Point3::from(middle);
+    }
+    super::hull::object_ball(views)
+        .map(|(center, _)| center)
+        .unwrap_or_else(Point3::origin)
+}
+
+/// For every view the others whose line of sight differs by about 20°, best first.
+///
+/// A narrow angle says little about depth, a wide one sees another side.
+fn choose_sources(
+    views: &[LevelView],
+    target: &Point3<f64>,
+    max_num_sources: usize,
+) -> Vec<Vec<usize>> {
+    let directions: Vec<_> = views
+        .iter()
+        .map(|v| (v.camera.center - target).normalize())
+        .collect();
+    (0..views.len())
+        .map(|i| {
+            let mut ranked: Vec<(f64, usize)> = (0..views.len())
+                .filter(|&j| j != i)
+                .map(|j| {
+                    let angle = directions[i].dot(&directions[j]).clamp(-1.0, 1.0).acos();
+                    let degrees = angle.to_degrees();
+                    let misfit = if degrees < 20.0 {
+                        (20.0 - degrees) / 10.0
+                    } else {
+                        (degrees - 20.0) / 25.0
+                    };
+                    (misfit, j)
+                })
+                .collect();
+            ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            ranked
+                .into_iter()
+                .take(max_num_sources)
+                .map(|(_, j)| j)
+                .collect()
+        })
+        .collect()
+}

@@ -1,0 +1,400 @@
+//! Symmetric positive definite systems on a masked grid with the thirteen-point stencil of a thin
+//! plate, `H x = b`, solved by a sparse Cholesky factorisation whose symbolic part is computed once.
+//!
+//! Every pixel couples with the pixels at `|dx| + |dy| ≤ 2`: what squared second differences and
+//! squared combinations of central first differences need. Only the upper half is stored, seven
+//! coefficients a pixel, in the order of [`OFFSETS`]; with pixels numbered row by row these are at
+//! once the sorted rows of a column of the lower triangle.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::sparse::linalg::cholesky::{
+    CholeskySymbolicParams, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{Conj, MatMut, Par, Side};
+use rilievo_scene::Mask;
+
+/// Offsets `(dx, dy)` of the stored half of the stencil, in order of the pixel's number.
+pub const OFFSETS: [(i32, i32); 7] = [(0, 0), (1, 0), (2, 0), (-1, 1), (0, 1), (1, 1), (0, 2)];
+
+/// No pixel.
+pub const OUTSIDE: u32 = u32::MAX;
+
+/// Why a system could not be solved.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlateError {
+    /// The factorisation could not be set up.
+    #[error("a system of {num_unknowns} unknowns cannot be analysed: {reason}")]
+    Symbolic {
+        /// Number of unknowns.
+        num_unknowns: usize,
+        /// What the factorisation says.
+        reason: String,
+    },
+    /// The matrix is not positive definite.
+    #[error("the matrix of {num_unknowns} unknowns is not positive definite")]
+    NotPositiveDefinite {
+        /// Number of unknowns.
+        num_unknowns: usize,
+    },
+}
+
+/// The masked pixels, numbered row by row.
+#[derive(Clone, Debug)]
+pub struct PixelNumbering {
+    /// Column of every pixel.
+    pub xs: Vec<u32>,
+    /// Row of every pixel.
+    pub ys: Vec<u32>,
+    /// Number of the pixel at `y * width + x`, [`OUTSIDE`] where the mask is not set.
+    pub number: Vec<u32>,
+    /// Columns of the raster.
+    pub width: usize,
+    /// Rows of the raster.
+    pub height: usize,
+}
+
+impl PixelNumbering {
+    /// Numbers the pixels of a mask.
+    pub fn new(mask: &Mask) -> Self {
+        let (mut xs, mut ys) = (Vec::new(), Vec::new());
+        let mut number = vec![OUTSIDE; mask.data.len()];
+        for y in 0..mask.height {
+            for x in 0..mask.width {
+                if *mask.at(x, y) {
+                    number[y * mask.width + x] = xs.len() as u32;
+                    xs.push(x as u32);
+                    ys.push(y as u32);
+                }
+            }
+        }
+        Self {
+            xs,
+            ys,
+            number,
+            width: mask.width,
+            height: mask.height,
+        }
+    }
+
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.xs.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.xs.is_empty()
+    }
+
+    /// The pixel at an offset from pixel `index`, where it exists.
+    #[inline]
+    pub fn neighbour(&self, index: usize, dx: i32, dy: i32) -> Option<usize> {
+        let (x, y) = (self.xs[index] as i32 + dx, self.ys[index] as i32 + dy);
+        if x < 0 || y < 0 || x >= self.width as i32 || y >= self.height as i32 {
+            return None;
+        }
+        let number = self.number[y as usize * self.width + x as usize];
+        (number != OUTSIDE).then_some(number as usize)
+    }
+}
+
+/// Position of an offset in [`OFFSETS`], and whether it had to be mirrored.
+#[inline]
+fn slot(dx: i32, dy: i32) -> Option<(usize, bool)> {
+    let mirrored = dy < 0 || (dy == 0 && dx < 0);
+    let (dx, dy) = if mirrored { (-dx, -dy) } else { (dx, dy) };
+    let slot = match (dx, dy) {
+        (0, 0) => 0,
+        (1, 0) => 1,
+        (2, 0) => 2,
+        (-1, 1) => 3,
+        (0, 1) => 4,
+        (1, 1) => 5,
+        (0, 2) => 6,
+        _ => return None,
+    };
+    Some((slot, mirrored))
+}
+
+/// A linear functional `Σ c x[pixel]` of a few pixels of one stencil.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Functional {
+    /// Pixels and coefficients; only the first `len` count.
+    pub terms: [(u32, f64); 4],
+    /// Number of terms.
+    pub len: usize,
+}
+
+impl Functional {
+    /// Adds a term.
+    #[inline]
+    pub fn push(&mut self, pixel: usize, coefficient: f64) {
+        if self.len < self.terms.len() {
+            self.terms[self.len] = (pixel as u32, coefficient);
+            self.len += 1;
+        }
+    }
+
+    /// The terms.
+    #[inline]
+    pub fn terms(&self) -> &[(u32, f64)] {
+        &self.terms[..self.len]
+    }
+
+    /// Its value.
+    #[inline]
+    pub fn of(&self, x: &[f64]) -> f64 {
+        self.terms().iter().map(|&(i, c)| c * x[i as usize]).sum()
+    }
+}
+
+/// The normal equations `H x = b` under assembly.
+#[derive(Clone, Debug)]
+pub struct PlateSystem {
+    /// Seven coefficients a pixel, see [`OFFSETS`].
+    pub coefficients: Vec<[f64; 7]>,
+    /// Right-hand side.
+    pub rhs: Vec<f64>,
+}
+
+impl PlateSystem {
+    /// An empty system.
+    pub fn new(num_unknowns: usize) -> Self {
+        Self {
+            coefficients: vec![[0.0; 7]; num_unknowns],
+            rhs: vec![0.0; num_unknowns],
+        }
+    }
+
+    /// Sets everything to zero.
+    pub fn clear(&mut self) {
+        self.coefficients.fill([0.0; 7]);
+        self.rhs.fill(0.0);
+    }
+
+    /// Adds `weight · (x[pixel] − target)²/2`.
+    #[inline]
+    pub fn add_point(&mut self, pixel: usize, weight: f64, target: f64) {
+        self.coefficients[pixel][0] += weight;
+        self.rhs[pixel] += weight * target;
+    }
+
+    /// Adds `weight · (functional(x) − target)²/2`.
+    #[inline]
+    pub fn add_square(
+        &mut self,
+        numbering: &PixelNumbering,
+        functional: &Functional,
+        weight: f64,
+        target: f64,
+    ) {
+        self.add_product(numbering, functional, functional, 0.5 * weight);
+        for &(i, c) in functional.terms() {
+            self.rhs[i as usize] += weight * c * target;
+        }
+    }
+
+    /// Adds `weight · a(x) b(x)` to the energy `½ xᵀHx`'s matrix: `weight (a bᵀ + b aᵀ)`.
+    #[inline]
+    pub fn add_product(
+        &mut self,
+        numbering: &PixelNumbering,
+        a: &Functional,
+        b: &Functional,
+        weight: f64,
+    ) {
+        for &(i, ci) in a.terms() {
+            for &(j, cj) in b.terms() {
+                let value = weight * ci * cj;
+                let dx = numbering.xs[j as usize] as i32 - numbering.xs[i as usize] as i32;
+                let dy = numbering.ys[j as usize] as i32 - numbering.ys[i as usize] as i32;
+                if let Some((slot, mirrored)) = slot(dx, dy) {
+                    let row = if mirrored { j } else { i } as usize;
+                    // The mirrored entry of the symmetric sum falls on the same stored place.
+                    self.coefficients[row][slot] += if slot == 0 { 2.0 * value } else { value };
+                }
+            }
+        }
+    }
+
+    /// `H x`.
+    pub fn multiply(&self, numbering: &PixelNumbering, x: &[f64]) -> Vec<f64> {
+        let mut out = vec![0.0; x.len()];
+        for (i, row) in self.coefficients.iter().enumerate() {
+            out[i] += row[0] * x[i];
+            for (slot, &(dx, dy)) in OFFSETS.iter().enumerate().skip(1) {
+                if row[slot] != 0.0
+                    && let Some(j) = numbering.neighbour(i, dx, dy)
+                {
+                    out[i] += row[slot] * x[j];
+                    out[j] += row[slot] * x[i];
+                }
+            }
+        }
+        out
+    }
+}
+
+/// Factorisation of systems over one numbering: ordered and analysed once, factorised often.
+#[derive(Debug)]
+pub struct PlateSolver {
+    column_starts: Vec<u32>,
+    rows: Vec<u32>,
+    slots: Vec<u8>,
+    symbolic: SymbolicCholesky<u32>,
+}
+
+impl PlateSolver {
+    /// Orders (approximate minimum degree) and analyses.
+    ///
+    /// # Errors
+    /// When the factorisation does not fit its index type or memory.
+    pub fn new(numbering: &PixelNumbering) -> Result<Self, PlateError> {
+        let n = numbering.len();
+        let mut column_starts = Vec::with_capacity(n + 1);
+        let (mut rows, mut slots) = (Vec::with_capacity(7 * n), Vec::with_capacity(7 * n));
+        column_starts.push(0);
+        for i in 0..n {
+            for (slot, &(dx, dy)) in OFFSETS.iter().enumerate() {
+                if let Some(j) = numbering.neighbour(i, dx, dy) {
+                    rows.push(j as u32);
+                    slots.push(slot as u8);
+                }
+            }
+            column_starts.push(rows.len() as u32);
+        }
+        let pattern = SymbolicSparseColMatRef::new_checked(n, n, &column_starts, None, &rows);
+        let symbolic = factorize_symbolic_cholesky(
+            pattern,
+            Side::Lower,
+            SymmetricOrdering::Amd,
+            CholeskySymbolicParams::default(),
+        )
+        .map_err(|error| PlateError::Symbolic {
+            num_unknowns: n,
+            reason: error.to_string(),
+        })?;
+        Ok(Self {
+            column_starts,
+            rows,
+            slots,
+            symbolic,
+        })
+    }
+
+    /// Bytes of a numeric factorisation.
+    pub fn factor_bytes(&self) -> usize {
+        self.symbolic.len_val() * size_of::<f64>()
+    }
+
+    /// Solves `H x = b`.
+    ///
+    /// # Errors
+    /// [`PlateError::NotPositiveDefinite`].
+    pub fn solve(&self, system: &PlateSystem) -> Result<Vec<f64>, PlateError> {
+        let n = system.rhs.len();
+        let mut values = Vec::with_capacity(self.rows.len());
+        for (i, row) in system.coefficients.iter().enumerate() {
+            let range = self.column_starts[i] as usize..self.column_starts[i + 1] as usize;
+            values.extend(self.slots[range].iter().map(|&slot| row[slot as usize]));
+        }
+        let pattern =
+            SymbolicSparseColMatRef::new_checked(n, n, &self.column_starts, None, &self.rows);
+        let matrix = SparseColMatRef::new(pattern, &values);
+        let mut factor = vec![0.0; self.symbolic.len_val()];
+        let scratch = self
+            .symbolic
+            .factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
+        let llt = self
+            .symbolic
+            .factorize_numeric_llt(
+                &mut factor,
+                matrix,
+                Side::Lower,
+                Default::default(),
+                Par::Seq,
+                MemStack::new(&mut MemBuffer::new(scratch)),
+                Default::default(),
+            )
+            .map_err(|_| PlateError::NotPositiveDefinite { num_unknowns: n })?;
+        let mut x = system.rhs.clone();
+        llt.solve_in_place_with_conj(
+            Conj::No,
+            MatMut::from_column_major_slice_mut(&mut x, n, 1),
+            Par::Seq,
+            MemStack::new(&mut MemBuffer::new(
+                self.symbolic.solve_in_place_scratch::<f64>(1, Par::Seq),
+            )),
+        );
+        if x.iter().all(|v| v.is_finite()) {
+            Ok(x)
+        } else {
+            Err(PlateError::NotPositiveDefinite { num_unknowns: n })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::Raster;
+
+    #[test]
+    fn a_plane_through_two_rows_of_points_is_continued_exactly() {
+        let mask = Raster::from_fn(17, 13, |x, y| {
+            (x as i32 - 8).pow(2) + (y as i32 - 6).pow(2) < 38
+        });
+        let numbering = PixelNumbering::new(&mask);
+        let n = numbering.len();
+        let mut system = PlateSystem::new(n);
+        let truth: Vec<f64> = (0..n)
+            .map(|i| 0.3 * f64::from(numbering.xs[i]) - 0.2 * f64::from(numbering.ys[i]) + 1.0)
+            .collect();
+        for i in 0..n {
+            for (dx, dy) in [(1, 0), (0, 1)] {
+                if let (Some(a), Some(b)) = (
+                    numbering.neighbour(i, -dx, -dy),
+                    numbering.neighbour(i, dx, dy),
+                ) {
+                    let mut f = Functional::default();
+                    f.push(a, 1.0);
+                    f.push(i, -2.0);
+                    f.push(b, 1.0);
+                    system.add_square(&numbering, &f, 1.0, 0.0);
+                }
+            }
+            if let (Some(a), Some(b), Some(c)) = (
+                numbering.neighbour(i, 1, 0),
+                numbering.neighbour(i, 0, 1),
+                numbering.neighbour(i, 1, 1),
+            ) {
+                let mut f = Functional::default();
+                for (pixel, c) in [(i, 1.0), (a, -1.0), (b, -1.0), (c, 1.0)] {
+                    f.push(pixel, c);
+                }
+                system.add_square(&numbering, &f, 2.0, 0.0);
+            }
+            if (5..=6).contains(&numbering.ys[i]) {
+                system.add_point(i, 3.0, truth[i]);
+            }
+            system.add_point(i, 1e-12, truth[i]);
+        }
+        let solver = PlateSolver::new(&numbering);
+        let x = solver.as_ref().map(|s| s.solve(&system));
+        let Ok(Ok(x)) = x else { panic!("{x:?}") };
+        let worst = x
+            .iter()
+            .zip(&truth)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f64::max);
+        assert!(worst < 1e-7, "{worst}");
+        let product = system.multiply(&numbering, &x);
+        let residual = product
+            .iter()
+            .zip(&system.rhs)
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f64::max);
+        assert!(residual < 1e-9, "{residual}");
+    }
+}
