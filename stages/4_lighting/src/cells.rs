@@ -69,7 +69,7 @@ pub(crate) fn cell_means(
 /// Result of the two-way fit.
 #[derive(Clone, Debug)]
 pub(crate) struct TwoWay {
-    /// Logarithm of each view's gain, with median 0 over the views that are connected.
+    /// Logarithm of each view's gain, with mean 0 over the views that are connected.
     pub ln_gain: Vec<f64>,
     /// Its standard deviation; `None` where the view shares too few cells with the others.
     pub sigma: Vec<Option<f64>>,
@@ -82,19 +82,20 @@ pub(crate) struct TwoWay {
 /// Cells that a view must share with others before its gain counts.
 const MIN_SHARED: usize = 6;
 
-/// Robust two-way fit by re-weighted alternation; with `gains` off only the cells' means are fitted.
-pub(crate) fn two_way(num_views: usize, means: &[CellMean], gains: bool) -> TwoWay {
-    let mut count = vec![0_usize; NUM_CELLS];
+/// Robust two-way fit by re-weighted alternation.
+pub(crate) fn two_way(num_views: usize, means: &[CellMean]) -> TwoWay {
+    let num_cells = means.iter().map(|m| m.cell + 1).max().unwrap_or(0);
+    let mut count = vec![0_usize; num_cells];
     for mean in means {
         count[mean.cell] += 1;
     }
     let shared: Vec<&CellMean> = means.iter().filter(|m| count[m.cell] >= 2).collect();
     let mut ln_gain = vec![0.0; num_views];
-    let mut level = vec![0.0; NUM_CELLS];
+    let mut level = vec![0.0; num_cells];
     let mut weights = vec![1.0; shared.len()];
     let mut scatter = 0.0;
     for iteration in 0..100 {
-        let mut sums = vec![(0.0, 0.0); NUM_CELLS];
+        let mut sums = vec![(0.0, 0.0); num_cells];
         for (mean, w) in shared.iter().zip(&weights) {
             sums[mean.cell].0 += w * (mean.value - ln_gain[mean.view]);
             sums[mean.cell].1 += w;
@@ -105,17 +106,15 @@ pub(crate) fn two_way(num_views: usize, means: &[CellMean], gains: bool) -> TwoW
             }
         }
         let mut change = 0.0_f64;
-        if gains {
-            let mut sums = vec![(0.0, 0.0); num_views];
-            for (mean, w) in shared.iter().zip(&weights) {
-                sums[mean.view].0 += w * (mean.value - level[mean.cell]);
-                sums[mean.view].1 += w;
-            }
-            for (gain, (sum, weight)) in ln_gain.iter_mut().zip(&sums) {
-                if *weight > 0.0 {
-                    change = change.max((*gain - sum / weight).abs());
-                    *gain = sum / weight;
-                }
+        let mut sums = vec![(0.0, 0.0); num_views];
+        for (mean, w) in shared.iter().zip(&weights) {
+            sums[mean.view].0 += w * (mean.value - level[mean.cell]);
+            sums[mean.view].1 += w;
+        }
+        for (gain, (sum, weight)) in ln_gain.iter_mut().zip(&sums) {
+            if *weight > 0.0 {
+                change = change.max((*gain - sum / weight).abs());
+                *gain = sum / weight;
             }
         }
         let residual = |mean: &CellMean| mean.value - ln_gain[mean.view] - level[mean.cell];
@@ -138,12 +137,11 @@ pub(crate) fn two_way(num_views: usize, means: &[CellMean], gains: bool) -> TwoW
         .iter()
         .map(|&n| (n >= MIN_SHARED as f64).then(|| scatter / n.sqrt()))
         .collect();
-    let mut known: Vec<f64> = (0..num_views)
+    let known: Vec<f64> = (0..num_views)
         .filter(|&v| sigma[v].is_some())
         .map(|v| ln_gain[v])
         .collect();
     let gauge = known.iter().sum::<f64>() / known.len().max(1) as f64;
-    known.clear();
     for (gain, s) in ln_gain.iter_mut().zip(&sigma) {
         *gain = if s.is_some() { *gain - gauge } else { 0.0 };
     }
@@ -179,7 +177,7 @@ mod tests {
             means.extend(found);
         }
         assert!(used.len() > NUM_CELLS / 2, "{} cells", used.len());
-        let fit = two_way(4, &means, true);
+        let fit = two_way(4, &means);
         let mean = truth.iter().sum::<f64>() / 4.0;
         for (found, gain) in fit.ln_gain.iter().zip(truth) {
             assert!(

@@ -60,7 +60,7 @@ pub(crate) fn find(
                 });
             means.extend(cell_means(view, ratios));
         }
-        let TwoWay { ln_gain, sigma, .. } = two_way(num_views, &means, true);
+        let TwoWay { ln_gain, sigma, .. } = two_way(num_views, &means);
         for view in 0..num_views {
             gains.gain[view][channel] = ln_gain[view].exp();
             let worst = match (gains.sigma[view], sigma[view]) {

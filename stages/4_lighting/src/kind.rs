@@ -38,7 +38,7 @@ pub(crate) fn check(
                 });
             means.extend(cell_means(view, values));
         }
-        let fit = two_way(samples.len(), &means, true);
+        let fit = two_way(samples.len(), &means);
         (fit.num_shared >= 10).then_some(fit.scatter)
     };
     let turn = world_from_cam

@@ -24,11 +24,14 @@
 //! # Entry
 //! [`run`]; [`fit_on_shape`] for a single view; [`check_on_surface`] after stage 5.
 
+mod anchor_normals;
 mod cells;
+mod check;
 mod error;
 mod gains;
 mod kind;
 mod options;
+mod own_shape;
 mod report;
 mod request;
 mod samples;
@@ -66,25 +69,22 @@ pub fn run(
         LightingRequest::Sphere(sphere) => {
             sphere_light::run(photos, posed, sphere, options, observer)
         }
-        LightingRequest::OwnShape => Err(LightingError::TooFewAnchors {
-            available: posed.anchors.len(),
-            needed: 50,
-        }),
+        LightingRequest::OwnShape => own_shape::run(photos, posed, options, observer),
     }
 }
 
-/// Compares the light with the surface that was reconstructed under it.
+/// Compares the light with the surface that was reconstructed under it (see `check`).
 ///
 /// # Errors
 /// [`LightingError::Pixels`], [`LightingError::Interrupted`].
 pub fn check_on_surface(
-    _photos: &PhotoSet,
-    _posed: &PosedViews,
-    _calibration: &LightingCalibration,
-    _shaded: &ShadedViews,
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    calibration: &LightingCalibration,
+    shaded: &ShadedViews,
     options: &LightingOptions,
-    _observer: &dyn Observer,
+    observer: &dyn Observer,
 ) -> Result<SurfaceReport, LightingError> {
     options.validate()?;
-    Ok(SurfaceReport::default())
+    check::run(photos, posed, calibration, shaded, options, observer)
 }

@@ -1,0 +1,191 @@
+//! Lighting without a sphere or a shape: fitted on the normals of the depth anchors.
+//!
+//! The anchors come from the photos' agreement alone, so light and shape are not circular. What
+//! stays open: brightness and albedo share one factor; and as the normals are smoothed by their
+//! neighbourhoods, the light comes out a little too weak in its variation. The fit is marked
+//! uncalibrated.
+//!
+//! # Steps
+//! 1. Normals at the anchors ([`crate::anchor_normals`]).
+//! 2. Gains of the photos from the anchors themselves, for a light fixed in the world: a matte
+//!    point has one brightness in all photos.
+//! 3. Robust fit of one environment, or of one lighting per view.
+
+use crate::anchor_normals::{AnchorSamples, orient, seen_by};
+use crate::cells::{CellMean, two_way};
+use crate::options::GainMode;
+use crate::report::{ChannelReport, LightingReport, ViewLightReport};
+use crate::{LightingError, LightingOptions};
+use nalgebra::Vector3;
+use rilievo_photometry::harmonics::{LightingFit, dominant_direction, fit_lighting, rotate};
+use rilievo_scene::{
+    Event, Flow, LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet,
+    PosedViews, StageId, ViewIdx, ViewLighting,
+};
+
+/// Fewest anchors with a normal.
+const MIN_ANCHORS: usize = 60;
+
+/// Anchors of every view with normals and intensities.
+pub(crate) fn anchor_samples(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    options: &LightingOptions,
+    observer: &dyn Observer,
+) -> Result<Vec<AnchorSamples>, LightingError> {
+    let oriented = orient(posed);
+    let mut samples = Vec::with_capacity(posed.views.len());
+    for (idx, view) in posed.views.iter().enumerate() {
+        let flow = observer.event(Event::Progress {
+            stage: StageId::Lighting,
+            step: "reading brightness at the anchors".to_owned(),
+            done: idx,
+            total: posed.views.len(),
+        });
+        if flow == Flow::Stop {
+            return Err(LightingError::Interrupted);
+        }
+        let photo = &photos.photos[view.photo.0];
+        let image = photo.pixels.load()?;
+        let limit = f64::from(photo.clip_level) * options.clip_share;
+        samples.push(seen_by(posed, &oriented, idx, &image, limit));
+    }
+    Ok(samples)
+}
+
+/// Gain per view and channel from the anchors; 1 where a view shares too few with the others.
+pub(crate) fn anchor_gains(samples: &[AnchorSamples], num_channels: usize) -> Vec<Vec<f64>> {
+    let mut gains = vec![vec![1.0; num_channels]; samples.len()];
+    for channel in 0..num_channels {
+        let means: Vec<CellMean> = samples
+            .iter()
+            .enumerate()
+            .flat_map(|(view, sample)| {
+                (0..sample.values.len()).filter_map(move |k| {
+                    let value = sample.values[k][channel];
+                    (sample.usable[k][channel] && value > 0.0).then(|| CellMean {
+                        view,
+                        cell: sample.anchors[k],
+                        value: value.ln(),
+                    })
+                })
+            })
+            .collect();
+        let fit = two_way(samples.len(), &means);
+        for (gain, ln_gain) in gains.iter_mut().zip(&fit.ln_gain) {
+            gain[channel] = ln_gain.exp();
+        }
+    }
+    gains
+}
+
+pub(crate) fn run(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    options: &LightingOptions,
+    observer: &dyn Observer,
+) -> Result<(LightingCalibration, LightingReport), LightingError> {
+    let samples = anchor_samples(photos, posed, options, observer)?;
+    let available = samples.iter().map(|s| s.normals.len()).sum::<usize>();
+    if available < MIN_ANCHORS {
+        return Err(LightingError::TooFewAnchors {
+            available,
+            needed: MIN_ANCHORS,
+        });
+    }
+    let num_channels = samples
+        .iter()
+        .find_map(|s| s.values.first().map(Vec::len))
+        .unwrap_or(1);
+    let kind = options.own_shape_light;
+    let mut report = LightingReport {
+        source: LightSource::OwnShape,
+        kind,
+        uncalibrated: true,
+        ..LightingReport::default()
+    };
+    report.warnings.push(
+        "the light is uncalibrated: fitted on the photos' own rough shape; brightness and albedo \
+         share one unknown factor, and where the shape is uncertain bumps and hollows may swap; \
+         put a matte sphere beside the object to be sure"
+            .to_owned(),
+    );
+    let gains = if kind == LightKind::World && options.gains != GainMode::Off {
+        anchor_gains(&samples, num_channels)
+    } else {
+        vec![vec![1.0; num_channels]; samples.len()]
+    };
+    report.gains_applied = gains.iter().flatten().any(|g| (g - 1.0).abs() > 0.0);
+    for (view, (sample, gain)) in posed.views.iter().zip(samples.iter().zip(&gains)) {
+        report.views.push(ViewLightReport {
+            num_pixels: sample.normals.len(),
+            gain: gain.clone(),
+            ..ViewLightReport::named(&view.name)
+        });
+    }
+    let everything: Vec<usize> = (0..samples.len()).collect();
+    let pooled = pool(posed, &samples, &gains, &everything, options)?;
+    report.channels = pooled.channels.iter().map(ChannelReport::from).collect();
+    let environment = pooled.lighting();
+    report.dominant_direction = dominant_direction(&environment).map(Into::into);
+    let mut views = Vec::with_capacity(samples.len());
+    for (idx, view) in posed.views.iter().enumerate() {
+        // A light fixed to the camera: each view's own fit where its anchors allow.
+        let own = (kind == LightKind::Camera)
+            .then(|| pool(posed, &samples, &gains, &[idx], options).ok())
+            .flatten();
+        let in_world = own
+            .as_ref()
+            .map_or(environment.clone(), LightingFit::lighting);
+        let mut lighting: Lighting = rotate(&in_world, &view.cam_from_world.rotation);
+        for (channel, g) in lighting.channels.iter_mut().zip(&gains[idx]) {
+            channel.0.iter_mut().for_each(|l| *l *= g);
+        }
+        let residual = own.as_ref().unwrap_or(&pooled).relative_rms();
+        report.views[idx].relative_rms = Some(residual);
+        views.push(ViewLighting {
+            view: ViewIdx(idx),
+            lighting,
+            residual: Some(residual),
+            gain: gains[idx].clone(),
+        });
+    }
+    let calibration = LightingCalibration {
+        source: LightSource::OwnShape,
+        kind,
+        environment_in_world: (kind == LightKind::World).then_some(environment),
+        views,
+    };
+    Ok((calibration, report))
+}
+
+/// Robust fit over the anchors of some views, in the world frame.
+fn pool(
+    posed: &PosedViews,
+    samples: &[AnchorSamples],
+    gains: &[Vec<f64>],
+    views: &[usize],
+    options: &LightingOptions,
+) -> Result<LightingFit, LightingError> {
+    let mut normals: Vec<Vector3<f64>> = Vec::new();
+    let (mut values, mut usable) = (Vec::new(), Vec::new());
+    for &view in views {
+        let world_from_cam = posed.views[view].cam_from_world.rotation.inverse();
+        let sample = &samples[view];
+        for k in 0..sample.normals.len() {
+            normals.push(world_from_cam * sample.normals[k]);
+            values.push(
+                sample.values[k]
+                    .iter()
+                    .zip(&gains[view])
+                    .map(|(v, g)| v / g)
+                    .collect(),
+            );
+            usable.push(sample.usable[k].clone());
+        }
+    }
+    fit_lighting(&normals, &values, &usable, &options.fit).map_err(|source| LightingError::Fit {
+        of: "the program's own shape".to_owned(),
+        source,
+    })
+}
