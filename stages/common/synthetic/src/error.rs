@@ -19,6 +19,14 @@ pub enum SyntheticError {
         /// Seed of the scene.
         seed: u64,
     },
+    /// A photo beyond the last one.
+    #[error("there is no photo {idx}: the scene has {num_views}")]
+    NoSuchView {
+        /// The index asked for.
+        idx: usize,
+        /// Number of photos.
+        num_views: usize,
+    },
     /// An alignment was asked for that the cameras in common do not determine.
     #[error(
         "{alignment} alignment needs {needed} cameras that both sides know, and there are {found}"

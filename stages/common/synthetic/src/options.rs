@@ -115,7 +115,7 @@ impl Default for RenderOptions {
             noise: 0.004,
             exposure_drift_ev: 0.0,
             edge_samples: 3,
-            shadow_rays: 128,
+            shadow_rays: 80,
         }
     }
 }

@@ -1,8 +1,14 @@
 //! The world in front of the camera.
 
+use crate::bvh::Bvh;
+use crate::environment::{Environment, Rgb, fibonacci};
 use crate::error::SyntheticError;
-use crate::options::{RenderOptions, SceneOptions};
-use crate::view::RenderedView;
+use crate::mat::Mat;
+use crate::noise::gradient_noise;
+use crate::options::SceneOptions;
+use crate::shape::Shape;
+use crate::surface::extract;
+use nalgebra::{Point3, Vector3};
 use rilievo_scene::Mesh;
 
 /// The reference sphere, metres, world frame.
@@ -14,7 +20,19 @@ pub struct ReferenceSphere {
     pub radius: f64,
 }
 
-/// An object, a reference sphere and a printed mat under one environment; z points up, metres.
+impl ReferenceSphere {
+    /// Parameter at which a ray of unit direction enters, from outside.
+    pub(crate) fn meet(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
+        let to_center = Point3::from(self.center_in_world) - origin;
+        let along = to_center.dot(direction);
+        let across2 = to_center.norm_squared() - along * along;
+        let half2 = self.radius * self.radius - across2;
+        (half2 > 0.0 && along > 0.0).then(|| along - half2.sqrt())
+    }
+}
+
+/// An object, a reference sphere and a printed mat under one environment; z points up, metres,
+/// the mat lies in `z = 0`, the object stands on the origin and looks towards −y.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// The options that made it.
@@ -23,6 +41,10 @@ pub struct Scene {
     pub mesh: Mesh,
     /// The reference sphere, where there is one.
     pub sphere: Option<ReferenceSphere>,
+    pub(crate) shape: Shape,
+    pub(crate) bvh: Bvh,
+    pub(crate) mat: Mat,
+    pub(crate) environment: Environment,
 }
 
 impl Scene {
@@ -43,53 +65,64 @@ impl Scene {
     /// Unusable options, or a shape without surface.
     pub fn new(options: SceneOptions) -> Result<Self, SyntheticError> {
         options.validate()?;
-        Err(SyntheticError::EmptyShape { seed: options.seed })
-    }
-}
-
-/// A scene that is lit and posed, ready to be photographed view by view.
-#[derive(Debug)]
-pub struct Renderer<'a> {
-    scene: &'a Scene,
-    options: RenderOptions,
-}
-
-impl<'a> Renderer<'a> {
-    /// Places cameras, computes the light on all surfaces and fixes the exposure.
-    ///
-    /// # Errors
-    /// Unusable options.
-    pub fn new(scene: &'a Scene, options: &RenderOptions) -> Result<Self, SyntheticError> {
-        options.validate()?;
+        let height = options.height_m;
+        let shape = Shape::new(options.subject, options.relief, options.seed);
+        let mesh = extract(
+            &shape,
+            options.mesh_spacing_m / height,
+            height,
+            options.seed,
+        )?;
+        let bvh = Bvh::new(&mesh);
+        // Clear of the object by about its own size, so that it stays out of its shadow.
+        let sphere = (options.sphere_radius_m > 0.0).then(|| ReferenceSphere {
+            center_in_world: [
+                (0.40 + 0.22) * height + options.sphere_radius_m,
+                -0.12 * height,
+                options.sphere_radius_m,
+            ],
+            radius: options.sphere_radius_m,
+        });
         Ok(Self {
-            scene,
-            options: options.clone(),
+            mat: Mat::new(options.seed, 1.75 * height, 1.35 * height),
+            environment: Environment::new(options.seed, Mat::mean_albedo()),
+            shape,
+            bvh,
+            mesh,
+            sphere,
+            options,
         })
     }
 
-    /// Number of photos.
-    pub fn num_views(&self) -> usize {
-        self.options.num_views
+    /// Albedo of the object at a point of its surface.
+    pub fn object_albedo(&self, point_in_world: &Point3<f64>) -> Vector3<f64> {
+        let mean = Rgb::from(self.options.albedo);
+        if self.options.speckle == 0.0 {
+            return mean;
+        }
+        let p = point_in_world.coords / self.options.height_m;
+        let seed = self.options.seed as u32;
+        // Two octaves of unit variance together: gradient noise has a standard deviation of 0.28.
+        let speckle = gradient_noise(&(p / 0.010), seed ^ 0x91)
+            + 0.7 * gradient_noise(&(p / 0.026), seed ^ 0x92);
+        mean * (1.0 + self.options.speckle * speckle / 0.34)
     }
 
-    /// Takes photo `idx`.
-    ///
-    /// # Errors
-    /// An index beyond the last photo.
-    pub fn render(&self, _idx: usize) -> Result<RenderedView, SyntheticError> {
-        Err(SyntheticError::EmptyShape {
-            seed: self.scene.options.seed,
-        })
+    /// Points around object and sphere: what every photo should show.
+    pub(crate) fn outline(&self) -> Vec<Point3<f64>> {
+        // A few hundred vertices reach the silhouette to within a hundredth of the object.
+        let stride = (self.mesh.vertices.len() / 600).max(1);
+        let object = self
+            .mesh
+            .vertices
+            .iter()
+            .step_by(stride)
+            .map(|v| Point3::from(v.map(f64::from)));
+        let sphere = self.sphere.into_iter().flat_map(|sphere| {
+            (0..64).map(move |k| {
+                Point3::from(sphere.center_in_world) + fibonacci(k, 64) * sphere.radius
+            })
+        });
+        object.chain(sphere).collect()
     }
-}
-
-/// Takes all photos.
-///
-/// # Errors
-/// Unusable options.
-pub fn render(scene: &Scene, options: &RenderOptions) -> Result<Vec<RenderedView>, SyntheticError> {
-    let renderer = Renderer::new(scene, options)?;
-    (0..renderer.num_views())
-        .map(|i| renderer.render(i))
-        .collect()
 }

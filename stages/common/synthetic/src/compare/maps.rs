@@ -308,10 +308,11 @@ pub fn plane_normals(
             if x > half {
                 slide(&mut window, x - half - 1, -1.0);
             }
-            if *mask.at(x, y) && window[5] > MIN_WINDOW_SHARE * full {
-                if let Some(n) = plane_of(&window) {
-                    *normals.at_mut(x, y) = [n.x as f32, n.y as f32, n.z as f32];
-                }
+            let plane = (*mask.at(x, y) && window[5] > MIN_WINDOW_SHARE * full)
+                .then(|| plane_of(&window))
+                .flatten();
+            if let Some(n) = plane {
+                *normals.at_mut(x, y) = [n.x as f32, n.y as f32, n.z as f32];
             }
         }
     }
