@@ -1,0 +1,244 @@
+//! Every bad input gets its message and its exit code, names the file, and loses nothing.
+
+mod common;
+
+use common::{arg, noise_photos, run, write_noise_photo};
+use rilievo_io::write_mask;
+use rilievo_scene::Mask;
+use std::path::Path;
+
+/// Reads photos only: enough for everything that is wrong with files.
+fn first_stage(photos: &Path, run_dir: &Path, more: &[&str]) -> (i32, String, String) {
+    let mut arguments = vec![
+        "reconstruct",
+        arg(photos),
+        "-o",
+        arg(run_dir),
+        "--until",
+        "1_photos",
+    ];
+    arguments.extend(more);
+    run(&arguments)
+}
+
+#[test]
+fn an_empty_folder_is_input_that_cannot_be_used() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("nothing here");
+    std::fs::create_dir(&photos).unwrap();
+    let (code, _, stderr) = first_stage(&photos, &dir.path().join("run"), &[]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(stderr.contains("nothing here"), "{stderr}");
+    let report = std::fs::read_to_string(dir.path().join("run/report.json")).unwrap();
+    assert!(report.contains("nothing here"), "{report}");
+}
+
+#[test]
+fn bad_files_among_good_photos_are_named_and_the_good_ones_go_on() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 3);
+    std::fs::write(photos.join("zero.jpg"), b"").unwrap();
+    std::fs::write(photos.join("letter.jpg"), b"Dear reader,").unwrap();
+    std::fs::write(photos.join("notes.txt"), b"shutter 1/50").unwrap();
+    let whole = std::fs::read(photos.join("p0.jpg")).unwrap();
+    std::fs::write(photos.join("cut.jpg"), &whole[..whole.len() / 2]).unwrap();
+
+    let run_dir = dir.path().join("run");
+    let (code, _, stderr) = first_stage(&photos, &run_dir, &[]);
+    assert_eq!(code, 0, "{stderr}");
+    for name in ["zero.jpg", "letter.jpg", "cut.jpg", "notes.txt"] {
+        assert!(stderr.contains(name), "{name} is not named in: {stderr}");
+    }
+    for name in ["p0", "p1", "p2"] {
+        assert!(run_dir.join(format!("1_photos/linear/{name}.exr")).exists());
+    }
+    let report = std::fs::read_to_string(run_dir.join("report.json")).unwrap();
+    assert!(
+        report.contains("cut.jpg"),
+        "the report lists rejected photos"
+    );
+}
+
+#[test]
+fn only_bad_files_is_input_that_cannot_be_used() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("zero.jpg"), b"").unwrap();
+    let (code, _, stderr) = first_stage(dir.path(), &dir.path().join("run"), &[]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(stderr.contains("zero.jpg"), "{stderr}");
+}
+
+#[test]
+fn masks_that_do_not_fit_are_refused_never_ignored() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let good = Mask::from_fn(160, 120, |x, y| {
+        (40..120).contains(&x) && (30..90).contains(&y)
+    });
+    let cases: [(&str, Option<Mask>); 5] = [
+        ("missing", None),
+        ("other-size", Some(Mask::filled(80, 60, true))),
+        ("black", Some(Mask::filled(160, 120, false))),
+        ("white", Some(Mask::filled(160, 120, true))),
+        (
+            "inverted",
+            Some(Mask::from_fn(160, 120, |x, y| {
+                !good.contains(x as isize, y as isize)
+            })),
+        ),
+    ];
+    for (name, mask) in cases {
+        let masks = dir.path().join(name);
+        std::fs::create_dir(&masks).unwrap();
+        write_mask(&masks.join("p0.png"), &good).unwrap();
+        if let Some(mask) = &mask {
+            write_mask(&masks.join("p1.png"), mask).unwrap();
+        }
+        let run_dir = dir.path().join(format!("run-{name}"));
+        let (code, _, stderr) = first_stage(&photos, &run_dir, &["--masks", arg(&masks)]);
+        assert_eq!(code, 3, "{name}: {stderr}");
+        assert!(stderr.contains("p1"), "{name}: {stderr}");
+        assert!(!run_dir.join("1_photos").exists(), "{name} left a result");
+    }
+}
+
+#[test]
+fn broken_json_names_the_file() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let broken = dir.path().join("broken.json");
+    std::fs::write(&broken, "{\"unit\": \"metre\", \"cameras\": [").unwrap();
+    for option in ["--cameras", "--sphere"] {
+        let (code, _, stderr) =
+            first_stage(&photos, &dir.path().join("run"), &[option, arg(&broken)]);
+        assert_eq!(code, 3, "{option}: {stderr}");
+        assert!(stderr.contains("broken.json"), "{option}: {stderr}");
+    }
+}
+
+#[test]
+fn an_unknown_key_in_a_config_file_is_wrong_usage_and_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let config = dir.path().join("options.toml");
+    std::fs::write(&config, "[shading]\nnoize = 0.01\n").unwrap();
+    let (code, _, stderr) = first_stage(
+        &photos,
+        &dir.path().join("run"),
+        &["--config", arg(&config)],
+    );
+    assert_eq!(code, 2, "{stderr}");
+    assert!(
+        stderr.contains("options.toml") && stderr.contains("noize"),
+        "{stderr}"
+    );
+}
+
+#[test]
+fn photos_that_share_nothing_allow_no_result_and_keep_what_was_done() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    let (code, _, stderr) = run(&["reconstruct", arg(&photos), "-o", arg(&run_dir)]);
+    assert_eq!(code, 4, "{stderr}");
+    assert!(stderr.contains("match"), "{stderr}");
+    assert!(run_dir.join("2_features/manifest.json").exists());
+    let report = std::fs::read_to_string(run_dir.join("report.json")).unwrap();
+    assert!(report.contains("\"exit_code\": 4"), "{report}");
+}
+
+#[test]
+fn foreign_and_newer_folders_are_left_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let foreign = dir.path().join("letters");
+    std::fs::create_dir(&foreign).unwrap();
+    std::fs::write(foreign.join("letter.txt"), "x").unwrap();
+    let (code, _, stderr) = first_stage(&photos, &foreign, &[]);
+    assert_eq!(code, 5, "{stderr}");
+    assert_eq!(std::fs::read_dir(&foreign).unwrap().count(), 1);
+
+    let newer = dir.path().join("newer");
+    std::fs::create_dir(&newer).unwrap();
+    std::fs::write(
+        newer.join("run.json"),
+        r#"{"program": "rilievo", "format_version": 99, "request": {}}"#,
+    )
+    .unwrap();
+    for arguments in [
+        vec!["reconstruct", arg(&photos), "-o", arg(&newer)],
+        vec!["status", arg(&newer)],
+    ] {
+        let (code, _, stderr) = run(&arguments);
+        assert_eq!(code, 5, "{stderr}");
+        assert!(stderr.contains("99"), "{stderr}");
+    }
+    let (code, _, _) = run(&["status", arg(&dir.path().join("never"))]);
+    assert_eq!(code, 5);
+}
+
+#[test]
+fn a_run_in_use_is_refused_with_its_owner() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    std::fs::create_dir(&run_dir).unwrap();
+    let held = std::fs::File::create(run_dir.join(".lock")).unwrap();
+    held.lock().unwrap();
+    std::fs::write(run_dir.join(".lock"), "4242\n").unwrap();
+    let (code, _, stderr) = first_stage(&photos, &run_dir, &[]);
+    assert_eq!(code, 5, "{stderr}");
+    assert!(stderr.contains("4242"), "{stderr}");
+    drop(held);
+    let (code, _, stderr) = first_stage(&photos, &run_dir, &[]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
+fn an_output_that_cannot_be_written_says_so() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    // A file where a folder must be made: refused for every user, root included.
+    let file = dir.path().join("file");
+    std::fs::write(&file, "x").unwrap();
+    let (code, _, stderr) = first_stage(&photos, &file.join("run"), &[]);
+    assert_eq!(code, 6, "{stderr}");
+    assert!(stderr.contains("file"), "{stderr}");
+}
+
+#[test]
+fn wrong_usage_is_told_apart_from_wrong_input() {
+    for arguments in [
+        vec!["reconstruct"],
+        vec!["reconstruct", "photos", "-o", "run", "--model", "magic"],
+        vec!["run", "9_magic", "run"],
+        vec!["shade", "-o", "out"],
+        vec!["conjure"],
+    ] {
+        let (code, _, stderr) = run(&arguments);
+        assert_eq!(code, 2, "{arguments:?}: {stderr}");
+    }
+    let (code, _, _) = run(&["reconstruct", "no-such-folder", "-o", "never-made"]);
+    assert_eq!(code, 3);
+    assert!(!Path::new("never-made").exists());
+}
+
+#[test]
+fn two_photos_of_one_name_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    for folder in ["left", "right"] {
+        std::fs::create_dir(dir.path().join(folder)).unwrap();
+        write_noise_photo(&dir.path().join(folder).join("a.jpg"), 1);
+    }
+    let (left, right) = (
+        dir.path().join("left/a.jpg"),
+        dir.path().join("right/a.jpg"),
+    );
+    let run_dir = dir.path().join("run");
+    let (code, _, stderr) = run(&["reconstruct", arg(&left), arg(&right), "-o", arg(&run_dir)]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(
+        stderr.contains("left") && stderr.contains("right"),
+        "{stderr}"
+    );
+}

@@ -1,0 +1,108 @@
+//! The layering of ARCHITECTURE.md, read from the manifests: a stage never imports another one, nor
+//! anything that knows files.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Crates of this workspace that a manifest depends on outside its tests.
+fn own_dependencies(manifest: &Path) -> (String, BTreeSet<String>) {
+    let text = std::fs::read_to_string(manifest).expect("a manifest can be read");
+    let value: toml::Table = text.parse().expect("a manifest is TOML");
+    let name = value["package"]["name"]
+        .as_str()
+        .expect("a name")
+        .to_owned();
+    let dependencies = value
+        .get("dependencies")
+        .and_then(toml::Value::as_table)
+        .into_iter()
+        .flat_map(|table| table.keys().cloned())
+        .filter(|name| name.starts_with("rilievo-"))
+        .collect();
+    (name, dependencies)
+}
+
+fn manifests(folder: &str) -> Vec<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+    let mut found: Vec<PathBuf> = std::fs::read_dir(&root)
+        .expect("the folder exists")
+        .flatten()
+        .map(|entry| entry.path().join("Cargo.toml"))
+        .filter(|path| path.exists())
+        .collect();
+    found.sort();
+    found
+}
+
+fn allowed(name: &str) -> BTreeSet<&'static str> {
+    match name {
+        "rilievo-scene" => [].into(),
+        "rilievo-photometry" | "rilievo-numerics" | "rilievo-io" => {
+            ["rilievo-scene", "rilievo-numerics"].into()
+        }
+        "rilievo-synthetic" => ["rilievo-scene", "rilievo-photometry", "rilievo-numerics"].into(),
+        _ => ["rilievo-scene", "rilievo-photometry", "rilievo-numerics"].into(),
+    }
+}
+
+#[test]
+fn every_crate_imports_only_what_its_layer_may() {
+    let mut seen = 0;
+    for manifest in manifests("stages")
+        .into_iter()
+        .chain(manifests("stages/common"))
+    {
+        let (name, dependencies) = own_dependencies(&manifest);
+        let allowed = allowed(&name);
+        for dependency in &dependencies {
+            assert!(
+                allowed.contains(dependency.as_str()) && *dependency != name,
+                "{name} must not depend on {dependency}; allowed are {allowed:?}"
+            );
+        }
+        seen += 1;
+    }
+    assert_eq!(seen, 11, "six stages and five common crates");
+}
+
+#[test]
+fn stages_neither_read_files_nor_print() {
+    let forbidden = ["std::fs", "File::open", "println!", "print!(", "eprint!"];
+    for manifest in manifests("stages") {
+        let source = manifest.parent().expect("a folder").join("src");
+        for file in rust_files(&source) {
+            let text = std::fs::read_to_string(&file).expect("a source file can be read");
+            let code = text.split("#[cfg(test)]").next().unwrap_or_default();
+            if file.components().any(|part| part.as_os_str() == "tests") || is_tests_module(&file) {
+                continue;
+            }
+            for line in code
+                .lines()
+                .filter(|line| !line.trim_start().starts_with("//"))
+            {
+                for word in forbidden {
+                    assert!(!line.contains(word), "{}: {line}", file.display());
+                }
+            }
+        }
+    }
+}
+
+fn is_tests_module(file: &Path) -> bool {
+    file.file_stem()
+        .and_then(|stem| stem.to_str())
+        .is_some_and(|stem| stem == "tests" || stem.ends_with("_tests") || stem == "test_scene")
+}
+
+fn rust_files(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).expect("sources exist").flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            files.extend(rust_files(&path));
+        } else if path.extension().is_some_and(|ending| ending == "rs") {
+            files.push(path);
+        }
+    }
+    files
+}
