@@ -1,5 +1,8 @@
 //! Stage 1 as a whole, on made photos and, where they are at hand, on real ones.
 
+// Helpers of the tests may fail as the tests do.
+#![allow(clippy::unwrap_used)]
+
 use rilievo_photos::{GivenCamera, PhotosError, PhotosOptions, PreparedPhoto, assemble, prepare};
 use rilievo_scene::{DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, Raster, Samples};
 

@@ -24,6 +24,7 @@ pub mod cameras;
 pub mod colmap;
 pub mod error;
 pub mod exr_maps;
+mod json;
 pub mod lighting_file;
 pub mod mask;
 pub mod mask_names;

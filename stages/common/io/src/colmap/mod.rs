@@ -1,12 +1,52 @@
-//! COLMAP.
+//! COLMAP sparse models: `cameras`, `images` and `points3D`, as text or binary.
+//!
+//! # Conventions
+//! Axes and poses are ours (`cam_from_world`, x right, y down, z forward). COLMAP puts the centre
+//! of the first pixel at (0.5, 0.5): principal points and observed pixels are shifted by half a
+//! pixel on the way in and out, so that a [`ColmapModel`] in memory is exactly what the file says.
+//!
+//! # Camera models
+//! | COLMAP | here |
+//! |---|---|
+//! | `SIMPLE_PINHOLE` f cx cy, `PINHOLE` fx fy cx cy | no distortion |
+//! | `SIMPLE_RADIAL` f cx cy k, `RADIAL` f cx cy k1 k2 | k1 k2 |
+//! | `OPENCV` fx fy cx cy k1 k2 p1 p2 | k1 k2 p1 p2 |
+//! | `FULL_OPENCV` … k3 k4 k5 k6 | k1 k2 p1 p2 k3, where k4 k5 k6 are zero |
+//!
+//! Fish-eye and other models are refused by name. Written are `PINHOLE`, `OPENCV` and, with k3,
+//! `FULL_OPENCV`. Files of rigs and frames beside the model are not needed: the images carry their
+//! poses.
+//!
+//! Source: COLMAP documentation, "Output format"; `src/colmap/scene/reconstruction_io*.cc`.
+
+mod binary;
+mod convert;
+mod model;
+mod text;
+
+pub use binary::write_colmap_binary;
+pub use model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
+pub use text::{write_colmap_text, write_model_text};
+
 use crate::error::IoError;
-use rilievo_scene::PosedViews;
 use std::path::Path;
 
-/// Writes `cameras.txt`, `images.txt` and `points3D.txt` into an existing folder.
+/// Reads a model folder; the binary files are preferred where both kinds are there.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn write_colmap_text(folder: &Path, _views: &PosedViews) -> Result<(), IoError> {
-    Err(IoError::input(folder, "not yet"))
+/// When files are missing or damaged, or a camera model is not supported.
+pub fn read_model(folder: &Path) -> Result<ColmapModel, IoError> {
+    if folder.join("cameras.bin").is_file() {
+        return binary::read(folder);
+    }
+    if folder.join("cameras.txt").is_file() {
+        return text::read(folder);
+    }
+    Err(
+        IoError::input(folder, "holds neither cameras.bin nor cameras.txt")
+            .with_hint("give the folder of the model itself, often named sparse/0"),
+    )
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,192 @@
+//! Reading and checking camera files.
+
+use super::{CameraEntry, CameraFile};
+use crate::colmap;
+use crate::error::IoError;
+use crate::json::{self, Node};
+use nalgebra::{Matrix3, Point3, Rotation3};
+use rilievo_scene::{Distortion, Intrinsics, RigidTransform, Unit};
+use std::path::Path;
+
+/// How far `RᵀR` may be from the identity: rotations written with four digits pass and are made
+/// orthonormal, anything scaled, sheared or transposed row by row does not.
+const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
+
+/// Reads `cameras.json`, a `camera.json` of one view, or a COLMAP model folder (text or binary).
+///
+/// # Errors
+/// When a file cannot be read or holds a value that cannot be a camera; names the key.
+pub fn read_cameras(path: &Path) -> Result<CameraFile, IoError> {
+    if path.is_dir() {
+        return colmap::read_model(path).and_then(|model| model.to_camera_file(path));
+    }
+    let value = json::read(path)?;
+    let root = Node::root(path, &value);
+    if root.opt("cameras")?.is_none() && root.opt("K")?.is_some() {
+        return Ok(CameraFile {
+            unit: unit(&root)?,
+            cameras: vec![camera(&root)?],
+            ..CameraFile::default()
+        });
+    }
+
+    let mut file = CameraFile {
+        unit: unit(&root)?,
+        ..CameraFile::default()
+    };
+    for node in root.get("cameras")?.array()? {
+        let entry = camera(&node)?;
+        let name = node.get("image")?;
+        let image = name.text()?;
+        if file
+            .cameras
+            .iter()
+            .any(|c| c.image.as_deref() == Some(image))
+        {
+            return Err(name.refuse("appears twice"));
+        }
+        file.cameras.push(entry);
+    }
+    if let Some(list) = root.opt("unregistered")? {
+        for node in list.array()? {
+            let reason = match node.opt("reason")? {
+                Some(reason) => reason.text()?.to_owned(),
+                None => String::new(),
+            };
+            file.unregistered
+                .push((node.get("image")?.text()?.to_owned(), reason));
+        }
+    }
+    file.extra = root
+        .object()?
+        .iter()
+        .filter(|(key, _)| !matches!(key.as_str(), "unit" | "cameras" | "unregistered"))
+        .map(|(key, value)| (key.clone(), value.clone()))
+        .collect();
+    Ok(file)
+}
+
+/// The unit of a file; absent is arbitrary.
+pub(crate) fn unit(root: &Node<'_>) -> Result<Unit, IoError> {
+    let Some(node) = root.opt("unit")? else {
+        return Ok(Unit::Arbitrary);
+    };
+    match node.text()? {
+        "metre" | "meter" | "m" => Ok(Unit::Metre),
+        "arbitrary" => Ok(Unit::Arbitrary),
+        _ => Err(node.refuse("is not a unit; say \"metre\" or \"arbitrary\"")),
+    }
+}
+
+fn camera(node: &Node<'_>) -> Result<CameraEntry, IoError> {
+    let image = match node.opt("image")? {
+        Some(name) => Some(name.text()?.to_owned()),
+        None => None,
+    };
+    let intrinsics = Intrinsics {
+        distortion: distortion(node)?,
+        ..pinhole(node)?
+    };
+    let rotation = node.opt("world_from_camera_rotation")?;
+    let center = node.opt("camera_center")?;
+    let cam_from_world = match (rotation, center) {
+        (Some(rotation), Some(center)) => {
+            let pose = rigid_from_world_pose(&rotation.matrix()?, center.numbers()?);
+            Some(pose.map_err(|reason| rotation.refuse(reason))?)
+        }
+        (None, None) => None,
+        (Some(node), None) => return Err(node.refuse("stands without \"camera_center\"")),
+        (None, Some(node)) => {
+            return Err(node.refuse("stands without \"world_from_camera_rotation\""));
+        }
+    };
+    Ok(CameraEntry {
+        image,
+        intrinsics,
+        cam_from_world,
+    })
+}
+
+fn pinhole(node: &Node<'_>) -> Result<Intrinsics, IoError> {
+    let k_node = node.get("K")?;
+    let k = k_node.matrix()?;
+    let (fx, fy) = (k[(0, 0)], k[(1, 1)]);
+    if fx <= 0.0 || fy <= 0.0 {
+        return Err(k_node.refuse(
+            "has a focal length that is not greater than zero (axes are x right, y down, z \
+             forward: nothing is mirrored in K)",
+        ));
+    }
+    if k[(0, 1)].abs() > 1e-9 * fx {
+        return Err(k_node.refuse("has skew, which no photo's pixels have"));
+    }
+    if k[(1, 0)] != 0.0 || k[(2, 0)] != 0.0 || k[(2, 1)] != 0.0 || k[(2, 2)] != 1.0 {
+        return Err(k_node.refuse("is not of the form [[fx,0,cx],[0,fy,cy],[0,0,1]]"));
+    }
+    Ok(Intrinsics {
+        width: node.get("width")?.count()?,
+        height: node.get("height")?.count()?,
+        fx,
+        fy,
+        cx: k[(0, 2)],
+        cy: k[(1, 2)],
+        distortion: Distortion::default(),
+    })
+}
+
+fn distortion(node: &Node<'_>) -> Result<Distortion, IoError> {
+    let Some(node) = node.opt("distortion")? else {
+        return Ok(Distortion::default());
+    };
+    if let Some(model) = node.opt("model")? {
+        match model.text()? {
+            "opencv" => {}
+            "none" => return Ok(Distortion::default()),
+            _ => return Err(model.refuse("is not a known model; say \"opencv\" or \"none\"")),
+        }
+    }
+    let list = node.get("coefficients")?;
+    let mut values = [0.0; 5];
+    for (i, coefficient) in list.array()?.iter().enumerate() {
+        let number = coefficient.number()?;
+        match values.get_mut(i) {
+            Some(value) => *value = number,
+            None if number == 0.0 => {}
+            None => {
+                return Err(coefficient.refuse("is beyond k1 k2 p1 p2 k3, which is all we model"));
+            }
+        }
+    }
+    let [k1, k2, p1, p2, k3] = values;
+    Ok(Distortion { k1, k2, p1, p2, k3 })
+}
+
+/// `cam_from_world` of a rotation matrix and a centre in the world; the reason where the matrix is
+/// no rotation.
+pub(crate) fn rigid_from_world_pose(
+    world_from_camera: &Matrix3<f64>,
+    center: [f64; 3],
+) -> Result<RigidTransform, String> {
+    let defect = (world_from_camera.transpose() * world_from_camera - Matrix3::identity()).amax();
+    if defect.is_nan() || defect > ORTHONORMAL_TOLERANCE {
+        return Err(format!(
+            "is not a rotation: its rows are not orthonormal (off by {defect:.2e})"
+        ));
+    }
+    if world_from_camera.determinant() < 0.0 {
+        return Err(
+            "has mirrored axes (determinant -1); the camera's axes are x right, y down, z forward"
+                .to_owned(),
+        );
+    }
+    // The nearest rotation, in the sense of the Frobenius norm.
+    let svd = world_from_camera.svd(true, true);
+    let rotation = match (svd.u, svd.v_t) {
+        (Some(u), Some(v_t)) if defect > 1e-12 => u * v_t,
+        _ => *world_from_camera,
+    };
+    Ok(RigidTransform::from_world_pose(
+        Rotation3::from_matrix_unchecked(rotation),
+        Point3::from(center),
+    ))
+}

@@ -1,0 +1,240 @@
+//! The binary files, little endian.
+
+use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
+use super::text::pose;
+use crate::error::IoError;
+use nalgebra::Vector3;
+use std::path::Path;
+
+/// COLMAP's number for "no point".
+const NO_POINT: u64 = u64::MAX;
+
+/// Bytes with a position; every read is checked against the end.
+struct Bytes<'a> {
+    file: &'a Path,
+    data: &'a [u8],
+    at: usize,
+}
+
+impl Bytes<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], IoError> {
+        let piece = self
+            .data
+            .get(self.at..self.at + N)
+            .and_then(|piece| <[u8; N]>::try_from(piece).ok())
+            .ok_or_else(|| {
+                IoError::input(
+                    self.file,
+                    format!("ends too early, after {} bytes", self.data.len()),
+                )
+            })?;
+        self.at += N;
+        Ok(piece)
+    }
+
+    fn refuse(&self, reason: impl std::fmt::Display) -> IoError {
+        IoError::input(self.file, format!("at byte {}: {reason}", self.at))
+    }
+
+    fn u8(&mut self) -> Result<u8, IoError> {
+        Ok(self.take::<1>()?[0])
+    }
+
+    fn u32(&mut self) -> Result<u32, IoError> {
+        Ok(u32::from_le_bytes(self.take()?))
+    }
+
+    fn u64(&mut self) -> Result<u64, IoError> {
+        Ok(u64::from_le_bytes(self.take()?))
+    }
+
+    fn number(&mut self) -> Result<f64, IoError> {
+        let value = f64::from_le_bytes(self.take()?);
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            Err(self.refuse(format!("{value} is not a finite number")))
+        }
+    }
+
+    fn size(&mut self) -> Result<usize, IoError> {
+        let value = self.u64()?;
+        usize::try_from(value).map_err(|_| self.refuse(format!("{value} is too large")))
+    }
+
+    fn name(&mut self) -> Result<String, IoError> {
+        let mut bytes = Vec::new();
+        loop {
+            match self.u8()? {
+                0 => break,
+                byte => bytes.push(byte),
+            }
+        }
+        String::from_utf8(bytes).map_err(|_| self.refuse("the image's name is no text"))
+    }
+}
+
+/// Reads the three files; `points3D.bin` may be missing.
+pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
+    let load = |path: &Path| std::fs::read(path).map_err(|error| IoError::read(path, &error));
+    let mut model = ColmapModel::default();
+    let path = folder.join("cameras.bin");
+    parse_cameras(&path, &load(&path)?, &mut model)?;
+    let path = folder.join("images.bin");
+    parse_images(&path, &load(&path)?, &mut model)?;
+    let path = folder.join("points3D.bin");
+    if path.is_file() {
+        parse_points(&path, &load(&path)?, &mut model)?;
+    }
+    Ok(model)
+}
+
+fn bytes<'a>(file: &'a Path, data: &'a [u8]) -> Bytes<'a> {
+    Bytes { file, data, at: 0 }
+}
+
+pub(super) fn parse_cameras(
+    file: &Path,
+    data: &[u8],
+    model: &mut ColmapModel,
+) -> Result<(), IoError> {
+    let mut bytes = bytes(file, data);
+    // Counts come from the file: memory is asked for as content arrives, never ahead.
+    for _ in 0..bytes.u64()? {
+        let id = bytes.u32()?;
+        let number = bytes.u32()? as i32;
+        let camera_model =
+            CameraModel::from_number(number).map_err(|reason| bytes.refuse(reason))?;
+        let (width, height) = (bytes.size()?, bytes.size()?);
+        let params = (0..camera_model.num_params())
+            .map(|_| bytes.number())
+            .collect::<Result<Vec<f64>, _>>()?;
+        let camera = ColmapCamera {
+            id,
+            model: camera_model,
+            width,
+            height,
+            params,
+        };
+        camera.intrinsics().map_err(|reason| bytes.refuse(reason))?;
+        model.cameras.push(camera);
+    }
+    Ok(())
+}
+
+pub(super) fn parse_images(
+    file: &Path,
+    data: &[u8],
+    model: &mut ColmapModel,
+) -> Result<(), IoError> {
+    let mut bytes = bytes(file, data);
+    for _ in 0..bytes.u64()? {
+        let id = bytes.u32()?;
+        let q = [
+            bytes.number()?,
+            bytes.number()?,
+            bytes.number()?,
+            bytes.number()?,
+        ];
+        let translation = Vector3::new(bytes.number()?, bytes.number()?, bytes.number()?);
+        let cam_from_world = pose(q, translation).map_err(|reason| bytes.refuse(reason))?;
+        let camera_id = bytes.u32()?;
+        let name = bytes.name()?;
+        let mut points2d = Vec::new();
+        for _ in 0..bytes.u64()? {
+            let pixel = [bytes.number()?, bytes.number()?];
+            let point = bytes.u64()?;
+            points2d.push((pixel, (point != NO_POINT).then_some(point)));
+        }
+        model.images.push(ColmapImage {
+            id,
+            cam_from_world,
+            camera_id,
+            name,
+            points2d,
+        });
+    }
+    Ok(())
+}
+
+pub(super) fn parse_points(
+    file: &Path,
+    data: &[u8],
+    model: &mut ColmapModel,
+) -> Result<(), IoError> {
+    let mut bytes = bytes(file, data);
+    for _ in 0..bytes.u64()? {
+        let mut point = ColmapPoint {
+            id: bytes.u64()?,
+            position: [bytes.number()?, bytes.number()?, bytes.number()?],
+            color: bytes.take()?,
+            error_px: bytes.number()?,
+            track: Vec::new(),
+        };
+        for _ in 0..bytes.u64()? {
+            point.track.push((bytes.u32()?, bytes.u32()?));
+        }
+        model.points.push(point);
+    }
+    Ok(())
+}
+
+/// Writes `cameras.bin`, `images.bin` and `points3D.bin` into an existing folder.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_colmap_binary(folder: &Path, model: &ColmapModel) -> Result<(), IoError> {
+    let save = |name: &str, data: Vec<u8>| {
+        let path = folder.join(name);
+        std::fs::write(&path, data).map_err(|error| IoError::write(&path, error))
+    };
+    let mut data = (model.cameras.len() as u64).to_le_bytes().to_vec();
+    for camera in &model.cameras {
+        data.extend(camera.id.to_le_bytes());
+        data.extend(camera.model.number().to_le_bytes());
+        data.extend((camera.width as u64).to_le_bytes());
+        data.extend((camera.height as u64).to_le_bytes());
+        camera
+            .params
+            .iter()
+            .for_each(|param| data.extend(param.to_le_bytes()));
+    }
+    save("cameras.bin", data)?;
+
+    let mut data = (model.images.len() as u64).to_le_bytes().to_vec();
+    for image in &model.images {
+        let q = image.cam_from_world.rotation.quaternion();
+        let t = &image.cam_from_world.translation;
+        data.extend(image.id.to_le_bytes());
+        for value in [q.w, q.i, q.j, q.k, t.x, t.y, t.z] {
+            data.extend(value.to_le_bytes());
+        }
+        data.extend(image.camera_id.to_le_bytes());
+        data.extend(image.name.as_bytes());
+        data.push(0);
+        data.extend((image.points2d.len() as u64).to_le_bytes());
+        for ([x, y], point) in &image.points2d {
+            data.extend(x.to_le_bytes());
+            data.extend(y.to_le_bytes());
+            data.extend(point.unwrap_or(NO_POINT).to_le_bytes());
+        }
+    }
+    save("images.bin", data)?;
+
+    let mut data = (model.points.len() as u64).to_le_bytes().to_vec();
+    for point in &model.points {
+        data.extend(point.id.to_le_bytes());
+        point
+            .position
+            .iter()
+            .for_each(|value| data.extend(value.to_le_bytes()));
+        data.extend(point.color);
+        data.extend(point.error_px.to_le_bytes());
+        data.extend((point.track.len() as u64).to_le_bytes());
+        for (image, index) in &point.track {
+            data.extend(image.to_le_bytes());
+            data.extend(index.to_le_bytes());
+        }
+    }
+    save("points3D.bin", data)
+}

@@ -1,0 +1,194 @@
+//! Between COLMAP's words and ours.
+
+use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
+use crate::cameras::{CameraEntry, CameraFile};
+use crate::error::IoError;
+use rilievo_scene::{Distortion, Intrinsics, PosedViews, Unit};
+use std::path::Path;
+
+/// Centre of the first pixel in COLMAP's coordinates.
+pub(super) const HALF_PIXEL: f64 = 0.5;
+
+impl ColmapCamera {
+    /// The camera with pixel centres at integers.
+    ///
+    /// # Errors
+    /// The reason why it is no usable camera.
+    pub fn intrinsics(&self) -> Result<Intrinsics, String> {
+        let p = &self.params;
+        if p.len() != self.model.num_params() {
+            return Err(format!(
+                "camera {} has {} parameters; {} takes {}",
+                self.id,
+                p.len(),
+                self.model.name(),
+                self.model.num_params()
+            ));
+        }
+        if let Some(value) = p.iter().find(|value| !value.is_finite()) {
+            return Err(format!("camera {} has the parameter {value}", self.id));
+        }
+        let none = Distortion::default();
+        let (fx, fy, cx, cy, distortion) = match self.model {
+            CameraModel::SimplePinhole => (p[0], p[0], p[1], p[2], none),
+            CameraModel::Pinhole => (p[0], p[1], p[2], p[3], none),
+            CameraModel::SimpleRadial => (p[0], p[0], p[1], p[2], Distortion { k1: p[3], ..none }),
+            CameraModel::Radial => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                Distortion {
+                    k1: p[3],
+                    k2: p[4],
+                    ..none
+                },
+            ),
+            CameraModel::Opencv | CameraModel::FullOpencv => {
+                if let Some(k) = p.iter().skip(9).find(|&&k| k != 0.0) {
+                    return Err(format!(
+                        "camera {} has the coefficient {k} beyond k3, which is not supported",
+                        self.id
+                    ));
+                }
+                let distortion = Distortion {
+                    k1: p[4],
+                    k2: p[5],
+                    p1: p[6],
+                    p2: p[7],
+                    k3: p.get(8).copied().unwrap_or(0.0),
+                };
+                (p[0], p[1], p[2], p[3], distortion)
+            }
+        };
+        if fx <= 0.0 || fy <= 0.0 || self.width == 0 || self.height == 0 {
+            return Err(format!(
+                "camera {} has focal lengths {fx}, {fy} and {} x {} pixels",
+                self.id, self.width, self.height
+            ));
+        }
+        Ok(Intrinsics {
+            width: self.width,
+            height: self.height,
+            fx,
+            fy,
+            cx: cx - HALF_PIXEL,
+            cy: cy - HALF_PIXEL,
+            distortion,
+        })
+    }
+
+    /// COLMAP's camera of ours.
+    pub fn from_intrinsics(id: u32, camera: &Intrinsics) -> Self {
+        let d = &camera.distortion;
+        let mut params = vec![
+            camera.fx,
+            camera.fy,
+            camera.cx + HALF_PIXEL,
+            camera.cy + HALF_PIXEL,
+        ];
+        let model = if d.is_none() {
+            CameraModel::Pinhole
+        } else {
+            params.extend([d.k1, d.k2, d.p1, d.p2]);
+            if d.k3 == 0.0 {
+                CameraModel::Opencv
+            } else {
+                params.extend([d.k3, 0.0, 0.0, 0.0]);
+                CameraModel::FullOpencv
+            }
+        };
+        Self {
+            id,
+            model,
+            width: camera.width,
+            height: camera.height,
+            params,
+        }
+    }
+}
+
+impl ColmapModel {
+    /// The cameras alone, in the order of the images' names; `folder` is named in messages. A
+    /// model has no unit.
+    ///
+    /// # Errors
+    /// When an image refers to no camera, or a camera cannot be converted.
+    pub fn to_camera_file(&self, folder: &Path) -> Result<CameraFile, IoError> {
+        let mut cameras = Vec::with_capacity(self.images.len());
+        for image in &self.images {
+            let camera = self
+                .cameras
+                .iter()
+                .find(|camera| camera.id == image.camera_id)
+                .ok_or_else(|| {
+                    IoError::input(
+                        folder,
+                        format!(
+                            "{} refers to camera {}, which is not there",
+                            image.name, image.camera_id
+                        ),
+                    )
+                })?;
+            cameras.push(CameraEntry {
+                image: Some(image.name.clone()),
+                intrinsics: camera
+                    .intrinsics()
+                    .map_err(|reason| IoError::input(folder, reason))?,
+                cam_from_world: Some(image.cam_from_world),
+            });
+        }
+        cameras.sort_by(|a, b| a.image.cmp(&b.image));
+        Ok(CameraFile {
+            unit: Unit::Arbitrary,
+            cameras,
+            ..CameraFile::default()
+        })
+    }
+
+    /// The model of posed views with their sparse points. Views with equal intrinsics share a
+    /// camera; numbers count from one, as COLMAP's do.
+    pub fn from_posed_views(views: &PosedViews) -> Self {
+        let mut model = Self::default();
+        let mut known: Vec<Intrinsics> = Vec::new();
+        for (i, view) in views.views.iter().enumerate() {
+            let camera = known
+                .iter()
+                .position(|camera| *camera == view.intrinsics)
+                .unwrap_or_else(|| {
+                    known.push(view.intrinsics);
+                    known.len() - 1
+                });
+            model.images.push(ColmapImage {
+                id: i as u32 + 1,
+                cam_from_world: view.cam_from_world,
+                camera_id: camera as u32 + 1,
+                name: view.file_name.clone(),
+                points2d: Vec::new(),
+            });
+        }
+        model.cameras = (1..)
+            .zip(&known)
+            .map(|(id, camera)| ColmapCamera::from_intrinsics(id, camera))
+            .collect();
+        for (i, point) in views.points.iter().enumerate() {
+            let id = i as u64 + 1;
+            let mut track = Vec::with_capacity(point.track.len());
+            for element in &point.track {
+                if let Some(image) = model.images.get_mut(element.view.0) {
+                    track.push((image.id, image.points2d.len() as u32));
+                    let pixel = element.pixel.map(|coordinate| coordinate + HALF_PIXEL);
+                    image.points2d.push((pixel, Some(id)));
+                }
+            }
+            model.points.push(ColmapPoint {
+                id,
+                position: point.position,
+                color: point.color,
+                error_px: point.error_px,
+                track,
+            });
+        }
+        model
+    }
+}

@@ -1,0 +1,251 @@
+//! The text files.
+
+use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
+use crate::error::IoError;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use rilievo_scene::{PosedViews, RigidTransform};
+use std::fmt::Write as _;
+use std::path::Path;
+use std::str::FromStr;
+
+/// Writes `cameras.txt`, `images.txt` and `points3D.txt` into an existing folder.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_colmap_text(folder: &Path, views: &PosedViews) -> Result<(), IoError> {
+    write_model_text(folder, &ColmapModel::from_posed_views(views))
+}
+
+/// The same for a model.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoError> {
+    let save = |name: &str, text: String| {
+        let path = folder.join(name);
+        std::fs::write(&path, text).map_err(|error| IoError::write(&path, error))
+    };
+    // Writing into a String cannot fail, hence the ignored results below.
+    let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
+    for camera in &model.cameras {
+        let (width, height) = (camera.width, camera.height);
+        let _ = write!(
+            text,
+            "{} {} {width} {height}",
+            camera.id,
+            camera.model.name()
+        );
+        for param in &camera.params {
+            let _ = write!(text, " {param}");
+        }
+        text.push('\n');
+    }
+    save("cameras.txt", text)?;
+
+    let mut text = String::from(
+        "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n\
+         # POINTS2D[] as (X, Y, POINT3D_ID)\n",
+    );
+    for image in &model.images {
+        let q = image.cam_from_world.rotation.quaternion();
+        let t = &image.cam_from_world.translation;
+        let _ = writeln!(
+            text,
+            "{} {} {} {} {} {} {} {} {} {}",
+            image.id, q.w, q.i, q.j, q.k, t.x, t.y, t.z, image.camera_id, image.name
+        );
+        for (i, ([x, y], point)) in image.points2d.iter().enumerate() {
+            let gap = if i == 0 { "" } else { " " };
+            let _ = match point {
+                Some(id) => write!(text, "{gap}{x} {y} {id}"),
+                None => write!(text, "{gap}{x} {y} -1"),
+            };
+        }
+        text.push('\n');
+    }
+    save("images.txt", text)?;
+
+    let mut text =
+        String::from("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n");
+    for point in &model.points {
+        let ([x, y, z], [r, g, b]) = (point.position, point.color);
+        let _ = write!(
+            text,
+            "{} {x} {y} {z} {r} {g} {b} {}",
+            point.id, point.error_px
+        );
+        for (image, index) in &point.track {
+            let _ = write!(text, " {image} {index}");
+        }
+        text.push('\n');
+    }
+    save("points3D.txt", text)
+}
+
+/// The words of one line, with messages that name file and line.
+struct Line<'a> {
+    file: &'a Path,
+    number: usize,
+    rest: &'a str,
+}
+
+impl<'a> Line<'a> {
+    fn refuse(&self, reason: impl std::fmt::Display) -> IoError {
+        IoError::input(self.file, format!("line {}: {reason}", self.number))
+    }
+
+    fn word(&mut self, what: &str) -> Result<&'a str, IoError> {
+        let trimmed = self.rest.trim_start();
+        if trimmed.is_empty() {
+            return Err(self.refuse(format!("{what} is missing")));
+        }
+        let end = trimmed.find(char::is_whitespace).unwrap_or(trimmed.len());
+        self.rest = &trimmed[end..];
+        Ok(&trimmed[..end])
+    }
+
+    fn parse<T: FromStr>(&mut self, what: &str) -> Result<T, IoError> {
+        let word = self.word(what)?;
+        word.parse()
+            .map_err(|_| self.refuse(format!("{what} is \"{word}\"")))
+    }
+
+    fn number(&mut self, what: &str) -> Result<f64, IoError> {
+        let value: f64 = self.parse(what)?;
+        if value.is_finite() {
+            Ok(value)
+        } else {
+            Err(self.refuse(format!("{what} is {value}")))
+        }
+    }
+
+    fn is_done(&self) -> bool {
+        self.rest.trim().is_empty()
+    }
+}
+
+fn read_text(path: &Path) -> Result<String, IoError> {
+    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    String::from_utf8(bytes).map_err(|_| IoError::input(path, "its bytes are no text"))
+}
+
+/// Lines that carry data; empty ones stay where `keep_empty` says that they mean something.
+fn lines<'a>(file: &'a Path, text: &'a str, keep_empty: bool) -> impl Iterator<Item = Line<'a>> {
+    text.lines()
+        .enumerate()
+        .filter(move |(_, line)| {
+            let line = line.trim_start();
+            !line.starts_with('#') && (keep_empty || !line.is_empty())
+        })
+        .map(move |(i, line)| Line {
+            file,
+            number: i + 1,
+            rest: line.trim_end(),
+        })
+}
+
+/// Reads the three files; `points3D.txt` may be missing.
+pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
+    let mut model = ColmapModel::default();
+
+    let path = folder.join("cameras.txt");
+    for mut line in lines(&path, &read_text(&path)?, false) {
+        let id = line.parse("CAMERA_ID")?;
+        let name = line.word("MODEL")?;
+        let camera_model = CameraModel::from_name(name).map_err(|reason| line.refuse(reason))?;
+        let (width, height) = (line.parse("WIDTH")?, line.parse("HEIGHT")?);
+        let mut params = Vec::new();
+        while !line.is_done() {
+            params.push(line.number("a parameter")?);
+        }
+        let camera = ColmapCamera {
+            id,
+            model: camera_model,
+            width,
+            height,
+            params,
+        };
+        camera.intrinsics().map_err(|reason| line.refuse(reason))?;
+        model.cameras.push(camera);
+    }
+
+    let path = folder.join("images.txt");
+    let text = read_text(&path)?;
+    let mut image_lines = lines(&path, &text, true);
+    while let Some(mut line) = image_lines.next() {
+        // The second line of an image may be empty; a first line never is.
+        if line.is_done() {
+            continue;
+        }
+        let mut image = read_image(&mut line)?;
+        if let Some(mut line) = image_lines.next() {
+            while !line.is_done() {
+                let pixel = [line.number("X")?, line.number("Y")?];
+                let point: i64 = line.parse("POINT3D_ID")?;
+                image.points2d.push((pixel, u64::try_from(point).ok()));
+            }
+        }
+        model.images.push(image);
+    }
+
+    let path = folder.join("points3D.txt");
+    if path.is_file() {
+        for mut line in lines(&path, &read_text(&path)?, false) {
+            let mut point = ColmapPoint {
+                id: line.parse("POINT3D_ID")?,
+                position: [line.number("X")?, line.number("Y")?, line.number("Z")?],
+                color: [line.parse("R")?, line.parse("G")?, line.parse("B")?],
+                error_px: line.number("ERROR")?,
+                track: Vec::new(),
+            };
+            while !line.is_done() {
+                let element = (line.parse("IMAGE_ID")?, line.parse("POINT2D_IDX")?);
+                point.track.push(element);
+            }
+            model.points.push(point);
+        }
+    }
+    Ok(model)
+}
+
+fn read_image(line: &mut Line<'_>) -> Result<ColmapImage, IoError> {
+    let id = line.parse("IMAGE_ID")?;
+    let mut q = [0.0; 4];
+    for (value, what) in q.iter_mut().zip(["QW", "QX", "QY", "QZ"]) {
+        *value = line.number(what)?;
+    }
+    let translation = Vector3::new(line.number("TX")?, line.number("TY")?, line.number("TZ")?);
+    let camera_id = line.parse("CAMERA_ID")?;
+    let name = line.rest.trim().to_owned();
+    if name.is_empty() {
+        return Err(line.refuse("NAME is missing"));
+    }
+    Ok(ColmapImage {
+        id,
+        cam_from_world: pose(q, translation).map_err(|reason| line.refuse(reason))?,
+        camera_id,
+        name,
+        points2d: Vec::new(),
+    })
+}
+
+/// The pose of a quaternion `w x y z` and a translation.
+pub(super) fn pose(q: [f64; 4], translation: Vector3<f64>) -> Result<RigidTransform, String> {
+    let quaternion = Quaternion::new(q[0], q[1], q[2], q[3]);
+    let norm = quaternion.norm();
+    if !(0.5..=2.0).contains(&norm) || !translation.iter().all(|t| t.is_finite()) {
+        return Err(format!(
+            "the pose {q:?}, {translation:?} is no rigid motion"
+        ));
+    }
+    // A quaternion that is a unit one already is kept to the bit.
+    let rotation = if (norm - 1.0).abs() < 1e-15 {
+        UnitQuaternion::new_unchecked(quaternion)
+    } else {
+        UnitQuaternion::from_quaternion(quaternion)
+    };
+    Ok(RigidTransform {
+        rotation,
+        translation,
+    })
+}
