@@ -1,34 +1,45 @@
 //! Stage 2: linear photos to keypoints and verified matches.
+//!
+//! Per photo: SIFT keypoints over the whole frame with a low contrast threshold, spread over a
+//! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours that pass
+//! the ratio test, then those that agree with one essential matrix ([`match_photos`]). Pairs are
+//! all pairs of small sets, candidates of large ones.
 
+mod candidates;
+mod descriptors;
+mod detect;
 pub mod error;
+mod matching;
 pub mod options;
 pub mod report;
+mod retention;
+mod two_view;
 
+pub use detect::detect;
 pub use error::FeaturesError;
 pub use options::FeaturesOptions;
 pub use report::{FeaturesReport, PairReport, PhotoFeatures};
 
-use rilievo_scene::{FeatureMatches, Observer, Photo, PhotoKeypoints, PhotoSet};
+use matching::{DescriptorMatrix, match_descriptors};
+use nalgebra::Point2;
+use rayon::prelude::*;
+use rilievo_scene::{
+    Event, FeatureMatches, Flow, Observer, PairMatches, PhotoIdx, PhotoKeypoints, PhotoSet, StageId,
+};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Finds the keypoints of one photo.
-///
-/// # Errors
-/// When the pixels cannot be read or OpenCV fails.
-pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints, FeaturesError> {
-    options.validate()?;
-    photo.pixels.load()?;
-    Ok(PhotoKeypoints::default())
-}
+/// A photo with fewer keypoints than this deserves a warning.
+const FEW_KEYPOINTS: usize = 100;
 
 /// Matches the keypoints of all photos and keeps what agrees with a two-view geometry.
 ///
 /// # Errors
-/// When keypoints and photos do not belong together, or the observer asked to stop.
+/// When keypoints and photos do not belong together, OpenCV fails, or the observer asked to stop.
 pub fn match_photos(
     photos: &PhotoSet,
     keypoints: Vec<PhotoKeypoints>,
     options: &FeaturesOptions,
-    _observer: &dyn Observer,
+    observer: &dyn Observer,
 ) -> Result<(FeatureMatches, FeaturesReport), FeaturesError> {
     options.validate()?;
     if keypoints.len() != photos.photos.len() {
@@ -37,11 +48,139 @@ pub fn match_photos(
             num_keypoint_lists: keypoints.len(),
         });
     }
+    let descriptors: Vec<DescriptorMatrix> = keypoints
+        .par_iter()
+        .map(|k| DescriptorMatrix::new(&k.descriptors))
+        .collect();
+    let normalized: Vec<Vec<Point2<f64>>> = keypoints
+        .par_iter()
+        .zip(&photos.photos)
+        .map(|(list, photo)| {
+            list.keypoints
+                .iter()
+                .map(|k| {
+                    photo
+                        .intrinsics
+                        .normalized(&Point2::new(f64::from(k.x), f64::from(k.y)))
+                })
+                .collect()
+        })
+        .collect();
+    let tried = candidates::pairs(&keypoints, options);
+    let num_done = AtomicUsize::new(0);
+    let matched: Vec<(PairMatches, PairReport)> = tried
+        .par_iter()
+        .map(|&(first, second)| {
+            if observer.flow() == Flow::Stop {
+                return Err(FeaturesError::Interrupted);
+            }
+            let putative =
+                match_descriptors(&descriptors[first], &descriptors[second], options.max_ratio);
+            let pick = |side: usize, photo: usize| -> Vec<Point2<f64>> {
+                putative
+                    .iter()
+                    .map(|m| normalized[photo][m[side] as usize])
+                    .collect()
+            };
+            let focal_px = 0.5
+                * (photos.photos[first].intrinsics.focal_px()
+                    + photos.photos[second].intrinsics.focal_px());
+            let geometry = two_view::verify(&pick(0, first), &pick(1, second), focal_px, options)?;
+            let pair = PairMatches {
+                first: PhotoIdx(first),
+                second: PhotoIdx(second),
+                matches: geometry.as_ref().map_or(Vec::new(), |g| {
+                    g.inliers.iter().map(|&k| putative[k]).collect()
+                }),
+                essential: geometry.as_ref().map(|g| g.essential),
+                homography_share: geometry.as_ref().map_or(0.0, |g| g.homography_share),
+                num_putative: putative.len(),
+            };
+            let report = PairReport {
+                first: pair.first,
+                second: pair.second,
+                num_putative: pair.num_putative,
+                num_verified: pair.matches.len(),
+                homography_share: pair.homography_share,
+            };
+            let done = num_done.fetch_add(1, Ordering::Relaxed) + 1;
+            let flow = observer.event(Event::Progress {
+                stage: StageId::Features,
+                step: "matching pairs".to_owned(),
+                done,
+                total: tried.len(),
+            });
+            match flow {
+                Flow::Continue => Ok((pair, report)),
+                Flow::Stop => Err(FeaturesError::Interrupted),
+            }
+        })
+        .collect::<Result<_, _>>()?;
+    let (pairs, pair_reports): (Vec<_>, Vec<_>) = matched.into_iter().unzip();
+    let pairs: Vec<PairMatches> = pairs
+        .into_iter()
+        .filter(|p: &PairMatches| !p.matches.is_empty())
+        .collect();
+    let report = summarize(photos, &keypoints, &pairs, pair_reports);
+    for message in &report.warnings {
+        let flow = observer.event(Event::Warning {
+            stage: StageId::Features,
+            message: message.clone(),
+        });
+        if flow == Flow::Stop {
+            return Err(FeaturesError::Interrupted);
+        }
+    }
     Ok((
         FeatureMatches {
             photos: keypoints,
-            pairs: Vec::new(),
+            pairs,
         },
-        FeaturesReport::default(),
+        report,
     ))
+}
+
+/// Counts per photo, and warnings for photos that cannot be posed.
+fn summarize(
+    photos: &PhotoSet,
+    keypoints: &[PhotoKeypoints],
+    pairs: &[PairMatches],
+    pair_reports: Vec<PairReport>,
+) -> FeaturesReport {
+    let mut warnings = Vec::new();
+    let photos = photos
+        .photos
+        .iter()
+        .zip(keypoints)
+        .enumerate()
+        .map(|(idx, (photo, list))| {
+            let num_pairs = pairs
+                .iter()
+                .filter(|p| p.first.0 == idx || p.second.0 == idx)
+                .count();
+            if list.keypoints.len() < FEW_KEYPOINTS {
+                warnings.push(format!(
+                    "{}: only {} keypoints; is it sharp and well exposed?",
+                    photo.file_name,
+                    list.keypoints.len()
+                ));
+            } else if num_pairs == 0 {
+                warnings.push(format!(
+                    "{}: matches no other photo; it shows something else or is too far from its neighbours",
+                    photo.file_name
+                ));
+            }
+            PhotoFeatures {
+                file_name: photo.file_name.clone(),
+                num_keypoints: list.keypoints.len(),
+                num_on_object: list.keypoints.iter().filter(|k| k.on_object).count(),
+                num_pairs,
+            }
+        })
+        .collect();
+    FeaturesReport {
+        photos,
+        pairs: pair_reports,
+        warnings,
+    }
 }

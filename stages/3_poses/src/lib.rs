@@ -1,15 +1,41 @@
 //! Stage 3: verified matches to camera poses, sparse points and depth anchors.
+//!
+//! Matches become tracks; a first pair and then one photo after the other get poses
+//! (incremental structure from motion), with bundle adjustment throughout; the world is scaled by
+//! the reference sphere or by given poses; anchors on the object follow. Intrinsics from a camera
+//! file stay bit-identical.
 
+mod adjustment;
 pub mod anchors;
 pub mod error;
+mod given;
+mod incremental;
+mod initial_pair;
+mod model;
 pub mod options;
+mod p3p;
+mod projection;
+mod relative_pose;
 pub mod report;
+mod resection;
+mod result;
+mod scale;
+mod scene;
+mod tracks;
+mod triangulation;
 
 pub use error::PosesError;
 pub use options::{GivenPoses, PosesOptions, RefineIntrinsics};
 pub use report::{AdjustmentReport, PosesReport, ViewReport};
 
-use rilievo_scene::{FeatureMatches, Observer, PhotoSet, PosedViews, SphereRequest};
+use adjustment::BundleOptions;
+use incremental::Reconstruction;
+use model::AdjustmentScope;
+use rilievo_numerics::robust::RobustLoss;
+use rilievo_scene::{
+    Event, FeatureMatches, Flow, Observer, PhotoSet, PosedViews, SphereRequest, StageId,
+};
+use scene::Scene;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
@@ -18,13 +44,132 @@ use rilievo_scene::{FeatureMatches, Observer, PhotoSet, PosedViews, SphereReques
 /// stop.
 pub fn run(
     photos: &PhotoSet,
-    _matches: &FeatureMatches,
-    _sphere: Option<&SphereRequest>,
+    matches: &FeatureMatches,
+    sphere: Option<&SphereRequest>,
     options: &PosesOptions,
-    _observer: &dyn Observer,
+    observer: &dyn Observer,
 ) -> Result<(PosedViews, PosesReport), PosesError> {
     options.validate()?;
-    Err(PosesError::TooFewPhotos {
-        num_photos: photos.photos.len(),
-    })
+    let num_photos = photos.photos.len();
+    if num_photos < 2 {
+        return Err(PosesError::TooFewPhotos { num_photos });
+    }
+    let scene = Scene::new(photos, matches, options);
+    let given = given::poses(photos, options);
+    let keeps_given = given.is_some() && options.given_poses == GivenPoses::Keep;
+    let mut warnings = Vec::new();
+    let (mut reconstruction, other_models) = match &given {
+        Some(poses) => (given::reconstruct(&scene, poses, options)?, Vec::new()),
+        None => largest_model(&scene, options, observer)?,
+    };
+    if !keeps_given {
+        finish(&scene, &mut reconstruction, options)?;
+    }
+    let (mut posed, mut report) =
+        result::assemble(&scene, &reconstruction, &other_models, keeps_given, options);
+    scale::apply(
+        photos,
+        sphere,
+        given.is_some(),
+        &mut posed,
+        &mut report,
+        &mut warnings,
+    );
+    warnings.extend(
+        posed
+            .unregistered
+            .iter()
+            .map(|u| format!("{}: {}", u.file_name, u.reason)),
+    );
+    for message in &warnings {
+        let flow = observer.event(Event::Warning {
+            stage: StageId::Poses,
+            message: message.clone(),
+        });
+        if flow == Flow::Stop {
+            return Err(PosesError::Interrupted);
+        }
+    }
+    let (anchors, anchor_report) =
+        anchors::find(photos, matches, &posed, &options.anchors, observer)?;
+    posed.anchors = anchors;
+    report.anchors = Some(anchor_report);
+    report.warnings = warnings;
+    Ok((posed, report))
+}
+
+/// Reconstructs models until no photo is left that can start one; the largest, and the photos of
+/// the others.
+fn largest_model(
+    scene: &Scene<'_>,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<(Reconstruction, Vec<Vec<usize>>), PosesError> {
+    let mut available = vec![true; scene.num_photos()];
+    let mut models: Vec<Reconstruction> = Vec::new();
+    loop {
+        match incremental::reconstruct(scene, &available, options, observer) {
+            Ok(found) => {
+                for (free, pose) in available.iter_mut().zip(&found.model.poses) {
+                    *free &= pose.is_none();
+                }
+                models.push(found);
+            }
+            Err(PosesError::Interrupted) => return Err(PosesError::Interrupted),
+            Err(error) if models.is_empty() => return Err(error),
+            Err(_) => break,
+        }
+        if available.iter().filter(|&&a| a).count() < 2 {
+            break;
+        }
+    }
+    // The first of the largest: ties go to the better first pair.
+    let mut largest = 0;
+    for (k, model) in models.iter().enumerate() {
+        if model.model.num_views() > models[largest].model.num_views() {
+            largest = k;
+        }
+    }
+    let kept = models.remove(largest);
+    let others = models
+        .iter()
+        .map(|m| {
+            (0..scene.num_photos())
+                .filter(|&p| m.model.poses[p].is_some())
+                .collect()
+        })
+        .collect();
+    Ok((kept, others))
+}
+
+/// Rounds of adjustment and outlier removal with ever tighter limits, the last ones converged.
+fn finish(
+    scene: &Scene<'_>,
+    reconstruction: &mut Reconstruction,
+    options: &PosesOptions,
+) -> Result<(), PosesError> {
+    let model = &mut reconstruction.model;
+    let mut limits = incremental::limits(options);
+    for round in 0..3 {
+        let scope = AdjustmentScope {
+            step: "final",
+            photos: None,
+            intrinsics: model.num_views() >= 3,
+            refined: None,
+        };
+        let last = round == 2;
+        let bundle_options = BundleOptions {
+            loss: RobustLoss::Cauchy(0.5),
+            max_num_iterations: 50,
+            relative_cost_change: if last { 1e-7 } else { 1e-4 },
+        };
+        reconstruction
+            .adjustments
+            .push(model.adjust(scene, &scope, &bundle_options)?);
+        if !last {
+            limits.max_error_px = options.max_reprojection_error_px * 0.7;
+            model.triangulate_all(scene, &limits);
+        }
+    }
+    Ok(())
 }

@@ -52,6 +52,8 @@ pub struct PosesReport {
     pub mean_reprojection_error_px: f64,
     /// Standard deviation of a refined keypoint coordinate, from the last adjustment, pixels.
     pub keypoint_sigma_px: f64,
+    /// Median standard deviation of a sparse point (largest axis), world's unit.
+    pub median_point_sigma: Option<f64>,
     /// Photos in models that were smaller than the one kept.
     pub other_model_sizes: Vec<usize>,
     /// Camera groups whose focal length was refined: (group, before, after), pixels.

@@ -1,0 +1,216 @@
+//! Brute-force matching of quantised descriptors.
+//!
+//! For descriptors `a_i`, `b_j` the squared distance is `|a_i|² + |b_j|² − 2 a_i·b_j`. A match is
+//! a pair of mutual nearest neighbours whose distance is below `max_ratio` times the second
+//! nearest, both ways.
+//!
+//! The dot products are a matrix product in tiles. Bytes in `f32` keep it exact: sums stay below
+//! `128 · 255² < 2²⁴`, so no order of summation rounds, and every machine finds the same matches.
+//! The product runs on faer's kernels, about 10 times as fast as a plain loop over bytes without
+//! instructions beyond the baseline.
+
+use faer::linalg::matmul::matmul;
+use faer::{Accum, Mat, MatRef, Par};
+
+/// Descriptors as a matrix, one column each, with their squared norms.
+pub struct DescriptorMatrix {
+    columns: Mat<f32>,
+    squared_norms: Vec<f32>,
+}
+
+impl DescriptorMatrix {
+    /// Wraps `128 n` bytes.
+    pub fn new(descriptors: &[u8]) -> Self {
+        let num = descriptors.len() / 128;
+        Self {
+            columns: Mat::from_fn(128, num, |row, column| {
+                f32::from(descriptors[column * 128 + row])
+            }),
+            squared_norms: descriptors
+                .chunks_exact(128)
+                .map(|d| d.iter().map(|&v| f32::from(v) * f32::from(v)).sum())
+                .collect(),
+        }
+    }
+
+    fn len(&self) -> usize {
+        self.squared_norms.len()
+    }
+}
+
+/// Nearest and second-nearest neighbour of one descriptor.
+#[derive(Clone, Copy)]
+struct Nearest {
+    index: u32,
+    best: f32,
+    second: f32,
+}
+
+impl Nearest {
+    const NONE: Self = Self {
+        index: u32::MAX,
+        best: f32::INFINITY,
+        second: f32::INFINITY,
+    };
+
+    fn passes(&self, max_squared_ratio: f32) -> bool {
+        self.index != u32::MAX && self.best < max_squared_ratio * self.second
+    }
+}
+
+/// Rows and columns of a tile: its products stay in the second-level cache.
+const TILE: usize = 256;
+
+/// Mutual nearest neighbours `(in first, in second)` that pass the ratio test both ways, ordered
+/// by the first index.
+pub fn match_descriptors(
+    first: &DescriptorMatrix,
+    second: &DescriptorMatrix,
+    max_ratio: f64,
+) -> Vec<[u32; 2]> {
+    let mut of_first = vec![Nearest::NONE; first.len()];
+    let mut of_second = vec![Nearest::NONE; second.len()];
+    let mut products = Mat::<f32>::zeros(TILE, TILE);
+    for row0 in (0..first.len()).step_by(TILE) {
+        let rows = TILE.min(first.len() - row0);
+        let left: MatRef<'_, f32> = first.columns.as_ref().subcols(row0, rows);
+        for column0 in (0..second.len()).step_by(TILE) {
+            let columns = TILE.min(second.len() - column0);
+            matmul(
+                products.as_mut().submatrix_mut(0, 0, rows, columns),
+                Accum::Replace,
+                left.transpose(),
+                second.columns.as_ref().subcols(column0, columns),
+                -2.0_f32,
+                Par::Seq,
+            );
+            for column in 0..columns {
+                let tile_column = products.col(column);
+                let Some(dots) = tile_column.try_as_col_major() else {
+                    continue;
+                };
+                let dots = &dots.as_slice()[..rows];
+                let norm = second.squared_norms[column0 + column];
+                scan_column(
+                    dots,
+                    &first.squared_norms[row0..row0 + rows],
+                    norm,
+                    (row0, column0 + column),
+                    &mut of_first[row0..row0 + rows],
+                    &mut of_second[column0 + column],
+                );
+            }
+        }
+    }
+    let max_squared_ratio = (max_ratio * max_ratio) as f32;
+    of_first
+        .iter()
+        .enumerate()
+        .filter_map(|(i, nearest)| {
+            if !nearest.passes(max_squared_ratio) {
+                return None;
+            }
+            let back = &of_second[nearest.index as usize];
+            (back.index as usize == i && back.passes(max_squared_ratio))
+                .then_some([i as u32, nearest.index])
+        })
+        .collect()
+}
+
+/// Updates nearest neighbours with the distances between one column and a block of rows.
+#[inline]
+fn scan_column(
+    minus_two_dots: &[f32],
+    row_norms: &[f32],
+    column_norm: f32,
+    (row0, column): (usize, usize),
+    of_rows: &mut [Nearest],
+    of_column: &mut Nearest,
+) {
+    for (k, ((&dot, &row_norm), of_row)) in minus_two_dots
+        .iter()
+        .zip(row_norms)
+        .zip(of_rows.iter_mut())
+        .enumerate()
+    {
+        let distance = row_norm + column_norm + dot;
+        // Most distances beat neither second-best value.
+        if distance < of_row.second {
+            update(of_row, distance, column as u32);
+        }
+        if distance < of_column.second {
+            update(of_column, distance, (row0 + k) as u32);
+        }
+    }
+}
+
+#[inline]
+fn update(nearest: &mut Nearest, distance: f32, index: u32) {
+    if distance < nearest.best {
+        nearest.second = nearest.best;
+        nearest.best = distance;
+        nearest.index = index;
+    } else {
+        nearest.second = distance;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{Rng, SeedableRng};
+
+    fn random_descriptors(num: usize, seed: u64) -> Vec<u8> {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        (0..num * 128).map(|_| rng.random_range(0..90)).collect()
+    }
+
+    /// The definition, in integers.
+    fn by_definition(a: &[u8], b: &[u8], max_ratio: f64) -> Vec<[u32; 2]> {
+        let distance = |i: usize, j: usize| -> i64 {
+            (0..128)
+                .map(|k| (i64::from(a[i * 128 + k]) - i64::from(b[j * 128 + k])).pow(2))
+                .sum()
+        };
+        let (n, m) = (a.len() / 128, b.len() / 128);
+        let two_best = |mut d: Vec<(i64, usize)>| {
+            d.sort_unstable();
+            (
+                d[0].1,
+                d[0].0 as f64,
+                d.get(1).map_or(f64::INFINITY, |s| s.0 as f64),
+            )
+        };
+        (0..n)
+            .filter_map(|i| {
+                let (j, d1, d2) = two_best((0..m).map(|j| (distance(i, j), j)).collect());
+                let (back, e1, e2) = two_best((0..n).map(|k| (distance(k, j), k)).collect());
+                (back == i && d1 < max_ratio.powi(2) * d2 && e1 < max_ratio.powi(2) * e2)
+                    .then_some([i as u32, j as u32])
+            })
+            .collect()
+    }
+
+    #[test]
+    fn agrees_with_the_definition_across_tile_borders() {
+        let a = random_descriptors(300, 1);
+        let mut b = random_descriptors(520, 2);
+        // Every second descriptor of `a` recurs in `b`, disturbed.
+        for i in (0..300).step_by(2) {
+            for k in 0..128 {
+                b[(i + 137) * 128 + k] = a[i * 128 + k].saturating_add((k % 7) as u8);
+            }
+        }
+        let found = match_descriptors(&DescriptorMatrix::new(&a), &DescriptorMatrix::new(&b), 0.8);
+        assert_eq!(found, by_definition(&a, &b, 0.8));
+        assert_eq!(found.len(), 150);
+    }
+
+    #[test]
+    fn empty_photos_match_nothing() {
+        let some = DescriptorMatrix::new(&random_descriptors(3, 1));
+        let none = DescriptorMatrix::new(&[]);
+        assert!(match_descriptors(&some, &none, 0.8).is_empty());
+        assert!(match_descriptors(&none, &some, 0.8).is_empty());
+    }
+}

@@ -1,0 +1,310 @@
+//! Bundle adjustment.
+//!
+//! Minimises `E = Σ_k w_k ρ(|π(c_k, P_k, X_k) − x_k|) + ½ Σ (q − q₀)²/σ_q²` over poses `P`
+//! (rotation, centre), points `X` and, where asked, intrinsics `q` of each camera group with weak
+//! priors; `ρ` a robust loss in pixels, `w_k` the weight of an observation. Levenberg-Marquardt
+//! with iterated weights; the step by the Schur complement of the points ([`schur`]).
+//!
+//! The gauge is fixed by one view (all six parameters) and one coordinate of the centre farthest
+//! from it, unless enough views are held fixed anyway.
+
+mod schur;
+
+use crate::error::PosesError;
+use crate::projection::{CenteredPose, NUM_INTRINSICS, retract_intrinsics};
+use nalgebra::{Matrix3, Matrix6, Point2, Point3};
+use rayon::prelude::*;
+use rilievo_numerics::least_squares::{Damping, IterationRecord, SolveReport, Termination};
+use rilievo_numerics::robust::RobustLoss;
+use rilievo_scene::Intrinsics;
+
+/// A camera shared by the views of its group.
+#[derive(Clone, Debug)]
+pub struct AdjustedCamera {
+    /// Where the adjustment starts, and the mean of the priors.
+    pub initial: Intrinsics,
+    /// Deviation from it: `ln f, cx, cy, k1, k2, p1, p2, k3`.
+    pub deviation: [f64; NUM_INTRINSICS],
+    /// Standard deviation of each parameter's prior; `None` keeps it fixed.
+    pub prior_sigma: [Option<f64>; NUM_INTRINSICS],
+}
+
+impl AdjustedCamera {
+    /// A camera that stays as it is, to the bit.
+    pub fn fixed(initial: Intrinsics) -> Self {
+        Self {
+            initial,
+            deviation: [0.0; NUM_INTRINSICS],
+            prior_sigma: [None; NUM_INTRINSICS],
+        }
+    }
+
+    /// The camera with its deviation applied.
+    pub fn current(&self) -> Intrinsics {
+        if self.deviation.iter().all(|&d| d == 0.0) {
+            self.initial
+        } else {
+            retract_intrinsics(&self.initial, &self.deviation)
+        }
+    }
+}
+
+/// A view of the problem.
+#[derive(Clone, Debug)]
+pub struct AdjustedView {
+    /// Index of its camera.
+    pub camera: usize,
+    /// Pose.
+    pub pose: CenteredPose,
+    /// Which of `(ω, δ)` may change.
+    pub free: [bool; 6],
+}
+
+/// One sighting of a point.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation {
+    /// View.
+    pub view: usize,
+    /// Observed pixel.
+    pub pixel: Point2<f64>,
+    /// Weight: inverse variance, in px⁻².
+    pub weight: f64,
+}
+
+/// Cameras, views, points and what was seen of them.
+#[derive(Clone, Debug)]
+pub struct Bundle {
+    /// Cameras.
+    pub cameras: Vec<AdjustedCamera>,
+    /// Views.
+    pub views: Vec<AdjustedView>,
+    /// Points in the world frame.
+    pub points: Vec<Point3<f64>>,
+    /// Observations of all points, one point after the other.
+    pub observations: Vec<Observation>,
+    /// Where the observations of point `p` start; one more entry than points.
+    pub offsets: Vec<usize>,
+}
+
+/// When to stop and how to treat outliers.
+#[derive(Clone, Copy, Debug)]
+pub struct BundleOptions {
+    /// Loss of the reprojection error, weighted to unit variance.
+    pub loss: RobustLoss,
+    /// Upper bound on the iterations.
+    pub max_num_iterations: usize,
+    /// Stop when the cost falls by less than this share.
+    pub relative_cost_change: f64,
+}
+
+impl Bundle {
+    /// Fixes the gauge: the first free view entirely, and one coordinate of the centre farthest
+    /// from it. Does nothing where two views are fixed already.
+    pub fn fix_gauge(&mut self) {
+        let fixed = |v: &AdjustedView| v.free.iter().all(|f| !f);
+        let num_fixed = self.views.iter().filter(|v| fixed(v)).count();
+        if num_fixed >= 2 || self.views.is_empty() {
+            return;
+        }
+        let anchor = self.views.iter().position(fixed).unwrap_or(0);
+        self.views[anchor].free = [false; 6];
+        let origin = self.views[anchor].pose.center;
+        let mut farthest = (0.0, anchor);
+        for (k, view) in self.views.iter().enumerate() {
+            let distance = (view.pose.center - origin).norm();
+            if distance > farthest.0 {
+                farthest = (distance, k);
+            }
+        }
+        if farthest.1 != anchor {
+            let axis = (self.views[farthest.1].pose.center - origin).iamax();
+            self.views[farthest.1].free[3 + axis] = false;
+        }
+    }
+
+    /// Cost at the current state, infinite when a point lies behind a camera that sees it.
+    fn cost(&self, loss: RobustLoss) -> f64 {
+        let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
+        let chunks: Vec<f64> = self
+            .point_chunks()
+            .into_par_iter()
+            .map(|range| {
+                let mut sum = 0.0;
+                for p in range {
+                    for o in &self.observations[self.offsets[p]..self.offsets[p + 1]] {
+                        let view = &self.views[o.view];
+                        match cameras[view.camera].project(&view.pose.apply(&self.points[p])) {
+                            Some(seen) => {
+                                let root = o.weight.sqrt();
+                                sum += loss.cost(root * (seen - o.pixel).norm());
+                            }
+                            None => return f64::INFINITY,
+                        }
+                    }
+                }
+                sum
+            })
+            .collect();
+        chunks.iter().sum::<f64>() + self.prior_cost()
+    }
+
+    fn prior_cost(&self) -> f64 {
+        self.cameras
+            .iter()
+            .flat_map(|c| c.deviation.iter().zip(&c.prior_sigma))
+            .filter_map(|(d, sigma)| sigma.map(|s| 0.5 * (d / s).powi(2)))
+            .sum()
+    }
+
+    /// Ranges of points, cut so that they do not depend on the number of threads.
+    fn point_chunks(&self) -> Vec<std::ops::Range<usize>> {
+        const NUM_CHUNKS: usize = 8;
+        let size = self.points.len().div_ceil(NUM_CHUNKS).max(1);
+        (0..self.points.len())
+            .step_by(size)
+            .map(|start| start..(start + size).min(self.points.len()))
+            .collect()
+    }
+
+    /// Root mean square of the residual coordinates, weighted to unit variance, and the standard
+    /// deviation of unit weight (degrees of freedom taken into account).
+    pub fn residual_statistics(&self) -> (f64, f64) {
+        let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
+        let mut squares = 0.0;
+        for p in 0..self.points.len() {
+            for o in &self.observations[self.offsets[p]..self.offsets[p + 1]] {
+                let view = &self.views[o.view];
+                if let Some(seen) = cameras[view.camera].project(&view.pose.apply(&self.points[p]))
+                {
+                    squares += o.weight * (seen - o.pixel).norm_squared();
+                }
+            }
+        }
+        let num_residuals = 2 * self.observations.len();
+        let num_free = 3 * self.points.len()
+            + self
+                .views
+                .iter()
+                .flat_map(|v| v.free)
+                .filter(|&free| free)
+                .count();
+        let degrees = num_residuals.saturating_sub(num_free).max(1);
+        (
+            (squares / num_residuals.max(1) as f64).sqrt(),
+            (squares / degrees as f64).sqrt(),
+        )
+    }
+
+    /// Moves everything by a step.
+    fn retract(&self, layout: &schur::Layout, step: &schur::Step) -> Self {
+        let mut moved = self.clone();
+        for (view, columns) in moved.views.iter_mut().zip(&layout.views) {
+            let mut tangent = [0.0; 6];
+            let mut any = false;
+            for (value, column) in tangent.iter_mut().zip(columns) {
+                if let Some(column) = column {
+                    *value = step.reduced[*column];
+                    any = true;
+                }
+            }
+            if any {
+                view.pose = view.pose.retract(&tangent);
+            }
+        }
+        for (camera, columns) in moved.cameras.iter_mut().zip(&layout.cameras) {
+            for (deviation, column) in camera.deviation.iter_mut().zip(columns) {
+                if let Some(column) = column {
+                    *deviation += step.reduced[*column];
+                }
+            }
+        }
+        for (point, delta) in moved.points.iter_mut().zip(&step.points) {
+            *point += delta;
+        }
+        moved
+    }
+
+    /// Minimises the cost in place.
+    ///
+    /// # Errors
+    /// When the start has no finite cost, or the normal matrix is singular however damped.
+    pub fn adjust(&mut self, options: &BundleOptions) -> Result<SolveReport, PosesError> {
+        let layout = schur::Layout::new(self);
+        let failed = |reason: String| PosesError::Adjustment {
+            num_views: layout.views.len(),
+            reason,
+        };
+        let mut cost = self.cost(options.loss);
+        if !cost.is_finite() {
+            return Err(failed(format!("the cost at the start is {cost}")));
+        }
+        let mut report = SolveReport {
+            termination: Termination::MaxIterations,
+            initial_cost: cost,
+            final_cost: cost,
+            iterations: Vec::new(),
+        };
+        let mut damping = Damping::new(1e-4);
+        let mut system = schur::System::build(self, &layout, options.loss);
+        'outer: for _ in 0..options.max_num_iterations {
+            loop {
+                let Some(step) = system.solve(damping.lambda) else {
+                    if damping.reject() {
+                        continue;
+                    }
+                    return Err(failed("the normal matrix is singular".to_owned()));
+                };
+                let moved = self.retract(&layout, &step);
+                let moved_cost = moved.cost(options.loss);
+                let accepted = moved_cost < cost;
+                report.iterations.push(IterationRecord {
+                    cost: if accepted { moved_cost } else { cost },
+                    damping: damping.lambda,
+                    step_norm: step.norm(),
+                    accepted,
+                });
+                if accepted {
+                    let change = cost - moved_cost;
+                    damping.accept(change / step.predicted_decrease.max(f64::MIN_POSITIVE));
+                    *self = moved;
+                    cost = moved_cost;
+                    if change <= options.relative_cost_change * cost {
+                        report.termination = Termination::Converged;
+                        break 'outer;
+                    }
+                    system = schur::System::build(self, &layout, options.loss);
+                    break;
+                }
+                // At the minimum rounding decides the sign of the change.
+                if step.predicted_decrease <= options.relative_cost_change * cost {
+                    report.termination = Termination::Converged;
+                    break 'outer;
+                }
+                if !damping.reject() {
+                    report.termination = Termination::NoProgress;
+                    break 'outer;
+                }
+            }
+        }
+        report.final_cost = cost;
+        Ok(report)
+    }
+
+    /// Covariances of poses `(ω, δ)` and points for observations of unit variance, in the gauge
+    /// that is fixed; `None` when the normal matrix is singular.
+    pub fn covariances(&self, loss: RobustLoss) -> Option<Covariances> {
+        let layout = schur::Layout::new(self);
+        schur::System::build(self, &layout, loss).covariances(&layout)
+    }
+}
+
+/// Covariances in a fixed gauge.
+pub struct Covariances {
+    /// Per view, of `(ω, δ)`; zero for what is fixed.
+    pub poses: Vec<Matrix6<f64>>,
+    /// Per point.
+    pub points: Vec<Matrix3<f64>>,
+}
+
+#[cfg(test)]
+mod tests;

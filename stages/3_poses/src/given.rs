@@ -1,0 +1,178 @@
+//! Poses that the user gave.
+//!
+//! They count only where every photo has one. Before use they are checked: the share of verified
+//! matches within three times the epipolar limit of the essential matrix that the poses imply. Where
+//! they do not agree, common other conventions are tried, so that the message can name the likely one.
+
+use crate::adjustment::BundleOptions;
+use crate::error::PosesError;
+use crate::incremental::{Reconstruction, limits};
+use crate::model::{AdjustmentScope, Model};
+use crate::options::{GivenPoses, PosesOptions};
+use crate::projection::CenteredPose;
+use crate::scene::Scene;
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use rilievo_numerics::robust::RobustLoss;
+use rilievo_scene::{PhotoSet, RigidTransform};
+
+/// Least share of matches that given poses must explain.
+const MIN_CONSISTENT_SHARE: f64 = 0.5;
+
+/// The given poses, when every photo has one and they are to be used.
+pub fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<RigidTransform>> {
+    if options.given_poses == GivenPoses::Ignore {
+        return None;
+    }
+    photos
+        .photos
+        .iter()
+        .map(|p| p.given_cam_from_world)
+        .collect()
+}
+
+/// Share of all verified matches that poses explain; `None` without matches.
+fn consistent_share(scene: &Scene<'_>, poses: &[RigidTransform], max_error_px: f64) -> Option<f64> {
+    let (mut agreeing, mut total) = (0_usize, 0_usize);
+    for pair in &scene.matches.pairs {
+        let (i, j) = (pair.first.0, pair.second.0);
+        let relative = poses[j].compose(&poses[i].inverse());
+        let baseline = relative.translation.norm();
+        if baseline <= 1e-12 {
+            continue;
+        }
+        let essential =
+            (relative.translation / baseline).cross_matrix() * relative.rotation_matrix();
+        let (ci, cj) = (
+            &scene.photos.photos[i].intrinsics,
+            &scene.photos.photos[j].intrinsics,
+        );
+        let limit = max_error_px / (0.5 * (ci.focal_px() + cj.focal_px()));
+        for m in &pair.matches {
+            let x1 = ci.ray(&scene.pixels[i][m[0] as usize]);
+            let x2 = cj.ray(&scene.pixels[j][m[1] as usize]);
+            let (l2, l1) = (essential * x1, essential.tr_mul(&x2));
+            let g = l2.xy().norm_squared() + l1.xy().norm_squared();
+            // Both points must also lie in front of the cameras, on the same side of the baseline.
+            let side = (relative.rotation * x1)
+                .cross(&relative.translation)
+                .dot(&x2.cross(&relative.translation));
+            agreeing += usize::from(x2.dot(&l2).powi(2) <= limit * limit * g && side > 0.0);
+            total += 1;
+        }
+    }
+    (total > 0).then(|| agreeing as f64 / total as f64)
+}
+
+/// Other conventions in which poses are often written, with their names.
+fn other_conventions(poses: &[RigidTransform]) -> Vec<(&'static str, Vec<RigidTransform>)> {
+    let flip = |x: f64, y: f64, z: f64| {
+        let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
+            Matrix3::from_diagonal(&Vector3::new(x, y, z)),
+        ));
+        RigidTransform {
+            rotation: turn,
+            translation: Vector3::zeros(),
+        }
+    };
+    let opengl = flip(1.0, -1.0, -1.0);
+    let each = |f: &dyn Fn(&RigidTransform) -> RigidTransform| poses.iter().map(f).collect();
+    // A mirrored world: the same cameras seen in a mirror across one axis.
+    let mirrored = |axis: usize| -> Vec<RigidTransform> {
+        let mut m = Matrix3::identity();
+        m[(axis, axis)] = -1.0;
+        poses
+            .iter()
+            .map(|p| {
+                let r = m * p.rotation_matrix() * m;
+                RigidTransform {
+                    rotation: UnitQuaternion::from_rotation_matrix(
+                        &Rotation3::from_matrix_unchecked(r),
+                    ),
+                    translation: m * p.translation,
+                }
+            })
+            .collect()
+    };
+    vec![
+        (
+            "they look like camera-from-world transforms given where world-from-camera is expected (or the reverse): invert them",
+            each(&|p| p.inverse()),
+        ),
+        (
+            "they look like OpenGL cameras (y up, z backwards): turn them half around x",
+            each(&|p| opengl.compose(p)),
+        ),
+        (
+            "they look like inverted OpenGL cameras (y up, z backwards): invert them and turn them half around x",
+            each(&|p| opengl.compose(&p.inverse())),
+        ),
+        (
+            "their x axis is mirrored (a left-handed frame): negate it",
+            mirrored(0),
+        ),
+        (
+            "their y axis is mirrored (a left-handed frame): negate it",
+            mirrored(1),
+        ),
+        (
+            "their z axis is mirrored (a left-handed frame): negate it",
+            mirrored(2),
+        ),
+    ]
+}
+
+/// Points triangulated with the given poses; refined with them where asked.
+///
+/// # Errors
+/// When the poses contradict the matches.
+pub fn reconstruct(
+    scene: &Scene<'_>,
+    poses: &[RigidTransform],
+    options: &PosesOptions,
+) -> Result<Reconstruction, PosesError> {
+    let max_error_px = 3.0 * options.max_reprojection_error_px;
+    if let Some(share) = consistent_share(scene, poses, max_error_px)
+        && share < MIN_CONSISTENT_SHARE
+    {
+        let best = other_conventions(poses)
+            .into_iter()
+            .filter_map(|(hint, other)| {
+                Some((consistent_share(scene, &other, max_error_px)?, hint))
+            })
+            .reduce(|a, b| if b.0 > a.0 { b } else { a });
+        let hint = match best {
+            Some((other, hint)) if other > MIN_CONSISTENT_SHARE.max(2.0 * share) => {
+                hint.to_owned()
+            }
+            _ => "check that they belong to these photos, and their convention (camera x right, y down, z forward)".to_owned(),
+        };
+        return Err(PosesError::GivenPosesInconsistent {
+            share_consistent: 100.0 * share,
+            hint,
+        });
+    }
+    let mut model = Model::empty(scene);
+    model.poses = poses.iter().map(|&p| Some(CenteredPose::from(p))).collect();
+    model.triangulate_all(scene, &limits(options));
+    let mut adjustments = Vec::new();
+    if model.num_points() > 0 {
+        let scope = AdjustmentScope {
+            step: "points only",
+            photos: Some(&[]),
+            intrinsics: false,
+            refined: None,
+        };
+        let bundle_options = BundleOptions {
+            loss: RobustLoss::Cauchy(0.5),
+            max_num_iterations: 30,
+            relative_cost_change: 1e-6,
+        };
+        adjustments.push(model.adjust(scene, &scope, &bundle_options)?);
+    }
+    Ok(Reconstruction {
+        model,
+        initial_pair: None,
+        adjustments,
+        failed: Vec::new(),
+    })
+}

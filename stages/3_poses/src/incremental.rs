@@ -1,0 +1,295 @@
+//! Incremental reconstruction.
+//!
+//! Start from a pair; then, while photos can be added: take the photo whose visible points are
+//! most and best spread (Schönberger and Frahm, CVPR 2016, section 4.2), resect it, triangulate
+//! what it adds, adjust. Small models are adjusted as a whole after every photo; large ones
+//! locally, and as a whole whenever they have grown by a tenth.
+
+use crate::adjustment::BundleOptions;
+use crate::error::PosesError;
+use crate::initial_pair::{self, InitialPair};
+use crate::model::{AdjustmentScope, Model};
+use crate::options::PosesOptions;
+use crate::projection::CenteredPose;
+use crate::report::AdjustmentReport;
+use crate::resection::resect;
+use crate::scene::Scene;
+use crate::triangulation::TriangulationLimits;
+use nalgebra::{Point2, Point3};
+use rilievo_numerics::robust::RobustLoss;
+use rilievo_scene::{Event, Flow, Observer, RigidTransform, StageId};
+
+/// Up to this many views every adjustment covers all of them.
+const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
+/// Views of a local adjustment besides the new one.
+const NUM_LOCAL_VIEWS: usize = 6;
+/// Initial pairs that are tried before a model is given up.
+const MAX_NUM_INITIAL_PAIRS: usize = 6;
+/// Views from which a focal length can be told from a motion along the axis.
+const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
+
+/// Limits of a triangulated point under the options.
+pub fn limits(options: &PosesOptions) -> TriangulationLimits {
+    TriangulationLimits {
+        max_error_px: options.max_reprojection_error_px,
+        min_angle_rad: options.min_triangulation_angle_deg.to_radians(),
+    }
+}
+
+/// Robust adjustment while outliers are still about.
+pub fn robust_adjustment(options: &PosesOptions) -> BundleOptions {
+    BundleOptions {
+        loss: RobustLoss::Cauchy(options.max_reprojection_error_px / 3.0),
+        max_num_iterations: 30,
+        relative_cost_change: 1e-4,
+    }
+}
+
+/// A model with what led to it.
+pub struct Reconstruction {
+    /// Poses and points.
+    pub model: Model,
+    /// Photos of the first pair.
+    pub initial_pair: Option<(usize, usize)>,
+    /// Adjustments.
+    pub adjustments: Vec<AdjustmentReport>,
+    /// Photos that failed, with the number of known points that they see and of those that agreed.
+    pub failed: Vec<(usize, usize, usize)>,
+}
+
+/// Reconstructs as many of the available photos as possible in one model.
+///
+/// # Errors
+/// When there is no pair to start from, an adjustment breaks down, or the observer asked to stop.
+pub fn reconstruct(
+    scene: &Scene<'_>,
+    available: &[bool],
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<Reconstruction, PosesError> {
+    let pairs = initial_pair::candidates(scene, available, options)?;
+    let wanted = available.iter().filter(|&&a| a).count();
+    let mut best: Option<Reconstruction> = None;
+    for pair in pairs.iter().take(MAX_NUM_INITIAL_PAIRS) {
+        // A pair that is part of a good model already would lead to the same one.
+        let covered = |m: &Reconstruction| {
+            m.model.poses[pair.first].is_some() && m.model.poses[pair.second].is_some()
+        };
+        if best.as_ref().is_some_and(covered) {
+            continue;
+        }
+        let Some(grown) = grow(scene, pair, available, options, observer)? else {
+            continue;
+        };
+        let size = grown.model.num_views();
+        if best.as_ref().is_none_or(|b| b.model.num_views() < size) {
+            best = Some(grown);
+        }
+        if 2 * size >= wanted {
+            break;
+        }
+    }
+    best.ok_or_else(|| PosesError::NoInitialPair {
+        num_pairs: pairs.len(),
+        best_points: pairs
+            .iter()
+            .map(|p| p.pose.angles_rad.len())
+            .max()
+            .unwrap_or(0),
+        best_angle_deg: options.min_initial_angle_deg,
+        needed_points: options.min_num_initial_inliers,
+        needed_angle_deg: options.min_initial_angle_deg,
+    })
+}
+
+/// Grows a model from a pair; `None` when the pair itself does not hold.
+fn grow(
+    scene: &Scene<'_>,
+    pair: &InitialPair,
+    available: &[bool],
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<Option<Reconstruction>, PosesError> {
+    let limits = limits(options);
+    let mut model = Model::empty(scene);
+    model.poses[pair.first] = Some(CenteredPose::from(RigidTransform::identity()));
+    model.poses[pair.second] = Some(CenteredPose::from(pair.pose.second_from_first));
+    let mut adjustments = Vec::new();
+    if model.triangulate_all(scene, &limits) < options.min_num_visible_points {
+        return Ok(None);
+    }
+    for _ in 0..2 {
+        adjustments.push(adjust_all(&mut model, scene, options)?);
+        model.triangulate_all(scene, &limits);
+    }
+    if model.num_points() < options.min_num_visible_points {
+        return Ok(None);
+    }
+    let mut failed: Vec<(usize, usize, usize)> = Vec::new();
+    let mut num_at_last_global = 2;
+    loop {
+        let flow = observer.event(Event::Progress {
+            stage: StageId::Poses,
+            step: "registering photos".to_owned(),
+            done: model.num_views(),
+            total: available.iter().filter(|&&a| a).count(),
+        });
+        if flow == Flow::Stop {
+            return Err(PosesError::Interrupted);
+        }
+        // A photo that failed is tried again once the model has grown.
+        let candidates = next_views(scene, &model, available, &failed, options);
+        let mut registered = None;
+        for photo in candidates {
+            match register(scene, &model, photo, options) {
+                Ok(pose) => {
+                    model.poses[photo] = Some(pose);
+                    registered = Some(photo);
+                    break;
+                }
+                Err((num_visible, num_inliers)) => {
+                    failed.retain(|f| f.0 != photo);
+                    failed.push((photo, num_visible, num_inliers));
+                }
+            }
+        }
+        let Some(photo) = registered else { break };
+        failed.retain(|f| f.0 != photo);
+        model.triangulate_all(scene, &limits);
+        let num_views = model.num_views();
+        if num_views <= MAX_NUM_VIEWS_ALWAYS_GLOBAL || 10 * num_views >= 11 * num_at_last_global {
+            adjustments.push(adjust_all(&mut model, scene, options)?);
+            num_at_last_global = num_views;
+        } else {
+            let mut local = neighbors(scene, &model, photo);
+            local.push(photo);
+            let scope = AdjustmentScope {
+                step: "local",
+                photos: Some(&local),
+                intrinsics: false,
+                refined: None,
+            };
+            adjustments.push(model.adjust(scene, &scope, &robust_adjustment(options))?);
+        }
+        model.triangulate_all(scene, &limits);
+    }
+    Ok(Some(Reconstruction {
+        model,
+        initial_pair: Some((pair.first, pair.second)),
+        adjustments,
+        failed,
+    }))
+}
+
+/// Robust adjustment of the whole model.
+fn adjust_all(
+    model: &mut Model,
+    scene: &Scene<'_>,
+    options: &PosesOptions,
+) -> Result<AdjustmentReport, PosesError> {
+    let scope = AdjustmentScope {
+        step: "global",
+        photos: None,
+        intrinsics: model.num_views() >= MIN_NUM_VIEWS_FOR_INTRINSICS,
+        refined: None,
+    };
+    model.adjust(scene, &scope, &robust_adjustment(options))
+}
+
+/// Known points that a photo sees: keypoint pixel and position.
+fn visible_points(
+    scene: &Scene<'_>,
+    model: &Model,
+    photo: usize,
+) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
+    scene.tracks_of[photo]
+        .iter()
+        .filter_map(|&(track, place)| {
+            let point = model.points[track].as_ref()?;
+            Some((scene.pixel(&scene.tracks[track][place]), point.position))
+        })
+        .unzip()
+}
+
+/// Photos to try next, best first. Score: occupied cells of grids of 2, 4, … 32 cells a side, a
+/// cell of the finer grid counting more.
+fn next_views(
+    scene: &Scene<'_>,
+    model: &Model,
+    available: &[bool],
+    failed: &[(usize, usize, usize)],
+    options: &PosesOptions,
+) -> Vec<usize> {
+    let mut scored: Vec<(usize, usize)> = (0..scene.num_photos())
+        .filter(|&photo| available[photo] && model.poses[photo].is_none())
+        .filter_map(|photo| {
+            let (pixels, _) = visible_points(scene, model, photo);
+            let tried = failed
+                .iter()
+                .any(|&(p, seen, _)| p == photo && pixels.len() <= seen + seen / 10);
+            if pixels.len() < options.min_num_visible_points || tried {
+                return None;
+            }
+            let camera = &scene.photos.photos[photo].intrinsics;
+            let mut score = 0;
+            for level in 1..=5 {
+                let cells = 1_usize << level;
+                let mut occupied = vec![false; cells * cells];
+                for p in &pixels {
+                    let cell = |v: f64, size: usize| {
+                        ((v / size as f64 * cells as f64).max(0.0) as usize).min(cells - 1)
+                    };
+                    occupied[cell(p.y, camera.height) * cells + cell(p.x, camera.width)] = true;
+                }
+                score += cells * occupied.iter().filter(|&&o| o).count();
+            }
+            Some((score, photo))
+        })
+        .collect();
+    scored.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
+    scored.into_iter().map(|(_, photo)| photo).collect()
+}
+
+/// Pose of a photo, or the numbers of points that it sees and that agreed.
+fn register(
+    scene: &Scene<'_>,
+    model: &Model,
+    photo: usize,
+    options: &PosesOptions,
+) -> Result<CenteredPose, (usize, usize)> {
+    let (pixels, points) = visible_points(scene, model, photo);
+    let camera = model.cameras[scene.camera_of[photo]].current();
+    // Points come from few views yet and intrinsics may be off: be generous here, strict later.
+    let max_error_px = 2.0 * options.max_reprojection_error_px;
+    let found = resect(
+        &camera,
+        &pixels,
+        &points,
+        max_error_px,
+        [options.seed, photo as u64],
+    );
+    let num_inliers = found.as_ref().map_or(0, |f| f.inliers.len());
+    let needed = options.min_num_visible_points.max(pixels.len() / 5);
+    match found {
+        Some(found) if num_inliers >= needed => Ok(found.pose),
+        _ => Err((pixels.len(), num_inliers)),
+    }
+}
+
+/// Posed photos that share most points with a photo.
+fn neighbors(scene: &Scene<'_>, model: &Model, photo: usize) -> Vec<usize> {
+    let mut shared = vec![0_usize; scene.num_photos()];
+    for &(track, _) in &scene.tracks_of[photo] {
+        if let Some(point) = &model.points[track] {
+            for &place in &point.support {
+                shared[scene.tracks[track][place].photo] += 1;
+            }
+        }
+    }
+    let mut order: Vec<usize> = (0..scene.num_photos())
+        .filter(|&p| p != photo && model.poses[p].is_some() && shared[p] > 0)
+        .collect();
+    order.sort_by(|&a, &b| shared[b].cmp(&shared[a]).then(a.cmp(&b)));
+    order.truncate(NUM_LOCAL_VIEWS);
+    order
+}

@@ -1,0 +1,284 @@
+//! The reconstruction while it grows: poses of some photos, points of some tracks.
+
+use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Observation};
+use crate::error::PosesError;
+use crate::projection::CenteredPose;
+use crate::report::AdjustmentReport;
+use crate::scene::Scene;
+use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
+use nalgebra::{Matrix3, Point2, Point3};
+use rayon::prelude::*;
+use rilievo_numerics::robust::median;
+use rilievo_scene::Intrinsics;
+
+/// A triangulated track.
+#[derive(Clone, Debug)]
+pub struct ModelPoint {
+    /// Position in the world frame.
+    pub position: Point3<f64>,
+    /// Which sightings of the track support it, ascending.
+    pub support: Vec<usize>,
+}
+
+/// Poses and points.
+#[derive(Clone)]
+pub struct Model {
+    /// Cameras, as in the scene.
+    pub cameras: Vec<AdjustedCamera>,
+    /// Pose per photo.
+    pub poses: Vec<Option<CenteredPose>>,
+    /// Point per track.
+    pub points: Vec<Option<ModelPoint>>,
+}
+
+/// What an adjustment covers.
+pub struct AdjustmentScope<'a> {
+    /// Name for the report.
+    pub step: &'a str,
+    /// Photos whose poses may change; `None`: all.
+    pub photos: Option<&'a [usize]>,
+    /// Whether intrinsics that have a prior may change.
+    pub intrinsics: bool,
+    /// Refined pixels and standard deviations in place of the keypoints', per track and sighting.
+    pub refined: Option<&'a RefinedPixels>,
+}
+
+/// Pixels that replace the keypoints' own: per track and sighting, with a standard deviation in
+/// pixels.
+pub type RefinedPixels = Vec<Vec<Option<(Point2<f64>, f64)>>>;
+
+impl Model {
+    /// No poses, no points.
+    pub fn empty(scene: &Scene<'_>) -> Self {
+        Self {
+            cameras: scene
+                .cameras
+                .iter()
+                .map(|c| AdjustedCamera::fixed(c.initial))
+                .collect(),
+            poses: vec![None; scene.num_photos()],
+            points: vec![None; scene.tracks.len()],
+        }
+    }
+
+    /// Number of photos with a pose.
+    pub fn num_views(&self) -> usize {
+        self.poses.iter().flatten().count()
+    }
+
+    /// Number of points.
+    pub fn num_points(&self) -> usize {
+        self.points.iter().flatten().count()
+    }
+
+    /// Current intrinsics, per camera.
+    pub fn intrinsics(&self) -> Vec<Intrinsics> {
+        self.cameras.iter().map(AdjustedCamera::current).collect()
+    }
+
+    /// The posed sightings of a track with their places in it.
+    fn posed_sightings<'m>(
+        &'m self,
+        scene: &Scene<'_>,
+        cameras: &'m [Intrinsics],
+        track: usize,
+    ) -> (Vec<usize>, Vec<Sighting<'m>>) {
+        scene.tracks[track]
+            .iter()
+            .enumerate()
+            .filter_map(|(place, s)| {
+                self.poses[s.photo].as_ref().map(|pose| {
+                    let sighting = Sighting {
+                        camera: &cameras[scene.camera_of[s.photo]],
+                        pose,
+                        pixel: scene.pixel(s),
+                    };
+                    (place, sighting)
+                })
+            })
+            .unzip()
+    }
+
+    /// Triangulates every track that can be, and extends or trims the support of known points.
+    /// Returns the number of points.
+    pub fn triangulate_all(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) -> usize {
+        let cameras = self.intrinsics();
+        let updated: Vec<Option<ModelPoint>> = (0..scene.tracks.len())
+            .into_par_iter()
+            .map(|t| {
+                let (places, sightings) = self.posed_sightings(scene, &cameras, t);
+                if sightings.len() < 2 {
+                    return None;
+                }
+                if let Some(point) = &self.points[t] {
+                    let support: Vec<usize> = (0..sightings.len())
+                        .filter(|&k| sightings[k].error_px(&point.position) <= limits.max_error_px)
+                        .collect();
+                    let centers: Vec<Point3<f64>> =
+                        support.iter().map(|&k| sightings[k].pose.center).collect();
+                    let wide = widest_angle(&point.position, &centers) >= limits.min_angle_rad;
+                    if support.len() >= 2 && support.len() * 2 > sightings.len() && wide {
+                        return Some(ModelPoint {
+                            position: point.position,
+                            support: support.iter().map(|&k| places[k]).collect(),
+                        });
+                    }
+                }
+                triangulate(&sightings, limits).map(|(position, support)| ModelPoint {
+                    position,
+                    support: support.iter().map(|&k| places[k]).collect(),
+                })
+            })
+            .collect();
+        self.points = updated;
+        self.num_points()
+    }
+
+    /// The bundle of a scope, with the track of each of its points and the photo of each view.
+    fn bundle(
+        &self,
+        scene: &Scene<'_>,
+        scope: &AdjustmentScope<'_>,
+    ) -> (Bundle, Vec<usize>, Vec<usize>) {
+        let is_free = |photo: usize| scope.photos.is_none_or(|list| list.contains(&photo));
+        let mut view_of = vec![None; self.poses.len()];
+        let mut photos = Vec::new();
+        let mut views = Vec::new();
+        let mut tracks = Vec::new();
+        let (mut points, mut observations, mut offsets) = (Vec::new(), Vec::new(), vec![0]);
+        for (t, point) in self.points.iter().enumerate() {
+            let Some(point) = point else { continue };
+            let sightings = &scene.tracks[t];
+            let sees = |&place: &usize| is_free(sightings[place].photo);
+            if !point.support.iter().any(sees) {
+                continue;
+            }
+            for &place in &point.support {
+                let sighting = &sightings[place];
+                let Some(pose) = self.poses[sighting.photo] else {
+                    continue;
+                };
+                let view = *view_of[sighting.photo].get_or_insert_with(|| {
+                    photos.push(sighting.photo);
+                    views.push(AdjustedView {
+                        camera: scene.camera_of[sighting.photo],
+                        pose,
+                        free: [is_free(sighting.photo); 6],
+                    });
+                    views.len() - 1
+                });
+                let refined = scope.refined.and_then(|r| r[t][place]);
+                let (pixel, sigma) = refined.unwrap_or((scene.pixel(sighting), 1.0));
+                if scope.refined.is_some() && refined.is_none() {
+                    continue;
+                }
+                observations.push(Observation {
+                    view,
+                    pixel,
+                    weight: 1.0 / (sigma * sigma),
+                });
+            }
+            if observations.len() < offsets[offsets.len() - 1] + 2 {
+                observations.truncate(offsets[offsets.len() - 1]);
+                continue;
+            }
+            offsets.push(observations.len());
+            points.push(point.position);
+            tracks.push(t);
+        }
+        let cameras = self
+            .cameras
+            .iter()
+            .zip(&scene.cameras)
+            .map(|(camera, fixed)| AdjustedCamera {
+                prior_sigma: if scope.intrinsics {
+                    fixed.prior_sigma
+                } else {
+                    Default::default()
+                },
+                ..camera.clone()
+            })
+            .collect();
+        let mut bundle = Bundle {
+            cameras,
+            views,
+            points,
+            observations,
+            offsets,
+        };
+        bundle.fix_gauge();
+        (bundle, tracks, photos)
+    }
+
+    /// Bundle adjustment over a scope.
+    ///
+    /// # Errors
+    /// When the adjustment breaks down.
+    pub fn adjust(
+        &mut self,
+        scene: &Scene<'_>,
+        scope: &AdjustmentScope<'_>,
+        options: &BundleOptions,
+    ) -> Result<AdjustmentReport, PosesError> {
+        let (mut bundle, tracks, photos) = self.bundle(scene, scope);
+        let solve = bundle.adjust(options)?;
+        for (view, &photo) in bundle.views.iter().zip(&photos) {
+            self.poses[photo] = Some(view.pose);
+        }
+        for (camera, adjusted) in self.cameras.iter_mut().zip(&bundle.cameras) {
+            camera.deviation = adjusted.deviation;
+        }
+        for (&track, position) in tracks.iter().zip(&bundle.points) {
+            if let Some(point) = &mut self.points[track] {
+                point.position = *position;
+            }
+        }
+        let (rms_px, _) = bundle.residual_statistics();
+        Ok(AdjustmentReport {
+            step: scope.step.to_owned(),
+            num_views: bundle.views.len(),
+            num_points: bundle.points.len(),
+            num_observations: bundle.observations.len(),
+            rms_px,
+            solve,
+        })
+    }
+
+    /// How well the observations of a scope determine poses and points.
+    pub fn precision(
+        &self,
+        scene: &Scene<'_>,
+        scope: &AdjustmentScope<'_>,
+        options: &BundleOptions,
+    ) -> Precision {
+        let (bundle, _, photos) = self.bundle(scene, scope);
+        let (_, unit_sigma_px) = bundle.residual_statistics();
+        let mut precision = Precision {
+            poses: vec![None; self.poses.len()],
+            median_point_sigma: None,
+            unit_sigma_px,
+        };
+        if let Some(covariances) = bundle.covariances(options.loss) {
+            let largest = |block: Matrix3<f64>| {
+                unit_sigma_px * block.symmetric_eigenvalues().max().max(0.0).sqrt()
+            };
+            for (covariance, &photo) in covariances.poses.iter().zip(&photos) {
+                let block = |from: usize| covariance.fixed_view::<3, 3>(from, from).into_owned();
+                precision.poses[photo] = Some((largest(block(0)), largest(block(3))));
+            }
+            let mut points: Vec<f64> = covariances.points.into_iter().map(largest).collect();
+            precision.median_point_sigma = median(&mut points);
+        }
+        precision
+    }
+}
+
+/// Standard deviations in the adjustment's gauge.
+pub struct Precision {
+    /// Per photo: of the rotation (radians) and of the centre (world's unit), largest axis.
+    pub poses: Vec<Option<(f64, f64)>>,
+    /// Median over the points, largest axis, world's unit.
+    pub median_point_sigma: Option<f64>,
+    /// Of an observation coordinate of unit weight, pixels.
+    pub unit_sigma_px: f64,
+}

@@ -1,0 +1,136 @@
+//! What stays the same while poses are found: cameras, keypoint positions and tracks.
+
+use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::projection::NUM_INTRINSICS;
+use crate::tracks::{self, TrackSighting};
+use nalgebra::Point2;
+use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, PhotoSet};
+
+/// Standard deviation of `ln f` where it comes from EXIF: rounding to whole millimetres.
+const EXIF_FOCAL_SIGMA: f64 = 0.05;
+/// Standard deviation of `ln f` where nothing is known.
+const GUESS_FOCAL_SIGMA: f64 = 0.4;
+/// Standard deviation of the principal point, as a share of the image's longer side.
+const PRINCIPAL_POINT_SIGMA: f64 = 0.02;
+/// Standard deviation of the distortion coefficients `k1, k2, p1, p2, k3`.
+const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
+
+/// A camera shared by photos.
+pub struct SceneCamera {
+    /// Its group in the photo set.
+    pub group: usize,
+    /// Intrinsics before any adjustment.
+    pub initial: Intrinsics,
+    /// Standard deviations of what may be refined.
+    pub prior_sigma: [Option<f64>; NUM_INTRINSICS],
+}
+
+/// The fixed part of the problem.
+pub struct Scene<'a> {
+    /// The photos.
+    pub photos: &'a PhotoSet,
+    /// The matches.
+    pub matches: &'a FeatureMatches,
+    /// Distinct cameras.
+    pub cameras: Vec<SceneCamera>,
+    /// Camera of each photo.
+    pub camera_of: Vec<usize>,
+    /// Keypoint positions per photo, pixels.
+    pub pixels: Vec<Vec<Point2<f64>>>,
+    /// Tracks, each ordered by photo.
+    pub tracks: Vec<Vec<TrackSighting>>,
+    /// Per photo: its tracks and the sighting's place in each.
+    pub tracks_of: Vec<Vec<(usize, usize)>>,
+}
+
+impl<'a> Scene<'a> {
+    /// Builds tracks and cameras.
+    pub fn new(photos: &'a PhotoSet, matches: &'a FeatureMatches, options: &PosesOptions) -> Self {
+        let mut cameras: Vec<SceneCamera> = Vec::new();
+        let camera_of = photos
+            .photos
+            .iter()
+            .map(|photo| {
+                let same = |c: &SceneCamera| {
+                    c.group == photo.camera_group && c.initial == photo.intrinsics
+                };
+                cameras.iter().position(same).unwrap_or_else(|| {
+                    cameras.push(SceneCamera {
+                        group: photo.camera_group,
+                        initial: photo.intrinsics,
+                        prior_sigma: prior_sigma(
+                            &photo.intrinsics,
+                            photo.focal_source,
+                            options.refine_intrinsics,
+                        ),
+                    });
+                    cameras.len() - 1
+                })
+            })
+            .collect();
+        let pixels = matches
+            .photos
+            .iter()
+            .map(|list| {
+                list.keypoints
+                    .iter()
+                    .map(|k| Point2::new(f64::from(k.x), f64::from(k.y)))
+                    .collect()
+            })
+            .collect();
+        let tracks = tracks::build(matches);
+        let mut tracks_of = vec![Vec::new(); photos.photos.len()];
+        for (t, track) in tracks.iter().enumerate() {
+            for (s, sighting) in track.iter().enumerate() {
+                tracks_of[sighting.photo].push((t, s));
+            }
+        }
+        Self {
+            photos,
+            matches,
+            cameras,
+            camera_of,
+            pixels,
+            tracks,
+            tracks_of,
+        }
+    }
+
+    /// Observed pixel of a sighting.
+    pub fn pixel(&self, sighting: &TrackSighting) -> Point2<f64> {
+        self.pixels[sighting.photo][sighting.keypoint as usize]
+    }
+
+    /// Number of photos.
+    pub fn num_photos(&self) -> usize {
+        self.photos.photos.len()
+    }
+}
+
+/// Which intrinsics may change, and how far the start may be trusted.
+fn prior_sigma(
+    camera: &Intrinsics,
+    source: FocalSource,
+    refine: RefineIntrinsics,
+) -> [Option<f64>; NUM_INTRINSICS] {
+    let mut sigma = [None; NUM_INTRINSICS];
+    let focal_sigma = match source {
+        FocalSource::Guess => GUESS_FOCAL_SIGMA,
+        _ => EXIF_FOCAL_SIGMA,
+    };
+    match refine {
+        RefineIntrinsics::None => {}
+        RefineIntrinsics::Auto if source == FocalSource::CameraFile => {}
+        RefineIntrinsics::Auto | RefineIntrinsics::Focal => sigma[0] = Some(focal_sigma),
+        RefineIntrinsics::All => {
+            let longer = camera.width.max(camera.height) as f64;
+            sigma[0] = Some(focal_sigma);
+            sigma[1] = Some(PRINCIPAL_POINT_SIGMA * longer);
+            sigma[2] = Some(PRINCIPAL_POINT_SIGMA * longer);
+            for (s, d) in sigma[3..].iter_mut().zip(DISTORTION_SIGMA) {
+                *s = Some(d);
+            }
+        }
+    }
+    sigma
+}

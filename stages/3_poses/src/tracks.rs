@@ -1,0 +1,164 @@
+//! Tracks: keypoints of several photos that show the same point.
+//!
+//! Matches join keypoints, the pairs with most verified matches first, but never so that a track
+//! would hold two places of one photo: one wrong match would otherwise fuse two true tracks and
+//! lose both. Keypoints at the same place with different orientations count as one.
+
+use rilievo_scene::{FeatureMatches, PhotoKeypoints};
+
+/// One sighting of a track.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct TrackSighting {
+    /// Photo.
+    pub photo: usize,
+    /// Keypoint in it.
+    pub keypoint: u32,
+}
+
+/// For each keypoint the first one at the same place.
+fn same_place(photo: &PhotoKeypoints) -> Vec<u32> {
+    let key = |k: u32| {
+        let keypoint = &photo.keypoints[k as usize];
+        (keypoint.y.to_bits(), keypoint.x.to_bits())
+    };
+    let mut order: Vec<u32> = (0..photo.keypoints.len() as u32).collect();
+    order.sort_by_key(|&k| (key(k), k));
+    let mut first = vec![0; order.len()];
+    let mut leader = 0;
+    for (position, &k) in order.iter().enumerate() {
+        if position == 0 || key(order[position - 1]) != key(k) {
+            leader = k;
+        }
+        first[k as usize] = leader;
+    }
+    first
+}
+
+/// Forest of keypoints in which a tree knows the photos it touches.
+struct Forest {
+    parent: Vec<usize>,
+    /// Sightings of the tree at its root, ordered by photo.
+    members: Vec<Vec<TrackSighting>>,
+}
+
+impl Forest {
+    fn root(&mut self, mut node: usize) -> usize {
+        while self.parent[node] != node {
+            self.parent[node] = self.parent[self.parent[node]];
+            node = self.parent[node];
+        }
+        node
+    }
+
+    /// Joins two trees unless that would put two places of one photo into one track.
+    fn join(&mut self, a: usize, b: usize) {
+        let (mut a, mut b) = (self.root(a), self.root(b));
+        if a == b {
+            return;
+        }
+        if self.members[a].len() < self.members[b].len() {
+            std::mem::swap(&mut a, &mut b);
+        }
+        let clash = self.members[b]
+            .iter()
+            .any(|s| self.members[a].iter().any(|t| t.photo == s.photo));
+        if clash {
+            return;
+        }
+        let moved = std::mem::take(&mut self.members[b]);
+        self.members[a].extend(moved);
+        self.parent[b] = a;
+    }
+}
+
+/// Tracks with at least two sightings, each ordered by photo.
+pub fn build(matches: &FeatureMatches) -> Vec<Vec<TrackSighting>> {
+    let places: Vec<Vec<u32>> = matches.photos.iter().map(same_place).collect();
+    let mut start = vec![0];
+    for photo in &matches.photos {
+        start.push(start[start.len() - 1] + photo.keypoints.len());
+    }
+    let total = start[matches.photos.len()];
+    let mut forest = Forest {
+        parent: (0..total).collect(),
+        members: Vec::with_capacity(total),
+    };
+    for (photo, list) in matches.photos.iter().enumerate() {
+        forest
+            .members
+            .extend((0..list.keypoints.len()).map(|keypoint| {
+                vec![TrackSighting {
+                    photo,
+                    keypoint: keypoint as u32,
+                }]
+            }));
+    }
+    let mut order: Vec<usize> = (0..matches.pairs.len()).collect();
+    order.sort_by_key(|&k| (std::cmp::Reverse(matches.pairs[k].matches.len()), k));
+    for k in order {
+        let pair = &matches.pairs[k];
+        for &[i, j] in &pair.matches {
+            let a = start[pair.first.0] + places[pair.first.0][i as usize] as usize;
+            let b = start[pair.second.0] + places[pair.second.0][j as usize] as usize;
+            forest.join(a, b);
+        }
+    }
+    forest
+        .members
+        .into_iter()
+        .filter(|m| m.len() >= 2)
+        .map(|mut m| {
+            m.sort_unstable();
+            m
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::{Keypoint, PairMatches, PhotoIdx};
+
+    fn photo(num: usize) -> PhotoKeypoints {
+        PhotoKeypoints {
+            keypoints: (0..num)
+                .map(|k| Keypoint {
+                    x: k as f32,
+                    y: 0.0,
+                    size_px: 2.0,
+                    angle_rad: 0.0,
+                    response: 1.0,
+                    on_object: true,
+                })
+                .collect(),
+            descriptors: Vec::new(),
+        }
+    }
+
+    fn pair(first: usize, second: usize, matches: &[[u32; 2]]) -> PairMatches {
+        PairMatches {
+            first: PhotoIdx(first),
+            second: PhotoIdx(second),
+            matches: matches.to_vec(),
+            essential: None,
+            homography_share: 0.0,
+            num_putative: matches.len(),
+        }
+    }
+
+    #[test]
+    fn a_wrong_match_does_not_fuse_two_tracks() {
+        let matches = FeatureMatches {
+            photos: vec![photo(3), photo(3), photo(3)],
+            pairs: vec![
+                pair(0, 1, &[[0, 0], [1, 1], [2, 2]]),
+                pair(0, 2, &[[0, 0], [1, 1]]),
+                pair(1, 2, &[[0, 1]]),
+            ],
+        };
+        let tracks = build(&matches);
+        let sizes: Vec<usize> = tracks.iter().map(Vec::len).collect();
+        assert_eq!(sizes, [3, 3, 2]);
+        assert!(tracks[0].iter().all(|s| s.keypoint == 0));
+    }
+}
