@@ -15,11 +15,11 @@ fn srgb_encode(linear: f32) -> f32 {
     }
 }
 
-/// Writes a linear image as JPEG; values outside 0 to 1 are clipped, as in a camera.
+/// A linear image as the bytes of a JPEG file; values outside 0 to 1 are clipped, as in a camera.
 ///
 /// # Errors
-/// When the file cannot be written, or is too large for JPEG.
-pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result<(), IoError> {
+/// When the image is too large for JPEG; the error names no file.
+pub fn encode_photo_jpeg(photo: &LinearImage, quality: u8) -> Result<Vec<u8>, IoError> {
     let samples: Vec<u8> = photo
         .data
         .iter()
@@ -33,7 +33,19 @@ pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, quality)
         .encode(&samples, photo.width as u32, photo.height as u32, color)
-        .map_err(|error| IoError::write(path, error))?;
+        .map_err(|error| IoError::write(Path::new("JPEG"), error))?;
+    Ok(bytes)
+}
+
+/// Writes a linear image as JPEG.
+///
+/// # Errors
+/// When the file cannot be written, or the image is too large for JPEG.
+pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result<(), IoError> {
+    let bytes = encode_photo_jpeg(photo, quality).map_err(|error| IoError {
+        path: path.to_path_buf(),
+        ..error
+    })?;
     std::fs::write(path, bytes).map_err(|error| IoError::write(path, error))
 }
 

@@ -1,5 +1,18 @@
-//! Scenes.
+//! Scenes for shading alone: several views solved together (eq. 17 of the paper).
+//!
+//! ```text
+//! {"views": [{"name": "view1", "image": "view1/image.exr", "mask": "view1/mask.png",
+//!             "camera": "view1/camera.json", "lighting": "lighting.json:L3",
+//!             "init": "view1/depth_flat.exr"}, ...],
+//!  "matches": [{"views": ["view1", "view2"], "file": "matches.csv"}]}
+//! ```
+//! Paths are relative to the scene file. `init` may also be `plane` or `anchors`; `mask`,
+//! `lighting`, `init` and `prior` may be left out.
+
+use crate::cameras::stem;
 use crate::error::IoError;
+use crate::json::{self, Node};
+use crate::lighting_file::split_lighting_spec;
 use std::path::{Path, PathBuf};
 
 /// One view of a scene; every path has the scene file's folder before it.
@@ -39,18 +52,209 @@ pub struct SceneFile {
     pub matches: Vec<SceneMatches>,
 }
 
-/// Reads a scene.
+/// Reads a scene; the files that it names are not opened.
 ///
 /// # Errors
 /// When the file cannot be read or a key or value is wrong; names it.
 pub fn read_scene(path: &Path) -> Result<SceneFile, IoError> {
-    Err(IoError::input(path, "not yet"))
+    let value = json::read(path)?;
+    let root = Node::root(path, &value);
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut scene = SceneFile::default();
+    for node in root.get("views")?.array()? {
+        let view = view(&node, folder)?;
+        if view.name.is_empty() || view.name.contains(['/', '\\']) || view.name.starts_with('.') {
+            return Err(node.get("name")?.refuse("cannot name a result file"));
+        }
+        if scene.views.iter().any(|known| known.name == view.name) {
+            return Err(node.refuse(format!("repeats the name \"{}\"", view.name)));
+        }
+        scene.views.push(view);
+    }
+    if scene.views.is_empty() {
+        return Err(IoError::input(path, "views: [] holds no view"));
+    }
+    if let Some(list) = root.opt("matches")? {
+        for node in list.array()? {
+            let names = node.get("views")?;
+            let texts = names
+                .array()?
+                .iter()
+                .map(|name| name.text().map(str::to_owned))
+                .collect::<Result<Vec<String>, _>>()?;
+            let Ok(views) = <[String; 2]>::try_from(texts) else {
+                return Err(names.refuse("does not name two views"));
+            };
+            let known = |name: &String| scene.views.iter().any(|view| view.name == *name);
+            if views[0] == views[1] || !views.iter().all(known) {
+                return Err(names.refuse("does not name two of the scene's views"));
+            }
+            scene.matches.push(SceneMatches {
+                views,
+                file: folder.join(node.get("file")?.text()?),
+            });
+        }
+    }
+    Ok(scene)
 }
 
-/// Reads matches, rows `x1,y1,x2,y2` of pixels in two views, with or without a header.
+fn view(node: &Node<'_>, folder: &Path) -> Result<SceneView, IoError> {
+    let file = |key: &str| -> Result<Option<PathBuf>, IoError> {
+        match node.opt(key)? {
+            Some(value) => Ok(Some(folder.join(value.text()?))),
+            None => Ok(None),
+        }
+    };
+    let image = folder.join(node.get("image")?.text()?);
+    let name = match node.opt("name")? {
+        Some(name) => name.text()?.to_owned(),
+        None => stem(&image.to_string_lossy()).to_owned(),
+    };
+    let lighting = match node.opt("lighting")? {
+        Some(spec) => {
+            let joined = folder.join(spec.text()?);
+            Some(split_lighting_spec(&joined.to_string_lossy()))
+        }
+        None => None,
+    };
+    let init = match node.opt("init")? {
+        None => None,
+        Some(init) => Some(match init.text()? {
+            word @ ("plane" | "anchors") => word.to_owned(),
+            file => folder.join(file).to_string_lossy().into_owned(),
+        }),
+    };
+    Ok(SceneView {
+        name,
+        image,
+        mask: file("mask")?,
+        camera: folder.join(node.get("camera")?.text()?),
+        lighting,
+        init,
+        prior: file("prior")?,
+    })
+}
+
+/// Reads matches, rows `x1,y1,x2,y2` of pixels in two views, with or without a header; lines that
+/// begin with `#` are comments, and further columns are ignored.
 ///
 /// # Errors
-/// When the file cannot be read or a row has not four numbers; names the line.
+/// When the file cannot be read or a row has not four finite numbers; names the line.
 pub fn read_matches_csv(path: &Path) -> Result<Vec<[f64; 4]>, IoError> {
-    Err(IoError::input(path, "not yet"))
+    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let text =
+        String::from_utf8(bytes).map_err(|_| IoError::input(path, "its bytes are no text"))?;
+    let mut matches = Vec::new();
+    let mut first = true;
+    for (i, line) in text.lines().enumerate() {
+        let line = line.trim_start_matches('\u{feff}').trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let numbers: Vec<Option<f64>> = line
+            .split([',', ';', '\t'])
+            .map(|word| word.trim().parse().ok().filter(|v: &f64| v.is_finite()))
+            .take(4)
+            .collect();
+        let row = match numbers[..] {
+            [Some(x1), Some(y1), Some(x2), Some(y2)] => Some([x1, y1, x2, y2]),
+            _ => None,
+        };
+        match row {
+            Some(row) => matches.push(row),
+            // A header: no number at all in the first line.
+            None if first && numbers.iter().all(Option::is_none) => {}
+            None => {
+                return Err(IoError::input(
+                    path,
+                    format!("line {}: \"{line}\" is not x1,y1,x2,y2", i + 1),
+                ));
+            }
+        }
+        first = false;
+    }
+    Ok(matches)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(text: &str) -> Result<SceneFile, IoError> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.json");
+        std::fs::write(&path, text).unwrap();
+        read_scene(&path)
+    }
+
+    #[test]
+    fn a_scene_is_read_with_paths_beside_it() {
+        let found = scene(
+            r#"{"views": [
+                {"name": "a", "image": "a/i.exr", "mask": "a/m.png", "camera": "a/c.json",
+                 "lighting": "l.json:L3", "init": "plane"},
+                {"image": "b.exr", "camera": "c.json", "init": "z.exr", "prior": null}],
+               "matches": [{"views": ["a", "b"], "file": "m.csv"}]}"#,
+        )
+        .unwrap();
+        let [a, b] = &found.views[..] else {
+            panic!("{found:?}");
+        };
+        assert!(a.image.is_absolute() && a.image.ends_with("a/i.exr"));
+        let (file, name) = a.lighting.as_ref().unwrap();
+        assert!(file.ends_with("l.json") && name.as_deref() == Some("L3"));
+        assert_eq!(a.init.as_deref(), Some("plane"));
+        assert_eq!((b.name.as_str(), &b.mask, &b.prior), ("b", &None, &None));
+        assert!(b.init.as_ref().is_some_and(|init| init.ends_with("/z.exr")));
+        assert!(found.matches[0].file.ends_with("m.csv"));
+    }
+
+    #[test]
+    fn wrong_scenes_are_refused_with_their_key() {
+        let view = r#"{"name": "a", "image": "i", "camera": "c"}"#;
+        for (text, expected) in [
+            ("{}".to_owned(), "\"views\" is missing"),
+            (r#"{"views": []}"#.to_owned(), "no view"),
+            (
+                r#"{"views": [{"image": "i"}]}"#.to_owned(),
+                "\"camera\" is missing in views[0]",
+            ),
+            (
+                format!(r#"{{"views": [{view}, {view}]}}"#),
+                "repeats the name",
+            ),
+            (
+                format!(r#"{{"views": [{view}], "matches": [{{"views": ["a", "b"]}}]}}"#),
+                "matches[0].views",
+            ),
+            (
+                r#"{"views": [{"name": "../a", "image": "i", "camera": "c"}]}"#.to_owned(),
+                "cannot name a result",
+            ),
+        ] {
+            let message = scene(&text).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn matches_are_read_with_and_without_header() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("m.csv");
+        let read = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            read_matches_csv(&path)
+        };
+        let rows = vec![[1.0, 2.0, 3.5, -4.0], [5.0, 6.0, 7.0, 8.0]];
+        assert_eq!(read("x1,y1,x2,y2\n1,2,3.5,-4\n5, 6, 7, 8\n").unwrap(), rows);
+        assert_eq!(read("# c\r\n1;2;3.5;-4\r\n\r\n5;6;7;8;0.9").unwrap(), rows);
+        assert_eq!(read("").unwrap(), Vec::<[f64; 4]>::new());
+        let message = read("1,2,3,4\n1,2,x,4\n").unwrap_err().to_string();
+        assert!(
+            message.contains("line 2") && message.contains("1,2,x,4"),
+            "{message}"
+        );
+        assert!(read("1,2,3\n").is_err());
+        assert!(read("1,2,3,inf\n").is_err());
+    }
 }

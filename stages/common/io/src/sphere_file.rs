@@ -1,7 +1,28 @@
-//! Sphere.
+//! The reference sphere as the user describes it: `--sphere FILE.json`.
+//!
+//! ```text
+//! {"radius": 0.04, "unit": "metre", "light": "world" | "camera",
+//!  "views": {"IMG_0003.jpg": {"mask": "sphere_masks/IMG_0003.png"}
+//!           , "IMG_0004.jpg": {"ellipse": [cx, cy, semi_a, semi_b, angle_deg]}
+//!           , "IMG_0005.jpg": {"circle": [cx, cy, r]}, "IMG_0006.jpg": {"points": [[x,y], ... 5 or more]}},
+//!  "center": [x, y, z],
+//!  "calibration": [{"image": "calibration/CAL_0001.jpg", "same_camera_as": "IMG_0004.jpg", "radius": 0.09, "mask": "..."}]}
+//! ```
+//! Paths are relative to the file; photos are named with or without ending; marks are in pixels
+//! with centres at integers.
+
+use crate::cameras::{last_part, stem};
 use crate::error::IoError;
-use rilievo_scene::{LightKind, LinearImage, PhotoSet, SphereMark, SphereRequest, Unit};
+use crate::json::{self, Node};
+use crate::mask::read_mask;
+use nalgebra::Point3;
+use rilievo_scene::{
+    LightKind, LinearImage, PhotoIdx, PhotoSet, SphereCalibration, SphereMark, SphereRequest, Unit,
+};
 use std::path::{Path, PathBuf};
+
+/// Fewest points that determine an ellipse.
+const MIN_NUM_POINTS: usize = 5;
 
 /// A photo of a sphere in the object's place, as the file names it.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,18 +58,94 @@ pub struct SphereFile {
     pub files: Vec<PathBuf>,
 }
 
+/// A photo of the set by its name with or without ending or folder.
+fn find_photo(photos: &PhotoSet, name: &str) -> Option<PhotoIdx> {
+    photos
+        .find(name)
+        .or_else(|| photos.find(last_part(name)))
+        .or_else(|| photos.find(stem(name)))
+}
+
 impl SphereFile {
     /// The request for a set of photos; `calibration_images` are the calibration photos, linear,
-    /// in the file's order. Photos that the file names and the set lacks come back by name.
+    /// in the file's order. Photos that the file names and the set lacks come back by name: a set
+    /// may be a part of what the file describes.
     ///
     /// # Errors
-    /// When a calibration photo names a photo that the set lacks, or a mark does not fit its photo.
+    /// When a calibration photo names a photo that the set lacks, its image is missing, or a mask
+    /// has not its photo's size.
     pub fn to_request(
         &self,
-        _photos: &PhotoSet,
-        _calibration_images: Vec<LinearImage>,
+        photos: &PhotoSet,
+        calibration_images: Vec<LinearImage>,
     ) -> Result<(SphereRequest, Vec<String>), IoError> {
-        Err(IoError::input(&self.path, "not yet"))
+        let mut request = SphereRequest {
+            radius: self.radius,
+            light: self.light,
+            center_in_world: self.center.map(Point3::from),
+            ..SphereRequest::default()
+        };
+        let mut absent = Vec::new();
+        for (name, mark) in &self.views {
+            let Some(photo) = find_photo(photos, name) else {
+                absent.push(name.clone());
+                continue;
+            };
+            let camera = &photos.photos[photo.0].intrinsics;
+            check_mask_size(mark, camera.width, camera.height)
+                .map_err(|reason| IoError::input(&self.path, format!("views.{name}: {reason}")))?;
+            request.marks.push((photo, mark.clone()));
+        }
+        request.marks.sort_by_key(|(photo, _)| *photo);
+        if calibration_images.len() != self.calibration.len() {
+            return Err(IoError::input(
+                &self.path,
+                format!(
+                    "names {} calibration photos, of which {} were read",
+                    self.calibration.len(),
+                    calibration_images.len()
+                ),
+            ));
+        }
+        for (i, (entry, image)) in self.calibration.iter().zip(calibration_images).enumerate() {
+            let refuse =
+                |reason: String| IoError::input(&self.path, format!("calibration[{i}]{reason}"));
+            let photo = find_photo(photos, &entry.same_camera_as).ok_or_else(|| {
+                refuse(format!(
+                    ".same_camera_as: \"{}\" is none of the photos",
+                    entry.same_camera_as
+                ))
+            })?;
+            let camera = &photos.photos[photo.0].intrinsics;
+            if (image.width, image.height) != (camera.width, camera.height) {
+                return Err(refuse(format!(
+                    ".image: {} x {} pixels, but {} has {} x {}",
+                    image.width, image.height, entry.same_camera_as, camera.width, camera.height
+                )));
+            }
+            if let Some(mark) = &entry.mark {
+                check_mask_size(mark, image.width, image.height)
+                    .map_err(|reason| refuse(format!(": {reason}")))?;
+            }
+            request.calibration.push(SphereCalibration {
+                image,
+                name: last_part(&entry.image.to_string_lossy()).to_owned(),
+                same_camera_as: photo,
+                radius: entry.radius,
+                mark: entry.mark.clone(),
+            });
+        }
+        Ok((request, absent))
+    }
+}
+
+fn check_mask_size(mark: &SphereMark, width: usize, height: usize) -> Result<(), String> {
+    match mark {
+        SphereMark::Mask(mask) if (mask.width, mask.height) != (width, height) => Err(format!(
+            "the sphere's mask has {} x {} pixels, the photo {width} x {height}",
+            mask.width, mask.height
+        )),
+        _ => Ok(()),
     }
 }
 
@@ -57,5 +154,283 @@ impl SphereFile {
 /// # Errors
 /// When a file cannot be read or holds a value that cannot be used; names the key.
 pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
-    Err(IoError::input(path, "not yet"))
+    let value = json::read(path)?;
+    let root = Node::root(path, &value);
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut files = Vec::new();
+
+    let unit = match root.opt("unit")? {
+        Some(_) => crate::cameras::unit(&root)?,
+        None => Unit::Metre,
+    };
+    let light = match root.opt("light")? {
+        None => LightKind::World,
+        Some(node) => match node.text()? {
+            "world" => LightKind::World,
+            "camera" => LightKind::Camera,
+            _ => return Err(node.refuse("is neither \"world\" nor \"camera\"")),
+        },
+    };
+    let radius = match root.opt("radius")? {
+        Some(node) => Some(node.positive()?),
+        None => None,
+    };
+    let mut views = Vec::new();
+    if let Some(node) = root.opt("views")? {
+        for (name, node) in node.members()? {
+            let mark = mark(&node, folder, &mut files)?.ok_or_else(|| {
+                node.refuse("has none of \"mask\", \"ellipse\", \"circle\" and \"points\"")
+            })?;
+            views.push((name.to_owned(), mark));
+        }
+    }
+    let center = match root.opt("center")? {
+        Some(node) => Some(node.numbers()?),
+        None => None,
+    };
+    let mut calibration = Vec::new();
+    if let Some(list) = root.opt("calibration")? {
+        for node in list.array()? {
+            let image = folder.join(node.get("image")?.text()?);
+            files.push(image.clone());
+            let own_radius = match node.opt("radius")? {
+                Some(node) => Some(node.positive()?),
+                None => radius,
+            };
+            calibration.push(SphereFileCalibration {
+                image,
+                same_camera_as: node.get("same_camera_as")?.text()?.to_owned(),
+                radius: own_radius.ok_or_else(|| node.refuse("has no \"radius\""))?,
+                mark: mark(&node, folder, &mut files)?,
+            });
+        }
+    }
+    if views.is_empty() && center.is_none() && calibration.is_empty() {
+        return Err(IoError::input(
+            path,
+            "has neither \"views\" nor \"center\" nor \"calibration\": nothing says where the \
+             sphere is",
+        ));
+    }
+    if radius.is_none() && (!views.is_empty() || center.is_some()) {
+        return Err(root
+            .get("radius")
+            .err()
+            .unwrap_or_else(|| IoError::input(path, "the key \"radius\" is missing")));
+    }
+    Ok(SphereFile {
+        path: path.to_path_buf(),
+        radius,
+        unit,
+        light,
+        views,
+        center,
+        calibration,
+        files,
+    })
+}
+
+/// The mark of a view, where the object has one; two contradict each other.
+fn mark(
+    node: &Node<'_>,
+    folder: &Path,
+    files: &mut Vec<PathBuf>,
+) -> Result<Option<SphereMark>, IoError> {
+    let mut marks = Vec::new();
+    if let Some(mask) = node.opt("mask")? {
+        let file = folder.join(mask.text()?);
+        let pixels = read_mask(&file)?;
+        if pixels.count() < MIN_NUM_POINTS {
+            return Err(IoError::input(
+                &file,
+                format!("the sphere's mask has {} white pixels", pixels.count()),
+            ));
+        }
+        if pixels.count() == pixels.data.len() {
+            return Err(IoError::input(
+                &file,
+                "the sphere's mask is white everywhere",
+            ));
+        }
+        files.push(file);
+        marks.push(SphereMark::Mask(pixels));
+    }
+    if let Some(ellipse) = node.opt("ellipse")? {
+        let [cx, cy, a, b, angle_deg] = ellipse.numbers()?;
+        if a <= 0.0 || b <= 0.0 {
+            return Err(ellipse.refuse("has a semi-axis that is not greater than zero"));
+        }
+        marks.push(SphereMark::Ellipse {
+            center_px: [cx, cy],
+            semi_axes_px: [a, b],
+            angle_rad: angle_deg.to_radians(),
+        });
+    }
+    if let Some(circle) = node.opt("circle")? {
+        let [cx, cy, radius_px] = circle.numbers()?;
+        if radius_px <= 0.0 {
+            return Err(circle.refuse("has a radius that is not greater than zero"));
+        }
+        marks.push(SphereMark::Circle {
+            center_px: [cx, cy],
+            radius_px,
+        });
+    }
+    if let Some(points) = node.opt("points")? {
+        let list = points
+            .array()?
+            .iter()
+            .map(Node::numbers)
+            .collect::<Result<Vec<[f64; 2]>, _>>()?;
+        if list.len() < MIN_NUM_POINTS {
+            return Err(points.refuse(format!(
+                "has {} points; an ellipse takes {MIN_NUM_POINTS} or more",
+                list.len()
+            )));
+        }
+        marks.push(SphereMark::Points(list));
+    }
+    if marks.len() > 1 {
+        return Err(node.refuse("marks the sphere in more than one way; keep one"));
+    }
+    Ok(marks.pop())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mask::write_mask;
+    use rilievo_scene::{InMemoryPixels, Intrinsics, Mask, Photo, Raster};
+    use std::sync::Arc;
+
+    fn disc() -> Mask {
+        Raster::from_fn(40, 30, |x, y| {
+            (x as f64 - 20.0).hypot(y as f64 - 15.0) < 8.0
+        })
+    }
+
+    fn read(text: &str) -> Result<SphereFile, IoError> {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("masks")).unwrap();
+        write_mask(&folder.path().join("masks/a.png"), &disc()).unwrap();
+        let path = folder.path().join("sphere.json");
+        std::fs::write(&path, text).unwrap();
+        read_sphere_file(&path)
+    }
+
+    fn photos(names: &[&str]) -> PhotoSet {
+        let image = Arc::new(LinearImage::filled(40, 30, 1, 0.5));
+        PhotoSet {
+            photos: names
+                .iter()
+                .map(|name| Photo {
+                    file_name: format!("{name}.jpg"),
+                    name: (*name).to_owned(),
+                    pixels: Arc::new(InMemoryPixels(image.clone())),
+                    intrinsics: Intrinsics::pinhole(40, 30, 50.0, 19.5, 14.5),
+                    focal_source: rilievo_scene::FocalSource::Guess,
+                    camera_group: 0,
+                    orientation: 1,
+                    mask: None,
+                    clip_level: 1.0,
+                    given_cam_from_world: None,
+                })
+                .collect(),
+        }
+    }
+
+    const ALL_FORMS: &str = r#"{"radius": 0.04, "unit": "metre", "light": "camera",
+        "views": {"a.jpg": {"mask": "masks/a.png"}, "b": {"ellipse": [1, 2, 5, 4, 90]},
+                  "c.JPG": {"circle": [3, 4, 6]},
+                  "gone": {"points": [[0,0],[1,0],[2,1],[1,2],[0,1]]}},
+        "center": [0.1, 0.2, 0.3],
+        "calibration": [{"image": "CAL.jpg", "same_camera_as": "b.jpg", "radius": 0.09}]}"#;
+
+    #[test]
+    fn all_forms_are_read_and_found_in_the_set() {
+        let file = read(ALL_FORMS).unwrap();
+        assert_eq!((file.radius, file.light), (Some(0.04), LightKind::Camera));
+        assert_eq!(
+            file.views[0],
+            ("a.jpg".to_owned(), SphereMark::Mask(disc()))
+        );
+        assert!(file.files.iter().any(|f| f.ends_with("masks/a.png")));
+        assert!(file.calibration[0].image.ends_with("CAL.jpg"));
+        let image = LinearImage::filled(40, 30, 1, 0.2);
+        let set = photos(&["a", "b", "c"]);
+        let (request, absent) = file.to_request(&set, vec![image]).unwrap();
+        assert_eq!(absent, ["gone"]);
+        assert_eq!(request.marks.len(), 3);
+        assert!(matches!(
+            request.marks[1],
+            (PhotoIdx(1), SphereMark::Ellipse { angle_rad, .. })
+                if (angle_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-15
+        ));
+        assert_eq!(request.calibration[0].same_camera_as, PhotoIdx(1));
+        assert_eq!(request.center_in_world, Some(Point3::new(0.1, 0.2, 0.3)));
+    }
+
+    #[test]
+    fn what_does_not_fit_the_set_is_refused() {
+        let file = read(ALL_FORMS).unwrap();
+        let set = photos(&["a", "c"]);
+        let image = LinearImage::filled(40, 30, 1, 0.2);
+        let error = file.to_request(&set, vec![image]).unwrap_err().to_string();
+        assert!(
+            error.contains("calibration[0].same_camera_as: \"b.jpg\""),
+            "{error}"
+        );
+        let mut set = photos(&["a", "b", "c"]);
+        set.photos[0].intrinsics.width = 41;
+        let image = LinearImage::filled(40, 30, 1, 0.2);
+        let error = file.to_request(&set, vec![image]).unwrap_err().to_string();
+        assert!(
+            error.contains("views.a.jpg") && error.contains("40 x 30"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn wrong_values_are_refused_with_their_key() {
+        for (text, expected) in [
+            ("{}", "nothing says where"),
+            (r#"{"radius": -1, "center": [0,0,0]}"#, "radius: -1"),
+            (r#"{"center": [0,0,0]}"#, "\"radius\" is missing"),
+            (
+                r#"{"radius": 1, "center": [0,0]}"#,
+                "center: [0,0] has 2 numbers",
+            ),
+            (
+                r#"{"radius": 1, "views": {"a": {}}}"#,
+                "views.a: {} has none of",
+            ),
+            (
+                r#"{"radius": 1, "views": {"a": {"circle": [1,2,0]}}}"#,
+                "views.a.circle",
+            ),
+            (
+                r#"{"radius": 1, "views": {"a": {"points": [[1,2]]}}}"#,
+                "has 1 points",
+            ),
+            (
+                r#"{"radius": 1, "views": {"a": {"circle": [1,2,3], "mask": "masks/a.png"}}}"#,
+                "more than one way",
+            ),
+            (
+                r#"{"radius": 1, "views": {"a": {"mask": "b.png"}}}"#,
+                "b.png: there is no such",
+            ),
+            (
+                r#"{"radius": 1, "light": "sun", "center": [0,0,0]}"#,
+                "light: \"sun\"",
+            ),
+            (
+                r#"{"calibration": [{"image": "x"}]}"#,
+                "\"same_camera_as\" is missing",
+            ),
+        ] {
+            let message = read(text).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+    }
 }

@@ -14,7 +14,7 @@ mod write;
 use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit};
 
 pub use read::read_cameras;
-pub(crate) use read::rigid_from_world_pose;
+pub(crate) use read::unit;
 pub use write::write_cameras;
 
 /// One camera of a file.
