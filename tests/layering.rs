@@ -1,6 +1,8 @@
 //! The layering of ARCHITECTURE.md, read from the manifests: a stage never imports another one, nor
 //! anything that knows files.
 
+#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
+
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 

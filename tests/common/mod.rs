@@ -1,5 +1,6 @@
 //! What the tests of the whole program share: running it, and small photo folders.
 #![allow(dead_code, reason = "every test binary uses its own part")]
+#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
 
 use assert_cmd::Command;
 use rilievo_io::write_photo_jpeg;

@@ -7,7 +7,7 @@ use rilievo_scene::LinearImage;
 use std::path::Path;
 
 /// The sRGB curve, linear to encoded, both 0 to 1 (IEC 61966-2-1).
-fn srgb_encode(linear: f32) -> f32 {
+pub(crate) fn srgb_encode(linear: f32) -> f32 {
     if linear <= 0.003_130_8 {
         12.92 * linear
     } else {

@@ -1,0 +1,45 @@
+//! `report.html`: one self-contained page that opens from the disk without a network.
+//!
+//! Overview and verdict first; then every view with observed, re-rendered, normals and depth; then
+//! the stages with their tables and the solver's convergence; then settings, versions and hashes.
+
+mod element;
+mod overview;
+mod picture;
+mod plot;
+mod stages;
+mod viewer;
+mod views;
+
+use crate::pipeline::load_poses;
+use crate::store::RunDir;
+use serde_json::Value;
+
+const STYLE: &str = include_str!("page.css");
+const PAGE_SCRIPT: &str = include_str!("page.js");
+const VIEWER_SCRIPT: &str = include_str!("viewer.js");
+
+/// The page.
+///
+/// # Errors
+/// When artifacts of a committed stage cannot be read.
+pub fn page(run: &RunDir, report: &Value) -> anyhow::Result<String> {
+    let posed = if report.pointer("/stages/3_poses").is_some() {
+        Some(load_poses(run)?)
+    } else {
+        None
+    };
+    let mut body = overview::section(run, report, posed.as_ref())?;
+    if let Some(posed) = &posed {
+        body += &viewer::section(run, posed)?;
+        body += &views::section(run, report, posed)?;
+    }
+    body += &stages::sections(report);
+    Ok(format!(
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
+         <title>rilievo report</title><style>{STYLE}</style></head>\n<body>\
+         <a class=\"skip\" href=\"#main\">skip to the results</a>\n<main id=\"main\">{body}</main>\n\
+         <script>{PAGE_SCRIPT}</script><script>{VIEWER_SCRIPT}</script></body></html>\n"
+    ))
+}

@@ -1,0 +1,255 @@
+//! The first screen: what came out, whether to trust it, and why.
+
+use super::element::{escape, items, number, percent};
+use super::picture::{self, Window};
+use crate::store::RunDir;
+use rilievo_io::read_normal;
+use rilievo_scene::{PosedViews, StageId, Unit};
+use serde_json::Value;
+
+/// How far a result can be relied on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Verdict {
+    Good,
+    Usable,
+    NotToBeTrusted,
+}
+
+/// Reprojection error above which poses are doubtful, pixels: twice what keypoints allow.
+const DOUBTFUL_REPROJECTION_PX: f64 = 1.0;
+/// Light residual above which shading contradicts the photos: nine distant harmonics leave 10 to
+/// 12 % on real objects, half-hidden light up to 20 %.
+const DOUBTFUL_LIGHT: f64 = 0.2;
+/// Distance between overlapping views, in pixel footprints, above which they form layers.
+const DOUBTFUL_LAYERING_PX: f64 = 2.0;
+
+/// The section.
+///
+/// # Errors
+/// When a map cannot be read.
+pub fn section(run: &RunDir, report: &Value, posed: Option<&PosedViews>) -> anyhow::Result<String> {
+    let (verdict, reasons) = verdict(report);
+    let words = match verdict {
+        Verdict::Good => "good",
+        Verdict::Usable => "usable, with care",
+        Verdict::NotToBeTrusted => "not to be trusted",
+    };
+    let class = match verdict {
+        Verdict::Good => "good",
+        Verdict::Usable => "usable",
+        Verdict::NotToBeTrusted => "bad",
+    };
+    let mut html =
+        String::from("<header><h1>rilievo report</h1></header><section class=\"overview\">");
+    if let Some(picture) = picture_of_result(run, posed)? {
+        html += &format!(
+            "<img class=\"hero\" src=\"{picture}\" alt=\"Normals of the first reconstructed view\">"
+        );
+    }
+    html += &format!("<div><h2>Verdict: <span class=\"{class}\">{words}</span></h2>");
+    if !reasons.is_empty() {
+        html += "<ul>";
+        for reason in &reasons {
+            html += &format!("<li>{}</li>", escape(reason));
+        }
+        html += "</ul>";
+    }
+    html += &key_numbers(report, posed);
+    html += "</div></section>";
+    html += &warnings(report);
+    Ok(html)
+}
+
+fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> anyhow::Result<Option<String>> {
+    let dir = run.stage_dir(StageId::Shading);
+    for view in posed.map_or(&[][..], |posed| &posed.views) {
+        let normal = dir.join(format!("normal/{}.exr", view.name));
+        let depth = dir.join(format!("depth/{}.exr", view.name));
+        if normal.exists() && depth.exists() {
+            let window = Window::around(&rilievo_io::read_depth(&depth)?);
+            return Ok(Some(picture::normals(&read_normal(&normal)?, window)));
+        }
+    }
+    Ok(None)
+}
+
+fn verdict(report: &Value) -> (Verdict, Vec<String>) {
+    let mut worst = Verdict::Good;
+    let mut reasons = Vec::new();
+    let mut note = |verdict: Verdict, reason: String| {
+        worst = worst.max(verdict);
+        reasons.push(reason);
+    };
+    if let Some(error) = report.pointer("/outcome/error").and_then(Value::as_str) {
+        note(
+            Verdict::NotToBeTrusted,
+            format!("the run did not end: {error}"),
+        );
+    }
+    let rejected = items(report, "/stages/1_photos/report/rejected").len();
+    if rejected > 0 {
+        note(
+            Verdict::Usable,
+            format!("{rejected} photo(s) could not be used"),
+        );
+    }
+    let photos = items(report, "/stages/1_photos/report/photos").len();
+    let posed = items(report, "/stages/3_poses/report/views").len();
+    if report.pointer("/stages/3_poses").is_some() && posed < photos {
+        let verdict = if 2 * posed < photos {
+            Verdict::NotToBeTrusted
+        } else {
+            Verdict::Usable
+        };
+        note(
+            verdict,
+            format!("only {posed} of {photos} photos got a pose"),
+        );
+    }
+    let poses = "/stages/3_poses/report/mean_reprojection_error_px";
+    let error = report.pointer(poses).and_then(Value::as_f64);
+    if let Some(error) = error.filter(|&error| error > DOUBTFUL_REPROJECTION_PX) {
+        note(
+            Verdict::Usable,
+            format!("the mean reprojection error is {error:.2} px; good poses are below 1 px"),
+        );
+    }
+    if report
+        .pointer("/stages/4_lighting/report/uncalibrated")
+        .and_then(Value::as_bool)
+        == Some(true)
+    {
+        note(
+            Verdict::Usable,
+            "the light is uncalibrated: no sphere, file or shape was given".to_owned(),
+        );
+    }
+    for view in items(report, "/stages/4_lighting/report/views") {
+        let residual = view.pointer("/relative_rms").and_then(Value::as_f64);
+        if let Some(residual) = residual.filter(|&residual| residual > DOUBTFUL_LIGHT) {
+            let name = view.pointer("/name").and_then(Value::as_str).unwrap_or("");
+            note(
+                Verdict::Usable,
+                format!(
+                    "the light explains {name} only to {:.0} %",
+                    100.0 * residual
+                ),
+            );
+        }
+    }
+    let layering = report.pointer("/stages/6_fusion/report/layering_after");
+    let value = |key: &str| layering.and_then(|l| l.get(key)).and_then(Value::as_f64);
+    if let (Some(median), Some(footprint)) = (value("median"), value("footprint"))
+        && footprint > 0.0
+        && median > DOUBTFUL_LAYERING_PX * footprint
+    {
+        note(
+            Verdict::NotToBeTrusted,
+            format!(
+                "overlapping views lie {:.1} pixel footprints apart: their surfaces form layers",
+                median / footprint
+            ),
+        );
+    }
+    (worst, reasons)
+}
+
+fn key_numbers(report: &Value, posed: Option<&PosedViews>) -> String {
+    let metric = posed.is_some_and(|posed| posed.scale.unit == Unit::Metre);
+    let length = |path: &str| match report.pointer(path).and_then(Value::as_f64) {
+        Some(value) if metric => format!("{:.3} mm", 1e3 * value),
+        Some(value) => format!("{value:.2e} (no scale)"),
+        None => "–".to_owned(),
+    };
+    let fusion = "/stages/6_fusion/report";
+    let photos = items(report, "/stages/1_photos/report/photos").len();
+    let views = items(report, "/stages/3_poses/report/views").len();
+    let anchors = "/stages/3_poses/report/anchors/num_anchors";
+    let rows = [
+        ("photos posed", format!("{views} of {photos}")),
+        (
+            "mean reprojection error",
+            format!(
+                "{} px",
+                number(
+                    report,
+                    "/stages/3_poses/report/mean_reprojection_error_px",
+                    2
+                )
+            ),
+        ),
+        ("depth anchors", number(report, anchors, 0)),
+        (
+            "scale, relative standard deviation",
+            percent(report, "/stages/3_poses/report/scale/relative_sigma", 2),
+        ),
+        (
+            "points of the cloud",
+            number(report, &format!("{fusion}/num_points"), 0),
+        ),
+        (
+            "median distance between overlapping views",
+            length(&format!("{fusion}/layering_after/median")),
+        ),
+        (
+            "mesh triangles",
+            number(report, &format!("{fusion}/mesh/num_triangles"), 0),
+        ),
+    ];
+    let mut html = String::from("<dl>");
+    for (name, value) in rows {
+        html += &format!("<dt>{}</dt><dd>{}</dd>", escape(name), escape(&value));
+    }
+    html + "</dl>"
+}
+
+fn warnings(report: &Value) -> String {
+    let warnings = items(report, "/warnings");
+    let problems = items(report, "/outcome/problems");
+    let rejected = items(report, "/stages/1_photos/report/rejected");
+    if warnings.is_empty() && problems.is_empty() && rejected.is_empty() {
+        return String::new();
+    }
+    let field =
+        |value: &Value, key: &str| escape(value.get(key).and_then(Value::as_str).unwrap_or(""));
+    let mut html = String::from("<section><h2>What to know, and what to try</h2><ul>");
+    for problem in problems {
+        html += &format!(
+            "<li><strong>{}</strong>: {}</li>",
+            field(problem, "file"),
+            field(problem, "reason")
+        );
+    }
+    for warning in warnings {
+        html += &format!(
+            "<li><code>{}</code> {}</li>",
+            field(warning, "stage"),
+            field(warning, "message")
+        );
+    }
+    html + "</ul></section>"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_verdict_follows_the_facts() {
+        let good = json!({"stages": {
+            "1_photos": {"report": {"photos": [{}, {}], "rejected": []}},
+            "3_poses": {"report": {"views": [{}, {}], "mean_reprojection_error_px": 0.3}},
+            "6_fusion": {"report": {"layering_after": {"median": 1e-4, "footprint": 2e-4}}},
+        }});
+        assert_eq!(verdict(&good), (Verdict::Good, Vec::new()));
+        let mut layers = good.clone();
+        layers["stages"]["6_fusion"]["report"]["layering_after"]["median"] = json!(1e-3);
+        assert_eq!(verdict(&layers).0, Verdict::NotToBeTrusted);
+        let mut one_lost = good.clone();
+        one_lost["stages"]["3_poses"]["report"]["views"] = json!([{}]);
+        assert_eq!(verdict(&one_lost).0, Verdict::Usable);
+        let failed = json!({"outcome": {"error": "no two photos match"}});
+        assert_eq!(verdict(&failed).0, Verdict::NotToBeTrusted);
+    }
+}

@@ -1,0 +1,125 @@
+//! Data of the interactive view: a thinned cloud and the cameras, packed for the page's script.
+//!
+//! A point is 12 bytes, little endian: position as 3 × u16 over the bounding box, normal as
+//! 3 × i8 over ±127, colour as 3 × u8.
+
+use super::picture::base64;
+use crate::store::RunDir;
+use rilievo_io::read_cloud_ply;
+use rilievo_scene::{CloudPoint, PosedViews, StageId};
+
+/// Points beyond this many are thinned out: 2.4 MB in the page, fluent on a phone.
+const MAX_NUM_POINTS: usize = 150_000;
+
+/// The section; empty when there is no cloud.
+///
+/// # Errors
+/// When the cloud cannot be read.
+pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<String> {
+    let path = run.stage_dir(StageId::Fusion).join("cloud.ply");
+    if !path.exists() {
+        return Ok(String::new());
+    }
+    let cloud = read_cloud_ply(&path)?;
+    let Some((low, high)) = bounds(&cloud.points) else {
+        return Ok(String::new());
+    };
+    let step = cloud.points.len().div_ceil(MAX_NUM_POINTS);
+    let points: Vec<&CloudPoint> = cloud.points.iter().step_by(step).collect();
+    let cameras: Vec<_> = posed
+        .views
+        .iter()
+        .map(|view| {
+            let world_from_cam = view.cam_from_world.inverse();
+            let center = world_from_cam.translation;
+            let forward = world_from_cam.rotation * nalgebra::Vector3::z();
+            let up = world_from_cam.rotation * -nalgebra::Vector3::y();
+            serde_json::json!({
+                "name": view.name, "center": center.as_slice(), "forward": forward.as_slice(),
+                "up": up.as_slice(),
+                "aspect": view.intrinsics.width as f64 / view.intrinsics.height as f64,
+                "half": 0.5 * view.intrinsics.height as f64 / view.intrinsics.fy,
+            })
+        })
+        .collect();
+    let data = serde_json::json!({
+        "low": low, "high": high, "count": points.len(), "cameras": cameras,
+    });
+    Ok(format!(
+        "<section><h2>The result in 3D</h2>\
+         <div class=\"viewer\"><canvas id=\"viewer\" tabindex=\"0\" role=\"img\" \
+         aria-label=\"Point cloud that can be turned with the mouse or the arrow keys, and relit\">\
+         </canvas><p id=\"viewer-message\" role=\"status\"></p>\
+         <div class=\"controls\"><label>show <select id=\"viewer-mode\">\
+         <option value=\"0\">relit surface</option><option value=\"1\">colours</option>\
+         <option value=\"2\">normals</option></select></label>\
+         <label>light left/right <input id=\"light-x\" type=\"range\" min=\"-90\" max=\"90\" value=\"-40\">\
+         </label><label>light down/up <input id=\"light-y\" type=\"range\" min=\"-90\" max=\"90\" \
+         value=\"35\"></label><label><input id=\"viewer-cameras\" type=\"checkbox\"> cameras</label>\
+         </div><p class=\"hint\">Drag or arrow keys turn, wheel or + and - come nearer, 0 goes back. \
+         {} of {} points are shown.</p></div>\
+         <script type=\"application/json\" id=\"viewer-data\">{}</script>\
+         <script type=\"text/plain\" id=\"viewer-points\">{}</script></section>",
+        points.len(),
+        cloud.points.len(),
+        escape_script(&data.to_string()),
+        base64(&pack(&points, low, high)),
+    ))
+}
+
+/// JSON inside a script element must not close it.
+fn escape_script(json: &str) -> String {
+    json.replace('<', "\\u003c")
+}
+
+fn bounds(points: &[CloudPoint]) -> Option<([f32; 3], [f32; 3])> {
+    let mut low = points.first()?.position;
+    let mut high = low;
+    for point in points {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(point.position[axis]);
+            high[axis] = high[axis].max(point.position[axis]);
+        }
+    }
+    Some((low, high))
+}
+
+fn pack(points: &[&CloudPoint], low: [f32; 3], high: [f32; 3]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(points.len() * 12);
+    for point in points {
+        for axis in 0..3 {
+            let extent = (high[axis] - low[axis]).max(f32::MIN_POSITIVE);
+            let share = (point.position[axis] - low[axis]) / extent;
+            bytes.extend(((share * 65535.0).round() as u16).to_le_bytes());
+        }
+        for axis in 0..3 {
+            bytes.push((point.normal[axis] * 127.0).round() as i8 as u8);
+        }
+        bytes.extend(point.color);
+    }
+    bytes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_packed_over_their_bounds() {
+        let point = |x: f32| CloudPoint {
+            position: [x, 0.0, 1.0],
+            normal: [0.0, -1.0, 0.0],
+            color: [1, 2, 3],
+            confidence: 1.0,
+            num_views: 2,
+        };
+        let points = [point(-1.0), point(1.0)];
+        let (low, high) = bounds(&points).unwrap();
+        let bytes = pack(&[&points[0], &points[1]], low, high);
+        assert_eq!(bytes.len(), 24);
+        assert_eq!(bytes[..2], [0, 0]);
+        assert_eq!(bytes[12..14], [255, 255]);
+        assert_eq!(bytes[6..12], [0, 129, 0, 1, 2, 3]);
+        assert_eq!(escape_script("a</script>"), "a\\u003c/script>");
+    }
+}

@@ -1,0 +1,279 @@
+//! Every view as pictures: photo against re-rendered result, difference, normals, depth,
+//! confidence; and the whole photo with sparse points and the outline of the sphere.
+
+use super::element::{escape, folded, items, number, percent};
+use super::picture::{self, MAX_SIDE, Window};
+use crate::store::RunDir;
+use nalgebra::{Point3, Vector3};
+use rilievo_io::{read_channel, read_depth, read_linear, read_normal};
+use rilievo_scene::{LinearImage, LocatedSphere, PosedView, PosedViews, Raster, StageId};
+use serde_json::Value;
+use std::path::Path;
+
+/// Relative difference of photo and result that is shown as full brightness.
+const DIFFERENCE_MAX: f32 = 0.25;
+
+/// The section with all views that have a dense shape, or at least a pose.
+///
+/// # Errors
+/// When maps cannot be read.
+pub fn section(run: &RunDir, report: &Value, posed: &PosedViews) -> anyhow::Result<String> {
+    let mut html = String::from("<section><h2>Views</h2>");
+    for (index, view) in posed.views.iter().enumerate() {
+        let content = one(run, report, posed, index, view)?;
+        html += &folded(&view.file_name, index == 0, &content);
+    }
+    Ok(html + "</section>")
+}
+
+fn one(
+    run: &RunDir,
+    report: &Value,
+    posed: &PosedViews,
+    index: usize,
+    view: &PosedView,
+) -> anyhow::Result<String> {
+    let photo = read_linear(
+        &run.stage_dir(StageId::Photos)
+            .join(format!("linear/{}.exr", view.name)),
+    )?;
+    let mut html = facts(report, view);
+    let maps = run.stage_dir(StageId::Shading);
+    if maps.join(format!("depth/{}.exr", view.name)).exists() {
+        html += &dense(&maps, view, &photo)?;
+    }
+    html += &overlay(posed, index, view, &photo)?;
+    Ok(html)
+}
+
+/// Photo, result and maps of the object.
+fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<String> {
+    let file = |kind: &str| maps.join(kind).join(format!("{}.exr", view.name));
+    let depth = read_depth(&file("depth"))?;
+    let window = Window::around(&depth);
+    let exposure = picture::exposure(photo, &depth);
+    let name = escape(&view.name);
+    let mut html = String::new();
+    let mut pictures = Vec::new();
+    let observed = picture::photo(photo, window, exposure)?;
+    if file("rendered").exists() {
+        let rendered = read_linear(&file("rendered"))?;
+        html += &format!(
+            "<figure class=\"compare\"><div class=\"pair\">\
+             <img src=\"{observed}\" alt=\"Photo {name}, cut to the object\">\
+             <img class=\"over\" src=\"{}\" alt=\"The same, re-rendered from the result\"></div>\
+             <label>photo <input type=\"range\" min=\"0\" max=\"100\" value=\"50\" \
+             aria-label=\"Share of the picture that shows the re-rendered result\"> re-rendered</label>\
+             <figcaption>The photo, and the image that the result explains</figcaption></figure>",
+            picture::photo(&rendered, window, exposure)?
+        );
+        let difference = relative_difference(photo, &rendered, &depth);
+        pictures.push((
+            picture::scalar(&difference, window, DIFFERENCE_MAX),
+            "Relative difference".to_owned(),
+            format!("bright: {:.0} % and more", 100.0 * DIFFERENCE_MAX),
+        ));
+    } else {
+        pictures.push((observed, "Photo".to_owned(), "cut to the object".to_owned()));
+    }
+    let normal = read_normal(&file("normal"))?;
+    pictures.push((
+        picture::normals(&normal, window),
+        "Normals".to_owned(),
+        "red: to the right, green: up, blue: to the camera".to_owned(),
+    ));
+    pictures.push((
+        picture::depth(&depth, window),
+        "Depth".to_owned(),
+        depth_legend(&depth),
+    ));
+    if file("confidence").exists() {
+        let confidence = read_channel(&file("confidence"), "C")?;
+        pictures.push((
+            picture::scalar(&confidence, window, 1.0),
+            "Confidence".to_owned(),
+            "bright: well determined".to_owned(),
+        ));
+    }
+    html += "<div class=\"pictures\">";
+    for (picture, what, legend) in pictures {
+        html += &format!(
+            "<figure><img loading=\"lazy\" src=\"{picture}\" alt=\"{} of {name}\">\
+             <figcaption>{}: {}</figcaption></figure>",
+            escape(&what),
+            escape(&what),
+            escape(&legend)
+        );
+    }
+    Ok(html + "</div>")
+}
+
+fn depth_legend(depth: &Raster<f32>) -> String {
+    let (low, high) = depth
+        .data
+        .iter()
+        .filter(|&&z| z > 0.0)
+        .fold((f32::INFINITY, 0.0_f32), |(low, high), &z| {
+            (low.min(z), high.max(z))
+        });
+    format!("bright is near; {low:.4} to {high:.4} in the world's unit")
+}
+
+/// `|rendered − photo| / photo`, over the mean of the channels; −1 outside the object.
+fn relative_difference(
+    photo: &LinearImage,
+    rendered: &LinearImage,
+    depth: &Raster<f32>,
+) -> Raster<f32> {
+    let (photo, rendered) = (photo.to_grey(), rendered.to_grey());
+    Raster::from_fn(depth.width, depth.height, |x, y| {
+        let same = photo.same_size(depth) && rendered.same_size(depth);
+        if !same || *depth.at(x, y) <= 0.0 {
+            return -1.0;
+        }
+        let observed = *photo.at(x, y);
+        (rendered.at(x, y) - observed).abs() / observed.max(1e-3)
+    })
+}
+
+fn facts(report: &Value, view: &PosedView) -> String {
+    let find = |path: &str, key: &str, value: &str| {
+        let found = items(report, path)
+            .iter()
+            .find(|item| item.get(key).and_then(Value::as_str) == Some(value));
+        found.cloned().unwrap_or(Value::Null)
+    };
+    let photo = find(
+        "/stages/1_photos/report/photos",
+        "file_name",
+        &view.file_name,
+    );
+    let features = find(
+        "/stages/2_features/report/photos",
+        "file_name",
+        &view.file_name,
+    );
+    let pose = find("/stages/3_poses/report/views", "file_name", &view.file_name);
+    let light = find("/stages/4_lighting/report/views", "name", &view.name);
+    let fused = find("/stages/6_fusion/report/views", "name", &view.name);
+    let rows = [
+        ("mask", percent(&photo, "/mask_coverage", 1)),
+        ("clipped", percent(&photo, "/clipped_share", 2)),
+        (
+            "keypoints on the object",
+            number(&features, "/num_on_object", 0),
+        ),
+        ("points seen", number(&pose, "/num_points", 0)),
+        (
+            "reprojection error",
+            format!("{} px", number(&pose, "/mean_error_px", 2)),
+        ),
+        ("light residual", percent(&light, "/relative_rms", 1)),
+        (
+            "points given to the cloud",
+            number(&fused, "/num_points", 0),
+        ),
+    ];
+    let mut html = String::from("<dl class=\"facts\">");
+    for (name, value) in rows {
+        html += &format!("<dt>{name}</dt><dd>{}</dd>", escape(&value));
+    }
+    html + "</dl>"
+}
+
+/// The whole photo with sparse points and the sphere's outline.
+fn overlay(
+    posed: &PosedViews,
+    index: usize,
+    view: &PosedView,
+    photo: &LinearImage,
+) -> anyhow::Result<String> {
+    let window = Window::whole(photo.width, photo.height);
+    let step = photo.width.max(photo.height).div_ceil(MAX_SIDE) as f64;
+    let mut marks = String::new();
+    let mut count = 0;
+    for point in &posed.points {
+        for sighting in point.track.iter().filter(|s| s.view.0 == index) {
+            count += 1;
+            let [x, y] = sighting.pixel;
+            marks += &format!(
+                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2\"/>",
+                x / step,
+                y / step
+            );
+        }
+    }
+    let mut caption = format!("{count} sparse points");
+    if let Some(outline) = posed.sphere.as_ref().and_then(|s| outline(s, view)) {
+        let points: Vec<String> = outline
+            .iter()
+            .map(|[x, y]| format!("{:.1},{:.1}", x / step, y / step))
+            .collect();
+        marks += &format!("<polygon points=\"{}\"/>", points.join(" "));
+        caption += "; outline of the reference sphere where it should be";
+    }
+    let (width, height) = (photo.width as f64 / step, photo.height as f64 / step);
+    Ok(format!(
+        "<figure class=\"overlay\"><div><img loading=\"lazy\" src=\"{}\" alt=\"Photo {}\">\
+         <svg viewBox=\"0 0 {width:.0} {height:.0}\" aria-hidden=\"true\">{marks}</svg></div>\
+         <figcaption>{caption}</figcaption></figure>",
+        picture::photo(photo, window, 1.0)?,
+        escape(&view.name)
+    ))
+}
+
+/// Pixels of the sphere's outline: the circle in which the cone of tangent rays touches it,
+/// projected. `None` where the camera stands inside the sphere or sees it from behind.
+fn outline(sphere: &LocatedSphere, view: &PosedView) -> Option<Vec<[f64; 2]>> {
+    let center = view
+        .cam_from_world
+        .apply(&Point3::from(sphere.center_in_world))
+        .coords;
+    let distance = center.norm();
+    let ratio = sphere.radius / distance;
+    if ratio.is_nan() || ratio >= 1.0 {
+        return None;
+    }
+    let axis = center / distance;
+    let across = axis.cross(&Vector3::y()).try_normalize(1e-9)?;
+    let up = axis.cross(&across);
+    let middle = center * (1.0 - ratio * ratio);
+    let radius = sphere.radius * (1.0 - ratio * ratio).sqrt();
+    (0..72)
+        .map(|k| {
+            let angle = f64::from(k) * std::f64::consts::TAU / 72.0;
+            let point = middle + radius * (across * angle.cos() + up * angle.sin());
+            let pixel = view.intrinsics.project(&Point3::from(point))?;
+            Some([pixel.x, pixel.y])
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::{Intrinsics, PhotoIdx, RigidTransform};
+
+    #[test]
+    fn the_outline_of_a_sphere_ahead_is_the_tangent_circle() {
+        let view = PosedView {
+            photo: PhotoIdx(0),
+            name: "a".into(),
+            file_name: "a.jpg".into(),
+            intrinsics: Intrinsics::pinhole(200, 200, 100.0, 100.0, 100.0),
+            cam_from_world: RigidTransform::identity(),
+        };
+        let sphere = LocatedSphere {
+            center_in_world: [0.0, 0.0, 2.0],
+            radius: 1.0,
+            center_sigma: [0.0; 3],
+            seen_in: Vec::new(),
+        };
+        let outline = outline(&sphere, &view).unwrap();
+        // tan of the cone's half angle asin(1/2) is 1/√3.
+        for [x, y] in outline {
+            let radius = ((x - 100.0).powi(2) + (y - 100.0).powi(2)).sqrt();
+            assert!((radius - 100.0 / 3f64.sqrt()).abs() < 1e-9, "{radius}");
+        }
+    }
+}
