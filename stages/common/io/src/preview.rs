@@ -1,7 +1,67 @@
-//! Pictures.
+//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG.
+//!
+//! | map | colours |
+//! |---|---|
+//! | depth | near is bright, far is dark (viridis), between the 1st and 99th percentile of the map |
+//! | normals | `(n1, −n2, −n3)` from −1…1 to 0…255: right is red, up is green, towards the camera is blue |
+//! | linear image | the sRGB curve |
+//! | errors | 0 is black, `max` and above is bright (inferno) |
+//!
+//! Pixels without a value are black in depth and normals, grey in error maps.
+
 use crate::error::IoError;
+use crate::mask::encode_png;
+use crate::photo_writer::srgb_encode;
+use image::ExtendedColorType;
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster};
 use std::path::Path;
+
+type Rgb = [u8; 3];
+
+/// Seventeen steps of matplotlib's `viridis` (perceptually even, safe for the colour-blind).
+const VIRIDIS: [Rgb; 17] = [
+    [68, 1, 84],
+    [72, 24, 106],
+    [71, 45, 123],
+    [66, 64, 134],
+    [59, 82, 139],
+    [51, 99, 141],
+    [44, 114, 142],
+    [38, 130, 142],
+    [33, 145, 140],
+    [31, 160, 136],
+    [40, 174, 128],
+    [63, 188, 115],
+    [94, 201, 98],
+    [132, 212, 75],
+    [173, 220, 48],
+    [216, 226, 25],
+    [253, 231, 37],
+];
+
+/// Seventeen steps of matplotlib's `inferno`.
+const INFERNO: [Rgb; 17] = [
+    [0, 0, 4],
+    [11, 7, 36],
+    [33, 12, 74],
+    [61, 9, 101],
+    [87, 16, 110],
+    [113, 25, 110],
+    [138, 34, 106],
+    [163, 44, 97],
+    [188, 55, 84],
+    [210, 70, 68],
+    [228, 90, 49],
+    [241, 115, 29],
+    [249, 142, 9],
+    [252, 172, 17],
+    [249, 203, 53],
+    [242, 234, 105],
+    [252, 255, 164],
+];
+
+/// Colour of "no value" in error maps: neither small nor large.
+const NO_ERROR_VALUE: Rgb = [128, 128, 128];
 
 /// What to show.
 #[derive(Clone, Copy, Debug)]
@@ -34,7 +94,190 @@ pub fn write_preview_png(
         .map_err(|error| IoError::write(path, error))
 }
 
-/// The same as bytes of a PNG file, to embed elsewhere.
-pub fn encode_preview_png(_preview: Preview<'_>, _max_side: usize) -> Vec<u8> {
-    Vec::new()
+/// The same as bytes of a PNG file, to embed elsewhere; a map without pixels gives one black pixel.
+pub fn encode_preview_png(preview: Preview<'_>, max_side: usize) -> Vec<u8> {
+    let picture = shrink(paint(preview), max_side);
+    let samples: Vec<u8> = picture.data.iter().flatten().copied().collect();
+    let encode =
+        |samples: &[u8], width, height| encode_png(samples, width, height, ExtendedColorType::Rgb8);
+    encode(&samples, picture.width, picture.height)
+        .or_else(|_| encode(&[0, 0, 0], 1, 1))
+        .unwrap_or_default()
+}
+
+fn map_color(map: &[Rgb; 17], share: f32) -> Rgb {
+    let position = share.clamp(0.0, 1.0) * 16.0;
+    let low = (position as usize).min(15);
+    let t = position - low as f32;
+    std::array::from_fn(|c| {
+        let (a, b) = (f32::from(map[low][c]), f32::from(map[low + 1][c]));
+        (a + t * (b - a)).round() as u8
+    })
+}
+
+fn paint(preview: Preview<'_>) -> Raster<Rgb> {
+    match preview {
+        Preview::Depth(map) => {
+            let (near, far) = depth_range(map);
+            let scale = 1.0 / (far - near).max(f32::MIN_POSITIVE);
+            painted(map, |&depth| {
+                if depth > 0.0 && depth.is_finite() {
+                    map_color(&VIRIDIS, (far - depth) * scale)
+                } else {
+                    [0, 0, 0]
+                }
+            })
+        }
+        Preview::Normal(map) => painted(map, |&[x, y, z]| {
+            if [x, y, z] == [0.0; 3] {
+                return [0, 0, 0];
+            }
+            [x, -y, -z].map(|n| (127.5 * (1.0 + n.clamp(-1.0, 1.0))).round() as u8)
+        }),
+        Preview::Error { map, max } => painted(map, |&error| {
+            if error >= 0.0 && error.is_finite() {
+                map_color(&INFERNO, error / max.max(f32::MIN_POSITIVE))
+            } else {
+                NO_ERROR_VALUE
+            }
+        }),
+        Preview::Linear(image) => Raster {
+            width: image.width,
+            height: image.height,
+            data: image
+                .data
+                .chunks_exact(image.channels.max(1))
+                .map(|pixel| {
+                    std::array::from_fn(|c| {
+                        let value = pixel.get(c).or(pixel.first()).copied().unwrap_or(0.0);
+                        (255.0 * srgb_encode(value.clamp(0.0, 1.0))).round() as u8
+                    })
+                })
+                .collect(),
+        },
+    }
+}
+
+fn painted<T>(map: &Raster<T>, color: impl Fn(&T) -> Rgb) -> Raster<Rgb> {
+    Raster {
+        width: map.width,
+        height: map.height,
+        data: map.data.iter().map(color).collect(),
+    }
+}
+
+/// The 1st and 99th percentile of the depths that are there.
+fn depth_range(map: &DepthMap) -> (f32, f32) {
+    let mut depths: Vec<f32> = map
+        .data
+        .iter()
+        .copied()
+        .filter(|&depth| depth > 0.0 && depth.is_finite())
+        .collect();
+    if depths.is_empty() {
+        return (0.0, 1.0);
+    }
+    let last = depths.len() - 1;
+    let near = *depths.select_nth_unstable_by(last / 100, f32::total_cmp).1;
+    let far = *depths
+        .select_nth_unstable_by(last - last / 100, f32::total_cmp)
+        .1;
+    (near, far)
+}
+
+/// Means over square blocks, the smallest that make it fit.
+fn shrink(picture: Raster<Rgb>, max_side: usize) -> Raster<Rgb> {
+    let side = picture.width.max(picture.height);
+    if max_side == 0 || side <= max_side {
+        return picture;
+    }
+    let block = side.div_ceil(max_side);
+    let (width, height) = (
+        picture.width.div_ceil(block),
+        picture.height.div_ceil(block),
+    );
+    Raster::from_fn(width, height, |x, y| {
+        let mut sums = [0u32; 3];
+        let mut count = 0;
+        for v in y * block..((y + 1) * block).min(picture.height) {
+            for u in x * block..((x + 1) * block).min(picture.width) {
+                let pixel = picture.at(u, v);
+                (0..3).for_each(|c| sums[c] += u32::from(pixel[c]));
+                count += 1;
+            }
+        }
+        sums.map(|sum| (sum / count.max(1)) as u8)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::Samples;
+
+    fn decoded(preview: Preview<'_>, max_side: usize) -> (usize, usize, Vec<u8>) {
+        let bytes = encode_preview_png(preview, max_side);
+        let photo = crate::photo::decode_photo_bytes(Path::new("p.png"), &bytes).unwrap();
+        match photo.samples {
+            Samples::U8(samples) => (photo.width, photo.height, samples),
+            other => panic!("{} bits", other.bits()),
+        }
+    }
+
+    #[test]
+    fn normals_towards_the_camera_are_blue_and_up_is_green() {
+        let map = Raster {
+            width: 3,
+            height: 1,
+            data: vec![[0.0, 0.0, -1.0], [0.0, -1.0, 0.0], [0.0; 3]],
+        };
+        let (_, _, pixels) = decoded(Preview::Normal(&map), 0);
+        assert_eq!(pixels, [128, 128, 255, 128, 255, 128, 0, 0, 0]);
+    }
+
+    #[test]
+    fn near_is_bright_and_nothing_is_black() {
+        let map = Raster {
+            width: 3,
+            height: 1,
+            data: vec![1.0, 2.0, 0.0],
+        };
+        let (_, _, pixels) = decoded(Preview::Depth(&map), 0);
+        assert_eq!(pixels[..3], VIRIDIS[16]);
+        assert_eq!(pixels[3..6], VIRIDIS[0]);
+        assert_eq!(pixels[6..], [0, 0, 0]);
+    }
+
+    #[test]
+    fn errors_have_a_fixed_scale_and_a_colour_for_none() {
+        let map = Raster {
+            width: 4,
+            height: 1,
+            data: vec![0.0, 10.0, 20.0, f32::NAN],
+        };
+        let (_, _, pixels) = decoded(
+            Preview::Error {
+                map: &map,
+                max: 10.0,
+            },
+            0,
+        );
+        assert_eq!(pixels[..3], INFERNO[0]);
+        assert_eq!(pixels[3..6], INFERNO[16]);
+        assert_eq!(pixels[6..9], INFERNO[16]);
+        assert_eq!(pixels[9..], NO_ERROR_VALUE);
+    }
+
+    #[test]
+    fn pictures_fit_and_grey_images_have_three_channels() {
+        let image = LinearImage::filled(100, 37, 1, 0.214_041_14);
+        let (width, height, pixels) = decoded(Preview::Linear(&image), 40);
+        assert_eq!((width, height), (34, 13));
+        assert!(
+            pixels.iter().all(|&v| (127..=128).contains(&v)),
+            "{pixels:?}"
+        );
+        let empty = Raster::from_fn(0, 0, |_, _| 0.0f32);
+        assert_eq!(decoded(Preview::Depth(&empty), 0).0, 1);
+    }
 }

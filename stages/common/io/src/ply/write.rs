@@ -1,0 +1,110 @@
+//! Writing clouds and meshes.
+
+use crate::error::IoError;
+use rilievo_scene::{Mesh, PointCloud, Unit};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+fn save(
+    path: &Path,
+    body: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<(), IoError> {
+    let write = || {
+        let mut out = BufWriter::new(File::create(path)?);
+        body(&mut out)?;
+        out.flush()
+    };
+    write().map_err(|error| IoError::write(path, error))
+}
+
+fn preamble(unit: Unit) -> String {
+    let unit = match unit {
+        Unit::Metre => "metre",
+        Unit::Arbitrary => "arbitrary",
+    };
+    format!(
+        "ply\nformat binary_little_endian 1.0\ncomment unit {unit}\n\
+         comment frame world of cameras.json\n"
+    )
+}
+
+fn put(out: &mut impl Write, values: [f32; 3]) -> std::io::Result<()> {
+    values
+        .iter()
+        .try_for_each(|value| out.write_all(&value.to_le_bytes()))
+}
+
+/// Writes a cloud: binary little endian, `x y z nx ny nz red green blue confidence views`.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_cloud_ply(path: &Path, cloud: &PointCloud, unit: Unit) -> Result<(), IoError> {
+    save(path, |out| {
+        out.write_all(preamble(unit).as_bytes())?;
+        writeln!(out, "element vertex {}", cloud.points.len())?;
+        for name in ["x", "y", "z", "nx", "ny", "nz"] {
+            writeln!(out, "property float {name}")?;
+        }
+        for name in ["red", "green", "blue"] {
+            writeln!(out, "property uchar {name}")?;
+        }
+        out.write_all(b"property float confidence\nproperty uchar views\nend_header\n")?;
+        for point in &cloud.points {
+            put(out, point.position)?;
+            put(out, point.normal)?;
+            out.write_all(&point.color)?;
+            out.write_all(&point.confidence.to_le_bytes())?;
+            out.write_all(&[point.num_views])?;
+        }
+        Ok(())
+    })
+}
+
+/// Writes a mesh: binary little endian, with normals and colours where the mesh has them.
+///
+/// # Errors
+/// When the file cannot be written, or normals or colours are not one per vertex.
+pub fn write_mesh_ply(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoError> {
+    let num_vertices = mesh.vertices.len();
+    for (what, len) in [
+        ("normals", mesh.normals.len()),
+        ("colours", mesh.colors.len()),
+    ] {
+        if len != 0 && len != num_vertices {
+            return Err(IoError::write(
+                path,
+                format!("{len} {what} for {num_vertices} vertices"),
+            ));
+        }
+    }
+    save(path, |out| {
+        out.write_all(preamble(unit).as_bytes())?;
+        writeln!(out, "element vertex {num_vertices}")?;
+        out.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
+        if !mesh.normals.is_empty() {
+            out.write_all(b"property float nx\nproperty float ny\nproperty float nz\n")?;
+        }
+        if !mesh.colors.is_empty() {
+            out.write_all(b"property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
+        }
+        writeln!(out, "element face {}", mesh.triangles.len())?;
+        out.write_all(b"property list uchar int vertex_indices\nend_header\n")?;
+        for (i, &vertex) in mesh.vertices.iter().enumerate() {
+            put(out, vertex)?;
+            if let Some(&normal) = mesh.normals.get(i) {
+                put(out, normal)?;
+            }
+            if let Some(color) = mesh.colors.get(i) {
+                out.write_all(color)?;
+            }
+        }
+        for triangle in &mesh.triangles {
+            out.write_all(&[3])?;
+            for index in triangle {
+                out.write_all(&index.to_le_bytes())?;
+            }
+        }
+        Ok(())
+    })
+}
