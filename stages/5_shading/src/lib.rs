@@ -1,10 +1,19 @@
 //! Stage 5: coupled multi-view shape from shading to depth and normal maps.
 
 mod error;
+mod levels;
+mod model;
 mod options;
 pub mod photo;
+mod pixels;
+mod prepare;
 mod problem;
+mod result;
 mod solution;
+mod solver;
+mod splitting;
+mod start;
+mod theta;
 
 pub use error::ShadingError;
 pub use options::{
@@ -28,13 +37,9 @@ use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedV
 pub fn solve(
     problem: &ShadingProblem,
     options: &ShadingOptions,
-    _observer: &dyn Observer,
+    observer: &dyn Observer,
 ) -> Result<ShadingSolution, ShadingError> {
-    options.validate()?;
-    if problem.views.is_empty() {
-        return Err(ShadingError::NoViews);
-    }
-    Err(ShadingError::NoViews)
+    solver::solve(problem, options, observer)
 }
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.

@@ -91,7 +91,7 @@ impl Operator {
                 let i = y * stride + x;
                 let cells = weight[i] + weight[i - 1] + weight[i - stride] + weight[i - stride - 1];
                 let diagonal = centre * cells + mass[i];
-                *out = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
+                *out = if cells > 0.0 { 1.0 / diagonal } else { 0.0 };
             }
         });
     }
@@ -106,21 +106,19 @@ impl Operator {
         let w_above = &self.weight[(y - 1) * s..y * s];
         let w_here = &self.weight[y * s..(y + 1) * s];
         let mass = &self.mass[y * s..(y + 1) * s];
-        let centre = 0.5 + 0.25 * self.hourglass;
         let diagonal = 0.5 - 0.25 * self.hourglass;
         let edge = 0.25 * self.hourglass;
         let out = &mut out[..s];
         for x in 1..=n {
             let (a, b) = (w_here[x], w_here[x - 1]);
             let (c, d) = (w_above[x], w_above[x - 1]);
-            let corners = a * below[x + 1] + b * below[x - 1] + c * above[x + 1] + d * above[x - 1];
-            let edges = (a + c) * here[x + 1]
-                + (b + d) * here[x - 1]
-                + (a + b) * below[x]
-                + (c + d) * above[x];
-            out[x] = (centre * ((a + b) + (c + d)) + mass[x]) * here[x]
-                - diagonal * corners
-                - edge * edges;
+            // Differences, so that a large constant does not drown them in rounding.
+            let h = here[x];
+            let corners = (a * (h - below[x + 1]) + b * (h - below[x - 1]))
+                + (c * (h - above[x + 1]) + d * (h - above[x - 1]));
+            let edges = ((a + c) * (h - here[x + 1]) + (b + d) * (h - here[x - 1]))
+                + ((a + b) * (h - below[x]) + (c + d) * (h - above[x]));
+            out[x] = diagonal * corners + edge * edges + mass[x] * h;
         }
     }
 
@@ -396,7 +394,7 @@ impl DirectSolve {
             for i in 0..n {
                 factor[i * n + j] = f64::from(column[nodes[i]]);
             }
-            // Without any mass the constant has no energy: hold it, far below the slowest other mode.
+            // Rounding must not make a pivot negative.
             factor[j * n + j] *= 1.0 + 1e-3;
         }
         for j in 0..n {
