@@ -18,6 +18,7 @@ mod consensus;
 mod gains;
 mod hull;
 mod level;
+mod light;
 mod matching;
 mod options;
 mod patchmatch;
@@ -29,6 +30,7 @@ mod shading;
 mod solve;
 mod start;
 mod step;
+mod surround;
 mod views;
 
 pub use options::PhotoOptions;

@@ -4,23 +4,26 @@ use super::consensus;
 use super::gains::{self, Exposure};
 use super::hull;
 use super::level::{self, Level};
+use super::light::{self, Light, LightScene};
 use super::matching::MatchOptions;
 use super::options::PhotoOptions;
 use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
 use super::plate;
 use super::report::{LapReport, PhotoReport, PhotoViewReport};
-use super::shading::ShadingTerm;
+use super::shading::{ShadingTerm, ShadingWeights};
 use super::start;
 use super::step::{self, StepOptions};
+use super::surround;
 use super::views::Scene;
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::{PlateError, PlateSolver};
 use rilievo_numerics::robust::median;
+use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{
-    DepthMap, Event, Flow, LightingCalibration, Mask, NormalMap, Observer, PosedViews, ShadedView,
-    ShadedViews, StageId,
+    DepthMap, Event, Flow, LightKind, LightingCalibration, Mask, NormalMap, Observer, PosedViews,
+    ShadedView, ShadedViews, StageId,
 };
 use std::time::Instant;
 
@@ -32,10 +35,6 @@ const MAX_DISAGREEMENT: f64 = 0.2;
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
 
-/// Builds the shading term of a view at the current depths.
-pub(crate) type TermBuilder<'a> =
-    dyn Fn(usize, &[Vec<f64>]) -> ShadingTerm<'a> + Sync + 'a;
-
 /// Everything that the steps of a run share.
 pub(crate) struct Course<'a> {
     pub scene: Scene,
@@ -45,11 +44,60 @@ pub(crate) struct Course<'a> {
     pub sigma_match: f64,
 }
 
+/// Weights of one lap.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LapWeights {
+    /// Standard deviation of the depth against the other views, pixel footprints.
+    pub consensus_px: f64,
+    /// Depth difference to a view that sees the point, pixel footprints.
+    pub visible_px: f64,
+    /// Weight of squared bends.
+    pub plate: f64,
+    /// Bend at which the plate turns linear.
+    pub plate_knee: f64,
+    /// Shading, where it takes part.
+    pub shading: Option<ShadingWeights>,
+}
+
+/// Agreement alone.
+const PHOTOS_ONLY: LapWeights = LapWeights {
+    consensus_px: 0.9,
+    visible_px: 3.5,
+    plate: 30.0,
+    plate_knee: 0.05,
+    shading: None,
+};
+
+/// Weights of the laps with shading: it starts weak, on a light fitted to a rough shape, and grows.
+fn lap_weights(lap: usize) -> LapWeights {
+    let table = [
+        (0.04, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.02, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.015, 8.0, 60.0, 0.05, 0.62, 3.5),
+        (0.01, 6.0, 100.0, 0.1, 0.45, 1.8),
+    ];
+    let (sigma, correction_px, plate, plate_knee, consensus_px, visible_px) =
+        table[lap.min(table.len() - 1)];
+    LapWeights {
+        consensus_px,
+        visible_px,
+        plate,
+        plate_knee,
+        shading: Some(ShadingWeights {
+            sigma,
+            knee: 2.0,
+            correction_px,
+            max_correction: 0.15,
+            mean_tolerance: 1.8,
+        }),
+    }
+}
+
 /// Solves a loaded scene.
 pub(crate) fn solve(
     scene: Scene,
     posed: &PosedViews,
-    _lighting: &LightingCalibration,
+    lighting: &LightingCalibration,
     options: &PhotoOptions,
     observer: &dyn Observer,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
@@ -69,22 +117,75 @@ pub(crate) fn solve(
     let mut depths = course.find_surface(posed, &exposure)?;
     let mut at = course.scene.coarse;
     let mut solvers = course.solvers(at)?;
+    let rounds = options.max_num_rounds;
     course.lap(
         at,
         &solvers,
         &mut depths,
+        &PHOTOS_ONLY,
         None,
         "photos",
-        options.max_num_rounds,
+        rounds,
     )?;
-    depths = course.fused(at, &solvers, &depths)?;
-    course.lap(at, &solvers, &mut depths, None, "photos after fusion", 3)?;
+    let ground = course.ground(at, &depths, posed);
+    let mut light = None;
+    let mut last = PHOTOS_ONLY;
+    for lap in 0..options.num_laps {
+        depths = course.fused(at, &depths)?;
+        light = course.light(at, &depths, posed, lighting.kind, ground.as_ref())?;
+        last = lap_weights(lap);
+        course.lap(
+            at,
+            &solvers,
+            &mut depths,
+            &last,
+            light.as_ref(),
+            "light and shape",
+            5,
+        )?;
+    }
+    if options.num_laps == 0 {
+        depths = course.fused(at, &depths)?;
+        course.lap(
+            at,
+            &solvers,
+            &mut depths,
+            &PHOTOS_ONLY,
+            None,
+            "photos, fused",
+            3,
+        )?;
+    }
     while at > 0 {
         at -= 1;
         solvers = course.solvers(at)?;
         depths = course.descend(at, &solvers, &depths)?;
+        light = light.map(|light| course.finer_light(at, &light));
+        let mut weights = LapWeights {
+            consensus_px: 0.9,
+            visible_px: 3.5,
+            plate_knee: 0.05,
+            ..last
+        };
+        if let Some(shading) = &mut weights.shading {
+            shading.sigma = 0.015;
+            shading.correction_px = 12.0;
+        }
         let rounds = options.num_fine_rounds;
-        course.lap(at, &solvers, &mut depths, None, "photos, finer", rounds)?;
+        course.lap(
+            at,
+            &solvers,
+            &mut depths,
+            &weights,
+            light.as_ref(),
+            "finer",
+            rounds,
+        )?;
+    }
+    if let Some(light) = &light {
+        for (view, residual) in course.report.views.iter_mut().zip(&light.residuals) {
+            view.light_residual = Some(*residual);
+        }
     }
     course.finish(depths)
 }
@@ -187,6 +288,9 @@ impl Course<'_> {
                 view.divide_by_gain(*gain);
             }
         }
+        for (photo, gain) in self.scene.small.iter_mut().zip(&exposure.gains) {
+            photo.divide_by_gain(*gain);
+        }
         let disagreement = exposure
             .disagreement
             .clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT);
@@ -282,21 +386,20 @@ impl Course<'_> {
             .collect()
     }
 
-    /// Weights at a level: lengths are in footprints of a pixel of the coarse level.
-    pub(crate) fn step_options(&self, at: usize) -> StepOptions {
-        let level = &self.scene.pyramid[at];
-        let footprint = 1.0 / level.focal();
+    /// Weights of a step; lengths in footprints of a pixel.
+    fn step_options(&self, at: usize, weights: &LapWeights) -> StepOptions {
+        let footprint = 1.0 / self.scene.pyramid[at].focal();
         StepOptions {
             matching: MatchOptions {
                 sigma: self.sigma_match,
                 knee: 2.0,
-                visible_tolerance: 3.5 * footprint,
+                visible_tolerance: weights.visible_px * footprint,
                 gain_field_px: 8.0,
                 left_out: None,
             },
-            sigma_consensus: 0.9 * footprint,
-            plate_weight: 30.0,
-            plate_knee: 0.05,
+            sigma_consensus: weights.consensus_px * footprint,
+            plate_weight: weights.plate,
+            plate_knee: weights.plate_knee,
             max_step: 9.0 * footprint,
         }
     }
@@ -308,15 +411,17 @@ impl Course<'_> {
         at: usize,
         solvers: &[PlateSolver],
         depths: &mut [Vec<f64>],
-        light: Option<&TermBuilder<'_>>,
+        weights: &LapWeights,
+        light: Option<&Light>,
         kind: &str,
         num_rounds: usize,
     ) -> Result<(), ShadingError> {
         let began = Instant::now();
-        let options = self.step_options(at);
+        let options = self.step_options(at, weights);
         let mut record = LapReport {
             level: at,
             kind: kind.to_owned(),
+            sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
             ..LapReport::default()
         };
         for round in 0..num_rounds {
@@ -331,7 +436,18 @@ impl Course<'_> {
                     .into_par_iter()
                     .with_max_len(1)
                     .map(|i| {
-                        let term = light.map(|build| build(i, depths));
+                        let term = light.zip(weights.shading).map(|(light, mut weights)| {
+                            weights.mean_tolerance /= level.focal();
+                            ShadingTerm::new(
+                                level,
+                                i,
+                                depths,
+                                &rasters,
+                                &light.harmonics[i],
+                                None,
+                                &weights,
+                            )
+                        });
                         let outcome = step::improve(
                             level,
                             i,
@@ -385,12 +501,83 @@ impl Course<'_> {
     pub(crate) fn fused(
         &self,
         at: usize,
-        _solvers: &[PlateSolver],
         depths: &[Vec<f64>],
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let level = &self.scene.pyramid[at];
         self.tell("fusing views", 0, 1)?;
         Ok(consensus::fuse(level, depths, 4.0 / level.focal()))
+    }
+
+    /// The ground under the object, where sparse points show one.
+    fn ground(&self, at: usize, depths: &[Vec<f64>], posed: &PosedViews) -> Option<Ground> {
+        let level = &self.scene.pyramid[at];
+        let points: Vec<Point3<f64>> = posed
+            .points
+            .iter()
+            .map(|p| Point3::from(p.position))
+            .collect();
+        let mut object = Vec::new();
+        for (view, depth) in level.views.iter().zip(depths) {
+            for p in (0..view.pixels.len()).step_by(29) {
+                let (x, y) = view.xy(p);
+                object.push(view.camera.unproject(x, y, depth[p].exp()));
+            }
+        }
+        surround::find_ground(&points, &object, &self.scene.small)
+    }
+
+    /// The light on the current shape: with visibility, or else distant.
+    fn light(
+        &mut self,
+        at: usize,
+        depths: &[Vec<f64>],
+        posed: &PosedViews,
+        kind: LightKind,
+        ground: Option<&Ground>,
+    ) -> Result<Option<Light>, ShadingError> {
+        let began = Instant::now();
+        self.tell("fitting light", 0, 1)?;
+        let level = &self.scene.pyramid[at];
+        let rays_at = self.scene.pyramid.get(at + 1).unwrap_or(level);
+        let scene = LightScene {
+            photos: &self.scene.small,
+            sphere: posed.sphere.as_ref(),
+            ground,
+            num_rays: self.options.num_rays,
+        };
+        // A light fixed to the camera moves over the object: rays into one environment do not hold.
+        let seen = match kind {
+            LightKind::World => light::visible(level, depths, rays_at, &scene),
+            LightKind::Camera => None,
+        };
+        let used = seen.is_some();
+        let light = seen.or_else(|| light::distant(level, depths, kind));
+        self.report.shading = match (used, light.is_some()) {
+            (true, _) => "light with visibility".to_owned(),
+            (false, true) => "distant light".to_owned(),
+            (false, false) => "no light could be fitted".to_owned(),
+        };
+        self.report.laps.push(LapReport {
+            level: at,
+            kind: format!(
+                "light, residual {:.4}{}",
+                light.as_ref().map_or(f64::NAN, Light::residual),
+                if ground.is_some() { ", ground" } else { "" }
+            ),
+            seconds: began.elapsed().as_secs_f64(),
+            ..LapReport::default()
+        });
+        Ok(light)
+    }
+
+    fn finer_light(&self, at: usize, light: &Light) -> Light {
+        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        Light {
+            harmonics: (0..fine.views.len())
+                .map(|i| light::spread(&coarse.views[i], &fine.views[i], &light.harmonics[i]))
+                .collect(),
+            residuals: light.residuals.clone(),
+        }
     }
 
     /// The surface at the next finer level.

@@ -5,6 +5,7 @@ use super::camera::Camera;
 use super::level::{Level, LevelView};
 use super::options::PhotoOptions;
 use super::rectify::Rectification;
+use super::surround::SmallPhoto;
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -34,6 +35,8 @@ pub(crate) struct Scene {
     pub masked: bool,
     /// For every view, the views it is compared with.
     pub sources: Vec<Vec<usize>>,
+    /// Whole photos, small.
+    pub small: Vec<SmallPhoto>,
 }
 
 /// Loads all posed views.
@@ -80,12 +83,15 @@ pub(crate) fn load(
             }
             let rectification = Rectification::new(intrinsics);
             let camera = Camera::new(&rectification.pinhole, &posed_view.cam_from_world);
-            let (view, corner) = if rectification.is_identity() {
-                LevelView::from_photo(&camera, &image, &mask, photo.clip_level)
-            } else {
-                let straight = rectification.straighten(&image, &mask);
-                LevelView::from_photo(&camera, &straight.0, &straight.1, photo.clip_level)
+            let straight =
+                (!rectification.is_identity()).then(|| rectification.straighten(&image, &mask));
+            let (pixels, straight_mask) = match &straight {
+                Some((pixels, straight_mask)) => (pixels, straight_mask),
+                None => (image.as_ref(), &mask),
             };
+            let small = SmallPhoto::new(&camera, pixels, straight_mask, photo.clip_level);
+            let (view, corner) =
+                LevelView::from_photo(&camera, pixels, straight_mask, photo.clip_level);
             if view.pixels.is_empty() {
                 return Err(ShadingError::EmptyMask {
                     view: posed_view.name.clone(),
@@ -100,13 +106,15 @@ pub(crate) fn load(
                 rectification,
                 mask,
             };
-            Ok((frame, view, photo.mask.is_some()))
+            Ok((frame, view, small, photo.mask.is_some()))
         })
         .collect::<Vec<_>>();
     let (mut frames, mut views, mut masked) = (Vec::new(), Vec::new(), true);
+    let mut small = Vec::new();
     for result in loaded {
-        let (frame, view, own_mask) = result?;
+        let (frame, view, small_photo, own_mask) = result?;
         frames.push(frame);
+        small.push(small_photo);
         views.push(view);
         masked &= own_mask;
     }
@@ -135,6 +143,7 @@ pub(crate) fn load(
         coarse,
         masked,
         sources,
+        small,
     })
 }
 

@@ -3,9 +3,11 @@
 //!
 //! * [`harmonics`]: the nine coefficients of eq. 1 in another frame, and their robust fit.
 //! * [`sphere`]: outline, normals, detection and position of a sphere in perspective.
+//! * [`visibility`]: lighting of every point from what it sees of the environment.
 //!
 //! Shared by stages 3 (metric scale), 4 (lighting) and 5 (per-pixel lighting).
 
 pub mod harmonics;
 mod robust;
 pub mod sphere;
+pub mod visibility;

@@ -1,0 +1,223 @@
+//! The environment's radiance, one value per direction and channel, from points whose intensity is
+//! known: `min_{L ≥ 0, b ≥ 0} Σ w² (T L + b B − I)² + λ Σ (L_k − L_k')²` over neighbouring directions.
+//!
+//! `T` is what a point sees, `B` what its surroundings send, `b` their common factor (the albedo over
+//! the one contained in `L`). Solved on the normal equations by cyclic coordinate descent with
+//! clipping at zero; robust weights are refined between solves.
+
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// One point with a known intensity.
+#[derive(Clone, Debug)]
+pub struct EnvironmentSample {
+    /// Weight of every direction, see [`super::Transfer::row`].
+    pub row: Vec<f32>,
+    /// What the surroundings send.
+    pub nearby: [f32; 3],
+    /// Observed intensity.
+    pub intensity: [f32; 3],
+    /// Relative weight of the sample.
+    pub weight: f32,
+}
+
+/// The environment that explains the samples.
+#[derive(Clone, Debug)]
+pub struct EnvironmentFit {
+    /// Radiance per direction, times albedo.
+    pub radiance: Vec<[f32; 3]>,
+    /// Factor of what the surroundings send.
+    pub bounce: [f32; 3],
+    /// Relative residual (RMS over the channels) of every sample.
+    pub residuals: Vec<f32>,
+}
+
+/// Rounds of robust re-weighting.
+const NUM_ROUNDS: usize = 3;
+/// Sweeps of coordinate descent; the smoothness keeps the system well conditioned.
+const NUM_SWEEPS: usize = 150;
+
+/// Fits the environment. `smoothness` is λ relative to the mean diagonal of `TᵀT`.
+///
+/// `None` without samples.
+pub fn fit_environment(
+    samples: &[EnvironmentSample],
+    directions: &[Vector3<f32>],
+    smoothness: f64,
+) -> Option<EnvironmentFit> {
+    let count = directions.len();
+    if samples.is_empty() {
+        return None;
+    }
+    let neighbours = neighbours(directions);
+    let inverse_mean: Vec<f64> = samples
+        .iter()
+        .map(|s| {
+            let mean = s.intensity.iter().map(|&v| f64::from(v)).sum::<f64>() / 3.0;
+            1.0 / mean.max(1e-5)
+        })
+        .collect();
+    let mut robust = vec![1.0_f64; samples.len()];
+    let mut fit = EnvironmentFit {
+        radiance: vec![[0.0; 3]; count],
+        bounce: [0.0; 3],
+        residuals: vec![0.0; samples.len()],
+    };
+    for _ in 0..NUM_ROUNDS {
+        let weights: Vec<f64> = samples
+            .iter()
+            .zip(&robust)
+            .zip(&inverse_mean)
+            .map(|((s, r), m)| f64::from(s.weight) * r * m * m)
+            .collect();
+        let normal = gram(samples, &weights, count);
+        let trace: f64 = (0..count).map(|k| normal[k * count + k]).sum();
+        let lambda = smoothness * trace / count as f64;
+        for channel in 0..3 {
+            solve_channel(
+                samples,
+                &weights,
+                &normal,
+                &neighbours,
+                lambda,
+                channel,
+                &mut fit,
+            );
+        }
+        for (i, sample) in samples.iter().enumerate() {
+            let mut sum = 0.0;
+            for c in 0..3 {
+                let light: f32 = sample
+                    .row
+                    .iter()
+                    .zip(&fit.radiance)
+                    .map(|(t, l)| t * l[c])
+                    .sum();
+                let r = light + fit.bounce[c] * sample.nearby[c] - sample.intensity[c];
+                sum += (f64::from(r) * inverse_mean[i]).powi(2) / 3.0;
+            }
+            fit.residuals[i] = sum.sqrt() as f32;
+        }
+        let mut sorted: Vec<f32> = fit.residuals.clone();
+        sorted.sort_unstable_by(f32::total_cmp);
+        // Huber at a little more than twice the median.
+        let knee = 2.25 * f64::from(sorted[sorted.len() / 2]).max(1e-6);
+        for (w, &r) in robust.iter_mut().zip(&fit.residuals) {
+            *w = (knee / f64::from(r).max(1e-9)).min(1.0);
+        }
+    }
+    Some(fit)
+}
+
+/// Six nearest directions of every direction.
+fn neighbours(directions: &[Vector3<f32>]) -> Vec<Vec<usize>> {
+    directions
+        .iter()
+        .enumerate()
+        .map(|(k, d)| {
+            let mut order: Vec<usize> = (0..directions.len()).filter(|&j| j != k).collect();
+            order.sort_by(|&a, &b| directions[b].dot(d).total_cmp(&directions[a].dot(d)));
+            order.truncate(6);
+            order
+        })
+        .collect()
+}
+
+/// `Σ w TᵀT`, summed over fixed chunks of samples.
+fn gram(samples: &[EnvironmentSample], weights: &[f64], count: usize) -> Vec<f64> {
+    const CHUNK: usize = 512;
+    let parts: Vec<Vec<f64>> = samples
+        .par_chunks(CHUNK)
+        .zip(weights.par_chunks(CHUNK))
+        .map(|(samples, weights)| {
+            let mut part = vec![0.0; count * count];
+            let mut seen = Vec::with_capacity(count);
+            for (sample, &w) in samples.iter().zip(weights) {
+                seen.clear();
+                seen.extend(
+                    sample
+                        .row
+                        .iter()
+                        .enumerate()
+                        .filter(|(_, t)| **t != 0.0)
+                        .map(|(k, &t)| (k, f64::from(t))),
+                );
+                for &(a, ta) in &seen {
+                    let row = &mut part[a * count..(a + 1) * count];
+                    for &(b, tb) in &seen {
+                        row[b] += w * ta * tb;
+                    }
+                }
+            }
+            part
+        })
+        .collect();
+    let mut total = vec![0.0; count * count];
+    for part in parts {
+        for (t, p) in total.iter_mut().zip(part) {
+            *t += p;
+        }
+    }
+    total
+}
+
+fn solve_channel(
+    samples: &[EnvironmentSample],
+    weights: &[f64],
+    normal: &[f64],
+    neighbours: &[Vec<usize>],
+    lambda: f64,
+    channel: usize,
+    fit: &mut EnvironmentFit,
+) {
+    let count = neighbours.len();
+    let (mut rhs, mut cross) = (vec![0.0; count], vec![0.0; count]);
+    let (mut bb, mut by) = (0.0, 0.0);
+    for (sample, &w) in samples.iter().zip(weights) {
+        let (b, y) = (
+            f64::from(sample.nearby[channel]),
+            f64::from(sample.intensity[channel]),
+        );
+        bb += w * b * b;
+        by += w * b * y;
+        for (k, &t) in sample.row.iter().enumerate() {
+            if t != 0.0 {
+                rhs[k] += w * f64::from(t) * y;
+                cross[k] += w * f64::from(t) * b;
+            }
+        }
+    }
+    // Every neighbour relation counts from both its ends.
+    let mut links = vec![Vec::new(); count];
+    for (k, list) in neighbours.iter().enumerate() {
+        for &j in list {
+            links[k].push(j);
+            links[j].push(k);
+        }
+    }
+    let mut x: Vec<f64> = fit.radiance.iter().map(|l| f64::from(l[channel])).collect();
+    let mut bounce = f64::from(fit.bounce[channel]);
+    for _ in 0..NUM_SWEEPS {
+        for k in 0..count {
+            let row = &normal[k * count..(k + 1) * count];
+            let mut g = rhs[k] - cross[k] * bounce;
+            let own = row[k] + lambda * links[k].len() as f64 + 1e-12;
+            for (h, v) in row.iter().zip(&x) {
+                g -= h * v;
+            }
+            g += row[k] * x[k];
+            for &j in &links[k] {
+                g += lambda * x[j];
+            }
+            x[k] = (g / own).max(0.0);
+        }
+        if bb > 0.0 {
+            let light: f64 = cross.iter().zip(&x).map(|(a, b)| a * b).sum();
+            bounce = ((by - light) / bb).max(0.0);
+        }
+    }
+    for (l, v) in fit.radiance.iter_mut().zip(x) {
+        l[channel] = v as f32;
+    }
+    fit.bounce[channel] = bounce as f32;
+}

@@ -1,0 +1,175 @@
+//! What arrives at a point: a set of environment directions that it sees, and a polynomial of its
+//! normal for what it meets instead.
+
+use super::HORIZON;
+use super::surroundings::Surroundings;
+use nalgebra::Vector3;
+
+/// Smallest sine of a ray's elevation over the surface: rays below are lifted to it.
+const LIFT: f32 = 0.05;
+
+/// `count` directions spread evenly over the sphere (Fibonacci lattice).
+pub fn directions(count: usize) -> Vec<Vector3<f32>> {
+    let golden = std::f64::consts::PI * (1.0 + 5.0_f64.sqrt());
+    (0..count)
+        .map(|k| {
+            let k = k as f64 + 0.5;
+            let cos = 1.0 - 2.0 * k / count as f64;
+            let sin = (1.0 - cos * cos).sqrt();
+            let phi = golden * k;
+            Vector3::new(
+                (phi.cos() * sin) as f32,
+                cos as f32,
+                (phi.sin() * sin) as f32,
+            )
+        })
+        .collect()
+}
+
+/// The transfer of one point.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transfer {
+    /// Bit `k` is set where direction `k` leads into the environment.
+    pub visible: Vec<u64>,
+    /// Normal for which the horizon was taken, world frame.
+    pub normal: Vector3<f32>,
+    /// Nine harmonics (world frame) per channel of what the surroundings send.
+    pub nearby: [[f32; 9]; 3],
+}
+
+/// Coefficients `(c0, c1, c2)` of `max(0, x) ≈ c0 + c1 x + c2 x²` around elevation `x`.
+#[inline]
+fn horizon(x: f32) -> Option<[f32; 3]> {
+    let h = HORIZON as f32;
+    if x >= h {
+        Some([0.0, 1.0, 0.0])
+    } else if x > -h {
+        Some([3.0 * h / 32.0, 0.5, 15.0 / (32.0 * h)])
+    } else {
+        None
+    }
+}
+
+/// Adds `scale (c0 + c1 n·d + c2 (n·d)²)` to harmonics of `n`.
+///
+/// `(n·d)²` in the basis of eq. 1, with `n1² + n2² + n3² = 1`: `n3² = (1 + b₈)/3`,
+/// `n1² + n2² = 1 − n3²`, `n1² − n2² = b₇`.
+#[inline]
+fn add(harmonics: &mut [f32; 9], d: &Vector3<f32>, c: [f32; 3], scale: f32) {
+    let s1 = scale * c[1];
+    harmonics[0] += s1 * d.x;
+    harmonics[1] += s1 * d.y;
+    harmonics[2] += s1 * d.z;
+    harmonics[3] += scale * c[0];
+    if c[2] != 0.0 {
+        let s2 = scale * c[2];
+        let (xx, yy, zz) = (d.x * d.x, d.y * d.y, d.z * d.z);
+        let mean = 0.5 * (xx + yy);
+        harmonics[3] += s2 * (mean + (zz - mean) / 3.0);
+        harmonics[4] += 2.0 * s2 * d.x * d.y;
+        harmonics[5] += 2.0 * s2 * d.x * d.z;
+        harmonics[6] += 2.0 * s2 * d.y * d.z;
+        harmonics[7] += 0.5 * s2 * (xx - yy);
+        harmonics[8] += s2 * (zz - mean) / 3.0;
+    }
+}
+
+/// Casts all rays of a point. `offset` lifts the start off the surface (world's unit).
+pub fn transfer(
+    surroundings: &Surroundings,
+    point: &Vector3<f32>,
+    normal: &Vector3<f32>,
+    directions: &[Vector3<f32>],
+    offset: f32,
+    from_sphere: bool,
+) -> Transfer {
+    let scale = 4.0 / directions.len() as f32;
+    let start = point + normal * offset;
+    let mut out = Transfer {
+        visible: vec![0; directions.len().div_ceil(64)],
+        normal: *normal,
+        nearby: [[0.0; 9]; 3],
+    };
+    for (k, d) in directions.iter().enumerate() {
+        let x = normal.dot(d);
+        let Some(c) = horizon(x) else { continue };
+        let ray = if x < LIFT {
+            (d + normal * (LIFT - x)).normalize()
+        } else {
+            *d
+        };
+        match surroundings.cast(&start, &ray, from_sphere) {
+            Some(radiance) => {
+                for (harmonics, value) in out.nearby.iter_mut().zip(radiance) {
+                    add(harmonics, d, c, scale * value);
+                }
+            }
+            None => out.visible[k / 64] |= 1 << (k % 64),
+        }
+    }
+    out
+}
+
+impl Transfer {
+    /// Harmonics (world frame) of everything that arrives: `environment` holds a radiance per
+    /// direction, `bounce` scales what the surroundings send.
+    pub fn harmonics(
+        &self,
+        directions: &[Vector3<f32>],
+        environment: &[[f32; 3]],
+        bounce: [f32; 3],
+    ) -> [[f32; 9]; 3] {
+        let scale = 4.0 / directions.len() as f32;
+        let mut out = self.nearby;
+        for (harmonics, b) in out.iter_mut().zip(bounce) {
+            harmonics.iter_mut().for_each(|v| *v *= b);
+        }
+        for (k, d) in directions.iter().enumerate() {
+            if self.visible[k / 64] & (1 << (k % 64)) == 0 {
+                continue;
+            }
+            if let Some(c) = horizon(self.normal.dot(d)) {
+                for (harmonics, &l) in out.iter_mut().zip(&environment[k]) {
+                    add(harmonics, d, c, scale * l);
+                }
+            }
+        }
+        out
+    }
+
+    /// Weight of every environment direction in the point's intensity at its normal.
+    pub fn row(&self, directions: &[Vector3<f32>]) -> Vec<f32> {
+        let scale = 4.0 / directions.len() as f32;
+        directions
+            .iter()
+            .enumerate()
+            .map(|(k, d)| {
+                let x = self.normal.dot(d);
+                match horizon(x) {
+                    Some(c) if self.visible[k / 64] & (1 << (k % 64)) != 0 => {
+                        scale * (c[0] + x * (c[1] + x * c[2]))
+                    }
+                    _ => 0.0,
+                }
+            })
+            .collect()
+    }
+
+    /// What the surroundings send at the point's normal.
+    pub fn nearby_intensity(&self) -> [f32; 3] {
+        let n = self.normal;
+        let h = [
+            n.x,
+            n.y,
+            n.z,
+            1.0,
+            n.x * n.y,
+            n.x * n.z,
+            n.y * n.z,
+            n.x * n.x - n.y * n.y,
+            3.0 * n.z * n.z - 1.0,
+        ];
+        self.nearby
+            .map(|l| l.iter().zip(&h).map(|(a, b)| a * b).sum())
+    }
+}
