@@ -1,28 +1,137 @@
 //! Stage 6: depth and normal maps of all views to one oriented point cloud and a mesh.
+//!
+//! In: posed views, their depth and normal maps, the photos (for colour). Out: a [`FusedCloud`] and
+//! a [`FusionReport`].
+//!
+//! 1. [`views`]: maps are checked; borders, depth edges and grazing surface are left out.
+//! 2. [`pairs`], [`reconcile`]: how far the views lie apart, and a joint robust adjustment of the
+//!    smooth part of it.
+//! 3. [`points`], [`color`]: every piece of surface once, from the view that resolves it best, at
+//!    the mean of the views that agree.
+//! 4. [`tsdf`], [`surface`], [`holes`]: signed distances of all views, their zero set as a mesh.
+//!
+//! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
+//! a statue.
 
+mod color;
 mod error;
+mod holes;
 mod options;
+mod pairs;
+mod points;
+mod reconcile;
 mod report;
+mod surface;
+mod tsdf;
+mod views;
 
 pub use error::FusionError;
 pub use options::{ColorMode, FusionOptions};
 pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
 
-use rilievo_scene::{FusedCloud, Observer, PhotoSet, PosedViews, ShadedViews};
+use color::ColorSource;
+use rilievo_scene::{
+    Event, Flow, FusedCloud, Mesh, Observer, PhotoSet, PointCloud, PosedViews, ShadedViews, StageId,
+};
 
-/// Fuses the views.
+/// Views that each view is compared with for offsets: more only repeat what these say.
+const NUM_NEIGHBOURS: usize = 4;
+/// Smooth distance between views, in footprints, from which the layers show.
+const VISIBLE_LAYERING_PX: f64 = 1.0;
+
+/// Fuses the views. `photos` may lack some or all photos of the views: their points are grey then.
 ///
 /// # Errors
 /// See [`FusionError`].
 pub fn run(
-    _photos: &PhotoSet,
-    _posed: &PosedViews,
+    photos: &PhotoSet,
+    posed: &PosedViews,
     shaded: &ShadedViews,
     options: &FusionOptions,
-    _observer: &dyn Observer,
+    observer: &dyn Observer,
 ) -> Result<(FusedCloud, FusionReport), FusionError> {
     options.validate()?;
-    Err(FusionError::NoDepth {
-        num_views: shaded.views.len(),
-    })
+    let mut report = FusionReport::default();
+    let warn = |report: &mut FusionReport, message: String| {
+        let flow = observer.event(Event::Warning {
+            stage: StageId::Fusion,
+            message: message.clone(),
+        });
+        report.warnings.push(message);
+        match flow {
+            Flow::Stop => Err(FusionError::Interrupted),
+            Flow::Continue => Ok(()),
+        }
+    };
+
+    let (mut views, mut view_reports) = views::prepare(posed, shaded, options)?;
+    if views.len() < options.min_num_views {
+        let message = format!(
+            "only {} view has depth: nothing confirms its points",
+            views.len()
+        );
+        warn(&mut report, message)?;
+    }
+
+    let neighbours = pairs::neighbours(&views, NUM_NEIGHBOURS);
+    let outcome = reconcile::reconcile(&mut views, &neighbours, options, observer)?;
+    report.layering_before = outcome.before;
+    report.layering_after = outcome.after;
+    report.reconcile_iterations = outcome.num_laps;
+    for (view, rms) in view_reports.iter_mut().zip(outcome.correction_rms) {
+        view.correction_rms = rms;
+    }
+    if outcome.after.smooth_rms > VISIBLE_LAYERING_PX * outcome.after.footprint {
+        let message = format!(
+            "the views' surfaces lie {:.2} pixel footprints apart on average, more than fusion \
+             can mend: look at the poses",
+            outcome.after.smooth_rms / outcome.after.footprint
+        );
+        warn(&mut report, message)?;
+    }
+
+    let colors = ColorSource::new(photos, posed, shaded, &views, options)?;
+    if colors.num_missing() > 0 {
+        let message = format!(
+            "{} of {} views have no photo: their share of the colours is missing",
+            colors.num_missing(),
+            views.len()
+        );
+        warn(&mut report, message)?;
+    }
+    let points = points::gather(
+        &views,
+        &colors,
+        &outcome.after,
+        options,
+        &mut view_reports,
+        observer,
+    )?;
+    drop(colors);
+    report.num_points = points.len();
+    report.mean_num_views =
+        points.iter().map(|p| f64::from(p.num_views)).sum::<f64>() / points.len() as f64;
+    report.views = view_reports;
+
+    let mut mesh = Mesh::default();
+    if options.mesh {
+        if let Some(volume) = tsdf::integrate(&views, options, observer)? {
+            let (extracted, mesh_report) = surface::extract(&volume, &points, options, observer)?;
+            mesh = extracted;
+            if mesh_report.coarsened_by > 1.0 {
+                let message = format!(
+                    "the mesh's cells are {:.2} times larger than asked for, to stay within {} \
+                     MiB; raise memory_mib for more detail",
+                    mesh_report.coarsened_by, options.memory_mib
+                );
+                warn(&mut report, message)?;
+            }
+            report.mesh = Some(mesh_report);
+        }
+    }
+    let fused = FusedCloud {
+        cloud: PointCloud { points },
+        mesh,
+    };
+    Ok((fused, report))
 }

@@ -1,0 +1,104 @@
+//! Closes a mesh where nothing was seen: every boundary loop gets a lid.
+//!
+//! A loop of boundary edges is filled with a fan of triangles around its centroid. The lid says
+//! nothing about the object; it only makes the mesh a solid that programs for printing accept.
+
+use rilievo_scene::Mesh;
+use std::collections::BTreeMap;
+
+/// Adds lids to all boundary loops.
+pub(crate) fn close(mesh: &mut Mesh) {
+    // A directed edge without its opposite is a boundary; a lid needs the opposite direction.
+    let mut edges: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    for t in &mesh.triangles {
+        for k in 0..3 {
+            *edges.entry((t[k], t[(k + 1) % 3])).or_default() += 1;
+        }
+    }
+    let mut next: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for &(a, b) in edges.keys() {
+        if !edges.contains_key(&(b, a)) {
+            next.entry(b).or_default().push(a);
+        }
+    }
+    // Where loops touch in a vertex, any successor leads along some closed loop.
+    while let Some((&start, _)) = next.first_key_value() {
+        let mut ring = vec![start];
+        let mut at = start;
+        loop {
+            let Some(successors) = next.get_mut(&at) else {
+                break;
+            };
+            let to = successors.pop();
+            if successors.is_empty() {
+                next.remove(&at);
+            }
+            match to {
+                Some(to) if to != start => {
+                    ring.push(to);
+                    at = to;
+                }
+                _ => break,
+            }
+        }
+        fan(mesh, &ring);
+    }
+}
+
+fn fan(mesh: &mut Mesh, ring: &[u32]) {
+    if ring.len() < 3 {
+        return;
+    }
+    if let [a, b, c] = *ring {
+        mesh.triangles.push([a, b, c]);
+        return;
+    }
+    let mut center = [0.0_f64; 3];
+    for &v in ring {
+        for (sum, c) in center.iter_mut().zip(mesh.vertices[v as usize]) {
+            *sum += f64::from(c) / ring.len() as f64;
+        }
+    }
+    let hub = mesh.vertices.len() as u32;
+    mesh.vertices.push(center.map(|c| c as f32));
+    for k in 0..ring.len() {
+        mesh.triangles.push([ring[k], ring[(k + 1) % ring.len()], hub]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Boundary edges of a mesh.
+    fn num_open(mesh: &Mesh) -> usize {
+        let edges: std::collections::BTreeSet<(u32, u32)> = mesh
+            .triangles
+            .iter()
+            .flat_map(|t| (0..3).map(|k| (t[k], t[(k + 1) % 3])))
+            .collect();
+        edges.iter().filter(|(a, b)| !edges.contains(&(*b, *a))).count()
+    }
+
+    #[test]
+    fn a_cube_without_two_faces_is_closed() {
+        let vertices = (0..8)
+            .map(|i| [(i & 1) as f32, (i >> 1 & 1) as f32, (i >> 2) as f32])
+            .collect();
+        // Four sides, top and bottom missing.
+        let sides = [[0, 1, 5, 4], [1, 3, 7, 5], [3, 2, 6, 7], [2, 0, 4, 6]];
+        let triangles = sides
+            .iter()
+            .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
+            .collect();
+        let mut mesh = Mesh {
+            vertices,
+            triangles,
+            ..Mesh::default()
+        };
+        assert_eq!(num_open(&mesh), 8);
+        close(&mut mesh);
+        assert_eq!(num_open(&mesh), 0);
+        assert_eq!(mesh.triangles.len(), 8 + 8);
+    }
+}

@@ -1,0 +1,238 @@
+//! Where two views see one piece of surface, and how far apart they see it.
+//!
+//! A pixel of view `i` with point `X` and normal `n` meets the surface of view `j` along `j`'s ray
+//! in `Y`; their distance along the mean normal is `d = n·(Y − X)`, positive where `j` lies
+//! further out.
+
+use crate::options::FusionOptions;
+use crate::report::Layering;
+use crate::views::View;
+use nalgebra::{Point3, Vector3};
+use rayon::prelude::*;
+use rilievo_numerics::robust::quantile;
+
+/// Two sightings of one surface point.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Pair {
+    /// Views, indices into the fused ones.
+    pub views: [u16; 2],
+    /// Pixels in them.
+    pub pixels: [[f32; 2]; 2],
+    /// Distance along the normal, world's unit.
+    pub distance: f64,
+    /// Change of the distance with the logarithms of the two depths.
+    pub slopes: [f64; 2],
+    /// Mean pixel footprint, world's unit.
+    pub footprint: f64,
+}
+
+/// How another view sees a point.
+pub(crate) enum Sight {
+    /// Outside its map, or turned away.
+    Nothing,
+    /// Something nearer hides the point.
+    Hidden,
+    /// The view looks through the point at something farther.
+    SeenThrough,
+    /// One surface.
+    Same {
+        /// Distance along the mean normal, world's unit.
+        distance: f64,
+        /// Normal there, world frame.
+        normal: Vector3<f64>,
+        /// Cosine between that normal and the ray back to the camera.
+        cosine: f64,
+        footprint: f64,
+        confidence: f64,
+    },
+}
+
+/// A point with what fusion needs of it, world frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Candidate {
+    pub point: Point3<f64>,
+    pub normal: Vector3<f64>,
+    pub footprint: f64,
+}
+
+/// Compares a point with the surface of a view, within `tolerance` (world's unit) along the normal.
+#[inline]
+pub(crate) fn look(
+    view: &View,
+    candidate: &Candidate,
+    tolerance: f64,
+    min_normal_cosine: f64,
+) -> Sight {
+    let in_cam = view.pose.apply(&candidate.point);
+    if in_cam.z <= 0.0 {
+        return Sight::Nothing;
+    }
+    let Some(seen) = view.along(&in_cam) else {
+        return Sight::Nothing;
+    };
+    let ray = view.to_world(&(in_cam.coords / in_cam.z));
+    let normal = view.to_world(&seen.normal);
+    let gap = seen.depth - in_cam.z;
+    let mean = candidate.normal + normal;
+    let length = mean.norm();
+    // Opposite normals have no mean; the surface's own decides how far apart they lie.
+    let direction = if length > 0.2 { mean / length } else { normal };
+    let distance = direction.dot(&ray) * gap;
+    if distance.abs() <= tolerance {
+        if candidate.normal.dot(&normal) < min_normal_cosine {
+            return Sight::Nothing;
+        }
+        return Sight::Same {
+            distance,
+            normal,
+            cosine: -normal.dot(&ray) / ray.norm(),
+            footprint: view.footprint(seen.depth),
+            confidence: seen.confidence,
+        };
+    }
+    if gap < 0.0 {
+        Sight::Hidden
+    } else if gap > 2.0 * tolerance.max(candidate.footprint) {
+        Sight::SeenThrough
+    } else {
+        Sight::Nothing
+    }
+}
+
+/// For every view the others that look from nearby directions, nearest first.
+pub(crate) fn neighbours(views: &[View], max_num: usize) -> Vec<Vec<usize>> {
+    let directions: Vec<Vector3<f64>> = views
+        .iter()
+        .map(|v| v.to_world(&Vector3::z()))
+        .collect();
+    (0..views.len())
+        .map(|i| {
+            let mut others: Vec<usize> = (0..views.len())
+                .filter(|&j| j != i && directions[i].dot(&directions[j]) > 0.0)
+                .collect();
+            others.sort_by(|&a, &b| {
+                let towards = |j: usize| directions[i].dot(&directions[j]);
+                towards(b).total_cmp(&towards(a)).then(a.cmp(&b))
+            });
+            others.truncate(max_num);
+            others
+        })
+        .collect()
+}
+
+/// Pairs of pixels on a grid of `stride` pixels, in the order of views, rows and columns.
+pub(crate) fn find_pairs(
+    views: &[View],
+    neighbours: &[Vec<usize>],
+    stride: usize,
+    options: &FusionOptions,
+) -> Vec<Pair> {
+    let min_normal_cosine = options.normal_tolerance_deg.to_radians().cos();
+    let rows: Vec<(usize, usize)> = views
+        .iter()
+        .enumerate()
+        .flat_map(|(i, v)| {
+            (stride / 2..v.depth.height)
+                .step_by(stride)
+                .map(move |y| (i, y))
+        })
+        .collect();
+    rows.par_iter()
+        .map(|&(i, y)| {
+            let view = &views[i];
+            let mut pairs = Vec::new();
+            for x in (stride / 2..view.depth.width).step_by(stride) {
+                let Some(surface) = view.at(x, y) else {
+                    continue;
+                };
+                let candidate = Candidate {
+                    point: view.point_to_world(&(view.ray(x, y) * surface.depth)),
+                    normal: view.to_world(&surface.normal),
+                    footprint: view.footprint(surface.depth),
+                };
+                for &j in &neighbours[i] {
+                    let other = &views[j];
+                    let tolerance = options.reconcile_max_offset_px * candidate.footprint;
+                    let Sight::Same {
+                        distance,
+                        normal,
+                        footprint,
+                        ..
+                    } = look(other, &candidate, tolerance, min_normal_cosine)
+                    else {
+                        continue;
+                    };
+                    let in_other = other.pose.apply(&candidate.point);
+                    let Some(pixel) = other.camera.project(&in_other) else {
+                        continue;
+                    };
+                    let mean = (candidate.normal + normal).normalize();
+                    pairs.push(Pair {
+                        views: [i as u16, j as u16],
+                        pixels: [
+                            [x as f32, y as f32],
+                            [pixel.x as f32, pixel.y as f32],
+                        ],
+                        distance,
+                        slopes: [
+                            -mean.dot(&(candidate.point - view.center)),
+                            mean.dot(&(candidate.point - other.center)),
+                        ],
+                        footprint: 0.5 * (candidate.footprint + footprint),
+                    });
+                }
+            }
+            pairs
+        })
+        .collect::<Vec<_>>()
+        .concat()
+}
+
+/// Samples in a window below which its mean says nothing about an offset.
+const MIN_WINDOW: usize = 8;
+
+/// Statistics of the distances; `window_px` is the size of the windows of the smooth part.
+pub(crate) fn layering(pairs: &[Pair], window_px: f64) -> Layering {
+    if pairs.is_empty() {
+        return Layering::default();
+    }
+    let num = pairs.len() as f64;
+    let mut distances: Vec<f64> = pairs.iter().map(|p| p.distance.abs()).collect();
+    let rms = (distances.iter().map(|d| d * d).sum::<f64>() / num).sqrt();
+    let mut windows: Vec<([u32; 4], f64)> = pairs
+        .iter()
+        .map(|p| {
+            let cell = |c: f32| (f64::from(c) / window_px) as u32;
+            let key = [
+                p.views[0].into(),
+                p.views[1].into(),
+                cell(p.pixels[0][1]),
+                cell(p.pixels[0][0]),
+            ];
+            (key, p.distance)
+        })
+        .collect();
+    // A stable sort keeps the order of the sums.
+    windows.sort_by_key(|w| w.0);
+    let (mut square, mut weight) = (0.0, 0.0);
+    for window in windows.chunk_by(|a, b| a.0 == b.0) {
+        if window.len() >= MIN_WINDOW {
+            let count = window.len() as f64;
+            let mean = window.iter().map(|w| w.1).sum::<f64>() / count;
+            square += mean * mean * count;
+            weight += count;
+        }
+    }
+    Layering {
+        num_pairs: pairs.len(),
+        rms,
+        median: quantile(&mut distances, 0.5).unwrap_or_default(),
+        p90: quantile(&mut distances, 0.9).unwrap_or_default(),
+        smooth_rms: if weight > 0.0 {
+            (square / weight).sqrt()
+        } else {
+            0.0
+        },
+        footprint: pairs.iter().map(|p| p.footprint).sum::<f64>() / num,
+    }
+}

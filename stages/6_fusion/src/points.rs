@@ -1,0 +1,230 @@
+//! The cloud: every piece of surface once, from the view that resolves it best.
+//!
+//! A pixel's point `X` with normal `n` is compared with every other view ([`crate::pairs`]). It is
+//! kept when enough views see the same surface and no more look through it than agree; its
+//! position is the mean of the agreeing surfaces along the normal,
+//! `X + n Σ w_j d_j / Σ w_j` with `w = c cos²θ / a²` (confidence, angle of incidence, pixel
+//! footprint), its normal their mean with the same weights. It is emitted by the view with the
+//! most pixels per area, `cosθ / a²`; the others leave it out.
+//!
+//! The tolerance follows the data: four robust standard deviations of the distances between the
+//! views, widened where confidence is low, between one footprint and `depth_tolerance_px`.
+
+use crate::color::ColorSource;
+use crate::error::FusionError;
+use crate::options::FusionOptions;
+use crate::pairs::{Candidate, Sight, look};
+use crate::report::{Layering, ViewFusion};
+use crate::views::View;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use rilievo_numerics::robust::SIGMA_FROM_MAD;
+use rilievo_scene::{CloudPoint, Event, Flow, Observer, StageId};
+
+/// Standard deviations between views that still count as agreement.
+const NUM_SIGMAS: f64 = 4.0;
+/// Tolerance never falls below this, footprints: interpolation between pixels errs by less.
+const MIN_TOLERANCE_PX: f64 = 1.0;
+
+enum Verdict {
+    Empty,
+    /// Too few views agree, or others see through it.
+    Inconsistent,
+    /// Another view resolves it better.
+    Elsewhere,
+    Keep(CloudPoint),
+}
+
+/// Tolerance in footprints for points of full confidence.
+fn tolerance_px(layering: &Layering, options: &FusionOptions) -> f64 {
+    let spread = if layering.footprint > 0.0 {
+        SIGMA_FROM_MAD * layering.median / layering.footprint
+    } else {
+        0.0
+    };
+    (NUM_SIGMAS * spread).clamp(
+        MIN_TOLERANCE_PX.min(options.depth_tolerance_px),
+        options.depth_tolerance_px,
+    )
+}
+
+/// Gathers the points of all views, in the order of views and pixels.
+pub(crate) fn gather(
+    views: &[View],
+    colors: &ColorSource,
+    layering: &Layering,
+    options: &FusionOptions,
+    reports: &mut [ViewFusion],
+    observer: &dyn Observer,
+) -> Result<Vec<CloudPoint>, FusionError> {
+    // A single view has nobody to agree with.
+    let min_num_views = options.min_num_views.min(views.len());
+    let tolerance = tolerance_px(layering, options);
+    let mut points = Vec::new();
+    let mut num_candidates = 0;
+    for (i, view) in views.iter().enumerate() {
+        let flow = observer.event(Event::Progress {
+            stage: StageId::Fusion,
+            step: "gathering points".into(),
+            done: i,
+            total: views.len(),
+        });
+        if flow == Flow::Stop {
+            return Err(FusionError::Interrupted);
+        }
+        let rows: Vec<(Vec<CloudPoint>, usize, usize)> = (0..view.depth.height)
+            .into_par_iter()
+            .map(|y| {
+                let mut kept = Vec::new();
+                let (mut tried, mut inconsistent) = (0, 0);
+                for x in 0..view.depth.width {
+                    let verdict =
+                        judge(views, i, x, y, colors, tolerance, min_num_views, options);
+                    match verdict {
+                        Verdict::Empty => continue,
+                        Verdict::Inconsistent => inconsistent += 1,
+                        Verdict::Elsewhere => {}
+                        Verdict::Keep(point) => kept.push(point),
+                    }
+                    tried += 1;
+                }
+                (kept, tried, inconsistent)
+            })
+            .collect();
+        let report = &mut reports[i];
+        for (kept, tried, inconsistent) in rows {
+            num_candidates += tried;
+            report.num_inconsistent += inconsistent;
+            report.num_points += kept.len();
+            points.extend(kept);
+        }
+    }
+    if points.is_empty() {
+        return Err(FusionError::NothingAgrees {
+            num_candidates,
+            min_num_views,
+            tolerance_px: tolerance,
+        });
+    }
+    if options.spacing > 0.0 {
+        points = thin(points, options.spacing);
+    }
+    Ok(points)
+}
+
+#[allow(clippy::too_many_arguments)]
+fn judge(
+    views: &[View],
+    idx: usize,
+    x: usize,
+    y: usize,
+    colors: &ColorSource,
+    tolerance_px: f64,
+    min_num_views: usize,
+    options: &FusionOptions,
+) -> Verdict {
+    let view = &views[idx];
+    let Some(surface) = view.at(x, y) else {
+        return Verdict::Empty;
+    };
+    let ray = view.ray(x, y);
+    let candidate = Candidate {
+        point: view.point_to_world(&(ray * surface.depth)),
+        normal: view.to_world(&surface.normal),
+        footprint: view.footprint(surface.depth),
+    };
+    let min_normal_cosine = options.normal_tolerance_deg.to_radians().cos();
+    let widened = tolerance_px / surface.confidence.sqrt();
+    let tolerance = widened.min(options.depth_tolerance_px) * candidate.footprint;
+
+    let weight_of = |confidence: f64, cosine: f64, footprint: f64| {
+        confidence * (cosine * cosine).max(1e-4) / (footprint * footprint)
+    };
+    let own_cosine = -surface.normal.dot(&ray) / ray.norm();
+    let own_weight = weight_of(surface.confidence, own_cosine, candidate.footprint);
+    let own_density = own_cosine / (candidate.footprint * candidate.footprint);
+    let (mut num_agree, mut num_through) = (1_usize, 0_usize);
+    let (mut offset, mut weights) = (0.0, own_weight);
+    let (mut square, mut confidence) = (0.0, own_weight * surface.confidence);
+    let mut normal = candidate.normal * own_weight;
+    let mut is_best = true;
+    for (j, other) in views.iter().enumerate() {
+        if j == idx {
+            continue;
+        }
+        match look(other, &candidate, tolerance, min_normal_cosine) {
+            Sight::Same {
+                distance,
+                normal: other_normal,
+                cosine,
+                footprint,
+                confidence: c,
+            } => {
+                let weight = weight_of(c, cosine, footprint);
+                num_agree += 1;
+                offset += weight * distance;
+                square += weight * distance * distance;
+                weights += weight;
+                confidence += weight * c;
+                normal += other_normal * weight;
+                let density = cosine / (footprint * footprint);
+                // Ties go to the first view, so that exactly one emits the point.
+                is_best &= density < own_density || (density == own_density && j > idx);
+            }
+            Sight::SeenThrough => num_through += 1,
+            Sight::Nothing | Sight::Hidden => {}
+        }
+    }
+    if num_agree < min_num_views || num_through >= num_agree {
+        return Verdict::Inconsistent;
+    }
+    if !is_best {
+        return Verdict::Elsewhere;
+    }
+    let normal = normal.normalize();
+    let mean_offset = offset / weights;
+    let position = candidate.point + candidate.normal * mean_offset;
+    // How likely the point is right: confidence of its pixels, number of independent sightings,
+    // and how well they agree.
+    let spread = (square / weights - mean_offset * mean_offset).max(0.0).sqrt() / tolerance;
+    let confidence = confidence / weights
+        * (1.0 - 0.5_f64.powi(num_agree as i32))
+        * (-0.5 * spread * spread).exp();
+    Verdict::Keep(CloudPoint {
+        position: position.coords.map(|c| c as f32).into(),
+        normal: normal.map(|c| c as f32).into(),
+        color: colors.color(views, idx, &position, tolerance.max(2.0 * candidate.footprint)),
+        confidence: confidence as f32,
+        num_views: num_agree.min(255) as u8,
+    })
+}
+
+/// One point, the most confident, in every cube of edge `spacing`.
+fn thin(points: Vec<CloudPoint>, spacing: f64) -> Vec<CloudPoint> {
+    let cell = |p: &CloudPoint| p.position.map(|c| (f64::from(c) / spacing).floor() as i64);
+    let mut order: Vec<usize> = (0..points.len()).collect();
+    order.sort_by(|&a, &b| {
+        cell(&points[a])
+            .cmp(&cell(&points[b]))
+            .then(points[b].confidence.total_cmp(&points[a].confidence))
+            .then(a.cmp(&b))
+    });
+    order.dedup_by(|a, b| cell(&points[*a]) == cell(&points[*b]));
+    order.sort_unstable();
+    order.into_iter().map(|i| points[i]).collect()
+}
+
+/// Mean of the points' normals and colours around a place, by nearness.
+pub(crate) fn blend(points: &[CloudPoint], nearest: &[(usize, f64)]) -> (Vector3<f32>, [u8; 3]) {
+    let scale = nearest.iter().map(|n| n.1).fold(0.0, f64::max).max(1e-300);
+    let (mut normal, mut color, mut sum) = (Vector3::zeros(), Vector3::<f64>::zeros(), 0.0);
+    for &(i, square) in nearest {
+        let point = &points[i];
+        let weight = f64::from(point.confidence).max(0.01) * (1.05 - square / scale);
+        normal += Vector3::from(point.normal.map(f64::from)) * weight;
+        color += Vector3::from(point.color.map(f64::from)) * weight;
+        sum += weight;
+    }
+    let color = (color / sum).map(|c| c.round() as u8);
+    (normal.normalize().map(|c| c as f32), color.into())
+}

@@ -1,0 +1,308 @@
+//! The views as fusion sees them: cleaned maps with their cameras, and surface between pixels.
+//!
+//! Between four pixels `k` with bilinear weights `b_k`, inverse depths `w_k` and normals `n_k`, the
+//! inverse depth along a ray `r` is the mean of two interpolants,
+//! `½ Σ b_k w_k + ½ Σ b_k w_k (n_k·r)/(n_k·r_k)`: the chord of the depths and the blend of the
+//! tangent planes. On a curve their errors are `±κ t(1−t)/2`, so that the mean is the cubic
+//! Hermite interpolant, exact to third order. Planes are exact in both.
+
+use crate::error::FusionError;
+use crate::options::FusionOptions;
+use crate::report::ViewFusion;
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
+use rayon::prelude::*;
+use rilievo_scene::{
+    ConfidenceMap, DepthMap, Intrinsics, NormalMap, PosedViews, Raster, RigidTransform, ShadedView,
+    ShadedViews,
+};
+
+/// A view with its cleaned maps.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    /// Index into the posed views.
+    pub posed_idx: usize,
+    pub camera: Intrinsics,
+    pub pose: RigidTransform,
+    pub world_from_cam: Matrix3<f64>,
+    pub center: Point3<f64>,
+    /// Depth, 0 where there is none or none to trust.
+    pub depth: DepthMap,
+    /// Normals, camera frame.
+    pub normal: NormalMap,
+    pub confidence: Option<ConfidenceMap>,
+    /// Normalised coordinates of the pixels of a distorting lens.
+    rays: Option<Raster<[f32; 2]>>,
+}
+
+/// A point of a view's surface.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Surface {
+    pub depth: f64,
+    /// Unit normal, camera frame.
+    pub normal: Vector3<f64>,
+    pub confidence: f64,
+}
+
+/// Confidence below which a pixel still counts as this much: no pixel is worth nothing.
+const MIN_CONFIDENCE: f64 = 0.05;
+/// Slope of an edge against the steepest surface that is kept: noise must not cut slopes.
+const EDGE_FACTOR: f64 = 1.5;
+
+impl View {
+    /// Ray of an integer pixel, `z = 1`.
+    #[inline]
+    pub fn ray(&self, x: usize, y: usize) -> Vector3<f64> {
+        match &self.rays {
+            Some(rays) => {
+                let [u, v] = *rays.at(x, y);
+                Vector3::new(u.into(), v.into(), 1.0)
+            }
+            None => Vector3::new(
+                (x as f64 - self.camera.cx) / self.camera.fx,
+                (y as f64 - self.camera.cy) / self.camera.fy,
+                1.0,
+            ),
+        }
+    }
+
+    /// Size of a pixel on a surface at a depth that faces the camera, world's unit.
+    #[inline]
+    pub fn footprint(&self, depth: f64) -> f64 {
+        depth / self.camera.focal_px()
+    }
+
+    /// Direction from the camera frame to the world.
+    #[inline]
+    pub fn to_world(&self, direction_in_cam: &Vector3<f64>) -> Vector3<f64> {
+        self.world_from_cam * direction_in_cam
+    }
+
+    /// World point of a camera-frame point.
+    #[inline]
+    pub fn point_to_world(&self, in_cam: &Vector3<f64>) -> Point3<f64> {
+        self.center + self.world_from_cam * in_cam
+    }
+
+    #[inline]
+    fn confidence_at(&self, x: usize, y: usize) -> f64 {
+        self.confidence.as_ref().map_or(1.0, |c| {
+            f64::from(*c.at(x, y)).clamp(MIN_CONFIDENCE, 1.0)
+        })
+    }
+
+    /// The surface at an integer pixel.
+    #[inline]
+    pub fn at(&self, x: usize, y: usize) -> Option<Surface> {
+        let depth = *self.depth.at(x, y);
+        if depth <= 0.0 {
+            return None;
+        }
+        Some(Surface {
+            depth: depth.into(),
+            normal: Vector3::from(self.normal.at(x, y).map(f64::from)),
+            confidence: self.confidence_at(x, y),
+        })
+    }
+
+    /// The surface along the ray through a point in the camera frame; `None` outside the map.
+    #[inline]
+    pub fn along(&self, in_cam: &Point3<f64>) -> Option<Surface> {
+        let pixel = self.camera.project(in_cam)?;
+        let (x0, y0) = (pixel.x.floor(), pixel.y.floor());
+        if x0 < 0.0
+            || y0 < 0.0
+            || x0 + 1.0 >= self.depth.width as f64
+            || y0 + 1.0 >= self.depth.height as f64
+        {
+            return None;
+        }
+        let (fx, fy) = (pixel.x - x0, pixel.y - y0);
+        let (x, y) = (x0 as usize, y0 as usize);
+        let ray = in_cam.coords / in_cam.z;
+        let (mut chord, mut planes, mut confidence) = (0.0, 0.0, 0.0);
+        let mut normal = Vector3::zeros();
+        for (dx, dy, weight) in [
+            (0, 0, (1.0 - fx) * (1.0 - fy)),
+            (1, 0, fx * (1.0 - fy)),
+            (0, 1, (1.0 - fx) * fy),
+            (1, 1, fx * fy),
+        ] {
+            let corner = self.at(x + dx, y + dy)?;
+            let inverse = weight / corner.depth;
+            chord += inverse;
+            planes += inverse * corner.normal.dot(&ray)
+                / corner.normal.dot(&self.ray(x + dx, y + dy));
+            normal += corner.normal * weight;
+            confidence += corner.confidence * weight;
+        }
+        // Normals that contradict the depths by a pixel footprint have nothing to add to them.
+        let mean = if (planes / chord - 1.0).abs() * self.camera.focal_px() < 1.0 {
+            0.5 * (chord + planes)
+        } else {
+            chord
+        };
+        Some(Surface {
+            depth: 1.0 / mean,
+            normal: normal.normalize(),
+            confidence,
+        })
+    }
+}
+
+/// Checks and cleans the maps of all views.
+pub(crate) fn prepare(
+    posed: &PosedViews,
+    shaded: &ShadedViews,
+    options: &FusionOptions,
+) -> Result<(Vec<View>, Vec<ViewFusion>), FusionError> {
+    let mut views = Vec::new();
+    let mut reports = Vec::new();
+    for maps in &shaded.views {
+        let (view, report) = clean(posed, maps, options)?;
+        views.push(view);
+        reports.push(report);
+    }
+    if reports.iter().all(|r| r.num_depths == 0) {
+        return Err(FusionError::NoDepth {
+            num_views: views.len(),
+        });
+    }
+    Ok((views, reports))
+}
+
+fn clean(
+    posed: &PosedViews,
+    maps: &ShadedView,
+    options: &FusionOptions,
+) -> Result<(View, ViewFusion), FusionError> {
+    let camera_of = posed
+        .views
+        .get(maps.view.0)
+        .ok_or_else(|| FusionError::NoCamera {
+            view: maps.name.clone(),
+            view_idx: maps.view.0,
+            num_posed: posed.views.len(),
+        })?;
+    let camera = camera_of.intrinsics;
+    let expected = (camera.width, camera.height);
+    let sizes = [
+        ("depth map", Some((maps.depth.width, maps.depth.height))),
+        ("normal map", Some((maps.normal.width, maps.normal.height))),
+        (
+            "confidence map",
+            maps.confidence.as_ref().map(|c| (c.width, c.height)),
+        ),
+    ];
+    for (what, size) in sizes {
+        if let Some(got) = size.filter(|&size| size != expected) {
+            return Err(FusionError::SizeMismatch {
+                view: maps.name.clone(),
+                what,
+                got,
+                expected,
+            });
+        }
+    }
+    let pose = camera_of.cam_from_world;
+    let rays = (!camera.distortion.is_none()).then(|| {
+        let data = (0..camera.width * camera.height)
+            .into_par_iter()
+            .map(|i| {
+                let pixel = Point2::new((i % camera.width) as f64, (i / camera.width) as f64);
+                let n = camera.normalized(&pixel);
+                [n.x as f32, n.y as f32]
+            })
+            .collect();
+        Raster {
+            width: camera.width,
+            height: camera.height,
+            data,
+        }
+    });
+    let mut view = View {
+        posed_idx: maps.view.0,
+        camera,
+        pose,
+        world_from_cam: pose.rotation.inverse().to_rotation_matrix().into_inner(),
+        center: pose.center_in_source(),
+        depth: maps.depth.clone(),
+        normal: maps.normal.clone(),
+        confidence: maps.confidence.clone(),
+        rays,
+    };
+    let mut report = ViewFusion {
+        name: maps.name.clone(),
+        ..ViewFusion::default()
+    };
+    for (z, n) in view.depth.data.iter_mut().zip(&view.normal.data) {
+        let normal_is_usable =
+            n.iter().all(|c| c.is_finite()) && (Vector3::from(*n).norm() - 1.0).abs() < 0.1;
+        if z.is_finite() && *z > 0.0 && normal_is_usable {
+            report.num_depths += 1;
+        } else {
+            report.num_invalid += usize::from(*z != 0.0);
+            *z = 0.0;
+        }
+    }
+    drop_borders(&mut view, options, &mut report);
+    drop_grazing(&mut view, options, &mut report);
+    Ok((view, report))
+}
+
+const AROUND: [(isize, isize); 4] = [(-1, 0), (1, 0), (0, -1), (0, 1)];
+
+/// Clears pixels on both sides of depth edges, and `border_px` layers from the map's border.
+fn drop_borders(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
+    // The steepest surface that is kept rises by this share of its depth from pixel to pixel.
+    let steepest = EDGE_FACTOR * options.max_grazing_deg.min(89.0).to_radians().tan()
+        / view.camera.focal_px();
+    let is_edge = |here: f32, there: Option<f32>| {
+        there.is_some_and(|z| {
+            z > 0.0 && f64::from((z - here).abs()) > steepest * f64::from(here)
+        })
+    };
+    let is_border = |_: f32, there: Option<f32>| there.is_none_or(|z| z <= 0.0);
+    drop_where(view, report, &is_edge);
+    for _ in 0..options.border_px {
+        drop_where(view, report, &is_border);
+    }
+}
+
+/// Clears the pixels of which some neighbour satisfies `test(here, there)`.
+fn drop_where(
+    view: &mut View,
+    report: &mut ViewFusion,
+    test: &dyn Fn(f32, Option<f32>) -> bool,
+) {
+    let before = view.depth.clone();
+    for y in 0..before.height {
+        for x in 0..before.width {
+            let here = *before.at(x, y);
+            let drop = here > 0.0
+                && AROUND.iter().any(|(dx, dy)| {
+                    let there = before.get(x as isize + dx, y as isize + dy);
+                    test(here, there.copied())
+                });
+            if drop {
+                *view.depth.at_mut(x, y) = 0.0;
+                report.num_border += 1;
+            }
+        }
+    }
+}
+
+fn drop_grazing(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
+    let min_cosine = options.max_grazing_deg.to_radians().cos();
+    for y in 0..view.depth.height {
+        for x in 0..view.depth.width {
+            let Some(surface) = view.at(x, y) else {
+                continue;
+            };
+            let cosine = -surface.normal.dot(&view.ray(x, y).normalize());
+            if cosine.is_nan() || cosine < min_cosine {
+                *view.depth.at_mut(x, y) = 0.0;
+                report.num_grazing += 1;
+            }
+        }
+    }
+}
