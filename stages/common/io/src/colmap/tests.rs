@@ -7,7 +7,7 @@ use rilievo_scene::{
 };
 
 fn views() -> PosedViews {
-    let plain = Intrinsics::pinhole(1280, 960, 1777.777_777_8, 639.5, 479.5);
+    let plain = Intrinsics::pinhole(1280, 960, 1_777.777_777_8, 639.5, 479.5);
     let bent = Intrinsics {
         fy: 1780.1,
         distortion: Distortion {
