@@ -7,7 +7,7 @@
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
 use crate::incremental::{Reconstruction, limits};
-use crate::model::{AdjustmentScope, Model};
+use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{GivenPoses, PosesOptions};
 use crate::projection::CenteredPose;
 use crate::scene::Scene;
@@ -159,11 +159,11 @@ pub fn reconstruct(
         let scope = AdjustmentScope {
             step: "points only",
             photos: Some(&[]),
-            intrinsics: false,
+            intrinsics: IntrinsicsScope::Fixed,
             refined: None,
         };
         let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(0.5),
+            loss: RobustLoss::Cauchy(2.0),
             max_num_iterations: 30,
             relative_cost_change: 1e-6,
         };

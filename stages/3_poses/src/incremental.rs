@@ -5,15 +5,15 @@
 //! what it adds, adjust. Small models are adjusted as a whole after every photo; large ones
 //! locally, and as a whole whenever they have grown by a tenth.
 
-use crate::adjustment::BundleOptions;
+use crate::adjustment::{AdjustedCamera, BundleOptions};
 use crate::error::PosesError;
 use crate::initial_pair::{self, InitialPair};
-use crate::model::{AdjustmentScope, Model};
+use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
 use crate::projection::CenteredPose;
 use crate::report::AdjustmentReport;
 use crate::resection::resect;
-use crate::scene::Scene;
+use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
 use nalgebra::{Point2, Point3};
 use rilievo_numerics::robust::RobustLoss;
@@ -28,6 +28,14 @@ const MAX_NUM_INITIAL_PAIRS: usize = 6;
 /// Views from which a focal length can be told from a motion along the axis.
 const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
 
+/// Views from which lens distortion is told from the shape of the scene.
+const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
+/// Least relative drop of the cost for which distortion is adopted: noise alone lowers it by the
+/// number of its coefficients over that of the observations, far less.
+const MIN_COST_DROP_FOR_DISTORTION: f64 = 0.03;
+/// Scale of the Cauchy loss while outliers are about, standard deviations.
+const GROWING_LOSS_SCALE: f64 = 3.0;
+
 /// Limits of a triangulated point under the options.
 pub fn limits(options: &PosesOptions) -> TriangulationLimits {
     TriangulationLimits {
@@ -37,9 +45,9 @@ pub fn limits(options: &PosesOptions) -> TriangulationLimits {
 }
 
 /// Robust adjustment while outliers are still about.
-pub fn robust_adjustment(options: &PosesOptions) -> BundleOptions {
+pub fn robust_adjustment() -> BundleOptions {
     BundleOptions {
-        loss: RobustLoss::Cauchy(options.max_reprojection_error_px / 3.0),
+        loss: RobustLoss::Cauchy(GROWING_LOSS_SCALE),
         max_num_iterations: 30,
         relative_cost_change: 1e-4,
     }
@@ -119,7 +127,7 @@ fn grow(
         return Ok(None);
     }
     for _ in 0..2 {
-        adjustments.push(adjust_all(&mut model, scene, options)?);
+        adjustments.push(adjust_all(&mut model, scene)?);
         model.triangulate_all(scene, &limits);
     }
     if model.num_points() < options.min_num_visible_points {
@@ -158,7 +166,8 @@ fn grow(
         model.triangulate_all(scene, &limits);
         let num_views = model.num_views();
         if num_views <= MAX_NUM_VIEWS_ALWAYS_GLOBAL || 10 * num_views >= 11 * num_at_last_global {
-            adjustments.push(adjust_all(&mut model, scene, options)?);
+            adjustments.push(adjust_all(&mut model, scene)?);
+            adjustments.extend(try_full_intrinsics(&mut model, scene)?);
             num_at_last_global = num_views;
         } else {
             let mut local = neighbors(scene, &model, photo);
@@ -166,10 +175,10 @@ fn grow(
             let scope = AdjustmentScope {
                 step: "local",
                 photos: Some(&local),
-                intrinsics: false,
+                intrinsics: IntrinsicsScope::Fixed,
                 refined: None,
             };
-            adjustments.push(model.adjust(scene, &scope, &robust_adjustment(options))?);
+            adjustments.push(model.adjust(scene, &scope, &robust_adjustment())?);
         }
         model.triangulate_all(scene, &limits);
     }
@@ -181,19 +190,62 @@ fn grow(
     }))
 }
 
-/// Robust adjustment of the whole model.
-fn adjust_all(
+/// What may change: the focal length once enough views hold it, distortion once it was adopted.
+pub fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
+    let bent = |c: &AdjustedCamera| c.deviation[1..].iter().any(|&d| d != 0.0);
+    if model.num_views() < MIN_NUM_VIEWS_FOR_INTRINSICS {
+        IntrinsicsScope::Fixed
+    } else if model.cameras.iter().any(bent) {
+        IntrinsicsScope::All
+    } else {
+        IntrinsicsScope::Focal
+    }
+}
+
+/// Tries a model with all intrinsics free, and adopts it where the residuals fall clearly.
+///
+/// A lens without distortion keeps exactly none: free coefficients would only fit noise.
+///
+/// # Errors
+/// When the adjustment breaks down.
+pub fn try_full_intrinsics(
     model: &mut Model,
     scene: &Scene<'_>,
-    options: &PosesOptions,
-) -> Result<AdjustmentReport, PosesError> {
+) -> Result<Option<AdjustmentReport>, PosesError> {
+    let more = |c: &SceneCamera| c.prior_sigma[1..].iter().any(Option::is_some);
+    if intrinsics_scope(model) != IntrinsicsScope::Focal
+        || model.num_views() < MIN_NUM_VIEWS_FOR_DISTORTION
+        || !scene.cameras.iter().any(more)
+    {
+        return Ok(None);
+    }
+    let scope = |intrinsics| AdjustmentScope {
+        step: "with distortion",
+        photos: None,
+        intrinsics,
+        refined: None,
+    };
+    let mut plain = model.clone();
+    let before = plain.adjust(scene, &scope(IntrinsicsScope::Focal), &robust_adjustment())?;
+    let mut full = model.clone();
+    let after = full.adjust(scene, &scope(IntrinsicsScope::All), &robust_adjustment())?;
+    let clearly_better =
+        after.solve.final_cost < (1.0 - MIN_COST_DROP_FOR_DISTORTION) * before.solve.final_cost;
+    Ok(clearly_better.then(|| {
+        *model = full;
+        after
+    }))
+}
+
+/// Robust adjustment of the whole model.
+fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, PosesError> {
     let scope = AdjustmentScope {
         step: "global",
         photos: None,
-        intrinsics: model.num_views() >= MIN_NUM_VIEWS_FOR_INTRINSICS,
+        intrinsics: intrinsics_scope(model),
         refined: None,
     };
-    model.adjust(scene, &scope, &robust_adjustment(options))
+    model.adjust(scene, &scope, &robust_adjustment())
 }
 
 /// Known points that a photo sees: keypoint pixel and position.

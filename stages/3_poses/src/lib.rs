@@ -154,12 +154,12 @@ fn finish(
         let scope = AdjustmentScope {
             step: "final",
             photos: None,
-            intrinsics: model.num_views() >= 3,
+            intrinsics: incremental::intrinsics_scope(model),
             refined: None,
         };
         let last = round == 2;
         let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(0.5),
+            loss: RobustLoss::Cauchy(2.0),
             max_num_iterations: 50,
             relative_cost_change: if last { 1e-7 } else { 1e-4 },
         };
@@ -167,6 +167,9 @@ fn finish(
             .adjustments
             .push(model.adjust(scene, &scope, &bundle_options)?);
         if !last {
+            reconstruction
+                .adjustments
+                .extend(incremental::try_full_intrinsics(model, scene)?);
             limits.max_error_px = options.max_reprojection_error_px * 0.7;
             model.triangulate_all(scene, &limits);
         }

@@ -37,10 +37,21 @@ pub struct AdjustmentScope<'a> {
     pub step: &'a str,
     /// Photos whose poses may change; `None`: all.
     pub photos: Option<&'a [usize]>,
-    /// Whether intrinsics that have a prior may change.
-    pub intrinsics: bool,
+    /// Which intrinsics may change.
+    pub intrinsics: IntrinsicsScope,
     /// Refined pixels and standard deviations in place of the keypoints', per track and sighting.
     pub refined: Option<&'a RefinedPixels>,
+}
+
+/// Which of the intrinsics that have a prior may change.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum IntrinsicsScope {
+    /// None.
+    Fixed,
+    /// Focal length: what few views determine.
+    Focal,
+    /// All.
+    All,
 }
 
 /// Pixels that replace the keypoints' own: per track and sighting, with a standard deviation in
@@ -168,7 +179,8 @@ impl Model {
                     views.len() - 1
                 });
                 let refined = scope.refined.and_then(|r| r[t][place]);
-                let (pixel, sigma) = refined.unwrap_or((scene.pixel(sighting), 1.0));
+                let (pixel, sigma) =
+                    refined.unwrap_or((scene.pixel(sighting), scene.sigma_px(sighting)));
                 if scope.refined.is_some() && refined.is_none() {
                     continue;
                 }
@@ -191,10 +203,12 @@ impl Model {
             .iter()
             .zip(&scene.cameras)
             .map(|(camera, fixed)| AdjustedCamera {
-                prior_sigma: if scope.intrinsics {
-                    fixed.prior_sigma
-                } else {
-                    Default::default()
+                prior_sigma: match scope.intrinsics {
+                    IntrinsicsScope::Fixed => Default::default(),
+                    IntrinsicsScope::Focal => {
+                        std::array::from_fn(|k| fixed.prior_sigma[k].filter(|_| k == 0))
+                    }
+                    IntrinsicsScope::All => fixed.prior_sigma,
                 },
                 ..camera.clone()
             })

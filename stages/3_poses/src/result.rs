@@ -2,7 +2,7 @@
 
 use crate::adjustment::BundleOptions;
 use crate::incremental::Reconstruction;
-use crate::model::AdjustmentScope;
+use crate::model::{AdjustmentScope, IntrinsicsScope};
 use crate::options::PosesOptions;
 use crate::report::{PosesReport, ViewReport};
 use crate::scene::Scene;
@@ -84,11 +84,11 @@ pub fn assemble(
     let scope = AdjustmentScope {
         step: "covariance",
         photos: if keeps_given { Some(&[]) } else { None },
-        intrinsics: false,
+        intrinsics: IntrinsicsScope::Fixed,
         refined: None,
     };
     let bundle_options = BundleOptions {
-        loss: RobustLoss::Cauchy(0.5),
+        loss: RobustLoss::Cauchy(2.0),
         max_num_iterations: 0,
         relative_cost_change: 0.0,
     };

@@ -15,6 +15,12 @@ const PRINCIPAL_POINT_SIGMA: f64 = 0.02;
 /// Standard deviation of the distortion coefficients `k1, k2, p1, p2, k3`.
 const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
 
+/// Standard deviation of a small keypoint's coordinate, pixels: the distances of matches from the
+/// true epipolar lines of four calibrated photo sets.
+const KEYPOINT_SIGMA_PX: f64 = 0.15;
+/// Its growth with the keypoint's size, from the same sets: large blobs are poorly placed.
+const KEYPOINT_SIGMA_PER_SIZE: f64 = 0.05;
+
 /// A camera shared by photos.
 pub struct SceneCamera {
     /// Its group in the photo set.
@@ -37,6 +43,8 @@ pub struct Scene<'a> {
     pub camera_of: Vec<usize>,
     /// Keypoint positions per photo, pixels.
     pub pixels: Vec<Vec<Point2<f64>>>,
+    /// Standard deviation of each coordinate of a keypoint's position, pixels.
+    pub sigmas_px: Vec<Vec<f64>>,
     /// Tracks, each ordered by photo.
     pub tracks: Vec<Vec<TrackSighting>>,
     /// Per photo: its tracks and the sighting's place in each.
@@ -78,6 +86,18 @@ impl<'a> Scene<'a> {
                     .collect()
             })
             .collect();
+        let sigmas_px = matches
+            .photos
+            .iter()
+            .map(|list| {
+                list.keypoints
+                    .iter()
+                    .map(|k| {
+                        KEYPOINT_SIGMA_PX.hypot(KEYPOINT_SIGMA_PER_SIZE * f64::from(k.size_px))
+                    })
+                    .collect()
+            })
+            .collect();
         let tracks = tracks::build(matches);
         let mut tracks_of = vec![Vec::new(); photos.photos.len()];
         for (t, track) in tracks.iter().enumerate() {
@@ -91,6 +111,7 @@ impl<'a> Scene<'a> {
             cameras,
             camera_of,
             pixels,
+            sigmas_px,
             tracks,
             tracks_of,
         }
@@ -99,6 +120,11 @@ impl<'a> Scene<'a> {
     /// Observed pixel of a sighting.
     pub fn pixel(&self, sighting: &TrackSighting) -> Point2<f64> {
         self.pixels[sighting.photo][sighting.keypoint as usize]
+    }
+
+    /// Standard deviation of a sighting, pixels.
+    pub fn sigma_px(&self, sighting: &TrackSighting) -> f64 {
+        self.sigmas_px[sighting.photo][sighting.keypoint as usize]
     }
 
     /// Number of photos.
@@ -121,7 +147,12 @@ fn prior_sigma(
     match refine {
         RefineIntrinsics::None => {}
         RefineIntrinsics::Auto if source == FocalSource::CameraFile => {}
-        RefineIntrinsics::Auto | RefineIntrinsics::Focal => sigma[0] = Some(focal_sigma),
+        RefineIntrinsics::Auto => {
+            sigma[0] = Some(focal_sigma);
+            sigma[3] = Some(DISTORTION_SIGMA[0]);
+            sigma[4] = Some(DISTORTION_SIGMA[1]);
+        }
+        RefineIntrinsics::Focal => sigma[0] = Some(focal_sigma),
         RefineIntrinsics::All => {
             let longer = camera.width.max(camera.height) as f64;
             sigma[0] = Some(focal_sigma);

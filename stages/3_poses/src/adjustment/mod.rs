@@ -1,8 +1,8 @@
 //! Bundle adjustment.
 //!
-//! Minimises `E = Σ_k w_k ρ(|π(c_k, P_k, X_k) − x_k|) + ½ Σ (q − q₀)²/σ_q²` over poses `P`
+//! Minimises `E = Σ_k ρ(|π(c_k, P_k, X_k) − x_k| / σ_k) + ½ Σ (q − q₀)²/σ_q²` over poses `P`
 //! (rotation, centre), points `X` and, where asked, intrinsics `q` of each camera group with weak
-//! priors; `ρ` a robust loss in pixels, `w_k` the weight of an observation. Levenberg-Marquardt
+//! priors; `ρ` a robust loss, `σ_k` the standard deviation of an observation in pixels. Levenberg-Marquardt
 //! with iterated weights; the step by the Schur complement of the points ([`schur`]).
 //!
 //! The gauge is fixed by one view (all six parameters) and one coordinate of the centre farthest
@@ -89,7 +89,7 @@ pub struct Bundle {
 /// When to stop and how to treat outliers.
 #[derive(Clone, Copy, Debug)]
 pub struct BundleOptions {
-    /// Loss of the reprojection error, weighted to unit variance.
+    /// Loss of the reprojection error over its standard deviation.
     pub loss: RobustLoss,
     /// Upper bound on the iterations.
     pub max_num_iterations: usize,
@@ -166,17 +166,18 @@ impl Bundle {
             .collect()
     }
 
-    /// Root mean square of the residual coordinates, weighted to unit variance, and the standard
-    /// deviation of unit weight (degrees of freedom taken into account).
+    /// Root mean square of the residual coordinates in pixels, and the standard deviation of unit
+    /// weight (degrees of freedom taken into account).
     pub fn residual_statistics(&self) -> (f64, f64) {
         let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
-        let mut squares = 0.0;
+        let (mut squares, mut weighted) = (0.0, 0.0);
         for p in 0..self.points.len() {
             for o in &self.observations[self.offsets[p]..self.offsets[p + 1]] {
                 let view = &self.views[o.view];
                 if let Some(seen) = cameras[view.camera].project(&view.pose.apply(&self.points[p]))
                 {
-                    squares += o.weight * (seen - o.pixel).norm_squared();
+                    squares += (seen - o.pixel).norm_squared();
+                    weighted += o.weight * (seen - o.pixel).norm_squared();
                 }
             }
         }
@@ -191,7 +192,7 @@ impl Bundle {
         let degrees = num_residuals.saturating_sub(num_free).max(1);
         (
             (squares / num_residuals.max(1) as f64).sqrt(),
-            (squares / degrees as f64).sqrt(),
+            (weighted / degrees as f64).sqrt(),
         )
     }
 
