@@ -1,0 +1,173 @@
+//! The whole program on a small synthetic set: accuracy, same bytes from any number of threads and
+//! after any number of kills.
+
+#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
+
+mod common;
+
+use common::{arg, differences, reconstruct_arguments, rilievo, run, synthetic_set};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Mutex, MutexGuard, OnceLock};
+use std::time::{Duration, Instant};
+
+/// One test at a time: each uses all cores, and some measure time.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    match ALONE.lock() {
+        Ok(guard) => guard,
+        // Another test failed; that says nothing about this one.
+        Err(poisoned) => poisoned.into_inner(),
+    }
+}
+
+/// An undisturbed run that all tests compare with, and the seconds that it took.
+fn reference() -> &'static (PathBuf, f64) {
+    static REFERENCE: OnceLock<(PathBuf, f64)> = OnceLock::new();
+    REFERENCE.get_or_init(|| {
+        let run_dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("reference-run");
+        // A run of an earlier build is no reference for this one.
+        let _ = std::fs::remove_dir_all(&run_dir);
+        let began = Instant::now();
+        reconstruct(&synthetic_set(), &run_dir, &[]);
+        (run_dir, began.elapsed().as_secs_f64())
+    })
+}
+
+fn reconstruct(set: &Path, run_dir: &Path, more: &[&str]) -> String {
+    let output = rilievo()
+        .args(reconstruct_arguments(set, run_dir))
+        .args(more)
+        .output()
+        .expect("the program starts");
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(0), "{stderr}");
+    stderr
+}
+
+#[test]
+fn the_result_is_accurate() {
+    let _alone = alone();
+    let (run_dir, _) = reference();
+    let truth = synthetic_set().join("truth");
+    let (code, stdout, stderr) = run(&[
+        "evaluate",
+        arg(run_dir),
+        "--truth",
+        arg(&truth),
+        "--align",
+        "se3",
+        "--json",
+    ]);
+    assert_eq!(code, 0, "{stderr}");
+    let found: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    let number = |path: &str| found.pointer(path).and_then(|v| v.as_f64());
+    let check = |path: &str, low: f64, high: f64| {
+        let value = number(path).unwrap_or(f64::NAN);
+        assert!(
+            (low..=high).contains(&value),
+            "{path} = {value}, expected {low} to {high}\n{stdout}"
+        );
+    };
+    assert_eq!(number("/poses/num_cameras"), Some(5.0), "{stdout}");
+    // Half a metre away, a pixel covers half a millimetre.
+    check("/poses/center_error_mean", 0.0, 2.0e-3);
+    check("/poses/rotation_error_mean_deg", 0.0, 0.3);
+    check("/all/complete", 0.9, 1.0);
+    check("/all/normal_mae_deg", 0.0, 15.0);
+    check("/all/depth_median_rel", 0.0, 0.005);
+    check("/cloud/accuracy_median", 0.0, 1.5e-3);
+    check("/cloud/completeness", 0.7, 1.0);
+    for file in [
+        "3_poses/cameras.json",
+        "3_poses/sparse/points3D.txt",
+        "4_lighting/lighting.json",
+        "5_shading/depth/IMG_0001.exr",
+        "5_shading/depth/IMG_0001.png",
+        "5_shading/normal/IMG_0001.exr",
+        "6_fusion/cloud.ply",
+        "6_fusion/mesh.ply",
+        "report.json",
+        "report.html",
+    ] {
+        assert!(run_dir.join(file).exists(), "{file} is missing");
+    }
+}
+
+#[test]
+fn a_second_run_does_nothing_within_two_seconds() {
+    let _alone = alone();
+    let (run_dir, _) = reference();
+    let began = Instant::now();
+    let said = reconstruct(&synthetic_set(), run_dir, &[]);
+    assert!(
+        began.elapsed() < Duration::from_secs(2),
+        "{:?}",
+        began.elapsed()
+    );
+    assert!(said.contains("nothing to do"), "{said}");
+}
+
+#[test]
+fn one_thread_gives_the_same_bytes() {
+    let _alone = alone();
+    let (expected, _) = reference();
+    let dir = tempfile::tempdir().unwrap();
+    let run_dir = dir.path().join("run");
+    reconstruct(&synthetic_set(), &run_dir, &["--threads", "1"]);
+    assert_eq!(differences(expected, &run_dir), Vec::<String>::new());
+}
+
+#[test]
+fn killed_at_many_points_the_run_ends_with_the_same_bytes() {
+    let _alone = alone();
+    let (expected, seconds) = reference();
+    let dir = tempfile::tempdir().unwrap();
+    let run_dir = dir.path().join("run");
+    let set = synthetic_set();
+    for attempt in 1..=8 {
+        let mut child = start(&set, &run_dir);
+        // Later attempts live longer; the irregular part hits different steps.
+        let share = f64::from(attempt) / 9.0 + 0.013 * f64::from(attempt * attempt % 7);
+        std::thread::sleep(Duration::from_secs_f64(share * 0.6 * seconds));
+        // SIGKILL: nothing of the program runs any more.
+        child.kill().expect("a child can be killed");
+        child.wait().expect("a child can be waited for");
+    }
+    reconstruct(&set, &run_dir, &[]);
+    assert_eq!(differences(expected, &run_dir), Vec::<String>::new());
+    assert!(!run_dir.join(".work").exists(), "no leftovers");
+}
+
+#[test]
+fn ctrl_c_ends_soon_and_leaves_a_resumable_run() {
+    let _alone = alone();
+    let (_, seconds) = reference();
+    let dir = tempfile::tempdir().unwrap();
+    let run_dir = dir.path().join("run");
+    let mut child = start(&synthetic_set(), &run_dir);
+    std::thread::sleep(Duration::from_secs_f64(0.4 * seconds));
+    let pid = child.id().to_string();
+    let sent = Command::new("kill").args(["-INT", &pid]).status();
+    assert!(sent.is_ok_and(|status| status.success()));
+    let asked = Instant::now();
+    let status = child.wait().expect("a child can be waited for");
+    assert_eq!(status.code(), Some(130));
+    assert!(
+        asked.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        asked.elapsed()
+    );
+    let (code, status, _) = run(&["status", arg(&run_dir)]);
+    assert_eq!(code, 0);
+    assert!(status.contains("1_photos     valid"), "{status}");
+}
+
+fn start(set: &Path, run_dir: &Path) -> std::process::Child {
+    Command::new(env!("CARGO_BIN_EXE_rilievo"))
+        .args(reconstruct_arguments(set, run_dir))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts")
+}
