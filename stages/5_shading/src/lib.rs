@@ -2,13 +2,16 @@
 
 mod error;
 mod levels;
+mod matches;
 mod model;
 mod options;
 pub mod photo;
 mod pixels;
+mod posed;
 mod prepare;
 mod problem;
 mod result;
+mod schedule;
 mod solution;
 mod solver;
 mod splitting;
@@ -44,15 +47,26 @@ pub fn solve(
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///
+/// One posed view alone is solved by the paper's model, whatever `options.model` says: agreement
+/// between photos needs two.
+///
 /// # Errors
 /// See [`ShadingError`].
 pub fn run(
-    _photos: &PhotoSet,
-    _posed: &PosedViews,
-    _lighting: &LightingCalibration,
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    lighting: &LightingCalibration,
     options: &ShadingOptions,
-    _observer: &dyn Observer,
+    observer: &dyn Observer,
 ) -> Result<(ShadedViews, ShadingReport), ShadingError> {
     options.validate()?;
-    Err(ShadingError::NoViews)
+    if options.model == ShadingModel::Photo && posed.views.len() > 1 {
+        let (shaded, facts) = photo::run(photos, posed, lighting, &options.photo, observer)?;
+        let report = ShadingReport {
+            photo: Some(facts),
+            ..ShadingReport::default()
+        };
+        return Ok((shaded, report));
+    }
+    posed::run(photos, posed, lighting, options, observer)
 }

@@ -1,6 +1,7 @@
 //! Options of stage 5.
 
 use crate::error::ShadingError;
+use crate::photo::PhotoOptions;
 use rilievo_numerics::robust::RobustLoss;
 use serde::{Deserialize, Serialize};
 
@@ -140,6 +141,8 @@ pub struct ShadingOptions {
     pub max_factorized_unknowns: usize,
     /// Compute the confidence map.
     pub confidence: bool,
+    /// The photo model's own options.
+    pub photo: PhotoOptions,
 }
 
 impl Default for ShadingOptions {
@@ -163,6 +166,7 @@ impl Default for ShadingOptions {
             relative_tolerance: 1e-3,
             max_factorized_unknowns: 0,
             confidence: true,
+            photo: PhotoOptions::default(),
         }
     }
 }

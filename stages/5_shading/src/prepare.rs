@@ -32,6 +32,14 @@ impl Geometry {
         }
     }
 
+    /// Standard deviation of the unknown from that of the logarithm of depth.
+    pub(crate) fn sigma(&self, depth: f64, sigma_ln_depth: f64) -> f64 {
+        match self.projection {
+            Projection::Perspective => self.focal * sigma_ln_depth,
+            Projection::Orthographic => self.focal * depth.abs() * sigma_ln_depth,
+        }
+    }
+
     /// The depth at an unknown.
     pub(crate) fn depth(&self, unknown: f64) -> f64 {
         match self.projection {

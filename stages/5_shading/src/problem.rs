@@ -65,6 +65,9 @@ pub struct ShadingView {
     pub weights: Option<Raster<f32>>,
     /// Value at and above which a channel counts as clipped and is left out.
     pub clip_level: Option<f32>,
+    /// Standard deviation of what the lighting leaves unexplained, as a share of the image's robust
+    /// maximum, where it is known and larger than the options' noise.
+    pub noise: Option<f64>,
     /// Start.
     pub initial_depth: Option<DepthMap>,
     /// Measured depth to stay near to.
@@ -95,6 +98,7 @@ impl ShadingView {
             albedo: None,
             weights: None,
             clip_level: None,
+            noise: None,
             initial_depth: None,
             prior: None,
             anchors: Vec::new(),

@@ -123,4 +123,6 @@ pub struct ShadingReport {
     pub match_sigma_px: Option<f64>,
     /// What the user should know.
     pub warnings: Vec<String>,
+    /// Facts of the photo model, where it was used.
+    pub photo: Option<crate::photo::PhotoReport>,
 }

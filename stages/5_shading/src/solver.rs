@@ -1,21 +1,30 @@
 //! Driver: prepares the views, solves each, and gathers maps and report.
 
 use crate::error::ShadingError;
-use crate::levels::ladder;
-use crate::options::{PenaltySchedule, ShadingOptions};
-use crate::prepare::prepare;
-use crate::problem::{ShadingProblem, ShadingView};
+use crate::levels::{Level, ladder};
+use crate::matches;
+use crate::options::{PenaltySchedule, ShadingOptions, StartShape};
+use crate::prepare::{Geometry, PreparedView, prepare};
+use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use crate::result::{maps, rms_residual};
+use crate::schedule::{Informativeness, automatic};
 use crate::solution::{ShadingReport, ShadingSolution, SolvedView, Termination, ViewReport};
 use crate::splitting::{self, Course, Schedule, Setting, Ties, slopes};
 use crate::start;
+use crate::theta::{ThetaTerms, theta_step};
 use rilievo_numerics::robust::median;
 use rilievo_scene::Observer;
 use std::time::Instant;
 
 /// Most levels of the ladder.
 const MAX_LEVELS: usize = 4;
+/// Fewest anchors that give a shape: below, a given depth knows more.
+const MIN_ANCHORS: usize = 4;
+/// By how much slopes of the integrated surface may err (curvature within a pixel, edges): normals
+/// are drawn towards shading where that is surer.
+const SLOPE_ERROR: f64 = 0.05;
 
+/// Solves the views, tied by their matches.
 pub(crate) fn solve(
     problem: &ShadingProblem,
     options: &ShadingOptions,
@@ -25,10 +34,17 @@ pub(crate) fn solve(
     if problem.views.is_empty() {
         return Err(ShadingError::NoViews);
     }
+    let tied = matches::anchors(problem, options.match_noise_px)?;
     let mut views = Vec::new();
-    let mut report = ShadingReport::default();
-    for view in &problem.views {
-        let (solved, facts) = solve_view(view, options, observer)?;
+    let mut report = ShadingReport {
+        num_matches: tied.num_matches,
+        num_matches_rejected: tied.num_rejected,
+        match_sigma_px: tied.sigma_px,
+        ..ShadingReport::default()
+    };
+    for (view, from_matches) in problem.views.iter().zip(&tied.by_view) {
+        let anchors: Vec<DepthAnchor> = view.anchors.iter().chain(from_matches).copied().collect();
+        let (solved, facts) = solve_view(view, &anchors, options, observer)?;
         views.push(solved);
         report.views.push(facts);
     }
@@ -36,8 +52,8 @@ pub(crate) fn solve(
 }
 
 /// Depth that fixes the unknown's zero: the median of what is known.
-fn reference_depth(view: &ShadingView) -> Option<f64> {
-    let mut known: Vec<f64> = view.anchors.iter().map(|a| a.depth).collect();
+fn reference_depth(view: &ShadingView, anchors: &[DepthAnchor]) -> Option<f64> {
+    let mut known: Vec<f64> = anchors.iter().map(|a| a.depth).collect();
     if known.is_empty() {
         let map = view
             .initial_depth
@@ -54,64 +70,156 @@ fn reference_depth(view: &ShadingView) -> Option<f64> {
     median(&mut known)
 }
 
+/// Node values of the start, and the anchors that agree with it.
+fn start_shape(
+    view: &ShadingView,
+    prepared: &PreparedView,
+    anchors: &[DepthAnchor],
+    options: &ShadingOptions,
+    report: &mut ViewReport,
+) -> Result<(Vec<f32>, Vec<DepthAnchor>), ShadingError> {
+    let (grid, geometry) = (&prepared.grid, &prepared.geometry);
+    let flat = || vec![0.0; grid.padded_len()];
+    let given = view
+        .initial_depth
+        .as_ref()
+        .or(view.prior.as_ref().map(|prior| &prior.depth));
+    let by_anchors = match options.start {
+        StartShape::Anchors => !anchors.is_empty(),
+        StartShape::Automatic => anchors.len() >= MIN_ANCHORS,
+        StartShape::Given | StartShape::Plane => false,
+    };
+    report.num_anchors = anchors.len();
+    if by_anchors {
+        let plate =
+            start::plate(grid, geometry, anchors).map_err(|error| ShadingError::Numerics {
+                view: view.name.clone(),
+                reason: error.to_string(),
+            })?;
+        if let Some((y, inliers)) = plate {
+            let kept: Vec<DepthAnchor> = anchors
+                .iter()
+                .zip(&inliers)
+                .filter_map(|(anchor, &inlier)| inlier.then_some(*anchor))
+                .collect();
+            report.num_anchors_rejected = anchors.len() - kept.len();
+            report.num_anchors = kept.len();
+            return Ok((y, kept));
+        }
+    }
+    let y = match (options.start, given) {
+        (StartShape::Plane, _) | (_, None) => flat(),
+        (_, Some(depth)) => start::from_depth(grid, geometry, depth),
+    };
+    Ok((y, anchors.to_vec()))
+}
+
+/// Anchors and prior as terms on the unknown, in intensity² (see [`splitting`]).
+fn ties(view: &ShadingView, prepared: &PreparedView, anchors: &[DepthAnchor], sigma: f64) -> Ties {
+    let geometry = &prepared.geometry;
+    let points = anchors
+        .iter()
+        .filter(|a| a.depth > 0.0 && a.sigma_ln_depth > 0.0)
+        .map(|anchor| {
+            let sigma_y = geometry.sigma(anchor.depth, anchor.sigma_ln_depth);
+            let weight = (sigma / sigma_y).powi(2);
+            (
+                anchor.pixel,
+                weight as f32,
+                geometry.unknown(anchor.depth) as f32,
+            )
+        })
+        .collect();
+    let mut ties = Ties {
+        points,
+        ..Ties::default()
+    };
+    if let Some(prior) = &view.prior {
+        let (mass, wanted) = start::prior(&prepared.grid, geometry, prior);
+        ties.mass = mass;
+        ties.wanted = wanted;
+    }
+    ties
+}
+
+fn schedule(options: &ShadingOptions, levels: &[Level], known: &Informativeness) -> Schedule {
+    match options.schedule {
+        PenaltySchedule::Automatic => automatic(levels, known),
+        PenaltySchedule::Explicit {
+            start,
+            growth,
+            num_iterations,
+            num_search_iterations,
+        } => Schedule {
+            beta_start: start,
+            growth,
+            courses: vec![Course {
+                num_iterations,
+                num_search_iterations,
+            }],
+        },
+    }
+}
+
+/// Normals: slopes of the surface, drawn towards what each pixel's intensity says.
+fn refine_slopes(
+    level: &Level,
+    geometry: &Geometry,
+    sigma: f64,
+    y: &[f32],
+) -> (Vec<f32>, Vec<f32>) {
+    let mut p = vec![0.0; level.pixels.padded];
+    let mut q = p.clone();
+    slopes(&level.grid, geometry.aspect, y, &mut p, &mut q);
+    let target = (p.clone(), q.clone());
+    let terms = ThetaTerms {
+        beta: (2.0 * (sigma / SLOPE_ERROR).powi(2)) as f32,
+        area: 0.0,
+        num_steps: 8,
+    };
+    theta_step(
+        &level.pixels,
+        (&target.0, &target.1),
+        &terms,
+        None,
+        &mut p,
+        &mut q,
+    );
+    (p, q)
+}
+
 fn solve_view(
     view: &ShadingView,
+    anchors: &[DepthAnchor],
     options: &ShadingOptions,
     observer: &dyn Observer,
 ) -> Result<(SolvedView, ViewReport), ShadingError> {
     let begun = Instant::now();
-    let reference = reference_depth(view).ok_or_else(|| ShadingError::NoDepth {
+    let reference = reference_depth(view, anchors).ok_or_else(|| ShadingError::NoDepth {
         view: view.name.clone(),
     })?;
     let prepared = prepare(view, options, reference)?;
     let geometry = prepared.geometry;
-    let mut report = prepared.report;
-    let max_levels = if options.coarse_to_fine {
+    let mut report = prepared.report.clone();
+    let sigma = options.noise.max(view.noise.unwrap_or(0.0)) * prepared.white;
+    let (mut y, anchors) = start_shape(view, &prepared, anchors, options, &mut report)?;
+    let ties = ties(view, &prepared, &anchors, sigma);
+    let explicit = options.schedule != PenaltySchedule::Automatic;
+    let max_levels = if options.coarse_to_fine && !explicit {
         MAX_LEVELS
     } else {
         1
     };
     let levels = ladder(prepared.grid, prepared.pixels, max_levels);
     let finest = &levels[0];
-    let mut y = match &view.initial_depth {
-        Some(depth) => start::from_depth(&finest.grid, &geometry, depth),
-        None => vec![0.0; finest.grid.padded_len()],
-    };
     let mut p = vec![0.0; finest.pixels.padded];
     let mut q = p.clone();
     slopes(&finest.grid, geometry.aspect, &y, &mut p, &mut q);
     report.rms_start = rms_residual(&finest.pixels, &p, &q);
-    let schedule = match options.schedule {
-        PenaltySchedule::Automatic => Schedule {
-            beta_start: 0.02,
-            growth: 1.1,
-            courses: vec![Course {
-                num_iterations: 40,
-                num_search_iterations: 0,
-            }],
-        },
-        PenaltySchedule::Explicit {
-            start,
-            growth,
-            num_iterations,
-            num_search_iterations,
-        } => {
-            let mut courses = vec![];
-            let env = std::env::var("COURSES").unwrap_or(format!("{num_iterations}"));
-            for (i, n) in env.split(',').enumerate() {
-                courses.push(Course {
-                    num_iterations: n.parse().unwrap_or(0),
-                    num_search_iterations: if i == 0 { num_search_iterations } else { 0 },
-                });
-            }
-            Schedule {
-                beta_start: start,
-                growth,
-                courses,
-            }
-        }
-    };
-    let ties = Ties::default();
+    let known = Informativeness::of(&finest.pixels, &p, &q, sigma);
+    report.informativeness = known.squared[1].sqrt();
+    let schedule = schedule(options, &levels, &known);
+    report.beta_start = schedule.beta_start;
     let setting = Setting {
         ties: &ties,
         area: options.area_weight as f32,
@@ -121,7 +229,8 @@ fn solve_view(
     };
     report.seconds.start = begun.elapsed().as_secs_f64();
     let outcome = splitting::solve(&levels, &mut y, &setting)?;
-    report.rms_rendered = rms_residual(&finest.pixels, &outcome.p, &outcome.q);
+    let (p, q) = refine_slopes(finest, &geometry, sigma, &y);
+    report.rms_rendered = rms_residual(&finest.pixels, &p, &q);
     report.iterations = outcome.records;
     report.seconds.theta = outcome.seconds.theta;
     report.seconds.z = outcome.seconds.z;
@@ -132,7 +241,7 @@ fn solve_view(
         finest,
         &geometry,
         &y,
-        (&outcome.p, &outcome.q),
+        (&p, &q),
     );
     report.seconds.total = begun.elapsed().as_secs_f64();
     Ok((solved, report))

@@ -1,9 +1,64 @@
 //! Start shapes: node values of the unknown from a depth map, a plane, or anchors.
 
 use crate::prepare::Geometry;
+use crate::problem::{DepthAnchor, DepthPrior};
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::CornerPoisson;
+use rilievo_numerics::plate_system::PlateError;
+use rilievo_numerics::thin_plate::{ScatteredValue, ThinPlate};
 use rilievo_scene::DepthMap;
+
+/// Node values of a thin plate through anchors, and which anchors it took for true; `None` when no
+/// anchor lies on the grid.
+pub(crate) fn plate(
+    grid: &CornerGrid,
+    geometry: &Geometry,
+    anchors: &[DepthAnchor],
+) -> Result<Option<(Vec<f32>, Vec<bool>)>, PlateError> {
+    let points: Vec<ScatteredValue> = anchors
+        .iter()
+        .map(|anchor| ScatteredValue {
+            position: anchor.pixel,
+            value: geometry.unknown(anchor.depth),
+            sigma: geometry.sigma(anchor.depth, anchor.sigma_ln_depth),
+        })
+        .collect();
+    let low = [grid.origin_x as f64 - 0.5, grid.origin_y as f64 - 0.5];
+    let high = [low[0] + grid.width as f64, low[1] + grid.height as f64];
+    let Some(plate) = ThinPlate::fit(low, high, &points)? else {
+        return Ok(None);
+    };
+    let mut y = vec![0.0; grid.padded_len()];
+    for row in 0..=grid.height {
+        for x in 0..=grid.width {
+            let position = [low[0] + x as f64, low[1] + row as f64];
+            y[grid.index(x, row)] = plate.at(position) as f32;
+        }
+    }
+    Ok(Some((y, plate.inliers)))
+}
+
+/// Nodal masses and wanted unknowns of a depth prior: `μ (ln z − ln z₀)²` per pixel with a value.
+pub(crate) fn prior(
+    grid: &CornerGrid,
+    geometry: &Geometry,
+    prior: &DepthPrior,
+) -> (Vec<f32>, Vec<f32>) {
+    let weight = (prior.weight / (geometry.focal * geometry.focal)) as f32;
+    let mut mass = vec![0.0; grid.padded_len()];
+    for ((x, row), cell) in grid.pixels().zip(
+        grid.spans()
+            .iter()
+            .flat_map(|span| span.cell..span.cell + span.len),
+    ) {
+        if *prior.depth.at(x, row) > 0.0 {
+            for node in [cell, cell + 1, cell + grid.stride, cell + grid.stride + 1] {
+                mass[node] += 0.25 * weight;
+            }
+        }
+    }
+    (mass, from_depth(grid, geometry, &prior.depth))
+}
 
 /// Node values of a depth map; where it has no value, the smoothest continuation.
 pub(crate) fn from_depth(grid: &CornerGrid, geometry: &Geometry, depth: &DepthMap) -> Vec<f32> {

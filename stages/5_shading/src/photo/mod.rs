@@ -21,9 +21,10 @@ mod level;
 mod light;
 mod matching;
 mod options;
+mod output;
 mod patchmatch;
 mod plate;
-mod rectify;
+pub(crate) mod rectify;
 mod report;
 mod sampling;
 mod shading;
@@ -35,6 +36,7 @@ mod views;
 
 pub use options::PhotoOptions;
 pub use report::{LapReport, PhotoReport, PhotoViewReport};
+pub use solve::Probe;
 
 use crate::error::ShadingError;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
@@ -54,5 +56,22 @@ pub fn run(
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
     options.validate()?;
     let scene = views::load(photos, posed, options)?;
-    solve::solve(scene, posed, lighting, options, observer)
+    solve::solve(scene, posed, lighting, options, observer, None)
+}
+
+/// [`run`], with the shape after every step handed to `probe`: for measuring which step does what.
+///
+/// # Errors
+/// See [`ShadingError`].
+pub fn run_probed(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    lighting: &LightingCalibration,
+    options: &PhotoOptions,
+    observer: &dyn Observer,
+    probe: &Probe,
+) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+    options.validate()?;
+    let scene = views::load(photos, posed, options)?;
+    solve::solve(scene, posed, lighting, options, observer, Some(probe))
 }

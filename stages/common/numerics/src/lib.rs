@@ -8,3 +8,4 @@ pub mod least_squares;
 mod multigrid;
 pub mod plate_system;
 pub mod robust;
+pub mod thin_plate;
