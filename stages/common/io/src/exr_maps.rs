@@ -159,6 +159,13 @@ fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
     Ok(())
 }
 
+/// For maps that are mostly empty or smooth.
+const MAP_COMPRESSION: Compression = Compression::ZIP16;
+
+/// For photographs: a fifth smaller than ZIP and written three times as fast (6 Mpx of a JPEG as
+/// f32: 29 MB in 1.2 s against 35 MB in 4.2 s), read half as fast.
+const PHOTO_COMPRESSION: Compression = Compression::PIZ;
+
 /// How samples are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum SampleType {
@@ -171,6 +178,7 @@ fn write_channels(
     (width, height): (usize, usize),
     channels: Vec<(&str, Vec<f32>)>,
     sample_type: SampleType,
+    compression: Compression,
 ) -> Result<(), IoError> {
     if width == 0 || height == 0 || channels.iter().any(|(_, v)| v.len() != width * height) {
         return Err(IoError::write(
@@ -191,7 +199,7 @@ fn write_channels(
         })
         .collect();
     let encoding = Encoding {
-        compression: Compression::ZIP16,
+        compression,
         blocks: Blocks::ScanLines,
         line_order: LineOrder::Increasing,
     };
@@ -255,7 +263,13 @@ pub fn write_normal(path: &Path, map: &NormalMap) -> Result<(), IoError> {
         .enumerate()
         .map(|(i, &name)| (name, map.data.iter().map(|normal| normal[i]).collect()))
         .collect();
-    write_channels(path, (map.width, map.height), channels, SampleType::F32)
+    write_channels(
+        path,
+        (map.width, map.height),
+        channels,
+        SampleType::F32,
+        MAP_COMPRESSION,
+    )
 }
 
 /// Reads one named channel (`C` of a confidence map, for instance).
@@ -280,7 +294,13 @@ pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> 
 /// When the file cannot be written.
 pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<(), IoError> {
     let channels = vec![(channel, map.data.clone())];
-    write_channels(path, (map.width, map.height), channels, SampleType::F32)
+    write_channels(
+        path,
+        (map.width, map.height),
+        channels,
+        SampleType::F32,
+        MAP_COMPRESSION,
+    )
 }
 
 /// Reads a linear image (`R G B` or `Y`).
@@ -352,7 +372,13 @@ fn write_linear_as(
             (name, values.copied().collect())
         })
         .collect();
-    write_channels(path, (image.width, image.height), channels, sample_type)
+    write_channels(
+        path,
+        (image.width, image.height),
+        channels,
+        sample_type,
+        PHOTO_COMPRESSION,
+    )
 }
 
 /// Writes a linear image (`R G B` or `Y`), f32.
