@@ -160,7 +160,6 @@ pub fn reconstruct(
             step: "points only",
             photos: Some(&[]),
             intrinsics: IntrinsicsScope::Fixed,
-            refined: None,
         };
         let bundle_options = BundleOptions {
             loss: RobustLoss::Cauchy(2.0),

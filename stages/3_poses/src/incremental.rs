@@ -176,7 +176,6 @@ fn grow(
                 step: "local",
                 photos: Some(&local),
                 intrinsics: IntrinsicsScope::Fixed,
-                refined: None,
             };
             adjustments.push(model.adjust(scene, &scope, &robust_adjustment())?);
         }
@@ -223,7 +222,6 @@ pub fn try_full_intrinsics(
         step: "with distortion",
         photos: None,
         intrinsics,
-        refined: None,
     };
     let mut plain = model.clone();
     let before = plain.adjust(scene, &scope(IntrinsicsScope::Focal), &robust_adjustment())?;
@@ -243,7 +241,6 @@ fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, 
         step: "global",
         photos: None,
         intrinsics: intrinsics_scope(model),
-        refined: None,
     };
     model.adjust(scene, &scope, &robust_adjustment())
 }

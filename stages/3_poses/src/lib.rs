@@ -15,6 +15,7 @@ mod model;
 pub mod options;
 mod p3p;
 mod projection;
+mod refinement;
 mod relative_pose;
 pub mod report;
 mod resection;
@@ -30,12 +31,15 @@ pub use report::{AdjustmentReport, PosesReport, ViewReport};
 
 use adjustment::BundleOptions;
 use incremental::Reconstruction;
-use model::AdjustmentScope;
+use model::{AdjustmentScope, IntrinsicsScope};
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{
     Event, FeatureMatches, Flow, Observer, PhotoSet, PosedViews, SphereRequest, StageId,
 };
 use scene::Scene;
+
+/// Scale of the Cauchy loss of the last adjustments, standard deviations.
+const FINAL_LOSS_SCALE: f64 = 2.0;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
@@ -64,6 +68,10 @@ pub fn run(
     };
     if !keeps_given {
         finish(&scene, &mut reconstruction, options)?;
+    }
+    if options.refine_tracks {
+        let free_photos: Option<&[usize]> = if keeps_given { Some(&[]) } else { None };
+        finish_on_patches(&scene, &mut reconstruction, free_photos, options, observer)?;
     }
     let (mut posed, mut report) =
         result::assemble(&scene, &reconstruction, &other_models, keeps_given, options);
@@ -155,11 +163,10 @@ fn finish(
             step: "final",
             photos: None,
             intrinsics: incremental::intrinsics_scope(model),
-            refined: None,
         };
         let last = round == 2;
         let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(2.0),
+            loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
             max_num_iterations: 50,
             relative_cost_change: if last { 1e-7 } else { 1e-4 },
         };
@@ -172,6 +179,40 @@ fn finish(
                 .extend(incremental::try_full_intrinsics(model, scene)?);
             limits.max_error_px = options.max_reprojection_error_px * 0.7;
             model.triangulate_all(scene, &limits);
+        }
+    }
+    Ok(())
+}
+
+/// Moves the tracks to where patches align, and adjusts the free photos (`None`: all) to that.
+fn finish_on_patches(
+    scene: &Scene<'_>,
+    reconstruction: &mut Reconstruction,
+    free_photos: Option<&[usize]>,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<(), PosesError> {
+    let model = &mut reconstruction.model;
+    model.refined = Some(refinement::refine_tracks(scene, model, observer)?);
+    for round in 0..2 {
+        let scope = AdjustmentScope {
+            step: "on aligned patches",
+            photos: free_photos,
+            intrinsics: match free_photos {
+                None => incremental::intrinsics_scope(model),
+                Some(_) => IntrinsicsScope::Fixed,
+            },
+        };
+        let bundle_options = BundleOptions {
+            loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
+            max_num_iterations: 50,
+            relative_cost_change: if round == 0 { 1e-5 } else { 1e-8 },
+        };
+        reconstruction
+            .adjustments
+            .push(model.adjust(scene, &scope, &bundle_options)?);
+        if round == 0 {
+            model.drop_outliers(scene, &incremental::limits(options));
         }
     }
     Ok(())

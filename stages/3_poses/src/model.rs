@@ -11,6 +11,12 @@ use rayon::prelude::*;
 use rilievo_numerics::robust::median;
 use rilievo_scene::Intrinsics;
 
+/// An observation is an outlier beyond this many median errors (3.4 standard deviations of a
+/// two-dimensional normal distribution) …
+const OUTLIER_MEDIANS: f64 = 4.0;
+/// … but never below this, pixels.
+const MIN_OUTLIER_PX: f64 = 0.3;
+
 /// A triangulated track.
 #[derive(Clone, Debug)]
 pub struct ModelPoint {
@@ -29,6 +35,8 @@ pub struct Model {
     pub poses: Vec<Option<CenteredPose>>,
     /// Point per track.
     pub points: Vec<Option<ModelPoint>>,
+    /// Positions by patch alignment, once there are any.
+    pub refined: Option<RefinedPixels>,
 }
 
 /// What an adjustment covers.
@@ -39,8 +47,6 @@ pub struct AdjustmentScope<'a> {
     pub photos: Option<&'a [usize]>,
     /// Which intrinsics may change.
     pub intrinsics: IntrinsicsScope,
-    /// Refined pixels and standard deviations in place of the keypoints', per track and sighting.
-    pub refined: Option<&'a RefinedPixels>,
 }
 
 /// Which of the intrinsics that have a prior may change.
@@ -69,6 +75,7 @@ impl Model {
                 .collect(),
             poses: vec![None; scene.num_photos()],
             points: vec![None; scene.tracks.len()],
+            refined: None,
         }
     }
 
@@ -85,6 +92,33 @@ impl Model {
     /// Current intrinsics, per camera.
     pub fn intrinsics(&self) -> Vec<Intrinsics> {
         self.cameras.iter().map(AdjustedCamera::current).collect()
+    }
+
+    /// What was seen of a point: place in the track, pixel, standard deviation in pixels.
+    ///
+    /// A track with two aligned sightings or more goes by them alone; others by their keypoints.
+    pub fn observations(&self, scene: &Scene<'_>, track: usize) -> Vec<(usize, Point2<f64>, f64)> {
+        let Some(point) = &self.points[track] else {
+            return Vec::new();
+        };
+        if let Some(refined) = &self.refined {
+            let aligned: Vec<_> = point
+                .support
+                .iter()
+                .filter_map(|&place| refined[track][place].map(|(pixel, s)| (place, pixel, s)))
+                .collect();
+            if aligned.len() >= 2 {
+                return aligned;
+            }
+        }
+        point
+            .support
+            .iter()
+            .map(|&place| {
+                let sighting = &scene.tracks[track][place];
+                (place, scene.pixel(sighting), scene.sigma_px(sighting))
+            })
+            .collect()
     }
 
     /// The posed sightings of a track with their places in it.
@@ -145,6 +179,55 @@ impl Model {
         self.num_points()
     }
 
+    /// Drops sightings that err by more than four times the median, and points left with fewer
+    /// than two or with rays too nearly parallel.
+    pub fn drop_outliers(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) {
+        let cameras = self.intrinsics();
+        let errors: Vec<Vec<(usize, f64)>> = (0..self.points.len())
+            .into_par_iter()
+            .map(|t| {
+                let Some(point) = &self.points[t] else {
+                    return Vec::new();
+                };
+                self.observations(scene, t)
+                    .into_iter()
+                    .filter_map(|(place, pixel, _)| {
+                        let photo = scene.tracks[t][place].photo;
+                        let sighting = Sighting {
+                            camera: &cameras[scene.camera_of[photo]],
+                            pose: self.poses[photo].as_ref()?,
+                            pixel,
+                        };
+                        Some((place, sighting.error_px(&point.position)))
+                    })
+                    .collect()
+            })
+            .collect();
+        let mut all: Vec<f64> = errors.iter().flatten().map(|e| e.1).collect();
+        let typical = median(&mut all).unwrap_or(0.0);
+        let limit = (OUTLIER_MEDIANS * typical).clamp(MIN_OUTLIER_PX, limits.max_error_px);
+        for (t, errors) in errors.into_iter().enumerate() {
+            let support: Vec<usize> = errors
+                .iter()
+                .filter(|(_, error)| *error <= limit)
+                .map(|(place, _)| *place)
+                .collect();
+            let centers: Vec<Point3<f64>> = support
+                .iter()
+                .filter_map(|&place| self.poses[scene.tracks[t][place].photo])
+                .map(|pose| pose.center)
+                .collect();
+            if let Some(point) = &mut self.points[t] {
+                let wide = widest_angle(&point.position, &centers) >= limits.min_angle_rad;
+                if support.len() >= 2 && wide {
+                    point.support = support;
+                } else {
+                    self.points[t] = None;
+                }
+            }
+        }
+    }
+
     /// The bundle of a scope, with the track of each of its points and the photo of each view.
     fn bundle(
         &self,
@@ -164,7 +247,7 @@ impl Model {
             if !point.support.iter().any(sees) {
                 continue;
             }
-            for &place in &point.support {
+            for (place, pixel, sigma) in self.observations(scene, t) {
                 let sighting = &sightings[place];
                 let Some(pose) = self.poses[sighting.photo] else {
                     continue;
@@ -178,12 +261,6 @@ impl Model {
                     });
                     views.len() - 1
                 });
-                let refined = scope.refined.and_then(|r| r[t][place]);
-                let (pixel, sigma) =
-                    refined.unwrap_or((scene.pixel(sighting), scene.sigma_px(sighting)));
-                if scope.refined.is_some() && refined.is_none() {
-                    continue;
-                }
                 observations.push(Observation {
                     view,
                     pixel,
@@ -247,7 +324,7 @@ impl Model {
                 point.position = *position;
             }
         }
-        let (rms_px, _) = bundle.residual_statistics();
+        let rms_px = bundle.residual_statistics().rms_px;
         Ok(AdjustmentReport {
             step: scope.step.to_owned(),
             num_views: bundle.views.len(),
@@ -266,15 +343,15 @@ impl Model {
         options: &BundleOptions,
     ) -> Precision {
         let (bundle, _, photos) = self.bundle(scene, scope);
-        let (_, unit_sigma_px) = bundle.residual_statistics();
+        let statistics = bundle.residual_statistics();
         let mut precision = Precision {
             poses: vec![None; self.poses.len()],
             median_point_sigma: None,
-            unit_sigma_px,
+            sigma_px: statistics.sigma_px,
         };
         if let Some(covariances) = bundle.covariances(options.loss) {
             let largest = |block: Matrix3<f64>| {
-                unit_sigma_px * block.symmetric_eigenvalues().max().max(0.0).sqrt()
+                statistics.unit_sigma * block.symmetric_eigenvalues().max().max(0.0).sqrt()
             };
             for (covariance, &photo) in covariances.poses.iter().zip(&photos) {
                 let block = |from: usize| covariance.fixed_view::<3, 3>(from, from).into_owned();
@@ -293,6 +370,6 @@ pub struct Precision {
     pub poses: Vec<Option<(f64, f64)>>,
     /// Median over the points, largest axis, world's unit.
     pub median_point_sigma: Option<f64>,
-    /// Of an observation coordinate of unit weight, pixels.
-    pub unit_sigma_px: f64,
+    /// Of an observation coordinate, pixels.
+    pub sigma_px: f64,
 }

@@ -51,12 +51,11 @@ pub fn assemble(
         let Some(point) = point else { continue };
         let mut track = Vec::with_capacity(point.support.len());
         let mut error_sum = 0.0;
-        for &place in &point.support {
+        for (place, pixel, _) in model.observations(scene, t) {
             let sighting = &scene.tracks[t][place];
             let Some(view) = view_of[sighting.photo] else {
                 continue;
             };
-            let pixel = scene.pixel(sighting);
             let posed_view = &posed.views[view.0];
             let seen = posed_view
                 .intrinsics
@@ -85,7 +84,6 @@ pub fn assemble(
         step: "covariance",
         photos: if keeps_given { Some(&[]) } else { None },
         intrinsics: IntrinsicsScope::Fixed,
-        refined: None,
     };
     let bundle_options = BundleOptions {
         loss: RobustLoss::Cauchy(2.0),
@@ -114,7 +112,7 @@ pub fn assemble(
         num_points: posed.points.len(),
         mean_track_length: num_sightings as f64 / posed.points.len().max(1) as f64,
         mean_reprojection_error_px: total_error / num_sightings.max(1) as f64,
-        keypoint_sigma_px: precision.unit_sigma_px,
+        keypoint_sigma_px: precision.sigma_px,
         median_point_sigma: precision.median_point_sigma,
         other_model_sizes: other_models.iter().map(Vec::len).collect(),
         refined_focals_px: scene

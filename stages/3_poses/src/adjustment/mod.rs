@@ -97,6 +97,17 @@ pub struct BundleOptions {
     pub relative_cost_change: f64,
 }
 
+/// Size of the residuals of a bundle.
+#[derive(Clone, Copy, Debug)]
+pub struct ResidualStatistics {
+    /// Root mean square of the coordinates, pixels.
+    pub rms_px: f64,
+    /// Standard deviation of an observation's coordinate, degrees of freedom counted, pixels.
+    pub sigma_px: f64,
+    /// The same for residuals over their standard deviations: 1 where these are right.
+    pub unit_sigma: f64,
+}
+
 impl Bundle {
     /// Fixes the gauge: the first free view entirely, and one coordinate of the centre farthest
     /// from it. Does nothing where two views are fixed already.
@@ -166,9 +177,8 @@ impl Bundle {
             .collect()
     }
 
-    /// Root mean square of the residual coordinates in pixels, and the standard deviation of unit
-    /// weight (degrees of freedom taken into account).
-    pub fn residual_statistics(&self) -> (f64, f64) {
+    /// How large the residuals are.
+    pub fn residual_statistics(&self) -> ResidualStatistics {
         let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
         let (mut squares, mut weighted) = (0.0, 0.0);
         for p in 0..self.points.len() {
@@ -190,10 +200,11 @@ impl Bundle {
                 .filter(|&free| free)
                 .count();
         let degrees = num_residuals.saturating_sub(num_free).max(1);
-        (
-            (squares / num_residuals.max(1) as f64).sqrt(),
-            (weighted / degrees as f64).sqrt(),
-        )
+        ResidualStatistics {
+            rms_px: (squares / num_residuals.max(1) as f64).sqrt(),
+            sigma_px: (squares / degrees as f64).sqrt(),
+            unit_sigma: (weighted / degrees as f64).sqrt(),
+        }
     }
 
     /// Moves everything by a step.
