@@ -10,16 +10,19 @@
 //! | masks and their names | [`read_mask`], [`write_mask`], [`mask_names`] |
 //! | depth, normals, confidence, linear images as OpenEXR | [`exr_maps`] |
 //! | cameras: `cameras.json`, `camera.json`, COLMAP | [`read_cameras`], [`write_cameras`], [`colmap`] |
+//! | cameras of other programs | [`adapters`] |
 //! | the reference sphere | [`read_sphere_file`] |
 //! | lighting | [`read_lighting`], [`write_lighting`] |
 //! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
 //! | point clouds and meshes as PLY | [`ply`] |
+//! | depth as PFM | [`pfm`] |
 //! | pictures for people | [`write_preview_png`] |
 //!
 //! # Conventions
 //! Files follow the conventions of [`rilievo_scene`] (pixel centres at integers, camera x right,
 //! y down, z forward, depth along the axis); a format with others is converted here, both ways.
 
+pub mod adapters;
 pub mod cameras;
 pub mod colmap;
 pub mod error;
@@ -28,13 +31,16 @@ mod json;
 pub mod lighting_file;
 pub mod mask;
 pub mod mask_names;
+pub mod pfm;
 pub mod photo;
 pub mod photo_writer;
 pub mod ply;
 pub mod preview;
 pub mod scene_file;
 pub mod sphere_file;
+mod words;
 
+pub use adapters::{CameraFormat, export_cameras, import_cameras};
 pub use cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};
 pub use colmap::write_colmap_text;
 pub use error::{IoError, IoErrorKind};

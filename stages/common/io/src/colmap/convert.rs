@@ -146,24 +146,27 @@ impl ColmapModel {
         })
     }
 
-    /// The model of posed views with their sparse points. Views with equal intrinsics share a
-    /// camera; numbers count from one, as COLMAP's do.
-    pub fn from_posed_views(views: &PosedViews) -> Self {
+    /// The model of cameras without points. Cameras with equal intrinsics are one, those without
+    /// a pose are left out; numbers count from one, as COLMAP's do.
+    pub fn from_cameras(cameras: &CameraFile) -> Self {
         let mut model = Self::default();
         let mut known: Vec<Intrinsics> = Vec::new();
-        for (i, view) in views.views.iter().enumerate() {
+        for entry in &cameras.cameras {
+            let Some(cam_from_world) = entry.cam_from_world else {
+                continue;
+            };
             let camera = known
                 .iter()
-                .position(|camera| *camera == view.intrinsics)
+                .position(|camera| *camera == entry.intrinsics)
                 .unwrap_or_else(|| {
-                    known.push(view.intrinsics);
+                    known.push(entry.intrinsics);
                     known.len() - 1
                 });
             model.images.push(ColmapImage {
-                id: i as u32 + 1,
-                cam_from_world: view.cam_from_world,
+                id: model.images.len() as u32 + 1,
+                cam_from_world,
                 camera_id: camera as u32 + 1,
-                name: view.file_name.clone(),
+                name: entry.image.clone().unwrap_or_default(),
                 points2d: Vec::new(),
             });
         }
@@ -171,6 +174,12 @@ impl ColmapModel {
             .zip(&known)
             .map(|(id, camera)| ColmapCamera::from_intrinsics(id, camera))
             .collect();
+        model
+    }
+
+    /// The model of posed views with their sparse points.
+    pub fn from_posed_views(views: &PosedViews) -> Self {
+        let mut model = Self::from_cameras(&CameraFile::from_posed_views(views));
         for (i, point) in views.points.iter().enumerate() {
             let id = i as u64 + 1;
             let mut track = Vec::with_capacity(point.track.len());

@@ -2,11 +2,11 @@
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
 use crate::error::IoError;
+use crate::words::{Line, lines, read_text};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rilievo_scene::{PosedViews, RigidTransform};
 use std::fmt::Write as _;
 use std::path::Path;
-use std::str::FromStr;
 
 /// Writes `cameras.txt`, `images.txt` and `points3D.txt` into an existing folder.
 ///
@@ -80,68 +80,6 @@ pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoErro
         text.push('\n');
     }
     save("points3D.txt", text)
-}
-
-/// The words of one line, with messages that name file and line.
-struct Line<'a> {
-    file: &'a Path,
-    number: usize,
-    rest: &'a str,
-}
-
-impl<'a> Line<'a> {
-    fn refuse(&self, reason: impl std::fmt::Display) -> IoError {
-        IoError::input(self.file, format!("line {}: {reason}", self.number))
-    }
-
-    fn word(&mut self, what: &str) -> Result<&'a str, IoError> {
-        let trimmed = self.rest.trim_start();
-        if trimmed.is_empty() {
-            return Err(self.refuse(format!("{what} is missing")));
-        }
-        let end = trimmed.find(char::is_whitespace).unwrap_or(trimmed.len());
-        self.rest = &trimmed[end..];
-        Ok(&trimmed[..end])
-    }
-
-    fn parse<T: FromStr>(&mut self, what: &str) -> Result<T, IoError> {
-        let word = self.word(what)?;
-        word.parse()
-            .map_err(|_| self.refuse(format!("{what} is \"{word}\"")))
-    }
-
-    fn number(&mut self, what: &str) -> Result<f64, IoError> {
-        let value: f64 = self.parse(what)?;
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err(self.refuse(format!("{what} is {value}")))
-        }
-    }
-
-    fn is_done(&self) -> bool {
-        self.rest.trim().is_empty()
-    }
-}
-
-fn read_text(path: &Path) -> Result<String, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
-    String::from_utf8(bytes).map_err(|_| IoError::input(path, "its bytes are no text"))
-}
-
-/// Lines that carry data; empty ones stay where `keep_empty` says that they mean something.
-fn lines<'a>(file: &'a Path, text: &'a str, keep_empty: bool) -> impl Iterator<Item = Line<'a>> {
-    text.lines()
-        .enumerate()
-        .filter(move |(_, line)| {
-            let line = line.trim_start();
-            !line.starts_with('#') && (keep_empty || !line.is_empty())
-        })
-        .map(move |(i, line)| Line {
-            file,
-            number: i + 1,
-            rest: line.trim_end(),
-        })
 }
 
 /// Reads the three files; `points3D.txt` may be missing.

@@ -1,0 +1,237 @@
+//! Cameras of other programs, in and out.
+//!
+//! | format | file | camera axes | first pixel's centre | pose |
+//! |---|---|---|---|---|
+//! | `cameras.json` | file | x right, y down, z forward | 0 | rotation and centre in the world |
+//! | COLMAP | folder | the same | 0.5 | camera from world |
+//! | nerfstudio, instant-ngp | `transforms.json` | x right, y up, z backward | 0.5 | world from camera |
+//! | Bundler | `bundle.out` with `list.txt` | x right, y up, z backward | origin in the middle of the image, y up | camera from world |
+//! | MVSNet | folder `cams/NNNNNNNN_cam.txt` | x right, y down, z forward | 0 | camera from world |
+//! | Middlebury | `*_par.txt` | the same | 0 | camera from world |
+//! | TUM | `pose.txt` with `intrinsics.txt` | the same | 0 | world from camera |
+//!
+//! All become a [`CameraFile`] with our conventions, converted in both directions; a camera that a
+//! format cannot hold is refused by name, never approximated. Formats that leave out the images'
+//! size take it from the images beside them.
+
+mod bundler;
+mod middlebury;
+mod mvsnet;
+mod transforms;
+mod tum;
+
+use crate::cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};
+use crate::colmap;
+use crate::error::IoError;
+use nalgebra::Matrix3;
+use std::path::{Path, PathBuf};
+
+pub use mvsnet::MvsnetDepthRange;
+
+/// A format of camera files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CameraFormat {
+    /// Our own `cameras.json`.
+    CamerasJson,
+    /// A COLMAP model folder (written as text).
+    Colmap,
+    /// A COLMAP model folder, binary.
+    ColmapBinary,
+    /// `transforms.json` of nerfstudio and instant-ngp.
+    Transforms,
+    /// Bundler's `bundle.out`.
+    Bundler,
+    /// MVSNet's folder of camera files.
+    Mvsnet,
+    /// Middlebury's parameter file.
+    Middlebury,
+    /// TUM's trajectory.
+    Tum,
+}
+
+impl CameraFormat {
+    /// All formats.
+    pub const ALL: [Self; 8] = [
+        Self::CamerasJson,
+        Self::Colmap,
+        Self::ColmapBinary,
+        Self::Transforms,
+        Self::Bundler,
+        Self::Mvsnet,
+        Self::Middlebury,
+        Self::Tum,
+    ];
+
+    /// Name, as on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::CamerasJson => "cameras",
+            Self::Colmap => "colmap",
+            Self::ColmapBinary => "colmap-binary",
+            Self::Transforms => "transforms",
+            Self::Bundler => "bundler",
+            Self::Mvsnet => "mvsnet",
+            Self::Middlebury => "middlebury",
+            Self::Tum => "tum",
+        }
+    }
+
+    /// The format of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+
+    /// The format of a file or folder, by its name and its first words.
+    pub fn detect(path: &Path) -> Option<Self> {
+        if path.is_dir() {
+            let has = |name: &str| path.join(name).is_file();
+            return if has("cameras.bin") {
+                Some(Self::ColmapBinary)
+            } else if has("cameras.txt") {
+                Some(Self::Colmap)
+            } else if has("transforms.json") {
+                Some(Self::Transforms)
+            } else if has("bundle.out") {
+                Some(Self::Bundler)
+            } else if mvsnet::camera_files(path).is_ok_and(|files| !files.is_empty()) {
+                Some(Self::Mvsnet)
+            } else {
+                None
+            };
+        }
+        let name = path.file_name()?.to_string_lossy().to_lowercase();
+        if name.ends_with(".json") {
+            let is_transforms = crate::json::read(path).is_ok_and(|v| v.get("frames").is_some());
+            return Some(if is_transforms {
+                Self::Transforms
+            } else {
+                Self::CamerasJson
+            });
+        }
+        if name.ends_with("_par.txt") {
+            return Some(Self::Middlebury);
+        }
+        if name.ends_with(".out") {
+            return Some(Self::Bundler);
+        }
+        if name.contains("pose") || name.contains("traj") || name.contains("groundtruth") {
+            return Some(Self::Tum);
+        }
+        None
+    }
+}
+
+/// Reads cameras in a format; a folder that holds the format's usual file stands for it.
+///
+/// # Errors
+/// When a file cannot be read or refuses to be a camera; names file, place and value.
+pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, IoError> {
+    match format {
+        CameraFormat::CamerasJson | CameraFormat::Colmap | CameraFormat::ColmapBinary => {
+            read_cameras(path)
+        }
+        CameraFormat::Transforms => transforms::read(&inside(path, "transforms.json")),
+        CameraFormat::Bundler => bundler::read(&inside(path, "bundle.out")),
+        CameraFormat::Mvsnet => mvsnet::read(path),
+        CameraFormat::Middlebury => middlebury::read(path),
+        CameraFormat::Tum => tum::read(&inside(path, "pose.txt")),
+    }
+}
+
+/// Writes cameras in a format; folders are made where the format is one. Cameras without a pose
+/// are left out by formats that have no place for them.
+///
+/// # Errors
+/// When a file cannot be written, or the format cannot hold a camera.
+pub fn export_cameras(
+    path: &Path,
+    format: CameraFormat,
+    cameras: &CameraFile,
+) -> Result<(), IoError> {
+    let folder = || std::fs::create_dir_all(path).map_err(|error| IoError::write(path, error));
+    match format {
+        CameraFormat::CamerasJson => write_cameras(path, cameras),
+        CameraFormat::Colmap => {
+            folder()?;
+            colmap::write_model_text(path, &colmap::ColmapModel::from_cameras(cameras))
+        }
+        CameraFormat::ColmapBinary => {
+            folder()?;
+            colmap::write_colmap_binary(path, &colmap::ColmapModel::from_cameras(cameras))
+        }
+        CameraFormat::Transforms => transforms::write(path, cameras),
+        CameraFormat::Bundler => bundler::write(path, cameras),
+        CameraFormat::Mvsnet => {
+            folder()?;
+            mvsnet::write(path, cameras, None)
+        }
+        CameraFormat::Middlebury => middlebury::write(path, cameras),
+        CameraFormat::Tum => tum::write(path, cameras),
+    }
+}
+
+/// Writes an MVSNet folder with the range of depths that its plane sweep needs.
+///
+/// # Errors
+/// As [`export_cameras`].
+pub fn export_mvsnet(
+    folder: &Path,
+    cameras: &CameraFile,
+    range: MvsnetDepthRange,
+) -> Result<(), IoError> {
+    std::fs::create_dir_all(folder).map_err(|error| IoError::write(folder, error))?;
+    mvsnet::write(folder, cameras, Some(range))
+}
+
+fn inside(path: &Path, name: &str) -> PathBuf {
+    if path.is_dir() {
+        path.join(name)
+    } else {
+        path.to_path_buf()
+    }
+}
+
+/// Turns camera axes x right, y down, z forward into x right, y up, z backward, and back.
+fn flip() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0))
+}
+
+/// Columns and rows of an image, from its header alone.
+fn image_size(path: &Path) -> Result<(usize, usize), IoError> {
+    let reader = image::ImageReader::open(path)
+        .and_then(image::ImageReader::with_guessed_format)
+        .map_err(|error| IoError::read(path, &error))?;
+    reader
+        .into_dimensions()
+        .map(|(width, height)| (width as usize, height as usize))
+        .map_err(|error| IoError::input(path, format!("its size cannot be read: {error}")))
+}
+
+/// The image of a name, which may lack its ending, looked for in folders in turn.
+fn find_image(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
+    let endings = ["", ".png", ".jpg", ".jpeg", ".JPG", ".tif", ".exr"];
+    folders.iter().find_map(|folder| {
+        endings
+            .iter()
+            .map(|ending| folder.join(format!("{name}{ending}")))
+            .find(|path| path.is_file())
+    })
+}
+
+/// Refuses what a format without distortion cannot hold.
+fn refuse_distortion(path: &Path, entry: &CameraEntry, format: &str) -> Result<(), IoError> {
+    if entry.intrinsics.distortion.is_none() {
+        return Ok(());
+    }
+    Err(IoError::write(
+        path,
+        format!(
+            "{format} has no lens distortion, which {} has",
+            entry.image.as_deref().unwrap_or("the camera")
+        ),
+    )
+    .with_hint("undistort the photos first, or choose another format"))
+}
+
+#[cfg(test)]
+mod tests;

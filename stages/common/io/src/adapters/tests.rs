@@ -1,0 +1,354 @@
+//! Every format is written, read back and compared by projected points; and, because two equal
+//! mistakes would cancel, its file is read by hand with the format's own formula.
+
+use super::*;
+use crate::cameras::tests::largest_projection_difference;
+use crate::mask::encode_png;
+use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+use rilievo_scene::{Distortion, Intrinsics, RigidTransform, Unit};
+
+/// Largest difference of projections that counts as the same, pixels.
+const SAME_PX: f64 = 1e-6;
+
+const WIDTH: usize = 64;
+const HEIGHT: usize = 48;
+
+fn camera(i: usize, intrinsics: Intrinsics) -> CameraEntry {
+    CameraEntry {
+        image: Some(format!("IMG_{i:04}.png")),
+        intrinsics,
+        cam_from_world: Some(RigidTransform {
+            rotation: UnitQuaternion::from_euler_angles(0.3 * i as f64, -0.7, 2.1),
+            translation: Vector3::new(0.1, -0.2 * i as f64, 1.5),
+        }),
+    }
+}
+
+/// A folder with the images that size-less formats ask for.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("images")).unwrap();
+    let grey = vec![9; WIDTH * HEIGHT];
+    let png = encode_png(&grey, WIDTH, HEIGHT, image::ExtendedColorType::L8).unwrap();
+    for i in 0..3 {
+        std::fs::write(folder.path().join(format!("IMG_{i:04}.png")), &png).unwrap();
+        std::fs::write(folder.path().join(format!("images/{i:08}.png")), &png).unwrap();
+    }
+    folder
+}
+
+fn plain() -> Intrinsics {
+    Intrinsics {
+        fy: 71.5,
+        ..Intrinsics::pinhole(WIDTH, HEIGHT, 70.25, 30.75, 24.5)
+    }
+}
+
+fn centered() -> Intrinsics {
+    Intrinsics::pinhole(WIDTH, HEIGHT, 70.25, 31.5, 23.5)
+}
+
+fn cameras(intrinsics: Intrinsics) -> CameraFile {
+    CameraFile {
+        unit: Unit::Arbitrary,
+        cameras: (0..3).map(|i| camera(i, intrinsics)).collect(),
+        ..CameraFile::default()
+    }
+}
+
+fn path_of(folder: &tempfile::TempDir, format: CameraFormat) -> PathBuf {
+    folder.path().join(match format {
+        CameraFormat::CamerasJson => "cameras.json",
+        CameraFormat::Colmap => "text",
+        CameraFormat::ColmapBinary => "binary",
+        CameraFormat::Transforms => "transforms.json",
+        CameraFormat::Bundler => "bundle.out",
+        CameraFormat::Mvsnet => "",
+        CameraFormat::Middlebury => "stone_par.txt",
+        CameraFormat::Tum => "pose.txt",
+    })
+}
+
+fn round_trip(format: CameraFormat, original: &CameraFile) -> CameraFile {
+    let folder = folder();
+    let path = path_of(&folder, format);
+    export_cameras(&path, format, original).unwrap();
+    assert_eq!(CameraFormat::detect(&path), Some(format), "{format:?}");
+    import_cameras(&path, format).unwrap()
+}
+
+#[test]
+fn every_format_gives_back_its_cameras() {
+    for format in CameraFormat::ALL {
+        let intrinsics = match format {
+            CameraFormat::Bundler => centered(),
+            _ => plain(),
+        };
+        let original = cameras(intrinsics);
+        let back = round_trip(format, &original);
+        let worst = largest_projection_difference(&original, &back);
+        assert!(worst < SAME_PX, "{format:?}: {worst}");
+        if format != CameraFormat::Mvsnet {
+            assert_eq!(
+                back.cameras[2].image, original.cameras[2].image,
+                "{format:?}"
+            );
+        }
+        assert_eq!(CameraFormat::from_name(format.name()), Some(format));
+    }
+}
+
+#[test]
+fn lens_distortion_is_kept_or_refused() {
+    let bent = Intrinsics {
+        distortion: Distortion {
+            k1: -0.1,
+            k2: 0.02,
+            p1: 1e-3,
+            p2: -2e-3,
+            k3: 0.01,
+        },
+        ..plain()
+    };
+    let original = cameras(bent);
+    for format in CameraFormat::ALL {
+        let folder = folder();
+        let path = path_of(&folder, format);
+        match export_cameras(&path, format, &original) {
+            Ok(()) => {
+                let back = import_cameras(&path, format).unwrap();
+                let worst = largest_projection_difference(&original, &back);
+                assert!(worst < SAME_PX, "{format:?}: {worst}");
+            }
+            Err(error) => assert!(
+                matches!(
+                    format,
+                    CameraFormat::Bundler
+                        | CameraFormat::Mvsnet
+                        | CameraFormat::Middlebury
+                        | CameraFormat::Tum
+                ),
+                "{error}"
+            ),
+        }
+    }
+    let radial = Intrinsics {
+        distortion: Distortion {
+            k1: -0.1,
+            k2: 0.02,
+            ..Distortion::default()
+        },
+        ..centered()
+    };
+    let back = round_trip(CameraFormat::Bundler, &cameras(radial));
+    let worst = largest_projection_difference(&cameras(radial), &back);
+    assert!(worst < SAME_PX, "{worst}");
+}
+
+/// A point before all three cameras' first, and where our camera sees it.
+fn point_and_pixel(entry: &CameraEntry) -> (Point3<f64>, nalgebra::Point2<f64>) {
+    let pose = entry.cam_from_world.unwrap();
+    let in_camera = Point3::new(0.2, -0.15, 1.3);
+    let world = pose.inverse().apply(&in_camera);
+    (world, entry.intrinsics.project(&in_camera).unwrap())
+}
+
+fn written(format: CameraFormat, intrinsics: Intrinsics, name: &str) -> (String, CameraEntry) {
+    let folder = folder();
+    let original = cameras(intrinsics);
+    export_cameras(&path_of(&folder, format), format, &original).unwrap();
+    let text = std::fs::read_to_string(folder.path().join(name)).unwrap();
+    (text, original.cameras[1].clone())
+}
+
+#[test]
+fn transforms_by_nerfstudios_own_formula() {
+    let (text, entry) = written(CameraFormat::Transforms, plain(), "transforms.json");
+    let (world, pixel) = point_and_pixel(&entry);
+    let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let frame = &value["frames"][1];
+    let number = |value: &serde_json::Value| value.as_f64().unwrap();
+    let m = |i: usize, j: usize| number(&frame["transform_matrix"][i][j]);
+    let rotation = Matrix3::from_fn(m);
+    let center = Vector3::new(m(0, 3), m(1, 3), m(2, 3));
+    // nerfstudio: a pixel's ray is ((u + 0.5 - cx) / fl_x, -(v + 0.5 - cy) / fl_y, -1).
+    let p = rotation.transpose() * (world.coords - center);
+    let u = number(&frame["fl_x"]) * p.x / -p.z + number(&frame["cx"]) - 0.5;
+    let v = -number(&frame["fl_y"]) * p.y / -p.z + number(&frame["cy"]) - 0.5;
+    assert!(
+        (u - pixel.x).hypot(v - pixel.y) < SAME_PX,
+        "{u} {v} {pixel}"
+    );
+}
+
+#[test]
+fn bundler_by_its_manuals_formula() {
+    let (text, entry) = written(CameraFormat::Bundler, centered(), "bundle.out");
+    let (world, pixel) = point_and_pixel(&entry);
+    let numbers: Vec<Vec<f64>> = text
+        .lines()
+        .filter(|line| !line.starts_with('#'))
+        .map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect())
+        .collect();
+    let block = &numbers[1 + 5..1 + 10];
+    let rotation = Matrix3::from_fn(|i, j| block[1 + i][j]);
+    let p = rotation * world.coords + Vector3::from_row_slice(&block[4]);
+    let (x, y) = (-p.x / p.z * block[0][0], -p.y / p.z * block[0][0]);
+    // The origin is the middle of the image; y points up.
+    let (u, v) = (x + 0.5 * WIDTH as f64 - 0.5, 0.5 * HEIGHT as f64 - y - 0.5);
+    assert!(
+        (u - pixel.x).hypot(v - pixel.y) < SAME_PX,
+        "{u} {v} {pixel}"
+    );
+}
+
+#[test]
+fn middlebury_by_its_projection_matrix() {
+    let (text, entry) = written(CameraFormat::Middlebury, plain(), "stone_par.txt");
+    let (world, pixel) = point_and_pixel(&entry);
+    let line = text.lines().nth(2).unwrap();
+    let v: Vec<f64> = line
+        .split(' ')
+        .skip(1)
+        .map(|w| w.parse().unwrap())
+        .collect();
+    let (k, r) = (
+        Matrix3::from_row_slice(&v[..9]),
+        Matrix3::from_row_slice(&v[9..18]),
+    );
+    let p = k * (r * world.coords + Vector3::from_row_slice(&v[18..]));
+    assert!(
+        (p.x / p.z - pixel.x).hypot(p.y / p.z - pixel.y) < SAME_PX,
+        "{p} {pixel}"
+    );
+}
+
+#[test]
+fn tum_and_mvsnet_by_their_poses() {
+    let (text, entry) = written(CameraFormat::Tum, plain(), "pose.txt");
+    let (world, pixel) = point_and_pixel(&entry);
+    let line = text.lines().nth(2).unwrap();
+    let v: Vec<f64> = line
+        .split(' ')
+        .skip(1)
+        .map(|w| w.parse().unwrap())
+        .collect();
+    let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(v[6], v[3], v[4], v[5]));
+    let p = q.inverse() * (world.coords - Vector3::new(v[0], v[1], v[2]));
+    let k = entry.intrinsics;
+    let (x, y) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
+    assert!(
+        (x - pixel.x).hypot(y - pixel.y) < SAME_PX,
+        "{x} {y} {pixel}"
+    );
+
+    let (text, _) = written(CameraFormat::Mvsnet, plain(), "cams/00000001_cam.txt");
+    let v: Vec<f64> = text
+        .split_whitespace()
+        .filter_map(|word| word.parse().ok())
+        .collect();
+    let p = Matrix3::from_fn(|i, j| v[4 * i + j]) * world.coords + Vector3::new(v[3], v[7], v[11]);
+    let p = Matrix3::from_row_slice(&v[16..25]) * p;
+    assert!(
+        (p.x / p.z - pixel.x).hypot(p.y / p.z - pixel.y) < SAME_PX,
+        "{p} {pixel}"
+    );
+}
+
+#[test]
+fn blender_style_transforms_take_the_size_from_the_image() {
+    let folder = folder();
+    let path = folder.path().join("transforms.json");
+    std::fs::write(
+        &path,
+        r#"{"camera_angle_x": 0.6911112070083618, "frames": [{"file_path": "./IMG_0000",
+            "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]}"#,
+    )
+    .unwrap();
+    let file = import_cameras(&path, CameraFormat::Transforms).unwrap();
+    let found = file.find("IMG_0000.png").unwrap();
+    let k = found.intrinsics;
+    assert_eq!((k.width, k.height, k.cx), (WIDTH, HEIGHT, 31.5));
+    assert!(
+        (k.fx - 32.0 / 0.345_555_603_504_180_9f64.tan()).abs() < 1e-9,
+        "{}",
+        k.fx
+    );
+    // At z = 4, looking along -z: the origin lies before it.
+    let in_camera = found.cam_from_world.unwrap().apply(&Point3::origin());
+    assert!(
+        (in_camera - Point3::new(0.0, 0.0, 4.0)).norm() < 1e-12,
+        "{in_camera}"
+    );
+}
+
+#[test]
+fn refusals_name_file_and_place() {
+    let folder = folder();
+    for (name, format, text, expected) in [
+        (
+            "transforms.json",
+            CameraFormat::Transforms,
+            "{}",
+            "\"frames\" is missing",
+        ),
+        (
+            "transforms.json",
+            CameraFormat::Transforms,
+            r#"{"frames": [{"file_path": "a.png", "w": 4, "h": 3, "fl_x": 5,
+                "camera_model": "OPENCV_FISHEYE"}]}"#,
+            "OPENCV_FISHEYE",
+        ),
+        (
+            "transforms.json",
+            CameraFormat::Transforms,
+            r#"{"frames": [{"file_path": "a.png", "fl_x": 5}]}"#,
+            "its image is not there",
+        ),
+        (
+            "x_par.txt",
+            CameraFormat::Middlebury,
+            "2\nIMG_0000.png 1 2\n",
+            "line 2",
+        ),
+        (
+            "x_par.txt",
+            CameraFormat::Middlebury,
+            "2\n",
+            "announces 2 images and has 0",
+        ),
+        ("bundle.out", CameraFormat::Bundler, "1 0\n", "list.txt"),
+        (
+            "pose.txt",
+            CameraFormat::Tum,
+            "0 0 0 0 0 0 0 1\n",
+            "intrinsics.txt",
+        ),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let message = import_cameras(&path, format).unwrap_err().to_string();
+        assert!(message.contains(expected), "{message}");
+    }
+    let message = import_cameras(folder.path(), CameraFormat::Mvsnet).unwrap_err();
+    assert!(message.to_string().contains("_cam.txt"), "{message}");
+}
+
+#[test]
+fn no_part_of_a_file_panics() {
+    for format in [
+        CameraFormat::Transforms,
+        CameraFormat::Bundler,
+        CameraFormat::Middlebury,
+        CameraFormat::Tum,
+    ] {
+        let folder = folder();
+        let path = path_of(&folder, format);
+        export_cameras(&path, format, &cameras(centered())).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        for end in (0..whole.len()).step_by(11) {
+            std::fs::write(&path, &whole[..end]).unwrap();
+            let _ = import_cameras(&path, format);
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! `transforms.json` of nerfstudio and instant-ngp.
+//!
+//! ```text
+//! {"fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2", "k3",
+//!  "frames": [{"file_path": "images/x.jpg", "transform_matrix": 4 x 4 world from camera}]}
+//! ```
+//! Camera axes x right, y up, z backward; the first pixel's centre at 0.5. Every key of the camera
+//! may stand at the top or in a frame, `camera_angle_x` instead of a focal length. Source:
+//! nerfstudio documentation, "Data conventions".
+
+use super::{find_image, flip, image_size};
+use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose, unit};
+use crate::error::IoError;
+use crate::json::{self, Node};
+use nalgebra::Matrix3;
+use rilievo_scene::{Distortion, Intrinsics, Unit};
+use serde_json::json;
+use std::path::Path;
+
+/// Keys of lens coefficients that we cannot hold, and must therefore be zero.
+const FOREIGN_COEFFICIENTS: [&str; 3] = ["k4", "k5", "k6"];
+
+pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
+    let value = json::read(path)?;
+    let root = Node::root(path, &value);
+    let mut file = CameraFile {
+        unit: unit(&root)?,
+        ..CameraFile::default()
+    };
+    for frame in root.get("frames")?.array()? {
+        let name = frame.get("file_path")?.text()?.trim_start_matches("./");
+        let intrinsics = intrinsics(&root, &frame, path, name)?;
+        let node = frame.get("transform_matrix")?;
+        let rows = node.array()?;
+        if !(3..=4).contains(&rows.len()) {
+            return Err(node.refuse("is not a matrix of 4 rows"));
+        }
+        let mut rotation = Matrix3::zeros();
+        let mut center = [0.0; 3];
+        for (i, row) in rows.iter().take(3).enumerate() {
+            let [a, b, c, d] = row.numbers()?;
+            rotation.set_row(i, &nalgebra::RowVector3::new(a, b, c));
+            center[i] = d;
+        }
+        let pose = rigid_from_world_pose(&(rotation * flip()), center)
+            .map_err(|reason| node.refuse(reason))?;
+        file.cameras.push(CameraEntry {
+            image: Some(last_part(name).to_owned()),
+            intrinsics,
+            cam_from_world: Some(pose),
+        });
+    }
+    Ok(file)
+}
+
+/// A key in the frame, else at the top.
+fn key<'a>(root: &Node<'a>, frame: &Node<'a>, name: &str) -> Result<Option<Node<'a>>, IoError> {
+    match frame.opt(name)? {
+        Some(node) => Ok(Some(node)),
+        None => root.opt(name),
+    }
+}
+
+fn intrinsics(
+    root: &Node<'_>,
+    frame: &Node<'_>,
+    path: &Path,
+    name: &str,
+) -> Result<Intrinsics, IoError> {
+    if let Some(model) = key(root, frame, "camera_model")? {
+        match model.text()? {
+            "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL"
+            | "FULL_OPENCV" => {}
+            _ => return Err(model.refuse("is a camera model that is not supported")),
+        }
+    }
+    let number = |name: &str| -> Result<Option<f64>, IoError> {
+        key(root, frame, name)?
+            .map(|node| node.number())
+            .transpose()
+    };
+    let (width, height) = match (key(root, frame, "w")?, key(root, frame, "h")?) {
+        (Some(w), Some(h)) => (w.count()?, h.count()?),
+        _ => {
+            let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
+            let image = find_image(&[folder], name).ok_or_else(|| {
+                frame.refuse("has no \"w\" and \"h\", and its image is not there either")
+            })?;
+            image_size(&image)?
+        }
+    };
+    let fx = match (number("fl_x")?, number("camera_angle_x")?) {
+        (Some(fx), _) => fx,
+        (None, Some(angle)) => 0.5 * width as f64 / (0.5 * angle).tan(),
+        (None, None) => return Err(frame.refuse("has neither \"fl_x\" nor \"camera_angle_x\"")),
+    };
+    let fy = number("fl_y")?.unwrap_or(fx);
+    if !(fx.is_finite() && fx > 0.0 && fy > 0.0) {
+        return Err(frame.refuse(format!("has the focal lengths {fx}, {fy}")));
+    }
+    for name in FOREIGN_COEFFICIENTS {
+        if number(name)?.is_some_and(|value| value != 0.0) {
+            return Err(frame.refuse(format!("has the lens coefficient {name}")));
+        }
+    }
+    let coefficient = |name: &str| number(name).map(|value| value.unwrap_or(0.0));
+    Ok(Intrinsics {
+        width,
+        height,
+        fx,
+        fy,
+        cx: number("cx")?.unwrap_or(0.5 * width as f64) - 0.5,
+        cy: number("cy")?.unwrap_or(0.5 * height as f64) - 0.5,
+        distortion: Distortion {
+            k1: coefficient("k1")?,
+            k2: coefficient("k2")?,
+            p1: coefficient("p1")?,
+            p2: coefficient("p2")?,
+            k3: coefficient("k3")?,
+        },
+    })
+}
+
+pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+    let frames: Vec<serde_json::Value> = cameras
+        .cameras
+        .iter()
+        .filter_map(|entry| {
+            let pose = entry.cam_from_world?;
+            let rotation = pose.inverse().rotation_matrix() * flip();
+            let center = pose.center_in_source();
+            let row = |i: usize| {
+                [
+                    rotation[(i, 0)],
+                    rotation[(i, 1)],
+                    rotation[(i, 2)],
+                    center[i],
+                ]
+            };
+            let (i, d) = (&entry.intrinsics, &entry.intrinsics.distortion);
+            Some(json!({
+                "file_path": entry.image.as_deref().unwrap_or("image"),
+                "w": i.width, "h": i.height,
+                "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx + 0.5, "cy": i.cy + 0.5,
+                "k1": d.k1, "k2": d.k2, "p1": d.p1, "p2": d.p2, "k3": d.k3,
+                "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            }))
+        })
+        .collect();
+    let unit = match cameras.unit {
+        Unit::Metre => "metre",
+        Unit::Arbitrary => "arbitrary",
+    };
+    json::write(
+        path,
+        &json!({"camera_model": "OPENCV", "unit": unit, "frames": frames}),
+    )
+}
