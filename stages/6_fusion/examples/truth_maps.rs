@@ -4,16 +4,14 @@
 //! `truth_maps DATA [BIAS_MM NOISE_MM]`: `DATA/truth` holds `cameras.json`, `NAME_depth.exr`,
 //! `NAME_normal.exr` and `mesh.ply`; every view gets a smooth bias and white noise of these sizes.
 
-use exr::prelude::{ReadChannels, ReadLayers, f16, read};
+use exr::prelude::{ReadChannels, ReadLayers, read};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use rilievo_fusion::{FusionOptions, run};
 use rilievo_scene::{
     Intrinsics, Mesh, NormalMap, PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, RigidTransform,
     ShadedView, ShadedViews, Silent, ViewIdx,
 };
-use rilievo_synthetic::compare::{
-    MeshDistance, Similarity, TrueSurface, TruthView, compare_cloud,
-};
+use rilievo_synthetic::compare::{MeshDistance, Similarity, TrueSurface, TruthView, compare_cloud};
 use serde_json::Value;
 use std::error::Error;
 use std::path::Path;
@@ -37,11 +35,7 @@ fn channel(path: &Path, name: &str) -> Fallible<Raster<f32>> {
         .iter()
         .find(|c| c.name.to_string() == name)
         .ok_or_else(|| format!("{} has no channel {name}", path.display()))?;
-    let data = found
-        .sample_data
-        .values_as_f32()
-        .collect::<Vec<f32>>();
-    let _ = f16::ZERO;
+    let data = found.sample_data.values_as_f32().collect::<Vec<f32>>();
     Raster::from_vec(layer.size.width(), layer.size.height(), data).ok_or_else(|| "size".into())
 }
 
@@ -118,13 +112,23 @@ fn white(view: usize, i: usize) -> f64 {
 fn main() -> Fallible<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let data = Path::new(arguments.first().ok_or("name a data set")?).join("truth");
-    let size = |i: usize| arguments.get(i).and_then(|a| a.parse::<f64>().ok()).unwrap_or(0.0);
+    let size = |i: usize| {
+        arguments
+            .get(i)
+            .and_then(|a| a.parse::<f64>().ok())
+            .unwrap_or(0.0)
+    };
     let (bias, noise) = (1e-3 * size(1), 1e-3 * size(2));
     let cameras: Value = serde_json::from_slice(&std::fs::read(data.join("cameras.json"))?)?;
     let mut posed = PosedViews::default();
     let mut shaded = ShadedViews::default();
     let mut truth = Vec::new();
-    for (idx, camera) in cameras["cameras"].as_array().into_iter().flatten().enumerate() {
+    for (idx, camera) in cameras["cameras"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .enumerate()
+    {
         let file_name = camera["image"].as_str().ok_or("image")?.to_owned();
         let name = file_name.split('.').next().unwrap_or_default().to_owned();
         let k = |i: usize, j: usize| number(&camera["K"][i][j]);
@@ -133,9 +137,7 @@ fn main() -> Fallible<()> {
             fy: k(1, 1),
             ..Intrinsics::pinhole(depth.width, depth.height, k(0, 0), k(0, 2), k(1, 2))
         };
-        let rotation = Matrix3::from_fn(|i, j| {
-            number(&camera["world_from_camera_rotation"][i][j])
-        });
+        let rotation = Matrix3::from_fn(|i, j| number(&camera["world_from_camera_rotation"][i][j]));
         let center = Point3::from(Vector3::from_fn(|i, _| number(&camera["camera_center"][i])));
         let cam_from_world =
             RigidTransform::from_world_pose(Rotation3::from_matrix(&rotation), center);
@@ -195,31 +197,43 @@ fn main() -> Fallible<()> {
     println!("fused in {:.1} s", start.elapsed().as_secs_f64());
     println!("{}", serde_json::to_string_pretty(&report)?);
     let views: Vec<_> = truth.iter().map(|(pose, view)| (*pose, view)).collect();
-    let compared = compare_cloud(
-        &fused.cloud.points,
-        &TrueSurface {
-            mesh: &surface,
-            views: &views,
-            threshold: Some(0.5e-3),
-        },
-        &Similarity::identity("the truth's own cameras"),
-    )
-    .ok_or("nothing to compare")?;
-    println!("cloud: {}", serde_json::to_string_pretty(&compared)?);
+    for threshold in [0.5e-3, 1e-3, 2e-3] {
+        let compared = compare_cloud(
+            &fused.cloud.points,
+            &TrueSurface {
+                mesh: &surface,
+                views: &views,
+                threshold: Some(threshold),
+            },
+            &Similarity::identity("the truth's own cameras"),
+        )
+        .ok_or("nothing to compare")?;
+        println!("cloud: {}", serde_json::to_string(&compared)?);
+    }
 
     let distance = MeshDistance::new(&surface, 1e-3).ok_or("no surface")?;
     let vector = |v: [f32; 3]| Vector3::from(v.map(f64::from));
     let (mut angles, mut near) = (Vec::new(), Vec::new());
     for point in fused.cloud.points.iter().step_by(7) {
         let (d, triangle) = distance.nearest(&Point3::from(vector(point.position)));
-        let [a, b, c] = surface.triangles[triangle].map(|v| vector(surface.vertices[v as usize]));
+        let corners = surface.triangles[triangle];
+        let [a, b, c] = corners.map(|v| vector(surface.vertices[v as usize]));
+        // The normal of the true surface between the corners, by their areal weights.
         let face = (b - a).cross(&(c - a));
-        angles.push(face.angle(&vector(point.normal)).to_degrees());
+        let p = vector(point.position);
+        let weights = [(b, c), (c, a), (a, b)]
+            .map(|(u, v)| (u - p).cross(&(v - p)).dot(&face) / face.norm_squared());
+        let normal = corners
+            .iter()
+            .zip(weights)
+            .map(|(&v, w)| vector(surface.normals[v as usize]) * w)
+            .sum::<Vector3<f64>>();
+        angles.push(normal.angle(&vector(point.normal)).to_degrees());
         near.push(d);
     }
     angles.sort_by(f64::total_cmp);
     println!(
-        "normals against the mesh's faces: mean {:.2}, median {:.2} degrees",
+        "normals against the mesh: mean {:.2}, median {:.2} degrees",
         angles.iter().sum::<f64>() / angles.len() as f64,
         angles[angles.len() / 2]
     );

@@ -92,7 +92,13 @@ impl ColorSource {
 
     /// Colour of a world point that view `idx` sees, with the other views whose surface lies within
     /// `tolerance` of it along their rays.
-    pub fn color(&self, views: &[View], idx: usize, point: &Point3<f64>, tolerance: f64) -> [u8; 3] {
+    pub fn color(
+        &self,
+        views: &[View],
+        idx: usize,
+        point: &Point3<f64>,
+        tolerance: f64,
+    ) -> [u8; 3] {
         let (mut sum, mut count) = ([0.0_f32; 3], 0.0_f32);
         for (j, (view, image)) in views.iter().zip(&self.images).enumerate() {
             let Some(image) = image else { continue };

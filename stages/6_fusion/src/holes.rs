@@ -8,20 +8,23 @@ use std::collections::BTreeMap;
 
 /// Adds lids to all boundary loops.
 pub(crate) fn close(mesh: &mut Mesh) {
-    // A directed edge without its opposite is a boundary; a lid needs the opposite direction.
-    let mut edges: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    // A directed edge that is run through more often than its opposite is a boundary; a lid needs
+    // the opposite direction. As a boundary the edges are balanced in every vertex, so that a walk
+    // along them always closes, also where loops touch.
+    let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
     for t in &mesh.triangles {
         for k in 0..3 {
-            *edges.entry((t[k], t[(k + 1) % 3])).or_default() += 1;
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            *edges.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
         }
     }
     let mut next: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-    for &(a, b) in edges.keys() {
-        if !edges.contains_key(&(b, a)) {
-            next.entry(b).or_default().push(a);
+    for (&(a, b), &excess) in &edges {
+        let (from, to) = if excess > 0 { (b, a) } else { (a, b) };
+        for _ in 0..excess.abs() {
+            next.entry(from).or_default().push(to);
         }
     }
-    // Where loops touch in a vertex, any successor leads along some closed loop.
     while let Some((&start, _)) = next.first_key_value() {
         let mut ring = vec![start];
         let mut at = start;
@@ -62,7 +65,8 @@ fn fan(mesh: &mut Mesh, ring: &[u32]) {
     let hub = mesh.vertices.len() as u32;
     mesh.vertices.push(center.map(|c| c as f32));
     for k in 0..ring.len() {
-        mesh.triangles.push([ring[k], ring[(k + 1) % ring.len()], hub]);
+        mesh.triangles
+            .push([ring[k], ring[(k + 1) % ring.len()], hub]);
     }
 }
 
@@ -77,7 +81,10 @@ mod tests {
             .iter()
             .flat_map(|t| (0..3).map(|k| (t[k], t[(k + 1) % 3])))
             .collect();
-        edges.iter().filter(|(a, b)| !edges.contains(&(*b, *a))).count()
+        edges
+            .iter()
+            .filter(|(a, b)| !edges.contains(&(*b, *a)))
+            .count()
     }
 
     #[test]

@@ -35,8 +35,8 @@ pub struct FusionOptions {
     pub max_grazing_deg: f64,
     /// Pixels next to the border of the map that are dropped: there the depth is extrapolated.
     pub border_px: usize,
-    /// Distance between the points of the cloud, world's unit; 0 keeps one point per pixel of the
-    /// view that sees the surface best.
+    /// Distance between the points of the cloud, world's unit; 0 keeps about a point per squared
+    /// pixel footprint of the views that see the surface best.
     pub spacing: f64,
     /// Whether smooth offsets between the views' depth maps are adjusted away before fusion.
     pub reconcile: bool,

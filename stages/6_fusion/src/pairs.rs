@@ -9,7 +9,7 @@ use crate::report::Layering;
 use crate::views::View;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
-use rilievo_numerics::robust::quantile;
+use rilievo_numerics::robust::{SIGMA_FROM_MAD, median, quantile};
 
 /// Two sightings of one surface point.
 #[derive(Clone, Copy, Debug)]
@@ -25,6 +25,10 @@ pub(crate) struct Pair {
     /// Mean pixel footprint, world's unit.
     pub footprint: f64,
 }
+
+/// Cosine of incidence up to which a surface counts as turned away from a view: noise of the
+/// normals at the rim must not turn it back.
+const MIN_FACING: f64 = 0.05;
 
 /// How another view sees a point.
 pub(crate) enum Sight {
@@ -44,6 +48,8 @@ pub(crate) enum Sight {
         cosine: f64,
         footprint: f64,
         confidence: f64,
+        /// Whether the pixel nearest to it gives a point of its own.
+        gives: bool,
     },
 }
 
@@ -71,6 +77,10 @@ pub(crate) fn look(
         return Sight::Nothing;
     };
     let ray = view.to_world(&(in_cam.coords / in_cam.z));
+    // What is turned away lies behind the rim that the view sees, however near.
+    if candidate.normal.dot(&ray) > -MIN_FACING * ray.norm() {
+        return Sight::Hidden;
+    }
     let normal = view.to_world(&seen.normal);
     let gap = seen.depth - in_cam.z;
     let mean = candidate.normal + normal;
@@ -88,6 +98,7 @@ pub(crate) fn look(
             cosine: -normal.dot(&ray) / ray.norm(),
             footprint: view.footprint(seen.depth),
             confidence: seen.confidence,
+            gives: seen.gives,
         };
     }
     if gap < 0.0 {
@@ -101,10 +112,7 @@ pub(crate) fn look(
 
 /// For every view the others that look from nearby directions, nearest first.
 pub(crate) fn neighbours(views: &[View], max_num: usize) -> Vec<Vec<usize>> {
-    let directions: Vec<Vector3<f64>> = views
-        .iter()
-        .map(|v| v.to_world(&Vector3::z()))
-        .collect();
+    let directions: Vec<Vector3<f64>> = views.iter().map(|v| v.to_world(&Vector3::z())).collect();
     (0..views.len())
         .map(|i| {
             let mut others: Vec<usize> = (0..views.len())
@@ -169,10 +177,7 @@ pub(crate) fn find_pairs(
                     let mean = (candidate.normal + normal).normalize();
                     pairs.push(Pair {
                         views: [i as u16, j as u16],
-                        pixels: [
-                            [x as f32, y as f32],
-                            [pixel.x as f32, pixel.y as f32],
-                        ],
+                        pixels: [[x as f32, y as f32], [pixel.x as f32, pixel.y as f32]],
                         distance,
                         slopes: [
                             -mean.dot(&(candidate.point - view.center)),
@@ -191,18 +196,45 @@ pub(crate) fn find_pairs(
 /// Samples in a window below which its mean says nothing about an offset.
 const MIN_WINDOW: usize = 8;
 
-/// Statistics of the distances; `window_px` is the size of the windows of the smooth part.
-pub(crate) fn layering(pairs: &[Pair], window_px: f64) -> Layering {
+/// Standard deviations between views that still count as one surface.
+const NUM_SIGMAS: f64 = 4.0;
+/// Views within this many footprints count as one surface in any case: interpolation between
+/// pixels errs by less.
+const MIN_TOLERANCE_PX: f64 = 1.0;
+
+/// Distance in footprints up to which two views see one surface, from the spread of the data.
+pub(crate) fn tolerance_px(median: f64, footprint: f64, options: &FusionOptions) -> f64 {
+    let spread = if footprint > 0.0 {
+        SIGMA_FROM_MAD * median / footprint
+    } else {
+        0.0
+    };
+    (NUM_SIGMAS * spread).clamp(
+        MIN_TOLERANCE_PX.min(options.depth_tolerance_px),
+        options.depth_tolerance_px,
+    )
+}
+
+/// Statistics of the distances between views on one surface; pairs beyond the tolerance are
+/// different surfaces (one hides the other), and only counted.
+pub(crate) fn layering(pairs: &[Pair], options: &FusionOptions) -> Layering {
     if pairs.is_empty() {
         return Layering::default();
     }
-    let num = pairs.len() as f64;
-    let mut distances: Vec<f64> = pairs.iter().map(|p| p.distance.abs()).collect();
-    let rms = (distances.iter().map(|d| d * d).sum::<f64>() / num).sqrt();
-    let mut windows: Vec<([u32; 4], f64)> = pairs
+    let mut all: Vec<f64> = pairs.iter().map(|p| p.distance.abs()).collect();
+    let median_of_all = median(&mut all).unwrap_or_default();
+    let footprint = pairs.iter().map(|p| p.footprint).sum::<f64>() / pairs.len() as f64;
+    let tolerance = tolerance_px(median_of_all, footprint, options);
+    let same: Vec<&Pair> = pairs
+        .iter()
+        .filter(|p| p.distance.abs() <= tolerance * p.footprint)
+        .collect();
+    let mut distances: Vec<f64> = same.iter().map(|p| p.distance.abs()).collect();
+    let mean_square = distances.iter().map(|d| d * d).sum::<f64>() / distances.len().max(1) as f64;
+    let mut windows: Vec<([u32; 4], f64)> = same
         .iter()
         .map(|p| {
-            let cell = |c: f32| (f64::from(c) / window_px) as u32;
+            let cell = |c: f32| (f64::from(c) / options.reconcile_grid_px) as u32;
             let key = [
                 p.views[0].into(),
                 p.views[1].into(),
@@ -224,15 +256,17 @@ pub(crate) fn layering(pairs: &[Pair], window_px: f64) -> Layering {
         }
     }
     Layering {
-        num_pairs: pairs.len(),
-        rms,
+        num_pairs: same.len(),
+        num_apart: pairs.len() - same.len(),
+        rms: mean_square.sqrt(),
         median: quantile(&mut distances, 0.5).unwrap_or_default(),
         p90: quantile(&mut distances, 0.9).unwrap_or_default(),
         smooth_rms: if weight > 0.0 {
-            (square / weight).sqrt()
+            f64::sqrt(square / weight)
         } else {
             0.0
         },
-        footprint: pairs.iter().map(|p| p.footprint).sum::<f64>() / num,
+        footprint,
+        tolerance: tolerance * footprint,
     }
 }

@@ -4,8 +4,8 @@
 //! kept when enough views see the same surface and no more look through it than agree; its
 //! position is the mean of the agreeing surfaces along the normal,
 //! `X + n Σ w_j d_j / Σ w_j` with `w = c cos²θ / a²` (confidence, angle of incidence, pixel
-//! footprint), its normal their mean with the same weights. It is emitted by the view with the
-//! most pixels per area, `cosθ / a²`; the others leave it out.
+//! footprint), its normal their mean with the same weights. Views emit it in the order of their
+//! pixels per area, `cosθ / a²`, until there is more than a point per squared footprint.
 //!
 //! The tolerance follows the data: four robust standard deviations of the distances between the
 //! views, widened where confidence is low, between one footprint and `depth_tolerance_px`.
@@ -13,39 +13,25 @@
 use crate::color::ColorSource;
 use crate::error::FusionError;
 use crate::options::FusionOptions;
-use crate::pairs::{Candidate, Sight, look};
+use crate::pairs::{Candidate, Sight, look, tolerance_px};
 use crate::report::{Layering, ViewFusion};
 use crate::views::View;
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use rilievo_numerics::robust::SIGMA_FROM_MAD;
 use rilievo_scene::{CloudPoint, Event, Flow, Observer, StageId};
 
-/// Standard deviations between views that still count as agreement.
-const NUM_SIGMAS: f64 = 4.0;
-/// Tolerance never falls below this, footprints: interpolation between pixels errs by less.
-const MIN_TOLERANCE_PX: f64 = 1.0;
+/// Points per squared footprint that the better views must give together before the others leave
+/// a place to them. At 1.3 no place is farther than a footprint from a point; every pixel of every
+/// view would give three times as many points and no more detail.
+const ENOUGH: f64 = 1.3;
 
 enum Verdict {
     Empty,
     /// Too few views agree, or others see through it.
     Inconsistent,
-    /// Another view resolves it better.
+    /// Views that resolve it better give enough points.
     Elsewhere,
     Keep(CloudPoint),
-}
-
-/// Tolerance in footprints for points of full confidence.
-fn tolerance_px(layering: &Layering, options: &FusionOptions) -> f64 {
-    let spread = if layering.footprint > 0.0 {
-        SIGMA_FROM_MAD * layering.median / layering.footprint
-    } else {
-        0.0
-    };
-    (NUM_SIGMAS * spread).clamp(
-        MIN_TOLERANCE_PX.min(options.depth_tolerance_px),
-        options.depth_tolerance_px,
-    )
 }
 
 /// Gathers the points of all views, in the order of views and pixels.
@@ -59,7 +45,7 @@ pub(crate) fn gather(
 ) -> Result<Vec<CloudPoint>, FusionError> {
     // A single view has nobody to agree with.
     let min_num_views = options.min_num_views.min(views.len());
-    let tolerance = tolerance_px(layering, options);
+    let tolerance = tolerance_px(layering.median, layering.footprint, options);
     let mut points = Vec::new();
     let mut num_candidates = 0;
     for (i, view) in views.iter().enumerate() {
@@ -78,8 +64,7 @@ pub(crate) fn gather(
                 let mut kept = Vec::new();
                 let (mut tried, mut inconsistent) = (0, 0);
                 for x in 0..view.depth.width {
-                    let verdict =
-                        judge(views, i, x, y, colors, tolerance, min_num_views, options);
+                    let verdict = judge(views, i, x, y, colors, tolerance, min_num_views, options);
                     match verdict {
                         Verdict::Empty => continue,
                         Verdict::Inconsistent => inconsistent += 1,
@@ -124,7 +109,7 @@ fn judge(
     options: &FusionOptions,
 ) -> Verdict {
     let view = &views[idx];
-    let Some(surface) = view.at(x, y) else {
+    let Some(surface) = view.at(x, y).filter(|_| *view.gives.at(x, y)) else {
         return Verdict::Empty;
     };
     let ray = view.ray(x, y);
@@ -147,7 +132,7 @@ fn judge(
     let (mut offset, mut weights) = (0.0, own_weight);
     let (mut square, mut confidence) = (0.0, own_weight * surface.confidence);
     let mut normal = candidate.normal * own_weight;
-    let mut is_best = true;
+    let (mut better, mut finest) = (0.0, candidate.footprint);
     for (j, other) in views.iter().enumerate() {
         if j == idx {
             continue;
@@ -159,6 +144,7 @@ fn judge(
                 cosine,
                 footprint,
                 confidence: c,
+                gives,
             } => {
                 let weight = weight_of(c, cosine, footprint);
                 num_agree += 1;
@@ -168,8 +154,11 @@ fn judge(
                 confidence += weight * c;
                 normal += other_normal * weight;
                 let density = cosine / (footprint * footprint);
-                // Ties go to the first view, so that exactly one emits the point.
-                is_best &= density < own_density || (density == own_density && j > idx);
+                finest = finest.min(footprint);
+                // Ties go to the first view, so that the order is one for all.
+                if gives && (density > own_density || (density == own_density && j < idx)) {
+                    better += density;
+                }
             }
             Sight::SeenThrough => num_through += 1,
             Sight::Nothing | Sight::Hidden => {}
@@ -178,7 +167,7 @@ fn judge(
     if num_agree < min_num_views || num_through >= num_agree {
         return Verdict::Inconsistent;
     }
-    if !is_best {
+    if better * finest * finest >= ENOUGH {
         return Verdict::Elsewhere;
     }
     let normal = normal.normalize();
@@ -186,14 +175,22 @@ fn judge(
     let position = candidate.point + candidate.normal * mean_offset;
     // How likely the point is right: confidence of its pixels, number of independent sightings,
     // and how well they agree.
-    let spread = (square / weights - mean_offset * mean_offset).max(0.0).sqrt() / tolerance;
+    let spread = (square / weights - mean_offset * mean_offset)
+        .max(0.0)
+        .sqrt()
+        / tolerance;
     let confidence = confidence / weights
         * (1.0 - 0.5_f64.powi(num_agree as i32))
         * (-0.5 * spread * spread).exp();
     Verdict::Keep(CloudPoint {
         position: position.coords.map(|c| c as f32).into(),
         normal: normal.map(|c| c as f32).into(),
-        color: colors.color(views, idx, &position, tolerance.max(2.0 * candidate.footprint)),
+        color: colors.color(
+            views,
+            idx,
+            &position,
+            tolerance.max(2.0 * candidate.footprint),
+        ),
         confidence: confidence as f32,
         num_views: num_agree.min(255) as u8,
     })

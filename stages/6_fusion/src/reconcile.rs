@@ -76,7 +76,7 @@ pub(crate) fn reconcile(
     let most = neighbours.iter().map(Vec::len).max().unwrap_or(0);
     let stride = stride_for(views, most);
     let mut pairs = find_pairs(views, neighbours, stride, options);
-    let before = layering(&pairs, options.reconcile_grid_px);
+    let before = layering(&pairs, options);
     let mut result = Reconciliation {
         before,
         after: before,
@@ -93,7 +93,7 @@ pub(crate) fn reconcile(
         let step = solve(&pairs, &grids, &total, options, num_nodes);
         apply(views, &grids, &step, options.reconcile_grid_px);
         let moved = find_pairs(views, neighbours, stride, options);
-        let after = layering(&moved, options.reconcile_grid_px);
+        let after = layering(&moved, options);
         let gain = 1.0 - after.smooth_rms / result.after.smooth_rms;
         if gain.is_nan() || gain < 0.0 {
             // A lap must never push the views apart.
@@ -311,7 +311,8 @@ fn conjugate_gradients(
     add_regularizer(terms, total, &mut right, -1.0);
 
     let inner = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
-    let precondition = |r: &[f64]| -> Vec<f64> { r.iter().zip(&diagonal).map(|(r, d)| r / d).collect() };
+    let precondition =
+        |r: &[f64]| -> Vec<f64> { r.iter().zip(&diagonal).map(|(r, d)| r / d).collect() };
     let mut x = start.to_vec();
     let mut product = vec![0.0; num];
     multiply(rows, weights, terms, &x, &mut product);
@@ -347,7 +348,10 @@ fn apply(views: &mut [View], grids: &[Grid], step: &[f64], spacing_px: f64) {
         for (i, z) in view.depth.data.iter_mut().enumerate() {
             if *z > 0.0 {
                 let nodes = grid.nodes((i % width) as f64, (i / width) as f64, spacing_px);
-                let u: f64 = nodes.iter().map(|(node, weight)| step[*node] * weight).sum();
+                let u: f64 = nodes
+                    .iter()
+                    .map(|(node, weight)| step[*node] * weight)
+                    .sum();
                 *z = (f64::from(*z) * u.exp()) as f32;
             }
         }
@@ -360,7 +364,10 @@ fn correction_rms(view: &View, grid: &Grid, total: &[f64], spacing_px: f64) -> f
     for (i, &z) in view.depth.data.iter().enumerate() {
         if z > 0.0 {
             let nodes = grid.nodes((i % width) as f64, (i / width) as f64, spacing_px);
-            let u: f64 = nodes.iter().map(|(node, weight)| total[*node] * weight).sum();
+            let u: f64 = nodes
+                .iter()
+                .map(|(node, weight)| total[*node] * weight)
+                .sum();
             square += (f64::from(z) * u).powi(2);
             count += 1.0;
         }

@@ -5,8 +5,10 @@ use serde::{Deserialize, Serialize};
 /// How far overlapping views lie apart along the surface's normal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Layering {
-    /// Pairs of corresponding pixels that were measured.
+    /// Pairs of pixels that see one surface: those that were measured.
     pub num_pairs: usize,
+    /// Pairs farther apart than `tolerance`: one surface hides another, or a map is wrong.
+    pub num_apart: usize,
     /// Root mean square distance, world's unit.
     pub rms: f64,
     /// Median of the absolute distance, world's unit.
@@ -18,6 +20,9 @@ pub struct Layering {
     pub smooth_rms: f64,
     /// Mean pixel footprint, world's unit, for comparison.
     pub footprint: f64,
+    /// Distance up to which two pixels count as one surface, world's unit: four standard deviations
+    /// of the distances, between one footprint and the option `depth_tolerance_px`.
+    pub tolerance: f64,
 }
 
 /// One view's share of the result.

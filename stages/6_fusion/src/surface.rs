@@ -95,13 +95,7 @@ pub(crate) fn extract(
 fn extract_block(volume: &Volume, key: &Key, buffer: &mut SurfaceNetsBuffer) -> Piece {
     // The block's voxels and one more on the far sides, where the next block begins.
     let blocks: Vec<Option<&[f32; VOLUME]>> = (0..8)
-        .map(|n| {
-            volume.block(&[
-                key[0] + (n & 1),
-                key[1] + (n >> 1 & 1),
-                key[2] + (n >> 2),
-            ])
-        })
+        .map(|n| volume.block(&[key[0] + (n & 1), key[1] + (n >> 1 & 1), key[2] + (n >> 2)]))
         .collect();
     let value = |at: [usize; 3]| -> f32 {
         let far = at.map(|c| c / SIDE);
@@ -114,13 +108,7 @@ fn extract_block(volume: &Volume, key: &Key, buffer: &mut SurfaceNetsBuffer) -> 
         .collect();
     // Unknown voxels are larger than any truncated distance, hence outside: the nets end there in
     // false walls, which `is_known` tells apart.
-    surface_nets(
-        &values,
-        &PaddedShape {},
-        [0; 3],
-        [PADDED - 1; 3],
-        buffer,
-    );
+    surface_nets(&values, &PaddedShape {}, [0; 3], [PADDED - 1; 3], buffer);
     let vertices = buffer
         .positions
         .iter()
@@ -281,7 +269,11 @@ fn dress(mesh: &mut Mesh, points: &[CloudPoint], voxel: f64) -> Option<f64> {
                 offset += weight * normal.dot(&from);
                 weights += weight;
             }
-            let offset = if weights > 1e-6 { offset / weights } else { 0.0 };
+            let offset = if weights > 1e-6 {
+                offset / weights
+            } else {
+                0.0
+            };
             let (normal, color) = blend(points, &nearest);
             let moved = if offset.abs() <= MAX_MOVE * voxel {
                 at - normal.map(f64::from) * offset

@@ -136,8 +136,9 @@ pub(crate) fn integrate(
 }
 
 fn pack(key: [i64; 3]) -> u64 {
-    key.iter()
-        .fold(0, |packed, &k| packed << 21 | (k + KEY_OFFSET) as u64 & 0x1f_ffff)
+    key.iter().fold(0, |packed, &k| {
+        packed << 21 | (k + KEY_OFFSET) as u64 & 0x1f_ffff
+    })
 }
 
 fn unpack(packed: u64) -> Key {
@@ -161,7 +162,7 @@ fn block_keys(
             .flat_map_iter(|y| {
                 let mut row = Vec::new();
                 for x in 0..view.depth.width {
-                    let Some(surface) = view.at(x, y) else {
+                    let Some(surface) = view.at(x, y).filter(|_| *view.gives.at(x, y)) else {
                         continue;
                     };
                     let at = view.point_to_world(&(view.ray(x, y) * surface.depth)) - origin;

@@ -12,8 +12,8 @@ use crate::report::ViewFusion;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, Intrinsics, NormalMap, PosedViews, Raster, RigidTransform, ShadedView,
-    ShadedViews,
+    ConfidenceMap, DepthMap, Intrinsics, Mask, NormalMap, PosedViews, Raster, RigidTransform,
+    ShadedView, ShadedViews,
 };
 
 /// A view with its cleaned maps.
@@ -25,8 +25,11 @@ pub(crate) struct View {
     pub pose: RigidTransform,
     pub world_from_cam: Matrix3<f64>,
     pub center: Point3<f64>,
-    /// Depth, 0 where there is none or none to trust.
+    /// Depth, 0 where there is none, and on both sides of depth edges.
     pub depth: DepthMap,
+    /// Pixels good enough to give points: not at the border of the map, not grazing. The others
+    /// still confirm what another view sees better.
+    pub gives: Mask,
     /// Normals, camera frame.
     pub normal: NormalMap,
     pub confidence: Option<ConfidenceMap>,
@@ -41,8 +44,16 @@ pub(crate) struct Surface {
     /// Unit normal, camera frame.
     pub normal: Vector3<f64>,
     pub confidence: f64,
+    /// Whether the nearest pixel gives points.
+    pub gives: bool,
 }
 
+/// Share of the bilinear weights that must exist: half a pixel beyond the map's border.
+const MIN_WEIGHT: f64 = 0.25;
+/// Share of the bilinear weights above which no corner is missing, but for rounding.
+const FULL_WEIGHT: f64 = 1.0 - 1e-9;
+/// Weight of an extrapolated surface against an interpolated one.
+const EXTRAPOLATED: f64 = 0.01;
 /// Confidence below which a pixel still counts as this much: no pixel is worth nothing.
 const MIN_CONFIDENCE: f64 = 0.05;
 /// Slope of an edge against the steepest surface that is kept: noise must not cut slopes.
@@ -85,9 +96,9 @@ impl View {
 
     #[inline]
     fn confidence_at(&self, x: usize, y: usize) -> f64 {
-        self.confidence.as_ref().map_or(1.0, |c| {
-            f64::from(*c.at(x, y)).clamp(MIN_CONFIDENCE, 1.0)
-        })
+        self.confidence
+            .as_ref()
+            .map_or(1.0, |c| f64::from(*c.at(x, y)).clamp(MIN_CONFIDENCE, 1.0))
     }
 
     /// The surface at an integer pixel.
@@ -101,6 +112,7 @@ impl View {
             depth: depth.into(),
             normal: Vector3::from(self.normal.at(x, y).map(f64::from)),
             confidence: self.confidence_at(x, y),
+            gives: *self.gives.at(x, y),
         })
     }
 
@@ -120,31 +132,48 @@ impl View {
         let (x, y) = (x0 as usize, y0 as usize);
         let ray = in_cam.coords / in_cam.z;
         let (mut chord, mut planes, mut confidence) = (0.0, 0.0, 0.0);
-        let mut normal = Vector3::zeros();
+        let (mut normal, mut total) = (Vector3::zeros(), 0.0);
         for (dx, dy, weight) in [
             (0, 0, (1.0 - fx) * (1.0 - fy)),
             (1, 0, fx * (1.0 - fy)),
             (0, 1, (1.0 - fx) * fy),
             (1, 1, fx * fy),
         ] {
-            let corner = self.at(x + dx, y + dy)?;
+            let Some(corner) = self.at(x + dx, y + dy) else {
+                continue;
+            };
             let inverse = weight / corner.depth;
             chord += inverse;
-            planes += inverse * corner.normal.dot(&ray)
-                / corner.normal.dot(&self.ray(x + dx, y + dy));
+            planes +=
+                inverse * corner.normal.dot(&ray) / corner.normal.dot(&self.ray(x + dx, y + dy));
             normal += corner.normal * weight;
             confidence += corner.confidence * weight;
+            total += weight;
         }
-        // Normals that contradict the depths by a pixel footprint have nothing to add to them.
-        let mean = if (planes / chord - 1.0).abs() * self.camera.focal_px() < 1.0 {
-            0.5 * (chord + planes)
+        if total < MIN_WEIGHT {
+            return None;
+        }
+        // Beside a missing corner the surface is extrapolated: good to confirm, not to average.
+        let trust = if total > FULL_WEIGHT {
+            1.0
         } else {
-            chord
+            EXTRAPOLATED
+        };
+        let agree = (planes / chord - 1.0).abs() * self.camera.focal_px() < 1.0;
+        let inverse = match (total > FULL_WEIGHT, agree) {
+            (true, true) => 0.5 * (chord + planes),
+            // Normals that contradict the depths by a pixel footprint have nothing to add to them.
+            (true, false) => chord,
+            // Beside a missing corner the chord leans; the tangent planes carry on.
+            (false, _) => planes / total,
         };
         Some(Surface {
-            depth: 1.0 / mean,
+            depth: 1.0 / inverse,
             normal: normal.normalize(),
-            confidence,
+            confidence: trust * confidence / total,
+            gives: *self
+                .gives
+                .at(x + usize::from(fx > 0.5), y + usize::from(fy > 0.5)),
         })
     }
 }
@@ -226,6 +255,7 @@ fn clean(
         world_from_cam: pose.rotation.inverse().to_rotation_matrix().into_inner(),
         center: pose.center_in_source(),
         depth: maps.depth.clone(),
+        gives: Mask::filled(camera.width, camera.height, false),
         normal: maps.normal.clone(),
         confidence: maps.confidence.clone(),
         rays,
@@ -244,46 +274,31 @@ fn clean(
             *z = 0.0;
         }
     }
-    drop_borders(&mut view, options, &mut report);
-    drop_grazing(&mut view, options, &mut report);
+    drop_edges(&mut view, options, &mut report);
+    mark_givers(&mut view, options, &mut report);
     Ok((view, report))
 }
 
 const AROUND: [(isize, isize); 4] = [(-1, 0), (1, 0), (0, -1), (0, 1)];
 
-/// Clears pixels on both sides of depth edges, and `border_px` layers from the map's border.
-fn drop_borders(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
+/// Clears pixels on both sides of depth edges: no surface runs from one side to the other.
+fn drop_edges(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
     // The steepest surface that is kept rises by this share of its depth from pixel to pixel.
-    let steepest = EDGE_FACTOR * options.max_grazing_deg.min(89.0).to_radians().tan()
-        / view.camera.focal_px();
-    let is_edge = |here: f32, there: Option<f32>| {
-        there.is_some_and(|z| {
-            z > 0.0 && f64::from((z - here).abs()) > steepest * f64::from(here)
-        })
-    };
-    let is_border = |_: f32, there: Option<f32>| there.is_none_or(|z| z <= 0.0);
-    drop_where(view, report, &is_edge);
-    for _ in 0..options.border_px {
-        drop_where(view, report, &is_border);
-    }
-}
-
-/// Clears the pixels of which some neighbour satisfies `test(here, there)`.
-fn drop_where(
-    view: &mut View,
-    report: &mut ViewFusion,
-    test: &dyn Fn(f32, Option<f32>) -> bool,
-) {
+    let steepest =
+        EDGE_FACTOR * options.max_grazing_deg.min(89.0).to_radians().tan() / view.camera.focal_px();
     let before = view.depth.clone();
     for y in 0..before.height {
         for x in 0..before.width {
             let here = *before.at(x, y);
-            let drop = here > 0.0
+            let is_edge = here > 0.0
                 && AROUND.iter().any(|(dx, dy)| {
-                    let there = before.get(x as isize + dx, y as isize + dy);
-                    test(here, there.copied())
+                    before
+                        .get(x as isize + dx, y as isize + dy)
+                        .is_some_and(|&z| {
+                            z > 0.0 && f64::from((z - here).abs()) > steepest * f64::from(here)
+                        })
                 });
-            if drop {
+            if is_edge {
                 *view.depth.at_mut(x, y) = 0.0;
                 report.num_border += 1;
             }
@@ -291,18 +306,39 @@ fn drop_where(
     }
 }
 
-fn drop_grazing(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
+/// Marks the pixels that give points: `border_px` from the map's border, and not grazing.
+fn mark_givers(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
+    let mut inside: Mask = Raster {
+        width: view.depth.width,
+        height: view.depth.height,
+        data: view.depth.data.iter().map(|&z| z > 0.0).collect(),
+    };
+    for _ in 0..options.border_px {
+        let before = inside.clone();
+        for y in 0..before.height {
+            for x in 0..before.width {
+                let at_border = AROUND
+                    .iter()
+                    .any(|(dx, dy)| !before.contains(x as isize + dx, y as isize + dy));
+                if *before.at(x, y) && at_border {
+                    *inside.at_mut(x, y) = false;
+                    report.num_border += 1;
+                }
+            }
+        }
+    }
     let min_cosine = options.max_grazing_deg.to_radians().cos();
-    for y in 0..view.depth.height {
-        for x in 0..view.depth.width {
-            let Some(surface) = view.at(x, y) else {
+    for y in 0..inside.height {
+        for x in 0..inside.width {
+            let Some(surface) = view.at(x, y).filter(|_| *inside.at(x, y)) else {
                 continue;
             };
             let cosine = -surface.normal.dot(&view.ray(x, y).normalize());
             if cosine.is_nan() || cosine < min_cosine {
-                *view.depth.at_mut(x, y) = 0.0;
+                *inside.at_mut(x, y) = false;
                 report.num_grazing += 1;
             }
         }
     }
+    view.gives = inside;
 }

@@ -13,7 +13,7 @@
 use super::align::Similarity;
 use super::maps::TruthView;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{CloudPoint, Mesh, RigidTransform};
@@ -27,8 +27,12 @@ const THRESHOLD_SHARE: f64 = 1.0 / 500.0;
 const NUM_CANDIDATES: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(7);
 /// At most this many samples on the surface, which bounds memory at about 100 MB.
 const MAX_NUM_SAMPLES: f64 = 1.5e6;
-/// A surface point counts as seen where the depth map agrees within this share of the depth.
-const SEEN_TOLERANCE: f64 = 2e-3;
+/// A surface point counts as seen where the depth map agrees within a pixel footprint along the
+/// normal, and within this share of the depth: at grazing incidence the normal alone lets pass what
+/// lies far behind.
+const SEEN_TOLERANCE: f64 = 5e-3;
+/// Cosine of the angle of incidence from which a surface counts as seen: 80 degrees.
+const MIN_SEEN_COSINE: f64 = 0.17;
 
 /// A cloud against the true surface, lengths in the truth's unit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -187,20 +191,25 @@ fn diagonal(mesh: &Mesh) -> f64 {
     (high - low).norm()
 }
 
-/// Whether a point of the surface is the one that a view sees along its ray.
-fn sees(view: &(RigidTransform, &TruthView), p: &Point3<f64>) -> bool {
-    let in_cam = view.0.apply(p);
-    view.1
-        .intrinsics
-        .project(&in_cam)
-        .and_then(|pixel| {
-            view.1
-                .depth
-                .get(pixel.x.round() as isize, pixel.y.round() as isize)
-        })
-        .is_some_and(|&z| {
-            z > 0.0 && (in_cam.z - f64::from(z)).abs() <= SEEN_TOLERANCE * f64::from(z)
-        })
+/// Whether a point of the surface with a normal is the one that a view sees: the tangent plane
+/// there holds the point that the view has in the nearest pixel.
+fn sees(view: &(RigidTransform, &TruthView), p: &Point3<f64>, normal: &Vector3<f64>) -> bool {
+    let (pose, truth) = view;
+    let in_cam = pose.apply(p);
+    let Some(pixel) = truth.intrinsics.project(&in_cam) else {
+        return false;
+    };
+    let nearest = Point2::new(pixel.x.round(), pixel.y.round());
+    let depth = truth.depth.get(nearest.x as isize, nearest.y as isize);
+    let Some(z) = depth.map(|&z| f64::from(z)).filter(|&z| z > 0.0) else {
+        return false;
+    };
+    let normal = pose.rotation * normal;
+    let cosine = normal.dot(&in_cam.coords).abs() / in_cam.coords.norm();
+    let seen = truth.intrinsics.unproject(&nearest, z);
+    cosine > MIN_SEEN_COSINE
+        && normal.dot(&(seen - in_cam)).abs() <= z / truth.intrinsics.focal_px()
+        && (z - in_cam.z).abs() <= SEEN_TOLERANCE * z
 }
 
 /// Compares the cloud, moved by `similarity`, with the true surface; `None` when either is empty.
@@ -236,9 +245,13 @@ pub fn compare_cloud(
     let states: Vec<u8> = samples
         .points
         .par_iter()
-        .map(|sample| {
+        .zip(&samples.triangles)
+        .map(|(sample, &triangle)| {
             let p = Point3::from(*sample);
-            let num_seen = truth.views.iter().filter(|view| sees(view, &p)).count();
+            let [a, b, c] = corners(truth.mesh, triangle as usize);
+            let normal = (b - a).cross(&(c - a)).normalize();
+            let views = truth.views.iter();
+            let num_seen = views.filter(|view| sees(view, &p, &normal)).count();
             if !truth.views.is_empty() && num_seen < 2 {
                 return 0;
             }

@@ -1,0 +1,395 @@
+//! Fusion of an analytic sphere seen from an arc, in rungs.
+
+// Helpers outside the test functions may fail as these may.
+#![allow(clippy::expect_used, clippy::panic)]
+
+use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
+use rilievo_fusion::{FusionError, FusionOptions, FusionReport, run};
+use rilievo_scene::{
+    ConfidenceMap, DepthMap, Event, Flow, FusedCloud, InMemoryPixels, Intrinsics, LinearImage,
+    Mesh, NormalMap, Observer, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform,
+    ShadedView, ShadedViews, Silent, ViewIdx,
+};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+const WIDTH: usize = 160;
+const HEIGHT: usize = 120;
+const FOCAL: f64 = 240.0;
+const DISTANCE: f64 = 6.0;
+
+/// A sphere of a radius around the origin, seen by cameras at azimuths in degrees.
+fn views(azimuths_deg: &[f64], radius: f64) -> (PosedViews, ShadedViews) {
+    let camera = Intrinsics::pinhole(WIDTH, HEIGHT, FOCAL, 79.5, 59.5);
+    let mut posed = PosedViews::default();
+    let mut shaded = ShadedViews::default();
+    for (i, azimuth) in azimuths_deg.iter().enumerate() {
+        let a = azimuth.to_radians();
+        let center = Point3::new(a.sin(), -0.3, -a.cos()) * (DISTANCE * radius);
+        let forward = -center.coords.normalize();
+        let right = Vector3::y().cross(&forward).normalize();
+        let axes = Matrix3::from_columns(&[right, forward.cross(&right), forward]);
+        let pose = RigidTransform::from_world_pose(Rotation3::from_matrix_unchecked(axes), center);
+        let sphere_in_cam = pose.apply(&Point3::origin()).coords;
+        let hit = |x: usize, y: usize| -> Option<(f64, Vector3<f64>)> {
+            let ray = camera.ray(&Point2::new(x as f64, y as f64));
+            let (along, square) = (ray.dot(&sphere_in_cam), ray.norm_squared());
+            let rest = sphere_in_cam.norm_squared() - radius * radius;
+            let root = along * along - square * rest;
+            let z = (along - (root > 0.0).then(|| root.sqrt())?) / square;
+            Some((z, (ray * z - sphere_in_cam) / radius))
+        };
+        let name = format!("IMG_{i:04}");
+        posed.views.push(PosedView {
+            photo: PhotoIdx(i),
+            name: name.clone(),
+            file_name: format!("{name}.png"),
+            intrinsics: camera,
+            cam_from_world: pose,
+        });
+        shaded.views.push(ShadedView {
+            view: ViewIdx(i),
+            name,
+            depth: DepthMap::from_fn(WIDTH, HEIGHT, |x, y| hit(x, y).map_or(0.0, |h| h.0 as f32)),
+            normal: NormalMap::from_fn(WIDTH, HEIGHT, |x, y| {
+                hit(x, y).map_or([0.0; 3], |h| h.1.map(|c| c as f32).into())
+            }),
+            confidence: None,
+            rendered: None,
+            albedo: None,
+        });
+    }
+    (posed, shaded)
+}
+
+const ARC: [f64; 5] = [-40.0, -20.0, 0.0, 20.0, 40.0];
+
+/// Size of a pixel on the front of a sphere of radius 1.
+fn footprint() -> f64 {
+    DISTANCE / FOCAL
+}
+
+fn fuse(
+    posed: &PosedViews,
+    shaded: &ShadedViews,
+    options: &FusionOptions,
+) -> Result<(FusedCloud, FusionReport), FusionError> {
+    run(&PhotoSet::default(), posed, shaded, options, &Silent)
+}
+
+fn length(p: &[f32; 3]) -> f64 {
+    Vector3::from(p.map(f64::from)).norm()
+}
+
+/// Distances of the cloud's points from a sphere, sorted.
+fn errors(fused: &FusedCloud, radius: f64) -> Vec<f64> {
+    let mut errors: Vec<f64> = fused
+        .cloud
+        .points
+        .iter()
+        .map(|p| (length(&p.position) - radius).abs())
+        .collect();
+    errors.sort_by(f64::total_cmp);
+    errors
+}
+
+/// Number of edges that only one triangle has.
+fn num_open_edges(mesh: &Mesh) -> usize {
+    let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
+    for t in &mesh.triangles {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            *edges.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
+        }
+    }
+    edges.values().filter(|&&n| n != 0).count()
+}
+
+/// White noise between -1 and 1 from integers.
+fn noise(view: usize, i: usize) -> f64 {
+    let mut z = ((view as u64) << 32 | i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    2.0 * (z ^ z >> 31) as f64 / u64::MAX as f64 - 1.0
+}
+
+#[test]
+fn exact_maps_give_the_sphere_without_layers() {
+    let (posed, shaded) = views(&ARC, 1.0);
+    let (fused, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    let errors = errors(&fused, 1.0);
+    assert!(errors.len() > 5000, "{} points", errors.len());
+    let worst = errors[errors.len() - 1] / footprint();
+    assert!(worst < 0.05, "{worst} footprints");
+    for p in &fused.cloud.points {
+        let (at, n) = (Vector3::from(p.position), Vector3::from(p.normal));
+        assert!(at.normalize().dot(&n) > 0.9999, "{p:?}");
+        assert!(
+            p.num_views >= 2 && (0.0..=1.0).contains(&p.confidence),
+            "{p:?}"
+        );
+    }
+    let rms = report.layering_after.rms / footprint();
+    // At the rim of so coarse a sphere a pixel spans ten degrees.
+    assert!(rms < 0.05, "{rms} footprints between views");
+
+    let mesh = report.mesh.expect("a mesh was asked for");
+    let off: f64 = fused
+        .mesh
+        .vertices
+        .iter()
+        .map(|v| (length(v) - 1.0).abs())
+        .sum::<f64>()
+        / fused.mesh.vertices.len() as f64;
+    assert!(
+        off < 0.05 * mesh.voxel,
+        "{off} against cells of {}",
+        mesh.voxel
+    );
+    for t in fused.mesh.triangles.iter().step_by(17) {
+        let [a, b, c] = t.map(|v| Vector3::from(fused.mesh.vertices[v as usize]));
+        let normal = (b - a).cross(&(c - a));
+        assert!(normal.dot(&(a + b + c)) >= 0.0, "a triangle faces inwards");
+    }
+    // One boundary runs round what was seen, and nothing else is open.
+    let open = num_open_edges(&fused.mesh) as f64 * mesh.voxel;
+    assert!((2.0..14.0).contains(&open), "boundary of length {open}");
+}
+
+#[test]
+fn smooth_offsets_are_cut_threefold_below_noise() {
+    for noise_px in [0.0, 0.1] {
+        let (posed, mut shaded) = views(&ARC, 1.0);
+        for (v, view) in shaded.views.iter_mut().enumerate() {
+            for (i, z) in view.depth.data.iter_mut().enumerate() {
+                let (x, y) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
+                let wave = (x / 40.0 + v as f64).sin() * (y / 50.0 - v as f64).cos();
+                let bias = 0.6 * (0.5 * if v % 2 == 0 { 1.0 } else { -1.0 } + wave);
+                let offset = footprint() * (bias + noise_px * 1.7 * noise(v, i));
+                *z = if *z > 0.0 { *z + offset as f32 } else { 0.0 };
+            }
+        }
+        let options = FusionOptions {
+            reconcile_grid_px: 16.0,
+            mesh: false,
+            ..FusionOptions::default()
+        };
+        let (_, report) = fuse(&posed, &shaded, &options).expect("fused");
+        let (before, after) = (report.layering_before, report.layering_after);
+        assert!(
+            after.smooth_rms < before.smooth_rms / 3.0 && before.smooth_rms > 0.2 * footprint(),
+            "noise {noise_px}: {before:?} {after:?}"
+        );
+        assert!(report.reconcile_iterations > 0);
+    }
+}
+
+#[test]
+fn outliers_do_not_reach_the_cloud() {
+    let (posed, mut shaded) = views(&ARC, 1.0);
+    for (v, view) in shaded.views.iter_mut().enumerate() {
+        for (i, z) in view.depth.data.iter_mut().enumerate() {
+            if *z > 0.0 && noise(v + 10, i) > 0.9 {
+                *z += (0.5 * noise(v + 20, i)) as f32;
+            }
+        }
+    }
+    let (fused, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    let errors = errors(&fused, 1.0);
+    let p99 = errors[errors.len() * 99 / 100] / footprint();
+    assert!(p99 < 0.5, "{p99} footprints at 99 %");
+    assert!(errors.len() > 3000, "{}", errors.len());
+    let dropped: usize = report
+        .views
+        .iter()
+        .map(|v| v.num_inconsistent + v.num_border)
+        .sum();
+    assert!(dropped > 1000, "{dropped}");
+}
+
+#[test]
+fn lengths_are_footprints_so_that_the_unit_does_not_matter() {
+    let counts: Vec<(usize, usize)> = [0.01, 1.0, 1000.0]
+        .iter()
+        .map(|&radius| {
+            let (posed, shaded) = views(&ARC, radius);
+            let (fused, _) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+            (fused.cloud.points.len(), fused.mesh.triangles.len())
+        })
+        .collect();
+    for count in &counts {
+        let relative = |a: usize, b: usize| (a as f64 / b as f64 - 1.0).abs();
+        assert!(
+            relative(count.0, counts[1].0) < 0.01 && relative(count.1, counts[1].1) < 0.01,
+            "{counts:?}"
+        );
+    }
+}
+
+#[test]
+fn one_thread_and_three_give_the_same_bytes() {
+    let (posed, shaded) = views(&ARC, 1.0);
+    let result = |threads: usize| {
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .expect("threads")
+            .install(|| fuse(&posed, &shaded, &FusionOptions::default()).expect("fused"))
+    };
+    assert_eq!(result(1), result(3));
+}
+
+#[test]
+fn spacing_thins_watertight_closes_and_memory_bounds() {
+    let (posed, shaded) = views(&ARC, 1.0);
+    let full = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    let options = FusionOptions {
+        spacing: 4.0 * footprint(),
+        watertight: true,
+        memory_mib: 16,
+        voxel_px: 0.5,
+        ..FusionOptions::default()
+    };
+    let (thin, report) = fuse(&posed, &shaded, &options).expect("fused");
+    assert!(
+        thin.cloud.points.len() * 5 < full.0.cloud.points.len(),
+        "{} of {}",
+        thin.cloud.points.len(),
+        full.0.cloud.points.len()
+    );
+    assert_eq!(num_open_edges(&thin.mesh), 0);
+    let mesh = report.mesh.expect("a mesh was asked for");
+    assert!(mesh.memory_mib <= 16.0, "{mesh:?}");
+}
+
+#[test]
+fn colours_come_from_the_photos_and_low_confidence_widens() {
+    let (posed, mut shaded) = views(&ARC, 1.0);
+    for view in &mut shaded.views {
+        view.confidence = Some(ConfidenceMap::filled(WIDTH, HEIGHT, 0.5));
+    }
+    let mut photos = PhotoSet::default();
+    for view in &posed.views {
+        let mut image = LinearImage::filled(WIDTH, HEIGHT, 3, 0.0);
+        for pixel in image.data.chunks_exact_mut(3) {
+            pixel.copy_from_slice(&[0.216, 0.0, 1.0]);
+        }
+        photos.photos.push(Photo {
+            file_name: view.file_name.clone(),
+            name: view.name.clone(),
+            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
+            intrinsics: view.intrinsics,
+            focal_source: rilievo_scene::FocalSource::CameraFile,
+            camera_group: 0,
+            orientation: 1,
+            mask: None,
+            clip_level: 1.0,
+            given_cam_from_world: None,
+        });
+    }
+    let result = run(&photos, &posed, &shaded, &FusionOptions::default(), &Silent);
+    let (fused, report) = result.expect("fused");
+    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    assert!(fused.cloud.points.iter().all(|p| p.color == [128, 0, 255]));
+    assert!(fused.mesh.colors.iter().all(|c| *c == [128, 0, 255]));
+    assert!(fused.cloud.points.iter().all(|p| p.confidence <= 0.5));
+}
+
+#[test]
+fn one_view_alone_is_fused_with_a_warning() {
+    let (posed, shaded) = views(&ARC[..1], 1.0);
+    let (fused, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    assert!(
+        fused.cloud.points.len() > 2000,
+        "{}",
+        fused.cloud.points.len()
+    );
+    assert!(!fused.mesh.triangles.is_empty());
+    assert!(
+        report.warnings.iter().any(|w| w.contains("only 1 view")),
+        "{:?}",
+        report.warnings
+    );
+}
+
+#[test]
+fn what_cannot_be_fused_is_named() {
+    let options = FusionOptions::default();
+    // Back to back: nothing overlaps.
+    let (posed, shaded) = views(&[0.0, 180.0], 1.0);
+    let error = fuse(&posed, &shaded, &options).err();
+    assert!(
+        matches!(error, Some(FusionError::NothingAgrees { .. })),
+        "{error:?}"
+    );
+
+    let (posed, mut shaded) = views(&ARC, 1.0);
+    for view in &mut shaded.views {
+        view.depth.data.fill(f32::NAN);
+    }
+    let error = fuse(&posed, &shaded, &options).err();
+    assert!(
+        matches!(error, Some(FusionError::NoDepth { num_views: 5 })),
+        "{error:?}"
+    );
+
+    let (posed, mut shaded) = views(&ARC, 1.0);
+    shaded.views[2].normal = NormalMap::filled(3, 3, [0.0; 3]);
+    let error = fuse(&posed, &shaded, &options).err();
+    assert!(
+        matches!(&error, Some(FusionError::SizeMismatch { view, got: (3, 3), .. }) if view == "IMG_0002"),
+        "{error:?}"
+    );
+
+    let (mut posed, shaded) = views(&ARC, 1.0);
+    posed.views.truncate(3);
+    let error = fuse(&posed, &shaded, &options).err();
+    assert!(
+        matches!(error, Some(FusionError::NoCamera { view_idx: 3, .. })),
+        "{error:?}"
+    );
+
+    let (posed, shaded) = views(&ARC, 1.0);
+    let broken = FusionOptions {
+        voxel_px: f64::NAN,
+        ..FusionOptions::default()
+    };
+    let error = fuse(&posed, &shaded, &broken).err();
+    assert!(
+        matches!(
+            error,
+            Some(FusionError::InvalidOption {
+                option: "voxel_px",
+                ..
+            })
+        ),
+        "{error:?}"
+    );
+
+    struct Stopper;
+    impl Observer for Stopper {
+        fn event(&self, _: Event) -> Flow {
+            Flow::Stop
+        }
+    }
+    let error = run(&PhotoSet::default(), &posed, &shaded, &options, &Stopper).err();
+    assert!(matches!(error, Some(FusionError::Interrupted)), "{error:?}");
+}
+
+#[test]
+fn invalid_pixels_are_counted_and_left_out() {
+    let (posed, mut shaded) = views(&ARC, 1.0);
+    let center = HEIGHT / 2 * WIDTH + WIDTH / 2;
+    shaded.views[0].depth.data[center] = f32::NAN;
+    shaded.views[0].depth.data[center + 1] = -1.0;
+    shaded.views[0].normal.data[center + 2] = [f32::INFINITY, 0.0, 0.0];
+    let (fused, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    assert_eq!(report.views[0].num_invalid, 3);
+    assert!(
+        fused
+            .cloud
+            .points
+            .iter()
+            .all(|p| p.position.iter().all(|c| c.is_finite()))
+    );
+}
