@@ -2,7 +2,7 @@
 //! stage gives them; a picture in PNG beside each.
 
 use super::Context;
-use super::errors::{from_io, from_shading};
+use super::errors::{from_io, from_lighting, from_shading};
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
 use rilievo_io::{
@@ -45,6 +45,18 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     for warning in &report.warnings {
         context.console.warn(StageId::Shading, warning.clone());
     }
+    let light_on_surface = rilievo_lighting::check_on_surface(
+        &photos,
+        &views,
+        &lighting,
+        &shaded,
+        &context.request.options.lighting,
+        context.console,
+    )
+    .map_err(from_lighting)?;
+    for advice in &light_on_surface.advice {
+        context.console.warn(StageId::Shading, advice.clone());
+    }
     let mut files = Vec::new();
     for view in &shaded.views {
         write_view(writer, view)?;
@@ -59,7 +71,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let path = writer.path("views.json")?;
     std::fs::write(&path, serde_json::to_vec_pretty(&files)?)
         .map_err(crate::store::StoreError::files("write", &path))?;
-    Ok(serde_json::to_value(report)?)
+    let mut report = serde_json::to_value(report)?;
+    report["light_on_surface"] = serde_json::to_value(light_on_surface)?;
+    Ok(report)
 }
 
 fn write_view(writer: &StageWriter, view: &ShadedView) -> anyhow::Result<()> {

@@ -230,7 +230,24 @@ fn lighting(facts: &Value) -> String {
 }
 
 fn shading(facts: &Value) -> String {
-    let mut html = String::new();
+    let light: Vec<_> = items(facts, "/light_on_surface/views")
+        .iter()
+        .map(|view| {
+            vec![
+                text(view, "/name"),
+                percent(view, "/used_rms", 1),
+                percent(view, "/used_rms_after_gain", 1),
+                percent(view, "/refitted_rms", 1),
+            ]
+        })
+        .collect();
+    let head = [
+        "view",
+        "re-rendered with the light of stage 4",
+        "after the best gain",
+        "with the best distant light",
+    ];
+    let mut html = table("Photos and light, differences on the result", &head, &light);
     for view in items(facts, "/views") {
         let series = |key: &str| -> Vec<f64> {
             items(view, "/iterations")
