@@ -82,6 +82,17 @@ fn errors(data: &Path, solution: &ShadingSolution, at: usize) -> Result<[f64; 4]
     let normals: NormalMap = rilievo_io::read_normal(&folder.join("normal_true.exr"))?;
     let depths = rilievo_io::read_depth(&folder.join("depth_true.exr"))?;
     let (mut angles, mut ratios) = (Vec::new(), Vec::new());
+    if let Ok(folder) = std::env::var("OUTPUT") {
+        let folder = Path::new(&folder);
+        rilievo_io::write_depth(
+            &folder.join(format!("{}_depth.exr", solved.name)),
+            &solved.depth,
+        )?;
+        rilievo_io::write_normal(
+            &folder.join(format!("{}_normal.exr", solved.name)),
+            &solved.normal,
+        )?;
+    }
     for y in 0..normals.height {
         for x in 0..normals.width {
             if let Some(truth) = normals.normal(x, y) {
@@ -160,6 +171,15 @@ fn main() -> Result<(), Failure> {
         for at in 0..solution.views.len() {
             let [mean, median, depth, scaled] = errors(Path::new(&data), &solution, at)?;
             let facts = &solution.report.views[at];
+            if std::env::var_os("VERBOSE").is_some() {
+                println!(
+                    "{} anchors, {} rejected; matches {:?} px, {} rejected",
+                    facts.num_anchors,
+                    facts.num_anchors_rejected,
+                    solution.report.match_sigma_px,
+                    solution.report.num_matches_rejected
+                );
+            }
             println!(
                 "{case:10} {:7} {mean:7.3} {median:7.3} {depth:8.4} {scaled:8.4}  {:9.5} {cpu:6.2} {:6.2} {:6.2}",
                 facts.name, facts.rms_rendered, facts.seconds.theta, facts.seconds.z

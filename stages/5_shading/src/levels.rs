@@ -12,6 +12,10 @@ use rilievo_scene::Mask;
 /// Fewest pixels of a coarse level: below, setting it up costs more than it saves.
 const MIN_PIXELS: usize = 600;
 
+/// Share of white by which pixels under a coarse one may differ before it loses weight: the mean
+/// over a crease or an edge is not the shading of the mean normal.
+const UNLIKE: f32 = 0.07;
+
 /// One resolution of a view.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
@@ -21,8 +25,13 @@ pub(crate) struct Level {
     pub(crate) scale: f32,
 }
 
-/// The ladder, finest first.
-pub(crate) fn ladder(grid: CornerGrid, pixels: Pixels, max_levels: usize) -> Vec<Level> {
+/// The ladder, finest first; `white` is the unit of intensities.
+pub(crate) fn ladder(
+    grid: CornerGrid,
+    pixels: Pixels,
+    max_levels: usize,
+    white: f64,
+) -> Vec<Level> {
     let mut levels = vec![Level {
         grid,
         pixels,
@@ -43,7 +52,9 @@ pub(crate) fn ladder(grid: CornerGrid, pixels: Pixels, max_levels: usize) -> Vec
             break;
         };
         let parents = parents(&fine.grid, &grid);
-        let pixels = fine.pixels.coarsen(&parents, grid.num_cells);
+        let pixels = fine
+            .pixels
+            .coarsen(&parents, grid.num_cells, UNLIKE * white as f32);
         let scale = 2.0 * fine.scale;
         levels.push(Level {
             grid,
@@ -63,14 +74,56 @@ fn for_nodes(grid: &CornerGrid, mut visit: impl FnMut(usize, usize, usize)) {
     }
 }
 
+/// Node values continued linearly by one ring beyond the nodes of the mask's pixels.
+fn extended(grid: &CornerGrid, y: &[f32]) -> Vec<f32> {
+    let s = grid.stride as isize;
+    let mut active = vec![false; y.len()];
+    for span in grid.spans() {
+        active[span.cell..span.cell + span.len + 1].fill(true);
+        active[span.cell + grid.stride..span.cell + grid.stride + span.len + 1].fill(true);
+    }
+    let is_active = |at: isize| at >= 0 && active.get(at as usize).copied().unwrap_or(false);
+    let mut out = y.to_vec();
+    for (at, value) in out.iter_mut().enumerate() {
+        if active[at] {
+            continue;
+        }
+        let (mut linear, mut constant) = ((0.0, 0.0), (0.0, 0.0));
+        for step in [1, -1, s, -s, s + 1, s - 1, 1 - s, -1 - s] {
+            let one = at as isize + step;
+            if is_active(one) {
+                let near = y[one as usize];
+                if is_active(one + step) {
+                    linear = (
+                        linear.0 + 2.0 * near - y[(one + step) as usize],
+                        linear.1 + 1.0,
+                    );
+                }
+                constant = (constant.0 + near, constant.1 + 1.0);
+            }
+        }
+        *value = if linear.1 > 0.0 {
+            linear.0 / linear.1
+        } else if constant.1 > 0.0 {
+            constant.0 / constant.1
+        } else {
+            *value
+        };
+    }
+    out
+}
+
 /// Node values of a coarse level from those of the next finer one.
 pub(crate) fn restrict_nodes(fine: &CornerGrid, y: &[f32], coarse: &CornerGrid) -> Vec<f32> {
+    let y = extended(fine, y);
     let mut out = vec![0.0; coarse.padded_len()];
+    // Coarse pixels may reach one fine node beyond the crop, which the border of rasters holds.
+    let place =
+        |c: usize, origin: usize, size: usize| (2 * c + 1).saturating_sub(origin).min(size + 2);
     for_nodes(coarse, |at, cx, cy| {
-        // Coarse cells may reach beyond the fine crop: the nearest node stands in.
-        let x = (2 * cx).clamp(fine.origin_x, fine.origin_x + fine.width) - fine.origin_x;
-        let row = (2 * cy).clamp(fine.origin_y, fine.origin_y + fine.height) - fine.origin_y;
-        out[at] = 0.5 * y[fine.index(x, row)];
+        let x = place(cx, fine.origin_x, fine.width);
+        let row = place(cy, fine.origin_y, fine.height);
+        out[at] = 0.5 * y[row * fine.stride + x];
     });
     out
 }

@@ -53,8 +53,9 @@ impl Pixels {
     }
 
     /// Half the resolution: weighted means of the up to four pixels under each coarse one.
-    /// `parents[k]` is the coarse index of fine pixel `k`.
-    pub(crate) fn coarsen(&self, parents: &[u32], coarse_len: usize) -> Self {
+    /// `parents[k]` is the coarse index of fine pixel `k`; a coarse pixel whose intensities differ by
+    /// more than `unlike` loses weight.
+    pub(crate) fn coarsen(&self, parents: &[u32], coarse_len: usize, unlike: f32) -> Self {
         let padded = Self::padded_len(coarse_len);
         let mut count = vec![0.0_f32; padded];
         let mut weight = vec![0.0_f32; padded];
@@ -76,7 +77,7 @@ impl Pixels {
         };
         let channel =
             |values: &[f32], c: usize| values[c * self.padded..(c + 1) * self.padded].to_vec();
-        let intensity = (0..self.channels)
+        let intensity: Vec<f32> = (0..self.channels)
             .flat_map(|c| mean(&channel(&self.intensity, c), true))
             .collect();
         let light = match &self.light {
@@ -87,10 +88,16 @@ impl Pixels {
                     .collect(),
             ),
         };
+        let spread = self.spread(parents, &intensity, padded);
         let ray_x = mean(&self.ray_x, false);
         let ray_y = mean(&self.ray_y, false);
-        for (weight, count) in weight.iter_mut().zip(&count) {
-            *weight = if *count > 0.0 { *weight / 4.0 } else { 0.0 };
+        for ((weight, count), spread) in weight.iter_mut().zip(&count).zip(&spread) {
+            let alike = 1.0 / (1.0 + spread / (unlike * unlike));
+            *weight = if *count > 0.0 {
+                *weight / 4.0 * alike
+            } else {
+                0.0
+            };
         }
         Self {
             channels: self.channels,
@@ -102,6 +109,24 @@ impl Pixels {
             weight,
             light,
         }
+    }
+
+    /// Mean squared deviation of intensities from those of the coarse pixel, over channels.
+    fn spread(&self, parents: &[u32], coarse: &[f32], coarse_padded: usize) -> Vec<f32> {
+        let mut sum = vec![0.0_f32; coarse_padded];
+        let mut total = vec![1e-12_f32; coarse_padded];
+        for (k, &parent) in parents.iter().enumerate() {
+            let parent = parent as usize;
+            for c in 0..self.channels {
+                let away = self.intensity[c * self.padded + k] - coarse[c * coarse_padded + parent];
+                sum[parent] += self.weight[k] * away * away;
+                total[parent] += self.weight[k];
+            }
+        }
+        for (sum, total) in sum.iter_mut().zip(&total) {
+            *sum /= total;
+        }
+        sum
     }
 }
 

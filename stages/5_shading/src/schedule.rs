@@ -1,31 +1,39 @@
-//! The penalty's course, computed from the lighting and the noise.
+//! The penalty's course, computed from the lighting, the noise, and what holds the low frequencies.
 //!
 //! **Rule.** Let `s₁ ≥ s₂` be the singular values of the shading Jacobian `∂S/∂(p, q)` (channels by
 //! two), medians over pixels at the start, and `σ` the noise of intensities. Across the direction of
 //! `s₂` a pixel knows its slope to `σ/s₂`. Where that is much less than the slopes of a start may err
-//! (`D`), the pixel determines its own normal: the penalty may start low, `s₂²/8`, so that shading
-//! moves the surface freely. Where it is much more (grey images: `s₂ = 0`), the image is explained
-//! along one direction and says nothing across it: only a penalty as strong as the shading itself,
-//! `2 s₁²`, keeps the start across while it corrects along. In between the logarithms are mixed by
+//! (`D`), the pixel determines its own normal: the penalty may start low, `s₂²/20`, so that shading
+//! moves the surface freely, and a search over normals may leave the start. Where it is much more
+//! (grey images: `s₂ = 0`), the image is explained along one direction and says nothing across it;
+//! only a penalty stronger than shading, `10 s₁²`, keeps the start across while it corrects along.
+//! Where anchors hold the low frequencies, the start across is known to be right and need not be
+//! kept as tightly: `2 s₁²`. In between the logarithms are mixed by
 //!
 //! ```text
-//! t = s₂² D² / (s₂² D² + 4 σ²),   ln β₀ = (1 − t) ln(2 s₁²) + t ln(s₂²/8).
+//! t = s₂² D² / (s₂² D² + σ²),   ln β₀ = (1 − t) ln(2 s₁² or 10 s₁²) + t ln(s₂²/20).
 //! ```
 //!
-//! The penalty ends at a multiple of `s₁²`, where ∇y and θ agree to a fraction of what shading can
-//! tell, and grows geometrically between. Everything scales with squared intensity, so the rule
-//! needs no tuning per data set. Source: METHOD 4 (the measured optima that the rule reproduces).
+//! The penalty ends at `15 s₁²`, where ∇y and θ agree to a fraction of what shading can tell, and
+//! grows geometrically between; every level runs over its own part of that range. All scales with
+//! squared intensity, so that nothing needs tuning per data set.
+//!
+//! Source: METHOD 4, whose measured optima per lighting the rule reproduces from the data.
 
-use crate::levels::Level;
 use crate::model::Facet;
 use crate::pixels::Pixels;
-use crate::splitting::{Course, Schedule};
+use crate::splitting::Course;
 use rilievo_numerics::robust::median;
 
 /// Slopes by which a start may err.
 const START_SLOPE_ERROR: f64 = 0.3;
 /// The penalty's end in units of `s₁²`.
 const BETA_END: f64 = 15.0;
+/// Its start where pixels determine their normals, in units of `s₂²`.
+const DETERMINED_START: f64 = 0.05;
+/// Its start where they do not, in units of `s₁²`: with anchors, and with nothing but the start.
+const ANCHORED_START: f64 = 2.0;
+const UNANCHORED_START: f64 = 10.0;
 /// Share at and above which single pixels determine their normals, so that a search pays.
 const SEARCH_SHARE: f64 = 0.5;
 
@@ -66,43 +74,122 @@ impl Informativeness {
         let signal = squared[1] * START_SLOPE_ERROR * START_SLOPE_ERROR;
         Self {
             squared,
-            share: signal / (signal + 4.0 * sigma * sigma),
+            share: signal / (signal + sigma * sigma),
         }
     }
 
+    /// Whether single pixels determine their normals.
+    pub(crate) fn determined(&self) -> bool {
+        self.share >= SEARCH_SHARE
+    }
+
     /// First penalty.
-    pub(crate) fn beta_start(&self) -> f64 {
-        let ambiguous = (2.0 * self.squared[0]).ln();
-        let determined = (self.squared[1] / 8.0).max(1e-6 * self.squared[0]).ln();
+    pub(crate) fn beta_start(&self, anchored: bool) -> f64 {
+        let factor = if anchored {
+            ANCHORED_START
+        } else {
+            UNANCHORED_START
+        };
+        let ambiguous = (factor * self.squared[0]).ln();
+        let determined = (DETERMINED_START * self.squared[1])
+            .max(1e-6 * self.squared[0])
+            .ln();
         ((1.0 - self.share) * ambiguous + self.share * determined).exp()
     }
 }
 
-/// The automatic schedule for a ladder of levels.
-pub(crate) fn automatic(levels: &[Level], known: &Informativeness) -> Schedule {
-    let determined = known.share >= SEARCH_SHARE;
-    let beta_start = known.beta_start();
-    let end = BETA_END * known.squared[0];
-    let mut courses: Vec<Course> = (0..levels.len())
-        .map(|level| Course {
-            num_iterations: match (level, determined) {
-                (0, true) => 24,
-                (0, false) => 30,
-                _ => 20,
-            },
-            num_search_iterations: if determined && level + 1 == levels.len() {
-                10
-            } else {
-                0
-            },
+/// What one level does: iterations, and the part of the penalty's range (in logarithms, 0 to 1).
+struct Part {
+    num_iterations: usize,
+    from: f64,
+    to: f64,
+}
+
+const fn part(num_iterations: usize, from: f64, to: f64) -> Part {
+    Part {
+        num_iterations,
+        from,
+        to,
+    }
+}
+
+/// Parts by level, finest first. Determined pixels may start low on every level; ambiguous ones
+/// must not be loosened again once a coarse level has settled them; and without anchors coarse
+/// levels would only drift.
+const DETERMINED: [Part; 4] = [
+    part(40, 0.0, 1.0),
+    part(20, 0.0, 0.7),
+    part(20, 0.0, 0.5),
+    part(20, 0.0, 0.5),
+];
+const ANCHORED: [Part; 4] = [
+    part(24, 0.2, 1.0),
+    part(20, 0.1, 0.7),
+    part(20, 0.0, 0.5),
+    part(20, 0.0, 0.5),
+];
+const UNANCHORED: [Part; 2] = [part(30, 0.2, 1.0), part(20, 0.1, 0.7)];
+/// Iterations with a search on the coarsest level.
+const NUM_SEARCH_ITERATIONS: usize = 15;
+
+/// The automatic schedule for a ladder of levels, coarsest first.
+pub(crate) fn automatic(num_levels: usize, known: &Informativeness, anchored: bool) -> Vec<Course> {
+    let determined = known.determined();
+    let parts: &[Part] = match (determined, anchored) {
+        (true, _) => &DETERMINED,
+        (false, true) => &ANCHORED,
+        (false, false) => &UNANCHORED,
+    };
+    let num_levels = num_levels.min(parts.len());
+    let (start, end) = (known.beta_start(anchored), BETA_END * known.squared[0]);
+    let at = |x: f64| start.powf(1.0 - x) * end.powf(x);
+    (0..num_levels)
+        .rev()
+        .map(|level| {
+            let part = &parts[level];
+            let coarsest = level + 1 == num_levels;
+            Course {
+                beta_start: at(part.from),
+                growth: (at(part.to) / at(part.from)).powf(1.0 / part.num_iterations as f64),
+                num_iterations: part.num_iterations,
+                num_search_iterations: if determined && coarsest {
+                    NUM_SEARCH_ITERATIONS
+                } else {
+                    0
+                },
+            }
         })
-        .collect();
-    courses.reverse();
-    let total: usize = courses.iter().map(|c| c.num_iterations).sum();
-    let growth = (end / beta_start).max(2.0).powf(1.0 / total.max(1) as f64);
-    Schedule {
-        beta_start,
-        growth,
-        courses,
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grey_light_starts_stiff_and_three_different_lights_start_loose() {
+        let grey = Informativeness {
+            squared: [0.1, 0.0],
+            share: 0.0,
+        };
+        let colour = Informativeness {
+            squared: [0.4, 0.04],
+            share: 0.9,
+        };
+        assert!((grey.beta_start(true) - 0.2).abs() < 1e-12);
+        assert!((grey.beta_start(false) - 1.0).abs() < 1e-12);
+        assert!(
+            colour.beta_start(false) < 0.01,
+            "{}",
+            colour.beta_start(false)
+        );
+        assert_eq!(automatic(4, &grey, false).len(), 2);
+        let courses = automatic(3, &colour, true);
+        assert_eq!(courses.len(), 3);
+        assert_eq!(courses[0].num_search_iterations, NUM_SEARCH_ITERATIONS);
+        for course in courses {
+            let end = course.beta_start * course.growth.powi(course.num_iterations as i32);
+            assert!(end <= 15.0 * 0.4 * 1.0001, "{end}");
+        }
     }
 }

@@ -9,7 +9,7 @@ use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use crate::result::{maps, rms_residual};
 use crate::schedule::{Informativeness, automatic};
 use crate::solution::{ShadingReport, ShadingSolution, SolvedView, Termination, ViewReport};
-use crate::splitting::{self, Course, Schedule, Setting, Ties, slopes};
+use crate::splitting::{self, Course, Setting, Ties, slopes};
 use crate::start;
 use crate::theta::{ThetaTerms, theta_step};
 use rilievo_numerics::robust::median;
@@ -142,22 +142,25 @@ fn ties(view: &ShadingView, prepared: &PreparedView, anchors: &[DepthAnchor], si
     ties
 }
 
-fn schedule(options: &ShadingOptions, levels: &[Level], known: &Informativeness) -> Schedule {
+fn schedule(
+    options: &ShadingOptions,
+    num_levels: usize,
+    known: &Informativeness,
+    anchored: bool,
+) -> Vec<Course> {
     match options.schedule {
-        PenaltySchedule::Automatic => automatic(levels, known),
+        PenaltySchedule::Automatic => automatic(num_levels, known, anchored),
         PenaltySchedule::Explicit {
             start,
             growth,
             num_iterations,
             num_search_iterations,
-        } => Schedule {
+        } => vec![Course {
             beta_start: start,
             growth,
-            courses: vec![Course {
-                num_iterations,
-                num_search_iterations,
-            }],
-        },
+            num_iterations,
+            num_search_iterations,
+        }],
     }
 }
 
@@ -210,7 +213,7 @@ fn solve_view(
     } else {
         1
     };
-    let levels = ladder(prepared.grid, prepared.pixels, max_levels);
+    let levels = ladder(prepared.grid, prepared.pixels, max_levels, prepared.white);
     let finest = &levels[0];
     let mut p = vec![0.0; finest.pixels.padded];
     let mut q = p.clone();
@@ -218,13 +221,13 @@ fn solve_view(
     report.rms_start = rms_residual(&finest.pixels, &p, &q);
     let known = Informativeness::of(&finest.pixels, &p, &q, sigma);
     report.informativeness = known.squared[1].sqrt();
-    let schedule = schedule(options, &levels, &known);
-    report.beta_start = schedule.beta_start;
+    let courses = schedule(options, levels.len(), &known, !ties.is_empty());
+    report.beta_start = courses.first().map_or(0.0, |course| course.beta_start);
     let setting = Setting {
         ties: &ties,
         area: options.area_weight as f32,
         aspect: geometry.aspect,
-        schedule: &schedule,
+        courses: &courses,
         observer,
     };
     report.seconds.start = begun.elapsed().as_secs_f64();

@@ -37,16 +37,12 @@ const MAX_Z_STEPS: usize = 3;
 /// The course of an iteration on one level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Course {
+    /// First penalty.
+    pub(crate) beta_start: f64,
+    /// Its factor per iteration.
+    pub(crate) growth: f64,
     pub(crate) num_iterations: usize,
     pub(crate) num_search_iterations: usize,
-}
-
-/// The whole schedule, coarsest level first.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Schedule {
-    pub(crate) beta_start: f64,
-    pub(crate) growth: f64,
-    pub(crate) courses: Vec<Course>,
 }
 
 /// What ties the unknown down, at the finest level.
@@ -59,12 +55,20 @@ pub(crate) struct Ties {
     pub(crate) wanted: Vec<f32>,
 }
 
+impl Ties {
+    /// Whether nothing holds the low frequencies.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.points.is_empty() && self.mass.is_empty()
+    }
+}
+
 /// Everything that the iteration needs beside the levels.
 pub(crate) struct Setting<'a> {
     pub(crate) ties: &'a Ties,
     pub(crate) area: f32,
     pub(crate) aspect: [f32; 2],
-    pub(crate) schedule: &'a Schedule,
+    /// One course per level, coarsest first.
+    pub(crate) courses: &'a [Course],
     pub(crate) observer: &'a dyn Observer,
 }
 
@@ -103,10 +107,9 @@ pub(crate) fn solve(
         starts.push(restricted);
     }
     let mut outcome = Outcome::default();
-    let mut beta = setting.schedule.beta_start;
     let mut coarse_result: Option<(Vec<f32>, Vec<f32>)> = None;
-    for (step, course) in setting.schedule.courses.iter().enumerate() {
-        let at = setting.schedule.courses.len() - 1 - step;
+    for (step, course) in setting.courses.iter().enumerate() {
+        let at = setting.courses.len() - 1 - step;
         let Some(level) = levels.get(at) else {
             continue;
         };
@@ -115,48 +118,34 @@ pub(crate) fn solve(
             let coarse = &levels[at + 1].grid;
             add_change(coarse, before, after, &level.grid, &mut nodes);
         }
-        let before = if at > 0 {
-            starts_again(&nodes, at, &coarse_result, levels, &mut starts)
-        } else {
-            Vec::new()
-        };
-        beta = solve_level(at, level, &mut nodes, beta, course, setting, &mut outcome)?;
+        solve_level(at, level, &mut nodes, course, setting, &mut outcome)?;
         if at == 0 {
             *y = nodes;
         } else {
+            // Changes count against what the next finer level's start restricts to.
+            let finer = &levels[at - 1].grid;
+            let before = restrict_nodes(finer, &starts[at - 1], &level.grid);
             coarse_result = Some((before, nodes));
         }
     }
     Ok(outcome)
 }
 
-/// The surface that the next finer level's start restricts to, against which changes count.
-fn starts_again(
-    _nodes: &[f32],
-    at: usize,
-    _coarse: &Option<(Vec<f32>, Vec<f32>)>,
-    levels: &[Level],
-    starts: &mut [Vec<f32>],
-) -> Vec<f32> {
-    restrict_nodes(&levels[at - 1].grid, &starts[at - 1], &levels[at].grid)
-}
-
 fn solve_level(
     at: usize,
     level: &Level,
     y: &mut [f32],
-    mut beta: f64,
     course: &Course,
     setting: &Setting,
     outcome: &mut Outcome,
-) -> Result<f64, ShadingError> {
+) -> Result<(), ShadingError> {
     let (grid, pixels) = (&level.grid, &level.pixels);
     let padded = pixels.padded;
     let zeros = || vec![0.0_f32; padded];
     let started = Instant::now();
     let mut system = CornerPoisson::new(grid, &vec![1.0; grid.num_cells], HOURGLASS);
     let ties = setting.ties;
-    let tied = !ties.points.is_empty() || !ties.mass.is_empty();
+    let tied = !ties.is_empty();
     let (mut gp, mut gq) = (zeros(), zeros());
     slopes(grid, setting.aspect, y, &mut gp, &mut gq);
     let (mut p, mut q) = (gp.clone(), gq.clone());
@@ -164,7 +153,8 @@ fn solve_level(
     let mut rhs = vec![0.0_f32; grid.padded_len()];
     let candidates = (course.num_search_iterations > 0).then(|| Candidates::new(pixels, 8, 3.0));
     outcome.seconds.z += started.elapsed().as_secs_f64();
-    let growth = setting.schedule.growth as f32;
+    let growth = course.growth as f32;
+    let mut beta = course.beta_start;
     for iteration in 0..course.num_iterations {
         // Here (tp, tq) = ∇y + u.
         let started = Instant::now();
@@ -216,12 +206,7 @@ fn solve_level(
         let flow = setting.observer.event(Event::Iteration {
             stage: StageId::Shading,
             iteration: outcome.records.len() - 1,
-            max_num_iterations: setting
-                .schedule
-                .courses
-                .iter()
-                .map(|c| c.num_iterations)
-                .sum(),
+            max_num_iterations: setting.courses.iter().map(|c| c.num_iterations).sum(),
             energy: energy * scale,
             primal_residual: Some(primal),
             dual_residual: None,
@@ -233,7 +218,7 @@ fn solve_level(
         beta *= f64::from(growth);
     }
     (outcome.p, outcome.q) = (gp, gq);
-    Ok(beta)
+    Ok(())
 }
 
 /// Anchors and prior in units of β/2, and their part of the right-hand side.

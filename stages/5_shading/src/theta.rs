@@ -130,14 +130,9 @@ fn quadratic<const C: usize>(
     }
 }
 
-/// The damped step and the next state, without branches: `(slopes, model, damping)`.
+/// Slopes after one damped Gauss-Newton step.
 #[inline(always)]
-fn advance(
-    slopes: [f32; 2],
-    model: &Quadratic,
-    damping: f32,
-    evaluate: impl Fn([f32; 2]) -> Quadratic,
-) -> ([f32; 2], Quadratic, f32) {
+fn trial_step(slopes: [f32; 2], model: &Quadratic, damping: f32) -> [f32; 2] {
     let (a, b, d) = (
         model.hessian[0] + damping,
         model.hessian[1],
@@ -145,29 +140,22 @@ fn advance(
     );
     let inverse = 1.0 / (a * d - b * b);
     let [g0, g1] = model.gradient;
-    let trial = [
+    [
         slopes[0] - (d * g0 - b * g1) * inverse,
         slopes[1] - (a * g1 - b * g0) * inverse,
-    ];
-    let at_trial = evaluate(trial);
-    let accept = at_trial.value <= model.value;
-    let pick = |new: f32, old: f32| if accept { new } else { old };
-    (
-        [pick(trial[0], slopes[0]), pick(trial[1], slopes[1])],
-        Quadratic {
-            value: pick(at_trial.value, model.value),
-            gradient: [
-                pick(at_trial.gradient[0], model.gradient[0]),
-                pick(at_trial.gradient[1], model.gradient[1]),
-            ],
-            hessian: [
-                pick(at_trial.hessian[0], model.hessian[0]),
-                pick(at_trial.hessian[1], model.hessian[1]),
-                pick(at_trial.hessian[2], model.hessian[2]),
-            ],
-        },
-        pick(0.3 * damping, 10.0 * damping + FIRST_DAMPING),
-    )
+    ]
+}
+
+/// `new` where a step is accepted, else `old`.
+#[inline(always)]
+fn pick(accept: bool, new: f32, old: f32) -> f32 {
+    if accept { new } else { old }
+}
+
+/// Damping after a step.
+#[inline(always)]
+fn next_damping(accept: bool, damping: f32) -> f32 {
+    pick(accept, 0.3 * damping, 10.0 * damping + FIRST_DAMPING)
 }
 
 /// One pixel: the version to read.
@@ -203,7 +191,13 @@ pub(crate) fn scalar_step(
         let (mut slopes, mut damping) = (start, FIRST_DAMPING);
         let mut model = evaluate(slopes);
         for _ in 0..terms.num_steps {
-            (slopes, model, damping) = advance(slopes, &model, damping, evaluate);
+            let trial = trial_step(slopes, &model, damping);
+            let at_trial = evaluate(trial);
+            let accept = at_trial.value <= model.value;
+            if accept {
+                (slopes, model) = (trial, at_trial);
+            }
+            damping = next_damping(accept, damping);
         }
         slopes
     }
@@ -302,9 +296,15 @@ fn lanes(values: &[f32], at: usize) -> [f32; LANES] {
 impl<const C: usize> Block<C> {
     #[inline(always)]
     fn evaluate(&self, k: usize, terms: &ThetaTerms, slopes: [f32; 2]) -> Quadratic {
-        let light: [[f32; 9]; C] =
-            std::array::from_fn(|c| std::array::from_fn(|j| self.light[c][j][k]));
-        let intensity: [f32; C] = std::array::from_fn(|c| self.intensity[c][k]);
+        // Loops instead of closures: a closure would not inherit the wide vectors.
+        let mut light = [[0.0; 9]; C];
+        let mut intensity = [0.0; C];
+        for c in 0..C {
+            for j in 0..9 {
+                light[c][j] = self.light[c][j][k];
+            }
+            intensity[c] = self.intensity[c][k];
+        }
         quadratic(
             &light,
             &intensity,
@@ -382,18 +382,18 @@ fn blocks<const C: usize>(
                     gradient: [gradient[0][k], gradient[1][k]],
                     hessian: [hessian[0][k], hessian[1][k], hessian[2][k]],
                 };
-                let (s, m, d) = advance([slopes[0][k], slopes[1][k]], &model, damping[k], |s| {
-                    block.evaluate(k, terms, s)
-                });
-                slopes[0][k] = s[0];
-                slopes[1][k] = s[1];
-                value[k] = m.value;
-                gradient[0][k] = m.gradient[0];
-                gradient[1][k] = m.gradient[1];
-                hessian[0][k] = m.hessian[0];
-                hessian[1][k] = m.hessian[1];
-                hessian[2][k] = m.hessian[2];
-                damping[k] = d;
+                let trial = trial_step([slopes[0][k], slopes[1][k]], &model, damping[k]);
+                let at_trial = block.evaluate(k, terms, trial);
+                let accept = at_trial.value <= model.value;
+                slopes[0][k] = pick(accept, trial[0], slopes[0][k]);
+                slopes[1][k] = pick(accept, trial[1], slopes[1][k]);
+                value[k] = pick(accept, at_trial.value, model.value);
+                gradient[0][k] = pick(accept, at_trial.gradient[0], model.gradient[0]);
+                gradient[1][k] = pick(accept, at_trial.gradient[1], model.gradient[1]);
+                hessian[0][k] = pick(accept, at_trial.hessian[0], model.hessian[0]);
+                hessian[1][k] = pick(accept, at_trial.hessian[1], model.hessian[1]);
+                hessian[2][k] = pick(accept, at_trial.hessian[2], model.hessian[2]);
+                damping[k] = next_damping(accept, damping[k]);
             }
         }
         let mut energy = [0.0; LANES];
@@ -442,7 +442,10 @@ fn search<const C: usize>(
             let mut squared = 0.0;
             for c in 0..C {
                 let shade = if candidates.shading.is_empty() {
-                    let l: [f32; 9] = std::array::from_fn(|j| block.light[c][j][k]);
+                    let mut l = [0.0; 9];
+                    for j in 0..9 {
+                        l[j] = block.light[c][j][k];
+                    }
                     crate::model::harmonics(&l, *n).0
                 } else {
                     candidates.shading[index * C + c]

