@@ -10,6 +10,7 @@ use crate::incremental::{Reconstruction, limits};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{GivenPoses, PosesOptions};
 use crate::projection::CenteredPose;
+use crate::relative_pose::depths;
 use crate::scene::Scene;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rilievo_numerics::robust::RobustLoss;
@@ -52,11 +53,11 @@ fn consistent_share(scene: &Scene<'_>, poses: &[RigidTransform], max_error_px: f
             let x2 = cj.ray(&scene.pixels[j][m[1] as usize]);
             let (l2, l1) = (essential * x1, essential.tr_mul(&x2));
             let g = l2.xy().norm_squared() + l1.xy().norm_squared();
-            // Both points must also lie in front of the cameras, on the same side of the baseline.
-            let side = (relative.rotation * x1)
-                .cross(&relative.translation)
-                .dot(&x2.cross(&relative.translation));
-            agreeing += usize::from(x2.dot(&l2).powi(2) <= limit * limit * g && side > 0.0);
+            // The epipolar constraint alone also holds for a scene behind the cameras.
+            let (depth1, depth2, _) = depths(&relative, &x1.xy().into(), &x2.xy().into());
+            agreeing += usize::from(
+                x2.dot(&l2).powi(2) <= limit * limit * g && depth1 > 0.0 && depth2 > 0.0,
+            );
             total += 1;
         }
     }

@@ -60,9 +60,11 @@ pub enum IntrinsicsScope {
     All,
 }
 
-/// Pixels that replace the keypoints' own: per track and sighting, with a standard deviation in
-/// pixels.
-pub type RefinedPixels = Vec<Vec<Option<(Point2<f64>, f64)>>>;
+/// A pixel that replaces a keypoint's own, with its standard deviation in pixels.
+pub type RefinedPixel = Option<(Point2<f64>, f64)>;
+
+/// Refined pixels per track and sighting.
+pub type RefinedPixels = Vec<Vec<RefinedPixel>>;
 
 impl Model {
     /// No poses, no points.

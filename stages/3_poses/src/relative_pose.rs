@@ -36,8 +36,9 @@ fn motions(essential: &Matrix3<f64>) -> Option<[RigidTransform; 4]> {
     Some([motion(a, t), motion(a, -t), motion(b, t), motion(b, -t)])
 }
 
-/// Depths along both rays where they come nearest, with the angle between them.
-fn depths(motion: &RigidTransform, x1: &Point2<f64>, x2: &Point2<f64>) -> (f64, f64, f64) {
+/// Signed distances along both rays of normalised coordinates to where they come nearest, with the
+/// angle between them.
+pub fn depths(motion: &RigidTransform, x1: &Point2<f64>, x2: &Point2<f64>) -> (f64, f64, f64) {
     // λ2 d2 = λ1 R d1 + t, in the least-squares sense.
     let d1 = (motion.rotation * x1.to_homogeneous()).normalize();
     let d2 = x2.to_homogeneous().normalize();

@@ -1,1 +1,230 @@
+//! The adjuster against a dense oracle, and on problems with known minimum.
 
+use super::*;
+use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
+
+/// Views on an arc, points in a cloud; residuals of up to `noise` pixels.
+fn bundle(noise: f64, refine: bool) -> Bundle {
+    let camera = Intrinsics::pinhole(800, 600, 700.0, 399.5, 299.5);
+    let mut adjusted = AdjustedCamera::fixed(camera);
+    if refine {
+        adjusted.prior_sigma[0] = Some(0.05);
+        adjusted.prior_sigma[3] = Some(0.3);
+    }
+    let views: Vec<AdjustedView> = (0..4)
+        .map(|k| {
+            let angle = 0.25 * f64::from(k);
+            AdjustedView {
+                camera: 0,
+                pose: CenteredPose {
+                    rotation: UnitQuaternion::from_euler_angles(0.0, -angle, 0.02 * f64::from(k)),
+                    center: Point3::new(-3.0 * angle.sin(), 0.1 * f64::from(k), -3.0 * angle.cos()),
+                },
+                free: [true; 6],
+            }
+        })
+        .collect();
+    let mut points = Vec::new();
+    let (mut observations, mut offsets) = (Vec::new(), vec![0]);
+    for k in 0..30 {
+        let t = f64::from(k);
+        let point = Point3::new((1.3 * t).sin(), (0.7 * t).cos(), (2.1 * t).sin() * 0.5);
+        points.push(point);
+        for (v, view) in views.iter().enumerate() {
+            // Some points are not seen by all.
+            if (k as usize + v) % 5 == 4 {
+                continue;
+            }
+            let pixel = camera.project(&view.pose.apply(&point)).unwrap();
+            let wiggle = Vector3::new((9.1 * t + v as f64).sin(), (7.7 * t - v as f64).cos(), 0.0);
+            observations.push(Observation {
+                view: v,
+                pixel: pixel + noise * wiggle.xy(),
+                weight: 1.0 + 0.1 * t,
+            });
+        }
+        offsets.push(observations.len());
+    }
+    let mut bundle = Bundle {
+        cameras: vec![adjusted],
+        views,
+        points,
+        observations,
+        offsets,
+    };
+    bundle.fix_gauge();
+    bundle
+}
+
+/// Full normal equations by differences of all residuals.
+fn dense(
+    bundle: &Bundle,
+    layout: &schur::Layout,
+    num_columns: usize,
+) -> (DMatrix<f64>, DVector<f64>) {
+    let num_points = bundle.points.len();
+    let total = num_columns + 3 * num_points;
+    let residuals = |x: &DVector<f64>| -> Vec<f64> {
+        let step = schur::Step {
+            reduced: x.rows(0, num_columns).iter().copied().collect(),
+            points: (0..num_points)
+                .map(|p| x.fixed_rows::<3>(num_columns + 3 * p).into_owned())
+                .collect(),
+            predicted_decrease: 0.0,
+        };
+        let moved = bundle.retract(layout, &step);
+        let camera = moved.cameras[0].current();
+        let mut out = Vec::new();
+        for p in 0..num_points {
+            for o in &moved.observations[moved.offsets[p]..moved.offsets[p + 1]] {
+                let seen = camera
+                    .project(&moved.views[o.view].pose.apply(&moved.points[p]))
+                    .unwrap();
+                let root = o.weight.sqrt();
+                out.extend([root * (seen.x - o.pixel.x), root * (seen.y - o.pixel.y)]);
+            }
+        }
+        for (d, sigma) in moved.cameras[0]
+            .deviation
+            .iter()
+            .zip(&moved.cameras[0].prior_sigma)
+        {
+            out.extend(sigma.map(|s| d / s));
+        }
+        out
+    };
+    let r = DVector::from_vec(residuals(&DVector::zeros(total)));
+    let mut j = DMatrix::zeros(r.len(), total);
+    for c in 0..total {
+        let h = 1e-6;
+        let mut x = DVector::zeros(total);
+        x[c] = h;
+        let plus = DVector::from_vec(residuals(&x));
+        x[c] = -h;
+        let minus = DVector::from_vec(residuals(&x));
+        j.set_column(c, &((plus - minus) / (2.0 * h)));
+    }
+    (j.transpose() * &j, j.transpose() * r)
+}
+
+#[test]
+fn the_step_is_that_of_the_dense_system() {
+    for refine in [false, true] {
+        let mut bundle = bundle(0.8, refine);
+        if refine {
+            bundle.cameras[0].deviation[0] = 0.01;
+        }
+        let layout = schur::Layout::new(&bundle);
+        let num_columns = if refine { 19 } else { 17 };
+        let (h, g) = dense(&bundle, &layout, num_columns);
+        let lambda = 1e-3;
+        let mut damped = h.clone();
+        for k in 0..h.nrows() {
+            damped[(k, k)] *= 1.0 + lambda;
+        }
+        let oracle = damped.cholesky().unwrap().solve(&-&g);
+        let system = schur::System::build(&bundle, &layout, RobustLoss::Squared);
+        let step = system.solve(lambda).unwrap();
+        assert_eq!(step.reduced.len(), num_columns);
+        let scale = oracle.norm();
+        for (k, value) in step.reduced.iter().enumerate() {
+            let error = (value - oracle[k]).abs() / scale;
+            assert!(error < 1e-5, "column {k}: {value} {}", oracle[k]);
+        }
+        for (p, delta) in step.points.iter().enumerate() {
+            let expected = oracle.fixed_rows::<3>(num_columns + 3 * p);
+            let error = (delta - expected).norm() / scale;
+            assert!(error < 1e-5, "point {p}: {error}");
+        }
+        let predicted = -g.dot(&oracle) - 0.5 * oracle.dot(&(&h * &oracle));
+        let relative = (step.predicted_decrease / predicted - 1.0).abs();
+        assert!(relative < 1e-5, "{} {predicted}", step.predicted_decrease);
+        // Covariances are blocks of the inverse.
+        let inverse = h.try_inverse().unwrap();
+        let covariances = system.covariances(&layout).unwrap();
+        let last = covariances.points.last().unwrap();
+        let corner = h_corner(&inverse);
+        assert!(
+            (last - corner).norm() < 1e-5 * corner.norm(),
+            "{last} {corner}"
+        );
+    }
+}
+
+fn h_corner(inverse: &DMatrix<f64>) -> Matrix3<f64> {
+    let n = inverse.nrows();
+    inverse.fixed_view::<3, 3>(n - 3, n - 3).into_owned()
+}
+
+fn disturb(bundle: &mut Bundle) {
+    for (k, view) in bundle.views.iter_mut().enumerate() {
+        if view.free.iter().any(|f| *f) {
+            let k = k as f64;
+            let mut step = [0.01 * k, -0.008, 0.006 * k, 0.02, -0.03 * k, 0.01];
+            for (s, free) in step.iter_mut().zip(view.free) {
+                *s = if free { *s } else { 0.0 };
+            }
+            view.pose = view.pose.retract(&step);
+        }
+    }
+    for (k, point) in bundle.points.iter_mut().enumerate() {
+        *point += Vector3::new(0.02, -0.01, 0.03) * (k as f64).sin();
+    }
+}
+
+#[test]
+fn exact_observations_are_reached_from_a_disturbed_start() {
+    let truth = bundle(0.0, false);
+    let mut disturbed = truth.clone();
+    disturb(&mut disturbed);
+    let options = BundleOptions {
+        loss: RobustLoss::Squared,
+        max_num_iterations: 50,
+        relative_cost_change: 1e-12,
+    };
+    let report = disturbed.adjust(&options).unwrap();
+    assert!(report.final_cost < 1e-12, "{report:?}");
+    for (a, b) in disturbed.views.iter().zip(&truth.views) {
+        let (moved, turned) = (
+            (a.pose.center - b.pose.center).norm(),
+            a.pose.rotation.angle_to(&b.pose.rotation),
+        );
+        assert!(moved < 1e-6 && turned < 1e-6, "{moved} {turned}");
+    }
+}
+
+#[test]
+fn costs_fall_monotonically_and_outliers_are_outvoted() {
+    let truth = bundle(0.0, false);
+    let mut disturbed = truth.clone();
+    disturb(&mut disturbed);
+    for k in (0..disturbed.observations.len()).step_by(11) {
+        disturbed.observations[k].pixel.x += 60.0;
+    }
+    let options = BundleOptions {
+        loss: RobustLoss::Cauchy(1.0),
+        max_num_iterations: 100,
+        relative_cost_change: 1e-10,
+    };
+    let report = disturbed.adjust(&options).unwrap();
+    let costs: Vec<f64> = report.iterations.iter().map(|i| i.cost).collect();
+    assert!(costs.windows(2).all(|w| w[1] <= w[0]), "{costs:?}");
+    for (a, b) in disturbed.views.iter().zip(&truth.views) {
+        let moved = (a.pose.center - b.pose.center).norm();
+        assert!(moved < 0.02, "{moved}");
+    }
+}
+
+#[test]
+fn what_is_fixed_stays_to_the_bit() {
+    let mut bundle = bundle(0.5, false);
+    let before = (bundle.views[0].pose, bundle.cameras[0].current());
+    disturb(&mut bundle);
+    let options = BundleOptions {
+        loss: RobustLoss::Huber(1.0),
+        max_num_iterations: 10,
+        relative_cost_change: 1e-6,
+    };
+    bundle.adjust(&options).unwrap();
+    assert_eq!(before, (bundle.views[0].pose, bundle.cameras[0].current()));
+}

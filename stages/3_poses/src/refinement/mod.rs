@@ -11,7 +11,7 @@ mod align;
 mod image;
 
 use crate::error::PosesError;
-use crate::model::{Model, RefinedPixels};
+use crate::model::{Model, RefinedPixel, RefinedPixels};
 use crate::projection::CenteredPose;
 use crate::scene::Scene;
 use align::{AffineMap, Template};
@@ -181,7 +181,7 @@ fn refine_track(
     pyramids: &[Option<Pyramid>],
     neighborhoods: &[Neighborhood],
     track: usize,
-) -> Option<Vec<Option<(Point2<f64>, f64)>>> {
+) -> Option<Vec<RefinedPixel>> {
     let sightings = &scene.tracks[track];
     let point = model.points[track].as_ref()?;
     let keypoint_size = |place: usize| {

@@ -1,0 +1,250 @@
+//! Synthetic photo sets: cameras around points, keypoints and matches without any image.
+
+#![allow(dead_code)]
+
+use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rilievo_poses::PosesOptions;
+use rilievo_poses::anchors::AnchorMode;
+use rilievo_scene::{
+    FeatureMatches, FocalSource, InMemoryPixels, Intrinsics, Keypoint, LinearImage, PairMatches,
+    Photo, PhotoIdx, PhotoKeypoints, PhotoSet, PosedViews, RigidTransform,
+};
+use std::sync::Arc;
+
+/// What a synthetic set is like.
+#[derive(Clone)]
+pub struct WorldOptions {
+    pub num_views: usize,
+    /// Angle that the ring of cameras spans, degrees.
+    pub span_deg: f64,
+    pub num_points: usize,
+    pub noise_px: f64,
+    /// Share of matches that are wrong.
+    pub outlier_share: f64,
+    /// Points on a plane instead of in a ball.
+    pub planar: bool,
+    /// Farthest neighbour in the ring that a view matches.
+    pub reach: usize,
+    pub seed: u64,
+}
+
+impl Default for WorldOptions {
+    fn default() -> Self {
+        Self {
+            num_views: 6,
+            span_deg: 90.0,
+            num_points: 400,
+            noise_px: 0.0,
+            outlier_share: 0.0,
+            planar: false,
+            reach: usize::MAX,
+            seed: 7,
+        }
+    }
+}
+
+/// A set with its truth.
+pub struct World {
+    pub photos: PhotoSet,
+    pub matches: FeatureMatches,
+    pub cam_from_world: Vec<RigidTransform>,
+}
+
+pub fn camera() -> Intrinsics {
+    Intrinsics::pinhole(1200, 900, 1300.0, 599.5, 449.5)
+}
+
+/// A camera at `center` that looks at `target`.
+pub fn look_at(center: Point3<f64>, target: Point3<f64>) -> RigidTransform {
+    let z = (target - center).normalize();
+    let x = z.cross(&Vector3::new(0.0, 0.0, 1.0)).normalize();
+    let y = z.cross(&x);
+    let world_from_cam = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
+    RigidTransform::from_world_pose(world_from_cam, center)
+}
+
+pub fn world(options: &WorldOptions) -> World {
+    let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
+    let full_turn = options.span_deg >= 360.0;
+    let steps = if full_turn {
+        options.num_views
+    } else {
+        options.num_views.max(2) - 1
+    };
+    let poses: Vec<RigidTransform> = (0..options.num_views)
+        .map(|k| {
+            let angle = (options.span_deg * k as f64 / steps as f64).to_radians();
+            let height = 0.8 + 0.3 * (1.7 * k as f64).sin();
+            let center = Point3::new(3.0 * angle.cos(), 3.0 * angle.sin(), height);
+            look_at(center, Point3::new(0.0, 0.0, 0.0))
+        })
+        .collect();
+    let points: Vec<Point3<f64>> = (0..options.num_points)
+        .map(|_| {
+            let mut p = Point3::new(
+                rng.random_range(-0.8..0.8),
+                rng.random_range(-0.8..0.8),
+                rng.random_range(-0.6..0.6),
+            );
+            if options.planar {
+                p.z = 0.0;
+            }
+            p
+        })
+        .collect();
+    from_truth(options, poses, &points, &mut rng)
+}
+
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random());
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+pub fn from_truth(
+    options: &WorldOptions,
+    poses: Vec<RigidTransform>,
+    points: &[Point3<f64>],
+    rng: &mut ChaCha8Rng,
+) -> World {
+    let camera = camera();
+    let image = Arc::new(LinearImage::filled(4, 4, 1, 0.5));
+    let photos = (0..poses.len())
+        .map(|k| Photo {
+            file_name: format!("v{k:03}.png"),
+            name: format!("v{k:03}"),
+            pixels: Arc::new(InMemoryPixels(image.clone())),
+            intrinsics: camera,
+            focal_source: FocalSource::CameraFile,
+            camera_group: 0,
+            orientation: 1,
+            mask: None,
+            clip_level: 1.0,
+            given_cam_from_world: None,
+        })
+        .collect();
+    // Keypoint k of every photo is point k: a permutation would only hide mistakes of the test.
+    let lists = poses
+        .iter()
+        .map(|pose| PhotoKeypoints {
+            keypoints: points
+                .iter()
+                .map(|p| {
+                    let pixel = camera
+                        .project(&pose.apply(p))
+                        .unwrap_or(Point2::new(-1.0, -1.0));
+                    Keypoint {
+                        x: (pixel.x + options.noise_px * normal(rng)) as f32,
+                        y: (pixel.y + options.noise_px * normal(rng)) as f32,
+                        size_px: 3.0,
+                        angle_rad: 0.0,
+                        response: 1.0,
+                        on_object: true,
+                    }
+                })
+                .collect(),
+            descriptors: Vec::new(),
+        })
+        .collect();
+    let num = poses.len();
+    let mut pairs = Vec::new();
+    for i in 0..num {
+        for j in i + 1..num {
+            let apart = (j - i).min(if options.span_deg >= 360.0 {
+                num - (j - i)
+            } else {
+                usize::MAX
+            });
+            if apart > options.reach {
+                continue;
+            }
+            let relative = poses[j].compose(&poses[i].inverse());
+            let direction = relative.translation.try_normalize(1e-12);
+            let matches: Vec<[u32; 2]> = (0..points.len() as u32)
+                .map(|k| {
+                    if rng.random::<f64>() < options.outlier_share {
+                        [k, rng.random_range(0..points.len() as u32)]
+                    } else {
+                        [k, k]
+                    }
+                })
+                .collect();
+            pairs.push(PairMatches {
+                first: PhotoIdx(i),
+                second: PhotoIdx(j),
+                num_putative: matches.len(),
+                matches,
+                essential: direction.map(|t| t.cross_matrix() * relative.rotation_matrix()),
+                homography_share: if options.planar || direction.is_none() {
+                    1.0
+                } else {
+                    0.3
+                },
+            });
+        }
+    }
+    World {
+        photos: PhotoSet { photos },
+        matches: FeatureMatches {
+            photos: lists,
+            pairs,
+        },
+        cam_from_world: poses,
+    }
+}
+
+/// Options for sets without images.
+pub fn options() -> PosesOptions {
+    let mut options = PosesOptions {
+        refine_tracks: false,
+        ..PosesOptions::default()
+    };
+    options.anchors.mode = AnchorMode::Sift;
+    options
+}
+
+/// Largest errors of centres (share of the ring's radius) and rotations (degrees) after a
+/// similarity from all centres.
+pub fn pose_errors(posed: &PosedViews, truth: &[RigidTransform]) -> (f64, f64) {
+    let pairs: Vec<(Point3<f64>, Point3<f64>, usize)> = posed
+        .views
+        .iter()
+        .map(|v| {
+            (
+                v.cam_from_world.center_in_source(),
+                truth[v.photo.0].center_in_source(),
+                v.photo.0,
+            )
+        })
+        .collect();
+    let n = pairs.len() as f64;
+    let mean_e = pairs.iter().map(|p| p.0.coords).sum::<Vector3<f64>>() / n;
+    let mean_t = pairs.iter().map(|p| p.1.coords).sum::<Vector3<f64>>() / n;
+    // Rotations fix the frame even where few centres would not.
+    let mut sum = Matrix3::zeros();
+    for view in &posed.views {
+        let t = truth[view.photo.0].rotation_matrix();
+        sum += t.transpose() * view.cam_from_world.rotation_matrix();
+    }
+    let svd = sum.svd(true, true);
+    let r = svd.u.unwrap() * svd.v_t.unwrap();
+    let (mut over, mut under) = (0.0, 0.0);
+    for (e, t, _) in &pairs {
+        let turned = r * (e.coords - mean_e);
+        over += turned.dot(&(t.coords - mean_t));
+        under += turned.norm_squared();
+    }
+    let scale = over / under;
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(r));
+    let mut worst = (0.0_f64, 0.0_f64);
+    for ((e, t, photo), view) in pairs.iter().zip(&posed.views) {
+        let error = (r * (e.coords - mean_e) * scale + mean_t - t.coords).norm() / 3.0;
+        let angle = (view.cam_from_world.rotation * rotation.inverse())
+            .angle_to(&truth[*photo].rotation)
+            .to_degrees();
+        worst = (worst.0.max(error), worst.1.max(angle));
+        assert!(error.is_finite() && angle.is_finite());
+    }
+    worst
+}
