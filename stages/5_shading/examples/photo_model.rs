@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_scene::{
     DepthMap, FocalSource, InMemoryPixels, Intrinsics, LightKind, LightSource, LightingCalibration,
     LinearImage, LocatedSphere, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews,
-    Raster, RigidTransform, Silent, SparsePoint,
+    Raster, RigidTransform, ShadedViews, Silent, SparsePoint,
 };
 use rilievo_shading::photo::{self, PhotoOptions};
 use std::error::Error;
@@ -84,7 +84,11 @@ fn load(folder: &Path, names: &[String]) -> Result<Input, Box<dyn Error>> {
         if !names.is_empty() && !names.contains(&name) {
             continue;
         }
-        let path = find_file(&folder.join("photos"), &name).ok_or("photo missing")?;
+        let path = find_file(
+            &folder.join(std::env::var("PHOTO_DIR").unwrap_or_else(|_| "photos".to_owned())),
+            &name,
+        )
+        .ok_or("photo missing")?;
         let image = linear(&path)?;
         let mask =
             rilievo_io::read_mask(&find_file(&folder.join("masks"), &name).ok_or("mask missing")?)?;
@@ -218,7 +222,23 @@ fn main() -> Result<(), Box<dyn Error>> {
         Err(_) => PhotoOptions::default(),
     };
     let began = std::time::Instant::now();
-    let (shaded, report) = photo::run(&input.photos, &input.posed, &lighting, &options, &Silent)?;
+    let probe = |step: &str, shaded: &ShadedViews| {
+        if let Ok(summary) = evaluate(&input, shaded, None) {
+            println!("    {step:24} {summary}");
+        }
+    };
+    let (shaded, report) = if std::env::var("PROBE").is_ok() {
+        photo::run_probed(
+            &input.photos,
+            &input.posed,
+            &lighting,
+            &options,
+            &Silent,
+            &probe,
+        )?
+    } else {
+        photo::run(&input.photos, &input.posed, &lighting, &options, &Silent)?
+    };
     let wall = began.elapsed().as_secs_f64();
     for lap in &report.laps {
         println!(
@@ -236,7 +256,33 @@ fn main() -> Result<(), Box<dyn Error>> {
         "  disagreement {:.4}, sigma_match {:.4}; {}; {:?}",
         report.disagreement, report.sigma_match, report.shading, report.notes
     );
+    for (view, facts) in shaded.views.iter().zip(&report.views) {
+        println!(
+            "  {:14} gain {:.3} {:.3} {:.3} disagree {:.3} confirmed {:.3} alone {:.3} light {:.4}",
+            view.name,
+            facts.gain[0],
+            facts.gain[1],
+            facts.gain[2],
+            facts.disagreement,
+            facts.confirmed,
+            facts.seen_alone,
+            facts.light_residual.unwrap_or(f64::NAN)
+        );
+    }
+    let summary = evaluate(&input, &shaded, out.as_deref())?;
+    println!("ALL {summary}  wall {wall:.1} s");
+    Ok(())
+}
+
+/// Errors over the whole truth mask: a pixel without a normal counts as 90°.
+fn evaluate(
+    input: &Input,
+    shaded: &ShadedViews,
+    out: Option<&Path>,
+) -> Result<String, Box<dyn Error>> {
     let (mut angles, mut ratios, mut missing) = (Vec::new(), Vec::new(), 0usize);
+    let (mut rim, mut inner) = (Vec::new(), Vec::new());
+    let mut means = String::new();
     for (i, view) in shaded.views.iter().enumerate() {
         let (depth, normal) = &input.truth[i];
         let k = &input.posed.views[i].intrinsics;
@@ -252,13 +298,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             (None, None) => continue,
         };
         let mut error = Raster::filled(depth.width, depth.height, -1.0_f32);
-        let (mut own, mut own_ratio) = (Vec::new(), Vec::new());
+        let mut own = Vec::new();
+        let band = near_edges(depth, k.fx);
         for p in 0..depth.data.len() {
             if depth.data[p] <= 0.0 {
                 continue;
             }
             if view.depth.data[p] > 0.0 {
-                own_ratio.push(f64::from(view.depth.data[p] / depth.data[p]));
+                ratios.push(f64::from(view.depth.data[p] / depth.data[p]));
             } else {
                 missing += 1;
             }
@@ -274,25 +321,18 @@ fn main() -> Result<(), Box<dyn Error>> {
             };
             error.data[p] = angle as f32;
             own.push(angle);
+            if b != [0.0; 3] {
+                if band.data[p] {
+                    rim.push(angle)
+                } else {
+                    inner.push(angle)
+                }
+            }
         }
         let mean = own.iter().sum::<f64>() / own.len().max(1) as f64;
-        let facts = &report.views[i];
-        println!(
-            "{:14} normals {:.2} / {:.2}  gain {:.3} {:.3} {:.3} disagree {:.3} confirmed {:.3} alone {:.3} light {:?}",
-            view.name,
-            mean,
-            quantile(&mut own, 0.5),
-            facts.gain[0],
-            facts.gain[1],
-            facts.gain[2],
-            facts.disagreement,
-            facts.confirmed,
-            facts.seen_alone,
-            facts.light_residual
-        );
+        means += &format!(" {mean:.2}");
         angles.extend(own);
-        ratios.extend(own_ratio);
-        if let Some(out) = &out {
+        if let Some(out) = out {
             std::fs::create_dir_all(out)?;
             picture(out, &view.name, &error, &view.normal, &view.depth, depth)?;
         }
@@ -302,17 +342,43 @@ fn main() -> Result<(), Box<dyn Error>> {
         .iter()
         .map(|r| 100.0 * (r / scale - 1.0).abs())
         .collect();
-    let mean = angles.iter().sum::<f64>() / angles.len().max(1) as f64;
-    println!(
-        "ALL normals {:.2} / {:.2} deg  depth {:.3} / {:.3} %  complete {:.4}  wall {:.1} s",
-        mean,
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len().max(1) as f64;
+    Ok(format!(
+        "normals {:.2} / {:.2} deg (rim {:.2}, inner {:.2})  depth {:.3} / {:.3} %  complete {:.4} |{means}",
+        mean(&angles),
         quantile(&mut angles, 0.5),
+        mean(&rim),
+        mean(&inner),
         quantile(&mut errors, 0.5),
         quantile(&mut errors, 0.9),
         1.0 - missing as f64 / (missing + ratios.len()) as f64,
-        wall
-    );
-    Ok(())
+    ))
+}
+
+/// Pixels within five of the mask's border or of a depth edge.
+fn near_edges(depth: &DepthMap, focal: f64) -> Raster<bool> {
+    let edge = |x: isize, y: isize| {
+        let Some(&z) = depth.get(x, y) else {
+            return true;
+        };
+        [(1, 0), (0, 1)]
+            .iter()
+            .any(|&(dx, dy)| match depth.get(x + dx, y + dy) {
+                Some(&other) if other > 0.0 && z > 0.0 => {
+                    (f64::from(other / z) - 1.0).abs() * focal > 6.0
+                }
+                _ => true,
+            })
+    };
+    let edges = Raster::from_fn(depth.width, depth.height, |x, y| {
+        edge(x as isize, y as isize)
+    });
+    let wide = Raster::from_fn(depth.width, depth.height, |x, y| {
+        (x.saturating_sub(5)..=(x + 5).min(depth.width - 1)).any(|a| *edges.at(a, y))
+    });
+    Raster::from_fn(depth.width, depth.height, |x, y| {
+        (y.saturating_sub(5)..=(y + 5).min(depth.height - 1)).any(|b| *wide.at(x, b))
+    })
 }
 
 /// Normal error (0 to 30° from black to white) beside the normals and the relative depth error.

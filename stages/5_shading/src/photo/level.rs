@@ -19,6 +19,8 @@ pub(crate) struct LevelView {
     pub usable: Raster<f32>,
     pub mask: Mask,
     pub pixels: PixelNumbering,
+    /// Whether the mask touches the photo's frame.
+    pub cut_by_frame: bool,
 }
 
 impl LevelView {
@@ -40,6 +42,7 @@ impl LevelView {
                 }
             }
         }
+        let cut_by_frame = x0 == 0 || y0 == 0 || x1 + 1 == mask.width || y1 + 1 == mask.height;
         let (x0, y0) = (x0.saturating_sub(MARGIN_PX), y0.saturating_sub(MARGIN_PX));
         let width = (x1 + 1 + MARGIN_PX).min(mask.width).saturating_sub(x0);
         let height = (y1 + 1 + MARGIN_PX).min(mask.height).saturating_sub(y0);
@@ -73,10 +76,19 @@ impl LevelView {
             data: usable,
         };
         let camera = camera.cropped(x0, y0, width, height);
-        (Self::assemble(camera, image, usable, cropped), (x0, y0))
+        (
+            Self::assemble(camera, image, usable, cropped, cut_by_frame),
+            (x0, y0),
+        )
     }
 
-    fn assemble(camera: Camera, image: LinearImage, usable: Raster<f32>, mask: Mask) -> Self {
+    fn assemble(
+        camera: Camera,
+        image: LinearImage,
+        usable: Raster<f32>,
+        mask: Mask,
+        cut_by_frame: bool,
+    ) -> Self {
         let pixels = PixelNumbering::new(&mask);
         Self {
             camera,
@@ -85,6 +97,7 @@ impl LevelView {
             usable,
             mask,
             pixels,
+            cut_by_frame,
         }
     }
 
@@ -112,7 +125,7 @@ impl LevelView {
             let ok = all(x, y, &|a, b| *self.usable.at(a, b) > 0.5);
             if ok { 1.0 } else { 0.0 }
         });
-        Self::assemble(camera, image, usable, mask)
+        Self::assemble(camera, image, usable, mask, self.cut_by_frame)
     }
 
     /// Divides the image by a gain.

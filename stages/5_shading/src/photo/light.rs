@@ -9,7 +9,7 @@ use super::level::{Level, LevelView};
 use super::plate;
 use super::shading::{self, PixelHarmonics};
 use super::surround::{SmallPhoto, look_at_sphere};
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_numerics::robust::median;
@@ -56,7 +56,7 @@ const SMOOTHNESS: f64 = 1e-3;
 const SPHERE_SHARE: f32 = 5.0;
 
 fn rotation(view: &LevelView) -> UnitQuaternion<f64> {
-    UnitQuaternion::from_matrix(&view.camera.rotation)
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(view.camera.rotation))
 }
 
 /// Nine distant harmonics on the current shape.
@@ -287,6 +287,7 @@ fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
                 depth: view.spread(&metric, 0.0),
                 weight,
                 image: view.image.clone(),
+                cut_by_frame: view.cut_by_frame,
             }
         })
         .collect()

@@ -24,6 +24,8 @@ pub struct PhotoOptions {
     pub num_laps: usize,
     /// Rounds at each finer level.
     pub num_fine_rounds: usize,
+    /// Light every pixel by what it sees of the environment, instead of nine distant harmonics for all.
+    pub visibility: bool,
     /// Rays per pixel of the visibility light.
     pub num_rays: usize,
     /// Seed of the dense search.
@@ -40,6 +42,7 @@ impl Default for PhotoOptions {
             round_tolerance: 0.02,
             num_laps: 4,
             num_fine_rounds: 3,
+            visibility: true,
             num_rays: 192,
             seed: 0,
         }

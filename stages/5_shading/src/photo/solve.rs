@@ -7,8 +7,8 @@ use super::level::{self, Level};
 use super::light::{self, Light, LightScene};
 use super::matching::MatchOptions;
 use super::options::PhotoOptions;
+use super::output;
 use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
-use super::plate;
 use super::report::{LapReport, PhotoReport, PhotoViewReport};
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::start;
@@ -22,8 +22,7 @@ use rilievo_numerics::plate_system::{PlateError, PlateSolver};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{
-    DepthMap, Event, Flow, LightKind, LightingCalibration, Mask, NormalMap, Observer, PosedViews,
-    ShadedView, ShadedViews, StageId,
+    Event, Flow, LightKind, LightingCalibration, Mask, Observer, PosedViews, ShadedViews, StageId,
 };
 use std::time::Instant;
 
@@ -35,6 +34,9 @@ const MAX_DISAGREEMENT: f64 = 0.2;
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
 
+/// Receives the shape after each step, for measurement.
+pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;
+
 /// Everything that the steps of a run share.
 pub(crate) struct Course<'a> {
     pub scene: Scene,
@@ -42,6 +44,7 @@ pub(crate) struct Course<'a> {
     pub observer: &'a dyn Observer,
     pub report: PhotoReport,
     pub sigma_match: f64,
+    pub probe: Option<&'a Probe<'a>>,
 }
 
 /// Weights of one lap.
@@ -100,6 +103,7 @@ pub(crate) fn solve(
     lighting: &LightingCalibration,
     options: &PhotoOptions,
     observer: &dyn Observer,
+    probe: Option<&Probe>,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
     let mut course = Course {
         scene,
@@ -107,6 +111,7 @@ pub(crate) fn solve(
         observer,
         report: PhotoReport::default(),
         sigma_match: 0.0,
+        probe,
     };
     if course.scene.frames.len() < 2 {
         return Err(ShadingError::NoDepth {
@@ -116,6 +121,7 @@ pub(crate) fn solve(
     let exposure = course.find_exposure(posed)?;
     let mut depths = course.find_surface(posed, &exposure)?;
     let mut at = course.scene.coarse;
+    course.show(at, "start", &depths);
     let mut solvers = course.solvers(at)?;
     let rounds = options.max_num_rounds;
     course.lap(
@@ -132,6 +138,7 @@ pub(crate) fn solve(
     let mut last = PHOTOS_ONLY;
     for lap in 0..options.num_laps {
         depths = course.fused(at, &depths)?;
+        course.show(at, "fused", &depths);
         light = course.light(at, &depths, posed, lighting.kind, ground.as_ref())?;
         last = lap_weights(lap);
         course.lap(
@@ -160,6 +167,7 @@ pub(crate) fn solve(
         at -= 1;
         solvers = course.solvers(at)?;
         depths = course.descend(at, &solvers, &depths)?;
+        course.show(at, "finer start", &depths);
         light = light.map(|light| course.finer_light(at, &light));
         let mut weights = LapWeights {
             consensus_px: 0.9,
@@ -187,7 +195,8 @@ pub(crate) fn solve(
             view.light_residual = Some(*residual);
         }
     }
-    course.finish(depths)
+    let shaded = output::maps(&course.scene, 0, &depths);
+    Ok((shaded, course.report))
 }
 
 impl Course<'_> {
@@ -494,6 +503,7 @@ impl Course<'_> {
         }
         record.seconds = began.elapsed().as_secs_f64();
         self.report.laps.push(record);
+        self.show(at, kind, depths);
         Ok(())
     }
 
@@ -546,9 +556,10 @@ impl Course<'_> {
             num_rays: self.options.num_rays,
         };
         // A light fixed to the camera moves over the object: rays into one environment do not hold.
-        let seen = match kind {
-            LightKind::World => light::visible(level, depths, rays_at, &scene),
-            LightKind::Camera => None,
+        let seen = if kind == LightKind::World && self.options.visibility {
+            light::visible(level, depths, rays_at, &scene)
+        } else {
+            None
         };
         let used = seen.is_some();
         let light = seen.or_else(|| light::distant(level, depths, kind));
@@ -604,40 +615,11 @@ impl Course<'_> {
             .collect()
     }
 
-    /// Maps on the photos' own pixels.
-    fn finish(self, depths: Vec<Vec<f64>>) -> Result<(ShadedViews, PhotoReport), ShadingError> {
-        let views = self
-            .scene
-            .frames
-            .into_par_iter()
-            .enumerate()
-            .map(|(i, frame)| {
-                let view = &self.scene.pyramid[0].views[i];
-                let (width, height) = (frame.mask.width, frame.mask.height);
-                let mut depth = DepthMap::filled(width, height, 0.0);
-                let mut normal = NormalMap::filled(width, height, [0.0; 3]);
-                let normals = plate::normals(view, &depths[i]);
-                for (p, n) in normals.iter().enumerate() {
-                    let x = view.pixels.xs[p] as usize + frame.corner.0;
-                    let y = view.pixels.ys[p] as usize + frame.corner.1;
-                    *depth.at_mut(x, y) = depths[i][p].exp() as f32;
-                    *normal.at_mut(x, y) = n.map(|v| v as f32);
-                }
-                if !frame.rectification.is_identity() {
-                    (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
-                }
-                ShadedView {
-                    view: frame.view,
-                    name: frame.name,
-                    depth,
-                    normal,
-                    confidence: None,
-                    rendered: None,
-                    albedo: None,
-                }
-            })
-            .collect();
-        Ok((ShadedViews { views }, self.report))
+    /// Shows the current surface to the probe, at the photos' resolution.
+    fn show(&self, at: usize, step: &str, depths: &[Vec<f64>]) {
+        if let Some(probe) = self.probe {
+            probe(step, &output::maps(&self.scene, at, depths));
+        }
     }
 }
 

@@ -27,6 +27,8 @@ pub struct DepthView {
     pub weight: rilievo_scene::Raster<f32>,
     /// Three channels.
     pub image: LinearImage,
+    /// Whether the photo's frame cuts the object: then nothing is known beside the image.
+    pub cut_by_frame: bool,
 }
 
 /// The solid.
@@ -94,7 +96,11 @@ fn sight(camera: &Camera, view: &DepthView, p: &Vector3<f32>, voxel: f32) -> Sig
         || z <= 0.0
         || !(u >= 0.0 && v >= 0.0 && u < (depth.width - 1) as f32 && v < (depth.height - 1) as f32)
     {
-        return Sight::Unknown;
+        return if view.cut_by_frame || z.is_nan() || z <= 0.0 {
+            Sight::Unknown
+        } else {
+            Sight::Empty
+        };
     }
     let (u0, v0) = (u as usize, v as usize);
     let (a, b) = (u - u0 as f32, v - v0 as f32);
