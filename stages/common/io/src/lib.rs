@@ -39,6 +39,7 @@ pub mod preview;
 pub mod scene_file;
 pub mod sphere_file;
 mod words;
+mod xml;
 
 pub use adapters::{CameraFormat, export_cameras, import_cameras};
 pub use cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};

@@ -8,6 +8,7 @@
 //! | Bundler | `bundle.out` with `list.txt` | x right, y up, z backward | origin in the middle of the image, y up | camera from world |
 //! | MVSNet | folder `cams/NNNNNNNN_cam.txt` | x right, y down, z forward | 0 | camera from world |
 //! | Middlebury | `*_par.txt` | the same | 0 | camera from world |
+//! | Metashape | `cameras.xml` | x right, y down, z forward | 0.5 | world from camera |
 //! | TUM | `pose.txt` with `intrinsics.txt` | the same | 0 | world from camera |
 //!
 //! All become a [`CameraFile`] with our conventions, converted in both directions; a camera that a
@@ -15,6 +16,7 @@
 //! size take it from the images beside them.
 
 mod bundler;
+mod metashape;
 mod middlebury;
 mod mvsnet;
 mod transforms;
@@ -45,13 +47,15 @@ pub enum CameraFormat {
     Mvsnet,
     /// Middlebury's parameter file.
     Middlebury,
+    /// Metashape's `cameras.xml`.
+    Metashape,
     /// TUM's trajectory.
     Tum,
 }
 
 impl CameraFormat {
     /// All formats.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::CamerasJson,
         Self::Colmap,
         Self::ColmapBinary,
@@ -59,6 +63,7 @@ impl CameraFormat {
         Self::Bundler,
         Self::Mvsnet,
         Self::Middlebury,
+        Self::Metashape,
         Self::Tum,
     ];
 
@@ -72,6 +77,7 @@ impl CameraFormat {
             Self::Bundler => "bundler",
             Self::Mvsnet => "mvsnet",
             Self::Middlebury => "middlebury",
+            Self::Metashape => "metashape",
             Self::Tum => "tum",
         }
     }
@@ -108,6 +114,9 @@ impl CameraFormat {
                 Self::CamerasJson
             });
         }
+        if name.ends_with(".xml") {
+            return Some(Self::Metashape);
+        }
         if name.ends_with("_par.txt") {
             return Some(Self::Middlebury);
         }
@@ -134,6 +143,7 @@ pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, I
         CameraFormat::Bundler => bundler::read(&inside(path, "bundle.out")),
         CameraFormat::Mvsnet => mvsnet::read(path),
         CameraFormat::Middlebury => middlebury::read(path),
+        CameraFormat::Metashape => metashape::read(path),
         CameraFormat::Tum => tum::read(&inside(path, "pose.txt")),
     }
 }
@@ -166,6 +176,7 @@ pub fn export_cameras(
             mvsnet::write(path, cameras, None)
         }
         CameraFormat::Middlebury => middlebury::write(path, cameras),
+        CameraFormat::Metashape => metashape::write(path, cameras),
         CameraFormat::Tum => tum::write(path, cameras),
     }
 }

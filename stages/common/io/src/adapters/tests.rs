@@ -65,6 +65,7 @@ fn path_of(folder: &tempfile::TempDir, format: CameraFormat) -> PathBuf {
         CameraFormat::Bundler => "bundle.out",
         CameraFormat::Mvsnet => "",
         CameraFormat::Middlebury => "stone_par.txt",
+        CameraFormat::Metashape => "cameras.xml",
         CameraFormat::Tum => "pose.txt",
     })
 }
@@ -196,6 +197,46 @@ fn bundler_by_its_manuals_formula() {
     let (x, y) = (-p.x / p.z * block[0][0], -p.y / p.z * block[0][0]);
     // The origin is the middle of the image; y points up.
     let (u, v) = (x + 0.5 * WIDTH as f64 - 0.5, 0.5 * HEIGHT as f64 - y - 0.5);
+    assert!(
+        (u - pixel.x).hypot(v - pixel.y) < SAME_PX,
+        "{u} {v} {pixel}"
+    );
+}
+
+#[test]
+fn metashape_by_its_manuals_formula() {
+    let bent = Intrinsics {
+        distortion: Distortion {
+            k1: -0.1,
+            k2: 0.02,
+            p1: 1e-2,
+            p2: -2e-2,
+            k3: 0.01,
+        },
+        ..plain()
+    };
+    let (text, entry) = written(CameraFormat::Metashape, bent, "cameras.xml");
+    let (world, pixel) = point_and_pixel(&entry);
+    let document = crate::xml::parse(&text).unwrap();
+    let value = |name: &str| -> f64 { document.descendants(name)[0].text.parse().unwrap() };
+    let camera = document.descendants("camera")[1];
+    let m: Vec<f64> = camera
+        .child("transform")
+        .unwrap()
+        .text
+        .split_whitespace()
+        .map(|word| word.parse().unwrap())
+        .collect();
+    let rotation = Matrix3::from_fn(|i, j| m[4 * i + j]);
+    let p = rotation.transpose() * (world.coords - Vector3::new(m[3], m[7], m[11]));
+    let (x, y) = (p.x / p.z, p.y / p.z);
+    let r2 = x * x + y * y;
+    let radial = 1.0 + value("k1") * r2 + value("k2") * r2 * r2 + value("k3") * r2.powi(3);
+    let (p1, p2) = (value("p1"), value("p2"));
+    let xd = x * radial + p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y;
+    let yd = y * radial + p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y;
+    let u = 0.5 * WIDTH as f64 + value("cx") + xd * value("f") + xd * value("b1") - 0.5;
+    let v = 0.5 * HEIGHT as f64 + value("cy") + yd * value("f") - 0.5;
     assert!(
         (u - pixel.x).hypot(v - pixel.y) < SAME_PX,
         "{u} {v} {pixel}"
@@ -340,6 +381,7 @@ fn no_part_of_a_file_panics() {
         CameraFormat::Transforms,
         CameraFormat::Bundler,
         CameraFormat::Middlebury,
+        CameraFormat::Metashape,
         CameraFormat::Tum,
     ] {
         let folder = folder();
