@@ -1,105 +1,70 @@
 //! Depth anchors: points on the object whose depth the photos determine without shading.
 //!
-//! In `sift` mode an anchor is a sparse point with at least two sightings on the object's mask.
-//! Its covariance is that of the least-squares triangulation with poses held fixed,
-//! `Σ = σ² (Σ_i J_iᵀ J_i)⁻¹`, `J_i` the 2×3 derivative of the pixel in view `i` by the point and
-//! `σ` the standard deviation of a keypoint coordinate in pixels; the depth in a view is
-//! `z_i = r_iᵀ X + t_i`, so `σ(ln z_i) = √(r_iᵀ Σ r_i) / z_i`.
+//! They hold the low frequencies of the shape; shading holds the fine ones. A plain object has few
+//! keypoints, but under one static light the shading pattern of a matte surface is itself texture,
+//! only weak, and it lies still on the object while the camera moves.
+//!
+//! # Steps
+//! 1. Photos to log images without distortion, cropped to the mask ([`working`]).
+//! 2. Range of depth per cell from the other masks ([`hull`]).
+//! 3. Seeds by epipolar search in all sources at once ([`sweep`]), and the sparse points.
+//! 4. Alignment of patches over inverse depth and slopes ([`patch`]), growing over the surface from
+//!    the seeds ([`grow`]). Views are independent: they run in parallel.
+//! 5. What other views say of each patch ([`check`]); noise factor, combination and belief
+//!    ([`judge`]).
+//! 6. One anchor per surface point with all its views ([`merge`]).
+//!
+//! `sift` mode takes the sparse points as they are ([`sift`]); `guided` mode leaves out growing.
+//!
+//! # Why here
+//! Anchors need photos and poses and give tracks with covariance, as stage 3 does; a stage of its
+//! own would only add a copy of the poses. Keypoints are not needed: at a plain spot nothing is
+//! detected, but it can be compared along the epipolar line all the same.
+//!
+//! # Sources
+//! Patches with slopes over several views: Furukawa and Ponce 2010; variable projection of gain and
+//! offset: Evangelidis and Psarakis 2008. Departure: seeds come from a search over all sources, not
+//! from keypoint matches (measured: three to ten times as many on plain objects).
+
+mod check;
+mod filter;
+mod grow;
+mod hull;
+mod judge;
+mod merge;
+mod options;
+mod pair;
+mod patch;
+mod report;
+mod sift;
+mod sweep;
+#[cfg(test)]
+mod tests;
+mod working;
+
+pub use options::{AnchorMode, AnchorOptions};
+pub use report::{AnchorReport, ViewAnchors};
 
 use crate::error::PosesError;
-use nalgebra::{Matrix2x3, Matrix3, Point3};
+use grow::{GrowOptions, Node, Reference, Seed, grow, plant};
+use hull::{Grid, bounding_ball, depth_ranges, grid_spacing, widened_masks};
+use judge::{JudgeOptions, all_supports, judge, noise_factor};
+use merge::merge;
+use nalgebra::Point3;
+use pair::PairGeometry;
+use patch::{PatchOptions, Workspace};
+use rayon::prelude::*;
+use report::Facts;
 use rilievo_scene::{
-    Anchor, AnchorObservation, AnchorOrigin, FeatureMatches, Flow, Intrinsics, Observer, PhotoSet,
-    PosedViews, RigidTransform, SparsePoint,
+    Anchor, AnchorOrigin, Event, FeatureMatches, Flow, Mask, Observer, PhotoSet, PosedViews,
+    StageId, ViewIdx,
 };
-use serde::{Deserialize, Serialize};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use sweep::{DetailImage, SweepOptions, SweepScratch, search, search_cells};
+use working::WorkingView;
 
-/// How anchors are found.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AnchorMode {
-    /// The sparse points on the object, as they are: the sparse case of the paper.
-    Sift,
-    /// Keypoints matched along epipolar lines, then refined by patch alignment.
-    Guided,
-    /// Grown over the surface from refined seeds.
-    #[default]
-    Grown,
-}
-
-/// Options of the anchors.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct AnchorOptions {
-    /// How anchors are found.
-    pub mode: AnchorMode,
-    /// Standard deviation of a SIFT keypoint coordinate, pixels; used in `sift` mode for points
-    /// whose own residuals are too few to tell it.
-    pub keypoint_sigma_px: f64,
-    /// Smallest angle between two rays of an anchor, degrees.
-    pub min_angle_deg: f64,
-}
-
-impl Default for AnchorOptions {
-    fn default() -> Self {
-        Self {
-            mode: AnchorMode::Grown,
-            keypoint_sigma_px: 0.7,
-            min_angle_deg: 2.0,
-        }
-    }
-}
-
-impl AnchorOptions {
-    /// Checks every value.
-    ///
-    /// # Errors
-    /// Names the first option that is out of its range.
-    pub fn validate(&self) -> Result<(), PosesError> {
-        for (option, value) in [
-            ("anchors.keypoint_sigma_px", self.keypoint_sigma_px),
-            ("anchors.min_angle_deg", self.min_angle_deg),
-        ] {
-            if value.is_nan() || value <= 0.0 {
-                return Err(PosesError::InvalidOption {
-                    option,
-                    value,
-                    range: "must be positive",
-                });
-            }
-        }
-        Ok(())
-    }
-}
-
-/// Anchors of one view.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct ViewAnchors {
-    /// The photo's file name.
-    pub file_name: String,
-    /// Anchors that the view sees.
-    pub num_anchors: usize,
-    /// Share of the mask within 20 px of an anchor; `None` without a mask.
-    pub coverage: Option<f64>,
-    /// Median standard deviation of ln depth.
-    pub median_sigma_ln_depth: Option<f64>,
-}
-
-/// Facts about the anchors.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct AnchorReport {
-    /// How they were found.
-    pub mode: AnchorMode,
-    /// Anchors in all.
-    pub num_anchors: usize,
-    /// One entry per view.
-    pub views: Vec<ViewAnchors>,
-}
-
-/// Distance within which an anchor covers a pixel of the mask.
-const COVERAGE_RADIUS_PX: f64 = 20.0;
-
-/// Finds the depth anchors of posed views.
+/// Finds the depth anchors of posed views. Too few views, no overlap or no contrast give an empty
+/// result with a warning in the report.
 ///
 /// # Errors
 /// When an option is out of range, a photo cannot be read, or the observer asked to stop.
@@ -114,165 +79,312 @@ pub fn find(
     if observer.flow() == Flow::Stop {
         return Err(PosesError::Interrupted);
     }
-    let anchors: Vec<Anchor> = posed
-        .points
-        .iter()
-        .filter_map(|point| sift_anchor(photos, posed, point, options))
-        .collect();
-    let report = report(photos, posed, options.mode, &anchors);
+    let (anchors, facts) = match options.mode {
+        AnchorMode::Sift => {
+            let anchors = posed
+                .points
+                .iter()
+                .filter_map(|point| sift::sift_anchor(photos, posed, point, options))
+                .collect();
+            (anchors, Facts::default())
+        }
+        AnchorMode::Guided | AnchorMode::Grown => aligned(photos, posed, options, observer)?,
+    };
+    let report = report::report(photos, posed, options.mode, &anchors, facts);
+    for message in &report.warnings {
+        let warning = Event::Warning {
+            stage: StageId::Poses,
+            message: message.clone(),
+        };
+        if observer.event(warning) == Flow::Stop {
+            return Err(PosesError::Interrupted);
+        }
+    }
     Ok((anchors, report))
 }
 
-/// Derivative of the pixel by the point in the world frame, distortion neglected (it changes the
-/// covariance by its relative strength only).
-fn pixel_derivative(
-    camera: &Intrinsics,
-    cam_from_world: &RigidTransform,
-    point: &Point3<f64>,
-) -> Option<Matrix2x3<f64>> {
-    let p = cam_from_world.apply(point);
-    if p.z.is_nan() || p.z <= 0.0 {
-        return None;
-    }
-    let (u, v) = (p.x / p.z, p.y / p.z);
-    let by_cam = Matrix2x3::new(
-        camera.fx / p.z,
-        0.0,
-        -camera.fx * u / p.z,
-        0.0,
-        camera.fy / p.z,
-        -camera.fy * v / p.z,
-    );
-    Some(by_cam * cam_from_world.rotation_matrix())
+/// Criteria of the epipolar search; the ratio is that of keypoint matching.
+const SWEEP: SweepOptions = SweepOptions {
+    min_score: 0.5,
+    ratio: 0.8,
+};
+
+/// What every view needs of the whole scene.
+struct Scene<'a> {
+    options: &'a AnchorOptions,
+    views: Vec<WorkingView>,
+    /// Index among the posed views, per working view.
+    ids: Vec<ViewIdx>,
+    details: Vec<DetailImage>,
+    grids: Vec<Grid>,
+    /// Range of inverse depth per view and cell.
+    ranges: Vec<Vec<Option<(f64, f64)>>>,
+    /// Sparse points in the world with the posed views that see them.
+    points: Vec<(Point3<f64>, Vec<ViewIdx>)>,
+    grow: GrowOptions,
 }
 
-/// The anchor of a sparse point, when at least two sightings lie on the object.
-fn sift_anchor(
+/// Anchors by patch alignment.
+fn aligned(
     photos: &PhotoSet,
     posed: &PosedViews,
-    point: &SparsePoint,
     options: &AnchorOptions,
-) -> Option<Anchor> {
-    let position = Point3::from(point.position);
-    let on_object: Vec<_> = point
-        .track
-        .iter()
-        .filter(|sighting| {
-            let photo = &photos.photos[posed.views[sighting.view.0].photo.0];
-            photo.mask.as_ref().is_none_or(|mask| {
-                mask.contains(
-                    sighting.pixel[0].round() as isize,
-                    sighting.pixel[1].round() as isize,
-                )
-            })
-        })
-        .collect();
-    if on_object.len() < 2 {
-        return None;
-    }
-    let mut widest = 0.0_f64;
-    let rays: Vec<_> = on_object
-        .iter()
-        .map(|s| (position - posed.views[s.view.0].cam_from_world.center_in_source()).normalize())
-        .collect();
-    for (k, a) in rays.iter().enumerate() {
-        for b in &rays[k + 1..] {
-            widest = widest.max(a.dot(b).clamp(-1.0, 1.0).acos());
-        }
-    }
-    if widest < options.min_angle_deg.to_radians() {
-        return None;
-    }
-    let mut information = Matrix3::zeros();
-    let mut squares = 0.0;
-    for sighting in &on_object {
-        let view = &posed.views[sighting.view.0];
-        let j = pixel_derivative(&view.intrinsics, &view.cam_from_world, &position)?;
-        information += j.transpose() * j;
-        let seen = view
-            .intrinsics
-            .project(&view.cam_from_world.apply(&position))?;
-        squares += (seen.x - sighting.pixel[0]).powi(2) + (seen.y - sighting.pixel[1]).powi(2);
-    }
-    // Few residuals say little: the prior standard deviation counts as four of them.
-    let degrees = (2 * on_object.len() - 3) as f64;
-    let prior = options.keypoint_sigma_px.powi(2);
-    let variance = (squares + 4.0 * prior) / (degrees + 4.0);
-    let covariance = information.try_inverse()? * variance;
-    let observations = on_object
-        .iter()
-        .map(|sighting| {
-            let view = &posed.views[sighting.view.0];
-            let depth = view.cam_from_world.apply(&position).z;
-            let axis = view.cam_from_world.rotation_matrix().row(2).transpose();
-            AnchorObservation {
-                view: sighting.view,
-                pixel: sighting.pixel,
-                depth,
-                sigma_ln_depth: (axis.dot(&(covariance * axis))).max(0.0).sqrt() / depth,
+    observer: &dyn Observer,
+) -> Result<(Vec<Anchor>, Facts), PosesError> {
+    let mut facts = Facts::default();
+    let Some(scene) = prepare(photos, posed, options, &mut facts)? else {
+        return Ok((Vec::new(), facts));
+    };
+    let num_views = scene.views.len();
+    let done = AtomicUsize::new(0);
+    let nodes: Vec<Vec<Option<Node>>> = (0..num_views)
+        .into_par_iter()
+        .map(|reference| {
+            if observer.flow() == Flow::Stop {
+                return Err(PosesError::Interrupted);
+            }
+            let nodes = cover(&scene, reference);
+            let progress = Event::Progress {
+                stage: StageId::Poses,
+                step: "growing anchors".into(),
+                done: done.fetch_add(1, Ordering::Relaxed) + 1,
+                total: num_views,
+            };
+            match observer.event(progress) {
+                Flow::Continue => Ok(nodes),
+                Flow::Stop => Err(PosesError::Interrupted),
             }
         })
+        .collect::<Result<_, _>>()?;
+    let spacing = scene.grids[0].spacing as f64;
+    let judge_options = JudgeOptions {
+        radius_px: 1.5 * spacing,
+        max_sigma_px: options.max_sigma_px,
+        // Relief steps more between anchors that lie further apart.
+        max_step_px: options.max_step_px * (spacing / 8.0).max(1.0),
+        needs_support: options.mode == AnchorMode::Grown,
+    };
+    let lists = all_supports(&scene.views, &scene.grids, &nodes, judge_options.radius_px);
+    let factor = noise_factor(&nodes, &lists);
+    let estimates: Vec<_> = (0..num_views)
+        .into_par_iter()
+        .map(|view| {
+            judge(
+                view,
+                &scene.grids[view],
+                &nodes,
+                &lists,
+                factor,
+                &judge_options,
+            )
+        })
+        .collect::<Vec<_>>()
+        .into_iter()
+        .flatten()
         .collect();
-    Some(Anchor {
-        position: point.position,
-        covariance: [
-            covariance[(0, 0)],
-            covariance[(0, 1)],
-            covariance[(0, 2)],
-            covariance[(1, 1)],
-            covariance[(1, 2)],
-            covariance[(2, 2)],
-        ],
-        origin: AnchorOrigin::Sift,
-        observations,
+    facts.noise_factor = factor;
+    facts.add_patches(&nodes);
+    let anchors = merge(&scene.views, &scene.ids, &scene.grids, &nodes, estimates);
+    Ok((anchors, facts))
+}
+
+/// Working views with cells and ranges; `None`, with the reason among the facts, where anchors
+/// cannot be had.
+fn prepare<'a>(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    options: &'a AnchorOptions,
+    facts: &mut Facts,
+) -> Result<Option<Scene<'a>>, PosesError> {
+    let loaded: Vec<Option<WorkingView>> = posed
+        .views
+        .par_iter()
+        .map(|view| {
+            let photo = &photos.photos[view.photo.0];
+            let image = photo.pixels.load()?;
+            Ok(WorkingView::new(
+                photo,
+                view,
+                &image,
+                options.max_working_mpx,
+            ))
+        })
+        .collect::<Result<_, PosesError>>()?;
+    let (mut ids, mut views) = (Vec::new(), Vec::new());
+    for (idx, view) in loaded.into_iter().enumerate() {
+        if let Some(view) = view {
+            ids.push(ViewIdx(idx));
+            views.push(view);
+        }
+    }
+    if views.len() < 2 {
+        facts.warn(format!(
+            "no depth anchors: {} view(s) with a pose and the object in it, at least 2 are needed",
+            views.len()
+        ));
+        return Ok(None);
+    }
+    let without_mask = views.iter().filter(|view| !view.has_mask).count();
+    if without_mask > 0 {
+        facts.unmasked_views = without_mask;
+        facts.warn(format!(
+            "{without_mask} of {} views have no mask: anchors cover everything that they show, background too",
+            views.len()
+        ));
+    }
+    let points: Vec<(Point3<f64>, Vec<ViewIdx>)> = posed
+        .points
+        .iter()
+        .map(|point| {
+            let seen = point.track.iter().map(|sighting| sighting.view).collect();
+            (Point3::from(point.position), seen)
+        })
+        .collect();
+    let positions: Vec<Point3<f64>> = points.iter().map(|p| p.0).collect();
+    let Some(ball) = bounding_ball(&views, &positions) else {
+        facts.warn(
+            "no depth anchors: neither masks nor sparse points tell where the object is; give masks"
+                .into(),
+        );
+        return Ok(None);
+    };
+    let spacing = grid_spacing(&views, options.spacing_px);
+    let grids: Vec<Grid> = views.iter().map(|view| Grid::new(view, spacing)).collect();
+    let masks: Vec<Option<Mask>> = widened_masks(&views);
+    let ranges = (0..views.len())
+        .into_par_iter()
+        .map(|view| depth_ranges(&views, view, &grids[view], &ball, &masks))
+        .collect();
+    let details = views
+        .par_iter()
+        .map(|view| DetailImage::new(view, if spacing < 12 { 2 } else { 4 }))
+        .collect();
+    Ok(Some(Scene {
+        options,
+        grow: grow_options(options, views.len()),
+        views,
+        ids,
+        details,
+        grids,
+        ranges,
+        points,
+    }))
+}
+
+/// Criteria of seeds and growing.
+fn grow_options(options: &AnchorOptions, num_views: usize) -> GrowOptions {
+    GrowOptions {
+        patch: PatchOptions {
+            radius_px: options.patch_radius_px,
+            max_num_iterations: 10,
+            gain_sigma: options.gain_sigma,
+            slope_sigma: 0.5,
+            min_correlation: options.min_correlation,
+            robust_scale: 2.5,
+            min_num_sources: 2.min(num_views - 1),
+        },
+        seed_correlation: options.seed_correlation,
+        lone_correlation: 0.9,
+        max_jump_px: 2.0,
+        max_seed_jump_px: 4.0,
+        max_spread_px: 0.7,
+        max_sigma_px: 0.3,
+        max_tilt: 4.0,
+        angles_rad: (
+            options.min_source_angle_deg.to_radians(),
+            options.max_source_angle_deg.to_radians(),
+        ),
+    }
+}
+
+/// Seeds and, in `grown` mode, growing in one view.
+fn cover(scene: &Scene<'_>, index: usize) -> Vec<Option<Node>> {
+    let (view, grid) = (&scene.views[index], &scene.grids[index]);
+    let ranges = &scene.ranges[index];
+    let pairs: Vec<PairGeometry> = (0..scene.views.len())
+        .filter(|&source| source != index)
+        .map(|source| PairGeometry::new(view, source, &scene.views[source]))
+        .collect();
+    let reference = Reference {
+        views: &scene.views,
+        index,
+        pairs: &pairs,
+        grid,
+        ranges,
+    };
+    let mut nodes = vec![None; grid.len()];
+    let mut ws = Workspace::default();
+    let mut scratch = SweepScratch::default();
+    let mut seeds = seeds_of_points(scene, index);
+    // Searching costs most: what growing has covered from few seeds need not be searched.
+    for stride in [4, 2] {
+        for cell in search_cells(grid, stride) {
+            if nodes[cell].is_none() {
+                seeds.extend(seed_of_search(&reference, scene, cell, &mut scratch));
+            }
+        }
+        plant(
+            &reference,
+            &seeds,
+            AnchorOrigin::Guided,
+            &scene.grow,
+            &mut nodes,
+            &mut ws,
+        );
+        seeds.clear();
+        if scene.options.mode == AnchorMode::Grown {
+            grow(&reference, &scene.grow, &mut nodes, &mut ws);
+        }
+    }
+    nodes
+}
+
+/// The depth of a cell by epipolar search.
+fn seed_of_search(
+    reference: &Reference<'_>,
+    scene: &Scene<'_>,
+    cell: usize,
+    scratch: &mut SweepScratch,
+) -> Option<Seed> {
+    let range = reference.ranges[cell]?;
+    let (x, y) = reference.grid.pixel(cell);
+    let view = &reference.views[reference.index];
+    let middle = view.point(x as f64, y as f64, 0.5 * (range.0 + range.1));
+    let (sources, count) = reference.sources(&middle, scene.grow.angles_rad);
+    let q = search(
+        &scene.details,
+        reference.index,
+        &sources[..count],
+        (x, y),
+        range,
+        &SWEEP,
+        scratch,
+    )?;
+    Some(Seed {
+        cell,
+        q,
+        qx: 0.0,
+        qy: 0.0,
     })
 }
 
-/// Counts, coverage and precision per view.
-fn report(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    mode: AnchorMode,
-    anchors: &[Anchor],
-) -> AnchorReport {
-    let views = posed
-        .views
+/// Sparse points on the object that a view sees, as seeds of their cells.
+fn seeds_of_points(scene: &Scene<'_>, index: usize) -> Vec<Seed> {
+    let (view, grid, id) = (&scene.views[index], &scene.grids[index], scene.ids[index]);
+    scene
+        .points
         .iter()
-        .enumerate()
-        .map(|(idx, view)| {
-            let seen: Vec<&AnchorObservation> = anchors
-                .iter()
-                .flat_map(|a| a.observations.iter().filter(|o| o.view.0 == idx))
-                .collect();
-            let mut sigmas: Vec<f64> = seen.iter().map(|o| o.sigma_ln_depth).collect();
-            let coverage = photos.photos[view.photo.0].mask.as_ref().map(|mask| {
-                let mut covered = vec![false; mask.data.len()];
-                let radius = COVERAGE_RADIUS_PX as isize;
-                for o in &seen {
-                    let (cx, cy) = (o.pixel[0].round() as isize, o.pixel[1].round() as isize);
-                    for dy in -radius..=radius {
-                        for dx in -radius..=radius {
-                            if dx * dx + dy * dy <= radius * radius
-                                && mask.contains(cx + dx, cy + dy)
-                            {
-                                covered[mask.index((cx + dx) as usize, (cy + dy) as usize)] = true;
-                            }
-                        }
-                    }
-                }
-                covered.iter().filter(|&&c| c).count() as f64 / mask.count().max(1) as f64
-            });
-            ViewAnchors {
-                file_name: view.file_name.clone(),
-                num_anchors: seen.len(),
-                coverage,
-                median_sigma_ln_depth: rilievo_numerics::robust::median(&mut sigmas),
-            }
+        .filter(|(_, seen)| seen.contains(&id))
+        .filter_map(|(point, _)| {
+            let (x, y, depth) = view.project(point)?;
+            let cell = grid.cell(x, y).filter(|_| view.on_object(x, y))?;
+            scene.ranges[index][cell]?;
+            Some(Seed {
+                cell,
+                q: 1.0 / depth,
+                qx: 0.0,
+                qy: 0.0,
+            })
         })
-        .collect();
-    AnchorReport {
-        mode,
-        num_anchors: anchors.len(),
-        views,
-    }
+        .collect()
 }

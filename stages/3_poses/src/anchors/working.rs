@@ -50,9 +50,10 @@ pub(super) struct WorkingView {
     pub center: Point3<f64>,
     /// The photo's own camera, with distortion.
     lens: Intrinsics,
-    /// Reduction factor and the crop's origin in reduced pixels.
-    reduction: usize,
+    /// The crop's origin in the frame, working pixels.
     origin: [usize; 2],
+    /// Size of the whole frame, working pixels.
+    frame: [usize; 2],
     /// `width * height` texels.
     pub texels: Vec<Texel>,
     /// The object (everything without a mask), not eroded.
@@ -86,6 +87,7 @@ impl WorkingView {
         let object = reduce_flag(&object, reduction, false);
         let seen = reduce_flag(&seen, reduction, false);
         let clipped = reduce_flag(&clipped, reduction, true);
+        let frame = [object.width, object.height];
         let (origin, width, height) = bounding_box(&object, 4)?;
         let crop = |raster: &Raster<f32>| {
             Raster::from_fn(width, height, |x, y| {
@@ -135,8 +137,8 @@ impl WorkingView {
             rotation: posed.cam_from_world.rotation_matrix(),
             center: posed.cam_from_world.center_in_source(),
             lens,
-            reduction,
             origin,
+            frame,
             texels,
             object,
             has_mask: mask.is_some(),
@@ -178,9 +180,10 @@ impl WorkingView {
         )
     }
 
-    /// Photo pixels per working pixel.
-    pub fn photo_px_per_px(&self) -> f64 {
-        self.reduction as f64
+    /// Whether the photo shows a working position at all (the crop shows less).
+    pub fn in_frame(&self, x: f64, y: f64) -> bool {
+        let (u, v) = (x + self.origin[0] as f64, y + self.origin[1] as f64);
+        u >= 0.0 && v >= 0.0 && u <= (self.frame[0] - 1) as f64 && v <= (self.frame[1] - 1) as f64
     }
 
     /// Whether the object covers the pixel nearest to a position.
@@ -284,10 +287,7 @@ fn bounding_box(mask: &Mask, margin: usize) -> Option<([usize; 2], usize, usize)
     if low[0] == usize::MAX {
         return None;
     }
-    let origin = [
-        low[0].saturating_sub(margin),
-        low[1].saturating_sub(margin),
-    ];
+    let origin = [low[0].saturating_sub(margin), low[1].saturating_sub(margin)];
     let end = [
         (high[0] + margin + 1).min(mask.width),
         (high[1] + margin + 1).min(mask.height),
@@ -296,11 +296,7 @@ fn bounding_box(mask: &Mask, margin: usize) -> Option<([usize; 2], usize, usize)
 }
 
 /// Blurred logarithm, its gradient and the flag of every pixel.
-fn texels(
-    grey: &Raster<f32>,
-    object: &Mask,
-    usable: impl Fn(usize, usize) -> bool,
-) -> Vec<Texel> {
+fn texels(grey: &Raster<f32>, object: &Mask, usable: impl Fn(usize, usize) -> bool) -> Vec<Texel> {
     let (mut sum, mut count) = (0.0_f64, 0_usize);
     for (&value, &inside) in grey.data.iter().zip(&object.data) {
         if inside {

@@ -1,0 +1,50 @@
+//! Geometry between two working views.
+//!
+//! A pixel `x` of the reference at inverse depth `q` is seen by the source at
+//! `h = A (x, y, 1)ᵀ + q b`, `u = h₁/h₃`, `v = h₂/h₃`, with `A = K_s R K_r⁻¹` and `b = K_s t`,
+//! `(R, t)` = `source_from_reference`. Inverse depth of a plane is affine in the pixel,
+//! `q(x₀ + d) = q₀ + q_x d_x + q_y d_y`, so the patch maps by the homography
+//! `H = [A₁ + q_x b, A₂ + q_y b, A x₀ + q₀ b]` of the offset `(d_x, d_y, 1)`.
+
+use super::working::WorkingView;
+use nalgebra::{Matrix3, Point3, Vector3};
+
+/// Maps pixels of a reference with inverse depth into a source view.
+#[derive(Clone, Debug)]
+pub(super) struct PairGeometry {
+    /// Index of the source among the working views.
+    pub source: usize,
+    /// Homography of the plane at infinity, `K_s R K_r⁻¹`.
+    pub a: Matrix3<f64>,
+    /// Direction of the epipole, `K_s t`.
+    pub b: Vector3<f64>,
+}
+
+impl PairGeometry {
+    /// Geometry from a reference to a source view.
+    pub fn new(reference: &WorkingView, source_idx: usize, source: &WorkingView) -> Self {
+        let source_from_reference = source
+            .cam_from_world
+            .compose(&reference.cam_from_world.inverse());
+        Self {
+            source: source_idx,
+            a: source.k * source_from_reference.rotation_matrix() * reference.k_inv,
+            b: source.k * source_from_reference.translation,
+        }
+    }
+
+    /// Length of the source pixel's derivative by the inverse depth: pixels of disparity per unit.
+    pub fn px_per_inverse_depth(&self, x: f64, y: f64, inverse_depth: f64) -> f64 {
+        let h = self.a * Vector3::new(x, y, 1.0) + self.b * inverse_depth;
+        let (u, v) = (h.x / h.z, h.y / h.z);
+        (self.b.x - u * self.b.z).hypot(self.b.y - v * self.b.z) / h.z.abs()
+    }
+}
+
+/// Angle at a point between the rays to two camera centres, radians.
+pub(super) fn ray_angle(point: &Point3<f64>, a: &Point3<f64>, b: &Point3<f64>) -> f64 {
+    let (to_a, to_b) = (a - point, b - point);
+    (to_a.dot(&to_b) / (to_a.norm() * to_b.norm()))
+        .clamp(-1.0, 1.0)
+        .acos()
+}

@@ -1,0 +1,304 @@
+//! Seeds: search along the epipolar lines, all sources at once.
+//!
+//! At the centre of every few cells, inverse depth is stepped through the hull's range by one
+//! pixel of the reduced image, and a patch of constant inverse depth is compared with all
+//! sources by zero-mean correlation `ρ_s(q)`; the score is their mean. Comparing with several views
+//! at once makes a false maximum in one of them harmless, which pairwise keypoint matching cannot.
+//!
+//! Images are normalised first: `D = (I − mean) / (deviation + floor)` in a window of about 16 px of
+//! standard deviation. On a plain object the shading's slow change correlates at any depth; what
+//! remains after normalisation is the weak texture.
+//!
+//! A maximum becomes a seed when its score is high and the best score two or more steps away leaves
+//! clearly more unexplained, `(1 − ρ₁)/(1 − ρ₂) ≤ ratio`.
+
+use super::filter::box_sum;
+use super::hull::Grid;
+use super::pair::PairGeometry;
+use super::patch::MAX_SOURCES;
+use super::working::WorkingView;
+use nalgebra::Vector3;
+use rilievo_scene::Raster;
+
+/// Radius of the disc compared, reduced pixels.
+const RADIUS: i32 = 5;
+/// Half-width of the normalising window, reduced pixels.
+const WINDOW: usize = 13;
+/// Floor of the deviation in units of the object's median: keeps noise from being blown up.
+const DEVIATION_FLOOR: f32 = 0.5;
+/// Smallest share of a disc on the object.
+const MIN_SHARE: f32 = 0.7;
+
+/// Half-size normalised image with a flag that a pixel is on the object.
+#[derive(Clone, Debug)]
+pub(super) struct DetailImage {
+    /// Working pixels per pixel of this image.
+    pub reduction: usize,
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Normalised value and flag (1 on the object).
+    pub data: Vec<[f32; 2]>,
+}
+
+impl DetailImage {
+    /// The detail of a working view.
+    pub fn new(view: &WorkingView, reduction: usize) -> Self {
+        let (width, height) = (view.width / reduction, view.height / reduction);
+        let scale = 1.0 / (reduction * reduction) as f32;
+        let at = |x: usize, y: usize, c: usize| {
+            let mut sum = 0.0;
+            for v in 0..reduction {
+                for u in 0..reduction {
+                    sum += view.texel(reduction * x + u, reduction * y + v)[c];
+                }
+            }
+            sum * scale
+        };
+        let flag = Raster::from_fn(width, height, |x, y| {
+            if at(x, y, 3) >= 0.999 { 1.0_f32 } else { 0.0 }
+        });
+        let masked = Raster::from_fn(width, height, |x, y| at(x, y, 0) * flag.at(x, y));
+        let weights = box_sum(&flag, WINDOW);
+        let means = box_sum(&masked, WINDOW);
+        let deviation = Raster::from_fn(width, height, |x, y| {
+            (masked.at(x, y) - means.at(x, y) / weights.at(x, y).max(1.0)) * flag.at(x, y)
+        });
+        let squares = Raster {
+            width,
+            height,
+            data: deviation.data.iter().map(|d| d * d).collect(),
+        };
+        let variances = box_sum(&squares, WINDOW);
+        let sigma: Vec<f32> = variances
+            .data
+            .iter()
+            .zip(&weights.data)
+            .map(|(&v, &w)| (v.max(0.0) / w.max(1.0)).sqrt())
+            .collect();
+        let mut inside: Vec<f64> = sigma
+            .iter()
+            .zip(&flag.data)
+            .filter(|&(_, &f)| f > 0.5)
+            .map(|(&s, _)| f64::from(s))
+            .collect();
+        let median = rilievo_numerics::robust::median(&mut inside).unwrap_or(0.0) as f32;
+        let floor = (DEVIATION_FLOOR * median).max(1e-6);
+        let data = deviation
+            .data
+            .iter()
+            .zip(&sigma)
+            .zip(&flag.data)
+            .map(|((&d, &s), &f)| [d / (s + floor), f])
+            .collect();
+        Self {
+            reduction,
+            width,
+            height,
+            data,
+        }
+    }
+}
+
+/// How seeds are chosen.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SweepOptions {
+    /// Smallest mean correlation of a seed.
+    pub min_score: f64,
+    /// Largest ratio of what the best and the second-best depth leave unexplained.
+    pub ratio: f64,
+}
+
+/// Buffers of the search.
+#[derive(Clone, Debug, Default)]
+pub(super) struct SweepScratch {
+    offsets: Vec<(i32, i32)>,
+    template: Vec<(f32, f32, f32)>,
+    scores: Vec<f32>,
+}
+
+/// Inverse depth at a pixel by epipolar search; `None` where nothing stands out.
+pub(super) fn search(
+    details: &[DetailImage],
+    reference: usize,
+    sources: &[&PairGeometry],
+    (x, y): (usize, usize),
+    range: (f64, f64),
+    options: &SweepOptions,
+    scratch: &mut SweepScratch,
+) -> Option<f64> {
+    if sources.is_empty() {
+        return None;
+    }
+    let detail = &details[reference];
+    let reduction = detail.reduction;
+    load_template(detail, x / reduction, y / reduction, scratch)?;
+    let q_mid = 0.5 * (range.0 + range.1);
+    // Reduced pixels of disparity per inverse depth, in the most sensitive source.
+    let px_per_q = sources
+        .iter()
+        .map(|pair| pair.px_per_inverse_depth(x as f64, y as f64, q_mid) / reduction as f64)
+        .fold(0.0, f64::max);
+    let num_steps = ((range.1 - range.0) * px_per_q).ceil().clamp(2.0, 600.0) as usize;
+    let step = (range.1 - range.0) / num_steps as f64;
+    scratch.scores.clear();
+    for k in 0..=num_steps {
+        let q = range.0 + k as f64 * step;
+        let (mut sum, mut count) = (0.0, 0);
+        for pair in sources.iter().take(MAX_SOURCES) {
+            let score = correlation(&details[pair.source], pair, x, y, q, &scratch.template);
+            if let Some(score) = score {
+                sum += score;
+                count += 1;
+            }
+        }
+        let needed = sources.len().min(2);
+        scratch.scores.push(if count >= needed {
+            sum / count as f32
+        } else {
+            -1.0
+        });
+    }
+    let scores = &scratch.scores;
+    let best = (0..scores.len()).max_by(|&a, &b| scores[a].total_cmp(&scores[b]))?;
+    let rival = (0..scores.len())
+        .filter(|&k| k.abs_diff(best) > 2)
+        .map(|k| scores[k])
+        .fold(-1.0_f32, f32::max);
+    let (first, second) = (f64::from(scores[best]), f64::from(rival));
+    if first < options.min_score || (1.0 - first) > options.ratio * (1.0 - second) {
+        return None;
+    }
+    // Vertex of the parabola through the maximum and its neighbours.
+    let mut offset = 0.0;
+    if best > 0 && best + 1 < scores.len() {
+        let (a, b, c) = (
+            f64::from(scores[best - 1]),
+            first,
+            f64::from(scores[best + 1]),
+        );
+        let curvature = a - 2.0 * b + c;
+        if curvature < 0.0 {
+            offset = (0.5 * (a - c) / curvature).clamp(-0.5, 0.5);
+        }
+    }
+    Some(range.0 + (best as f64 + offset) * step)
+}
+
+/// Offsets (full-size pixels) and values of the usable samples around a reduced pixel, with the
+/// mean removed.
+fn load_template(
+    detail: &DetailImage,
+    x: usize,
+    y: usize,
+    scratch: &mut SweepScratch,
+) -> Option<()> {
+    if scratch.offsets.is_empty() {
+        for dy in -RADIUS..=RADIUS {
+            for dx in -RADIUS..=RADIUS {
+                if dx * dx + dy * dy <= RADIUS * RADIUS + 1 && (dx + dy) % 2 == 0 {
+                    scratch.offsets.push((dx, dy));
+                }
+            }
+        }
+    }
+    scratch.template.clear();
+    let scale = detail.reduction as f32;
+    let mut mean = 0.0;
+    for &(dx, dy) in &scratch.offsets {
+        let (px, py) = (x as i32 + dx, y as i32 + dy);
+        if px < 0 || py < 0 || px >= detail.width as i32 || py >= detail.height as i32 {
+            continue;
+        }
+        let [value, flag] = detail.data[py as usize * detail.width + px as usize];
+        if flag < 0.5 {
+            continue;
+        }
+        scratch
+            .template
+            .push((scale * dx as f32, scale * dy as f32, value));
+        mean += value;
+    }
+    if (scratch.template.len() as f32) < MIN_SHARE * scratch.offsets.len() as f32 {
+        return None;
+    }
+    mean /= scratch.template.len() as f32;
+    scratch
+        .template
+        .iter_mut()
+        .for_each(|sample| sample.2 -= mean);
+    Some(())
+}
+
+/// Zero-mean correlation of the template with its image in a source at one inverse depth.
+fn correlation(
+    detail: &DetailImage,
+    pair: &PairGeometry,
+    x: usize,
+    y: usize,
+    q: f64,
+    template: &[(f32, f32, f32)],
+) -> Option<f32> {
+    let h0 = pair.a * Vector3::new(x as f64, y as f64, 1.0) + pair.b * q;
+    if h0.z.is_nan() || h0.z <= 0.0 {
+        return None;
+    }
+    let (u0, v0) = (h0.x / h0.z, h0.y / h0.z);
+    let shrink = 1.0 / detail.reduction as f64;
+    // Affine part of the warp: enough for a search.
+    let by = |column: usize| {
+        let h = pair.a.column(column);
+        (
+            (shrink * (h.x - u0 * h.z) / h0.z) as f32,
+            (shrink * (h.y - v0 * h.z) / h0.z) as f32,
+        )
+    };
+    let ((ux, vx), (uy, vy)) = (by(0), by(1));
+    // A reduced pixel's centre lies in the middle of its block.
+    let middle = 0.5 * (1.0 - shrink);
+    let (uh, vh) = ((shrink * u0 - middle) as f32, (shrink * v0 - middle) as f32);
+    let (mut n, mut si, mut sii, mut sit, mut st, mut stt) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+    let (max_x, max_y) = (detail.width as f32 - 1.001, detail.height as f32 - 1.001);
+    for &(dx, dy, t) in template {
+        let (u, v) = (uh + ux * dx + uy * dy, vh + vx * dx + vy * dy);
+        let inside = u >= 0.0 && v >= 0.0 && u < max_x && v < max_y;
+        if !inside {
+            continue;
+        }
+        let (ix, iy) = (u as usize, v as usize);
+        let (tx, ty) = (u - ix as f32, v - iy as f32);
+        let at = iy * detail.width + ix;
+        let top = &detail.data[at..at + 2];
+        let bottom = &detail.data[at + detail.width..at + detail.width + 2];
+        let mix = |c: usize| {
+            let a = top[0][c] + (top[1][c] - top[0][c]) * tx;
+            let b = bottom[0][c] + (bottom[1][c] - bottom[0][c]) * tx;
+            a + (b - a) * ty
+        };
+        if mix(1) < 0.999 {
+            continue;
+        }
+        let i = mix(0);
+        n += 1.0;
+        si += i;
+        sii += i * i;
+        sit += i * t;
+        st += t;
+        stt += t * t;
+    }
+    if n < MIN_SHARE * template.len() as f32 {
+        return None;
+    }
+    let covariance = sit - si * st / n;
+    let product = (sii - si * si / n) * (stt - st * st / n);
+    (product > 1e-12).then(|| covariance / product.sqrt())
+}
+
+/// Cells at which seeds are searched: every `stride`-th column and row.
+pub(super) fn search_cells(grid: &Grid, stride: usize) -> impl Iterator<Item = usize> {
+    let columns = grid.columns;
+    (0..grid.len()).filter(move |cell| {
+        (cell % columns).is_multiple_of(stride) && (cell / columns).is_multiple_of(stride)
+    })
+}
