@@ -262,3 +262,6 @@ fn homography_share(
         .map_or(0, |m| m.iter().filter(|&&inside| inside != 0).count());
     Ok(explained as f64 / inliers.len().max(1) as f64)
 }
+
+#[cfg(test)]
+mod tests;
