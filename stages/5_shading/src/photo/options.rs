@@ -22,6 +22,9 @@ pub struct PhotoOptions {
     pub round_tolerance: f64,
     /// Laps of light and shape; 0 leaves shading out.
     pub num_laps: usize,
+    /// Masked pixels of a view up to which a finer level is solved; larger photos are interpolated
+    /// from the finest such level. Too large costs time and memory (about 1 kB a pixel).
+    pub max_fine_pixels: usize,
     /// Rounds at each finer level.
     pub num_fine_rounds: usize,
     /// Light every pixel by what it sees of the environment, instead of nine distant harmonics for all.
@@ -35,15 +38,16 @@ pub struct PhotoOptions {
 impl Default for PhotoOptions {
     fn default() -> Self {
         Self {
-            max_num_sources: 5,
+            max_num_sources: 4,
             coarse_pixels: 75_000,
             num_sweeps: 4,
             max_num_rounds: 6,
             round_tolerance: 0.02,
-            num_laps: 4,
+            num_laps: 3,
+            max_fine_pixels: 450_000,
             num_fine_rounds: 3,
             visibility: true,
-            num_rays: 192,
+            num_rays: 128,
             seed: 0,
         }
     }

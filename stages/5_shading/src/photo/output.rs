@@ -1,6 +1,6 @@
 //! Maps on the photos' own pixels.
 
-use super::level;
+use super::level::{self, LevelView};
 use super::plate;
 use super::views::Scene;
 use rayon::prelude::*;
@@ -8,7 +8,7 @@ use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::{DepthMap, NormalMap, ShadedView, ShadedViews};
 
 /// Depth and normals of all views from log depths of a level; coarser ones are interpolated, and
-/// leave the rim that has no parents without a value.
+/// the rim that has no parents continues its neighbours.
 pub(crate) fn maps(scene: &Scene, at: usize, depths: &[Vec<f64>]) -> ShadedViews {
     let views = scene
         .frames
@@ -35,7 +35,7 @@ pub(crate) fn maps(scene: &Scene, at: usize, depths: &[Vec<f64>]) -> ShadedViews
                         } else {
                             OUTSIDE
                         };
-                        if number == OUTSIDE || !known[number as usize] || !up_known[p] {
+                        if number == OUTSIDE || !up_known[p] || !known[number as usize] {
                             ([0.0; 3], false)
                         } else {
                             (normals[number as usize], true)
@@ -43,6 +43,7 @@ pub(crate) fn maps(scene: &Scene, at: usize, depths: &[Vec<f64>]) -> ShadedViews
                     })
                     .unzip();
                 values = up;
+                extend(child, &mut values, &mut normals, &mut known);
             }
             let (width, height) = (frame.mask.width, frame.mask.height);
             let mut depth = DepthMap::filled(width, height, 0.0);
@@ -71,4 +72,51 @@ pub(crate) fn maps(scene: &Scene, at: usize, depths: &[Vec<f64>]) -> ShadedViews
         })
         .collect();
     ShadedViews { views }
+}
+
+/// Gives pixels without a value the mean of their known neighbours, ring by ring.
+fn extend(view: &LevelView, values: &mut [f64], normals: &mut [[f64; 3]], known: &mut [bool]) {
+    // The rim is two pixels wide; specks without any parent take a few rings more.
+    const NUM_RINGS: usize = 12;
+    let mut missing: Vec<usize> = (0..values.len()).filter(|&p| !known[p]).collect();
+    for _ in 0..NUM_RINGS {
+        let found: Vec<(usize, f64, [f64; 3])> = missing
+            .iter()
+            .filter_map(|&p| {
+                let (mut depth, mut normal, mut count) = (0.0, [0.0; 3], 0.0);
+                for (dx, dy) in [
+                    (1, 0),
+                    (-1, 0),
+                    (0, 1),
+                    (0, -1),
+                    (1, 1),
+                    (-1, -1),
+                    (1, -1),
+                    (-1, 1),
+                ] {
+                    if let Some(q) = view.pixels.neighbour(p, dx, dy)
+                        && known[q]
+                    {
+                        depth += values[q];
+                        count += 1.0;
+                        for k in 0..3 {
+                            normal[k] += normals[q][k];
+                        }
+                    }
+                }
+                let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
+                (count > 0.0 && length > 0.0)
+                    .then(|| (p, depth / count, normal.map(|v| v / length)))
+            })
+            .collect();
+        if found.is_empty() {
+            break;
+        }
+        for (p, depth, normal) in found {
+            values[p] = depth;
+            normals[p] = normal;
+            known[p] = true;
+        }
+        missing.retain(|&p| !known[p]);
+    }
 }

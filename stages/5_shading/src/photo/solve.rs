@@ -72,14 +72,21 @@ const PHOTOS_ONLY: LapWeights = LapWeights {
 };
 
 /// Weights of the laps with shading: it starts weak, on a light fitted to a rough shape, and grows.
-fn lap_weights(lap: usize) -> LapWeights {
+///
+/// `σ_s = share · r (1 + (r/r₀)²)` of the light's median residual `r`: where the light explains the
+/// photos as well as it can (2 to 3 %), shading weighs fully; at a residual of 20 % (pigment, dirt,
+/// gloss) it has lost its say, because what it would explain by relief is not relief.
+fn lap_weights(lap: usize, residual: f64) -> LapWeights {
+    // Residual at which the model's error outweighs relief.
+    const RESIDUAL_KNEE: f64 = 0.08;
+    // Share, correction's bell in pixels, plate, its knee, consensus and visibility in footprints.
     let table = [
-        (0.04, 0.0, 30.0, 0.02, 0.9, 3.5),
-        (0.02, 0.0, 30.0, 0.02, 0.9, 3.5),
-        (0.015, 8.0, 60.0, 0.05, 0.62, 3.5),
-        (0.01, 6.0, 100.0, 0.1, 0.45, 1.8),
+        (0.57, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.6, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.5, 8.0, 60.0, 0.05, 0.62, 3.5),
+        (0.4, 6.0, 100.0, 0.1, 0.45, 1.8),
     ];
-    let (sigma, correction_px, plate, plate_knee, consensus_px, visible_px) =
+    let (share, correction_px, plate, plate_knee, consensus_px, visible_px) =
         table[lap.min(table.len() - 1)];
     LapWeights {
         consensus_px,
@@ -87,7 +94,7 @@ fn lap_weights(lap: usize) -> LapWeights {
         plate,
         plate_knee,
         shading: Some(ShadingWeights {
-            sigma,
+            sigma: share * residual * (1.0 + (residual / RESIDUAL_KNEE).powi(2)),
             knee: 2.0,
             correction_px,
             max_correction: 0.15,
@@ -140,7 +147,8 @@ pub(crate) fn solve(
         depths = course.fused(at, &depths)?;
         course.show(at, "fused", &depths);
         light = course.light(at, &depths, posed, lighting.kind, ground.as_ref())?;
-        last = lap_weights(lap);
+        let residual = light.as_ref().map_or(1.0, Light::residual);
+        last = lap_weights(lap, residual);
         course.lap(
             at,
             &solvers,
@@ -163,7 +171,7 @@ pub(crate) fn solve(
             3,
         )?;
     }
-    while at > 0 {
+    while at > 0 && course.scene.pyramid[at - 1].mean_pixels() <= options.max_fine_pixels {
         at -= 1;
         solvers = course.solvers(at)?;
         depths = course.descend(at, &solvers, &depths)?;
@@ -176,7 +184,8 @@ pub(crate) fn solve(
             ..last
         };
         if let Some(shading) = &mut weights.shading {
-            shading.sigma = 0.015;
+            // Single pixels of the finer level are noisier.
+            shading.sigma *= 1.4;
             shading.correction_px = 12.0;
         }
         let rounds = options.num_fine_rounds;
@@ -195,7 +204,7 @@ pub(crate) fn solve(
             view.light_residual = Some(*residual);
         }
     }
-    let shaded = output::maps(&course.scene, 0, &depths);
+    let shaded = output::maps(&course.scene, at, &depths);
     Ok((shaded, course.report))
 }
 
@@ -264,7 +273,12 @@ impl Course<'_> {
             cost,
             radius_px: 6,
             stride_px: 2,
-            num_sweeps: self.options.num_sweeps,
+            // A start needs its planes spread and polished only.
+            num_sweeps: if start.is_some() {
+                self.options.num_sweeps.div_ceil(2)
+            } else {
+                self.options.num_sweeps
+            },
             num_trials: 6,
             num_best: 3,
             seed: self.options.seed,
@@ -336,7 +350,7 @@ impl Course<'_> {
     fn find_surface(
         &mut self,
         posed: &PosedViews,
-        (exposure, _planes): &(Exposure, Vec<Planes>),
+        (exposure, planes): &(Exposure, Vec<Planes>),
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let began = Instant::now();
         let at = self.scene.coarse;
@@ -349,7 +363,16 @@ impl Course<'_> {
         } else {
             PatchCost::Correlation
         };
-        let planes = self.dense_search(at, posed, cost, None)?;
+        let start: Option<Vec<Planes>> = self.scene.pyramid.get(at + 1).map(|coarse| {
+            coarse
+                .views
+                .iter()
+                .zip(&self.scene.pyramid[at].views)
+                .zip(planes)
+                .map(|((coarse, fine), planes)| patchmatch::refine_start(coarse, fine, planes))
+                .collect()
+        });
+        let planes = self.dense_search(at, posed, cost, start.as_deref())?;
         let solvers = self.solvers(at)?;
         let level = &self.scene.pyramid[at];
         let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
