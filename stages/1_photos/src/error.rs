@@ -147,6 +147,14 @@ pub enum PhotosError {
         /// A colour photo.
         color: String,
     },
+    /// No mask can be proposed.
+    #[error("{photo}: no mask can be proposed: {reason}")]
+    NoBackdrop {
+        /// The photo.
+        photo: String,
+        /// Why, and what to try.
+        reason: &'static str,
+    },
     /// There is no usable photo.
     #[error("no usable photo")]
     NoPhotos,

@@ -12,10 +12,14 @@
 //! 4. `measures`: level, clipping, noise, sharpness and colour for the preflight;
 //! 5. `assemble`: order, groups of photos that share a camera, spreads over the set, warnings.
 //!
+//! Beside the way: [`backdrop`] proposes masks of objects before a plain backdrop, and [`table`]
+//! writes the preflight for people.
+//!
 //! Pixels are never rotated or scaled: EXIF orientation is noted, and masks and cameras must be in
 //! the same, stored frame.
 
 mod assemble;
+pub mod backdrop;
 pub mod encoding;
 pub mod error;
 pub mod focal;
@@ -24,8 +28,10 @@ mod measures;
 pub mod options;
 mod prepare;
 pub mod report;
+pub mod table;
 
 pub use assemble::assemble;
+pub use backdrop::propose_mask;
 pub use encoding::linearize;
 pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions};

@@ -84,3 +84,30 @@ fn a_whole_folder_with_masks() {
         report.warnings
     );
 }
+
+#[test]
+fn every_given_mask_passes() {
+    let options = PhotosOptions::default();
+    for set in [
+        "studio_stone",
+        "studio_smooth",
+        "studio_stained",
+        "sokrates8",
+    ] {
+        let Some(folder) = data(set) else { return };
+        for entry in std::fs::read_dir(folder.join("photos")).unwrap() {
+            let path = entry.unwrap().path();
+            let stem = path.file_stem().unwrap().to_string_lossy().into_owned();
+            let mask = read_mask(&folder.join(format!("masks/{stem}.png"))).unwrap();
+            let coverage = mask.coverage();
+            let decoded = decode_photo(&path).unwrap();
+            let done = prepare(decoded, Some(mask), None, &options).unwrap();
+            assert_eq!(
+                done.facts.mask_coverage,
+                Some(coverage),
+                "{}",
+                path.display()
+            );
+        }
+    }
+}

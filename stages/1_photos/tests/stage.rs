@@ -216,3 +216,25 @@ fn exposure_that_varies_is_told() {
         report.warnings
     );
 }
+
+#[test]
+fn the_table_names_every_photo_and_what_is_wrong() {
+    let options = PhotosOptions::default();
+    let turned = ExifFacts {
+        orientation: Some(6),
+        ..ExifFacts::default()
+    };
+    let with_mask = prepare(photo("b.jpg", zoom(20.0)), Some(disc()), None, &options).unwrap();
+    let photos = vec![prepared("a long name.jpg", turned), with_mask];
+    let (_, report) = assemble(photos, &options).unwrap();
+    let table = report.table().to_string();
+    for expected in [
+        "a long name.jpg",
+        "64 x 48",
+        "orientation 6",
+        "masks: 1/2",
+        "warning: ",
+    ] {
+        assert!(table.contains(expected), "{table}");
+    }
+}

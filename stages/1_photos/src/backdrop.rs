@@ -1,0 +1,313 @@
+//! Proposes an object's mask where the object stands before a plain backdrop, dark or bright.
+//!
+//! With `s = √L` per channel (the square root evens out shot noise), the backdrop is a smooth
+//! surface `b(x, y) = Σ cᵢⱼ xⁱ yʲ, i + j ≤ 2`, fitted to a ring along the frame by least squares
+//! with the object's share of the ring trimmed; its scatter σ is the ring's median deviation. A
+//! pixel's distance is `d = |s − b| / σ`, and the object is the largest connected region of
+//! `d > t`, its holes filled, with `t` by Otsu's method (IEEE Trans. SMC 9, 1979) on `ln(1 + d)`.
+//!
+//! It is a proposal, to be looked at and corrected by hand: shadows on the backdrop, and parts of
+//! the object as dark as it, are beyond what brightness tells.
+
+use crate::error::PhotosError;
+use nalgebra::{Matrix6, Vector6};
+use rilievo_scene::{LinearImage, Mask, Raster};
+use std::collections::VecDeque;
+
+/// Width of the ring, share of the shorter side.
+const RING_SHARE: f64 = 0.04;
+
+/// Rounds of fitting and trimming.
+const NUM_ROUNDS: usize = 6;
+
+/// Deviations beyond which a ring's pixel is taken for the object.
+const TRIM_SIGMA: f64 = 3.0;
+
+/// Smallest scatter that is believed: a step of 8 bits at mid grey.
+const MIN_SIGMA: f64 = 0.004;
+
+/// Largest scatter of a plain backdrop.
+const MAX_SIGMA: f64 = 0.05;
+
+/// Least share of the ring that must be backdrop.
+const MIN_BACKDROP_SHARE: f64 = 0.4;
+
+/// Least threshold: an empty frame has no two classes for Otsu's method to part.
+const MIN_DISTANCE: f64 = 6.0;
+
+/// Shares of the frame between which a region can be an object.
+const OBJECT_SHARES: std::ops::RangeInclusive<f64> = 0.002..=0.95;
+
+type Surface = Vector6<f64>;
+
+fn monomials(x: f64, y: f64) -> Vector6<f64> {
+    Vector6::new(1.0, x, y, x * x, x * y, y * y)
+}
+
+/// Proposes a mask of a photo.
+///
+/// # Errors
+/// [`PhotosError::NoBackdrop`] when the frame's border is not plain or nothing stands out from it.
+pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<Mask, PhotosError> {
+    let refuse = |reason: &'static str| PhotosError::NoBackdrop {
+        photo: photo.to_owned(),
+        reason,
+    };
+    let (width, height) = (image.width, image.height);
+    if width.min(height) < 16 {
+        return Err(refuse("the photo is too small"));
+    }
+    let ring = ring(width, height);
+    let scale = 2.0 / width.max(height) as f64;
+    let at = |index: usize| {
+        monomials(
+            (index % width) as f64 * scale - 1.0,
+            (index / width) as f64 * scale - 1.0,
+        )
+    };
+
+    // Backdrop, channel by channel.
+    let mut squared = vec![0.0f32; width * height];
+    for channel in 0..image.channels {
+        let value =
+            |index: usize| f64::from(image.data[index * image.channels + channel].max(0.0)).sqrt();
+        let (surface, sigma, kept) = fit(&ring, &at, &value).ok_or_else(|| {
+            refuse("its border is not plain; put one even sheet behind the object")
+        })?;
+        if sigma > MAX_SIGMA || kept < MIN_BACKDROP_SHARE {
+            return Err(refuse(
+                "its border is not plain; put one even sheet behind the object",
+            ));
+        }
+        for (index, sum) in squared.iter_mut().enumerate() {
+            let deviation = (value(index) - surface.dot(&at(index))) / sigma;
+            *sum += (deviation * deviation) as f32;
+        }
+    }
+    let distance: Vec<f32> = squared.into_iter().map(|sum| sum.sqrt().ln_1p()).collect();
+
+    // Object.
+    let threshold = otsu(&distance).max(MIN_DISTANCE.ln_1p() as f32);
+    let apart = Raster {
+        width,
+        height,
+        data: distance.iter().map(|&d| d > threshold).collect(),
+    };
+    let object = fill_holes(&largest_region(&apart));
+    if !OBJECT_SHARES.contains(&object.coverage()) {
+        return Err(refuse("nothing stands out from the backdrop"));
+    }
+    Ok(object)
+}
+
+/// Pixels along the frame, thinned to some ten thousand.
+fn ring(width: usize, height: usize) -> Vec<usize> {
+    let thickness = ((width.min(height) as f64 * RING_SHARE).ceil() as usize).max(2);
+    let in_ring = |x: usize, y: usize| {
+        x < thickness || y < thickness || x >= width - thickness || y >= height - thickness
+    };
+    let num = 2 * thickness * (width + height);
+    let step = (num / 10_000).max(1);
+    (0..width * height)
+        .filter(|index| in_ring(index % width, index / width))
+        .step_by(step)
+        .collect()
+}
+
+/// The surface through the ring, its scatter, and the share of the ring that lies on it.
+fn fit(
+    ring: &[usize],
+    at: &dyn Fn(usize) -> Vector6<f64>,
+    value: &dyn Fn(usize) -> f64,
+) -> Option<(Surface, f64, f64)> {
+    let mut values: Vec<f64> = ring.iter().map(|&index| value(index)).collect();
+    let mut surface = Surface::zeros();
+    surface[0] = crate::measures::median(&mut values);
+    let mut sigma = f64::NAN;
+    let mut kept = 0;
+    for _ in 0..NUM_ROUNDS {
+        let residual = |index: usize| value(index) - surface.dot(&at(index));
+        let mut deviations: Vec<f64> = ring.iter().map(|&index| residual(index).abs()).collect();
+        sigma = (crate::measures::median(&mut deviations) / 0.674_489_75).max(MIN_SIGMA);
+        let mut normal = Matrix6::zeros();
+        let mut right = Vector6::zeros();
+        kept = 0;
+        for &index in ring {
+            if residual(index).abs() <= TRIM_SIGMA * sigma {
+                let row = at(index);
+                normal += row * row.transpose();
+                right += row * value(index);
+                kept += 1;
+            }
+        }
+        surface = normal.cholesky()?.solve(&right);
+    }
+    sigma
+        .is_finite()
+        .then_some((surface, sigma, kept as f64 / ring.len() as f64))
+}
+
+/// The threshold that parts values into two classes with the largest variance between them.
+fn otsu(values: &[f32]) -> f32 {
+    const NUM_BINS: usize = 256;
+    let max = values.iter().copied().fold(0.0f32, f32::max).max(1e-6);
+    let mut histogram = [0usize; NUM_BINS];
+    for &value in values {
+        let bin = (value / max * (NUM_BINS - 1) as f32) as usize;
+        histogram[bin.min(NUM_BINS - 1)] += 1;
+    }
+    let total = values.len() as f64;
+    let sum: f64 = histogram
+        .iter()
+        .enumerate()
+        .map(|(bin, &count)| bin as f64 * count as f64)
+        .sum();
+    let (mut below, mut sum_below) = (0.0, 0.0);
+    let (mut best, mut best_bin) = (-1.0, 0);
+    for (bin, &count) in histogram.iter().enumerate() {
+        below += count as f64;
+        sum_below += bin as f64 * count as f64;
+        let above = total - below;
+        if below == 0.0 || above == 0.0 {
+            continue;
+        }
+        let gap = sum_below / below - (sum - sum_below) / above;
+        let between = below * above * gap * gap;
+        if between > best {
+            (best, best_bin) = (between, bin);
+        }
+    }
+    (best_bin as f32 + 1.0) / (NUM_BINS - 1) as f32 * max
+}
+
+/// Visits the pixels connected to a start through pixels of the same value.
+fn flood(mask: &Mask, start: usize, seen: &mut [bool]) -> Vec<usize> {
+    let wanted = mask.data[start];
+    let mut region = vec![];
+    let mut queue = VecDeque::from([start]);
+    seen[start] = true;
+    while let Some(index) = queue.pop_front() {
+        region.push(index);
+        let (x, y) = (index % mask.width, index / mask.width);
+        let neighbours = [
+            (x > 0).then(|| index - 1),
+            (x + 1 < mask.width).then(|| index + 1),
+            (y > 0).then(|| index - mask.width),
+            (y + 1 < mask.height).then(|| index + mask.width),
+        ];
+        for next in neighbours.into_iter().flatten() {
+            if !seen[next] && mask.data[next] == wanted {
+                seen[next] = true;
+                queue.push_back(next);
+            }
+        }
+    }
+    region
+}
+
+/// The largest connected region; the first of equals.
+fn largest_region(mask: &Mask) -> Mask {
+    let mut seen = vec![false; mask.data.len()];
+    let mut largest = Vec::new();
+    for start in 0..mask.data.len() {
+        if mask.data[start] && !seen[start] {
+            let region = flood(mask, start, &mut seen);
+            if region.len() > largest.len() {
+                largest = region;
+            }
+        }
+    }
+    let mut found = Raster::filled(mask.width, mask.height, false);
+    largest
+        .into_iter()
+        .for_each(|index| found.data[index] = true);
+    found
+}
+
+/// Sets everything that is not connected to the frame's border from outside.
+fn fill_holes(mask: &Mask) -> Mask {
+    let (width, height) = (mask.width, mask.height);
+    let mut seen = vec![false; mask.data.len()];
+    let mut filled = Raster::filled(width, height, true);
+    for index in 0..mask.data.len() {
+        let (x, y) = (index % width, index / width);
+        let on_border = x == 0 || y == 0 || x + 1 == width || y + 1 == height;
+        if on_border && !mask.data[index] && !seen[index] {
+            for outside in flood(mask, index, &mut seen) {
+                filled.data[outside] = false;
+            }
+        }
+    }
+    filled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Uniform numbers in -1..1 from the pixel's place.
+    fn noise(index: usize) -> f32 {
+        let mut h = (index as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        h ^= h >> 29;
+        h = h.wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        h ^= h >> 32;
+        (h >> 40) as f32 / (1u64 << 23) as f32 - 1.0
+    }
+
+    fn scene(backdrop: impl Fn(f32, f32) -> f32, object: f32) -> (LinearImage, Mask) {
+        let (width, height) = (160, 120);
+        let truth = Raster::from_fn(width, height, |x, y| {
+            let (x, y) = (x as f32 - 85.0, y as f32 - 62.0);
+            x * x / 1600.0 + y * y / 1000.0 < 1.0
+        });
+        let mut image = LinearImage::filled(width, height, 3, 0.0);
+        for y in 0..height {
+            for x in 0..width {
+                let (u, v) = (x as f32 / 160.0, y as f32 / 120.0);
+                // The object is shaded, with a spot as bright as the backdrop inside.
+                let spot = (u - 0.5).hypot(v - 0.5) < 0.05;
+                let value = if *truth.at(x, y) && !spot {
+                    object * (0.6 + 0.4 * u)
+                } else {
+                    backdrop(u, v)
+                };
+                for c in 0..3 {
+                    let grain = 0.01 * noise(3 * (y * width + x) + c);
+                    image.pixel_mut(x, y)[c] = (value + grain).max(0.0);
+                }
+            }
+        }
+        (image, truth)
+    }
+
+    fn overlap(a: &Mask, b: &Mask) -> f64 {
+        let pairs = || a.data.iter().zip(&b.data);
+        let both = pairs().filter(|(a, b)| **a && **b).count();
+        let any = pairs().filter(|(a, b)| **a || **b).count();
+        both as f64 / any as f64
+    }
+
+    #[test]
+    fn objects_before_dark_and_bright_gradients_are_found() {
+        let dark = scene(|u, v| 0.03 + 0.03 * u * v, 0.5);
+        let bright = scene(|u, v| 0.9 - 0.2 * u + 0.1 * v, 0.35);
+        for (image, truth) in [dark, bright] {
+            let found = propose_mask("a.jpg", &image).unwrap();
+            let overlap = overlap(&found, &truth);
+            assert!(overlap > 0.98, "{overlap}");
+        }
+    }
+
+    #[test]
+    fn an_uneven_backdrop_and_an_empty_frame_are_refused() {
+        let (uneven, _) = scene(|u, v| 0.4 + 0.35 * (40.0 * u).sin() * (31.0 * v).cos(), 0.5);
+        let error = propose_mask("a.jpg", &uneven).unwrap_err().to_string();
+        assert!(error.contains("not plain"), "{error}");
+        let (mut empty, _) = scene(|_, _| 0.5, 0.5);
+        for (i, value) in empty.data.iter_mut().enumerate() {
+            *value = 0.5 + 0.01 * noise(i);
+        }
+        let error = propose_mask("a.jpg", &empty).unwrap_err().to_string();
+        assert!(error.contains("nothing stands out"), "{error}");
+    }
+}
