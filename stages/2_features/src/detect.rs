@@ -9,7 +9,7 @@
 
 use crate::descriptors::root_sift;
 use crate::error::FeaturesError;
-use crate::options::FeaturesOptions;
+use crate::options::{FeaturesOptions, KeypointRegion};
 use crate::retention::spread_over_grid;
 use opencv::core::{self, KeyPoint, Mat, Vector};
 use opencv::features2d::SIFT;
@@ -34,7 +34,8 @@ pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints
     let (found, descriptors) = sift(&encoded, options)?;
     // Pixel x of a halved image covers 2x and 2x + 1 of the photo.
     let to_photo = |v: f32| (v - OPENCV_SIFT_OFFSET_PX + 0.5) * scale - 0.5;
-    let keypoints: Vec<Keypoint> = found
+    let only_object = options.region == KeypointRegion::Object && photo.mask.is_some();
+    let all: Vec<Keypoint> = found
         .iter()
         .map(|k| {
             let (x, y) = (to_photo(k.pt().x), to_photo(k.pt().y));
@@ -51,6 +52,11 @@ pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints
             }
         })
         .collect();
+    let (keypoints, rows): (Vec<Keypoint>, Vec<usize>) = all
+        .into_iter()
+        .zip(0..)
+        .filter(|(k, _)| k.on_object || !only_object)
+        .unzip();
     let longer = photo.intrinsics.width.max(photo.intrinsics.height);
     let kept = spread_over_grid(
         &keypoints,
@@ -60,7 +66,7 @@ pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints
     Ok(PhotoKeypoints {
         descriptors: kept
             .iter()
-            .flat_map(|&k| root_sift(&descriptors[k * 128..(k + 1) * 128]))
+            .flat_map(|&k| root_sift(&descriptors[rows[k] * 128..(rows[k] + 1) * 128]))
             .collect(),
         keypoints: kept.iter().map(|&k| keypoints[k]).collect(),
     })
@@ -200,6 +206,28 @@ mod tests {
             assert_eq!(keypoint.on_object, x < 75.0);
         }
         assert_eq!(found.descriptors.len(), 128 * found.keypoints.len());
+    }
+
+    #[test]
+    fn the_mask_can_bound_the_keypoints() {
+        let options = FeaturesOptions {
+            region: KeypointRegion::Object,
+            ..FeaturesOptions::default()
+        };
+        let found = detect(&photo(1), &options).unwrap();
+        assert!(!found.keypoints.is_empty());
+        assert!(found.keypoints.iter().all(|k| k.on_object));
+        assert_eq!(found.descriptors.len(), 128 * found.keypoints.len());
+        let all = detect(&photo(1), &FeaturesOptions::default()).unwrap();
+        let same = all
+            .keypoints
+            .iter()
+            .position(|k| *k == found.keypoints[0])
+            .unwrap();
+        assert_eq!(
+            all.descriptors[same * 128..(same + 1) * 128],
+            found.descriptors[..128]
+        );
     }
 
     #[test]

@@ -17,7 +17,7 @@ mod two_view;
 
 pub use detect::detect;
 pub use error::FeaturesError;
-pub use options::FeaturesOptions;
+pub use options::{FeaturesOptions, KeypointRegion};
 pub use report::{FeaturesReport, PairReport, PhotoFeatures};
 
 use matching::{DescriptorMatrix, match_descriptors};

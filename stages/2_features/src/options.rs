@@ -3,10 +3,23 @@
 use crate::error::FeaturesError;
 use serde::{Deserialize, Serialize};
 
+/// Which keypoints tell the poses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KeypointRegion {
+    /// The whole photo: the surroundings stand still together with the object.
+    #[default]
+    Photo,
+    /// The object's mask only: the object turns before a background that does not (a turntable).
+    Object,
+}
+
 /// How keypoints are found and matched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FeaturesOptions {
+    /// Which keypoints are used; `object` needs masks, photos without one use all.
+    pub region: KeypointRegion,
     /// Keypoints kept per photo; more cost matching time (quadratic), fewer lose weak anchors.
     pub max_num_keypoints: usize,
     /// Contrast below which SIFT drops a keypoint (OpenCV's scale, its default is 0.04). Plain
@@ -40,6 +53,7 @@ pub struct FeaturesOptions {
 impl Default for FeaturesOptions {
     fn default() -> Self {
         Self {
+            region: KeypointRegion::Photo,
             max_num_keypoints: 8000,
             contrast_threshold: 0.01,
             edge_threshold: 15.0,
