@@ -13,6 +13,9 @@ use rilievo_scene::{LinearImage, PosedViews};
 
 /// Nearest anchors of a plane. Fewer follow the noise, more round the shape off.
 const NEIGHBOURS: usize = 14;
+/// Anchors that stand together in the list are often neighbours, whose normals share their errors:
+/// blocks of this many go to the same half.
+const BLOCK: usize = 16;
 /// Largest ratio of the deviation along the normal to that across it.
 const MAX_FLATNESS: f64 = 0.25;
 /// Anchors considered; more change nothing but the time, which grows with the square.
@@ -120,6 +123,20 @@ pub(crate) struct AnchorSamples {
     pub usable: Vec<Vec<bool>>,
     /// Anchor index of each sample.
     pub anchors: Vec<usize>,
+}
+
+impl AnchorSamples {
+    /// The sightings of every other block of anchors; an anchor is in the same half in all views.
+    pub fn half(&self, parity: usize) -> Self {
+        let mut half = Self::default();
+        for k in (0..self.anchors.len()).filter(|&k| self.anchors[k] / BLOCK % 2 == parity) {
+            half.normals.push(self.normals[k]);
+            half.values.push(self.values[k].clone());
+            half.usable.push(self.usable[k].clone());
+            half.anchors.push(self.anchors[k]);
+        }
+        half
+    }
 }
 
 /// Collects them for one view.

@@ -22,6 +22,8 @@ use rilievo_scene::{
 const SMALLEST_GAP: f64 = 0.04;
 /// A pixel further than this from the best distant light is not explained by it.
 const UNEXPLAINED: f64 = 0.1;
+/// Logarithm of an albedo ratio worth a word.
+const OTHER_ALBEDO: f64 = 0.15;
 /// Share of unexplained surface worth a word.
 const MUCH_UNEXPLAINED: f64 = 0.4;
 
@@ -69,13 +71,26 @@ pub(crate) fn run(
                 &pixels,
                 limit,
                 (&used.lighting, refit.as_ref()),
-                options,
             ))
         })
         .collect::<Result<_, LightingError>>()?;
-    let views: Vec<ViewSurfaceReport> = views.into_iter().flatten().collect();
-    let advice = advice(calibration.source, &views);
-    Ok(SurfaceReport { views, advice })
+    let mut views: Vec<ViewSurfaceReport> = views.into_iter().flatten().collect();
+    let mut gains: Vec<f64> = views.iter().map(|v| v.best_gain).collect();
+    let albedo_factor = rilievo_numerics::robust::median(&mut gains);
+    for view in &mut views {
+        let common = albedo_factor.unwrap_or(1.0) / view.best_gain;
+        // |g S − I|² grows quadratically around the best gain; S there explains all but the rest.
+        let rest = view.used_rms_after_gain.powi(2);
+        view.used_rms_after_albedo = (rest + (common - 1.0).powi(2) * (1.0 - rest)).sqrt();
+        view.suffers = view.used_rms_after_albedo > options.advice_ratio * view.refitted_rms
+            && view.used_rms_after_albedo > view.refitted_rms + SMALLEST_GAP;
+    }
+    let advice = advice(calibration.source, &views, albedo_factor);
+    Ok(SurfaceReport {
+        views,
+        albedo_factor,
+        advice,
+    })
 }
 
 /// Sums of a light's agreement with a photo.
@@ -126,7 +141,6 @@ fn one_view(
     pixels: &[(usize, usize, Vector3<f64>)],
     limit: f64,
     (used, refit): (&Lighting, Option<&Lighting>),
-    options: &LightingOptions,
 ) -> Option<ViewSurfaceReport> {
     let with_used = agreement(image, pixels, limit, used)?;
     let with_refit = refit.and_then(|l| agreement(image, pixels, limit, l));
@@ -142,13 +156,23 @@ fn one_view(
         refitted_rms,
         direction_change_deg,
         unexplained_share: with_refit.map_or(with_used.unexplained, |a| a.unexplained),
-        suffers: with_used.rms > options.advice_ratio * refitted_rms
-            && with_used.rms > refitted_rms + SMALLEST_GAP,
+        used_rms_after_albedo: with_used.rms,
+        suffers: false,
     })
 }
 
-fn advice(source: LightSource, views: &[ViewSurfaceReport]) -> Vec<String> {
+fn advice(
+    source: LightSource,
+    views: &[ViewSurfaceReport],
+    albedo_factor: Option<f64>,
+) -> Vec<String> {
     let mut advice = Vec::new();
+    if let Some(factor) = albedo_factor.filter(|f| f.ln().abs() > OTHER_ALBEDO) {
+        advice.push(format!(
+            "the object is {factor:.2} times as bright as the light predicts, in all photos alike: \
+             its albedo differs from the sphere's, or it is dirty or in its own shadow"
+        ));
+    }
     let suffering: Vec<String> = views
         .iter()
         .filter(|v| v.suffers)
@@ -156,7 +180,7 @@ fn advice(source: LightSource, views: &[ViewSurfaceReport]) -> Vec<String> {
             format!(
                 "{} ({:.0} % against {:.0} %)",
                 v.name,
-                100.0 * v.used_rms,
+                100.0 * v.used_rms_after_albedo,
                 100.0 * v.refitted_rms
             )
         })

@@ -18,11 +18,14 @@
 //!    not clipped.
 //! 2. `sphere_light`: robust fits, exposure gains of the photos (`gains`), and the check of
 //!    the stated kind of light (`kind`).
-//! 3. `shape`, `own_shape`: fits without a sphere.
-//! 4. `check`: once there is a surface, whether the light was the right one for it.
+//! 3. `object_light`: the sphere's light against the object at the depth anchors, and its
+//!    correction.
+//! 4. `shape`, `own_shape`: fits without a sphere.
+//! 5. `check`: once there is a surface, whether the light was the right one for it.
 //!
 //! # Entry
-//! [`run`]; [`fit_on_shape`] for a single view; [`check_on_surface`] after stage 5.
+//! [`run`]; [`fit_on_shape`] for a single view; [`check_on_surface`] after stage 5; [`overlays`]
+//! for the eye.
 
 mod anchor_normals;
 mod cells;
@@ -30,8 +33,11 @@ mod check;
 mod error;
 mod gains;
 mod kind;
+mod object_light;
 mod options;
+mod overlay;
 mod own_shape;
+mod place;
 mod report;
 mod request;
 mod samples;
@@ -39,9 +45,11 @@ mod shape;
 mod sphere_light;
 
 pub use error::LightingError;
-pub use options::{GainMode, LightingOptions};
+pub use options::{GainMode, LightingOptions, ObjectLight};
+pub use overlay::{SphereOverlay, overlays};
 pub use report::{
-    ChannelReport, KindCheck, LightingReport, SurfaceReport, ViewLightReport, ViewSurfaceReport,
+    ChannelReport, KindCheck, LightingReport, ObjectReport, SurfaceReport, ViewLightReport,
+    ViewObjectReport, ViewSurfaceReport,
 };
 pub use request::LightingRequest;
 pub use shape::{fit_on_normals, fit_on_shape};
@@ -67,7 +75,11 @@ pub fn run(
         LightingRequest::Given(lightings, kind) => request::given(posed, lightings, *kind),
         LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, options, observer),
         LightingRequest::Sphere(sphere) => {
-            sphere_light::run(photos, posed, sphere, options, observer)
+            let (mut calibration, mut report) =
+                sphere_light::run(photos, posed, sphere, options, observer)?;
+            let (light, facts) = (&mut calibration, &mut report);
+            object_light::confront(photos, posed, light, facts, options, observer)?;
+            Ok((calibration, report))
         }
         LightingRequest::OwnShape => own_shape::run(photos, posed, options, observer),
     }

@@ -19,6 +19,20 @@ pub enum GainMode {
     Always,
 }
 
+/// What the object's own brightness at the depth anchors may do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObjectLight {
+    /// Replaces the light of a sphere beside the object where it predicts left-out anchors
+    /// clearly better, and scales the light to the object's albedo.
+    #[default]
+    Correct,
+    /// Compared and reported, nothing is changed.
+    Report,
+    /// Not looked at.
+    Off,
+}
+
 /// How the lighting is found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -40,6 +54,8 @@ pub struct LightingOptions {
     pub clip_share: f64,
     /// Fewest usable pixels that make a view count.
     pub min_num_pixels: usize,
+    /// Whether the object's own anchors may correct the light of a sphere.
+    pub object_light: ObjectLight,
     /// Exposure and white balance of the photos.
     pub gains: GainMode,
     /// Most pixels of a surface that a fit uses; more change nothing but the time.
@@ -62,6 +78,7 @@ impl Default for LightingOptions {
             min_cos_view: 0.12,
             clip_share: 0.97,
             min_num_pixels: 150,
+            object_light: ObjectLight::Correct,
             gains: GainMode::Auto,
             max_num_samples: 20_000,
             max_slope: 8.0,

@@ -160,7 +160,7 @@ pub(crate) fn run(
 }
 
 /// Robust fit over the anchors of some views, in the world frame.
-fn pool(
+pub(crate) fn pool(
     posed: &PosedViews,
     samples: &[AnchorSamples],
     gains: &[Vec<f64>],

@@ -47,6 +47,9 @@ pub struct ViewLightReport {
     pub hidden_share: f64,
     /// Relative residual of the light in this view (root mean square over good pixels).
     pub relative_rms: Option<f64>,
+    /// With a calibration photo: residual of its light on the sphere beside the object, which
+    /// stands in the object's shadow and bounce light.
+    pub side_sphere_rms: Option<f64>,
     /// Gain of the photo per channel that was found, 1 where not looked for.
     pub gain: Vec<f64>,
     /// Relative standard deviation of the gain.
@@ -81,6 +84,34 @@ pub struct KindCheck {
     pub contradicts: bool,
 }
 
+/// One view of [`ObjectReport`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewObjectReport {
+    /// The view's name.
+    pub name: String,
+    /// Anchors with a normal that it sees.
+    pub num_anchors: usize,
+    /// Relative residual at the anchors of the light that was found first (root mean square).
+    pub used_rms: Option<f64>,
+    /// The same after the factor common to all views.
+    pub used_rms_after_albedo: Option<f64>,
+    /// The same for a light fitted on the other half of the anchors.
+    pub cross_validated_rms: Option<f64>,
+}
+
+/// The light against the object's brightness at the depth anchors.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ObjectReport {
+    /// Every view.
+    pub views: Vec<ViewObjectReport>,
+    /// Brightness of the object over what the light predicts: its albedo relative to the sphere's.
+    pub albedo_factor: f64,
+    /// Whether the light was multiplied by it.
+    pub factor_applied: bool,
+    /// Whether the light fitted on the anchors replaces the sphere's.
+    pub light_replaced: bool,
+}
+
 /// Facts of a run of stage 4.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightingReport {
@@ -97,6 +128,8 @@ pub struct LightingReport {
     pub views: Vec<ViewLightReport>,
     /// Check of the stated kind of light.
     pub kind_check: Option<KindCheck>,
+    /// The light against the object at the depth anchors, where there are enough.
+    pub object: Option<ObjectReport>,
     /// Whether gains were applied.
     pub gains_applied: bool,
     /// Whether the light is uncalibrated: only known up to the ambiguities named in `warnings`.
@@ -114,6 +147,7 @@ impl Default for LightingReport {
             dominant_direction: None,
             views: Vec::new(),
             kind_check: None,
+            object: None,
             gains_applied: false,
             uncalibrated: false,
             warnings: Vec::new(),
@@ -133,6 +167,9 @@ pub struct ViewSurfaceReport {
     pub used_rms_after_gain: f64,
     /// That gain.
     pub best_gain: f64,
+    /// The first residual after the gain that is best for all views together: without what only
+    /// an albedo other than the sphere's would cause.
+    pub used_rms_after_albedo: f64,
     /// The same with nine harmonics fitted on the surface: what the best distant light leaves.
     pub refitted_rms: f64,
     /// Angle between the dominant directions of both lights, degrees.
@@ -149,6 +186,9 @@ pub struct ViewSurfaceReport {
 pub struct SurfaceReport {
     /// Every view with a surface.
     pub views: Vec<ViewSurfaceReport>,
+    /// Brightness of the object over what the light predicts, median over the views: its albedo
+    /// relative to the sphere's.
+    pub albedo_factor: Option<f64>,
     /// Advice in words; empty where nothing is wrong.
     pub advice: Vec<String>,
 }

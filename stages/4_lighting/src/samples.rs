@@ -49,8 +49,8 @@ pub(crate) fn of_sphere(
         radius_px,
         ..SphereSamples::default()
     };
-    // A small sphere keeps half its radius whatever the margin.
-    let margin = options.margin_px.min(0.3 * radius_px);
+    // A small sphere needs the pixels near its outline, and its edge is as sharp as a large one's.
+    let margin = options.margin_px.min((0.05 * radius_px).max(1.2));
     let limit = f64::from(clip_level) * options.clip_share;
     let mut clipped = 0;
     let mut seen = 0;

@@ -13,7 +13,7 @@ use crate::gains::{self, Gains};
 use crate::options::GainMode;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
 use crate::samples::{SphereSamples, of_sphere};
-use crate::{LightingError, LightingOptions, kind};
+use crate::{LightingError, LightingOptions, kind, place};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, fit_lighting, rotate};
 use rilievo_photometry::sphere::{SphereInCamera, cone_from_mark, detect_in_photo};
@@ -45,6 +45,7 @@ pub(crate) fn run(
         .collect();
     report.kind_check = kind::check(&side.samples, &rotations, request.light);
     warn_of_kind(&mut report);
+    report.warnings.extend(place::warn(posed));
     if request.calibration.is_empty() {
         if side.views.is_empty() {
             return Err(LightingError::SphereUnusable {
@@ -177,8 +178,15 @@ struct Pool {
 }
 
 impl Pool {
-    fn add(&mut self, samples: &SphereSamples, rotation: &UnitQuaternion<f64>, gain: &[f64]) {
-        for k in 0..samples.normals.len() {
+    fn add(
+        &mut self,
+        samples: &SphereSamples,
+        rotation: &UnitQuaternion<f64>,
+        gain: &[f64],
+        max_num: usize,
+    ) {
+        let stride = samples.normals.len().div_ceil(max_num.max(1)).max(1);
+        for k in (0..samples.normals.len()).step_by(stride) {
             self.normals.push(rotation * samples.normals[k]);
             let values = samples.values[k].iter().zip(gain).map(|(v, g)| v / g);
             self.values.push(values.collect());
@@ -241,7 +249,8 @@ fn gains_of(
     for _ in 0..2 {
         let mut pool = Pool::default();
         for ((samples, rotation), gain) in side.samples.iter().zip(rotations).zip(&gains.gain) {
-            pool.add(samples, rotation, gain);
+            let share = options.max_num_samples / side.views.len();
+            pool.add(samples, rotation, gain, share);
         }
         let environment = pool.fit("the sphere", options)?;
         gains = gains::find(&side.samples, rotations, Some(&environment), options.gains);
@@ -312,7 +321,12 @@ fn views_from_environment(
                 .iter()
                 .position(|&v| v == idx)
                 .and_then(|k| residual_of(&side.samples[k], &lighting));
-            report.views[idx].relative_rms = residual;
+            if report.source == LightSource::CalibrationPhoto {
+                report.views[idx].side_sphere_rms = residual;
+            } else {
+                report.views[idx].relative_rms = residual;
+            }
+            let residual = report.views[idx].relative_rms;
             ViewLighting {
                 view: ViewIdx(idx),
                 lighting,
@@ -347,7 +361,8 @@ fn from_side_world(
     let applied = report_gains(posed, side, &gains, num_channels, &mut report);
     let mut pool = Pool::default();
     for (k, &view) in side.views.iter().enumerate() {
-        pool.add(&side.samples[k], &rotations[k], &applied[view]);
+        let share = options.max_num_samples / side.views.len();
+        pool.add(&side.samples[k], &rotations[k], &applied[view], share);
     }
     let fit = pool.fit("the sphere", options)?;
     describe(&fit, &mut report);
@@ -374,7 +389,12 @@ fn from_side_camera(
     for (samples, &view) in side.samples.iter().zip(&side.views) {
         let mut pool = Pool::default();
         let num_channels = samples.values.first().map_or(1, Vec::len);
-        pool.add(samples, &UnitQuaternion::identity(), &ones(num_channels));
+        pool.add(
+            samples,
+            &UnitQuaternion::identity(),
+            &ones(num_channels),
+            options.max_num_samples,
+        );
         match pool.fit(&posed.views[view].name, options) {
             Ok(fit) => {
                 report.views[view].relative_rms = residual_of(samples, &fit.lighting());
@@ -440,7 +460,8 @@ fn from_calibration(
             LightKind::World => world_from_cam,
             LightKind::Camera => UnitQuaternion::identity(),
         };
-        pool.add(&samples, &frame, &ones(num_channels));
+        let share = options.max_num_samples / request.calibration.len();
+        pool.add(&samples, &frame, &ones(num_channels), share);
     }
     let fit = pool.fit("the calibration photo", options)?;
     describe(&fit, &mut report);

@@ -3,9 +3,9 @@
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
-    FocalSource, InMemoryPixels, Intrinsics, Lighting, LinearImage, Mask, NormalMap, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, RigidTransform, ShadedView, ShadedViews,
-    SphereCalibration, SphereMark, ViewIdx,
+    Anchor, AnchorObservation, AnchorOrigin, FocalSource, InMemoryPixels, Intrinsics, Lighting,
+    LinearImage, Mask, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, Raster,
+    RigidTransform, ShadedView, ShadedViews, SphereCalibration, SphereMark, ViewIdx,
 };
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -65,6 +65,16 @@ fn linear_of(path: &Path, is_linear: bool) -> Result<LinearImage> {
         channels: 3,
         data,
     })
+}
+
+/// Writes a linear image as sRGB.
+pub fn write_png(image: &LinearImage, folder: &str, name: &str) -> Result<()> {
+    let encode = |v: &f32| (v.clamp(0.0, 1.0).powf(1.0 / 2.2) * 255.0).round() as u8;
+    let bytes: Vec<u8> = image.data.iter().map(encode).collect();
+    let picture =
+        image::RgbImage::from_raw(image.width as u32, image.height as u32, bytes).ok_or("size")?;
+    picture.save(Path::new(folder).join(format!("{name}.png")))?;
+    Ok(())
 }
 
 fn mask_of(path: &Path) -> Result<Mask> {
@@ -228,6 +238,65 @@ impl Set {
         Ok(Raster::from_fn(x.width, x.height, |u, v| {
             [*x.at(u, v), *y.at(u, v), *z.at(u, v)]
         }))
+    }
+
+    /// Anchors on a grid of pixels, seen by every view that they are visible in, at the true depth
+    /// times `1 + noise` (relative standard deviation).
+    pub fn true_anchors(&self, step: usize, noise: f64) -> Result<Vec<Anchor>> {
+        let mut depths = Vec::new();
+        for view in &self.posed.views {
+            depths.push(self.channel(&format!("{}_depth.exr", view.name), "Z")?);
+        }
+        let mut anchors = Vec::new();
+        let mut state = 17_u64;
+        for (first, view) in self.posed.views.iter().enumerate() {
+            for y in (0..depths[first].height).step_by(step) {
+                for x in (0..depths[first].width).step_by(step) {
+                    let z = f64::from(*depths[first].at(x, y));
+                    if z <= 0.0 {
+                        continue;
+                    }
+                    let pixel = nalgebra::Point2::new(x as f64, y as f64);
+                    // Twelve uniform deviates make a normal one.
+                    let mut deviate = -6.0;
+                    for _ in 0..12 {
+                        state = state
+                            .wrapping_mul(6_364_136_223_846_793_005)
+                            .wrapping_add(1_442_695_040_888_963_407);
+                        deviate += (state >> 11) as f64 / (1_u64 << 53) as f64;
+                    }
+                    let z = z * (1.0 + noise * deviate);
+                    let in_camera = view.intrinsics.unproject(&pixel, z);
+                    let point = view.cam_from_world.inverse().apply(&in_camera);
+                    let observations: Vec<AnchorObservation> = (0..depths.len())
+                        .filter_map(|other| {
+                            let seen_by = &self.posed.views[other];
+                            let p = seen_by.cam_from_world.apply(&point);
+                            let at = seen_by.intrinsics.project(&p)?;
+                            let (u, v) = (at.x.round() as isize, at.y.round() as isize);
+                            let depth = f64::from(*depths[other].get(u, v)?);
+                            ((depth / p.z).ln().abs() < 0.003 + 3.0 * noise).then_some(
+                                AnchorObservation {
+                                    view: ViewIdx(other),
+                                    pixel: [at.x, at.y],
+                                    depth: p.z,
+                                    sigma_ln_depth: 1e-3,
+                                },
+                            )
+                        })
+                        .collect();
+                    if observations.len() >= 2 {
+                        anchors.push(Anchor {
+                            position: point.coords.into(),
+                            covariance: [1e-8, 0.0, 0.0, 1e-8, 0.0, 1e-8],
+                            origin: AnchorOrigin::Grown,
+                            observations,
+                        });
+                    }
+                }
+            }
+        }
+        Ok(anchors)
     }
 
     /// The true shape, as if stage 5 had found it.

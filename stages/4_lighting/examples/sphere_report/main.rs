@@ -2,13 +2,14 @@
 //!
 //! `cargo run --release -p rilievo-lighting --example sphere_report -- SET [photos|linear]
 //! [auto|marks] [calibration]` prints, per photo: outline overlap with `sphere_masks`, radius,
-//! gain, residual on the sphere, and the residual of the light applied to the true normals.
+//! gain, residual on the sphere, and the residual of the light applied to the true normals;
+//! `overlays=DIR` writes a picture per view, `own` fits on anchors made from the truth instead.
 //! `SET` is a folder with `photos`, `masks`, `truth` as in `studio_stone`.
 
 mod data;
 
 use data::Set;
-use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, run};
+use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, overlays, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_scene::{LightKind, Scale, ScaleSource, Silent, SphereRequest, Unit};
 
@@ -119,13 +120,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let options = LightingOptions::default();
     let start = std::time::Instant::now();
-    let (calibration, report) = run(
-        &set.photos,
-        &set.posed,
-        &LightingRequest::Sphere(request),
-        &options,
-        &Silent,
-    )?;
+    if has("own") || has("anchors") {
+        let noise = arguments
+            .iter()
+            .find_map(|a| a.strip_prefix("noise=")?.parse().ok());
+        set.posed.anchors = set.true_anchors(24, noise.unwrap_or(5e-4))?;
+    }
+    let request = if has("own") {
+        LightingRequest::OwnShape
+    } else {
+        LightingRequest::Sphere(request)
+    };
+    let (calibration, report) = run(&set.photos, &set.posed, &request, &options, &Silent)?;
     println!(
         "light in {:.2} s from {:?}",
         start.elapsed().as_secs_f64(),
@@ -138,6 +144,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         "  {:?}\n  gains applied {}",
         report.kind_check, report.gains_applied
     );
+    if let Some(object) = &report.object {
+        println!("  {object:?}");
+    }
     let surface = check_on_surface(
         &set.photos,
         &set.posed,
@@ -165,6 +174,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 .map(|r| format!(" LEFT OUT: {r}"))
                 .unwrap_or_default()
         );
+    }
+    if let Some(folder) = arguments.iter().find_map(|a| a.strip_prefix("overlays=")) {
+        for overlay in overlays(&set.photos, &set.posed, &calibration, &options)? {
+            data::write_png(&overlay.picture, folder, &overlay.name)?;
+        }
     }
     for view in &surface.views {
         println!("  {view:?}");

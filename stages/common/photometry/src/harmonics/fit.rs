@@ -1,22 +1,28 @@
 //! Robust weighted least squares for harmonics.
 //!
 //! # Problem
-//! `min over l of Σ_i w_i ρ(r_i / σ)`, `r_i = l · h(n_i) − I_i`, for each channel by itself:
-//! samples `i` with unit normals `n_i`, intensities `I_i`, weights `w_i`, and `σ` the scale of
-//! the residuals (1.4826 times their median absolute value).
+//! `min over l of Σ_i w_i ρ(r_i / (s_i σ))`, `r_i = l · h(n_i) − I_i`, for each channel by itself:
+//! samples `i` with unit normals `n_i`, intensities `I_i`, weights `w_i`. What disturbs (photon
+//! noise, texture, bounce light) grows with brightness, so residuals are measured in
+//! `s_i = max(l · h(n_i) / mean I, noise_floor)`; `σ` is their scale at mean brightness (1.4826
+//! times the median of `|r_i| / s_i`).
 //!
 //! # Steps
-//! 1. Starts: a plain fit on all samples, and fits that each leave out the samples around one of
-//!    twelve directions. A shadow covers a connected patch of normals, which a fit on all samples
-//!    bends to explain; one of the partial fits has not seen it. The start with the smallest
-//!    residual at the `start_quantile` wins.
-//! 2. Iteratively re-weighted least squares, first Huber (convex), then Geman–McClure
-//!    (redescending: gross errors lose all influence).
+//! 1. Iteratively re-weighted least squares on all samples, first Huber (convex), then
+//!    Geman–McClure (redescending), then Tukey's biweight: a whole patch of gross errors pulls
+//!    even with small weights, so they end at none.
+//! 2. A shadow covers a connected patch of normals, which the fit of step 1 bends to explain.
+//!    So there are further starts: plain fits that each leave out the samples around one of
+//!    twenty directions, of which one has hardly seen the patch, each improved by least trimmed
+//!    squares (refitting the `start_quantile` of the samples that agree best). The best few go
+//!    through the redescending phase alone, as a convex one would forget the start. Of all
+//!    results the one with the smallest truncated cost at a common scale is taken.
 //! 3. Conditioning of the columns scaled to unit length. Where nine coefficients cannot be told
 //!    from each other (few or nearly parallel normals), four are fitted instead.
-//! 4. Covariance `σ² (Σ w h hᵀ)⁻¹` with the final weights.
+//! 4. Covariance `σ² (Σ w h hᵀ / s²)⁻¹` with the final weights.
 
 use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
+use rayon::prelude::*;
 use rilievo_scene::{Lighting, SphericalHarmonics};
 use serde::{Deserialize, Serialize};
 
@@ -29,11 +35,14 @@ pub struct FitOptions {
     /// Residuals beyond this many `σ` are damped in the convex phase. Too small biases the fit by
     /// throwing away good samples, too large lets shadows through.
     pub huber_sigmas: f64,
-    /// Scale of the redescending phase in `σ`; influence falls beyond it.
+    /// Scale of the redescending phases in `σ`; influence falls beyond it, and ends at 1.5 times it.
     pub redescending_sigmas: f64,
+    /// Brightness, as a share of the mean, below which noise no longer falls with it. Too small
+    /// lets the darkest samples decide, too large lets faint shadows on dark parts through.
+    pub noise_floor: f64,
     /// Iterations of each phase.
     pub max_num_iterations: usize,
-    /// The share of good samples that a start is judged by.
+    /// The share of samples, at least, that is taken as good when starts are sought.
     pub start_quantile: f64,
     /// Share of the samples that each partial start leaves out; 0 starts from all samples only.
     pub start_left_out: f64,
@@ -49,6 +58,7 @@ impl Default for FitOptions {
             order: 2,
             huber_sigmas: 1.5,
             redescending_sigmas: 3.0,
+            noise_floor: 0.3,
             max_num_iterations: 15,
             start_quantile: 0.6,
             start_left_out: 0.35,
@@ -69,6 +79,9 @@ impl FitOptions {
         }
         if !(self.huber_sigmas > 0.0 && self.redescending_sigmas > 0.0) {
             return bad("huber_sigmas, redescending_sigmas", "must be positive");
+        }
+        if !(self.noise_floor > 0.0 && self.noise_floor.is_finite()) {
+            return bad("noise_floor", "must be positive");
         }
         if !(0.0..0.9).contains(&self.start_left_out) {
             return bad("start_left_out", "must lie in 0 to 0.9");
@@ -133,7 +146,7 @@ pub struct HarmonicsFit {
     pub order: u8,
     /// Samples with a positive weight.
     pub num_samples: usize,
-    /// Scale of the residuals (from their median absolute value), in intensity.
+    /// Scale of the residuals at mean brightness (from their median absolute value), in intensity.
     pub sigma: f64,
     /// Root mean square of the residuals of the samples within three `sigma`, relative to the root
     /// mean square of the intensities.
@@ -231,6 +244,7 @@ pub fn fit_lighting(
 ) -> Result<LightingFit, FitError> {
     let num_channels = pixels.first().map_or(1, Vec::len);
     let channels = (0..num_channels)
+        .into_par_iter()
         .map(|channel| {
             let values: Vec<f64> = pixels.iter().map(|pixel| pixel[channel]).collect();
             let weights: Vec<f64> = usable
@@ -274,49 +288,45 @@ fn collect_samples(
     Ok(samples)
 }
 
-/// Residual scale below which data count as exact, relative to the intensities' size; it keeps the
+/// Residual scale below which data count as exact, relative to the mean intensity; it keeps the
 /// robust weights finite on exact data.
 const EXACT: f64 = 1e-9;
 
 fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option<HarmonicsFit> {
-    let size = (samples.iter().map(|s| s.value * s.value).sum::<f64>() / samples.len() as f64)
-        .sqrt()
-        .max(f64::MIN_POSITIVE);
-    let mut l = best_start::<N>(samples, options)?;
-    let mut residuals = vec![0.0; samples.len()];
-    let scale_of = |l: &SVector<N>, residuals: &mut [f64]| {
-        for (residual, sample) in residuals.iter_mut().zip(samples) {
-            *residual = (predict(l, sample) - sample.value).abs();
-        }
-        let mut sorted = residuals.to_vec();
-        let median = crate::robust::quantile(&mut sorted, 0.5)?;
-        Some((crate::robust::SIGMA_FROM_MAD * median).max(EXACT * size))
+    let mean = samples.iter().map(|s| s.value.abs()).sum::<f64>() / samples.len() as f64;
+    let noise = Noise {
+        mean: mean.max(f64::MIN_POSITIVE),
+        floor: options.noise_floor,
     };
-    // The robust weights of the last iteration are those of the covariance.
-    let mut sigma = scale_of(&l, &mut residuals)?;
-    let mut normal_matrix = SMatrix::<f64, N, N>::zeros();
-    for phase in 0..2 {
-        for _ in 0..options.max_num_iterations {
-            let weight = |k: usize, residual: f64| {
-                let r = residual / sigma;
-                let robust = if phase == 0 {
-                    (options.huber_sigmas / r).min(1.0)
-                } else {
-                    let c2 = options.redescending_sigmas.powi(2);
-                    (c2 / (c2 + r * r)).powi(2)
-                };
-                samples[k].weight * robust
-            };
-            let (matrix, next) = solve::<N>(samples, |k| weight(k, residuals[k]))?;
-            let change = (next - l).norm();
-            normal_matrix = matrix;
-            l = next;
-            sigma = scale_of(&l, &mut residuals)?;
-            if change <= 1e-10 * l.norm() {
-                break;
-            }
+    let (_, all) = solve::<N>(samples, |k| samples[k].weight)?;
+    let mut results = vec![iterate(samples, all, 0, noise, options)?];
+    for start in partial_starts::<N>(samples, noise, options)? {
+        results.extend(iterate(samples, start, 1, noise, options));
+    }
+    let common = results
+        .iter()
+        .map(|r| r.sigma)
+        .fold(f64::INFINITY, f64::min);
+    let truncated = |r: &Iterated<N>| -> f64 {
+        let costs = r.scaled.iter().zip(samples);
+        costs
+            .map(|(d, s)| s.weight * (d / common).powi(2).min(TRUNCATION * TRUNCATION))
+            .sum()
+    };
+    // The fit on all samples stands unless another is clearly better.
+    let mut best = (0.98 * truncated(&results[0]), 0);
+    for (k, result) in results.iter().enumerate().skip(1) {
+        let cost = truncated(result);
+        if cost < best.0 {
+            best = (cost, k);
         }
     }
+    let Iterated {
+        l,
+        sigma,
+        scaled,
+        normal_matrix,
+    } = results.swap_remove(best.1);
     let mut coefficients = [0.0; 9];
     coefficients[..N].copy_from_slice(l.as_slice());
     let inverse = DMatrix::from_fn(N, N, |r, c| normal_matrix[(r, c)]).try_inverse()?;
@@ -327,12 +337,12 @@ fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option
         }
     }
     let inliers: Vec<usize> = (0..samples.len())
-        .filter(|&k| residuals[k] <= 3.0 * sigma)
+        .filter(|&k| scaled[k] <= 3.0 * sigma)
         .collect();
     let rms = |indices: &mut dyn Iterator<Item = usize>| {
         let (mut error, mut total) = (0.0, 0.0);
         for k in indices {
-            error += residuals[k] * residuals[k];
+            error += (predict(&l, &samples[k]) - samples[k].value).powi(2);
             total += samples[k].value * samples[k].value;
         }
         (error / total.max(f64::MIN_POSITIVE)).sqrt()
@@ -347,6 +357,93 @@ fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option
         inlier_share: inliers.len() as f64 / samples.len() as f64,
         condition: condition(&normal_matrix),
         covariance,
+    })
+}
+
+/// How noise depends on brightness.
+#[derive(Clone, Copy)]
+struct Noise {
+    mean: f64,
+    floor: f64,
+}
+
+impl Noise {
+    /// Scale of a residual where the light predicts a brightness, 1 at the mean.
+    #[inline]
+    fn scale(self, predicted: f64) -> f64 {
+        (predicted / self.mean).max(self.floor)
+    }
+}
+
+/// Result of the re-weighted iteration from one start.
+struct Iterated<const N: usize> {
+    l: SVector<N>,
+    sigma: f64,
+    /// Absolute residuals over their scale.
+    scaled: Vec<f64>,
+    /// Normal matrix with the last weights: those of the covariance.
+    normal_matrix: SMatrix<f64, N, N>,
+}
+
+/// Residuals count up to this many deviations when results are compared.
+const TRUNCATION: f64 = 3.0;
+
+fn iterate<const N: usize>(
+    samples: &[Sample],
+    start: SVector<N>,
+    first_phase: usize,
+    noise: Noise,
+    options: &FitOptions,
+) -> Option<Iterated<N>> {
+    let mut l = start;
+    let mut scaled = vec![0.0; samples.len()];
+    let mut scales = vec![1.0; samples.len()];
+    let mut sorted = Vec::with_capacity(samples.len());
+    let mut measure = |l: &SVector<N>, scaled: &mut [f64], scales: &mut [f64]| {
+        for ((residual, scale), sample) in scaled.iter_mut().zip(scales).zip(samples) {
+            let predicted = predict(l, sample);
+            *scale = noise.scale(predicted);
+            *residual = (predicted - sample.value).abs() / *scale;
+        }
+        sorted.clear();
+        sorted.extend_from_slice(scaled);
+        let median = crate::robust::quantile(&mut sorted, 0.5)?;
+        Some((crate::robust::SIGMA_FROM_MAD * median).max(EXACT * noise.mean))
+    };
+    let mut sigma = measure(&l, &mut scaled, &mut scales)?;
+    let mut normal_matrix = SMatrix::<f64, N, N>::zeros();
+    for phase in first_phase..3 {
+        for _ in 0..options.max_num_iterations {
+            let weight = |k: usize| {
+                let r = scaled[k] / sigma;
+                let robust = match phase {
+                    0 => (options.huber_sigmas / r).min(1.0),
+                    1 => {
+                        let c2 = options.redescending_sigmas.powi(2);
+                        (c2 / (c2 + r * r)).powi(2)
+                    }
+                    _ => {
+                        let t = r / (1.5 * options.redescending_sigmas);
+                        if t < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 }
+                    }
+                };
+                samples[k].weight * robust / (scales[k] * scales[k])
+            };
+            let (matrix, next) = solve::<N>(samples, weight)?;
+            let change = (next - l).norm();
+            normal_matrix = matrix;
+            l = next;
+            sigma = measure(&l, &mut scaled, &mut scales)?;
+            if change <= 1e-6 * l.norm() {
+                break;
+            }
+        }
+    }
+    Some(Iterated {
+        l,
+        sigma,
+        scaled,
+        normal_matrix,
     })
 }
 
@@ -414,53 +511,123 @@ fn condition<const N: usize>(normal_matrix: &SMatrix<f64, N, N>) -> f64 {
     (largest / smallest).sqrt()
 }
 
-/// Vertices of an icosahedron: the twelve directions whose surroundings the starts leave out.
-fn icosahedron() -> [Vector3<f64>; 12] {
+/// Vertices of an icosahedron.
+const NUM_VERTICES: usize = 12;
+
+/// Directions whose surroundings the starts leave out: the twelve vertices of an icosahedron, and
+/// eight around the mean normal, as the normals that one photo sees are half a sphere.
+fn directions(mean: &Vector3<f64>) -> Vec<Vector3<f64>> {
     let golden = 0.5 * (1.0 + 5.0_f64.sqrt());
-    std::array::from_fn(|k| {
+    let vertex = |k: usize| {
         let a = if k & 1 == 0 { 1.0 } else { -1.0 };
         let b = if k & 2 == 0 { golden } else { -golden };
-        let v = match k / 4 {
+        match k / 4 {
             0 => Vector3::new(0.0, a, b),
             1 => Vector3::new(a, b, 0.0),
             _ => Vector3::new(b, 0.0, a),
-        };
-        v.normalize()
-    })
+        }
+        .normalize()
+    };
+    let mut directions: Vec<Vector3<f64>> = (0..NUM_VERTICES).map(vertex).collect();
+    let helper = if mean.x.abs() < 0.7 * mean.norm() {
+        Vector3::x()
+    } else {
+        Vector3::y()
+    };
+    if let Some(e1) = mean.cross(&helper).try_normalize(1e-6) {
+        let e2 = mean.normalize().cross(&e1);
+        directions.extend((0..8).map(|k| {
+            let (s, c) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
+            e1 * c + e2 * s
+        }));
+    }
+    directions
 }
 
-fn best_start<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option<SVector<N>> {
-    let (_, all) = solve::<N>(samples, |k| samples[k].weight)?;
-    if options.start_left_out == 0.0 || samples.len() < 20 * N {
-        return Some(all);
+/// Steps of least trimmed squares; they settle within a few.
+const NUM_TRIMS: usize = 12;
+
+/// Refits the share of the samples that agree best, again and again; returns the trimmed cost too.
+fn trim<const N: usize>(
+    samples: &[Sample],
+    stride: usize,
+    start: SVector<N>,
+    noise: Noise,
+    options: &FitOptions,
+) -> Option<(f64, SVector<N>)> {
+    let mut l = start;
+    let mut residuals = vec![f64::INFINITY; samples.len()];
+    let mut scales = vec![1.0; samples.len()];
+    let mut best = None;
+    for step in 0..=NUM_TRIMS {
+        let mut sorted = Vec::with_capacity(samples.len() / stride + 1);
+        for k in (0..samples.len()).step_by(stride) {
+            let predicted = predict(&l, &samples[k]);
+            scales[k] = noise.scale(predicted);
+            residuals[k] = (predicted - samples[k].value).abs() / scales[k];
+            sorted.push(residuals[k]);
+        }
+        let limit = crate::robust::quantile(&mut sorted, options.start_quantile)?;
+        let cost = sorted.iter().filter(|r| **r <= limit).map(|r| r * r).sum();
+        best = Some((cost, l));
+        if step < NUM_TRIMS {
+            (_, l) = solve::<N>(samples, |k| {
+                if k % stride == 0 && residuals[k] <= limit {
+                    samples[k].weight / (scales[k] * scales[k])
+                } else {
+                    0.0
+                }
+            })?;
+        }
     }
-    // A few thousand samples rank the starts as well as a million.
-    let stride = samples.len().div_ceil(4000);
+    best
+}
+
+/// Partial starts that are followed to the end.
+const NUM_STARTS: usize = 4;
+
+/// The best starts that leave out the samples around one direction.
+fn partial_starts<const N: usize>(
+    samples: &[Sample],
+    noise: Noise,
+    options: &FitOptions,
+) -> Option<Vec<SVector<N>>> {
+    if options.start_left_out == 0.0 || samples.len() < 20 * N {
+        return Some(Vec::new());
+    }
+    // Two thousand samples rank the starts as well as a million.
+    let stride = samples.len().div_ceil(2000);
     let few = || samples.iter().step_by(stride);
-    let cost = |l: &SVector<N>| {
-        let mut residuals: Vec<f64> = few().map(|s| (predict(l, s) - s.value).abs()).collect();
-        crate::robust::quantile(&mut residuals, options.start_quantile)
-    };
     let mean: Vector3<f64> = few().map(|s| s.normal).sum::<Vector3<f64>>() / few().count() as f64;
-    let (mut best, mut best_cost) = (all, cost(&all)?);
-    for direction in icosahedron() {
+    let mut starts = Vec::new();
+    // A shadow shaped as a wedge reaches the middle: around the mean normal, more than half of the
+    // samples is left out as well.
+    let wide = (1.6 * options.start_left_out).min(0.6);
+    let cuts = directions(&mean)
+        .into_iter()
+        .enumerate()
+        .flat_map(|(k, direction)| {
+            let also = (k >= NUM_VERTICES).then_some((direction, wide));
+            std::iter::once((direction, options.start_left_out)).chain(also)
+        });
+    for (direction, left_out) in cuts {
         let side = |s: &Sample| (s.normal - mean).dot(&direction);
         let mut sides: Vec<f64> = few().map(side).collect();
-        let limit = crate::robust::quantile(&mut sides, 1.0 - options.start_left_out)?;
+        let limit = crate::robust::quantile(&mut sides, 1.0 - left_out)?;
+        let kept = |s: &Sample| side(s) <= limit;
         let partial = solve::<N>(samples, |k| {
-            if k % stride == 0 && side(&samples[k]) <= limit {
-                samples[k].weight
+            let sample = &samples[k];
+            if k % stride == 0 && kept(sample) {
+                sample.weight
             } else {
                 0.0
             }
         });
         if let Some((_, l)) = partial {
-            let c = cost(&l)?;
-            // A clear gain only: on clean data the fit on all samples is the better one.
-            if c < 0.9 * best_cost {
-                (best, best_cost) = (l, c);
-            }
+            starts.extend(trim(samples, stride, l, noise, options));
         }
     }
-    Some(best)
+    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
+    starts.truncate(NUM_STARTS);
+    Some(starts.into_iter().map(|(_, l)| l).collect())
 }

@@ -9,6 +9,8 @@
 //!   are shadowed, clipped, dirty or lit by their surroundings.
 
 mod fit;
+#[cfg(test)]
+mod fit_tests;
 mod rotation;
 
 pub use fit::{FitError, FitOptions, HarmonicsFit, LightingFit, fit_lighting, fit_robust};

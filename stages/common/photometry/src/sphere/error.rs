@@ -19,6 +19,19 @@ pub enum SphereError {
         /// What was given.
         radius: f64,
     },
+    /// The outlines in metric cameras give another radius.
+    #[error(
+        "sphere radius stated as {stated:.4} m, but its outlines in {views} photos with known \
+         poses give {observed:.4} m: check the radius, its unit (metres), and the cameras' unit"
+    )]
+    RadiusMismatch {
+        /// Stated radius, metres.
+        stated: f64,
+        /// Radius from the outlines, metres.
+        observed: f64,
+        /// Photos that agree on it.
+        views: usize,
+    },
     /// Too few outline points inside the frame.
     #[error("{available} outline points inside the frame, at least {needed} are needed")]
     TooFewPoints {

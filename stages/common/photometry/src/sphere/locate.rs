@@ -120,6 +120,9 @@ pub fn locate(
     if known.len() == 1 && scale == WorldScale::Free {
         return Err(SphereError::OneView);
     }
+    if scale == WorldScale::Metric && known.len() > 1 {
+        check_radius(&known, radius, options)?;
+    }
     let (start, mut used) = consensus(&known, radius, scale, options)?;
     let mut state = start;
     let mut solution = None;
@@ -278,6 +281,26 @@ impl<'a> Known<'a> {
     }
 }
 
+/// A stated radius further from what the outlines give than this is a mistake, not noise.
+const MAX_RADIUS_RATIO: f64 = 1.25;
+
+/// In a metric world the outlines tell the radius themselves: refuses one that is far off.
+fn check_radius(known: &[Known], radius: f64, options: &SphereOptions) -> Result<(), SphereError> {
+    let Ok((free, used)) = consensus(known, radius, WorldScale::Free, options) else {
+        return Ok(());
+    };
+    let ratio = free.radius / radius;
+    let agreeing = used.iter().filter(|&&u| u).count();
+    if agreeing > 1 && !(1.0 / MAX_RADIUS_RATIO..MAX_RADIUS_RATIO).contains(&ratio) {
+        return Err(SphereError::RadiusMismatch {
+            stated: radius,
+            observed: free.radius,
+            views: agreeing,
+        });
+    }
+    Ok(())
+}
+
 /// The proposal of a pair (or of one view in a metric world) that most views agree with.
 fn consensus(
     known: &[Known],
@@ -419,9 +442,9 @@ fn refine(
         let mut normal = Normal::default();
         for k in known {
             let sphere = k.in_camera(state);
-            sphere.cone()?;
+            let axis = sphere.cone()?.axis;
             let to_world = k.view.cam_from_world.rotation.inverse();
-            let mut bias_row = Vector4::zeros();
+            let mut bias_rows = [Vector4::zeros(); 3];
             for ray in &k.rays {
                 let (value, by_center, by_radius) = residual(&sphere, ray)?;
                 let px = k.view.intrinsics.focal_px() / ray.z.max(0.1).powf(1.5);
@@ -440,9 +463,15 @@ fn refine(
                     };
                 normal.square += w * r * r;
                 normal.weight += w;
-                bias_row += row * w;
+                // An offset of the whole outline: wider, or moved along either axis.
+                let around = (ray - axis * ray.dot(&axis)).xy().normalize();
+                for (bias, amplitude) in bias_rows.iter_mut().zip([1.0, around.x, around.y]) {
+                    *bias += row * (w * amplitude);
+                }
             }
-            normal.bias += bias_row * bias_row.transpose();
+            for bias in bias_rows {
+                normal.bias += bias * bias.transpose();
+            }
         }
         Some(normal)
     };
@@ -511,7 +540,7 @@ struct Normal {
     cost: f64,
     square: f64,
     weight: f64,
-    /// Sum over the views of the outer product of each view's summed row: what an offset common
-    /// to one view's outline, independent between views, does.
+    /// Sum over the views of the outer products of each view's summed rows: what offsets common
+    /// to one view's outline (wider, moved), independent between views, do.
     bias: Matrix4<f64>,
 }

@@ -124,6 +124,11 @@ fn degenerate_input_gives_named_errors() {
     assert_eq!(result, Err(SphereError::OneView));
     let result = locate(&[], RADIUS, WorldScale::Metric, &options);
     assert_eq!(result, Err(SphereError::NoView));
+    let result = locate(&all, 10.0 * RADIUS, WorldScale::Metric, &options);
+    assert!(
+        matches!(result, Err(SphereError::RadiusMismatch { .. })),
+        "{result:?}"
+    );
     assert!(locate(&all[..1], RADIUS, WorldScale::Metric, &options).is_ok());
     let mut two = all[..2].to_vec();
     for point in &mut two[1].outline {

@@ -30,5 +30,5 @@ pub use error::SphereError;
 pub use locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
 pub use mark::{MarkFit, cone_from_mark, cone_from_points, outline_of_mark};
 pub use options::SphereOptions;
-pub use refine::{RefinedOutline, refine_outline};
+pub use refine::{Effort, RefinedOutline, refine_outline};
 pub use request::{PosedImage, load_posed_images, locate_request, refine_in_views};

@@ -5,33 +5,52 @@
 //! from the sphere's surface to what lies behind it.
 //!
 //! # Steps
-//! 1. Sample all channels along the normal; `g(s)` = norm of the difference between the means of
-//!    one pixel outwards and one pixel inwards.
-//! 2. Among the local maxima of `g` of at least `EDGE_SHARE` of the largest, the innermost: the
+//! 1. Nine harmonics are fitted on the inside of the predicted sphere. Towards the outline the
+//!    brightness falls ever more steeply; taken as it is, that slope draws the edge inwards, or
+//!    hides it where sphere and ground are alike. The fit's prediction is therefore subtracted,
+//!    outside the outline with its value there.
+//! 2. Sample all channels of that difference along the normal; `g(s)` = norm of the difference
+//!    between the means of one pixel outwards and one pixel inwards.
+//! 3. Among the local maxima of `g` of at least `EDGE_SHARE` of the largest, the innermost: the
 //!    sphere itself is smooth, whereas a textured ground has edges of its own outside.
-//! 3. A parabola through three values of `g` gives the position.
-//! 4. Steps weaker than `MIN_CONTRAST` of the local intensity are no edge.
+//! 4. A parabola through three values of `g` gives the position.
+//! 5. Steps weaker than `MIN_CONTRAST` of the local intensity are no edge.
 //!
 //! Intensities are linear, so that a pixel half covered by the sphere has the mean of both sides
 //! and the step's middle is the outline.
 
 use super::SphereInCamera;
-use nalgebra::{Point2, Point3, Vector2};
-use rilievo_scene::{Intrinsics, LinearImage, Mask};
+use crate::harmonics::{FitOptions, fit_robust};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
+use rilievo_scene::{Intrinsics, LinearImage, Mask, SphericalHarmonics};
 
 /// Weakest step that counts, relative to the mean intensity around it; JPEG blocks and noise stay
 /// below.
 const MIN_CONTRAST: f64 = 0.05;
 /// A local maximum of the step counts from this share of the largest.
 const EDGE_SHARE: f64 = 0.4;
+/// Edges weaker than this share of the usual one are left out: where sphere and ground are nearly
+/// alike, what is left of the sphere's own slope displaces the edge.
+const WEAK_EDGE: f64 = 0.3;
 /// Distance between samples along the normal, pixels.
 const STEP_PX: f64 = 0.25;
+
+/// How much is done against shadows on the sphere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effort {
+    /// One fit of the sphere's brightness: to look at many candidates.
+    Quick,
+    /// Parts in shadow are told apart first.
+    Thorough,
+}
 
 /// Edge points found near a predicted outline.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RefinedOutline {
     /// The points, pixels.
     pub points: Vec<Point2<f64>>,
+    /// Normals with an edge; those whose edge is much weaker than most are not in `points`.
+    pub num_edges: usize,
     /// Normals that were searched: inside the frame and not excluded.
     pub num_searched: usize,
     /// Outline normals in all, the ones outside the frame included.
@@ -41,7 +60,7 @@ pub struct RefinedOutline {
 impl RefinedOutline {
     /// Share of the searched normals with an edge, 0 where none was searched.
     pub fn support(&self) -> f64 {
-        self.points.len() as f64 / self.num_searched.max(1) as f64
+        self.num_edges as f64 / self.num_searched.max(1) as f64
     }
 
     /// Share of the outline inside the frame and not excluded.
@@ -58,6 +77,7 @@ pub fn refine_outline(
     sphere: &SphereInCamera,
     search_px: f64,
     exclude: Option<&Mask>,
+    effort: Effort,
 ) -> RefinedOutline {
     let mut found = RefinedOutline::default();
     let Some(cone) = sphere.cone() else {
@@ -69,11 +89,14 @@ pub fn refine_outline(
     // Inside a small sphere the search must not cross to the far side.
     let inner_px = search_px.min(0.5 * radius_px);
     let mut profile = Profile::new(inner_px, search_px, image.channels);
+    let appearance = appearance(image, intrinsics, sphere, exclude, effort);
+    let tangent = (sphere.center.coords.norm_squared() - sphere.radius * sphere.radius).sqrt();
     let wider = super::OutlineCone {
         half_angle: cone.half_angle * (1.0 + 1.0 / radius_px),
         ..cone
     };
     found.num_total = num_normals;
+    let mut edges: Vec<(f64, Point2<f64>)> = Vec::with_capacity(num_normals);
     for k in 0..num_normals {
         let angle = std::f64::consts::TAU * k as f64 / num_normals as f64;
         let (Some(at), Some(outer)) = (
@@ -87,11 +110,87 @@ pub fn refine_outline(
             continue;
         }
         found.num_searched += 1;
-        if let Some(shift) = profile.edge() {
-            found.points.push(at + normal * shift);
+        if let Some(lights) = &appearance {
+            let at_limb = (cone.ray(angle) * tangent - sphere.center.coords) / sphere.radius;
+            profile.subtract(lights, |p| {
+                sphere.normal_at(intrinsics, p).unwrap_or(at_limb)
+            });
+        }
+        if let Some((shift, strength)) = profile.edge() {
+            edges.push((strength, at + normal * shift));
         }
     }
+    found.num_edges = edges.len();
+    let mut strengths: Vec<f64> = edges.iter().map(|(strength, _)| *strength).collect();
+    let limit = WEAK_EDGE * crate::robust::quantile(&mut strengths, 0.6).unwrap_or(0.0);
+    found.points = edges
+        .into_iter()
+        .filter_map(|(strength, point)| (strength >= limit).then_some(point))
+        .collect();
     found
+}
+
+/// Smallest sphere whose inside is worth a fit, pixels of radius.
+const MIN_RADIUS_PX: f64 = 8.0;
+
+/// Nine harmonics per channel on the inside of a sphere; `None` where they cannot be had.
+///
+/// The good pixels are told on the mean of the channels, so that a shadow is found once.
+fn appearance(
+    image: &LinearImage,
+    intrinsics: &Intrinsics,
+    sphere: &SphereInCamera,
+    exclude: Option<&Mask>,
+    effort: Effort,
+) -> Option<Vec<SphericalHarmonics>> {
+    let radius_px = sphere.radius_px(intrinsics);
+    if radius_px < MIN_RADIUS_PX {
+        return None;
+    }
+    let pixels: Vec<_> = sphere
+        .pixels(intrinsics, (0.06 * radius_px).max(2.0))
+        .into_iter()
+        .filter(|p| !exclude.is_some_and(|mask| mask.contains(p.x as isize, p.y as isize)))
+        .collect();
+    // A smooth function of nine numbers: a thousand pixels tell it.
+    let num_enough = match effort {
+        Effort::Quick => 400,
+        Effort::Thorough => 1200,
+    };
+    let stride = pixels.len().div_ceil(num_enough).max(1);
+    let few: Vec<_> = pixels.iter().step_by(stride).collect();
+    let normals: Vec<Vector3<f64>> = few.iter().map(|p| p.normal_in_cam).collect();
+    let channel_of = |channel: usize| -> Vec<f64> {
+        few.iter()
+            .map(|p| f64::from(image.pixel(p.x, p.y)[channel]))
+            .collect()
+    };
+    let quick = FitOptions {
+        start_left_out: 0.0,
+        max_num_iterations: 5,
+        ..FitOptions::default()
+    };
+    let weights = match effort {
+        Effort::Quick => vec![1.0; few.len()],
+        Effort::Thorough => {
+            let grey: Vec<f64> = few
+                .iter()
+                .map(|p| image.pixel(p.x, p.y).iter().map(|&v| f64::from(v)).sum())
+                .collect();
+            let fit = fit_robust(&normals, &grey, None, &FitOptions::default()).ok()?;
+            let good = |(n, v): (&Vector3<f64>, &f64)| {
+                (fit.coefficients.evaluate(n) - v).abs() <= 3.0 * fit.sigma
+            };
+            let flags = normals.iter().zip(&grey).map(good);
+            flags.map(|is_good| f64::from(u8::from(is_good))).collect()
+        }
+    };
+    (0..image.channels)
+        .map(|channel| {
+            let fit = fit_robust(&normals, &channel_of(channel), Some(&weights), &quick).ok()?;
+            Some(fit.coefficients)
+        })
+        .collect()
 }
 
 /// Samples along one normal; buffers are reused from normal to normal.
@@ -99,12 +198,22 @@ struct Profile {
     inner_px: f64,
     channels: usize,
     num_samples: usize,
+    positions: Vec<Point2<f64>>,
     values: Vec<f64>,
+    /// The sphere's brightness as fitted, at the samples, and as pixels see it.
+    sharp: Vec<f64>,
+    model: Vec<f64>,
+    /// Samples at the inner end that surely lie on the sphere.
+    num_inner: usize,
+    /// Root mean square of the intensities along the normal, all channels together.
+    size: f64,
     step: Vec<f64>,
 }
 
 /// Samples in one pixel along the normal.
 const PER_PIXEL: usize = 4;
+/// A triangle two pixels wide, sampled in quarters of a pixel.
+const TRIANGLE: [f64; 7] = [0.0625, 0.125, 0.1875, 0.25, 0.1875, 0.125, 0.0625];
 
 impl Profile {
     fn new(inner_px: f64, outer_px: f64, channels: usize) -> Self {
@@ -114,7 +223,12 @@ impl Profile {
             inner_px: inner_px + 1.0,
             channels,
             num_samples,
+            positions: vec![Point2::origin(); num_samples],
+            size: 0.0,
             values: vec![0.0; num_samples * channels],
+            sharp: vec![0.0; num_samples * channels],
+            model: vec![0.0; num_samples * channels],
+            num_inner: (((0.5 * inner_px + 1.0) / STEP_PX) as usize).max(2),
             step: vec![0.0; num_samples],
         }
     }
@@ -129,6 +243,7 @@ impl Profile {
     ) -> bool {
         for k in 0..self.num_samples {
             let p = at + normal * (k as f64 * STEP_PX - self.inner_px);
+            self.positions[k] = p;
             if exclude.is_some_and(|m| m.contains(p.x.round() as isize, p.y.round() as isize)) {
                 return false;
             }
@@ -139,11 +254,59 @@ impl Profile {
                 }
             }
         }
+        let square: f64 = self.values.iter().map(|v| v * v).sum();
+        self.size = (square / self.num_samples as f64).sqrt();
         true
     }
 
-    /// Position of the edge outwards of the prediction, pixels.
-    fn edge(&mut self) -> Option<f64> {
+    /// Takes the sphere's own brightness off, scaled to the inner part of the normal, so that a
+    /// shadowed or dirty part of the sphere keeps the slope that is its own.
+    fn subtract(
+        &mut self,
+        lights: &[SphericalHarmonics],
+        normal_at: impl Fn(&Point2<f64>) -> Vector3<f64>,
+    ) {
+        let (c, inner) = (self.channels, self.num_inner);
+        for (k, p) in self.positions.iter().enumerate() {
+            let normal = normal_at(p);
+            for (channel, light) in lights.iter().enumerate() {
+                self.sharp[k * c + channel] = light.evaluate(&normal);
+            }
+        }
+        // Pixels average over their area, and so does interpolation between them: a triangle of
+        // two pixels' width. Left sharp, the limb's steep fall would push the edge outwards.
+        for channel in 0..c {
+            for k in 0..self.num_samples {
+                let mut sum = 0.0;
+                for (j, weight) in TRIANGLE.iter().enumerate() {
+                    let at = (k + j)
+                        .saturating_sub(PER_PIXEL - 1)
+                        .min(self.num_samples - 1);
+                    sum += weight * self.sharp[at * c + channel];
+                }
+                self.model[k * c + channel] = sum;
+            }
+        }
+        for channel in 0..c {
+            let at = |k: usize| (self.values[k * c + channel], self.model[k * c + channel]);
+            let (mut cross, mut square) = (0.0, 0.0);
+            for (value, model) in (0..inner).map(at) {
+                cross += value * model;
+                square += model * model;
+            }
+            let scale = if square > 0.0 {
+                (cross / square).clamp(0.0, 2.0)
+            } else {
+                1.0
+            };
+            for k in 0..self.num_samples {
+                self.values[k * c + channel] -= scale * self.model[k * c + channel];
+            }
+        }
+    }
+
+    /// Position of the edge outwards of the prediction, pixels, and the size of its step.
+    fn edge(&mut self) -> Option<(f64, f64)> {
         let c = self.channels;
         let range = PER_PIXEL..self.num_samples - PER_PIXEL;
         let mut largest = 0.0_f64;
@@ -160,9 +323,7 @@ impl Profile {
             self.step[k] = square.sqrt();
             largest = largest.max(self.step[k]);
         }
-        let size =
-            (self.values.iter().map(|v| v * v).sum::<f64>() / self.num_samples as f64).sqrt();
-        let limit = (EDGE_SHARE * largest).max(MIN_CONTRAST * size);
+        let limit = (EDGE_SHARE * largest).max(MIN_CONTRAST * self.size);
         let peak = (range.start + 1..range.end - 1).find(|&k| {
             self.step[k] >= limit
                 && self.step[k] >= self.step[k - 1]
@@ -175,7 +336,8 @@ impl Profile {
         } else {
             0.0
         };
-        Some((peak as f64 + offset.clamp(-0.5, 0.5)) * STEP_PX - self.inner_px)
+        let position = (peak as f64 + offset.clamp(-0.5, 0.5)) * STEP_PX - self.inner_px;
+        Some((position, here))
     }
 }
 
@@ -216,7 +378,7 @@ mod tests {
             radius: 0.08,
         };
         let image = render(&camera, &truth);
-        let found = refine_outline(&image, &camera, &guess, 4.0, None);
+        let found = refine_outline(&image, &camera, &guess, 4.0, None, Effort::Thorough);
         assert!(found.support() > 0.99, "support {}", found.support());
         let fit = super::super::cone_from_points(
             &found.points,

@@ -8,7 +8,7 @@
 //!    points, with a narrower search each time.
 
 use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
-use super::{SphereError, SphereInCamera, SphereOptions, outline_of_mark, refine_outline};
+use super::{Effort, SphereError, SphereInCamera, SphereOptions, outline_of_mark, refine_outline};
 use rilievo_scene::{
     Intrinsics, LinearImage, LocatedSphere, Mask, PhotoIdx, PhotoSet, PosedView, RigidTransform,
     SphereRequest,
@@ -170,6 +170,7 @@ fn edges_in_views(
                 &view.sphere(sphere),
                 search_px,
                 view.object.as_deref(),
+                Effort::Thorough,
             );
             // A quarter of the outline still fixes the ellipse's centre across that arc.
             let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;

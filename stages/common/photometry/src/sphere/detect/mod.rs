@@ -21,10 +21,10 @@ use super::{OutlineCone, SphereError, SphereInCamera, SphereOptions};
 use nalgebra::{Matrix3, Point3};
 use rayon::prelude::*;
 use rilievo_scene::{Intrinsics, LinearImage};
-use verify::{Candidate, Photo, shading_residual};
+use verify::{Candidate, Photo, shading};
 
 /// Circles that are looked at more closely per photo.
-const MAX_CIRCLES: usize = 60;
+const MAX_CIRCLES: usize = 40;
 /// Candidates kept per photo.
 const MAX_CANDIDATES: usize = 8;
 
@@ -38,7 +38,11 @@ fn candidates(photo: &Photo, options: &SphereOptions) -> Vec<Candidate> {
     let mut found: Vec<Candidate> = votes::circles(&edges, range, MAX_CIRCLES)
         .iter()
         .filter_map(|circle| verify::verify(photo, circle, options))
-        .filter(|candidate| candidate.shading < 2.0 * options.max_shading_residual)
+        .filter(|candidate| {
+            candidate
+                .shading
+                .is_sphere(2.0 * options.max_shading_residual)
+        })
         .collect();
     found.sort_by(|a, b| b.score(options).total_cmp(&a.score(options)));
     let mut kept: Vec<Candidate> = Vec::new();
@@ -80,7 +84,7 @@ pub fn detect_in_photo(
                 "the best candidate has {:.0} % of its outline on an edge and leaves {:.1} % of \
                  its shading unexplained; mark the sphere by hand",
                 100.0 * best.support,
-                100.0 * best.shading
+                100.0 * best.shading.residual
             ),
         }),
         None => Err(SphereError::NotFound {
@@ -247,8 +251,9 @@ fn confirm(
     fit: SphereFit,
     options: &SphereOptions,
 ) -> Result<SphereFit, SphereError> {
-    let mut shading: Vec<f64> = Vec::new();
-    let mut num_expected = 0;
+    let mut residuals: Vec<f64> = Vec::new();
+    let mut num_unlike = 0;
+    let mut num_expected = 0_usize;
     for view in images {
         let in_camera = view.sphere(&fit.sphere);
         let Some(cone) = in_camera.cone() else {
@@ -271,16 +276,25 @@ fn confirm(
             .iter()
             .any(|(photo, _)| *photo == view.photo)
         {
-            shading.extend(shading_residual(&as_photo(view), &cone));
+            let found = shading(&as_photo(view), &cone);
+            residuals.extend(found.map(|s| s.residual));
+            // Too few unclipped pixels say nothing; a photo that contradicts counts against it.
+            if found.is_some_and(|s| !s.is_sphere(2.0 * options.max_shading_residual)) {
+                num_unlike += 1;
+            }
         }
     }
     let num_seen = fit.sphere.seen_in.len();
-    let residual = crate::robust::quantile(&mut shading, 0.5).unwrap_or(f64::INFINITY);
-    if num_seen < 2 || 2 * num_seen < num_expected || residual > options.max_shading_residual {
+    let residual = crate::robust::quantile(&mut residuals, 0.5).unwrap_or(f64::INFINITY);
+    let num_alike = num_seen - num_unlike.min(num_seen);
+    // Two photos agree by chance now and then, three hardly ever.
+    let at_least: usize = if images.len() < 4 { 2 } else { 3 };
+    let needed = at_least.max((2 * num_expected).div_ceil(3));
+    if num_alike < needed || residual > options.max_shading_residual {
         return Err(SphereError::NotFound {
             why: format!(
-                "the best candidate is seen in {num_seen} of the {num_expected} photos that should \
-                 show it, and leaves {:.1} % of its shading unexplained; mark it in two photos",
+                "the best candidate looks like a sphere in {num_alike} photos ({needed} needed), \
+                 and leaves {:.1} % of its shading unexplained; mark it in two photos",
                 100.0 * residual
             ),
         });

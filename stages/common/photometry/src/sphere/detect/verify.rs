@@ -7,7 +7,7 @@
 use super::votes::Circle;
 use crate::harmonics::{FitOptions, fit_robust};
 use crate::sphere::{
-    OutlineCone, SphereOptions, cone_from_points, outline_of_mark, refine_outline,
+    Effort, OutlineCone, SphereOptions, cone_from_points, outline_of_mark, refine_outline,
 };
 use nalgebra::{Point2, Vector3};
 use rilievo_scene::{Intrinsics, LinearImage, Mask, SphereMark};
@@ -21,8 +21,8 @@ pub(super) struct Candidate {
     pub support: f64,
     /// Share of the outline inside the frame and not hidden by the object.
     pub visible: f64,
-    /// Relative residual of nine harmonics.
-    pub shading: f64,
+    /// Relative residual of nine harmonics, and what they explain.
+    pub shading: Shading,
 }
 
 impl Candidate {
@@ -30,7 +30,7 @@ impl Candidate {
     pub fn score(&self, options: &SphereOptions) -> f64 {
         self.support
             * self.visible.sqrt()
-            * (1.0 - 0.5 * (self.shading / options.max_shading_residual).min(2.0))
+            * (1.0 - 0.5 * (self.shading.residual / options.max_shading_residual).min(2.0))
     }
 }
 
@@ -68,6 +68,7 @@ pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) ->
             &cone.sphere(1.0),
             search_px,
             photo.object,
+            Effort::Quick,
         );
         if found.visible_share() < 0.3 {
             return None;
@@ -75,13 +76,17 @@ pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) ->
         let fit = cone_from_points(&found.points, photo.intrinsics, &loose).ok()?;
         cone = fit.cone;
         let support = fit.inliers.len() as f64 / found.num_searched.max(1) as f64;
+        // Most circles follow no edge at all: they need no second look.
+        if support < 0.5 * options.min_edge_support {
+            return None;
+        }
         best = Some((fit, support, found.visible_share()));
     }
     let (fit, support, visible) = best?;
     if support < options.min_edge_support {
         return None;
     }
-    let shading = shading_residual(photo, &cone)?;
+    let shading = shading(photo, &cone)?;
     Some(Candidate {
         cone,
         outline: fit.inliers,
@@ -94,14 +99,34 @@ pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) ->
 /// Share of samples that may be shadowed, dirty or hidden without counting against a candidate.
 const TOLERATED: f64 = 0.1;
 
-/// Relative residual of nine harmonics over the exact normals of a cone, root mean square over all
-/// but the worst tenth of its pixels; `None` with too few unclipped pixels.
-pub(in crate::sphere) fn shading_residual(photo: &Photo, cone: &OutlineCone) -> Option<f64> {
+/// How nine harmonics over the exact normals of a cone explain the pixels inside it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Shading {
+    /// Relative residual, root mean square over all but the worst tenth of the pixels.
+    pub residual: f64,
+    /// Share of the variance of brightness that is explained. A flat patch of background has a
+    /// small residual because it has little to explain; a sphere is shaded.
+    pub explained: f64,
+}
+
+impl Shading {
+    /// Smallest explained share of a sphere; noise and compression leave more than this of the
+    /// shading of any light with a direction.
+    const MIN_EXPLAINED: f64 = 0.8;
+
+    /// Whether a matte sphere looks like this.
+    pub fn is_sphere(&self, max_residual: f64) -> bool {
+        self.residual <= max_residual && self.explained >= Self::MIN_EXPLAINED
+    }
+}
+
+/// Measures it; `None` with too few unclipped pixels.
+pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     let sphere = cone.sphere(1.0);
     let radius_px = sphere.radius_px(photo.intrinsics);
     let pixels = sphere.pixels(photo.intrinsics, 2.0_f64.min(0.2 * radius_px));
     // A few thousand pixels tell as much as all.
-    let stride = pixels.len().div_ceil(3000).max(1);
+    let stride = pixels.len().div_ceil(1500).max(1);
     let (mut normals, mut values): (Vec<Vector3<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
     for pixel in pixels.iter().step_by(stride) {
         let hidden = photo
@@ -131,7 +156,13 @@ pub(in crate::sphere) fn shading_residual(photo: &Photo, cone: &OutlineCone) -> 
         .collect();
     residuals.sort_by(f64::total_cmp);
     let kept = ((1.0 - TOLERATED) * residuals.len() as f64) as usize;
-    let size: f64 = values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64;
+    let num = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / num;
+    let size = values.iter().map(|v| v * v).sum::<f64>() / num;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / num;
     let square = residuals[..kept].iter().sum::<f64>() / kept.max(1) as f64;
-    (size > 0.0).then(|| (square / size).sqrt())
+    (size > 0.0 && variance > 0.0).then(|| Shading {
+        residual: (square / size).sqrt(),
+        explained: 1.0 - square / variance,
+    })
 }

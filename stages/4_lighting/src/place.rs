@@ -1,0 +1,42 @@
+//! Whether the sphere stands where a reference sphere can stand.
+//!
+//! In a world whose scale comes from the sphere a wrong radius only rescales everything; with given
+//! poses it shows as a sphere far nearer or farther than the scene. Both are compared by distance
+//! from the cameras: the sphere against the median of the sparse points and anchors.
+
+use nalgebra::Point3;
+use rilievo_numerics::robust::median;
+use rilievo_scene::PosedViews;
+
+/// Ratio of distances beyond which the sphere cannot stand beside the object.
+const MAX_RATIO: f64 = 5.0;
+
+/// A warning where it does not stand near the scene.
+pub(crate) fn warn(posed: &PosedViews) -> Option<String> {
+    let sphere = posed.sphere.as_ref()?;
+    let center = Point3::from(sphere.center_in_world);
+    let mut ratios = Vec::new();
+    for view in &posed.views {
+        let to_sphere = view.cam_from_world.apply(&center).coords.norm();
+        let points = posed.points.iter().map(|p| p.position);
+        let anchors = posed.anchors.iter().map(|a| a.position);
+        // A few hundred points tell the distance of the scene.
+        let stride = ((posed.points.len() + posed.anchors.len()) / 500).max(1);
+        let mut distances: Vec<f64> = points
+            .chain(anchors)
+            .step_by(stride)
+            .map(|p| view.cam_from_world.apply(&Point3::from(p)).coords.norm())
+            .collect();
+        if let Some(scene) = median(&mut distances) {
+            ratios.push(to_sphere / scene);
+        }
+    }
+    let ratio = median(&mut ratios)?;
+    (!(1.0 / MAX_RATIO..MAX_RATIO).contains(&ratio)).then(|| {
+        format!(
+            "the sphere would stand at {ratio:.2} times the distance of the scene: its radius \
+             ({:.4}) does not fit the cameras' unit, or something else was taken for it",
+            sphere.radius
+        )
+    })
+}
