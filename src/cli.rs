@@ -1,6 +1,7 @@
 //! The command line, as other tools call it.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use rilievo_io::CameraFormat;
 use rilievo_scene::StageId;
 use std::path::PathBuf;
 
@@ -22,6 +23,8 @@ be used, 4 the data do not allow a result, 5 run directory in use, damaged or of
 pub enum Command {
     /// A synthetic scene, photographed, reconstructed and measured: about a minute
     Demo(DemoArgs),
+    /// Looks at photos and masks before anything is computed: what is good, what is not, what to do
+    Check(CheckArgs),
     /// Photographs to depth maps, a point cloud and a mesh
     Reconstruct(Box<ReconstructArgs>),
     /// One stage of a run again, with what the run directory says
@@ -38,6 +41,10 @@ pub enum Command {
     Evaluate(EvaluateArgs),
     /// A synthetic photo folder with ground truth
     Synth(SynthArgs),
+    /// Cameras of another program to cameras.json
+    Import(ImportArgs),
+    /// Cameras of a run, or of cameras.json, to another program's format
+    Export(ExportArgs),
 }
 
 /// `rilievo demo`
@@ -51,6 +58,54 @@ pub struct DemoArgs {
     pub seed: u64,
     #[command(flatten)]
     pub work: WorkArgs,
+}
+
+/// `rilievo check`
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// A folder of photos, or any number of files
+    #[arg(required = true, value_name = "PHOTOS")]
+    pub photos: Vec<PathBuf>,
+    /// Folder of object masks (white on black), named as the photos
+    #[arg(long, value_name = "DIR")]
+    pub masks: Option<PathBuf>,
+    /// Cameras: cameras.json, or another program's
+    #[arg(long, value_name = "FILE|DIR")]
+    pub cameras: Option<PathBuf>,
+    /// How samples relate to light
+    #[arg(long, value_name = "ENCODING")]
+    pub encoding: Option<Encoding>,
+    /// Options of the stages, as TOML
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    #[command(flatten)]
+    pub work: WorkArgs,
+}
+
+/// `rilievo import`
+#[derive(Debug, Args)]
+pub struct ImportArgs {
+    /// Another program's cameras: a file or a folder
+    pub source: PathBuf,
+    /// Its format; found out by default
+    #[arg(long, value_name = "FORMAT", value_parser = parse_format)]
+    pub format: Option<CameraFormat>,
+    /// The file to write
+    #[arg(short, long, value_name = "FILE", default_value = "cameras.json")]
+    pub output: PathBuf,
+}
+
+/// `rilievo export`
+#[derive(Debug, Args)]
+pub struct ExportArgs {
+    /// A run directory, or a camera file
+    pub source: PathBuf,
+    /// The format to write
+    #[arg(long, value_name = "FORMAT", value_parser = parse_format)]
+    pub format: CameraFormat,
+    /// The file or folder to write
+    #[arg(short, long, value_name = "PATH")]
+    pub output: PathBuf,
 }
 
 /// How to work, without any effect on results.
@@ -79,7 +134,7 @@ pub struct ReconstructArgs {
     /// Folder of object masks (white on black), named as the photos
     #[arg(long, value_name = "DIR")]
     pub masks: Option<PathBuf>,
-    /// Cameras: cameras.json, or the folder of a COLMAP model
+    /// Cameras: cameras.json, the folder of a COLMAP model, or another program's file
     #[arg(long, value_name = "FILE|COLMAP_DIR")]
     pub cameras: Option<PathBuf>,
     /// Reference sphere: its file, `auto` to find it, or `none`
@@ -312,6 +367,17 @@ fn parse_stage(text: &str) -> Result<StageId, String> {
             let names: Vec<_> = StageId::ALL.iter().map(|stage| stage.name()).collect();
             format!("stages are {}", names.join(", "))
         })
+}
+
+/// `colmap`, `transforms`, …
+fn parse_format(text: &str) -> Result<CameraFormat, String> {
+    CameraFormat::from_name(text).ok_or_else(|| {
+        let names: Vec<_> = CameraFormat::ALL
+            .iter()
+            .map(|format| format.name())
+            .collect();
+        format!("formats are {}", names.join(", "))
+    })
 }
 
 /// `800M`, `4G`, or a number of bytes.

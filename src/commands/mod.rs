@@ -1,5 +1,7 @@
 //! One file per command of the command line.
 
+mod cameras;
+mod check;
 mod clean;
 mod demo;
 mod evaluate;
@@ -30,6 +32,9 @@ pub fn dispatch(command: Command) -> anyhow::Result<()> {
         Command::Shade(args) => shade::shade(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Synth(args) => synth::synth(&args),
+        Command::Check(args) => check::check(&args),
+        Command::Import(args) => cameras::import(&args),
+        Command::Export(args) => cameras::export(&args),
     }
 }
 

@@ -3,7 +3,10 @@
 use super::request::{LightingInput, Request, SphereInput};
 use crate::exit::{Failure, Problem};
 use crate::store::{Contents, hash_json};
-use rilievo_io::{CameraEntry, SphereFile, find_mask, read_cameras, read_sphere_file};
+use rilievo_io::{
+    CameraEntry, CameraFile, CameraFormat, IoError, SphereFile, find_mask, import_cameras,
+    is_mask_among, read_cameras, read_sphere_file,
+};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -51,7 +54,7 @@ impl Inputs {
         let cameras = request
             .cameras
             .as_deref()
-            .map(read_cameras)
+            .map(any_cameras)
             .transpose()
             .map_err(super::errors::from_io)?;
         let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
@@ -154,6 +157,14 @@ impl Inputs {
     }
 }
 
+/// Cameras of any format that can be told by its name and first words.
+fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
+    match CameraFormat::detect(path) {
+        Some(format) => import_cameras(path, format),
+        None => read_cameras(path),
+    }
+}
+
 /// Photo files of folders and arguments, in the order of their names.
 fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Failure> {
     let mut files = Vec::new();
@@ -183,6 +194,17 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
                 });
             }
         }
+        let names: Vec<String> = found.iter().map(|path| text_of(path.file_name())).collect();
+        found.retain(|path| {
+            let mask = is_mask_among(&text_of(path.file_name()), &names);
+            if mask {
+                skipped.push(Problem {
+                    file: path.clone(),
+                    reason: "is a mask by its name, not a photo; passed over".to_owned(),
+                });
+            }
+            !mask
+        });
         if found.is_empty() {
             return Err(Failure::input(
                 argument,

@@ -3,8 +3,10 @@
 use super::Context;
 use super::errors::from_io;
 use super::inputs::{Inputs, PhotoInput};
-use super::parallel::map_items;
+use super::parallel::{Resources, map_items};
+use super::request::Request;
 use crate::exit::{Failure, Problem};
+use crate::observe::Console;
 use crate::store::{Item, StageWriter, StoreError, hash_json};
 use rilievo_io::{LinearFile, decode_photo, read_mask, write_linear, write_mask};
 use rilievo_photos::{
@@ -113,8 +115,65 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     for warning in &report.warnings {
         context.console.warn(StageId::Photos, warning.clone());
     }
-    preflight(&report, context);
+    preflight(&report, context.console);
     Ok(serde_json::to_value(report)?)
+}
+
+/// The preflight alone: what the photos are, and every file that cannot be used, without keeping
+/// anything.
+///
+/// # Errors
+/// When the user asked to stop, or no photo is left to report on.
+pub fn check(
+    request: &Request,
+    inputs: &Inputs,
+    resources: Resources,
+    console: &Console,
+) -> anyhow::Result<(PhotosReport, Vec<Problem>)> {
+    let checked = map_items(
+        &inputs.photos,
+        resources.at_once(largest_photo_px(inputs) * BYTES_PER_PX),
+        StageId::Photos,
+        "reading photos",
+        console,
+        |photo| {
+            // Only the facts are kept: a large set need not fit into memory.
+            prepare(request, photo).map(|prepared| PreparedPhoto {
+                pixels: Arc::new(LinearFile {
+                    path: photo.path.clone(),
+                }),
+                ..prepared
+            })
+        },
+    )
+    .ok_or(Failure::Interrupted)?;
+    let mut usable = Vec::new();
+    let mut problems = Vec::new();
+    for (photo, outcome) in inputs.photos.iter().zip(checked) {
+        match outcome {
+            Ok(prepared) => usable.push(prepared),
+            Err(Trouble::Photo(reason)) => problems.push(Problem {
+                file: photo.path.clone(),
+                reason,
+            }),
+            Err(Trouble::Request(problem)) => problems.push(problem),
+            Err(Trouble::Fatal(error)) => return Err(error),
+        }
+    }
+    if usable.is_empty() {
+        return Err(Failure::Input(problems).into());
+    }
+    let (_, mut report) = rilievo_photos::assemble(usable, &request.options.photos)
+        .map_err(|error| Failure::NoResult(error.to_string()))?;
+    report.rejected = problems
+        .iter()
+        .map(|problem| RejectedPhoto {
+            file: problem.file.display().to_string(),
+            reason: problem.reason.clone(),
+        })
+        .collect();
+    preflight(&report, console);
+    Ok((report, problems))
 }
 
 /// Photos of a committed stage 1.
@@ -181,7 +240,7 @@ fn one(
     {
         return Ok(kept);
     }
-    let (kept, files) = match prepare(context, photo) {
+    let (kept, files) = match prepare(context.request, photo) {
         Ok(prepared) => write(writer, prepared)?,
         Err(Trouble::Photo(reason)) => {
             let rejected = RejectedPhoto {
@@ -197,7 +256,7 @@ fn one(
     Ok(kept)
 }
 
-fn prepare(context: &Context<'_>, photo: &PhotoInput) -> Result<PreparedPhoto, Trouble> {
+fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Trouble> {
     let decoded = decode_photo(&photo.path).map_err(|error| {
         let hint = error
             .hint
@@ -216,7 +275,7 @@ fn prepare(context: &Context<'_>, photo: &PhotoInput) -> Result<PreparedPhoto, T
             })?)
         }
         None if decoded.alpha.is_some() => decoded.alpha.clone(),
-        None => match &context.request.masks {
+        None => match &request.masks {
             Some(folder) => {
                 return Err(Trouble::Request(Problem {
                     file: photo.path.clone(),
@@ -234,7 +293,7 @@ fn prepare(context: &Context<'_>, photo: &PhotoInput) -> Result<PreparedPhoto, T
         intrinsics: camera.intrinsics,
         cam_from_world: camera.cam_from_world,
     });
-    let options = &context.request.options.photos;
+    let options = &request.options.photos;
     rilievo_photos::prepare(decoded, mask, camera, options).map_err(|error| match error {
         PhotosError::MaskMissing { .. }
         | PhotosError::MaskSize { .. }
@@ -245,8 +304,7 @@ fn prepare(context: &Context<'_>, photo: &PhotoInput) -> Result<PreparedPhoto, T
             reason: error.to_string(),
         }),
         PhotosError::CameraSize { .. } => Trouble::Request(Problem {
-            file: context
-                .request
+            file: request
                 .cameras
                 .clone()
                 .unwrap_or_else(|| photo.path.clone()),
@@ -285,12 +343,12 @@ fn largest_photo_px(inputs: &Inputs) -> u64 {
 }
 
 /// One line per photo: what was found before anything is computed.
-fn preflight(report: &PhotosReport, context: &Context<'_>) {
+fn preflight(report: &PhotosReport, console: &Console) {
     for photo in &report.photos {
         let mask = photo.mask_coverage.map_or("no mask".to_owned(), |share| {
             format!("mask {:.1} %", 100.0 * share)
         });
-        context.console.note(&format!(
+        console.note(&format!(
             "  {}: {} x {}, focal {:.0} px ({}), {mask}, {:.2} % clipped",
             photo.file_name,
             photo.width,
@@ -301,7 +359,7 @@ fn preflight(report: &PhotosReport, context: &Context<'_>) {
         ));
     }
     if report.num_masks > 0 {
-        context.console.note(&format!(
+        console.note(&format!(
             "  masks: {}/{} matched, mean coverage {:.1} %",
             report.num_masks,
             report.photos.len(),

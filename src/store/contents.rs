@@ -41,6 +41,15 @@ impl Contents {
         }
     }
 
+    /// Nothing remembered, nothing to be kept.
+    pub fn without_memory() -> Self {
+        Self {
+            file: PathBuf::new(),
+            known: BTreeMap::new(),
+            changed: false,
+        }
+    }
+
     /// Content hash of a file.
     ///
     /// # Errors

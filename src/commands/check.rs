@@ -1,0 +1,66 @@
+//! `rilievo check PHOTOS`: the preflight alone, in seconds.
+
+use super::finish;
+use crate::cli::CheckArgs;
+use crate::config::StageOptions;
+use crate::exit::Failure;
+use crate::observe::Console;
+use crate::pipeline::{Inputs, LightingInput, Request, Resources, SphereInput, check_photos};
+use crate::store::Contents;
+use rilievo_photos::PhotosReport;
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Input`] with every file that cannot be used, after the good ones were reported on.
+pub fn check(args: &CheckArgs) -> anyhow::Result<()> {
+    let console = Console::new(args.work.json);
+    let mut report = None;
+    let outcome = look(args, &console, &mut report);
+    finish(&console, &outcome, serde_json::json!({"report": report}));
+    outcome
+}
+
+fn look(
+    args: &CheckArgs,
+    console: &Console,
+    told: &mut Option<PhotosReport>,
+) -> anyhow::Result<()> {
+    let mut options = match &args.config {
+        Some(path) => StageOptions::read(path)?,
+        None => StageOptions::default(),
+    };
+    options.override_with(None, None, args.encoding);
+    options.validate()?;
+    let request = Request {
+        photos: args.photos.clone(),
+        masks: args.masks.clone(),
+        cameras: args.cameras.clone(),
+        sphere: SphereInput::None,
+        lighting: LightingInput::Found,
+        options,
+    };
+    let inputs = Inputs::scan(&request, &mut Contents::without_memory())?;
+    for problem in &inputs.skipped {
+        console.note(&format!("  {problem}"));
+    }
+    for warning in &inputs.warnings {
+        console.note(&format!("  warning: {warning}"));
+    }
+    let resources = Resources::new(&args.work);
+    let (report, problems) = check_photos(&request, &inputs, resources, console)?;
+    for warning in &report.warnings {
+        console.note(&format!("  warning: {warning}"));
+    }
+    let usable = report.photos.len();
+    *told = Some(report);
+    if problems.is_empty() {
+        console.note(&format!("all {usable} photos can be used"));
+        return Ok(());
+    }
+    console.note(&format!(
+        "{usable} photos can be used, {} cannot",
+        problems.len()
+    ));
+    Err(Failure::Input(problems).into())
+}
