@@ -123,14 +123,42 @@ fn errors(data: &Path, solution: &ShadingSolution, at: usize) -> Result<[f64; 4]
     ])
 }
 
+/// `-noise`: half a pixel of noise on every coordinate; `-false`: that, and every twentieth match
+/// replaced by a false one.
+fn disturbed(mut pixels: Vec<[f64; 4]>, kind: &str) -> Vec<[f64; 4]> {
+    let mut state = 12345_u64;
+    let mut uniform = || {
+        state = state
+            .wrapping_mul(6364136223846793005)
+            .wrapping_add(1442695040888963407);
+        (state >> 11) as f64 / (1_u64 << 53) as f64
+    };
+    if kind == "-noise" || kind == "-false" {
+        for value in pixels.iter_mut().flatten() {
+            let normal = (-2.0 * uniform().max(1e-12).ln()).sqrt()
+                * (std::f64::consts::TAU * uniform()).cos();
+            *value += 0.5 * normal;
+        }
+    }
+    if kind == "-false" {
+        let num = pixels.len();
+        for k in (7..num).step_by(20) {
+            let other = pixels[((uniform() * num as f64) as usize).min(num - 1)];
+            pixels[k][2] = other[2];
+            pixels[k][3] = other[3];
+        }
+    }
+    pixels
+}
+
 fn case_problem(data: &Path, case: &str) -> Result<ShadingProblem, Failure> {
     let (light, start) = case.split_once('-').ok_or("a case is LIGHT-START")?;
     let mut problem = ShadingProblem::default();
-    if start == "two" {
+    if let Some(kind) = start.strip_prefix("two") {
         for name in ["view1", "view2"] {
             problem.views.push(read_view(data, name, light, "flat")?);
         }
-        let pixels = std::fs::read_to_string(data.join("matches.csv"))?
+        let pixels: Vec<[f64; 4]> = std::fs::read_to_string(data.join("matches.csv"))?
             .lines()
             .skip(1)
             .filter_map(|line| {
@@ -140,7 +168,7 @@ fn case_problem(data: &Path, case: &str) -> Result<ShadingProblem, Failure> {
             .collect();
         problem.matches.push(ViewMatches {
             views: [0, 1],
-            pixels,
+            pixels: disturbed(pixels, kind),
         });
     } else {
         problem.views.push(read_view(data, "view1", light, start)?);

@@ -2,6 +2,7 @@
 
 mod error;
 mod levels;
+mod linearized;
 mod matches;
 mod model;
 mod options;

@@ -30,7 +30,7 @@ const START_SLOPE_ERROR: f64 = 0.3;
 /// The penalty's end in units of `s₁²`.
 const BETA_END: f64 = 15.0;
 /// Its start where pixels determine their normals, in units of `s₂²`.
-const DETERMINED_START: f64 = 0.05;
+const DETERMINED_START: f64 = 0.12;
 /// Its start where they do not, in units of `s₁²`: with anchors, and with nothing but the start.
 const ANCHORED_START: f64 = 2.0;
 const UNANCHORED_START: f64 = 10.0;

@@ -106,6 +106,11 @@ pub(crate) fn solve(
         let restricted = restrict_nodes(&fine.grid, &starts[starts.len() - 1], &coarse.grid);
         starts.push(restricted);
     }
+    let mut ties = vec![setting.ties.clone()];
+    for (fine, coarse) in levels.iter().zip(&levels[1..]) {
+        let coarser = restrict_ties(&ties[ties.len() - 1], &fine.grid, &coarse.grid);
+        ties.push(coarser);
+    }
     let mut outcome = Outcome::default();
     let mut coarse_result: Option<(Vec<f32>, Vec<f32>)> = None;
     for (step, course) in setting.courses.iter().enumerate() {
@@ -118,7 +123,15 @@ pub(crate) fn solve(
             let coarse = &levels[at + 1].grid;
             add_change(coarse, before, after, &level.grid, &mut nodes);
         }
-        solve_level(at, level, &mut nodes, course, setting, &mut outcome)?;
+        solve_level(
+            at,
+            level,
+            &mut nodes,
+            course,
+            &ties[at],
+            setting,
+            &mut outcome,
+        )?;
         if at == 0 {
             *y = nodes;
         } else {
@@ -136,6 +149,7 @@ fn solve_level(
     level: &Level,
     y: &mut [f32],
     course: &Course,
+    ties: &Ties,
     setting: &Setting,
     outcome: &mut Outcome,
 ) -> Result<(), ShadingError> {
@@ -144,7 +158,6 @@ fn solve_level(
     let zeros = || vec![0.0_f32; padded];
     let started = Instant::now();
     let mut system = CornerPoisson::new(grid, &vec![1.0; grid.num_cells], HOURGLASS);
-    let ties = setting.ties;
     let tied = !ties.is_empty();
     let (mut gp, mut gq) = (zeros(), zeros());
     slopes(grid, setting.aspect, y, &mut gp, &mut gq);
@@ -221,17 +234,37 @@ fn solve_level(
     Ok(())
 }
 
-/// Anchors and prior in units of β/2, and their part of the right-hand side.
-fn apply_ties(system: &mut CornerPoisson, level: &Level, ties: &Ties, beta: f32, rhs: &mut [f32]) {
-    let by = 2.0 / beta;
-    let constraints: Vec<PointConstraint> = ties
-        .points
+/// Ties of a coarser level: points are placed by position, masses by node. In the coarse unknown,
+/// half as large, a squared difference counts four times; so do the four fine nodes of a coarse one,
+/// which the coarse pixel's fourfold area cancels.
+fn restrict_ties(ties: &Ties, fine: &CornerGrid, coarse: &CornerGrid) -> Ties {
+    if ties.mass.is_empty() {
+        return ties.clone();
+    }
+    let mut mass = restrict_nodes(fine, &ties.mass, coarse);
+    mass.iter_mut().for_each(|m| *m = (8.0 * *m).max(0.0));
+    Ties {
+        points: ties.points.clone(),
+        mass,
+        wanted: restrict_nodes(fine, &ties.wanted, coarse),
+    }
+}
+
+/// Point constraints of a level, their weights multiplied by `by`.
+pub(crate) fn constraints_of(level: &Level, ties: &Ties, by: f32) -> Vec<PointConstraint> {
+    ties.points
         .iter()
         .filter_map(|&(pixel, weight, value)| {
             place_constraint(&level.grid, level.scale, pixel, by * weight, value)
         })
-        .collect();
-    if level.scale == 1.0 && !ties.mass.is_empty() {
+        .collect()
+}
+
+/// Anchors and prior in units of β/2, and their part of the right-hand side.
+fn apply_ties(system: &mut CornerPoisson, level: &Level, ties: &Ties, beta: f32, rhs: &mut [f32]) {
+    let by = 2.0 / beta;
+    let constraints = constraints_of(level, ties, by);
+    if !ties.mass.is_empty() {
         let mass: Vec<f32> = ties.mass.iter().map(|m| by * m).collect();
         for (rhs, (mass, wanted)) in rhs.iter_mut().zip(mass.iter().zip(&ties.wanted)) {
             *rhs += mass * wanted;

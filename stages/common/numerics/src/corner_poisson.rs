@@ -166,6 +166,19 @@ impl CornerPoisson {
         tolerance: f64,
         max_num_iterations: usize,
     ) -> CgInfo {
+        self.solve_with(rhs, x, tolerance, max_num_iterations, |_, _| {})
+    }
+
+    /// The same for `A + B`, where `add_product(x, out)` adds `B x` to `out`; `A + B` must be
+    /// positive definite, and `A` alone is the preconditioner.
+    pub fn solve_with(
+        &mut self,
+        rhs: &[f32],
+        x: &mut [f32],
+        tolerance: f64,
+        max_num_iterations: usize,
+        mut add_product: impl FnMut(&[f32], &mut [f32]),
+    ) -> CgInfo {
         let stride = self.operator.stride;
         let mut image = std::mem::take(&mut self.image);
         let mut r = std::mem::take(&mut self.r);
@@ -173,6 +186,7 @@ impl CornerPoisson {
         let mut preconditioned = std::mem::take(&mut self.preconditioned);
 
         self.apply(x, &mut image);
+        add_product(x, &mut image);
         for_rows(stride, &mut r, |y, r| {
             let range = y * stride..(y + 1) * stride;
             for ((r, b), a) in r.iter_mut().zip(&rhs[range.clone()]).zip(&image[range]) {
@@ -206,6 +220,7 @@ impl CornerPoisson {
                 });
             }
             self.apply(&direction, &mut image);
+            add_product(&direction, &mut image);
             let curvature = dot(stride, &direction, &image);
             if curvature.is_nan() || curvature <= 0.0 {
                 break;

@@ -1,0 +1,319 @@
+//! The paper's own solver, and the fixed point that it is compared with.
+//!
+//! **Problem.** With the normal's length and the second-order harmonics frozen at slopes `θ`, the
+//! model is linear in the slopes `g = ∇y` (eq. 6–8):
+//!
+//! ```text
+//! S(g; θ) = a(θ)·g − b̃(θ),   a = [l₁ − X l₃, l₂ − Y l₃]/d(θ),   b̃ = l₃/d(θ) − l₄ − second(n(θ)).
+//! ```
+//!
+//! * [`Method::Splitting`] (eq. 9–12), scaled dual `u`:
+//!   `y ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²`, whose matrix changes with θ;
+//!   `θ ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²` per pixel; `u ← u + ∇y − θ`; β doubles when
+//!   the primal residual exceeds ten times the dual one and halves in the other case (He et al. 2000).
+//! * [`Method::FixedPoint`]: `y ← argmin Σ (S(∇y; ∇y_before) − I)²`, nothing else. The paper shows
+//!   that it fails; it stands here for comparison only.
+//!
+//! Both stop when the energy changes by less than a relative tolerance. The z-step is solved by
+//! conjugate gradients with the isotropic multigrid of the same mean weight as preconditioner.
+//!
+//! Source: Quéau et al., ICCV 2017 (`queau2017`); He, Yang, Wang 2000 (`he2000`).
+
+use crate::error::ShadingError;
+use crate::levels::Level;
+use crate::model::Facet;
+use crate::pixels::Pixels;
+use crate::solution::{IterationRecord, Termination};
+use crate::splitting::{HOURGLASS, Ties, constraints_of, slopes};
+use rayon::prelude::*;
+use rilievo_numerics::corner_poisson::CornerPoisson;
+use rilievo_scene::{Event, Flow, Observer, StageId};
+
+/// First penalty of the paper's splitting, for intensities with white at 1.
+const BETA_START: f64 = 1.0;
+/// Imbalance of residuals at which the penalty is changed, and by how much.
+const BALANCE: f64 = 10.0;
+const BETA_FACTOR: f64 = 2.0;
+/// Fewest iterations before the energy may stop the iteration.
+const MIN_ITERATIONS: usize = 6;
+/// Regularisation of the fixed point, against pixels whose `a` vanishes.
+const FIXED_POINT_DAMPING: f64 = 1e-4;
+
+/// Which of the two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Method {
+    Splitting,
+    FixedPoint,
+}
+
+/// What the iteration needs beside the level.
+pub(crate) struct Setting<'a> {
+    pub(crate) method: Method,
+    pub(crate) ties: &'a Ties,
+    pub(crate) aspect: [f32; 2],
+    /// Unit of intensities: penalties scale with its square.
+    pub(crate) white: f64,
+    pub(crate) max_num_iterations: usize,
+    pub(crate) relative_tolerance: f64,
+    pub(crate) observer: &'a dyn Observer,
+}
+
+/// The linear model of one channel at frozen slopes: `S(g) = a·g + constant`.
+fn linear_model(facet: &Facet, ray: [f32; 2], l: &[f32; 9]) -> ([f32; 2], f32) {
+    let i = 1.0 / facet.length();
+    let mut second = *l;
+    second[..3].fill(0.0);
+    (
+        [i * (l[0] - ray[0] * l[2]), i * (l[1] - ray[1] * l[2])],
+        -l[2] * i + facet.shade(&second).0,
+    )
+}
+
+/// θ-step of one pixel: damped Gauss-Newton over the slopes that freeze the model.
+fn freeze(
+    pixels: &Pixels,
+    k: usize,
+    g: [f32; 2],
+    target: [f32; 2],
+    beta: f32,
+    start: [f32; 2],
+) -> [f32; 2] {
+    let ray = [pixels.ray_x[k], pixels.ray_y[k]];
+    let half = 0.5 * beta;
+    let evaluate = |theta: [f32; 2]| {
+        let facet = Facet::new(ray, theta);
+        let i = 1.0 / facet.length();
+        // ∂(1/d) = −(∂ ln d)/d.
+        let [dp, dq] = facet.length_gradient().map(|e| -e * i * i);
+        let away = [theta[0] - target[0], theta[1] - target[1]];
+        let mut value = half * (away[0] * away[0] + away[1] * away[1]);
+        let mut gradient = [half * away[0], half * away[1]];
+        let mut hessian = [half, 0.0, half];
+        for c in 0..pixels.channels {
+            let l = pixels.light(c, k);
+            let numerator = (l[0] - ray[0] * l[2]) * g[0] + (l[1] - ray[1] * l[2]) * g[1] - l[2];
+            let mut second = l;
+            second[..3].fill(0.0);
+            let (rest, [sp, sq]) = facet.shade(&second);
+            let r = numerator * i + rest - pixels.intensity[c * pixels.padded + k];
+            let j = [numerator * dp + sp, numerator * dq + sq];
+            let w = pixels.weight[k];
+            value += w * r * r;
+            gradient[0] += w * j[0] * r;
+            gradient[1] += w * j[1] * r;
+            hessian[0] += w * j[0] * j[0];
+            hessian[1] += w * j[0] * j[1];
+            hessian[2] += w * j[1] * j[1];
+        }
+        (value, gradient, hessian)
+    };
+    let (mut theta, mut damping) = (start, 1e-4_f32);
+    let mut model = evaluate(theta);
+    for _ in 0..5 {
+        let (_, gradient, h) = model;
+        let (a, b, d) = (h[0] + damping, h[1], h[2] + damping);
+        let inverse = 1.0 / (a * d - b * b);
+        let trial = [
+            theta[0] - (d * gradient[0] - b * gradient[1]) * inverse,
+            theta[1] - (a * gradient[1] - b * gradient[0]) * inverse,
+        ];
+        let at_trial = evaluate(trial);
+        if at_trial.0 <= model.0 {
+            (theta, model) = (trial, at_trial);
+            damping *= 0.3;
+        } else {
+            damping = 10.0 * damping + 1e-4;
+        }
+    }
+    theta
+}
+
+/// Per-pixel tensors `T = Σ w a aᵀ + β/2` and vectors `v` of the z-step `min gᵀTg − 2 v·g`.
+struct Quadratics {
+    tensor: [Vec<f32>; 3],
+    vector: [Vec<f32>; 2],
+}
+
+fn assemble(
+    pixels: &Pixels,
+    theta: (&[f32], &[f32]),
+    wanted: (&[f32], &[f32]),
+    beta: f32,
+) -> Quadratics {
+    let zeros = || vec![0.0_f32; pixels.padded];
+    let mut out = Quadratics {
+        tensor: [zeros(), zeros(), zeros()],
+        vector: [zeros(), zeros()],
+    };
+    let half = 0.5 * beta;
+    for k in 0..pixels.len {
+        let ray = [pixels.ray_x[k], pixels.ray_y[k]];
+        let facet = Facet::new(ray, [theta.0[k], theta.1[k]]);
+        let (mut t, mut v) = ([half, 0.0, half], [half * wanted.0[k], half * wanted.1[k]]);
+        for c in 0..pixels.channels {
+            let (a, constant) = linear_model(&facet, ray, &pixels.light(c, k));
+            let b = pixels.intensity[c * pixels.padded + k] - constant;
+            let w = pixels.weight[k];
+            t[0] += w * a[0] * a[0];
+            t[1] += w * a[0] * a[1];
+            t[2] += w * a[1] * a[1];
+            v[0] += w * a[0] * b;
+            v[1] += w * a[1] * b;
+        }
+        for j in 0..3 {
+            out.tensor[j][k] = t[j];
+        }
+        out.vector[0][k] = v[0];
+        out.vector[1][k] = v[1];
+    }
+    out
+}
+
+/// Solves the z-step from the present `y`.
+fn integrate(level: &Level, quadratics: &Quadratics, setting: &Setting, y: &mut [f32]) {
+    let (grid, pixels) = (&level.grid, &level.pixels);
+    let t = &quadratics.tensor;
+    let mean: Vec<f32> = (0..pixels.len).map(|k| 0.5 * (t[0][k] + t[2][k])).collect();
+    let mut system = CornerPoisson::new(grid, &mean, HOURGLASS);
+    // Ties count against the whole term here, not against β/2.
+    let constraints = constraints_of(level, setting.ties, 1.0);
+    let mass = (!setting.ties.mass.is_empty()).then_some(setting.ties.mass.as_slice());
+    system.set_constraints(mass, &constraints);
+    let isotropic: Vec<f32> = mean;
+    let (mut p, mut q) = (vec![0.0; pixels.padded], vec![0.0; pixels.padded]);
+    let mut rhs = vec![0.0; grid.padded_len()];
+    grid.add_divergence(1.0, &quadratics.vector[0], &quadratics.vector[1], &mut rhs);
+    if let Some(mass) = mass {
+        for (rhs, (mass, wanted)) in rhs.iter_mut().zip(mass.iter().zip(&setting.ties.wanted)) {
+            *rhs += mass * wanted;
+        }
+    }
+    system.add_constraints_to(&mut rhs);
+    // A = isotropic operator with hourglass and ties, plus Gᵀ (T − mean I) G.
+    let mut anisotropic = |x: &[f32], out: &mut [f32]| {
+        grid.gradient(x, &mut p, &mut q);
+        for k in 0..pixels.len {
+            let (gp, gq) = (p[k], q[k]);
+            p[k] = (t[0][k] - isotropic[k]) * gp + t[1][k] * gq;
+            q[k] = t[1][k] * gp + (t[2][k] - isotropic[k]) * gq;
+        }
+        grid.add_divergence(1.0, &p, &q, out);
+    };
+    system.solve_with(&rhs, y, 1e-2, 30, &mut anisotropic);
+}
+
+/// Iterates from `y`; returns records and why it ended.
+pub(crate) fn solve(
+    level: &Level,
+    y: &mut [f32],
+    setting: &Setting,
+) -> Result<(Vec<IterationRecord>, Termination), ShadingError> {
+    let pixels = &level.pixels;
+    let zeros = || vec![0.0_f32; pixels.padded];
+    let (mut gp, mut gq) = (zeros(), zeros());
+    slopes(&level.grid, setting.aspect, y, &mut gp, &mut gq);
+    let (mut p, mut q) = (gp.clone(), gq.clone());
+    let (mut u, mut v) = (zeros(), zeros());
+    let unit = setting.white * setting.white;
+    let splitting = setting.method == Method::Splitting;
+    let mut beta = unit
+        * if splitting {
+            BETA_START
+        } else {
+            FIXED_POINT_DAMPING
+        };
+    let mut records: Vec<IterationRecord> = Vec::new();
+    for iteration in 0..setting.max_num_iterations {
+        let wanted: (Vec<f32>, Vec<f32>) = (
+            p.iter().zip(&u).map(|(p, u)| p - u).collect(),
+            q.iter().zip(&v).map(|(q, v)| q - v).collect(),
+        );
+        let quadratics = assemble(pixels, (&p, &q), (&wanted.0, &wanted.1), beta as f32);
+        integrate(level, &quadratics, setting, y);
+        let (old_p, old_q) = (p.clone(), q.clone());
+        slopes(&level.grid, setting.aspect, y, &mut gp, &mut gq);
+        if splitting {
+            let theta: Vec<[f32; 2]> = (0..pixels.len)
+                .into_par_iter()
+                .with_min_len(4096)
+                .map(|k| {
+                    let g = [gp[k], gq[k]];
+                    let target = [g[0] + u[k], g[1] + v[k]];
+                    freeze(pixels, k, g, target, beta as f32, [p[k], q[k]])
+                })
+                .collect();
+            for (k, [tp, tq]) in theta.into_iter().enumerate() {
+                p[k] = tp;
+                q[k] = tq;
+                u[k] += gp[k] - tp;
+                v[k] += gq[k] - tq;
+            }
+        } else {
+            p.copy_from_slice(&gp);
+            q.copy_from_slice(&gq);
+        }
+        let n = pixels.len as f64;
+        let squared = |a: &[f32], b: &[f32]| -> f64 {
+            a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum()
+        };
+        let primal = ((squared(&gp, &p) + squared(&gq, &q)) / n).sqrt();
+        let dual = ((squared(&p, &old_p) + squared(&q, &old_q)) / n).sqrt();
+        let rms = crate::result::rms_residual(pixels, &gp, &gq);
+        let energy = rms * rms * n * pixels.channels as f64;
+        let record = IterationRecord {
+            level: 0,
+            beta,
+            energy,
+            primal_residual: primal,
+            dual_residual: dual,
+        };
+        let before = records.last().map(|record| record.energy);
+        records.push(record);
+        let flow = setting.observer.event(Event::Iteration {
+            stage: StageId::Shading,
+            iteration,
+            max_num_iterations: setting.max_num_iterations,
+            energy,
+            primal_residual: Some(primal),
+            dual_residual: Some(dual),
+            beta: Some(beta),
+        });
+        if flow == Flow::Stop {
+            return Err(ShadingError::Interrupted);
+        }
+        let settled = before.is_some_and(|before| {
+            (before - energy).abs() <= setting.relative_tolerance * before.max(f64::MIN_POSITIVE)
+        });
+        if settled && records.len() >= MIN_ITERATIONS {
+            return Ok((records, Termination::Converged));
+        }
+        if splitting {
+            let factor = if primal > BALANCE * dual {
+                BETA_FACTOR
+            } else if dual > BALANCE * primal {
+                1.0 / BETA_FACTOR
+            } else {
+                1.0
+            };
+            beta *= factor;
+            let scale = (1.0 / factor) as f32;
+            u.iter_mut().chain(&mut v).for_each(|u| *u *= scale);
+        }
+    }
+    Ok((records, Termination::MaxIterations))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_frozen_model_is_the_model_where_it_is_frozen() {
+        let l = [-0.2, 0.3, -1.0, 0.4, 0.1, -0.1, -0.2, 0.15, 0.05];
+        let (ray, slopes) = ([0.2, -0.1], [0.7, -0.4]);
+        let facet = Facet::new(ray, slopes);
+        let (a, constant) = linear_model(&facet, ray, &l);
+        let frozen = a[0] * slopes[0] + a[1] * slopes[1] + constant;
+        assert!((frozen - facet.shade(&l).0).abs() < 1e-6, "{frozen}");
+    }
+}
