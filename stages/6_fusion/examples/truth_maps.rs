@@ -92,7 +92,7 @@ fn read_ply(path: &Path) -> Fallible<Mesh> {
 fn smooth(view: usize, x: f64, y: f64) -> f64 {
     let phase = 1.7 * view as f64;
     let waves = (x / 260.0 + phase).sin() * (y / 310.0 - 0.6 * phase).cos();
-    0.7 * if view % 2 == 0 { 1.0 } else { -1.0 } + 0.6 * waves
+    [0.7, -0.7][view % 2] + 0.6 * waves
 }
 
 /// White noise of unit variance from integers.

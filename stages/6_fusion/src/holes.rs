@@ -28,10 +28,7 @@ pub(crate) fn close(mesh: &mut Mesh) {
     while let Some((&start, _)) = next.first_key_value() {
         let mut ring = vec![start];
         let mut at = start;
-        loop {
-            let Some(successors) = next.get_mut(&at) else {
-                break;
-            };
+        while let Some(successors) = next.get_mut(&at) {
             let to = successors.pop();
             if successors.is_empty() {
                 next.remove(&at);

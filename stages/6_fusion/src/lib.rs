@@ -114,20 +114,23 @@ pub fn run(
     report.views = view_reports;
 
     let mut mesh = Mesh::default();
-    if options.mesh {
-        if let Some(volume) = tsdf::integrate(&views, options, observer)? {
-            let (extracted, mesh_report) = surface::extract(&volume, &points, options, observer)?;
-            mesh = extracted;
-            if mesh_report.coarsened_by > 1.0 {
-                let message = format!(
-                    "the mesh's cells are {:.2} times larger than asked for, to stay within {} \
-                     MiB; raise memory_mib for more detail",
-                    mesh_report.coarsened_by, options.memory_mib
-                );
-                warn(&mut report, message)?;
-            }
-            report.mesh = Some(mesh_report);
+    let volume = if options.mesh {
+        tsdf::integrate(&views, options, observer)?
+    } else {
+        None
+    };
+    if let Some(volume) = volume {
+        let (extracted, mesh_report) = surface::extract(&volume, &points, options, observer)?;
+        mesh = extracted;
+        if mesh_report.coarsened_by > 1.0 {
+            let message = format!(
+                "the mesh's cells are {:.2} times larger than asked for, to stay within {} MiB; \
+                 raise memory_mib for more detail",
+                mesh_report.coarsened_by, options.memory_mib
+            );
+            warn(&mut report, message)?;
         }
+        report.mesh = Some(mesh_report);
     }
     let fused = FusedCloud {
         cloud: PointCloud { points },

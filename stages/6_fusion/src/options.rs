@@ -72,7 +72,7 @@ impl Default for FusionOptions {
             depth_tolerance_px: 4.0,
             normal_tolerance_deg: 40.0,
             min_num_views: 2,
-            max_grazing_deg: 78.0,
+            max_grazing_deg: 82.0,
             border_px: 1,
             spacing: 0.0,
             reconcile: true,

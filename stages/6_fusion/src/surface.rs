@@ -242,12 +242,21 @@ fn drop_small_pieces(mesh: &mut Mesh) -> usize {
     num_dropped
 }
 
+/// A vertex with what the cloud gives it.
+struct Dressed {
+    position: [f32; 3],
+    normal: [f32; 3],
+    color: [u8; 3],
+    /// Distance that it had from the cloud's planes, world's unit.
+    distance: f64,
+}
+
 /// Moves vertices onto the cloud's planes and gives them its normals and colours; returns the mean
 /// distance that they had from those planes.
 fn dress(mesh: &mut Mesh, points: &[CloudPoint], voxel: f64) -> Option<f64> {
     let positions: Vec<[f32; 3]> = points.iter().map(|p| p.position).collect();
     let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&positions).ok()?;
-    let dressed: Vec<([f32; 3], [f32; 3], [u8; 3], f64)> = mesh
+    let dressed: Vec<Dressed> = mesh
         .vertices
         .par_iter()
         .map(|vertex| {
@@ -280,17 +289,17 @@ fn dress(mesh: &mut Mesh, points: &[CloudPoint], voxel: f64) -> Option<f64> {
             } else {
                 at
             };
-            (
-                moved.map(|c| c as f32).into(),
-                normal.into(),
+            Dressed {
+                position: moved.map(|c| c as f32).into(),
+                normal: normal.into(),
                 color,
-                offset.abs(),
-            )
+                distance: offset.abs(),
+            }
         })
         .collect();
-    let mean = dressed.iter().map(|d| d.3).sum::<f64>() / dressed.len().max(1) as f64;
-    mesh.vertices = dressed.iter().map(|d| d.0).collect();
-    mesh.normals = dressed.iter().map(|d| d.1).collect();
-    mesh.colors = dressed.iter().map(|d| d.2).collect();
+    let mean = dressed.iter().map(|d| d.distance).sum::<f64>() / dressed.len().max(1) as f64;
+    mesh.vertices = dressed.iter().map(|d| d.position).collect();
+    mesh.normals = dressed.iter().map(|d| d.normal).collect();
+    mesh.colors = dressed.iter().map(|d| d.color).collect();
     (!dressed.is_empty()).then_some(mean)
 }

@@ -42,7 +42,7 @@ pub(crate) struct Volume {
     pub origin: Point3<f64>,
     pub keys: Vec<Key>,
     /// One array of voxels per key, x fastest; in voxels, [`UNKNOWN`] where none.
-    pub distances: Vec<Box<[f32; VOLUME]>>,
+    pub distances: Vec<[f32; VOLUME]>,
     /// Factor by which voxels are larger than asked for.
     pub coarsened_by: f64,
 }
@@ -126,7 +126,7 @@ pub(crate) fn integrate(
         if flow == Flow::Stop {
             return Err(FusionError::Interrupted);
         }
-        let blocks: Vec<Box<[f32; VOLUME]>> = keys
+        let blocks: Vec<[f32; VOLUME]> = keys
             .par_iter()
             .map(|key| fill(views, key, volume.voxel, &origin, truncation))
             .collect();
@@ -203,7 +203,7 @@ fn fill(
     voxel: f64,
     origin: &Point3<f64>,
     truncation: f64,
-) -> Box<[f32; VOLUME]> {
+) -> [f32; VOLUME] {
     let mut sums = [(0.0_f64, 0.0_f64); VOLUME];
     let corner = origin + Vector3::from(key.map(|k| f64::from(k) * SIDE as f64 * voxel));
     for view in views {
@@ -230,7 +230,7 @@ fn fill(
             sum.1 += weight;
         }
     }
-    let mut distances = Box::new([UNKNOWN; VOLUME]);
+    let mut distances = [UNKNOWN; VOLUME];
     for (distance, (sum, weight)) in distances.iter_mut().zip(&sums) {
         if *weight > 0.0 {
             *distance = (sum / weight / voxel) as f32;

@@ -46,6 +46,8 @@ pub(crate) struct Surface {
     pub confidence: f64,
     /// Whether the nearest pixel gives points.
     pub gives: bool,
+    /// Whether a corner was missing, and the tangent planes of the others carried on.
+    pub is_extrapolated: bool,
 }
 
 /// Share of the bilinear weights that must exist: half a pixel beyond the map's border.
@@ -113,6 +115,7 @@ impl View {
             normal: Vector3::from(self.normal.at(x, y).map(f64::from)),
             confidence: self.confidence_at(x, y),
             gives: *self.gives.at(x, y),
+            is_extrapolated: false,
         })
     }
 
@@ -154,18 +157,15 @@ impl View {
             return None;
         }
         // Beside a missing corner the surface is extrapolated: good to confirm, not to average.
-        let trust = if total > FULL_WEIGHT {
-            1.0
-        } else {
-            EXTRAPOLATED
-        };
+        let is_extrapolated = total <= FULL_WEIGHT;
+        let trust = if is_extrapolated { EXTRAPOLATED } else { 1.0 };
         let agree = (planes / chord - 1.0).abs() * self.camera.focal_px() < 1.0;
-        let inverse = match (total > FULL_WEIGHT, agree) {
-            (true, true) => 0.5 * (chord + planes),
+        let inverse = match (is_extrapolated, agree) {
+            (false, true) => 0.5 * (chord + planes),
             // Normals that contradict the depths by a pixel footprint have nothing to add to them.
-            (true, false) => chord,
+            (false, false) => chord,
             // Beside a missing corner the chord leans; the tangent planes carry on.
-            (false, _) => planes / total,
+            (true, _) => planes / total,
         };
         Some(Surface {
             depth: 1.0 / inverse,
@@ -174,6 +174,7 @@ impl View {
             gives: *self
                 .gives
                 .at(x + usize::from(fx > 0.5), y + usize::from(fy > 0.5)),
+            is_extrapolated,
         })
     }
 }
