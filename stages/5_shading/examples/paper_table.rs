@@ -108,6 +108,25 @@ fn errors(data: &Path, solution: &ShadingSolution, at: usize) -> Result<[f64; 4]
             }
         }
     }
+    if std::env::var_os("VERBOSE").is_some()
+        && let Some(map) = &solved.confidence
+    {
+        // Mean error of the fifths of the mask, from the surest to the least sure.
+        let mut pairs: Vec<(f32, f64)> = map
+            .data
+            .iter()
+            .zip(&normals.data)
+            .filter(|(_, n)| n[2] != 0.0)
+            .map(|(&c, _)| c)
+            .zip(angles.iter().copied())
+            .collect();
+        pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
+        for fifth in pairs.chunks(pairs.len().div_ceil(5)) {
+            let mean = fifth.iter().map(|pair| pair.1).sum::<f64>() / fifth.len() as f64;
+            print!("[{:.3}: {mean:.2} deg] ", fifth[0].0);
+        }
+        println!();
+    }
     let mean = angles.iter().sum::<f64>() / angles.len() as f64;
     let scale = quantile(&mut ratios, 0.5);
     let mut raw: Vec<f64> = ratios.iter().map(|r| (r - 1.0).abs() * 100.0).collect();

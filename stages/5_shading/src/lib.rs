@@ -1,5 +1,6 @@
 //! Stage 5: coupled multi-view shape from shading to depth and normal maps.
 
+mod confidence;
 mod error;
 mod levels;
 mod linearized;

@@ -54,6 +54,8 @@ impl Geometry {
 pub(crate) struct PreparedView {
     pub(crate) grid: CornerGrid,
     pub(crate) pixels: Pixels,
+    /// Weight of the integration term per pixel.
+    pub(crate) stiffness: Vec<f32>,
     pub(crate) geometry: Geometry,
     /// 99 % quantile of the intensities: the unit of noise and losses.
     pub(crate) white: f64,
@@ -165,6 +167,10 @@ fn check_camera(view: &ShadingView) -> Result<(), ShadingError> {
         None => Ok(()),
     }
 }
+
+/// Stiffness of a pixel across which the surface breaks: small against its neighbours', not zero, so
+/// that every part keeps a place.
+const BREAK_STIFFNESS: f32 = 1e-3;
 
 /// Share of clipped or dark pixels is counted once per pixel, in this order of causes.
 struct Usable<'a> {
@@ -298,10 +304,20 @@ pub(crate) fn prepare(
             advice: "all its pixels are clipped, dark or not finite",
         });
     }
+    let mut stiffness = vec![1.0; len];
+    if let (Some(breaks), true) = (&view.depth_breaks, options.depth_edges) {
+        for ((x, y), stiffness) in grid.pixels().zip(&mut stiffness) {
+            if *breaks.at(x, y) {
+                *stiffness = BREAK_STIFFNESS;
+                report.num_depth_breaks += 1;
+            }
+        }
+    }
     let focal = camera.focal_px();
     Ok(PreparedView {
         grid,
         pixels,
+        stiffness,
         geometry: Geometry {
             projection: options.projection,
             focal,

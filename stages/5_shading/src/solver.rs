@@ -1,5 +1,6 @@
 //! Driver: prepares the views, solves each, and gathers maps and report.
 
+use crate::confidence;
 use crate::error::ShadingError;
 use crate::levels::{Level, ladder};
 use crate::linearized;
@@ -170,6 +171,14 @@ fn schedule(
     }
 }
 
+/// Slopes of the integrated surface.
+fn surface_slopes(level: &Level, geometry: &Geometry, y: &[f32]) -> (Vec<f32>, Vec<f32>) {
+    let mut p = vec![0.0; level.pixels.padded];
+    let mut q = p.clone();
+    slopes(&level.grid, geometry.aspect, y, &mut p, &mut q);
+    (p, q)
+}
+
 /// Normals: slopes of the surface, drawn towards what each pixel's intensity says.
 fn refine_slopes(
     level: &Level,
@@ -177,10 +186,8 @@ fn refine_slopes(
     sigma: f64,
     y: &[f32],
 ) -> (Vec<f32>, Vec<f32>) {
-    let mut p = vec![0.0; level.pixels.padded];
-    let mut q = p.clone();
-    slopes(&level.grid, geometry.aspect, y, &mut p, &mut q);
-    let target = (p.clone(), q.clone());
+    let target = surface_slopes(level, geometry, y);
+    let (mut p, mut q) = target.clone();
     let terms = ThetaTerms {
         beta: (2.0 * (sigma / SLOPE_ERROR).powi(2)) as f32,
         area: 0.0,
@@ -253,7 +260,13 @@ fn solve_view(
     } else {
         1
     };
-    let levels = ladder(prepared.grid, prepared.pixels, max_levels, prepared.white);
+    let levels = ladder(
+        prepared.grid,
+        prepared.pixels,
+        prepared.stiffness,
+        max_levels,
+        prepared.white,
+    );
     let finest = &levels[0];
     let mut p = vec![0.0; finest.pixels.padded];
     let mut q = p.clone();
@@ -274,6 +287,8 @@ fn solve_view(
             let setting = Setting {
                 ties: &ties,
                 area: options.area_weight as f32,
+                loss: options.loss,
+                white: prepared.white as f32,
                 aspect: geometry.aspect,
                 courses: &courses,
                 observer,
@@ -306,7 +321,17 @@ fn solve_view(
         (p, q) = refine_slopes(finest, &geometry, sigma, &y);
     }
     report.rms_rendered = rms_residual(&finest.pixels, &p, &q);
-    let solved = maps(
+    let confidence = options.confidence.then(|| {
+        let surface = surface_slopes(finest, &geometry, &y);
+        confidence::map(
+            (view.image.width, view.image.height),
+            finest,
+            (&p, &q),
+            (&surface.0, &surface.1),
+            sigma,
+        )
+    });
+    let mut solved = maps(
         &view.name,
         (view.image.width, view.image.height),
         finest,
@@ -314,6 +339,7 @@ fn solve_view(
         &y,
         (&p, &q),
     );
+    solved.confidence = confidence;
     report.seconds.total = begun.elapsed().as_secs_f64();
     Ok((solved, report))
 }

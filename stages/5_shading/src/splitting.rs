@@ -19,10 +19,14 @@
 
 use crate::error::ShadingError;
 use crate::levels::{Level, add_change, place_constraint, restrict_nodes};
+use crate::model::Facet;
+use crate::pixels::Pixels;
 use crate::solution::{IterationRecord, StepSeconds};
 use crate::theta::{Candidates, ThetaTerms, theta_step};
+use rayon::prelude::*;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::{CornerPoisson, PointConstraint};
+use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{Event, Flow, Observer, StageId};
 use std::time::Instant;
 
@@ -66,17 +70,18 @@ impl Ties {
 pub(crate) struct Setting<'a> {
     pub(crate) ties: &'a Ties,
     pub(crate) area: f32,
+    /// Loss on intensity residuals, in units of `white`.
+    pub(crate) loss: RobustLoss,
+    pub(crate) white: f32,
     pub(crate) aspect: [f32; 2],
     /// One course per level, coarsest first.
     pub(crate) courses: &'a [Course],
     pub(crate) observer: &'a dyn Observer,
 }
 
-/// Slopes and records of a finished iteration.
+/// Records of a finished iteration.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Outcome {
-    pub(crate) p: Vec<f32>,
-    pub(crate) q: Vec<f32>,
     pub(crate) records: Vec<IterationRecord>,
     pub(crate) seconds: StepSeconds,
 }
@@ -144,6 +149,33 @@ pub(crate) fn solve(
     Ok(outcome)
 }
 
+/// Multiplies slopes by the cells' stiffness, where that is not one.
+fn weigh(stiffness: &[f32], p: &mut [f32], q: &mut [f32]) {
+    for ((p, q), w) in p.iter_mut().zip(q).zip(stiffness) {
+        *p *= w;
+        *q *= w;
+    }
+}
+
+/// Weights of iteratively re-weighted least squares at the present slopes: one per pixel, of the
+/// RMS residual over its channels.
+fn reweight(base: &Pixels, out: &mut Pixels, (p, q): (&[f32], &[f32]), setting: &Setting) {
+    out.weight
+        .par_iter_mut()
+        .enumerate()
+        .with_min_len(4096)
+        .for_each(|(k, weight)| {
+            let facet = Facet::new([base.ray_x[k], base.ray_y[k]], [p[k], q[k]]);
+            let mut squared = 0.0;
+            for c in 0..base.channels {
+                let shade = facet.shade(&base.light(c, k)).0;
+                squared += (shade - base.intensity[c * base.padded + k]).powi(2);
+            }
+            let r = (squared / base.channels as f32).sqrt() / setting.white;
+            *weight = base.weight[k] * setting.loss.weight(f64::from(r)) as f32;
+        });
+}
+
 fn solve_level(
     at: usize,
     level: &Level,
@@ -153,16 +185,21 @@ fn solve_level(
     setting: &Setting,
     outcome: &mut Outcome,
 ) -> Result<(), ShadingError> {
-    let (grid, pixels) = (&level.grid, &level.pixels);
+    let grid = &level.grid;
+    // Only a robust loss changes weights; the squared one borrows the pixels as they are.
+    let mut reweighted: Option<Pixels> =
+        (setting.loss != RobustLoss::Squared).then(|| level.pixels.clone());
+    let pixels = &level.pixels;
     let padded = pixels.padded;
     let zeros = || vec![0.0_f32; padded];
     let started = Instant::now();
-    let mut system = CornerPoisson::new(grid, &vec![1.0; grid.num_cells], HOURGLASS);
+    let mut system = CornerPoisson::new(grid, &level.stiffness, HOURGLASS);
     let tied = !ties.is_empty();
     let (mut gp, mut gq) = (zeros(), zeros());
     slopes(grid, setting.aspect, y, &mut gp, &mut gq);
     let (mut p, mut q) = (gp.clone(), gq.clone());
     let (mut tp, mut tq) = (gp.clone(), gq.clone());
+    let (mut wp, mut wq) = (zeros(), zeros());
     let mut rhs = vec![0.0_f32; grid.padded_len()];
     let candidates = (course.num_search_iterations > 0).then(|| Candidates::new(pixels, 8, 3.0));
     outcome.seconds.z += started.elapsed().as_secs_f64();
@@ -179,7 +216,11 @@ fn solve_level(
         let search = candidates
             .as_ref()
             .filter(|_| iteration < course.num_search_iterations);
-        let energy = theta_step(pixels, (&tp, &tq), &terms, search, &mut p, &mut q);
+        if let Some(reweighted) = &mut reweighted {
+            reweight(&level.pixels, reweighted, (&p, &q), setting);
+        }
+        let used = reweighted.as_ref().unwrap_or(pixels);
+        let energy = theta_step(used, (&tp, &tq), &terms, search, &mut p, &mut q);
         outcome.seconds.theta += started.elapsed().as_secs_f64();
 
         let started = Instant::now();
@@ -187,21 +228,26 @@ fn solve_level(
         for k in 0..padded {
             tp[k] -= gp[k];
             tq[k] -= gq[k];
-            gp[k] = (p[k] - tp[k]) / setting.aspect[0];
-            gq[k] = (q[k] - tq[k]) / setting.aspect[1];
+            wp[k] = (p[k] - tp[k]) / setting.aspect[0];
+            wq[k] = (q[k] - tq[k]) / setting.aspect[1];
         }
+        weigh(&level.stiffness, &mut wp, &mut wq);
         rhs.fill(0.0);
-        grid.add_divergence(1.0, &gp, &gq, &mut rhs);
+        grid.add_divergence(1.0, &wp, &wq, &mut rhs);
         if tied {
             apply_ties(&mut system, level, ties, beta as f32, &mut rhs);
         }
         system.solve(&rhs, y, Z_TOLERANCE, MAX_Z_STEPS);
-        slopes(grid, setting.aspect, y, &mut gp, &mut gq);
+        slopes(grid, setting.aspect, y, &mut wp, &mut wq);
+        std::mem::swap(&mut gp, &mut wp);
+        std::mem::swap(&mut gq, &mut wq);
         outcome.seconds.z += started.elapsed().as_secs_f64();
 
         let n = pixels.len;
-        let primal = rms(
-            (0..n).map(|k| (gp[k] - p[k]).powi(2) + (gq[k] - q[k]).powi(2)),
+        let squared = |a: &[f32], b: &[f32], k: usize| (a[k] - b[k]).powi(2);
+        let primal = rms((0..n).map(|k| squared(&gp, &p, k) + squared(&gq, &q, k)), n);
+        let dual = rms(
+            (0..n).map(|k| squared(&gp, &wp, k) + squared(&gq, &wq, k)),
             n,
         );
         for k in 0..padded {
@@ -214,7 +260,7 @@ fn solve_level(
             beta,
             energy: energy * scale,
             primal_residual: primal,
-            dual_residual: 0.0,
+            dual_residual: dual,
         });
         let flow = setting.observer.event(Event::Iteration {
             stage: StageId::Shading,
@@ -222,7 +268,7 @@ fn solve_level(
             max_num_iterations: setting.courses.iter().map(|c| c.num_iterations).sum(),
             energy: energy * scale,
             primal_residual: Some(primal),
-            dual_residual: None,
+            dual_residual: Some(dual),
             beta: Some(beta),
         });
         if flow == Flow::Stop {
@@ -230,7 +276,6 @@ fn solve_level(
         }
         beta *= f64::from(growth);
     }
-    (outcome.p, outcome.q) = (gp, gq);
     Ok(())
 }
 
