@@ -11,7 +11,8 @@
 
 use super::hull::Grid;
 use super::pair::{PairGeometry, ray_angle};
-use super::patch::{Alignment, MAX_SOURCES, PatchOptions, PatchPlane, Workspace, align};
+use super::patch::{Alignment, MAX_SOURCES, PatchOptions, PatchPlane, align};
+use super::sampling::Workspace;
 use super::working::WorkingView;
 use nalgebra::Point3;
 use rilievo_scene::AnchorOrigin;

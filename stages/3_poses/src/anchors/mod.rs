@@ -27,6 +27,7 @@
 //! from keypoint matches (measured: three to ten times as many on plain objects).
 
 mod check;
+mod elimination;
 mod filter;
 mod grow;
 mod hull;
@@ -36,6 +37,7 @@ mod options;
 mod pair;
 mod patch;
 mod report;
+mod sampling;
 mod sift;
 mod sweep;
 #[cfg(test)]
@@ -52,13 +54,14 @@ use judge::{JudgeOptions, all_supports, judge, noise_factor};
 use merge::merge;
 use nalgebra::Point3;
 use pair::PairGeometry;
-use patch::{PatchOptions, Workspace};
+use patch::PatchOptions;
 use rayon::prelude::*;
 use report::Facts;
 use rilievo_scene::{
     Anchor, AnchorOrigin, Event, FeatureMatches, Flow, Mask, Observer, PhotoSet, PosedViews,
     StageId, ViewIdx,
 };
+use sampling::Workspace;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use sweep::{DetailImage, SweepOptions, SweepScratch, search, search_cells};
 use working::WorkingView;

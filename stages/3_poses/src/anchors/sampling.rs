@@ -1,0 +1,258 @@
+//! Samples of a patch: template, warp into a source, interpolation.
+//!
+//! Samples lie on every second pixel like the dark squares of a chessboard: with the blur and the
+//! noise of real photos residuals of neighbours correlate by 0.6 to 0.7, and half of them tell as
+//! much as all (measured: the same depth errors at 0.7 of the time). They are weighed by a Gaussian
+//! window, which follows curved surfaces better than a disc of the same precision.
+//!
+//! The plane of the patch maps by the homography `H` of [`super::pair`]. Relative to the image
+//! `(u₀, v₀)` of the centre it is `du = (a_x d_x + a_y d_y)/(1 + w_x d_x + w_y d_y)`, `dv` alike, exactly
+//! and with small numbers, so that f32 suffices. The derivative by inverse depth there is
+//! `∂u/∂q = (b₁ − u₀ b₃ − du b₃)/(h₃ (1 + w·d))`.
+
+use super::pair::PairGeometry;
+use super::patch::{MAX_SOURCES, PatchPlane};
+use super::working::{Texel, WorkingView};
+use nalgebra::Vector3;
+
+/// Lanes of the sums.
+pub(super) const LANES: usize = 8;
+/// Deviation of the Gaussian window in units of the radius.
+const WINDOW_SHARE: f32 = 3.0 / 7.0;
+/// Smallest share of the patch's samples that must be usable in the reference.
+const MIN_TEMPLATE_SHARE: f64 = 0.6;
+/// Flags are interpolated: below this a clipped or foreign pixel has touched the sample.
+const USABLE: f32 = 0.999;
+/// Largest stretch of a patch in a source: more is a grazing view.
+const MAX_REACH_PX: f64 = 60.0;
+/// Added to coordinates inside a patch so that truncation is flooring.
+const COORDINATE_SHIFT: f32 = 64.0;
+
+/// Buffers of the alignment.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Workspace {
+    disc: Vec<(i32, i32)>,
+    window: Vec<f32>,
+    radius: usize,
+    /// Samples in use, without padding.
+    pub len: usize,
+    /// Offsets of the samples.
+    pub dx: Vec<f32>,
+    /// Offsets of the samples.
+    pub dy: Vec<f32>,
+    /// Template, mean removed.
+    pub template: Vec<f32>,
+    base_weight: Vec<f32>,
+    /// Residuals `I_s − T` (before offset and gain) per source.
+    pub residual: [Vec<f32>; MAX_SOURCES],
+    /// Derivatives of the source's value by `q`, of the source sampled last.
+    pub slope: Vec<f32>,
+    /// Weights of its samples, 0 where not usable.
+    pub weight: Vec<f32>,
+    /// Sum of the window over the samples.
+    total_weight: f64,
+    /// Offset and gain per source after the last evaluation.
+    pub brightness: [(f64, f64); MAX_SOURCES],
+}
+
+impl Workspace {
+    /// Sets the radius; allocates only when it changes.
+    pub fn prepare(&mut self, radius: usize) {
+        if self.radius == radius && !self.disc.is_empty() {
+            return;
+        }
+        self.radius = radius;
+        self.disc.clear();
+        self.window.clear();
+        let r = radius as i32;
+        let sigma = WINDOW_SHARE * radius as f32;
+        for y in -r..=r {
+            for x in -r..=r {
+                if x * x + y * y <= r * r + 1 && (x + y) % 2 == 0 {
+                    self.disc.push((x, y));
+                    let distance2 = (x * x + y * y) as f32;
+                    self.window.push((-0.5 * distance2 / (sigma * sigma)).exp());
+                }
+            }
+        }
+        let padded = self.disc.len().next_multiple_of(LANES);
+        for buffer in [
+            &mut self.dx,
+            &mut self.dy,
+            &mut self.template,
+            &mut self.base_weight,
+            &mut self.slope,
+            &mut self.weight,
+        ]
+        .into_iter()
+        .chain(&mut self.residual)
+        {
+            buffer.clear();
+            buffer.resize(padded, 0.0);
+        }
+    }
+
+    /// Fills the template around a pixel; `None` where too little is usable.
+    pub fn load_template(&mut self, view: &WorkingView, x: usize, y: usize) -> Option<()> {
+        let (width, height) = (view.width as i32, view.height as i32);
+        let mut n = 0;
+        let mut mean = 0.0_f64;
+        for (k, &(dx, dy)) in self.disc.iter().enumerate() {
+            let (px, py) = (x as i32 + dx, y as i32 + dy);
+            if px < 0 || py < 0 || px >= width || py >= height {
+                continue;
+            }
+            let texel = view.texel(px as usize, py as usize);
+            if texel[3] < USABLE {
+                continue;
+            }
+            self.dx[n] = dx as f32;
+            self.dy[n] = dy as f32;
+            self.template[n] = texel[0];
+            self.base_weight[n] = self.window[k];
+            mean += f64::from(texel[0]);
+            n += 1;
+        }
+        if (n as f64) < MIN_TEMPLATE_SHARE * self.disc.len() as f64 {
+            return None;
+        }
+        self.len = n;
+        self.total_weight = self.base_weight[..n].iter().map(|&w| f64::from(w)).sum();
+        mean /= n as f64;
+        for value in &mut self.template[..n] {
+            *value -= mean as f32;
+        }
+        // Padding: samples at the centre that weigh nothing.
+        for k in n..n.next_multiple_of(LANES) {
+            self.dx[k] = 0.0;
+            self.dy[k] = 0.0;
+            self.template[k] = 0.0;
+            self.base_weight[k] = 0.0;
+        }
+        Some(())
+    }
+}
+
+/// The homography of a patch relative to the image of its centre, in f32 without loss:
+/// offsets of a few pixels around `(u0, v0)`.
+pub(super) struct LocalWarp {
+    u0: f64,
+    v0: f64,
+    u_by: [f32; 2],
+    v_by: [f32; 2],
+    w_by: [f32; 2],
+    b: [f32; 3],
+}
+
+impl LocalWarp {
+    /// The warp of a plane; `None` behind the source.
+    pub fn new(pair: &PairGeometry, plane: &PatchPlane) -> Option<Self> {
+        let center = Vector3::new(plane.x as f64, plane.y as f64, 1.0);
+        let h0 = pair.a * center + pair.b * plane.q;
+        if h0.z.is_nan() || h0.z <= 0.0 {
+            return None;
+        }
+        let h1 = pair.a.column(0) + pair.b * plane.qx;
+        let h2 = pair.a.column(1) + pair.b * plane.qy;
+        let (u0, v0) = (h0.x / h0.z, h0.y / h0.z);
+        let z = 1.0 / h0.z;
+        Some(Self {
+            u0,
+            v0,
+            u_by: [
+                ((h1.x - u0 * h1.z) * z) as f32,
+                ((h2.x - u0 * h2.z) * z) as f32,
+            ],
+            v_by: [
+                ((h1.y - v0 * h1.z) * z) as f32,
+                ((h2.y - v0 * h2.z) * z) as f32,
+            ],
+            w_by: [(h1.z * z) as f32, (h2.z * z) as f32],
+            b: [
+                ((pair.b.x - u0 * pair.b.z) * z) as f32,
+                ((pair.b.y - v0 * pair.b.z) * z) as f32,
+                (pair.b.z * z) as f32,
+            ],
+        })
+    }
+
+    /// Whole pixel at the image of the centre, whose value is taken off all samples.
+    pub fn center(&self) -> (usize, usize) {
+        (self.u0.floor() as usize, self.v0.floor() as usize)
+    }
+
+    /// Whether the whole disc lands inside the source; its image is convex.
+    pub fn fits(&self, radius: usize, width: usize, height: usize) -> bool {
+        let r = radius as f64 + 0.5;
+        for (dx, dy) in [(-r, -r), (r, -r), (-r, r), (r, r)] {
+            let w = 1.0 + f64::from(self.w_by[0]) * dx + f64::from(self.w_by[1]) * dy;
+            if w.is_nan() || w < 0.2 {
+                return false;
+            }
+            let du = (f64::from(self.u_by[0]) * dx + f64::from(self.u_by[1]) * dy) / w;
+            let dv = (f64::from(self.v_by[0]) * dx + f64::from(self.v_by[1]) * dy) / w;
+            let (u, v) = (self.u0 + du, self.v0 + dv);
+            let inside = u >= 0.0
+                && v >= 0.0
+                && u < (width - 2) as f64
+                && v < (height - 2) as f64
+                && du.abs() < MAX_REACH_PX
+                && dv.abs() < MAX_REACH_PX;
+            if !inside {
+                return false;
+            }
+        }
+        true
+    }
+}
+
+/// Residuals, derivatives by `q` and weights of all samples in one source; the share of usable
+/// samples.
+pub(super) fn sample_source(
+    view: &WorkingView,
+    warp: &LocalWarp,
+    ws: &mut Workspace,
+    source: usize,
+) -> f64 {
+    let (bx, by) = (warp.u0.floor(), warp.v0.floor());
+    let fx = (warp.u0 - bx) as f32 + COORDINATE_SHIFT;
+    let fy = (warp.v0 - by) as f32 + COORDINATE_SHIFT;
+    let shift = COORDINATE_SHIFT as isize;
+    let (ox, oy) = (bx as isize - shift, by as isize - shift);
+    let width = view.width;
+    let texels: &[Texel] = &view.texels;
+    let (center_x, center_y) = warp.center();
+    let center = view.texel(center_x, center_y)[0];
+    let padded = ws.len.next_multiple_of(LANES);
+    let (dx, dy) = (&ws.dx[..padded], &ws.dy[..padded]);
+    let (template, base) = (&ws.template[..padded], &ws.base_weight[..padded]);
+    let residual = &mut ws.residual[source][..padded];
+    let slope = &mut ws.slope[..padded];
+    let weight = &mut ws.weight[..padded];
+    let mut usable = 0.0_f32;
+    for k in 0..padded {
+        let (x, y) = (dx[k], dy[k]);
+        let inv = 1.0 / (1.0 + warp.w_by[0] * x + warp.w_by[1] * y);
+        let du = (warp.u_by[0] * x + warp.u_by[1] * y) * inv;
+        let dv = (warp.v_by[0] * x + warp.v_by[1] * y) * inv;
+        let (px, py) = (fx + du, fy + dv);
+        let (ix, iy) = (px as i32, py as i32);
+        let (tx, ty) = (px - ix as f32, py - iy as f32);
+        let at = ((iy as isize + oy) * width as isize + ix as isize + ox) as usize;
+        let (top, bottom) = (&texels[at..at + 2], &texels[at + width..at + width + 2]);
+        let mut value = [0.0_f32; 4];
+        for c in 0..4 {
+            let a = top[0][c] + (top[1][c] - top[0][c]) * tx;
+            let b = bottom[0][c] + (bottom[1][c] - bottom[0][c]) * tx;
+            value[c] = a + (b - a) * ty;
+        }
+        // The centre's value keeps the sums small; the offset absorbs it.
+        residual[k] = value[0] - center - template[k];
+        slope[k] = (value[1] * (warp.b[0] - du * warp.b[2])
+            + value[2] * (warp.b[1] - dv * warp.b[2]))
+            * inv;
+        weight[k] = if value[3] >= USABLE { base[k] } else { 0.0 };
+        usable += weight[k];
+    }
+    f64::from(usable) / ws.total_weight
+}
