@@ -71,7 +71,7 @@ pub fn is_photo_name(path: &Path) -> bool {
 ///
 /// # Errors
 /// When the file cannot be read, is no image, is damaged or cut off, or is of a kind that is not
-/// supported (CMYK, palette-free oddities, camera RAW).
+/// supported (CMYK, grey floating-point TIFF, camera RAW).
 pub fn decode_photo(path: &Path) -> Result<DecodedPhoto, IoError> {
     let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
     decode_photo_bytes(path, &bytes)
@@ -154,7 +154,16 @@ fn decode_exr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
 }
 
 fn decode_raster(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<DecodedPhoto, IoError> {
-    let damaged = |error: image::ImageError| IoError::input(path, describe(&error));
+    let damaged = |error: image::ImageError| {
+        let refusal = IoError::input(path, describe(&error));
+        match error {
+            image::ImageError::Unsupported(_) => refusal.with_hint(
+                "convert to OpenEXR, or to PNG or TIFF with 8 or 16 bits; floating-point TIFF \
+                 must have three channels",
+            ),
+            _ => refusal,
+        }
+    };
     if format == ImageFormat::Jpeg {
         jpeg_structure::check(bytes).map_err(|reason| match reason {
             jpeg_structure::Defect::Cmyk => {
