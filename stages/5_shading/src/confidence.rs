@@ -4,7 +4,7 @@
 //! slope's expected squared error is the sum of
 //!
 //! ```text
-//! σ²/(s₂² + σ²/D²)            what the pixel leaves open, at most D² (slopes of a start),
+//! σ²/(s₂² + σ²/(D d)²)        what the pixel leaves open, at most the error D of a start's normals,
 //! |θ − ∇y|²                   the conflict between shading and an integrable surface,
 //! (r/s₁)²                     the residual r of the image, as a slope,
 //! ```
@@ -17,8 +17,8 @@ use crate::levels::Level;
 use crate::model::Facet;
 use rilievo_scene::ConfidenceMap;
 
-/// Slopes by which a start may err.
-const START_SLOPE_ERROR: f32 = 0.3;
+/// Angle by which the normals of a start may err, radians.
+const START_ERROR: f32 = 0.3;
 /// Angle at which the confidence is one half, radians: five degrees.
 const HALF_ANGLE: f32 = 0.0873;
 
@@ -33,9 +33,9 @@ pub(crate) fn map(
     let pixels = &level.pixels;
     let mut out = ConfidenceMap::filled(width, height, 0.0);
     let sigma = sigma as f32;
-    let open = START_SLOPE_ERROR * START_SLOPE_ERROR;
     for (k, (x, y)) in level.grid.pixels().enumerate() {
         let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], [theta.0[k], theta.1[k]]);
+        let open = (START_ERROR * facet.length()).powi(2);
         let (mut a, mut b, mut d, mut r2) = (0.0_f32, 0.0_f32, 0.0_f32, 0.0_f32);
         for c in 0..pixels.channels {
             let (shade, [jp, jq]) = facet.shade(&pixels.light(c, k));

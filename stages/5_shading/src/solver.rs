@@ -244,6 +244,13 @@ fn solve_view(
     observer: &dyn Observer,
 ) -> Result<(SolvedView, ViewReport), ShadingError> {
     let begun = Instant::now();
+    if view.mask.count() == 0 {
+        return Err(ShadingError::EmptyMask {
+            view: view.name.clone(),
+            num_masked: 0,
+            advice: "check the mask: white is the object",
+        });
+    }
     let reference = reference_depth(view, anchors).ok_or_else(|| ShadingError::NoDepth {
         view: view.name.clone(),
     })?;

@@ -464,3 +464,122 @@ fn search<const C: usize>(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::Facet;
+
+    fn pixels(channels: usize, per_pixel: bool) -> Pixels {
+        let len = 53;
+        let padded = Pixels::padded_len(len);
+        let rows: Vec<[f32; 9]> = (0..channels)
+            .map(|c| {
+                let s = c as f32 - 1.0;
+                [
+                    0.2 * s,
+                    0.3 - 0.2 * s,
+                    -1.0,
+                    0.3,
+                    0.1,
+                    -0.1 * s,
+                    0.05,
+                    0.1 * s,
+                    0.04,
+                ]
+            })
+            .collect();
+        let mut pixels = Pixels {
+            channels,
+            padded,
+            len,
+            ray_x: (0..padded).map(|k| 0.01 * k as f32 - 0.2).collect(),
+            ray_y: (0..padded).map(|k| 0.2 - 0.007 * k as f32).collect(),
+            intensity: vec![0.0; padded * channels],
+            weight: (0..padded)
+                .map(|k| if k % 11 == 7 { 0.0 } else { 1.0 })
+                .collect(),
+            light: Coefficients::Uniform(rows.clone()),
+        };
+        for k in 0..len {
+            let slopes = [0.8 * (0.3 * k as f32).sin(), 0.6 * (0.2 * k as f32).cos()];
+            let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], slopes);
+            for (c, row) in rows.iter().enumerate() {
+                pixels.intensity[c * padded + k] = facet.shade(row).0;
+            }
+        }
+        if per_pixel {
+            let mut values = vec![0.0; padded * channels * 9];
+            for (c, row) in rows.iter().enumerate() {
+                for (j, l) in row.iter().enumerate() {
+                    values[(c * 9 + j) * padded..(c * 9 + j + 1) * padded].fill(*l);
+                }
+            }
+            pixels.light = Coefficients::PerPixel(values);
+        }
+        pixels
+    }
+
+    #[test]
+    fn lanes_give_what_the_readable_version_gives() {
+        for channels in [1, 3] {
+            for per_pixel in [false, true] {
+                let pixels = pixels(channels, per_pixel);
+                let target: Vec<f32> = (0..pixels.padded).map(|k| 0.01 * k as f32).collect();
+                let terms = ThetaTerms {
+                    beta: 0.05,
+                    area: 0.01,
+                    num_steps: 4,
+                };
+                let (mut p, mut q) = (vec![0.1; pixels.padded], vec![-0.1; pixels.padded]);
+                theta_step(&pixels, (&target, &target), &terms, None, &mut p, &mut q);
+                for k in 0..pixels.len {
+                    let expected = scalar_step(&pixels, k, [target[k]; 2], [0.1, -0.1], &terms);
+                    let away = (p[k] - expected[0]).abs().max((q[k] - expected[1]).abs());
+                    assert!(away < 1e-4, "pixel {k}: {away}, {channels} channels");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_pixel_without_weight_goes_to_its_target() {
+        let pixels = pixels(3, false);
+        let target = vec![0.4; pixels.padded];
+        let terms = ThetaTerms {
+            beta: 0.5,
+            area: 0.0,
+            num_steps: 8,
+        };
+        let (mut p, mut q) = (vec![0.0; pixels.padded], vec![0.0; pixels.padded]);
+        theta_step(&pixels, (&target, &target), &terms, None, &mut p, &mut q);
+        assert!(
+            (p[7] - 0.4).abs() < 1e-3 && (q[7] - 0.4).abs() < 1e-3,
+            "{} {}",
+            p[7],
+            q[7]
+        );
+    }
+
+    #[test]
+    fn the_search_finds_exact_slopes_from_far() {
+        let pixels = pixels(3, false);
+        let target = vec![0.0; pixels.padded];
+        let terms = ThetaTerms {
+            beta: 1e-4,
+            area: 0.0,
+            num_steps: 10,
+        };
+        let candidates = Candidates::new(&pixels, 8, 3.0);
+        let (mut p, mut q) = (vec![2.5; pixels.padded], vec![-2.5; pixels.padded]);
+        let energy = theta_step(
+            &pixels,
+            (&target, &target),
+            &terms,
+            Some(&candidates),
+            &mut p,
+            &mut q,
+        );
+        assert!(energy < 1e-4, "{energy}");
+    }
+}
