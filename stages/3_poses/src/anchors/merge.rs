@@ -3,7 +3,8 @@
 //! Estimates are taken in order of their deviation, the surest first. One that falls into a cell
 //! already observed is the same surface point again and is dropped; otherwise it becomes an anchor
 //! with an observation in its own view and in every agreeing view, at the projection of its
-//! position, unless that cell is observed already.
+//! position, unless that cell is observed already or the view has no patch there (a depth edge, or
+//! something in front).
 //!
 //! The error of an anchor lies along the ray of its own view. Displaced along it, the point leaves
 //! the surface by `|n·r_i|` of the displacement, and the depth that view `j` should see there is
@@ -71,6 +72,7 @@ pub(super) fn merge(
                 continue;
             };
             if observed[other_idx][there]
+                || nodes[other_idx][there].is_none()
                 || !other.on_object(u, v)
                 || sigma.is_nan()
                 || sigma > MAX_SIGMA_GROWTH * own_sigma

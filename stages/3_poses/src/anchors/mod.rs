@@ -162,10 +162,8 @@ fn aligned(
     let spacing = scene.grids[0].spacing as f64;
     let judge_options = JudgeOptions {
         radius_px: 1.5 * spacing,
-        max_sigma_px: options.max_sigma_px,
-        // Relief steps more between anchors that lie further apart.
-        max_step_px: options.max_step_px * (spacing / 8.0).max(1.0),
-        needs_support: options.mode == AnchorMode::Grown,
+        max_doubt_px: options.max_doubt_px,
+        dense: options.mode == AnchorMode::Grown,
     };
     let lists = all_supports(&scene.views, &scene.grids, &nodes, judge_options.radius_px);
     let factor = noise_factor(&nodes, &lists);
@@ -174,6 +172,7 @@ fn aligned(
         .map(|view| {
             judge(
                 view,
+                scene.views[view].focal(),
                 &scene.grids[view],
                 &nodes,
                 &lists,

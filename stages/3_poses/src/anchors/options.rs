@@ -46,12 +46,9 @@ pub struct AnchorOptions {
     pub min_correlation: f64,
     /// Smallest correlation of a patch that others grow from at the start.
     pub seed_correlation: f64,
-    /// Largest standard deviation of an anchor, pixels of disparity. Smaller leaves fewer and better
-    /// ones.
-    pub max_sigma_px: f64,
-    /// Largest step of disparity between neighbours (8 px apart) beyond their slopes; larger steps
-    /// are depth edges, where a patch mixes two surfaces.
-    pub max_step_px: f64,
+    /// Largest doubt about an anchor, pixels of disparity: its deviation, made larger by depth edges,
+    /// tilt, missing neighbours and few agreeing views. Smaller leaves fewer and better anchors.
+    pub max_doubt_px: f64,
     /// Photos with more megapixels are reduced by a whole factor: bounds memory and time.
     pub max_working_mpx: f64,
 }
@@ -69,8 +66,7 @@ impl Default for AnchorOptions {
             gain_sigma: 0.01,
             min_correlation: 0.7,
             seed_correlation: 0.85,
-            max_sigma_px: 1.5,
-            max_step_px: 3.0,
+            max_doubt_px: 4.2,
             max_working_mpx: 4.0,
         }
     }
@@ -98,8 +94,7 @@ impl AnchorOptions {
             ("anchors.min_angle_deg", self.min_angle_deg),
             ("anchors.min_source_angle_deg", self.min_source_angle_deg),
             ("anchors.gain_sigma", self.gain_sigma),
-            ("anchors.max_sigma_px", self.max_sigma_px),
-            ("anchors.max_step_px", self.max_step_px),
+            ("anchors.max_doubt_px", self.max_doubt_px),
             ("anchors.max_working_mpx", self.max_working_mpx),
         ] {
             check(option, value, value > 0.0, "must be positive")?;
