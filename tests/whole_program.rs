@@ -78,7 +78,7 @@ fn the_result_is_accurate() {
     check("/all/normal_mae_deg", 0.0, 13.0);
     check("/all/depth_median_rel", 0.0, 0.002);
     check("/cloud/accuracy_median", 0.0, 0.6e-3);
-    check("/cloud/completeness", 0.6, 1.0);
+    check("/cloud/completeness", 0.45, 1.0);
     for file in [
         "3_poses/cameras.json",
         "3_poses/sparse/points3D.txt",

@@ -20,7 +20,7 @@ pub fn status(args: &StatusArgs) -> anyhow::Result<()> {
         if args.json {
             lines.insert(stage.name().to_owned(), serde_json::to_value(&state)?);
         } else {
-            println!("{stage:<12} {state}");
+            println!("{:<12} {state}", stage.name());
         }
     }
     if args.json {

@@ -74,7 +74,14 @@ pub fn synthetic_set() -> PathBuf {
             }
         }
         let making = tempfile::tempdir_in(root).expect("a folder can be made");
-        let (code, _, stderr) = run(&["synth", arg(making.path()), "--views", "4", "--size", "480x360"]);
+        let (code, _, stderr) = run(&[
+            "synth",
+            arg(making.path()),
+            "--views",
+            "4",
+            "--size",
+            "480x360",
+        ]);
         assert_eq!(code, 0, "{stderr}");
         // Another test may have been faster; its set is as good.
         let _ = std::fs::rename(making.path(), &set);
