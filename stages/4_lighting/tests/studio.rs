@@ -1,5 +1,7 @@
 //! Sphere, scale, gains and light on the shared photo sets, where they are present.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 #[path = "../examples/sphere_report/data.rs"]
 #[allow(dead_code)]
 mod data;
@@ -9,6 +11,9 @@ use rilievo_lighting::{LightingOptions, LightingRequest, run};
 use rilievo_photometry::sphere::{SphereOptions, WorldScale, locate_request};
 use rilievo_scene::{Silent, SphereRequest};
 use std::path::PathBuf;
+
+/// The world's unknown unit: poses without scale.
+const SHRINK: f64 = 0.37;
 
 fn set(name: &str) -> Option<Set> {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
@@ -38,7 +43,6 @@ fn sphere_cut_by_the_frame_and_clipped_is_found_and_gives_scale_and_gains() {
     let Some(mut set) = set("studio_stained") else {
         return;
     };
-    const SHRINK: f64 = 0.37;
     let mut shrunk = set.posed.views.clone();
     for view in &mut shrunk {
         view.cam_from_world.translation *= SHRINK;
