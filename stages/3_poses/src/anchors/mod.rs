@@ -278,12 +278,13 @@ fn grow_options(options: &AnchorOptions, num_views: usize) -> GrowOptions {
     GrowOptions {
         patch: PatchOptions {
             radius_px: options.patch_radius_px,
-            max_num_iterations: 10,
+            max_num_iterations: 8,
             gain_sigma: options.gain_sigma,
             slope_sigma: 0.5,
             min_correlation: options.min_correlation,
             robust_scale: 2.5,
             min_num_sources: 2.min(num_views - 1),
+            max_move_px: 4.0,
         },
         seed_correlation: options.seed_correlation,
         lone_correlation: 0.9,

@@ -29,6 +29,9 @@ const MIN_SOURCE_SHARE: f64 = 0.8;
 /// Without it a blank patch would claim any precision.
 const LEAST_NOISE: f64 = 1e-3;
 
+/// Iteration at which sources that disagree are dropped.
+const JUDGE_AT: usize = 3;
+
 /// How patches are aligned.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PatchOptions {
@@ -46,6 +49,8 @@ pub(super) struct PatchOptions {
     pub robust_scale: f64,
     /// Sources that must agree.
     pub min_num_sources: usize,
+    /// A patch that strays this far from its start is given up, pixels of disparity.
+    pub max_move_px: f64,
 }
 
 /// A plane through a reference pixel.
@@ -147,7 +152,7 @@ pub(super) fn align(
         let settled = last_step_px < 0.02;
         let last = iteration == options.max_num_iterations || settled;
         // A source is judged once the others have had time to agree.
-        if last || iteration == options.max_num_iterations / 2 {
+        if last || iteration == JUDGE_AT {
             drop_disagreeing(&reduced, &mut active, options.min_correlation);
         }
         let count = active.iter().filter(|&&a| a).count();
@@ -200,7 +205,8 @@ pub(super) fn align(
         plane.q -= step.x;
         plane.qx -= step.y / w;
         plane.qy -= step.z / w;
-        if plane.q.is_nan() || plane.q <= 0.0 {
+        let moved_px = (plane.q - start.q).abs() * px;
+        if plane.q <= 0.0 || moved_px.is_nan() || moved_px > options.max_move_px {
             return None;
         }
         last_step_px = step.x.abs() * px;

@@ -230,29 +230,42 @@ pub(super) fn sample_source(
     let slope = &mut ws.slope[..padded];
     let weight = &mut ws.weight[..padded];
     let mut usable = 0.0_f32;
-    for k in 0..padded {
-        let (x, y) = (dx[k], dy[k]);
-        let inv = 1.0 / (1.0 + warp.w_by[0] * x + warp.w_by[1] * y);
-        let du = (warp.u_by[0] * x + warp.u_by[1] * y) * inv;
-        let dv = (warp.v_by[0] * x + warp.v_by[1] * y) * inv;
-        let (px, py) = (fx + du, fy + dv);
-        let (ix, iy) = (px as i32, py as i32);
-        let (tx, ty) = (px - ix as f32, py - iy as f32);
-        let at = ((iy as isize + oy) * width as isize + ix as isize + ox) as usize;
-        let (top, bottom) = (&texels[at..at + 2], &texels[at + width..at + width + 2]);
-        let mut value = [0.0_f32; 4];
-        for c in 0..4 {
-            let a = top[0][c] + (top[1][c] - top[0][c]) * tx;
-            let b = bottom[0][c] + (bottom[1][c] - bottom[0][c]) * tx;
-            value[c] = a + (b - a) * ty;
+    let (mut du, mut dv, mut inv) = ([0.0_f32; LANES], [0.0_f32; LANES], [0.0_f32; LANES]);
+    let mut values = [[0.0_f32; 4]; LANES];
+    // Positions, gathering and derivatives in turn: the first and the last vectorise.
+    for from in (0..padded).step_by(LANES) {
+        let (x, y) = (&dx[from..from + LANES], &dy[from..from + LANES]);
+        for l in 0..LANES {
+            inv[l] = 1.0 / (1.0 + warp.w_by[0] * x[l] + warp.w_by[1] * y[l]);
+            du[l] = (warp.u_by[0] * x[l] + warp.u_by[1] * y[l]) * inv[l];
+            dv[l] = (warp.v_by[0] * x[l] + warp.v_by[1] * y[l]) * inv[l];
         }
-        // The centre's value keeps the sums small; the offset absorbs it.
-        residual[k] = value[0] - center - template[k];
-        slope[k] = (value[1] * (warp.b[0] - du * warp.b[2])
-            + value[2] * (warp.b[1] - dv * warp.b[2]))
-            * inv;
-        weight[k] = if value[3] >= USABLE { base[k] } else { 0.0 };
-        usable += weight[k];
+        for l in 0..LANES {
+            let (px, py) = (fx + du[l], fy + dv[l]);
+            let (ix, iy) = (px as i32, py as i32);
+            let (tx, ty) = (px - ix as f32, py - iy as f32);
+            let at = ((iy as isize + oy) * width as isize + ix as isize + ox) as usize;
+            let rows = &texels[at..at + width + 2];
+            let (top, bottom) = ((rows[0], rows[1]), (rows[width], rows[width + 1]));
+            for c in 0..4 {
+                let a = top.0[c] + (top.1[c] - top.0[c]) * tx;
+                let b = bottom.0[c] + (bottom.1[c] - bottom.0[c]) * tx;
+                values[l][c] = a + (b - a) * ty;
+            }
+        }
+        let to = from + LANES;
+        let (template, base) = (&template[from..to], &base[from..to]);
+        let (residual, slope) = (&mut residual[from..to], &mut slope[from..to]);
+        let weight = &mut weight[from..to];
+        for l in 0..LANES {
+            // The centre's value keeps the sums small; the offset absorbs it.
+            residual[l] = values[l][0] - center - template[l];
+            slope[l] = (values[l][1] * (warp.b[0] - du[l] * warp.b[2])
+                + values[l][2] * (warp.b[1] - dv[l] * warp.b[2]))
+                * inv[l];
+            weight[l] = if values[l][3] >= USABLE { base[l] } else { 0.0 };
+            usable += weight[l];
+        }
     }
     f64::from(usable) / ws.total_weight
 }

@@ -135,6 +135,7 @@ fn alignment_finds_the_plane_from_a_displaced_start() {
         min_correlation: 0.7,
         robust_scale: 2.5,
         min_num_sources: 2,
+        max_move_px: 4.0,
     };
     let mut ws = Workspace::default();
     let (x, y) = (views[0].width / 2 + 9, views[0].height / 2 - 5);
