@@ -247,11 +247,11 @@ pub(super) fn sample_source(
             let at = ((iy as isize + oy) * width as isize + ix as isize + ox) as usize;
             let rows = &texels[at..at + width + 2];
             let (top, bottom) = ((rows[0], rows[1]), (rows[width], rows[width + 1]));
-            for c in 0..4 {
+            values[l] = std::array::from_fn(|c| {
                 let a = top.0[c] + (top.1[c] - top.0[c]) * tx;
                 let b = bottom.0[c] + (bottom.1[c] - bottom.0[c]) * tx;
-                values[l][c] = a + (b - a) * ty;
-            }
+                a + (b - a) * ty
+            });
         }
         let to = from + LANES;
         let (template, base) = (&template[from..to], &base[from..to]);
