@@ -39,7 +39,7 @@ impl Default for PhotoOptions {
     fn default() -> Self {
         Self {
             max_num_sources: 4,
-            coarse_pixels: 75_000,
+            coarse_pixels: 90_000,
             num_sweeps: 4,
             max_num_rounds: 6,
             round_tolerance: 0.02,

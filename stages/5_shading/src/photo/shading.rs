@@ -232,3 +232,36 @@ fn mean_intensities(
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn derivatives_along_slopes_agree_with_differences() {
+        let light: [f32; 9] = [0.2, -0.4, -0.7, 0.5, 0.1, -0.2, 0.15, 0.05, 0.08];
+        let ray = [0.2, -0.1];
+        let normal = |p: f64, q: f64| {
+            let m = [p, q, -1.0 - ray[0] * p - ray[1] * q];
+            let length = m.iter().map(|v| v * v).sum::<f64>().sqrt();
+            (m.map(|v| v / length), length)
+        };
+        let shade = |p: f64, q: f64| dot(&light, &basis(normal(p, q).0));
+        let (p, q, step) = (0.7, -0.3, 1e-6);
+        let (n, length) = normal(p, q);
+        for (axis, e) in [[1.0, 0.0, -ray[0]], [0.0, 1.0, -ray[1]]]
+            .iter()
+            .enumerate()
+        {
+            let along = n.iter().zip(e).map(|(a, b)| a * b).sum::<f64>();
+            let d = [0, 1, 2].map(|k| (e[k] - n[k] * along) / length);
+            let analytic = dot(&light, &basis_derivative(n, d));
+            let (dp, dq) = if axis == 0 { (step, 0.0) } else { (0.0, step) };
+            let numeric = (shade(p + dp, q + dq) - shade(p - dp, q - dq)) / (2.0 * step);
+            assert!(
+                (analytic - numeric).abs() < 1e-8,
+                "axis {axis}: {analytic} against {numeric}"
+            );
+        }
+    }
+}

@@ -221,3 +221,48 @@ fn solve_channel(
     }
     fit.bounce[channel] = bounce as f32;
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_known_sky_and_bounce_are_found_again() {
+        let rays = super::super::directions(48);
+        let sky: Vec<f32> = rays.iter().map(|d| (1.5 * d.y + 0.4).max(0.0)).collect();
+        let samples: Vec<EnvironmentSample> = super::super::directions(700)
+            .iter()
+            .enumerate()
+            .map(|(i, n)| {
+                // Part of the sky is hidden from every second point, which gets bounce instead.
+                let row: Vec<f32> = rays
+                    .iter()
+                    .map(|d| {
+                        let hidden = i % 2 == 0 && d.x > 0.3;
+                        if hidden {
+                            0.0
+                        } else {
+                            n.dot(d).max(0.0) * 4.0 / 48.0
+                        }
+                    })
+                    .collect();
+                let nearby = if i % 2 == 0 { 0.2 } else { 0.05 };
+                let light: f32 = row.iter().zip(&sky).map(|(t, l)| t * l).sum();
+                EnvironmentSample {
+                    row,
+                    nearby: [nearby; 3],
+                    intensity: [light + 0.8 * nearby; 3],
+                    weight: 1.0,
+                }
+            })
+            .collect();
+        let fit = fit_environment(&samples, &rays, 1e-5);
+        let Some(fit) = fit else { panic!("no fit") };
+        assert!((fit.bounce[1] - 0.8).abs() < 0.15, "{:?}", fit.bounce);
+        let worst = fit.residuals.iter().copied().fold(0.0, f32::max);
+        let mean = fit.residuals.iter().sum::<f32>() / fit.residuals.len() as f32;
+        assert!(mean < 0.02, "mean {mean}, worst {worst}");
+        assert!(fit.radiance.iter().flatten().all(|&l| l >= 0.0));
+        assert!(fit_environment(&[], &rays, 1e-3).is_none());
+    }
+}

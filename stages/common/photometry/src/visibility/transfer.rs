@@ -173,3 +173,83 @@ impl Transfer {
             .map(|l| l.iter().zip(&h).map(|(a, b)| a * b).sum())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn harmonics_are_the_sum_over_the_rays() {
+        let rays = directions(128);
+        let normal = Vector3::new(0.2, -0.3, -0.9).normalize();
+        let mut seen = Transfer {
+            visible: vec![0; 2],
+            normal,
+            nearby: [[0.0; 9]; 3],
+        };
+        let environment: Vec<[f32; 3]> = (0..128)
+            .map(|k| [0.5 + (k % 7) as f32 * 0.1, 1.0, 0.2 * (k % 3) as f32])
+            .collect();
+        // Every other ray leads out, the others bring a constant from the surroundings.
+        for (k, d) in rays.iter().enumerate() {
+            if let Some(c) = horizon(normal.dot(d)) {
+                if k % 2 == 0 {
+                    seen.visible[k / 64] |= 1 << (k % 64);
+                } else {
+                    for harmonics in &mut seen.nearby {
+                        add(harmonics, d, c, 4.0 / 128.0 * 0.3);
+                    }
+                }
+            }
+        }
+        let light = seen.harmonics(&rays, &environment, [1.0, 0.5, 2.0]);
+        // A normal 4° away from the one for which the horizon was taken.
+        let moved = (normal + Vector3::new(0.05, 0.03, 0.02)).normalize();
+        let h = rilievo_scene::SphericalHarmonics::basis(&moved.map(f64::from));
+        for channel in 0..3 {
+            let bounce = [1.0, 0.5, 2.0][channel];
+            let expected: f32 = rays
+                .iter()
+                .enumerate()
+                .filter_map(|(k, d)| {
+                    let c = horizon(normal.dot(d))?;
+                    let x = moved.dot(d);
+                    let radiance = if k % 2 == 0 {
+                        environment[k][channel]
+                    } else {
+                        0.3 * bounce
+                    };
+                    Some(4.0 / 128.0 * radiance * (c[0] + x * (c[1] + x * c[2])))
+                })
+                .sum();
+            let value: f64 = light[channel]
+                .iter()
+                .zip(&h)
+                .map(|(l, b)| f64::from(*l) * b)
+                .sum();
+            assert!(
+                (value - f64::from(expected)).abs() < 1e-5,
+                "channel {channel}: {value} against {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn an_open_sky_of_one_radiance_is_one() {
+        let rays = directions(512);
+        let normal = Vector3::new(0.0_f32, 0.6, -0.8);
+        let mut seen = Transfer {
+            visible: vec![0; 8],
+            normal,
+            nearby: [[0.0; 9]; 3],
+        };
+        for (k, d) in rays.iter().enumerate() {
+            if normal.dot(d) > -(HORIZON as f32) {
+                seen.visible[k / 64] |= 1 << (k % 64);
+            }
+        }
+        let sum: f32 = seen.row(&rays).iter().sum();
+        // The smooth horizon adds a little light beyond the sharp one.
+        assert!((sum - 1.0).abs() < 0.02, "{sum}");
+    }
+}

@@ -79,6 +79,9 @@ impl Camera {
     }
 }
 
+/// Signed distance, radiance and whether it is known, of one slice of voxels.
+type Slice = (Vec<f32>, Vec<[f32; 3]>, Vec<bool>);
+
 /// What a view says of a voxel.
 enum Sight {
     /// Not in its frame.
@@ -143,7 +146,7 @@ impl Volume {
         let size = [span.x, span.y, span.z].map(|s| (1.1 * s / voxel).ceil() as usize + 5);
         let cameras: Vec<Camera> = views.iter().map(Camera::new).collect();
         let plane = size[0] * size[1];
-        let slices: Vec<(Vec<f32>, Vec<[f32; 3]>, Vec<bool>)> = (0..size[2])
+        let slices: Vec<Slice> = (0..size[2])
             .into_par_iter()
             .map(|iz| {
                 let mut signed = vec![TRUNCATION; plane];
