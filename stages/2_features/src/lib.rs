@@ -2,7 +2,8 @@
 //!
 //! Per photo: SIFT keypoints over the whole frame with a low contrast threshold, spread over a
 //! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours that pass
-//! the ratio test, then those that agree with one essential matrix ([`match_photos`]). Pairs are
+//! the ratio test find an essential matrix; those, and less distinctive ones, that agree with it
+//! are kept ([`match_photos`]). Pairs are
 //! all pairs of small sets, candidates of large ones.
 
 mod candidates;
@@ -67,6 +68,7 @@ pub fn match_photos(
         })
         .collect();
     let tried = candidates::pairs(&keypoints, options);
+    let widest_ratio = options.max_ratio.max(options.max_verified_ratio);
     let num_done = AtomicUsize::new(0);
     let matched: Vec<(PairMatches, PairReport)> = tried
         .par_iter()
@@ -75,26 +77,35 @@ pub fn match_photos(
                 return Err(FeaturesError::Interrupted);
             }
             let putative =
-                match_descriptors(&descriptors[first], &descriptors[second], options.max_ratio);
+                match_descriptors(&descriptors[first], &descriptors[second], widest_ratio);
             let pick = |side: usize, photo: usize| -> Vec<Point2<f64>> {
                 putative
                     .iter()
-                    .map(|m| normalized[photo][m[side] as usize])
+                    .map(|m| normalized[photo][m.pair[side] as usize])
                     .collect()
             };
             let focal_px = 0.5
                 * (photos.photos[first].intrinsics.focal_px()
                     + photos.photos[second].intrinsics.focal_px());
-            let geometry = two_view::verify(&pick(0, first), &pick(1, second), focal_px, options)?;
+            let distinctive: Vec<usize> = (0..putative.len())
+                .filter(|&k| putative[k].ratio < options.max_ratio)
+                .collect();
+            let geometry = two_view::verify(
+                &pick(0, first),
+                &pick(1, second),
+                &distinctive,
+                focal_px,
+                options,
+            )?;
             let pair = PairMatches {
                 first: PhotoIdx(first),
                 second: PhotoIdx(second),
                 matches: geometry.as_ref().map_or(Vec::new(), |g| {
-                    g.inliers.iter().map(|&k| putative[k]).collect()
+                    g.inliers.iter().map(|&k| putative[k].pair).collect()
                 }),
                 essential: geometry.as_ref().map(|g| g.essential),
                 homography_share: geometry.as_ref().map_or(0.0, |g| g.homography_share),
-                num_putative: putative.len(),
+                num_putative: distinctive.len(),
             };
             let report = PairReport {
                 first: pair.first,

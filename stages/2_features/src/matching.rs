@@ -6,8 +6,6 @@
 //!
 //! The dot products are a matrix product in tiles. Bytes in `f32` keep it exact: sums stay below
 //! `128 · 255² < 2²⁴`, so no order of summation rounds, and every machine finds the same matches.
-//! The product runs on faer's kernels, about 10 times as fast as a plain loop over bytes without
-//! instructions beyond the baseline.
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatRef, Par};
@@ -55,8 +53,14 @@ impl Nearest {
         }
     }
 
-    fn passes(&self, k: usize, max_squared_ratio: f32) -> bool {
-        self.index[k] != u32::MAX && self.best[k] < max_squared_ratio * self.second[k]
+    /// Ratio of the nearest to the second-nearest distance; infinite where there is none.
+    fn ratio(&self, k: usize) -> f64 {
+        if self.index[k] == u32::MAX {
+            return f64::INFINITY;
+        }
+        // Rounding of the norms' sum may leave a tiny negative square for equal descriptors.
+        let best = f64::from(self.best[k].max(0.0));
+        (best / f64::from(self.second[k]).max(f64::MIN_POSITIVE)).sqrt()
     }
 
     #[inline]
@@ -74,13 +78,21 @@ impl Nearest {
 /// Rows and columns of a tile: its products stay in the second-level cache.
 const TILE: usize = 256;
 
-/// Mutual nearest neighbours `(in first, in second)` that pass the ratio test both ways, ordered
-/// by the first index.
+/// A pair of mutual nearest neighbours.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DescriptorMatch {
+    /// Indices in the first and in the second photo.
+    pub pair: [u32; 2],
+    /// Ratio of nearest to second-nearest distance, the larger of both directions.
+    pub ratio: f64,
+}
+
+/// Mutual nearest neighbours that pass the ratio test both ways, ordered by the first index.
 pub fn match_descriptors(
     first: &DescriptorMatrix,
     second: &DescriptorMatrix,
     max_ratio: f64,
-) -> Vec<[u32; 2]> {
+) -> Vec<DescriptorMatch> {
     let mut of_first = Nearest::none(first.len());
     let mut of_second = Nearest::none(second.len());
     let mut products = Mat::<f32>::zeros(TILE, TILE);
@@ -115,16 +127,17 @@ pub fn match_descriptors(
             }
         }
     }
-    let max_squared_ratio = (max_ratio * max_ratio) as f32;
     (0..first.len())
         .filter_map(|i| {
-            if !of_first.passes(i, max_squared_ratio) {
+            let j = of_first.index[i];
+            if j == u32::MAX || of_second.index[j as usize] as usize != i {
                 return None;
             }
-            let j = of_first.index[i];
-            (of_second.index[j as usize] as usize == i
-                && of_second.passes(j as usize, max_squared_ratio))
-            .then_some([i as u32, j])
+            let ratio = of_first.ratio(i).max(of_second.ratio(j as usize));
+            (ratio < max_ratio).then_some(DescriptorMatch {
+                pair: [i as u32, j],
+                ratio,
+            })
         })
         .collect()
 }
@@ -135,8 +148,8 @@ const LANES: usize = 16;
 /// Updates nearest neighbours with the distances between one column and a block of rows.
 ///
 /// Few distances beat a second-nearest one: sixteen are tested at a time, without a branch, and
-/// the few blocks with a hit gone through one by one (measured: the scan of 8000² distances takes
-/// 0.03 s instead of 0.12 s).
+/// the few blocks with a hit gone through one by one (measured: matching and verifying 28 pairs of
+/// 8000 descriptors takes 4.9 s instead of 6.0 s).
 #[inline]
 fn scan_column(
     minus_two_dots: &[f32],
@@ -216,7 +229,11 @@ mod tests {
                 b[(i + 137) * 128 + k] = a[i * 128 + k].saturating_add((k % 7) as u8);
             }
         }
-        let found = match_descriptors(&DescriptorMatrix::new(&a), &DescriptorMatrix::new(&b), 0.8);
+        let found: Vec<[u32; 2]> =
+            match_descriptors(&DescriptorMatrix::new(&a), &DescriptorMatrix::new(&b), 0.8)
+                .iter()
+                .map(|m| m.pair)
+                .collect();
         assert_eq!(found, by_definition(&a, &b, 0.8));
         assert_eq!(found.len(), 150);
     }

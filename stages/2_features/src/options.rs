@@ -33,9 +33,12 @@ pub struct FeaturesOptions {
     /// Photos with more megapixels are halved before detection; bounds memory (about 180 bytes
     /// per pixel).
     pub max_detection_mpx: f64,
-    /// Largest ratio of the best to the second-best descriptor distance; nearer to 1 admits
-    /// ambiguous matches.
+    /// Largest ratio of the best to the second-best descriptor distance of the matches that find a
+    /// pair's geometry; nearer to 1 admits ambiguous ones, and RANSAC takes long.
     pub max_ratio: f64,
+    /// The same for further matches, which are taken where they agree with the geometry found.
+    /// Wide baselines live on them; below `max_ratio` there are none.
+    pub max_verified_ratio: f64,
     /// Largest distance from the epipolar line, pixels.
     pub max_epipolar_error_px: f64,
     /// Pairs with fewer verified matches are dropped.
@@ -60,6 +63,7 @@ impl Default for FeaturesOptions {
             num_grid_cells: 16,
             max_detection_mpx: 8.0,
             max_ratio: 0.8,
+            max_verified_ratio: 0.9,
             max_epipolar_error_px: 3.0,
             min_num_inliers: 15,
             max_num_exhaustive_photos: 60,
@@ -122,6 +126,12 @@ impl FeaturesOptions {
             self.max_ratio > 0.0 && self.max_ratio <= 1.0,
             "max_ratio",
             self.max_ratio,
+            "must lie in (0, 1]",
+        )?;
+        check(
+            self.max_verified_ratio > 0.0 && self.max_verified_ratio <= 1.0,
+            "max_verified_ratio",
+            self.max_verified_ratio,
             "must lie in (0, 1]",
         )?;
         check(

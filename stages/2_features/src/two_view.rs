@@ -5,7 +5,9 @@
 //! It is then refined over all inliers by Cauchy-weighted least squares of the Sampson distance
 //! `s = x2ᵀ E x1 / √g`, `g = (E x1)₁² + (E x1)₂² + (Eᵀ x2)₁² + (Eᵀ x2)₂²`, on the manifold
 //! `E = U diag(1,1,0) Vᵀ`, which five rotation parameters move: three of `U`, two of `V` (the
-//! rotation about the third axis is common). Inliers are counted again, twice.
+//! rotation about the third axis is common). Inliers are counted again, twice. Samples are drawn
+//! from the distinctive matches only, where wrong ones are few; the others are then held against
+//! the matrix that was found, and join in its refinement.
 //!
 //! The homography is fitted to the inliers of `E`; the share that it explains tells flat scenes
 //! and pure rotations from pairs with parallax.
@@ -32,28 +34,37 @@ pub struct TwoViewGeometry {
 /// Confidence at which RANSAC may stop early.
 const RANSAC_CONFIDENCE: f64 = 0.9999;
 
-/// Verifies the matches `(x1[k], x2[k])`, in normalised coordinates; `None` when too few agree.
+/// Verifies the matches `(x1[k], x2[k])`, in normalised coordinates; `None` when too few of the
+/// distinctive ones agree.
 ///
-/// `focal_px` turns pixel thresholds into normalised ones.
+/// `distinctive` are ascending indices of matches; `focal_px` turns pixel thresholds into normalised ones.
 ///
 /// # Errors
 /// When OpenCV refuses a call.
 pub fn verify(
     x1: &[Point2<f64>],
     x2: &[Point2<f64>],
+    distinctive: &[usize],
     focal_px: f64,
     options: &FeaturesOptions,
 ) -> Result<Option<TwoViewGeometry>, FeaturesError> {
-    if x1.len() < options.min_num_inliers {
+    if distinctive.len() < options.min_num_inliers {
         return Ok(None);
     }
     let threshold = options.max_epipolar_error_px / focal_px;
-    let Some(mut essential) = ransac_essential(x1, x2, threshold, options)? else {
+    let pick =
+        |x: &[Point2<f64>]| -> Vec<Point2<f64>> { distinctive.iter().map(|&k| x[k]).collect() };
+    let Some(mut essential) = ransac_essential(&pick(x1), &pick(x2), threshold, options)? else {
         return Ok(None);
     };
     let mut inliers = sampson_inliers(&essential, x1, x2, threshold);
     for _ in 0..2 {
-        if inliers.len() < options.min_num_inliers {
+        // Many indistinctive matches agree with any matrix by chance: they do not count here.
+        let num_distinctive = inliers
+            .iter()
+            .filter(|&k| distinctive.binary_search(k).is_ok())
+            .count();
+        if num_distinctive < options.min_num_inliers {
             return Ok(None);
         }
         if let Some(refined) = refine_essential(&essential, x1, x2, &inliers, threshold) {

@@ -16,7 +16,7 @@ const PRINCIPAL_POINT_SIGMA: f64 = 0.02;
 const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
 
 /// Standard deviation of a small keypoint's coordinate, pixels: the distances of matches from the
-/// true epipolar lines of four calibrated photo sets.
+/// true epipolar lines of three calibrated photo sets.
 const KEYPOINT_SIGMA_PX: f64 = 0.15;
 /// Its growth with the keypoint's size, from the same sets: large blobs are poorly placed.
 const KEYPOINT_SIGMA_PER_SIZE: f64 = 0.05;

@@ -1,5 +1,7 @@
 //! Poses from synthetic correspondences, in rungs of difficulty.
 
+#![allow(clippy::unwrap_used)]
+
 mod common;
 
 use common::{World, WorldOptions, from_truth, look_at, options, pose_errors, world};

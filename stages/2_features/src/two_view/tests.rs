@@ -52,7 +52,9 @@ fn distance(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
 }
 
 fn verified(pair: &Pair) -> Option<TwoViewGeometry> {
-    verify(&pair.x1, &pair.x2, FOCAL_PX, &FeaturesOptions::default()).unwrap()
+    let all: Vec<usize> = (0..pair.x1.len()).collect();
+    let options = FeaturesOptions::default();
+    verify(&pair.x1, &pair.x2, &all, FOCAL_PX, &options).unwrap()
 }
 
 #[test]
@@ -145,4 +147,18 @@ fn the_sampson_derivative_agrees_with_differences() {
     };
     let error = jacobian_error(&[0.0; 5], 1, residual, &analytic);
     assert!(error < 1e-7, "{error}");
+}
+
+#[test]
+fn indistinctive_matches_join_but_do_not_decide() {
+    let good = pair(&cloud(200, false), 0.8, 0.2, 8);
+    let options = FeaturesOptions::default();
+    let some: Vec<usize> = (0..200).step_by(4).collect();
+    let found = verify(&good.x1, &good.x2, &some, FOCAL_PX, &options)
+        .unwrap()
+        .unwrap();
+    assert_eq!(found.inliers.len(), 200);
+    let few: Vec<usize> = (0..10).collect();
+    let none = verify(&good.x1, &good.x2, &few, FOCAL_PX, &options).unwrap();
+    assert!(none.is_none());
 }

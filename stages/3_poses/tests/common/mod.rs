@@ -109,7 +109,7 @@ pub fn from_truth(
     rng: &mut ChaCha8Rng,
 ) -> World {
     let camera = camera();
-    let image = Arc::new(LinearImage::filled(4, 4, 1, 0.5));
+    let image = Arc::new(LinearImage::filled(camera.width, camera.height, 1, 0.5));
     let photos = (0..poses.len())
         .map(|k| Photo {
             file_name: format!("v{k:03}.png"),
