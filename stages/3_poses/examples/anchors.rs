@@ -1,5 +1,6 @@
 //! Measures anchors against true depth: `anchors DATA_SET [--views 3,4,5,6] [--linear]
-//! [--options '{"mode": "guided"}'] [--truth-step METRES] [--dump FILE]`, with the true poses; photos and masks as the
+//! [--options '{"mode": "guided"}'] [--truth-step METRES] [--dump FILE]
+//! [--poses RUN/3_poses/posed_views.json]`, with the true poses or those of a run; photos and masks as the
 //! data set holds them. `--truth-step`: depth of the truth is known to this step only.
 //!
 //! Printed per data set: anchors a view, share of the mask within 20 px of one, outliers (more than
@@ -140,6 +141,23 @@ fn load(dir: &Path, wanted: &[usize], linear: bool) -> Result<Truth, Failure> {
     Ok(truth)
 }
 
+/// Replaces the true poses by those of a run, matched by file name.
+fn use_poses(truth: &mut Truth, run: &PosedViews) -> Result<(), Failure> {
+    for view in &mut truth.posed.views {
+        let found = run
+            .views
+            .iter()
+            .find(|other| other.file_name == view.file_name)
+            .ok_or_else(|| format!("no pose of {}", view.file_name))?;
+        view.cam_from_world = found.cam_from_world;
+        view.intrinsics = found.intrinsics;
+    }
+    if truth.posed.views.len() == run.views.len() {
+        truth.posed.points = run.points.clone();
+    }
+    Ok(())
+}
+
 /// True depth at a sub-pixel position, bilinear away from depth edges.
 fn true_depth(depth: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
     let near = f64::from(*depth.get(x.round() as isize, y.round() as isize)?);
@@ -215,7 +233,13 @@ fn main() -> Result<(), Failure> {
         .filter_map(|v| v.parse().ok())
         .collect();
     let linear = args.iter().any(|a| a == "--linear");
-    let truth = load(Path::new(dir), &wanted, linear)?;
+    let mut truth = load(Path::new(dir), &wanted, linear)?;
+    if let Some(path) = value("--poses") {
+        use_poses(
+            &mut truth,
+            &serde_json::from_str(&std::fs::read_to_string(path)?)?,
+        )?;
+    }
     let options: AnchorOptions = serde_json::from_str(&value("--options").unwrap_or("{}".into()))?;
     let step: f64 = value("--truth-step").map_or(Ok(0.0), |v| v.parse())?;
     let before = cpu_seconds();
@@ -230,6 +254,14 @@ fn main() -> Result<(), Failure> {
     let cpu = cpu_seconds() - before;
     let wall = clock.elapsed().as_secs_f64();
     let views = &truth.posed.views;
+    let mut ratios: Vec<f64> = anchors
+        .iter()
+        .flat_map(|anchor| &anchor.observations)
+        .filter_map(|o| {
+            Some(o.depth / true_depth(&truth.depths[o.view.0], o.pixel[0], o.pixel[1])?)
+        })
+        .collect();
+    let scale = percentile(&mut ratios, 0.5);
     let mut samples = Vec::new();
     for anchor in &anchors {
         for o in &anchor.observations {
@@ -243,7 +275,7 @@ fn main() -> Result<(), Failure> {
             let mut px = f64::INFINITY;
             if let Some(z) = z {
                 // Median over the three nearest views of the distance between true and found pixel.
-                let (found, right) = (at(o.depth), at(z));
+                let (found, right) = (at(o.depth), at(z * scale));
                 let own = views[v].cam_from_world.center_in_source();
                 let mut near: Vec<(f64, f64)> = (0..views.len())
                     .filter(|&j| j != v)
@@ -267,13 +299,13 @@ fn main() -> Result<(), Failure> {
                 view: v,
                 pixel: o.pixel,
                 ratio: z.map(|z| o.depth / z),
-                sigma: o.sigma_ln_depth.hypot(step / 12.0_f64.sqrt() / o.depth),
+                sigma: z.map_or(o.sigma_ln_depth, |z| {
+                    o.sigma_ln_depth.hypot(step / 12.0_f64.sqrt() / z)
+                }),
                 px,
             });
         }
     }
-    let mut ratios: Vec<f64> = samples.iter().filter_map(|s| s.ratio).collect();
-    let scale = percentile(&mut ratios, 0.5);
     let (mut num_bad, mut errors, mut scores) = (0, Vec::new(), Vec::new());
     for s in &samples {
         let error = s.ratio.map_or(f64::INFINITY, |r| r / scale - 1.0);

@@ -22,7 +22,7 @@ const MASK_TOLERANCE_PX: usize = 3;
 const RADIUS_PER_ROOT_AREA: f64 = 1.1;
 /// Cells on the object of a view at most: more anchors would cost time and tell little, since
 /// neighbours' errors correlate.
-const MAX_CELLS: f64 = 5000.0;
+const MAX_CELLS: f64 = 6000.0;
 /// Widening of the sparse points' range of depth when there are no masks.
 const RANGE_MARGIN: f64 = 1.15;
 

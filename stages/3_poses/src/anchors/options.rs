@@ -34,7 +34,7 @@ pub struct AnchorOptions {
     /// Largest such angle, degrees: beyond it patches look too different.
     pub max_source_angle_deg: f64,
     /// Distance between neighbouring anchors of a view, pixels; more where the object is so large
-    /// that a view would get more than about 5000. Smaller gives more anchors whose errors correlate.
+    /// that a view would get more than about 6000. Smaller gives more anchors whose errors correlate.
     pub spacing_px: f64,
     /// Radius of a patch, pixels; samples are weighed by a Gaussian of 3/7 of it. Smaller follows
     /// curvature, larger averages noise.
@@ -66,7 +66,7 @@ impl Default for AnchorOptions {
             gain_sigma: 0.01,
             min_correlation: 0.7,
             seed_correlation: 0.85,
-            max_doubt_px: 4.2,
+            max_doubt_px: 4.0,
             max_working_mpx: 4.0,
         }
     }
