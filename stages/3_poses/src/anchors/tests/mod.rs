@@ -6,9 +6,10 @@ mod kernel;
 mod scene;
 
 use super::{AnchorMode, AnchorOptions, AnchorReport, find};
+use crate::error::PosesError;
 use nalgebra::Point3;
 use rilievo_numerics::robust::quantile;
-use rilievo_scene::{Anchor, FeatureMatches, Silent};
+use rilievo_scene::{Anchor, Distortion, Event, FeatureMatches, Flow, Observer, Silent};
 use scene::{Scene, Settings, Shape, photograph};
 
 const BALL: Shape = Shape::Sphere {
@@ -154,6 +155,70 @@ fn exposure_and_clipping_do_not_harm() {
         "{} observations, 99 % within {most:.2e}",
         errors.len()
     );
+}
+
+#[test]
+fn distorted_lenses_are_undone() {
+    let settings = Settings {
+        distortion: Distortion {
+            k1: -0.25,
+            k2: 0.1,
+            p1: 2e-3,
+            ..Distortion::default()
+        },
+        ..Settings::default()
+    };
+    assert_recovered(&photograph(&[SQUARE], &settings), 0.85, 3e-4, 2e-3);
+}
+
+#[test]
+fn reduced_photos_keep_positions_and_depths() {
+    let scene = photograph(&[SQUARE], &Settings::default());
+    let options = AnchorOptions {
+        max_working_mpx: 0.02,
+        patch_radius_px: 8,
+        ..AnchorOptions::default()
+    };
+    let (anchors, _) = anchors_with(&scene, &options);
+    let errors = errors(&scene, &anchors);
+    let most = percentile(&errors, 0.95);
+    assert!(
+        errors.len() > 150 && most < 3e-3,
+        "{} observations, 95 % within {most:.2e}",
+        errors.len()
+    );
+}
+
+/// Stops at the first event.
+struct Impatient;
+
+impl Observer for Impatient {
+    fn event(&self, _event: Event) -> Flow {
+        Flow::Stop
+    }
+}
+
+#[test]
+fn an_observer_can_stop_it() {
+    let scene = photograph(&[SQUARE], &Settings::default());
+    let result = find(
+        &scene.photos,
+        &FeatureMatches::default(),
+        &scene.posed,
+        &AnchorOptions::default(),
+        &Impatient,
+    );
+    assert!(matches!(result, Err(PosesError::Interrupted)), "{result:?}");
+}
+
+#[test]
+fn options_out_of_range_are_named() {
+    let options = AnchorOptions {
+        spacing_px: 0.5,
+        ..AnchorOptions::default()
+    };
+    let message = options.validate().unwrap_err().to_string();
+    assert!(message.contains("anchors.spacing_px"), "{message}");
 }
 
 #[test]

@@ -3,8 +3,8 @@
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{
-    FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Photo, PhotoIdx, PhotoSet,
-    PosedView, PosedViews, Raster, RigidTransform,
+    Distortion, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Photo, PhotoIdx,
+    PhotoSet, PosedView, PosedViews, Raster, RigidTransform,
 };
 use std::sync::Arc;
 
@@ -87,6 +87,7 @@ pub struct Settings {
     pub noise: f64,
     pub masks: bool,
     pub size: (usize, usize),
+    pub distortion: Distortion,
 }
 
 impl Default for Settings {
@@ -98,6 +99,7 @@ impl Default for Settings {
             noise: 0.0,
             masks: true,
             size: (256, 208),
+            distortion: Distortion::default(),
         }
     }
 }
@@ -105,13 +107,16 @@ impl Default for Settings {
 /// Photographs shapes from an arc of radius 3 around the origin, from negative `z`.
 pub fn photograph(shapes: &[Shape], settings: &Settings) -> Scene {
     let (width, height) = settings.size;
-    let camera = Intrinsics::pinhole(
-        width,
-        height,
-        1.6 * width as f64,
-        0.5 * (width as f64 - 1.0) + 1.3,
-        0.5 * (height as f64 - 1.0) - 0.7,
-    );
+    let camera = Intrinsics {
+        distortion: settings.distortion,
+        ..Intrinsics::pinhole(
+            width,
+            height,
+            1.6 * width as f64,
+            0.5 * (width as f64 - 1.0) + 1.3,
+            0.5 * (height as f64 - 1.0) - 0.7,
+        )
+    };
     let mut scene = Scene {
         photos: PhotoSet::default(),
         posed: PosedViews::default(),
