@@ -270,3 +270,84 @@ pub(crate) fn layering(pairs: &[Pair], options: &FusionOptions) -> Layering {
         tolerance: tolerance * footprint,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::views::prepare;
+    use nalgebra::{Point2, UnitQuaternion};
+    use rilievo_scene::{
+        DepthMap, Intrinsics, NormalMap, PhotoIdx, PosedView, PosedViews, RigidTransform,
+        ShadedView, ShadedViews, ViewIdx,
+    };
+
+    /// Two views of the plane `n·X = -2`, the depths of view `v` multiplied by `factors[v]`.
+    fn views(factors: [f64; 2]) -> Vec<View> {
+        let camera = Intrinsics::pinhole(64, 48, 90.0, 31.5, 23.5);
+        let normal = Vector3::new(0.2, -0.1, -1.0).normalize();
+        let mut posed = PosedViews::default();
+        let mut shaded = ShadedViews::default();
+        for (v, factor) in factors.into_iter().enumerate() {
+            let pose = RigidTransform {
+                rotation: UnitQuaternion::from_euler_angles(0.0, 0.15 * v as f64, 0.05),
+                translation: Vector3::new(0.3 * v as f64, 0.0, 0.0),
+            };
+            let normal_in_cam = pose.rotation * normal;
+            let offset = normal_in_cam.dot(&pose.translation) - 2.0;
+            let name = format!("IMG_{v}");
+            posed.views.push(PosedView {
+                photo: PhotoIdx(v),
+                name: name.clone(),
+                file_name: name.clone(),
+                intrinsics: camera,
+                cam_from_world: pose,
+            });
+            shaded.views.push(ShadedView {
+                view: ViewIdx(v),
+                name,
+                depth: DepthMap::from_fn(64, 48, |x, y| {
+                    let ray = camera.ray(&Point2::new(x as f64, y as f64));
+                    (factor * offset / normal_in_cam.dot(&ray)) as f32
+                }),
+                normal: NormalMap::filled(64, 48, normal_in_cam.map(|c| c as f32).into()),
+                confidence: None,
+                rendered: None,
+                albedo: None,
+            });
+        }
+        prepare(&posed, &shaded, &FusionOptions::default())
+            .expect("sound maps")
+            .0
+    }
+
+    #[test]
+    fn slopes_are_the_derivatives_of_the_distances() {
+        let options = FusionOptions::default();
+        let pairs = |factors| find_pairs(&views(factors), &[vec![1], vec![0]], 4, &options);
+        let exact = pairs([1.0; 2]);
+        assert!(exact.len() > 100, "{}", exact.len());
+        // A thousandth is far above the rounding of f32 depths; its square is the tolerance.
+        let step = 1e-3_f64;
+        for side in 0..2 {
+            let mut factors = [1.0; 2];
+            factors[side] = step.exp();
+            let moved = pairs(factors);
+            let mut compared = 0;
+            for a in &exact {
+                assert!(a.distance.abs() < 2e-6, "{a:?}");
+                let Some(b) = moved
+                    .iter()
+                    .find(|b| b.views == a.views && b.pixels[0] == a.pixels[0])
+                else {
+                    continue;
+                };
+                let own = usize::from(usize::from(a.views[0]) != side);
+                let (numeric, analytic) = ((b.distance - a.distance) / step, a.slopes[own]);
+                let error = (numeric - analytic).abs();
+                assert!(error < 5e-3, "{a:?}: {numeric} {analytic}");
+                compared += 1;
+            }
+            assert!(compared > 100, "{compared}");
+        }
+    }
+}
