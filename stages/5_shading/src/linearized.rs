@@ -160,8 +160,8 @@ fn assemble(
             v[0] += w * a[0] * b;
             v[1] += w * a[1] * b;
         }
-        for j in 0..3 {
-            out.tensor[j][k] = t[j];
+        for (tensor, t) in out.tensor.iter_mut().zip(t) {
+            tensor[k] = t;
         }
         out.vector[0][k] = v[0];
         out.vector[1][k] = v[1];

@@ -90,13 +90,6 @@ impl Facet {
     }
 }
 
-/// Slopes of a normal at a pixel; `None` where the surface would be seen from behind or edge-on.
-pub(crate) fn slopes_of_normal(ray: [f32; 2], n: [f32; 3]) -> Option<[f32; 2]> {
-    // n ∝ [p, q, −1 − X p − Y q], so n · (X, Y, 1) ∝ −1.
-    let towards = n[0] * ray[0] + n[1] * ray[1] + n[2];
-    (towards < -1e-3).then(|| [-n[0] / towards, -n[1] / towards])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -143,14 +136,5 @@ mod tests {
                 assert!(error < 2e-6, "{error} at {ray:?} {slopes:?}");
             }
         }
-    }
-
-    #[test]
-    fn slopes_and_normal_are_inverse() {
-        let ray = [0.21, -0.34];
-        let slopes = [0.8, -0.6];
-        let back = slopes_of_normal(ray, Facet::new(ray, slopes).normal);
-        assert!(back.is_some_and(|b| (b[0] - 0.8).abs() < 1e-5 && (b[1] + 0.6).abs() < 1e-5));
-        assert!(slopes_of_normal(ray, [0.0, 0.0, 1.0]).is_none());
     }
 }

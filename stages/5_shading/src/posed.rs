@@ -22,15 +22,14 @@ pub(crate) fn run(
     let mut report = ShadingReport::default();
     // One view at a time: anchors carry what the others say, and memory stays that of one view.
     for (index, posed_view) in posed.views.iter().enumerate() {
-        let photo =
-            photos
-                .photos
-                .get(posed_view.photo.0)
-                .ok_or_else(|| ShadingError::UnknownView {
-                    what: "a posed view's photo",
-                    index: posed_view.photo.0,
-                    num_views: photos.photos.len(),
-                })?;
+        let photo = photos
+            .photos
+            .get(posed_view.photo.0)
+            .ok_or(ShadingError::UnknownView {
+                what: "a posed view's photo",
+                index: posed_view.photo.0,
+                num_views: photos.photos.len(),
+            })?;
         let light = lighting
             .views
             .iter()

@@ -103,15 +103,15 @@ fn start_shape(
                 view: view.name.clone(),
                 reason: error.to_string(),
             })?;
-        if let Some((y, inliers)) = plate {
+        if let Some(plate) = plate {
             let kept: Vec<DepthAnchor> = anchors
                 .iter()
-                .zip(&inliers)
+                .zip(&plate.inliers)
                 .filter_map(|(anchor, &inlier)| inlier.then_some(*anchor))
                 .collect();
             report.num_anchors_rejected = anchors.len() - kept.len();
             report.num_anchors = kept.len();
-            return Ok((y, kept));
+            return Ok((plate.nodes, kept));
         }
     }
     let y = match (options.start, given) {

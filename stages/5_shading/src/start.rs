@@ -8,13 +8,20 @@ use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::thin_plate::{ScatteredValue, ThinPlate};
 use rilievo_scene::DepthMap;
 
-/// Node values of a thin plate through anchors, and which anchors it took for true; `None` when no
-/// anchor lies on the grid.
+/// A start from anchors.
+pub(crate) struct PlateStart {
+    /// Node values.
+    pub(crate) nodes: Vec<f32>,
+    /// Which anchors the plate took for true.
+    pub(crate) inliers: Vec<bool>,
+}
+
+/// A thin plate through anchors; `None` when no anchor lies on the grid.
 pub(crate) fn plate(
     grid: &CornerGrid,
     geometry: &Geometry,
     anchors: &[DepthAnchor],
-) -> Result<Option<(Vec<f32>, Vec<bool>)>, PlateError> {
+) -> Result<Option<PlateStart>, PlateError> {
     let points: Vec<ScatteredValue> = anchors
         .iter()
         .map(|anchor| ScatteredValue {
@@ -35,7 +42,10 @@ pub(crate) fn plate(
             y[grid.index(x, row)] = plate.at(position) as f32;
         }
     }
-    Ok(Some((y, plate.inliers)))
+    Ok(Some(PlateStart {
+        nodes: y,
+        inliers: plate.inliers,
+    }))
 }
 
 /// Nodal masses and wanted unknowns of a depth prior: `μ (ln z − ln z₀)²` per pixel with a value.

@@ -16,6 +16,9 @@
 //!
 //! Source: METHOD 4; eq. 11 of the paper with the shading term whole instead of linearised.
 
+// Arrays of lanes are indexed in parallel: zipped iterators would hide the lane.
+#![allow(clippy::needless_range_loop)]
+
 use crate::model::Facet;
 use crate::pixels::{Coefficients, LANES, Pixels};
 use rayon::prelude::*;
