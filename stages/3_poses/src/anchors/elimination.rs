@@ -109,6 +109,14 @@ pub(super) struct Reduced {
 }
 
 impl Sums {
+    /// Adds a prior on the offset as a sample of weight `precision` (in units of squared residuals)
+    /// that sees the offset alone, at `expected`.
+    pub fn expect_offset(&mut self, expected: f64, precision: f64) {
+        self.one += precision;
+        self.r += precision * expected;
+        self.rr += precision * expected * expected;
+    }
+
     /// Eliminates the offset, then the gain with its prior `gain_precision` (in units of squared
     /// residuals). `None` for a template or image without contrast.
     pub fn eliminate(&self, gain_precision: f64) -> Option<Reduced> {

@@ -8,8 +8,8 @@
 //! 1. Photos to log images without distortion, cropped to the mask ([`working`]).
 //! 2. Range of depth per cell from the other masks ([`hull`]).
 //! 3. Seeds by epipolar search in all sources at once ([`sweep`]), and the sparse points.
-//! 4. Alignment of patches over inverse depth and slopes ([`patch`]), growing over the surface from
-//!    the seeds ([`grow`]). Views are independent: they run in parallel.
+//! 4. Alignment of patches over inverse depth and slopes ([`patch`]), what exposure did between the
+//!    photos ([`exposure`]), growing over the surface from the seeds ([`grow`]). Views are independent: they run in parallel.
 //! 5. What other views say of each patch ([`check`]); noise factor, combination and belief
 //!    ([`judge`]).
 //! 6. One anchor per surface point with all its views ([`merge`]).
@@ -28,6 +28,7 @@
 
 mod check;
 mod elimination;
+mod exposure;
 mod filter;
 mod grow;
 mod hull;
@@ -48,6 +49,7 @@ pub use options::{AnchorMode, AnchorOptions};
 pub use report::{AnchorReport, ViewAnchors};
 
 use crate::error::PosesError;
+use exposure::learn_offsets;
 use grow::{GrowOptions, Node, Reference, Seed, grow, plant};
 use hull::{Grid, bounding_ball, depth_ranges, grid_spacing, widened_masks};
 use judge::{JudgeOptions, all_supports, judge, noise_factor};
@@ -304,23 +306,23 @@ fn grow_options(options: &AnchorOptions, num_views: usize) -> GrowOptions {
 fn cover(scene: &Scene<'_>, index: usize) -> Vec<Option<Node>> {
     let (view, grid) = (&scene.views[index], &scene.grids[index]);
     let ranges = &scene.ranges[index];
-    let pairs: Vec<PairGeometry> = (0..scene.views.len())
+    let mut pairs: Vec<PairGeometry> = (0..scene.views.len())
         .filter(|&source| source != index)
         .map(|source| PairGeometry::new(view, source, &scene.views[source]))
         .collect();
-    let reference = Reference {
-        views: &scene.views,
-        index,
-        pairs: &pairs,
-        grid,
-        ranges,
-    };
     let mut nodes = vec![None; grid.len()];
     let mut ws = Workspace::default();
     let mut scratch = SweepScratch::default();
     let mut seeds = seeds_of_points(scene, index);
     // Searching costs most: what growing has covered from few seeds need not be searched.
     for stride in [4, 2] {
+        let reference = Reference {
+            views: &scene.views,
+            index,
+            pairs: &pairs,
+            grid,
+            ranges,
+        };
         for cell in search_cells(grid, stride) {
             if nodes[cell].is_none() {
                 seeds.extend(seed_of_search(&reference, scene, cell, &mut scratch));
@@ -336,6 +338,17 @@ fn cover(scene: &Scene<'_>, index: usize) -> Vec<Option<Node>> {
         );
         seeds.clear();
         if scene.options.mode == AnchorMode::Grown {
+            // Later patches have been held to the prior: they would only confirm it.
+            if pairs.iter().all(|pair| pair.offset.is_none()) {
+                learn_offsets(&mut pairs, &nodes);
+            }
+            let reference = Reference {
+                views: &scene.views,
+                index,
+                pairs: &pairs,
+                grid,
+                ranges,
+            };
             grow(&reference, &scene.grow, &mut nodes, &mut ws);
         }
     }

@@ -9,6 +9,15 @@
 use super::working::WorkingView;
 use nalgebra::{Matrix3, Point3, Vector3};
 
+/// What is known of the offset between two log images, the logarithm of a gain in exposure.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OffsetPrior {
+    /// Expected offset.
+    pub mean: f64,
+    /// Its standard deviation from patch to patch.
+    pub sigma: f64,
+}
+
 /// Maps pixels of a reference with inverse depth into a source view.
 #[derive(Clone, Debug)]
 pub(super) struct PairGeometry {
@@ -18,6 +27,8 @@ pub(super) struct PairGeometry {
     pub a: Matrix3<f64>,
     /// Direction of the epipole, `K_s t`.
     pub b: Vector3<f64>,
+    /// Offset of the source's log image against the reference's; unknown at first.
+    pub offset: Option<OffsetPrior>,
 }
 
 impl PairGeometry {
@@ -30,6 +41,7 @@ impl PairGeometry {
             source: source_idx,
             a: source.k * source_from_reference.rotation_matrix() * reference.k_inv,
             b: source.k * source_from_reference.translation,
+            offset: None,
         }
     }
 

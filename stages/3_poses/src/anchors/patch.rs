@@ -6,7 +6,9 @@
 //! `e_s(d) = I_s(u_s(d)) − T(d) − o_s − γ_s T(d)`: an offset (a gain of the linear intensity) and a
 //! gain (contrast) per patch and source. The cost `Σ_s Σ_d w e² + (γ/σ_γ)²` + slope prior is
 //! minimised by Gauss-Newton; offset and gain are eliminated exactly (variable projection with the
-//! projected Jacobian), so that the step solves 3×3.
+//! projected Jacobian), so that the step solves 3×3. Where exposure is known to vary little between
+//! two photos the offset has a prior (see [`super::exposure`]): absolute brightness then tells depth
+//! where shading changes too slowly for the texture to.
 //!
 //! Derivative: `∂u/∂q = (b₁ − u b₃)/h₃` (and `v` alike), times the gradient of `I_s`; by the slopes
 //! the same times `d_x`, `d_y`.
@@ -29,6 +31,9 @@ const MIN_SOURCE_SHARE: f64 = 0.8;
 /// Without it a blank patch would claim any precision.
 const LEAST_NOISE: f64 = 1e-3;
 
+/// Residuals are correlated: a patch's samples tell as little as this many times fewer independent
+/// ones, so that a prior must weigh this much more against them (the square of a noise factor of 7).
+const CORRELATED: f64 = 50.0;
 /// Iteration at which sources that disagree are dropped.
 const JUDGE_AT: usize = 3;
 
@@ -75,6 +80,8 @@ pub(super) struct Alignment {
     pub plane: PatchPlane,
     /// Sources that agree.
     pub num_sources: usize,
+    /// Those sources (working-view indices) with the offset of their log image.
+    pub offsets: [(usize, f64); MAX_SOURCES],
     /// Mean zero-mean correlation with them.
     pub correlation: f64,
     /// Weighted RMS residual, log intensity.
@@ -115,6 +122,8 @@ pub(super) fn align(
     active[..num_sources].fill(true);
     let mut reduced = [Reduced::default(); MAX_SOURCES];
     let mut inv_c2 = [0.0_f64; MAX_SOURCES];
+    // Mean of the source at the patch's centre above the template's: sums leave it out.
+    let mut shift = [0.0_f64; MAX_SOURCES];
     let mut last_step_px = f64::INFINITY;
     let px_per_q = |plane: &PatchPlane, active: &[bool; MAX_SOURCES]| {
         (0..num_sources)
@@ -138,7 +147,13 @@ pub(super) fn align(
             {
                 continue;
             }
-            let sums = accumulate(ws, s, inv_c2[s] as f32);
+            let mut sums = accumulate(ws, s, inv_c2[s] as f32);
+            let (center_x, center_y) = warp.center();
+            shift[s] = f64::from(source_view.texel(center_x, center_y)[0]) - ws.mean;
+            if let Some(prior) = sources[s].offset {
+                let precision = CORRELATED * residual_variance / prior.sigma.powi(2);
+                sums.expect_offset(prior.mean - shift[s], precision);
+            }
             let gain_precision = residual_variance / options.gain_sigma.powi(2);
             let Some(scaled) = sums.eliminate(gain_precision) else {
                 continue;
@@ -187,6 +202,8 @@ pub(super) fn align(
             let covariance = inverse * residual_variance;
             return finish(
                 &plane,
+                sources,
+                &shift,
                 &active,
                 &reduced,
                 covariance[(0, 0)],
@@ -244,8 +261,11 @@ fn drop_disagreeing(
 }
 
 /// The result, with the spread of the sources' own depth estimates at the common slopes.
+#[allow(clippy::too_many_arguments)]
 fn finish(
     plane: &PatchPlane,
+    sources: &[&PairGeometry],
+    shift: &[f64; MAX_SOURCES],
     active: &[bool; MAX_SOURCES],
     reduced: &[Reduced; MAX_SOURCES],
     variance_q: f64,
@@ -255,6 +275,7 @@ fn finish(
 ) -> Option<Alignment> {
     let (mut deviations, mut information) = (0.0, 0.0);
     let mut correlation = 0.0;
+    let mut offsets = [(usize::MAX, 0.0); MAX_SOURCES];
     let mut count = 0;
     for s in (0..MAX_SOURCES).filter(|&s| active[s]) {
         let h = reduced[s].hessian[(0, 0)];
@@ -263,6 +284,7 @@ fn finish(
             information += h;
         }
         correlation += reduced[s].correlation;
+        offsets[count] = (sources[s].source, reduced[s].offset + shift[s]);
         count += 1;
     }
     if information <= 0.0 || variance_q.is_nan() || variance_q <= 0.0 {
@@ -272,6 +294,7 @@ fn finish(
     Some(Alignment {
         plane: *plane,
         num_sources: count,
+        offsets,
         correlation: correlation / count as f64,
         rms: residual_variance.sqrt(),
         sigma_q: variance_q.sqrt(),

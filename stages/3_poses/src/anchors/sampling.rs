@@ -51,6 +51,8 @@ pub(super) struct Workspace {
     pub weight: Vec<f32>,
     /// Sum of the window over the samples.
     total_weight: f64,
+    /// Mean that was taken off the template.
+    pub mean: f64,
     /// Offset and gain per source after the last evaluation.
     pub brightness: [(f64, f64); MAX_SOURCES],
 }
@@ -119,6 +121,7 @@ impl Workspace {
         self.len = n;
         self.total_weight = self.base_weight[..n].iter().map(|&w| f64::from(w)).sum();
         mean /= n as f64;
+        self.mean = mean;
         for value in &mut self.template[..n] {
             *value -= mean as f32;
         }

@@ -85,7 +85,14 @@ fn a_plane_is_recovered_tightly() {
 
 #[test]
 fn a_sphere_is_recovered_up_to_the_curvature_of_a_patch() {
-    assert_recovered(&photograph(&[BALL], &Settings::default()), 0.75, 1e-3, 6e-3);
+    // A window of deviation s = 6 px · z/f = 0.044 on radius 0.7 lies s²/R = 2.8e-3 deeper than its
+    // centre on average, 0.9e-3 of the depth, and more where it is tilted.
+    assert_recovered(
+        &photograph(&[BALL], &Settings::default()),
+        0.75,
+        1.3e-3,
+        6e-3,
+    );
 }
 
 #[test]
