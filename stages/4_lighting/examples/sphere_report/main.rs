@@ -3,7 +3,8 @@
 //! `cargo run --release -p rilievo-lighting --example sphere_report -- SET [photos|linear]
 //! [auto|marks] [calibration]` prints, per photo: outline overlap with `sphere_masks`, radius,
 //! gain, residual on the sphere, and the residual of the light applied to the true normals;
-//! `overlays=DIR` writes a picture per view, `own` fits on anchors made from the truth instead.
+//! `overlays=DIR` writes a picture per view; `anchors` adds anchors made from the truth, `own` fits
+//! on anchors alone; `posed=RUN/3_poses/posed_views.json` takes poses, anchors and sphere of a run.
 //! `SET` is a folder with `photos`, `masks`, `truth` as in `studio_stone`.
 
 mod data;
@@ -118,9 +119,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         source: ScaleSource::Sphere,
         relative_sigma: Some(fit.relative_sigma),
     };
+    if let Some(path) = arguments.iter().find_map(|a| a.strip_prefix("posed=")) {
+        set.posed = serde_json::from_reader(std::fs::File::open(path)?)?;
+        println!(
+            "{} views, {} anchors from {path}",
+            set.posed.views.len(),
+            set.posed.anchors.len()
+        );
+    }
     let options = LightingOptions::default();
     let start = std::time::Instant::now();
-    if has("own") || has("anchors") {
+    if set.posed.anchors.is_empty() && (has("own") || has("anchors")) {
         let noise = arguments
             .iter()
             .find_map(|a| a.strip_prefix("noise=")?.parse().ok());
