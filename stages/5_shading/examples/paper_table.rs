@@ -4,15 +4,12 @@
 //! Prints mean and median angle of the normals over the whole mask, median relative depth error,
 //! RMS of the re-rendered image, and CPU seconds.
 
-use nalgebra::{Matrix3, Point3, Rotation3};
-use rilievo_scene::{Intrinsics, Lighting, NormalMap, RigidTransform, Silent, SphericalHarmonics};
-use rilievo_shading::{
-    ShadingOptions, ShadingProblem, ShadingSolution, ShadingView, ViewLight, ViewMatches, solve,
-};
-use std::path::Path;
-use std::sync::Arc;
+mod table;
 
-type Failure = Box<dyn std::error::Error>;
+use rilievo_scene::{NormalMap, Silent};
+use rilievo_shading::{ShadingOptions, ShadingProblem, ShadingSolution, ViewMatches, solve};
+use std::path::Path;
+use table::{Failure, read_matches, read_view};
 
 /// Seconds of processor time of this process.
 fn cpu_seconds() -> f64 {
@@ -25,46 +22,6 @@ fn cpu_seconds() -> f64 {
             .unwrap_or(0.0)
     };
     (ticks(12) + ticks(13)) / 100.0
-}
-
-fn numbers(value: &serde_json::Value) -> Vec<f64> {
-    match value {
-        serde_json::Value::Array(values) => values.iter().flat_map(numbers).collect(),
-        other => other.as_f64().into_iter().collect(),
-    }
-}
-
-fn read_view(data: &Path, name: &str, light: &str, start: &str) -> Result<ShadingView, Failure> {
-    let folder = data.join(name);
-    let camera: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(folder.join("camera.json"))?)?;
-    let k = numbers(&camera["K"]);
-    let image = rilievo_io::read_linear(&folder.join(format!("image_{light}.exr")))?;
-    let lights: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(data.join("lighting.json"))?)?;
-    let lighting = Lighting {
-        channels: numbers(&lights[light])
-            .chunks_exact(9)
-            .map(|row| SphericalHarmonics(std::array::from_fn(|j| row[j])))
-            .collect(),
-    };
-    let rotation = Matrix3::from_row_slice(&numbers(&camera["world_from_camera_rotation"]));
-    let center = numbers(&camera["camera_center"]);
-    let mut view = ShadingView::new(
-        name,
-        Arc::new(image.clone()),
-        rilievo_io::read_mask(&folder.join("mask.png"))?,
-        Intrinsics::pinhole(image.width, image.height, k[0], k[2], k[5]),
-        ViewLight::Uniform(lighting),
-    );
-    view.initial_depth = Some(rilievo_io::read_depth(
-        &folder.join(format!("depth_{start}.exr")),
-    )?);
-    view.cam_from_world = Some(RigidTransform::from_world_pose(
-        Rotation3::from_matrix_unchecked(rotation),
-        Point3::new(center[0], center[1], center[2]),
-    ));
-    Ok(view)
 }
 
 fn quantile(values: &mut [f64], share: f64) -> f64 {
@@ -177,14 +134,7 @@ fn case_problem(data: &Path, case: &str) -> Result<ShadingProblem, Failure> {
         for name in ["view1", "view2"] {
             problem.views.push(read_view(data, name, light, "flat")?);
         }
-        let pixels: Vec<[f64; 4]> = std::fs::read_to_string(data.join("matches.csv"))?
-            .lines()
-            .skip(1)
-            .filter_map(|line| {
-                let v: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).collect();
-                <[f64; 4]>::try_from(v).ok()
-            })
-            .collect();
+        let pixels = read_matches(data)?;
         problem.matches.push(ViewMatches {
             views: [0, 1],
             pixels: disturbed(pixels, kind),

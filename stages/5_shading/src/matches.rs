@@ -11,12 +11,17 @@
 //! match, and a gap beyond four times that marks a false one. Along the ray the noise acts with the
 //! triangulation angle `α`: `σ(ln z₁) = σ_px/f · (z₂/z₁) √(1 + cos²α)/sin α`.
 //!
+//! **Literal coupling.** [`literal`] keeps eq. 15 itself: with one view's surface fixed, the best depth
+//! of the other at a match is `z₁ = a·(z₂ b + c₂ − c₁)/(a·a)`, `a`, `b` the rays in the world. The views
+//! then take turns, instead of each being tied to the triangulated point.
+//!
 //! Source: the paper, eq. 13–15; METHOD 6.
 
 use crate::error::ShadingError;
 use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use nalgebra::{Point2, Vector3};
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
+use rilievo_scene::DepthMap;
 
 /// Least noise of a match in pixels: below it, bilinear reading of the surface decides.
 const MIN_NOISE_PX: f64 = 0.02;
@@ -34,8 +39,10 @@ pub(crate) struct MatchAnchors {
     pub(crate) num_matches: usize,
     pub(crate) num_rejected: usize,
     pub(crate) sigma_px: Option<f64>,
+    used: Vec<Triangulated>,
 }
 
+#[derive(Clone, Debug)]
 struct Triangulated {
     views: [usize; 2],
     pixels: [[f64; 2]; 2],
@@ -83,6 +90,55 @@ fn triangulate(
         gap_px: gap / footprint,
         unit_sigma: [spread * z2 / (z1 * f2), spread * z1 / (z2 * f1)],
     })
+}
+
+/// Depth of a map at a sub-pixel position; `None` beside its edge.
+fn depth_at(map: &DepthMap, [x, y]: [f64; 2]) -> Option<f64> {
+    let (x0, y0) = (x.floor(), y.floor());
+    let mut sum = 0.0;
+    for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
+        let weight = (1.0 - (x - x0 - dx).abs()) * (1.0 - (y - y0 - dy).abs());
+        if weight > 0.0 {
+            let z = *map.get((x0 + dx) as isize, (y0 + dy) as isize)?;
+            if z <= 0.0 {
+                return None;
+            }
+            sum += weight * f64::from(z);
+        }
+    }
+    Some(sum)
+}
+
+/// Anchors of one view that eq. 15 asks for, given the other views' present depth.
+pub(crate) fn literal(
+    problem: &ShadingProblem,
+    matches: &MatchAnchors,
+    view: usize,
+    depths: &[DepthMap],
+) -> Vec<DepthAnchor> {
+    let sigma = matches.sigma_px.unwrap_or(MIN_NOISE_PX);
+    let world_ray = |index: usize, pixel: [f64; 2]| {
+        let view = &problem.views[index];
+        let pose = view.cam_from_world.as_ref()?;
+        let ray = pose.rotation.inverse() * view.intrinsics.ray(&Point2::new(pixel[0], pixel[1]));
+        Some((ray, pose.center_in_source()))
+    };
+    let target = |t: &Triangulated| {
+        let k = t.views.iter().position(|&index| index == view)?;
+        let other = 1 - k;
+        let (a, here) = world_ray(view, t.pixels[k])?;
+        let (b, there) = world_ray(t.views[other], t.pixels[other])?;
+        let z = depth_at(&depths[t.views[other]], t.pixels[other])?;
+        let depth = a.dot(&(b * z + (there - here))) / a.norm_squared();
+        // A gap of one pixel's footprint is one deviation.
+        let footprint = z / problem.views[t.views[other]].intrinsics.focal_px();
+        (depth > 0.0).then(|| DepthAnchor {
+            pixel: t.pixels[k],
+            depth,
+            sigma_ln_depth: sigma * footprint / (depth * a.norm()),
+        })
+    };
+    matches.used.iter().filter_map(target).collect()
 }
 
 /// Triangulates all matches of a problem.
@@ -145,6 +201,7 @@ pub(crate) fn anchors(
             continue;
         }
         num_used += 1;
+        out.used.push(t.clone());
         for k in 0..2 {
             out.by_view[t.views[k]].push(DepthAnchor {
                 pixel: t.pixels[k],

@@ -127,7 +127,7 @@ pub struct ShadingOptions {
     /// Weight of the area term of RGB-D refinement, per pixel of the reference plane, with shading
     /// weighing 1 and slopes in (log depth, pixel) units; 0 is off. Too large flattens.
     pub area_weight: f64,
-    /// Cut the gradient where the surface breaks. Off for objects without occluding edges.
+    /// Cut the gradient at the pixels that a view's map of depth breaks names; off ignores the map.
     pub depth_edges: bool,
     /// Solve on coarser grids first. Off in the paper's splitting.
     pub coarse_to_fine: bool,
@@ -137,8 +137,6 @@ pub struct ShadingOptions {
     pub max_num_iterations: usize,
     /// Relative change of energy at which the paper's splitting and the fixed point stop.
     pub relative_tolerance: f64,
-    /// Unknowns up to which the z-step is factorised; multigrid beyond.
-    pub max_factorized_unknowns: usize,
     /// Compute the confidence map.
     pub confidence: bool,
     /// The photo model's own options.
@@ -164,7 +162,6 @@ impl Default for ShadingOptions {
             shadow_level: 0.0,
             max_num_iterations: 100,
             relative_tolerance: 1e-3,
-            max_factorized_unknowns: 0,
             confidence: true,
             photo: PhotoOptions::default(),
         }

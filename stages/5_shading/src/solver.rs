@@ -6,7 +6,7 @@ use crate::levels::{Level, ladder};
 use crate::linearized;
 use crate::matches;
 use crate::model::Facet;
-use crate::options::{PenaltySchedule, ShadingOptions, Splitting, StartShape};
+use crate::options::{Coupling, PenaltySchedule, ShadingOptions, Splitting, StartShape};
 use crate::prepare::{Geometry, PreparedView, prepare};
 use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use crate::result::{maps, rms_residual};
@@ -16,11 +16,13 @@ use crate::splitting::{self, Course, Setting, Ties, slopes};
 use crate::start;
 use crate::theta::{ThetaTerms, theta_step};
 use rilievo_numerics::robust::median;
-use rilievo_scene::Observer;
+use rilievo_scene::{DepthMap, Observer};
 use std::time::Instant;
 
 /// Most levels of the ladder.
 const MAX_LEVELS: usize = 4;
+/// Turns that each view takes under the literal coupling.
+const NUM_TURNS: usize = 2;
 /// Fewest anchors that give a shape: below, a given depth knows more.
 const MIN_ANCHORS: usize = 4;
 /// Errors of the shading model are alike over about this many pixels, so that many pixels together
@@ -55,7 +57,40 @@ pub(crate) fn solve(
         views.push(solved);
         report.views.push(facts);
     }
+    if options.coupling == Coupling::Literal && tied.num_matches > tied.num_rejected {
+        take_turns(problem, &tied, options, observer, &mut views, &mut report)?;
+    }
     Ok(ShadingSolution { views, report })
+}
+
+/// Eq. 15 by views in turn, from the surfaces that triangulated anchors gave.
+fn take_turns(
+    problem: &ShadingProblem,
+    tied: &matches::MatchAnchors,
+    options: &ShadingOptions,
+    observer: &dyn Observer,
+    views: &mut [SolvedView],
+    report: &mut ShadingReport,
+) -> Result<(), ShadingError> {
+    let options = ShadingOptions {
+        start: StartShape::Given,
+        coarse_to_fine: false,
+        ..options.clone()
+    };
+    let mut depths: Vec<DepthMap> = views.iter().map(|view| view.depth.clone()).collect();
+    for _ in 0..NUM_TURNS {
+        for (index, view) in problem.views.iter().enumerate() {
+            let mut view = view.clone();
+            view.initial_depth = Some(depths[index].clone());
+            let coupled = matches::literal(problem, tied, index, &depths);
+            let anchors: Vec<DepthAnchor> = view.anchors.iter().chain(&coupled).copied().collect();
+            let (solved, facts) = solve_view(&view, &anchors, &options, observer)?;
+            depths[index] = solved.depth.clone();
+            views[index] = solved;
+            report.views[index] = facts;
+        }
+    }
+    Ok(())
 }
 
 /// Depth that fixes the unknown's zero: the median of what is known.

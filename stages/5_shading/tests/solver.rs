@@ -6,10 +6,13 @@ use rilievo_scene::{
     SphericalHarmonics,
 };
 use rilievo_shading::{
-    DepthAnchor, PenaltySchedule, Projection, ShadingError, ShadingOptions, ShadingProblem,
-    ShadingSolution, ShadingView, Splitting, StartShape, ViewLight, solve,
+    Coupling, DepthAnchor, PenaltySchedule, Projection, ShadingError, ShadingOptions,
+    ShadingProblem, ShadingSolution, ShadingView, Splitting, StartShape, ViewLight, solve,
 };
 use std::sync::Arc;
+
+#[path = "../examples/table/mod.rs"]
+mod table;
 
 /// A smooth surface: depth relative to the reference as a function of the viewing ray, and slopes by
 /// differences far below a pixel.
@@ -224,6 +227,56 @@ fn anchors_fix_the_scale_without_any_start() {
         .fold(0.0, f32::max);
     assert!(angle < 0.5, "{angle}");
     assert!(worst < 2e-3, "{worst}");
+}
+
+#[test]
+fn the_literal_coupling_of_two_views_agrees_with_anchors() {
+    // Two views of one plane-like relief from cameras side by side, matched by projection.
+    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .nth(3)
+        .map(|root| root.join("shared/data/shading_table"));
+    let Some(data) = data.filter(|data| data.is_dir()) else {
+        eprintln!("skipped: no shared data beside the repository");
+        return;
+    };
+    let problem = table::two_views(&data, "L3");
+    for coupling in [Coupling::Anchors, Coupling::Literal] {
+        let options = ShadingOptions {
+            coupling,
+            ..ShadingOptions::default()
+        };
+        let solution = solve(&problem, &options, &Silent).expect("a valid problem");
+        for view in &solution.views {
+            let angle = table::mean_angle(&data, view);
+            println!("{coupling:?} {}: {angle}", view.name);
+            assert!(angle < 2.2, "{coupling:?} {}: {angle}", view.name);
+        }
+    }
+}
+
+#[test]
+fn the_papers_cells_are_reached_on_the_shared_scene() {
+    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .nth(3)
+        .map(|root| root.join("shared/data/shading_table"));
+    let Some(data) = data.filter(|data| data.is_dir()) else {
+        eprintln!("skipped: no shared data beside the repository");
+        return;
+    };
+    for (light, start, limit) in [
+        ("L3", "rough", 1.4),
+        ("L1", "rough", 5.3),
+        ("L2", "rough", 5.9),
+        ("L3", "flat", 1.85),
+        ("L1", "flat", 29.5),
+    ] {
+        let view = table::view(&data, "view1", light, start);
+        let solution = solved(view, &ShadingOptions::default());
+        let angle = table::mean_angle(&data, &solution.views[0]);
+        assert!(angle < limit, "{light} {start}: {angle} over {limit}");
+    }
 }
 
 #[test]

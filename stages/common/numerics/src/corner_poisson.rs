@@ -346,6 +346,64 @@ mod tests {
     }
 
     #[test]
+    fn agrees_with_a_dense_factorisation() {
+        let mask = Mask::from_fn(17, 14, |x, y| (x, y) != (5, 6) && x + y > 4);
+        let grid = CornerGrid::new(&mask).expect("not empty");
+        let weights: Vec<f32> = (0..grid.num_cells)
+            .map(|k| 0.2 + 0.1 * (k % 9) as f32)
+            .collect();
+        let mut system = CornerPoisson::new(&grid, &weights, 0.05);
+        let mass: Vec<f32> = (0..grid.padded_len())
+            .map(|i| 0.01 * (i % 3) as f32)
+            .collect();
+        let (cell, corners) = grid.locate(9.3, 7.8).expect("inside");
+        let constraint = PointConstraint {
+            cell,
+            corners,
+            weight: 2.0,
+            value: 1.0,
+        };
+        system.set_constraints(Some(&mass), &[constraint]);
+        let mut active = Vec::new();
+        let mut unit = vec![0.0; grid.padded_len()];
+        for span in grid.spans() {
+            for row in [span.cell, span.cell + grid.stride] {
+                active.extend(row..=row + span.len);
+            }
+        }
+        active.sort_unstable();
+        active.dedup();
+        let n = active.len();
+        let mut matrix = nalgebra::DMatrix::<f64>::zeros(n, n);
+        let mut column = vec![0.0; grid.padded_len()];
+        for (j, &node) in active.iter().enumerate() {
+            unit[node] = 1.0;
+            system.apply(&unit, &mut column);
+            unit[node] = 0.0;
+            for (i, &row) in active.iter().enumerate() {
+                matrix[(i, j)] = f64::from(column[row]);
+            }
+        }
+        let asymmetry = (&matrix - matrix.transpose()).amax();
+        assert!(asymmetry < 1e-6, "{asymmetry}");
+        let mut rhs = vec![0.0; grid.padded_len()];
+        for (k, &node) in active.iter().enumerate() {
+            rhs[node] = ((k * 31) % 17) as f32 / 17.0 - 0.5;
+        }
+        system.add_constraints_to(&mut rhs);
+        let b = nalgebra::DVector::from_iterator(n, active.iter().map(|&i| f64::from(rhs[i])));
+        let exact = matrix.cholesky().expect("positive definite").solve(&b);
+        let mut x = vec![0.0; grid.padded_len()];
+        let info = system.solve(&rhs, &mut x, 1e-6, 100);
+        let worst = active
+            .iter()
+            .zip(exact.iter())
+            .map(|(&i, e)| (f64::from(x[i]) - e).abs())
+            .fold(0.0, f64::max);
+        assert!(worst < 1e-3 * exact.amax(), "{worst} {info:?}");
+    }
+
+    #[test]
     fn point_constraints_are_met_and_hold_the_offset() {
         let grid = CornerGrid::new(&Mask::filled(60, 40, true)).expect("not empty");
         let n = grid.num_cells;
