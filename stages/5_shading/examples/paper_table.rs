@@ -1,13 +1,17 @@
-//! The paper's table on `data/shading_table`: `paper_table DATA_DIR [CASE...]`, a case being
-//! `L3-rough`, `L3-flat`, … or `L3-two`.
+//! The paper's table on `data/shading_table`: `paper_table DATA_DIR [--methods] [--pictures DIR] [CASE...]`,
+//! a case being `L3-rough`, `L3-flat`, `L3-two`, `L3-two-noise`, `L3-two-false`, …
 //!
-//! Prints mean and median angle of the normals over the whole mask, median relative depth error,
-//! RMS of the re-rendered image, and CPU seconds.
+//! Prints mean and median angle of the normals over the whole mask, median relative depth error
+//! without and with one free scale, RMS of the re-rendered image, and CPU seconds; `--methods` adds the
+//! paper's splitting and the fixed point, `--pictures` writes image, normals and depth.
 
 mod table;
 
+use rilievo_io::Preview;
 use rilievo_scene::{NormalMap, Silent};
-use rilievo_shading::{ShadingOptions, ShadingProblem, ShadingSolution, ViewMatches, solve};
+use rilievo_shading::{
+    ShadingOptions, ShadingProblem, ShadingSolution, Splitting, ViewMatches, solve,
+};
 use std::path::Path;
 use table::{Failure, read_matches, read_view};
 
@@ -39,17 +43,6 @@ fn errors(data: &Path, solution: &ShadingSolution, at: usize) -> Result<[f64; 4]
     let normals: NormalMap = rilievo_io::read_normal(&folder.join("normal_true.exr"))?;
     let depths = rilievo_io::read_depth(&folder.join("depth_true.exr"))?;
     let (mut angles, mut ratios) = (Vec::new(), Vec::new());
-    if let Ok(folder) = std::env::var("OUTPUT") {
-        let folder = Path::new(&folder);
-        rilievo_io::write_depth(
-            &folder.join(format!("{}_depth.exr", solved.name)),
-            &solved.depth,
-        )?;
-        rilievo_io::write_normal(
-            &folder.join(format!("{}_normal.exr", solved.name)),
-            &solved.normal,
-        )?;
-    }
     for y in 0..normals.height {
         for x in 0..normals.width {
             if let Some(truth) = normals.normal(x, y) {
@@ -64,25 +57,6 @@ fn errors(data: &Path, solution: &ShadingSolution, at: usize) -> Result<[f64; 4]
                 ratios.push(f64::from(solved.depth.at(x, y) / depths.at(x, y)));
             }
         }
-    }
-    if std::env::var_os("VERBOSE").is_some()
-        && let Some(map) = &solved.confidence
-    {
-        // Mean error of the fifths of the mask, from the surest to the least sure.
-        let mut pairs: Vec<(f32, f64)> = map
-            .data
-            .iter()
-            .zip(&normals.data)
-            .filter(|(_, n)| n[2] != 0.0)
-            .map(|(&c, _)| c)
-            .zip(angles.iter().copied())
-            .collect();
-        pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
-        for fifth in pairs.chunks(pairs.len().div_ceil(5)) {
-            let mean = fifth.iter().map(|pair| pair.1).sum::<f64>() / fifth.len() as f64;
-            print!("[{:.3}: {mean:.2} deg] ", fifth[0].0);
-        }
-        println!();
     }
     let mean = angles.iter().sum::<f64>() / angles.len() as f64;
     let scale = quantile(&mut ratios, 0.5);
@@ -145,42 +119,81 @@ fn case_problem(data: &Path, case: &str) -> Result<ShadingProblem, Failure> {
     Ok(problem)
 }
 
+/// What the paper reports for its own object (mean angle, degrees): lighting, start, its splitting.
+const PAPER: [(&str, &str, f64); 8] = [
+    ("L1", "rough", 8.74),
+    ("L2", "rough", 9.93),
+    ("L3", "rough", 3.61),
+    ("L1", "flat", 27.91),
+    ("L2", "flat", 37.46),
+    ("L3", "flat", 13.80),
+    ("L1", "two", 18.34),
+    ("L3", "two", 8.13),
+];
+
+fn write_pictures(folder: &Path, case: &str, solution: &ShadingSolution) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder)?;
+    for view in &solution.views {
+        let path = |kind: &str| folder.join(format!("{case}_{}_{kind}.png", view.name));
+        rilievo_io::write_preview_png(&path("image"), Preview::Linear(&view.rendered), 0)?;
+        rilievo_io::write_preview_png(&path("normal"), Preview::Normal(&view.normal), 0)?;
+        rilievo_io::write_preview_png(&path("depth"), Preview::Depth(&view.depth), 0)?;
+    }
+    Ok(())
+}
+
 fn main() -> Result<(), Failure> {
+    let mut data = None;
+    let mut pictures = None;
+    let mut methods = vec![Splitting::Full];
+    let mut cases: Vec<String> = Vec::new();
     let mut args = std::env::args().skip(1);
-    let data = args.next().ok_or("usage: paper_table DATA_DIR [CASE...]")?;
-    let mut cases: Vec<String> = args.collect();
+    while let Some(arg) = args.next() {
+        match arg.as_str() {
+            "--pictures" => pictures = args.next(),
+            "--methods" => methods = vec![Splitting::Full, Splitting::Paper, Splitting::None],
+            _ if data.is_none() => data = Some(arg),
+            _ => cases.push(arg),
+        }
+    }
+    let data = data.ok_or("usage: paper_table DATA_DIR [--methods] [--pictures DIR] [CASE...]")?;
+    let data = Path::new(&data);
     if cases.is_empty() {
         cases = ["rough", "flat", "two"]
             .iter()
             .flat_map(|start| ["L3", "L1", "L2"].map(|light| format!("{light}-{start}")))
             .collect();
     }
-    let options: ShadingOptions = match std::env::var("OPTIONS") {
-        Ok(json) => serde_json::from_str(&json)?,
-        Err(_) => ShadingOptions::default(),
-    };
-    println!("case       view    MAE deg  median  depth %  scaled %  RMS image  CPU s  theta  z");
+    println!(
+        "case           view   method MAE deg  median  depth %  scaled %  RMS image  CPU s  (paper, its object)"
+    );
     for case in cases {
-        let problem = case_problem(Path::new(&data), &case)?;
-        let begun = cpu_seconds();
-        let solution = solve(&problem, &options, &Silent)?;
-        let cpu = cpu_seconds() - begun;
-        for at in 0..solution.views.len() {
-            let [mean, median, depth, scaled] = errors(Path::new(&data), &solution, at)?;
-            let facts = &solution.report.views[at];
-            if std::env::var_os("VERBOSE").is_some() {
+        let problem = case_problem(data, &case)?;
+        let paper = PAPER
+            .iter()
+            .find(|(light, start, _)| case == format!("{light}-{start}"))
+            .map_or_else(String::new, |(_, _, angle)| format!("{angle:.2}"));
+        for &splitting in &methods {
+            let options = ShadingOptions {
+                splitting,
+                ..ShadingOptions::default()
+            };
+            let begun = cpu_seconds();
+            let solution = solve(&problem, &options, &Silent)?;
+            let cpu = cpu_seconds() - begun;
+            for at in 0..solution.views.len() {
+                let [mean, median, depth, scaled] = errors(data, &solution, at)?;
+                let facts = &solution.report.views[at];
                 println!(
-                    "{} anchors, {} rejected; matches {:?} px, {} rejected",
-                    facts.num_anchors,
-                    facts.num_anchors_rejected,
-                    solution.report.match_sigma_px,
-                    solution.report.num_matches_rejected
+                    "{case:14} {:6} {:6} {mean:7.3} {median:7.3} {depth:8.4} {scaled:8.4}  {:9.5} {cpu:6.2}  {paper}",
+                    facts.name,
+                    format!("{splitting:?}"),
+                    facts.rms_rendered
                 );
             }
-            println!(
-                "{case:10} {:7} {mean:7.3} {median:7.3} {depth:8.4} {scaled:8.4}  {:9.5} {cpu:6.2} {:6.2} {:6.2}",
-                facts.name, facts.rms_rendered, facts.seconds.theta, facts.seconds.z
-            );
+            if let (Some(folder), Splitting::Full) = (&pictures, splitting) {
+                write_pictures(Path::new(folder), &case, &solution)?;
+            }
         }
     }
     Ok(())

@@ -45,7 +45,8 @@ fn main() -> Result<(), Failure> {
     // Normals of the rough depth by central differences, and a least-squares fit per channel.
     let mut normal_matrix = SMatrix::<f64, 9, 9>::zeros();
     let mut right = [SVector::<f64, 9>::zeros(); 3];
-    let w: usize = std::env::var("W").map_or(Ok(3), |v| v.parse())?;
+    // Half the window, pixels.
+    let w = 3_usize;
     for y in 1..height - 1 {
         for x in 1..width - 1 {
             let z = |x: usize, y: usize| f64::from(*depth.at(x, y));
@@ -104,10 +105,7 @@ fn main() -> Result<(), Failure> {
     });
     let options = ShadingOptions {
         area_weight: 0.05,
-        ..std::env::var("OPTIONS").map_or_else(
-            |_| Ok(ShadingOptions::default()),
-            |json| serde_json::from_str(&json),
-        )?
+        ..ShadingOptions::default()
     };
     let begun = std::time::Instant::now();
     let problem = ShadingProblem {
@@ -116,12 +114,6 @@ fn main() -> Result<(), Failure> {
     };
     let solution = solve(&problem, &options, &Silent)?;
     let facts = &solution.report.views[0];
-    if std::env::var_os("VERBOSE").is_some() {
-        println!("beta {} start {} white?", facts.beta_start, facts.rms_start);
-        for r in &facts.iterations {
-            println!("{r:?}");
-        }
-    }
     println!(
         "energy {:.1}: shading {:.1}, prior {:.1}, area {:.1}; {:.2} s, {} iterations",
         facts.energy_shading + facts.energy_prior + facts.energy_area,

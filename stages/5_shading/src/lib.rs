@@ -1,4 +1,29 @@
 //! Stage 5: coupled multi-view shape from shading to depth and normal maps.
+//!
+//! **In**: views with linear images, masks, cameras, lighting, and whatever is known of depth (a
+//! start, anchors, matches with other views, a depth prior). **Out**: depth, normals, re-rendered image
+//! and confidence per view, and a report of energies, residuals and times.
+//!
+//! **Method.** Per view, over the log depth `z̃` (eq. 7, 8; METHOD 3, 4, 6, 7),
+//!
+//! ```text
+//! min  Σ_pixels w Σ_c (ρ^c l^c·h(n(∇z̃)) − I^c)² + ν Σ d + μ Σ (z̃ − z̃₀)² + Σ_anchors (z̃ − z̃_a)² σ_I²/σ_a²
+//! ```
+//!
+//! 1. [`solve`] checks the views and gathers usable pixels (`prepare`); matches between posed views are
+//!    triangulated, and false ones rejected, into anchors (`matches`).
+//! 2. The start is a robust thin plate through the anchors, a given depth, or a plane (`start`).
+//! 3. Full splitting: θ-step per pixel (`theta`, on the model of `model`), z-step by multigrid on the
+//!    corner grid of `rilievo_numerics`, on a ladder of resolutions (`levels`, `splitting`), with a
+//!    penalty whose course follows from lighting, noise and anchors (`schedule`).
+//! 4. Normals are drawn from the surface's slopes towards what each pixel says; confidence (`confidence`)
+//!    and maps (`result`) follow.
+//!
+//! The paper's own splitting and the fixed point without one stand beside it (`linearized`). [`run`]
+//! builds the problem from posed views (`posed`), or hands them to the photographs' own model
+//! ([`photo`]).
+//!
+//! Source: Quéau, Mélou, Durou, Cremers, ICCV 2017 (`queau2017`).
 
 mod confidence;
 mod error;
