@@ -25,10 +25,11 @@ use super::working::WorkingView;
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
 
-/// Correlation between two views' estimates of one depth, which share photos; measured against
-/// truth on rendered objects 0.76 to 0.9 for raw differences, of which a part is the surface's.
+/// Correlation between two views' estimates of one depth, which share photos. Raw errors correlate
+/// by 0.76 to 0.9 on rendered objects; with this value predicted and true errors agree there.
 const VIEW_CORRELATION: f64 = 0.64;
-/// Deviation that remains without noise, working pixels of disparity.
+/// Deviation that remains without noise, working pixels of disparity; set with the correlation, by
+/// the errors of the surest fifth of the anchors.
 const FLOOR_PX: f64 = 0.37;
 /// Noise factor where too few pairs tell; plain surfaces give 5 to 8.
 const DEFAULT_NOISE_FACTOR: f64 = 7.0;
