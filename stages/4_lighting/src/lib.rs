@@ -28,6 +28,7 @@
 //! for the eye.
 
 mod anchor_normals;
+mod calibration;
 mod cells;
 mod check;
 mod error;

@@ -1,4 +1,4 @@
-//! Lighting from the reference sphere, or from a photo of a sphere in the object's place.
+//! Lighting from the reference sphere beside the object.
 //!
 //! # Steps
 //! 1. Usable pixels of the sphere in every view ([`crate::samples`]).
@@ -7,8 +7,9 @@
 //! 3. World: one robust fit over all views, normals turned into the world and intensities divided
 //!    by the gains; rotated into each camera and multiplied by its gain. Camera: one fit per view;
 //!    a view without a usable sphere takes the lighting of the nearest one, and says so.
-//! 4. A calibration photo replaces step 3's fit; the sphere beside the object still gives the gains.
+//! 4. A calibration photo ([`crate::calibration`]) replaces step 3's fit; the sphere beside the object still gives the gains.
 
+use crate::calibration::from_calibration;
 use crate::gains::{self, Gains};
 use crate::options::GainMode;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
@@ -16,10 +17,10 @@ use crate::samples::{SphereSamples, of_sphere};
 use crate::{LightingError, LightingOptions, kind, place};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, fit_lighting, rotate};
-use rilievo_photometry::sphere::{SphereInCamera, cone_from_mark, detect_in_photo};
+use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
     Event, Flow, LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet,
-    PosedViews, SphereCalibration, SphereRequest, StageId, ViewIdx, ViewLighting,
+    PosedViews, SphereRequest, StageId, ViewIdx, ViewLighting,
 };
 
 pub(crate) fn run(
@@ -63,11 +64,11 @@ pub(crate) fn run(
 }
 
 /// The sphere in the views that show enough of it.
-struct Side {
+pub(crate) struct Side {
     /// Indices of those views.
-    views: Vec<usize>,
+    pub views: Vec<usize>,
     /// Their samples.
-    samples: Vec<SphereSamples>,
+    pub samples: Vec<SphereSamples>,
 }
 
 fn collect_views(
@@ -171,14 +172,14 @@ fn warn_of_kind(report: &mut LightingReport) {
 
 /// Samples of several views in one frame, intensities divided by the gains where they apply.
 #[derive(Default)]
-struct Pool {
+pub(crate) struct Pool {
     normals: Vec<Vector3<f64>>,
     values: Vec<Vec<f64>>,
     usable: Vec<Vec<bool>>,
 }
 
 impl Pool {
-    fn add(
+    pub fn add(
         &mut self,
         samples: &SphereSamples,
         rotation: &UnitQuaternion<f64>,
@@ -194,7 +195,7 @@ impl Pool {
         }
     }
 
-    fn fit(&self, of: &str, options: &LightingOptions) -> Result<LightingFit, LightingError> {
+    pub fn fit(&self, of: &str, options: &LightingOptions) -> Result<LightingFit, LightingError> {
         fit_lighting(&self.normals, &self.values, &self.usable, &options.fit).map_err(|source| {
             LightingError::Fit {
                 of: of.to_owned(),
@@ -204,7 +205,7 @@ impl Pool {
     }
 }
 
-fn ones(num_channels: usize) -> Vec<f64> {
+pub(crate) fn ones(num_channels: usize) -> Vec<f64> {
     vec![1.0; num_channels]
 }
 
@@ -236,7 +237,7 @@ pub(crate) fn residual_of(samples: &SphereSamples, lighting: &Lighting) -> Optio
 
 /// Gains of the views in `side`, found in two rounds: the first fit tells the slope of the light
 /// within a cell of normals, the second comparison removes it.
-fn gains_of(
+pub(crate) fn gains_of(
     side: &Side,
     rotations: &[UnitQuaternion<f64>],
     options: &LightingOptions,
@@ -259,7 +260,7 @@ fn gains_of(
 }
 
 /// Writes gains into the report; returns the gain to apply per posed view.
-fn report_gains(
+pub(crate) fn report_gains(
     posed: &PosedViews,
     side: &Side,
     gains: &Gains,
@@ -302,7 +303,7 @@ fn scaled(lighting: Lighting, gain: &[f64]) -> Lighting {
 }
 
 /// Lighting of every view from one environment in the world.
-fn views_from_environment(
+pub(crate) fn views_from_environment(
     posed: &PosedViews,
     environment: &Lighting,
     gains: &[Vec<f64>],
@@ -337,7 +338,7 @@ fn views_from_environment(
         .collect()
 }
 
-fn describe(fit: &LightingFit, report: &mut LightingReport) {
+pub(crate) fn describe(fit: &LightingFit, report: &mut LightingReport) {
     report.channels = fit.channels.iter().map(ChannelReport::from).collect();
     report.dominant_direction = dominant_direction(&fit.lighting()).map(Into::into);
     if fit.channels.iter().any(|channel| channel.order == 1) {
@@ -441,108 +442,4 @@ fn from_side_camera(
         },
         report,
     ))
-}
-
-fn from_calibration(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    request: &SphereRequest,
-    (side, rotations): (&Side, &[UnitQuaternion<f64>]),
-    options: &LightingOptions,
-    mut report: LightingReport,
-) -> Result<(LightingCalibration, LightingReport), LightingError> {
-    let mut pool = Pool::default();
-    let mut num_channels = 1;
-    for calibration in &request.calibration {
-        let (samples, world_from_cam) = calibration_samples(photos, posed, calibration, options)?;
-        num_channels = calibration.image.channels;
-        let frame = match request.light {
-            LightKind::World => world_from_cam,
-            LightKind::Camera => UnitQuaternion::identity(),
-        };
-        let share = options.max_num_samples / request.calibration.len();
-        pool.add(&samples, &frame, &ones(num_channels), share);
-    }
-    let fit = pool.fit("the calibration photo", options)?;
-    describe(&fit, &mut report);
-    let (environment_in_world, views) = match request.light {
-        LightKind::World => {
-            let applied = if side.views.len() > 1 {
-                let gains = gains_of(side, rotations, options)?;
-                report_gains(posed, side, &gains, num_channels, &mut report)
-            } else {
-                vec![ones(num_channels); posed.views.len()]
-            };
-            let environment = fit.lighting();
-            let views = views_from_environment(posed, &environment, &applied, side, &mut report);
-            (Some(environment), views)
-        }
-        LightKind::Camera => {
-            let views = (0..posed.views.len()).map(|idx| ViewLighting {
-                view: ViewIdx(idx),
-                lighting: fit.lighting(),
-                residual: Some(fit.relative_rms()),
-                gain: ones(num_channels),
-            });
-            (None, views.collect())
-        }
-    };
-    Ok((
-        LightingCalibration {
-            source: LightSource::CalibrationPhoto,
-            kind: request.light,
-            environment_in_world,
-            views,
-        },
-        report,
-    ))
-}
-
-/// Samples of a calibration sphere, with the rotation of its camera.
-fn calibration_samples(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    calibration: &SphereCalibration,
-    options: &LightingOptions,
-) -> Result<(SphereSamples, UnitQuaternion<f64>), LightingError> {
-    let of_sphere_error = |source| LightingError::Sphere {
-        of: calibration.name.clone(),
-        source,
-    };
-    let camera = posed
-        .views
-        .iter()
-        .find(|view| view.photo == calibration.same_camera_as)
-        .ok_or_else(|| LightingError::CalibrationCamera {
-            name: calibration.name.clone(),
-            camera: photos
-                .photos
-                .get(calibration.same_camera_as.0)
-                .map_or_else(String::new, |photo| photo.file_name.clone()),
-        })?;
-    let clip_level = photos.photos[camera.photo.0].clip_level;
-    let cone = match &calibration.mark {
-        Some(mark) => {
-            cone_from_mark(mark, &camera.intrinsics, &options.sphere)
-                .map_err(of_sphere_error)?
-                .cone
-        }
-        None => detect_in_photo(
-            &calibration.image,
-            &camera.intrinsics,
-            clip_level,
-            &options.sphere,
-        )
-        .map_err(of_sphere_error)?,
-    };
-    // Normals do not depend on the radius: any serves.
-    let samples = of_sphere(
-        &calibration.image,
-        None,
-        clip_level,
-        &camera.intrinsics,
-        &cone.sphere(1.0),
-        options,
-    );
-    Ok((samples, camera.cam_from_world.rotation.inverse()))
 }

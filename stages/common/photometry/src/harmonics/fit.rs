@@ -21,6 +21,7 @@
 //!    from each other (few or nearly parallel normals), four are fitted instead.
 //! 4. Covariance `σ² (Σ w h hᵀ / s²)⁻¹` with the final weights.
 
+use super::starts::partial_starts;
 use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{Lighting, SphericalHarmonics};
@@ -257,11 +258,11 @@ pub fn fit_lighting(
     Ok(LightingFit { channels })
 }
 
-struct Sample {
-    normal: Vector3<f64>,
-    basis: [f64; 9],
-    value: f64,
-    weight: f64,
+pub(super) struct Sample {
+    pub normal: Vector3<f64>,
+    pub basis: [f64; 9],
+    pub value: f64,
+    pub weight: f64,
 }
 
 fn collect_samples(
@@ -362,7 +363,7 @@ fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option
 
 /// How noise depends on brightness.
 #[derive(Clone, Copy)]
-struct Noise {
+pub(super) struct Noise {
     mean: f64,
     floor: f64,
 }
@@ -370,7 +371,7 @@ struct Noise {
 impl Noise {
     /// Scale of a residual where the light predicts a brightness, 1 at the mean.
     #[inline]
-    fn scale(self, predicted: f64) -> f64 {
+    pub fn scale(self, predicted: f64) -> f64 {
         (predicted / self.mean).max(self.floor)
     }
 }
@@ -447,15 +448,15 @@ fn iterate<const N: usize>(
     })
 }
 
-type SVector<const N: usize> = SMatrix<f64, N, 1>;
+pub(super) type SVector<const N: usize> = SMatrix<f64, N, 1>;
 
 #[inline]
-fn predict<const N: usize>(l: &SVector<N>, sample: &Sample) -> f64 {
+pub(super) fn predict<const N: usize>(l: &SVector<N>, sample: &Sample) -> f64 {
     (0..N).map(|k| l[k] * sample.basis[k]).sum()
 }
 
 /// Normal matrix and solution of the weighted least squares.
-fn solve<const N: usize>(
+pub(super) fn solve<const N: usize>(
     samples: &[Sample],
     weight: impl Fn(usize) -> f64,
 ) -> Option<(SMatrix<f64, N, N>, SVector<N>)> {
@@ -509,125 +510,4 @@ fn condition<const N: usize>(normal_matrix: &SMatrix<f64, N, N>) -> f64 {
         return f64::INFINITY;
     }
     (largest / smallest).sqrt()
-}
-
-/// Vertices of an icosahedron.
-const NUM_VERTICES: usize = 12;
-
-/// Directions whose surroundings the starts leave out: the twelve vertices of an icosahedron, and
-/// eight around the mean normal, as the normals that one photo sees are half a sphere.
-fn directions(mean: &Vector3<f64>) -> Vec<Vector3<f64>> {
-    let golden = 0.5 * (1.0 + 5.0_f64.sqrt());
-    let vertex = |k: usize| {
-        let a = if k & 1 == 0 { 1.0 } else { -1.0 };
-        let b = if k & 2 == 0 { golden } else { -golden };
-        match k / 4 {
-            0 => Vector3::new(0.0, a, b),
-            1 => Vector3::new(a, b, 0.0),
-            _ => Vector3::new(b, 0.0, a),
-        }
-        .normalize()
-    };
-    let mut directions: Vec<Vector3<f64>> = (0..NUM_VERTICES).map(vertex).collect();
-    let helper = if mean.x.abs() < 0.7 * mean.norm() {
-        Vector3::x()
-    } else {
-        Vector3::y()
-    };
-    if let Some(e1) = mean.cross(&helper).try_normalize(1e-6) {
-        let e2 = mean.normalize().cross(&e1);
-        directions.extend((0..8).map(|k| {
-            let (s, c) = (std::f64::consts::FRAC_PI_4 * f64::from(k)).sin_cos();
-            e1 * c + e2 * s
-        }));
-    }
-    directions
-}
-
-/// Steps of least trimmed squares; they settle within a few.
-const NUM_TRIMS: usize = 12;
-
-/// Refits the share of the samples that agree best, again and again; returns the trimmed cost too.
-fn trim<const N: usize>(
-    samples: &[Sample],
-    stride: usize,
-    start: SVector<N>,
-    noise: Noise,
-    options: &FitOptions,
-) -> Option<(f64, SVector<N>)> {
-    let mut l = start;
-    let mut residuals = vec![f64::INFINITY; samples.len()];
-    let mut scales = vec![1.0; samples.len()];
-    let mut best = None;
-    for step in 0..=NUM_TRIMS {
-        let mut sorted = Vec::with_capacity(samples.len() / stride + 1);
-        for k in (0..samples.len()).step_by(stride) {
-            let predicted = predict(&l, &samples[k]);
-            scales[k] = noise.scale(predicted);
-            residuals[k] = (predicted - samples[k].value).abs() / scales[k];
-            sorted.push(residuals[k]);
-        }
-        let limit = crate::robust::quantile(&mut sorted, options.start_quantile)?;
-        let cost = sorted.iter().filter(|r| **r <= limit).map(|r| r * r).sum();
-        best = Some((cost, l));
-        if step < NUM_TRIMS {
-            (_, l) = solve::<N>(samples, |k| {
-                if k % stride == 0 && residuals[k] <= limit {
-                    samples[k].weight / (scales[k] * scales[k])
-                } else {
-                    0.0
-                }
-            })?;
-        }
-    }
-    best
-}
-
-/// Partial starts that are followed to the end.
-const NUM_STARTS: usize = 4;
-
-/// The best starts that leave out the samples around one direction.
-fn partial_starts<const N: usize>(
-    samples: &[Sample],
-    noise: Noise,
-    options: &FitOptions,
-) -> Option<Vec<SVector<N>>> {
-    if options.start_left_out == 0.0 || samples.len() < 20 * N {
-        return Some(Vec::new());
-    }
-    // Two thousand samples rank the starts as well as a million.
-    let stride = samples.len().div_ceil(2000);
-    let few = || samples.iter().step_by(stride);
-    let mean: Vector3<f64> = few().map(|s| s.normal).sum::<Vector3<f64>>() / few().count() as f64;
-    let mut starts = Vec::new();
-    // A shadow shaped as a wedge reaches the middle: around the mean normal, more than half of the
-    // samples is left out as well.
-    let wide = (1.6 * options.start_left_out).min(0.6);
-    let cuts = directions(&mean)
-        .into_iter()
-        .enumerate()
-        .flat_map(|(k, direction)| {
-            let also = (k >= NUM_VERTICES).then_some((direction, wide));
-            std::iter::once((direction, options.start_left_out)).chain(also)
-        });
-    for (direction, left_out) in cuts {
-        let side = |s: &Sample| (s.normal - mean).dot(&direction);
-        let mut sides: Vec<f64> = few().map(side).collect();
-        let limit = crate::robust::quantile(&mut sides, 1.0 - left_out)?;
-        let kept = |s: &Sample| side(s) <= limit;
-        let partial = solve::<N>(samples, |k| {
-            let sample = &samples[k];
-            if k % stride == 0 && kept(sample) {
-                sample.weight
-            } else {
-                0.0
-            }
-        });
-        if let Some((_, l)) = partial {
-            starts.extend(trim(samples, stride, l, noise, options));
-        }
-    }
-    starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-    starts.truncate(NUM_STARTS);
-    Some(starts.into_iter().map(|(_, l)| l).collect())
 }

@@ -12,6 +12,7 @@ mod fit;
 #[cfg(test)]
 mod fit_tests;
 mod rotation;
+mod starts;
 
 pub use fit::{FitError, FitOptions, HarmonicsFit, LightingFit, fit_lighting, fit_robust};
 pub use rotation::{dominant_direction, rotate, rotate_harmonics};

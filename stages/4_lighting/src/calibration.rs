@@ -1,0 +1,123 @@
+//! Lighting from a photo of a sphere in the object's place.
+//!
+//! The calibration sphere stands where the object stood, so that nothing of the object's shadow or
+//! bounce light is missing or added. Its photo was taken by the camera of one view; normals need
+//! only the outline, whatever its radius. The sphere beside the object, where there is one, still
+//! gives the gains of the photos.
+
+use crate::report::LightingReport;
+use crate::samples::{SphereSamples, of_sphere};
+use crate::sphere_light::{
+    Pool, Side, describe, gains_of, ones, report_gains, views_from_environment,
+};
+use crate::{LightingError, LightingOptions};
+use nalgebra::UnitQuaternion;
+use rilievo_photometry::sphere::{cone_from_mark, detect_in_photo};
+use rilievo_scene::{
+    LightKind, LightSource, LightingCalibration, PhotoSet, PosedViews, SphereCalibration,
+    SphereRequest, ViewIdx, ViewLighting,
+};
+
+pub(crate) fn from_calibration(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    request: &SphereRequest,
+    (side, rotations): (&Side, &[UnitQuaternion<f64>]),
+    options: &LightingOptions,
+    mut report: LightingReport,
+) -> Result<(LightingCalibration, LightingReport), LightingError> {
+    let mut pool = Pool::default();
+    let mut num_channels = 1;
+    for calibration in &request.calibration {
+        let (samples, world_from_cam) = calibration_samples(photos, posed, calibration, options)?;
+        num_channels = calibration.image.channels;
+        let frame = match request.light {
+            LightKind::World => world_from_cam,
+            LightKind::Camera => UnitQuaternion::identity(),
+        };
+        let share = options.max_num_samples / request.calibration.len();
+        pool.add(&samples, &frame, &ones(num_channels), share);
+    }
+    let fit = pool.fit("the calibration photo", options)?;
+    describe(&fit, &mut report);
+    let (environment_in_world, views) = match request.light {
+        LightKind::World => {
+            let applied = if side.views.len() > 1 {
+                let gains = gains_of(side, rotations, options)?;
+                report_gains(posed, side, &gains, num_channels, &mut report)
+            } else {
+                vec![ones(num_channels); posed.views.len()]
+            };
+            let environment = fit.lighting();
+            let views = views_from_environment(posed, &environment, &applied, side, &mut report);
+            (Some(environment), views)
+        }
+        LightKind::Camera => {
+            let views = (0..posed.views.len()).map(|idx| ViewLighting {
+                view: ViewIdx(idx),
+                lighting: fit.lighting(),
+                residual: Some(fit.relative_rms()),
+                gain: ones(num_channels),
+            });
+            (None, views.collect())
+        }
+    };
+    Ok((
+        LightingCalibration {
+            source: LightSource::CalibrationPhoto,
+            kind: request.light,
+            environment_in_world,
+            views,
+        },
+        report,
+    ))
+}
+
+/// Samples of a calibration sphere, with the rotation of its camera.
+fn calibration_samples(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    calibration: &SphereCalibration,
+    options: &LightingOptions,
+) -> Result<(SphereSamples, UnitQuaternion<f64>), LightingError> {
+    let of_sphere_error = |source| LightingError::Sphere {
+        of: calibration.name.clone(),
+        source,
+    };
+    let camera = posed
+        .views
+        .iter()
+        .find(|view| view.photo == calibration.same_camera_as)
+        .ok_or_else(|| LightingError::CalibrationCamera {
+            name: calibration.name.clone(),
+            camera: photos
+                .photos
+                .get(calibration.same_camera_as.0)
+                .map_or_else(String::new, |photo| photo.file_name.clone()),
+        })?;
+    let clip_level = photos.photos[camera.photo.0].clip_level;
+    let cone = match &calibration.mark {
+        Some(mark) => {
+            cone_from_mark(mark, &camera.intrinsics, &options.sphere)
+                .map_err(of_sphere_error)?
+                .cone
+        }
+        None => detect_in_photo(
+            &calibration.image,
+            &camera.intrinsics,
+            clip_level,
+            &options.sphere,
+        )
+        .map_err(of_sphere_error)?,
+    };
+    // Normals do not depend on the radius: any serves.
+    let samples = of_sphere(
+        &calibration.image,
+        None,
+        clip_level,
+        &camera.intrinsics,
+        &cone.sphere(1.0),
+        options,
+    );
+    Ok((samples, camera.cam_from_world.rotation.inverse()))
+}
