@@ -13,11 +13,11 @@ pub fn listen() {
             if STOP.swap(true, Ordering::SeqCst) {
                 std::process::exit(130);
             }
-            eprintln!("stopping; once more aborts at once");
+            tell!("stopping; once more aborts at once");
         });
         if let Err(error) = installed {
             // Without a handler the system's default ends the program, which is resumable too.
-            eprintln!("warning: Ctrl-C cannot be caught: {error}");
+            tell!("warning: Ctrl-C cannot be caught: {error}");
         }
     });
 }

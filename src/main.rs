@@ -3,6 +3,9 @@
 //! The program knows files, flags and the terminal; the stages in `stages/` are functions from data
 //! to data. See ARCHITECTURE.md for how data flow.
 
+#[macro_use]
+mod output;
+
 mod cli;
 mod commands;
 mod config;
@@ -22,7 +25,7 @@ fn main() -> ExitCode {
     match commands::dispatch(cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            tell!("error: {error:#}");
             ExitCode::from(exit::code_of(&error))
         }
     }

@@ -148,17 +148,16 @@ fn ctrl_c_ends_soon_and_leaves_a_resumable_run() {
     let run_dir = dir.path().join("run");
     let mut child = start(&synthetic_set(), &run_dir);
     std::thread::sleep(Duration::from_secs_f64(0.4 * seconds));
-    let pid = child.id().to_string();
-    let sent = Command::new("kill").args(["-INT", &pid]).status();
+    // The shell's own `kill` is everywhere; the program of that name is not.
+    let interrupt = format!("kill -INT {}", child.id());
+    let sent = Command::new("sh").args(["-c", &interrupt]).status();
     assert!(sent.is_ok_and(|status| status.success()));
     let asked = Instant::now();
     let status = child.wait().expect("a child can be waited for");
     assert_eq!(status.code(), Some(130));
-    assert!(
-        asked.elapsed() < Duration::from_secs(5),
-        "{:?}",
-        asked.elapsed()
-    );
+    // A slow machine may take longer over the step at hand, in proportion.
+    let bound = Duration::from_secs_f64((0.25 * seconds).max(10.0));
+    assert!(asked.elapsed() < bound, "{:?}", asked.elapsed());
     let (code, status, _) = run(&["status", arg(&run_dir)]);
     assert_eq!(code, 0);
     assert!(status.contains("1_photos     valid"), "{status}");

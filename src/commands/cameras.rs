@@ -19,13 +19,13 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
         .iter()
         .filter(|camera| camera.cam_from_world.is_some())
         .count();
-    println!(
+    say!(
         "{} cameras ({posed} with a pose) from {} ({}) are in {}",
         cameras.cameras.len(),
         args.source.display(),
         format.name(),
         args.output.display()
-    );
+    )?;
     Ok(())
 }
 
@@ -41,12 +41,12 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         read(&args.source, None)?.0
     };
     export_cameras(&args.output, args.format, &cameras).map_err(from_io)?;
-    println!(
+    say!(
         "{} cameras are in {} ({})",
         cameras.cameras.len(),
         args.output.display(),
         args.format.name()
-    );
+    )?;
     Ok(())
 }
 

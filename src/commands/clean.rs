@@ -10,12 +10,12 @@ use crate::store::RunDir;
 pub fn clean(args: &StageArgs) -> anyhow::Result<()> {
     let run = RunDir::open(&args.run)?;
     if run.clean(args.stage)? {
-        println!(
+        say!(
             "{} is deleted; stages that read it will be redone",
             args.stage
-        );
+        )?;
     } else {
-        println!("{} has no result", args.stage);
+        say!("{} has no result", args.stage)?;
     }
     Ok(())
 }

@@ -9,7 +9,7 @@ use crate::cli::DemoArgs;
 use crate::config::StageOptions;
 use crate::observe::Console;
 use crate::pipeline::{LightingInput, Range, Request, SphereInput};
-use crate::store::{StoreError, write_atomically};
+use crate::store::{RunDir, StoreError};
 use rilievo_scene::StageId;
 use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::Path;
@@ -33,6 +33,8 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
     let folder =
         std::path::absolute(&args.output).map_err(StoreError::files("find", &args.output))?;
     let set = folder.join("photographed");
+    let run = folder.join("run");
+    start_afresh(&run)?;
     photograph(&set, args.seed, console)?;
     let request = Request {
         photos: vec![set.join("photos")],
@@ -49,53 +51,45 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
         redo_from: None,
         until: StageId::Fusion,
     };
-    let run = folder.join("run");
     bring_run_up_to_date(&request, &run, range, &args.work, console)?;
     let evaluation = evaluate::measure(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     if args.work.json {
         let line = serde_json::json!({"event": "evaluation", "evaluation": evaluation});
-        println!("{line}");
+        say!("{line}")?;
         return Ok(());
     }
-    println!(
+    say!(
         "\nAccuracy against the truth:\n{}",
         evaluate::table(&evaluation)
-    );
-    println!("photos and truth  {}", set.display());
-    println!(
-        "depth maps        {}",
-        run.join("5_shading/depth").display()
-    );
-    println!(
-        "normal maps       {}",
-        run.join("5_shading/normal").display()
-    );
-    println!(
-        "point cloud       {}",
-        run.join("6_fusion/cloud.ply").display()
-    );
-    println!(
-        "mesh              {}",
-        run.join("6_fusion/mesh.ply").display()
-    );
-    println!("report            {}", run.join("report.html").display());
+    )?;
+    for (what, file) in [
+        ("photos and truth", "photographed"),
+        ("depth maps", "run/5_shading/depth"),
+        ("normal maps", "run/5_shading/normal"),
+        ("point cloud", "run/6_fusion/cloud.ply"),
+        ("mesh", "run/6_fusion/mesh.ply"),
+        ("report", "run/report.html"),
+    ] {
+        say!("{what:<16}  {}", args.output.join(file).display())?;
+    }
     Ok(())
 }
 
-/// Photographs the scene, unless this version did so before with the same seed.
+/// Photographs the scene.
 fn photograph(set: &Path, seed: u64, console: &Console) -> anyhow::Result<()> {
-    let mark = set.join("made.json");
-    let what = format!(
-        "{{\"program\": \"rilievo {}\", \"seed\": {seed}}}\n",
-        env!("CARGO_PKG_VERSION")
-    );
-    if std::fs::read_to_string(&mark).is_ok_and(|found| found == what) {
-        return Ok(());
-    }
     console.note("photographing a synthetic scene");
     let mut options = SynthOptions::default();
     options.scene.seed = seed;
-    write_set(set, &options, console)?;
-    write_atomically(&mark, what.as_bytes())?;
+    write_set(set, &options, console)
+}
+
+/// Deletes what an earlier demo left: this one shows what this program does, all of it.
+fn start_afresh(run: &Path) -> anyhow::Result<()> {
+    if run.join("run.json").exists() {
+        let run = RunDir::open(run)?;
+        for stage in StageId::ALL {
+            run.clean(stage)?;
+        }
+    }
     Ok(())
 }

@@ -30,9 +30,9 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
     };
     let evaluation = measure(&args.run, &args.truth, request)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&evaluation)?);
+        say!("{}", serde_json::to_string_pretty(&evaluation)?)?;
     } else {
-        print!("{}", table(&evaluation));
+        say!("{}", table(&evaluation).trim_end())?;
     }
     Ok(())
 }

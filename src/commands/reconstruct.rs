@@ -51,13 +51,16 @@ pub fn bring_run_up_to_date(
     }
     let resources = Resources::new(work);
     let run = RunDir::create_or_open(root)?;
-    // The request is written first, so that the folder is known as ours whatever follows.
-    run.write_run_file(request)?;
-    let outcome = work_in(&run, request, range, resources, console);
-    if !matches!(&outcome, Ok(false)) {
-        let told = Outcome::of(outcome.as_ref().err());
+    if run.is_new() {
+        // Written first, so that the folder is known as ours whatever follows.
+        run.write_run_file(request)?;
+    }
+    let mut plan = None;
+    let outcome = work_in(&run, request, range, resources, console, &mut plan);
+    let told = Outcome::of(outcome.as_ref().err());
+    if !matches!(&outcome, Ok(false)) || !report::tells(&run, request, &told) {
         // A report that cannot be written must not hide why the run failed.
-        let written = report::write(&run, request, &told);
+        let written = report::write(&run, request, &told, plan.as_ref());
         if outcome.is_ok() {
             written?;
         }
@@ -81,11 +84,14 @@ fn work_in(
     range: Range,
     resources: Resources,
     console: &Console,
+    planned: &mut Option<Plan>,
 ) -> anyhow::Result<bool> {
     let mut contents = Contents::load(run.root());
     let inputs = Inputs::scan(request, &mut contents)?;
     contents.save()?;
-    let plan = Plan::new(request, &inputs);
+    // A request whose files cannot be used does not replace the one that the results are of.
+    run.write_run_file(request)?;
+    let plan = planned.insert(Plan::new(request, &inputs));
     let context = Context {
         run,
         request,
@@ -93,6 +99,6 @@ fn work_in(
         resources,
         console,
     };
-    let redone = bring_up_to_date(&context, &plan, range)?;
-    Ok(!redone.is_empty() || !report::exists(run))
+    let redone = bring_up_to_date(&context, plan, range)?;
+    Ok(!redone.is_empty())
 }

@@ -52,7 +52,12 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<()> {
         console,
     };
     let outcome = run_stage(&context, &plan, args.stage, "redone as asked");
-    let written = report::write(&run, &request, &Outcome::of(outcome.as_ref().err()));
+    let written = report::write(
+        &run,
+        &request,
+        &Outcome::of(outcome.as_ref().err()),
+        Some(&plan),
+    );
     outcome?;
     written
 }

@@ -20,11 +20,11 @@ pub fn status(args: &StatusArgs) -> anyhow::Result<()> {
         if args.json {
             lines.insert(stage.name().to_owned(), serde_json::to_value(&state)?);
         } else {
-            println!("{:<12} {state}", stage.name());
+            say!("{:<12} {state}", stage.name())?;
         }
     }
     if args.json {
-        println!("{}", json!({"run": args.run, "stages": lines}));
+        say!("{}", json!({"run": args.run, "stages": lines}))?;
     }
     Ok(())
 }
@@ -38,19 +38,19 @@ pub fn why(args: &StageArgs) -> anyhow::Result<()> {
     let plan = plan(&run)?;
     let stage = args.stage;
     match plan.state(&run, stage)? {
-        StageState::Valid => println!(
-            "{stage} would be kept: it was made from exactly what it would be made from now"
-        ),
-        StageState::Missing => println!("{stage} would be run: it has no result yet"),
+        StageState::Valid => {
+            say!("{stage} would be kept: it was made from exactly what it would be made from now")?
+        }
+        StageState::Missing => say!("{stage} would be run: it has no result yet")?,
         StageState::Stale { reasons } => {
-            println!("{stage} would be redone:");
+            say!("{stage} would be redone:")?;
             for reason in reasons {
-                println!("  {reason}");
+                say!("  {reason}")?;
             }
         }
     }
     for &of in upstream(stage) {
-        println!("it reads {of}, which is {}", plan.state(&run, of)?);
+        say!("it reads {of}, which is {}", plan.state(&run, of)?)?;
     }
     Ok(())
 }

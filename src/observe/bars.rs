@@ -19,7 +19,7 @@ impl Bars {
         Self { bar: None }
     }
 
-    fn bar(&mut self, stage: StageId, step: &str, total: usize) -> &ProgressBar {
+    fn bar(&mut self, stage: StageId, step: &str, done: usize, total: usize) -> &ProgressBar {
         let same = matches!(&self.bar, Some((current, _)) if current == step);
         if !same {
             self.clear();
@@ -27,7 +27,11 @@ impl Bars {
         let (_, bar) = self.bar.get_or_insert_with(|| {
             let style = ProgressStyle::with_template(TEMPLATE)
                 .unwrap_or_else(|_| ProgressStyle::default_bar());
-            let bar = ProgressBar::new(total as u64).with_style(style);
+            let bar = ProgressBar::new(total as u64)
+                .with_style(style)
+                .with_position(done as u64);
+            // What was done before says nothing of the rate.
+            bar.reset_eta();
             bar.set_prefix(stage.name());
             bar.set_message(step.to_owned());
             bar.enable_steady_tick(Duration::from_millis(500));
@@ -45,8 +49,8 @@ impl Bars {
 
     fn line(&mut self, text: &str) {
         match &self.bar {
-            Some((_, bar)) => bar.suspend(|| eprintln!("{text}")),
-            None => eprintln!("{text}"),
+            Some((_, bar)) => bar.suspend(|| tell!("{text}")),
+            None => tell!("{text}"),
         }
     }
 }
@@ -55,10 +59,10 @@ impl Display for Bars {
     fn stage(&mut self, stage: StageId, news: &StageNews) {
         self.clear();
         match news {
-            StageNews::Started(reason) => eprintln!("{stage}: {reason}"),
-            StageNews::Reused => eprintln!("{stage}: kept, nothing changed"),
+            StageNews::Started(reason) => tell!("{stage}: {reason}"),
+            StageNews::Reused => tell!("{stage}: kept, nothing changed"),
             StageNews::Finished(seconds) => {
-                eprintln!(
+                tell!(
                     "{stage}: done in {}",
                     in_words(Duration::from_secs_f64(*seconds))
                 );
@@ -73,7 +77,9 @@ impl Display for Bars {
                 step,
                 done,
                 total,
-            } => self.bar(*stage, step, *total).set_position(*done as u64),
+            } => self
+                .bar(*stage, step, *done, *total)
+                .set_position(*done as u64),
             Event::Iteration {
                 stage,
                 iteration,
@@ -81,7 +87,7 @@ impl Display for Bars {
                 energy,
                 ..
             } => {
-                let bar = self.bar(*stage, "iterating", *max_num_iterations);
+                let bar = self.bar(*stage, "iterating", *iteration, *max_num_iterations);
                 bar.set_position(*iteration as u64 + 1);
                 bar.set_message(format!("iterating, energy {energy:.3e}"));
             }

@@ -37,7 +37,7 @@ impl Display for JsonLines {
     }
 
     fn note(&mut self, message: &str) {
-        eprintln!("{message}");
+        tell!("{message}");
     }
 
     fn finished(&mut self, summary: &serde_json::Value) {

@@ -18,9 +18,9 @@ impl Display for Lines {
     fn stage(&mut self, stage: StageId, news: &StageNews) {
         self.pace = None;
         match news {
-            StageNews::Started(reason) => eprintln!("{stage}: {reason}"),
-            StageNews::Reused => eprintln!("{stage}: kept, nothing changed"),
-            StageNews::Finished(seconds) => eprintln!("{stage}: done in {seconds:.1} s"),
+            StageNews::Started(reason) => tell!("{stage}: {reason}"),
+            StageNews::Reused => tell!("{stage}: kept, nothing changed"),
+            StageNews::Finished(seconds) => tell!("{stage}: done in {seconds:.1} s"),
         }
     }
 
@@ -34,12 +34,12 @@ impl Display for Lines {
             } => {
                 let pace = match &mut self.pace {
                     Some(pace) if pace.is_of(step) => pace,
-                    slot => slot.insert(Pace::new(step)),
+                    slot => slot.insert(Pace::new(step, *done)),
                 };
                 if pace.due(INTERVAL) || done == total {
                     let left = pace.left(*done, *total).filter(|_| done < total);
                     let left = left.map_or(String::new(), |d| format!(", {} left", in_words(d)));
-                    eprintln!("{stage}: {step} {done}/{total}{left}");
+                    tell!("{stage}: {step} {done}/{total}{left}");
                 }
             }
             Event::Iteration {
@@ -51,21 +51,21 @@ impl Display for Lines {
             } => {
                 let pace = match &mut self.pace {
                     Some(pace) if pace.is_of("iterating") => pace,
-                    slot => slot.insert(Pace::new("iterating")),
+                    slot => slot.insert(Pace::new("iterating", *iteration)),
                 };
                 if pace.due(INTERVAL) {
-                    eprintln!(
+                    tell!(
                         "{stage}: iteration {} of at most {max_num_iterations}, energy {energy:.4e}",
                         iteration + 1
                     );
                 }
             }
-            Event::Warning { stage, message } => eprintln!("{stage}: warning: {message}"),
+            Event::Warning { stage, message } => tell!("{stage}: warning: {message}"),
         }
     }
 
     fn note(&mut self, message: &str) {
-        eprintln!("{message}");
+        tell!("{message}");
     }
 
     fn finished(&mut self, _summary: &serde_json::Value) {}

@@ -73,6 +73,13 @@ impl Console {
         });
     }
 
+    /// The warnings of a stage's report, those that it did not tell while it worked.
+    pub fn warn_all(&self, stage: StageId, messages: &[String]) {
+        for message in messages {
+            self.warn(stage, message.clone());
+        }
+    }
+
     /// The last word, for scripts.
     pub fn finished(&self, summary: &serde_json::Value) {
         self.with(|display| display.finished(summary));
@@ -106,7 +113,12 @@ impl Observer for Console {
                 Ok(warnings) => warnings,
                 Err(poisoned) => poisoned.into_inner(),
             };
-            warnings.push((*stage, message.clone()));
+            let told = (*stage, message.clone());
+            // A stage tells while it works, and its report tells again: once is enough.
+            if warnings.contains(&told) {
+                return self.flow();
+            }
+            warnings.push(told);
         }
         self.with(|display| display.event(&event));
         self.flow()

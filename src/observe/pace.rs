@@ -7,15 +7,18 @@ use std::time::{Duration, Instant};
 pub struct Pace {
     step: String,
     began: Instant,
+    /// Items that were done when it began: they say nothing of the rate.
+    done_at_start: usize,
     shown: Option<Instant>,
 }
 
 impl Pace {
-    /// A step that begins now.
-    pub fn new(step: &str) -> Self {
+    /// A step that begins now, with so much done before.
+    pub fn new(step: &str, done_at_start: usize) -> Self {
         Self {
             step: step.to_owned(),
             began: Instant::now(),
+            done_at_start,
             shown: None,
         }
     }
@@ -27,7 +30,12 @@ impl Pace {
 
     /// Time left when `done` of `total` are done; `None` before there is a rate.
     pub fn left(&self, done: usize, total: usize) -> Option<Duration> {
-        left(self.began.elapsed(), done, total)
+        let before = self.done_at_start;
+        left(
+            self.began.elapsed(),
+            done.checked_sub(before)?,
+            total.checked_sub(before)?,
+        )
     }
 
     /// Whether enough time went by since the last time this said yes.

@@ -3,9 +3,11 @@
 use super::Context;
 use super::errors::from_features;
 use super::parallel::map_items;
+use super::plan::version;
 use crate::exit::Failure;
 use crate::store::{Item, StageWriter, StoreError, hash_json};
 use anyhow::Context as _;
+use rilievo_features::FeaturesOptions;
 use rilievo_scene::{FeatureMatches, PairMatches, Photo, PhotoKeypoints, StageId};
 use std::path::Path;
 
@@ -37,9 +39,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
         |photo| {
             let key = hash_json(&(
-                "2_features",
-                1,
-                options,
+                StageId::Features.name(),
+                version(StageId::Features),
+                detection_options(options),
                 manifest.items.get(&photo.name).map(|item| &item.key),
             ));
             one(context, writer, photo, key)
@@ -51,9 +53,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         rilievo_features::match_photos(&photos, keypoints, options, context.console)
             .map_err(from_features)?;
     write_binary(&writer.path("pairs.bin")?, &matches.pairs)?;
-    for warning in &report.warnings {
-        context.console.warn(StageId::Features, warning.clone());
-    }
+    context
+        .console
+        .warn_all(StageId::Features, &report.warnings);
     Ok(serde_json::to_value(report)?)
 }
 
@@ -71,6 +73,35 @@ pub fn load(context: &Context<'_>, photos: &[Photo]) -> anyhow::Result<FeatureMa
         photos: keypoints,
         pairs: read_binary::<Vec<PairMatches>>(&dir.join("pairs.bin"))?,
     })
+}
+
+/// What decides the keypoints; options of matching alone redo no detection. Every option is named,
+/// so that a new one is put on one side or the other.
+fn detection_options(options: &FeaturesOptions) -> impl serde::Serialize {
+    let FeaturesOptions {
+        region,
+        max_num_keypoints,
+        contrast_threshold,
+        edge_threshold,
+        num_grid_cells,
+        max_detection_mpx,
+        max_ratio: _,
+        max_verified_ratio: _,
+        max_epipolar_error_px: _,
+        min_num_inliers: _,
+        max_num_exhaustive_photos: _,
+        num_sequential_neighbors: _,
+        num_similar_neighbors: _,
+        max_num_ransac_samples: _,
+    } = options.clone();
+    (
+        region,
+        max_num_keypoints,
+        contrast_threshold,
+        edge_threshold,
+        num_grid_cells,
+        max_detection_mpx,
+    )
 }
 
 fn keypoints_file(name: &str) -> String {
@@ -94,6 +125,7 @@ fn one(
     let item = Item {
         key,
         files: vec![file],
+        hashes: Vec::new(),
         facts: serde_json::json!({"num_keypoints": keypoints.keypoints.len()}),
     };
     writer.finish(&photo.name, item)?;

@@ -22,9 +22,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_fusion)?;
-    for warning in &report.warnings {
-        context.console.warn(StageId::Fusion, warning.clone());
-    }
+    context.console.warn_all(StageId::Fusion, &report.warnings);
     let unit = views.scale.unit;
     write_cloud_ply(&writer.path("cloud.ply")?, &fused.cloud, unit).map_err(from_io)?;
     write_mesh_ply(&writer.path("mesh.ply")?, &fused.mesh, unit).map_err(from_io)?;

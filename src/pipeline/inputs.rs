@@ -2,10 +2,10 @@
 
 use super::request::{LightingInput, Request, SphereInput};
 use crate::exit::{Failure, Problem};
-use crate::store::{Contents, hash_json};
+use crate::store::{Contents, StoreError, hash_json};
 use rilievo_io::{
     CameraEntry, CameraFile, CameraFormat, IoError, SphereFile, find_mask, import_cameras,
-    is_mask_among, read_cameras, read_sphere_file,
+    is_mask_among, read_cameras, read_lighting, read_sphere_file,
 };
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -32,6 +32,8 @@ pub struct PhotoInput {
 pub struct Inputs {
     /// Photos, ordered by file name.
     pub photos: Vec<PhotoInput>,
+    /// Photos that cannot be read; the others go on without them.
+    pub unreadable: Vec<Problem>,
     /// Files that were passed over because they are no photos.
     pub skipped: Vec<Problem>,
     /// Things that the user should know (cameras of photos that are not there).
@@ -60,6 +62,7 @@ impl Inputs {
         let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
 
         let mut problems = Vec::new();
+        let mut unreadable = Vec::new();
         let mut photos = Vec::with_capacity(paths.len());
         let mut by_name = BTreeMap::<String, PathBuf>::new();
         for path in paths {
@@ -78,10 +81,11 @@ impl Inputs {
             let hash = match contents.hash(&path) {
                 Ok(hash) => hash,
                 Err(error) => {
-                    problems.push(Problem {
-                        file: path,
-                        reason: error.to_string(),
-                    });
+                    let reason = match error {
+                        StoreError::Files { source, .. } => format!("cannot be read: {source}"),
+                        other => other.to_string(),
+                    };
+                    unreadable.push(Problem { file: path, reason });
                     continue;
                 }
             };
@@ -106,7 +110,11 @@ impl Inputs {
             });
         }
         if !problems.is_empty() {
+            problems.extend(unreadable);
             return Err(Failure::Input(problems));
+        }
+        if photos.is_empty() {
+            return Err(Failure::Input(unreadable));
         }
         photos.sort_by(|a, b| a.file_name.cmp(&b.file_name));
 
@@ -138,6 +146,7 @@ impl Inputs {
         let lighting_hashes = lighting_inputs(&request.lighting, &photos, contents)?;
         Ok(Self {
             photos,
+            unreadable,
             skipped,
             warnings,
             sphere,
@@ -286,6 +295,16 @@ fn lighting_inputs(
     match lighting {
         LightingInput::Found => {}
         LightingInput::File { path, name } => {
+            let file = read_lighting(path, name.as_deref()).map_err(super::errors::from_io)?;
+            if !photos
+                .iter()
+                .any(|photo| file.for_view(&photo.name).is_some())
+            {
+                return Err(Failure::input(
+                    path,
+                    "holds no lighting of any photo; its views go by the photos' names (--lighting)",
+                ));
+            }
             hashes.insert("lighting file".into(), contents.hash(path)?);
             if let Some(name) = name {
                 hashes.insert("lighting name".into(), name.clone());

@@ -30,9 +30,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_lighting)?;
-    for warning in &report.warnings {
-        context.console.warn(StageId::Lighting, warning.clone());
-    }
+    context
+        .console
+        .warn_all(StageId::Lighting, &report.warnings);
     write_lighting(&writer.path("lighting.json")?, &calibration, &views).map_err(from_io)?;
     let path = writer.path(CALIBRATION)?;
     let text = serde_json::to_vec_pretty(&calibration)?;
@@ -84,7 +84,8 @@ fn lighting_request(
             Ok(LightingRequest::Shape(shapes))
         }
         LightingInput::Found => {
-            let sphere = super::poses::sphere_request(context, photos)?;
+            // Photos that the sphere file names in vain were told by stage 3.
+            let (sphere, _) = super::poses::sphere_request(context, photos)?;
             Ok(
                 sphere.map_or(LightingRequest::OwnShape, |sphere: SphereRequest| {
                     LightingRequest::Sphere(sphere)

@@ -4,6 +4,7 @@ use super::Context;
 use super::errors::from_io;
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, map_items};
+use super::plan::version;
 use super::request::Request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
@@ -66,8 +67,8 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
         |photo| {
             let key = hash_json(&(
-                "1_photos",
-                1,
+                StageId::Photos.name(),
+                version(StageId::Photos),
                 &options,
                 Inputs::photo_hash(photo),
                 context.request.masks.is_some(),
@@ -78,7 +79,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     .ok_or(Failure::Interrupted)?;
 
     let mut usable = Vec::new();
-    let mut rejected = Vec::new();
+    let mut rejected: Vec<RejectedPhoto> = inputs.unreadable.iter().map(rejected_photo).collect();
     let mut problems = Vec::new();
     for (photo, outcome) in inputs.photos.iter().zip(prepared) {
         match outcome {
@@ -112,9 +113,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     }
     let (_, mut report) = assemble(usable, context)?;
     report.rejected = rejected;
-    for warning in &report.warnings {
-        context.console.warn(StageId::Photos, warning.clone());
-    }
+    context.console.warn_all(StageId::Photos, &report.warnings);
     preflight(&report, context.console);
     Ok(serde_json::to_value(report)?)
 }
@@ -148,7 +147,7 @@ pub fn check(
     )
     .ok_or(Failure::Interrupted)?;
     let mut usable = Vec::new();
-    let mut problems = Vec::new();
+    let mut problems = inputs.unreadable.clone();
     for (photo, outcome) in inputs.photos.iter().zip(checked) {
         match outcome {
             Ok(prepared) => usable.push(prepared),
@@ -165,13 +164,7 @@ pub fn check(
     }
     let (_, mut report) = rilievo_photos::assemble(usable, &request.options.photos)
         .map_err(|error| Failure::NoResult(error.to_string()))?;
-    report.rejected = problems
-        .iter()
-        .map(|problem| RejectedPhoto {
-            file: problem.file.display().to_string(),
-            reason: problem.reason.clone(),
-        })
-        .collect();
+    report.rejected = problems.iter().map(rejected_photo).collect();
     preflight(&report, console);
     Ok((report, problems))
 }
@@ -220,6 +213,13 @@ fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto,
     })
 }
 
+fn rejected_photo(problem: &Problem) -> RejectedPhoto {
+    RejectedPhoto {
+        file: problem.file.display().to_string(),
+        reason: problem.reason.clone(),
+    }
+}
+
 fn linear_file(name: &str) -> String {
     format!("linear/{name}.exr")
 }
@@ -252,7 +252,13 @@ fn one(
         Err(other) => return Err(other),
     };
     let facts = serde_json::to_value(&kept).map_err(|error| Trouble::Fatal(error.into()))?;
-    writer.finish(&photo.name, Item { key, files, facts })?;
+    let item = Item {
+        key,
+        files,
+        hashes: Vec::new(),
+        facts,
+    };
+    writer.finish(&photo.name, item)?;
     Ok(kept)
 }
 

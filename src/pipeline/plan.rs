@@ -34,7 +34,7 @@ impl std::fmt::Display for StageState {
 }
 
 /// Raised with every change of a stage that changes its results.
-fn version(stage: StageId) -> u32 {
+pub(super) fn version(stage: StageId) -> u32 {
     match stage {
         StageId::Photos => 1,
         StageId::Features => 1,

@@ -18,7 +18,16 @@ const POSED_VIEWS: &str = "posed_views.json";
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     let photos = super::photos::load(context)?;
     let matches = super::features::load(context, &photos.photos)?;
-    let sphere = sphere_request(context, &photos)?;
+    let (sphere, unused) = sphere_request(context, &photos)?;
+    if !unused.is_empty() {
+        context.console.warn(
+            StageId::Poses,
+            format!(
+                "the sphere is marked in photos that are not used: {}",
+                unused.join(", ")
+            ),
+        );
+    }
     let (views, report) = rilievo_poses::run(
         &photos,
         &matches,
@@ -27,15 +36,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_poses)?;
-    for photo in &views.unregistered {
-        context.console.warn(
-            StageId::Poses,
-            format!("{} got no pose: {}", photo.file_name, photo.reason),
-        );
-    }
-    for warning in &report.warnings {
-        context.console.warn(StageId::Poses, warning.clone());
-    }
+    context.console.warn_all(StageId::Poses, &report.warnings);
     context.console.note(&format!(
         "  {} of {} photos posed, {} points, reprojection error {:.2} px, {} anchors",
         views.views.len(),
@@ -85,24 +86,26 @@ pub fn not_there(stage: StageId) -> Failure {
     ))
 }
 
-/// What the user said of the reference sphere, for a set of photos.
+/// What the user said of the reference sphere, for a set of photos; and the photos that the sphere
+/// file names but the set lacks.
 ///
 /// # Errors
 /// When the sphere file does not fit the photos, or a calibration photo cannot be read.
 pub fn sphere_request(
     context: &Context<'_>,
     photos: &PhotoSet,
-) -> Result<Option<SphereRequest>, Failure> {
+) -> Result<(Option<SphereRequest>, Vec<String>), Failure> {
     if let SphereInput::Auto { radius } = context.request.sphere {
-        return Ok(Some(SphereRequest {
+        let request = SphereRequest {
             radius: Some(radius),
             light: LightKind::World,
             detect: true,
             ..SphereRequest::default()
-        }));
+        };
+        return Ok((Some(request), Vec::new()));
     }
     let Some(file) = &context.inputs.sphere else {
-        return Ok(None);
+        return Ok((None, Vec::new()));
     };
     let images = file
         .calibration
@@ -110,17 +113,7 @@ pub fn sphere_request(
         .map(|calibration| calibration_image(context, &calibration.image))
         .collect::<Result<Vec<_>, _>>()?;
     let (request, missing) = file.to_request(photos, images).map_err(from_io)?;
-    if !missing.is_empty() {
-        context.console.warn(
-            StageId::Poses,
-            format!(
-                "{} marks the sphere in photos that are not used: {}",
-                file.path.display(),
-                missing.join(", ")
-            ),
-        );
-    }
-    Ok(Some(request))
+    Ok((Some(request), missing))
 }
 
 fn calibration_image(

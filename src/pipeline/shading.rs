@@ -42,9 +42,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_shading)?;
-    for warning in &report.warnings {
-        context.console.warn(StageId::Shading, warning.clone());
-    }
+    context.console.warn_all(StageId::Shading, &report.warnings);
     let light_on_surface = rilievo_lighting::check_on_surface(
         &photos,
         &views,
@@ -54,9 +52,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_lighting)?;
-    for advice in &light_on_surface.advice {
-        context.console.warn(StageId::Shading, advice.clone());
-    }
+    context
+        .console
+        .warn_all(StageId::Shading, &light_on_surface.advice);
     let mut files = Vec::new();
     for view in &shaded.views {
         write_view(writer, view)?;

@@ -2,7 +2,7 @@
 
 use super::Outcome;
 use super::system::peak_memory;
-use crate::pipeline::Request;
+use crate::pipeline::{Plan, Request};
 use crate::store::RunDir;
 use rilievo_scene::StageId;
 use serde_json::{Map, Value, json};
@@ -11,7 +11,12 @@ use serde_json::{Map, Value, json};
 ///
 /// # Errors
 /// When a manifest cannot be read.
-pub fn collect(run: &RunDir, request: &Request, outcome: &Outcome) -> anyhow::Result<Value> {
+pub fn collect(
+    run: &RunDir,
+    request: &Request,
+    outcome: &Outcome,
+    plan: Option<&Plan>,
+) -> anyhow::Result<Value> {
     let mut stages = Map::new();
     let mut warnings = Vec::new();
     for stage in StageId::ALL {
@@ -21,9 +26,11 @@ pub fn collect(run: &RunDir, request: &Request, outcome: &Outcome) -> anyhow::Re
         for message in &manifest.warnings {
             warnings.push(json!({"stage": stage, "message": message}));
         }
+        let state = plan.map(|plan| plan.state(run, stage)).transpose()?;
         stages.insert(
             stage.name().to_owned(),
             json!({
+                "state": state,
                 "seconds": manifest.seconds,
                 "fingerprint": manifest.fingerprint,
                 "program": manifest.program,

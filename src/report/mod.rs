@@ -5,9 +5,10 @@ mod json;
 mod system;
 
 use crate::exit::{self, Failure, Problem};
-use crate::pipeline::Request;
+use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, write_atomically};
 use serde::Serialize;
+use serde_json::{Value, json};
 
 /// How the command ended.
 #[derive(Clone, Debug, Serialize)]
@@ -40,17 +41,28 @@ impl Outcome {
     }
 }
 
-/// Whether a run has its report.
-pub fn exists(run: &RunDir) -> bool {
-    run.root().join("report.json").exists() && run.root().join("report.html").exists()
+/// Whether a run has its report, and it tells this outcome of this request.
+pub fn tells(run: &RunDir, request: &Request, outcome: &Outcome) -> bool {
+    let report = std::fs::read(run.root().join("report.json"))
+        .ok()
+        .and_then(|text| serde_json::from_slice::<Value>(&text).ok());
+    let same = |key: &str, now: Value| report.as_ref().and_then(|r| r.get(key)) == Some(&now);
+    run.root().join("report.html").exists()
+        && same("outcome", json!(outcome))
+        && same("request", json!(request))
 }
 
-/// Writes both reports of a run.
+/// Writes both reports of a run; the plan tells which results are stale, where there is one.
 ///
 /// # Errors
 /// When artifacts cannot be read, or the reports cannot be written.
-pub fn write(run: &RunDir, request: &Request, outcome: &Outcome) -> anyhow::Result<()> {
-    let report = json::collect(run, request, outcome)?;
+pub fn write(
+    run: &RunDir,
+    request: &Request,
+    outcome: &Outcome,
+    plan: Option<&Plan>,
+) -> anyhow::Result<()> {
+    let report = json::collect(run, request, outcome, plan)?;
     let text = serde_json::to_vec_pretty(&report)?;
     write_atomically(&run.root().join("report.json"), &text)?;
     let page = html::page(run, &report)?;

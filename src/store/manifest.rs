@@ -13,6 +13,9 @@ pub struct Item {
     pub key: String,
     /// Its files, relative to the stage's folder.
     pub files: Vec<String>,
+    /// Content hashes of `files`, in their order; the store fills them in.
+    #[serde(default)]
+    pub hashes: Vec<String>,
     /// What the program needs to know of it beside the files.
     pub facts: serde_json::Value,
 }

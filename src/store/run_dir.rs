@@ -15,6 +15,9 @@ pub const FORMAT_VERSION: u64 = 1;
 /// File that marks a run directory.
 const RUN_FILE: &str = "run.json";
 
+/// What the names of files begin with while they are written.
+const WRITING: &str = ".writing-";
+
 /// A run directory, locked when it was opened for work.
 #[derive(Debug)]
 pub struct RunDir {
@@ -33,9 +36,14 @@ impl RunDir {
         }
         if root.exists() {
             let mut entries = std::fs::read_dir(root).map_err(StoreError::files("read", root))?;
-            // A lock alone is what a process leaves that dies right after creating the folder.
+            // A lock and a half-written file are what a process leaves that dies right after
+            // creating the folder.
             let foreign = entries.any(|entry| {
-                entry.map_or(true, |e| e.file_name() != std::ffi::OsStr::new(".lock"))
+                entry.map_or(true, |entry| {
+                    let name = entry.file_name();
+                    let name = name.to_string_lossy();
+                    name != ".lock" && !name.starts_with(WRITING)
+                })
             });
             if foreign {
                 return Err(StoreError::NotARun {
@@ -44,10 +52,17 @@ impl RunDir {
             }
         }
         std::fs::create_dir_all(root).map_err(StoreError::files("create", root))?;
-        Ok(Self {
+        let run = Self {
             root: root.to_path_buf(),
             lock: Some(Lock::take(root)?),
-        })
+        };
+        run.recover()?;
+        Ok(run)
+    }
+
+    /// Whether what was asked for has been written into it yet.
+    pub fn is_new(&self) -> bool {
+        !self.root.join(RUN_FILE).exists()
     }
 
     /// Opens an existing run directory for work.
@@ -170,6 +185,9 @@ impl RunDir {
         for folder in [
             self.stage_dir(stage),
             self.root.join(".work").join(stage.name()),
+            self.root
+                .join(".work")
+                .join(format!("{}.previous", stage.name())),
             self.root.join(".old").join(stage.name()),
         ] {
             if folder.exists() {
@@ -181,8 +199,16 @@ impl RunDir {
     }
 
     /// A commit moves the old result aside before the new one takes its name; put the old one
-    /// back where the program died in between.
+    /// back where the program died in between. Half-written files go.
     fn recover(&self) -> Result<(), StoreError> {
+        let entries =
+            std::fs::read_dir(&self.root).map_err(StoreError::files("read", &self.root))?;
+        for entry in entries.flatten() {
+            if entry.file_name().to_string_lossy().starts_with(WRITING) {
+                let path = entry.path();
+                std::fs::remove_file(&path).map_err(StoreError::files("delete", &path))?;
+            }
+        }
         for stage in StageId::ALL {
             let old = self.root.join(".old").join(stage.name());
             if !old.exists() {
@@ -207,7 +233,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
     let folder = path.parent().unwrap_or(Path::new("."));
     let write = || -> std::io::Result<()> {
         let mut builder = tempfile::Builder::new();
-        builder.prefix(".writing-");
+        builder.prefix(WRITING);
         // Temporary files are private by default; a result is as readable as the umask allows.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
@@ -247,6 +273,14 @@ mod tests {
             RunDir::create_or_open(&root),
             Err(StoreError::OtherVersion { found: 99, .. })
         ));
+
+        let half = dir.path().join("half");
+        std::fs::create_dir(&half).unwrap();
+        for left in [".lock", ".writing-x7"] {
+            std::fs::write(half.join(left), "").unwrap();
+        }
+        assert!(RunDir::create_or_open(&half).unwrap().is_new());
+        assert!(!half.join(".writing-x7").exists());
 
         let other = dir.path().join("other");
         std::fs::create_dir(&other).unwrap();

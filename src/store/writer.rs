@@ -1,6 +1,7 @@
 //! Writing a stage: everything into a work folder, then one rename.
 
 use super::error::StoreError;
+use super::fingerprint::hash_bytes;
 use super::manifest::{Item, MANIFEST, Manifest};
 use rilievo_scene::StageId;
 use std::collections::BTreeMap;
@@ -32,6 +33,7 @@ impl StageWriter {
             .join(format!("{}.previous", stage.name()));
         if work.exists() {
             if previous.exists() {
+                take_along(&previous, &work)?;
                 remove_dir(&previous)?;
             }
             std::fs::rename(&work, &previous).map_err(StoreError::files("rename", &work))?;
@@ -58,16 +60,22 @@ impl StageWriter {
         })
     }
 
-    /// Where to write an artifact; creates the folders above it.
+    /// Where to write an artifact; creates the folders above it. Nothing is there: a file that is
+    /// written may not share its bytes with a committed one.
     ///
     /// # Errors
-    /// When the folder cannot be created.
+    /// When the folder cannot be created, or an earlier file not be deleted.
     pub fn path(&self, relative: &str) -> Result<PathBuf, StoreError> {
         let path = self.work.join(relative);
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
         }
-        Ok(path)
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(StoreError::files("delete", &path)(error))
+            }
+            _ => Ok(path),
+        }
     }
 
     /// The work folder, where artifacts lie until the commit.
@@ -75,7 +83,8 @@ impl StageWriter {
         &self.work
     }
 
-    /// Takes over an item that was finished before, when it has the same key.
+    /// Takes over an item that was finished before, when it has the same key and all its files
+    /// have the content that they were finished with.
     ///
     /// # Errors
     /// When its files can be neither linked nor copied.
@@ -84,17 +93,21 @@ impl StageWriter {
         else {
             return Ok(None);
         };
+        let whole = item.files.len() == item.hashes.len()
+            && item.files.iter().zip(&item.hashes).all(|(file, hash)| {
+                std::fs::read(folder.join(file)).is_ok_and(|bytes| hash_bytes(&bytes) == *hash)
+            });
+        if !whole {
+            return Ok(None);
+        }
         for file in &item.files {
             let (source, target) = (folder.join(file), self.path(file)?);
-            if !source.exists() {
-                return Ok(None);
-            }
             // Committed files are never written again, so a link is as good as a copy.
             if std::fs::hard_link(&source, &target).is_err() {
                 std::fs::copy(&source, &target).map_err(StoreError::files("copy", &source))?;
             }
         }
-        self.finish(name, item.clone())?;
+        self.record(name, item.clone())?;
         Ok(Some(item.clone()))
     }
 
@@ -102,7 +115,20 @@ impl StageWriter {
     ///
     /// # Errors
     /// When its files cannot be brought to disk.
-    pub fn finish(&self, name: &str, item: Item) -> Result<(), StoreError> {
+    pub fn finish(&self, name: &str, mut item: Item) -> Result<(), StoreError> {
+        item.hashes = item
+            .files
+            .iter()
+            .map(|file| {
+                let path = self.work.join(file);
+                let bytes = std::fs::read(&path).map_err(StoreError::files("read", &path))?;
+                Ok(hash_bytes(&bytes))
+            })
+            .collect::<Result<_, StoreError>>()?;
+        self.record(name, item)
+    }
+
+    fn record(&self, name: &str, item: Item) -> Result<(), StoreError> {
         for file in &item.files {
             sync(&self.work.join(file))?;
         }
@@ -160,6 +186,32 @@ impl StageWriter {
         }
         Ok(())
     }
+}
+
+/// Moves finished items of an older abandoned work folder into a newer one that lacks them: files
+/// first, the record last, so that a kill in between loses nothing.
+fn take_along(older: &Path, newer: &Path) -> Result<(), StoreError> {
+    let known: BTreeMap<String, Item> = finished_items(newer).into_iter().collect();
+    for (name, item) in finished_items(older) {
+        if known.contains_key(&name) {
+            continue;
+        }
+        let record = format!("{ITEMS}/{name}.json");
+        for file in item.files.iter().chain([&record]) {
+            let (source, target) = (older.join(file), newer.join(file));
+            if let Some(folder) = target.parent() {
+                std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+            }
+            match std::fs::rename(&source, &target) {
+                // A file that is gone is found out by its hash when the item is asked for.
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(StoreError::files("rename", &source)(error));
+                }
+                _ => {}
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Items whose record is complete in an abandoned work folder.
@@ -236,6 +288,7 @@ mod tests {
         Item {
             key: key.into(),
             files: vec!["a.bin".into()],
+            hashes: Vec::new(),
             facts: serde_json::Value::Null,
         }
     }
@@ -253,7 +306,8 @@ mod tests {
 
         let writer = run.begin(StageId::Features).unwrap();
         assert_eq!(writer.reuse("a", "k2").unwrap(), None);
-        assert_eq!(writer.reuse("a", "k1").unwrap(), Some(item("k1")));
+        let taken = writer.reuse("a", "k1").unwrap().unwrap();
+        assert_eq!((&taken.key, taken.hashes.len()), (&"k1".to_owned(), 1));
         writer.commit(manifest()).unwrap();
         let committed = run.manifest(StageId::Features).unwrap().unwrap();
         assert_eq!(committed.files, [("a.bin".to_owned(), 5)].into());
@@ -272,6 +326,49 @@ mod tests {
             committed.damage(&stage_dir),
             Some("a.bin is gone".to_owned())
         );
+    }
+
+    #[test]
+    fn items_survive_two_kills_in_a_row() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunDir::create_or_open(&dir.path().join("run")).unwrap();
+        for name in ["a", "b"] {
+            let writer = run.begin(StageId::Features).unwrap();
+            let file = format!("{name}.bin");
+            std::fs::write(writer.path(&file).unwrap(), name).unwrap();
+            let files = vec![file];
+            writer.finish(name, Item { files, ..item("k") }).unwrap();
+        }
+        let writer = run.begin(StageId::Features).unwrap();
+        for name in ["a", "b"] {
+            assert!(writer.reuse(name, "k").unwrap().is_some(), "{name}");
+        }
+    }
+
+    #[test]
+    fn an_item_with_a_damaged_file_is_made_again_and_shares_no_bytes() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunDir::create_or_open(&dir.path().join("run")).unwrap();
+        let two = || Item {
+            files: vec!["a.bin".into(), "b.bin".into()],
+            ..item("k")
+        };
+        let writer = run.begin(StageId::Features).unwrap();
+        for file in two().files {
+            std::fs::write(writer.path(&file).unwrap(), b"whole").unwrap();
+        }
+        writer.finish("a", two()).unwrap();
+        writer.commit(manifest()).unwrap();
+        let committed = run.stage_dir(StageId::Features);
+        std::fs::write(committed.join("b.bin"), b"other").unwrap();
+
+        let writer = run.begin(StageId::Features).unwrap();
+        assert_eq!(writer.reuse("a", "k").unwrap(), None);
+        assert!(!writer.dir().join("a.bin").exists(), "nothing is linked");
+        std::fs::write(committed.join("b.bin"), b"whole").unwrap();
+        assert!(writer.reuse("a", "k").unwrap().is_some());
+        std::fs::write(writer.path("a.bin").unwrap(), b"new").unwrap();
+        assert_eq!(std::fs::read(committed.join("a.bin")).unwrap(), b"whole");
     }
 
     #[test]

@@ -12,6 +12,7 @@ use serde_json::Value;
 enum Verdict {
     Good,
     Usable,
+    NotFinished,
     NotToBeTrusted,
 }
 
@@ -32,11 +33,12 @@ pub fn section(run: &RunDir, report: &Value, posed: Option<&PosedViews>) -> anyh
     let words = match verdict {
         Verdict::Good => "good",
         Verdict::Usable => "usable, with care",
+        Verdict::NotFinished => "not finished",
         Verdict::NotToBeTrusted => "not to be trusted",
     };
     let class = match verdict {
         Verdict::Good => "good",
-        Verdict::Usable => "usable",
+        Verdict::Usable | Verdict::NotFinished => "usable",
         Verdict::NotToBeTrusted => "bad",
     };
     let mut html =
@@ -85,6 +87,20 @@ fn verdict(report: &Value) -> (Verdict, Vec<String>) {
             Verdict::NotToBeTrusted,
             format!("the run did not end: {error}"),
         );
+    }
+    let fusion = report.pointer("/stages/6_fusion");
+    match fusion.map(|fusion| fusion.pointer("/state/state").and_then(Value::as_str)) {
+        None => note(
+            Verdict::NotFinished,
+            "there is no point cloud and no mesh yet".to_owned(),
+        ),
+        Some(Some("stale")) => note(
+            Verdict::NotFinished,
+            "point cloud and mesh are stale: they were made from something else than what is \
+             asked for now"
+                .to_owned(),
+        ),
+        Some(_) => {}
     }
     let rejected = items(report, "/stages/1_photos/report/rejected").len();
     if rejected > 0 {
@@ -249,6 +265,15 @@ mod tests {
         let mut one_lost = good.clone();
         one_lost["stages"]["3_poses"]["report"]["views"] = json!([{}]);
         assert_eq!(verdict(&one_lost).0, Verdict::Usable);
+        let mut stale = good.clone();
+        stale["stages"]["6_fusion"]["state"] = json!({"state": "stale", "reasons": []});
+        assert_eq!(verdict(&stale).0, Verdict::NotFinished);
+        let mut started = good.clone();
+        started["stages"]
+            .as_object_mut()
+            .unwrap()
+            .remove("6_fusion");
+        assert_eq!(verdict(&started).0, Verdict::NotFinished);
         let failed = json!({"outcome": {"error": "no two photos match"}});
         assert_eq!(verdict(&failed).0, Verdict::NotToBeTrusted);
     }
