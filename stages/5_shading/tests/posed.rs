@@ -1,5 +1,7 @@
 //! Stage 5 on posed views: what the previous stages hand over becomes depth and normals.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use nalgebra::{Point2, UnitQuaternion, Vector3};
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, FocalSource, InMemoryPixels, Intrinsics, LightKind,

@@ -1,5 +1,7 @@
 //! The solver on analytic surfaces: recovery, invariances, special cases, refusals.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use nalgebra::Vector3;
 use rilievo_scene::{
     DepthMap, Event, Flow, Intrinsics, Lighting, LinearImage, Mask, Observer, Silent,

@@ -351,6 +351,8 @@ mod tests {
         let truth: Vec<f64> = (0..n)
             .map(|i| 0.3 * f64::from(numbering.xs[i]) - 0.2 * f64::from(numbering.ys[i]) + 1.0)
             .collect();
+        // The index names the pixel in three places.
+        #[allow(clippy::needless_range_loop)]
         for i in 0..n {
             for (dx, dy) in [(1, 0), (0, 1)] {
                 if let (Some(a), Some(b)) = (
