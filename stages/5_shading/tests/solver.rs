@@ -282,6 +282,35 @@ fn the_papers_cells_are_reached_on_the_shared_scene() {
 }
 
 #[test]
+fn confidence_ranks_the_true_errors() {
+    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .nth(3)
+        .map(|root| root.join("shared/data/shading_table"));
+    let Some(data) = data.filter(|data| data.is_dir()) else {
+        eprintln!("skipped: no shared data beside the repository");
+        return;
+    };
+    for light in ["L3", "L1", "L2"] {
+        let view = table::view(&data, "view1", light, "rough");
+        let solution = solved(view, &ShadingOptions::default());
+        let solved = &solution.views[0];
+        let confidence = solved.confidence.as_ref().expect("asked for");
+        let mut pairs: Vec<(f32, f64)> = table::angles(&data, solved)
+            .into_iter()
+            .map(|(x, y, angle)| (*confidence.at(x, y), angle))
+            .collect();
+        pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let fifths: Vec<f64> = pairs
+            .chunks(pairs.len().div_ceil(5))
+            .map(|fifth| fifth.iter().map(|pair| pair.1).sum::<f64>() / fifth.len() as f64)
+            .collect();
+        println!("{light}: {fifths:?}");
+        assert!(fifths[0] < fifths[4], "{light}: {fifths:?}");
+    }
+}
+
+#[test]
 fn scales_of_scene_and_intensity_do_not_matter() {
     let base = Surface::new(96);
     let reference = solved(base.view(3), &ShadingOptions::default());

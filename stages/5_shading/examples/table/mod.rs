@@ -88,25 +88,31 @@ pub fn two_views(data: &Path, light: &str) -> ShadingProblem {
     }
 }
 
-/// Mean angle in degrees over the whole mask, for tests; a missing normal counts 90.
+/// Angle in degrees at every pixel `(x, y)` of the mask, for tests; a missing normal counts 90.
 #[allow(clippy::expect_used)]
-pub fn mean_angle(data: &Path, solved: &SolvedView) -> f64 {
+pub fn angles(data: &Path, solved: &SolvedView) -> Vec<(usize, usize, f64)> {
     let path = data.join(&solved.name).join("normal_true.exr");
     let truth = rilievo_io::read_normal(&path).expect("readable truth");
-    let (mut sum, mut count) = (0.0, 0);
+    let mut angles = Vec::new();
     for y in 0..truth.height {
         for x in 0..truth.width {
             if let Some(t) = truth.normal(x, y) {
-                sum += solved.normal.normal(x, y).map_or(90.0, |n| {
+                let angle = solved.normal.normal(x, y).map_or(90.0, |n| {
                     n.normalize()
                         .dot(&t.normalize())
                         .clamp(-1.0, 1.0)
                         .acos()
                         .to_degrees()
                 });
-                count += 1;
+                angles.push((x, y, angle));
             }
         }
     }
-    sum / f64::from(count)
+    angles
+}
+
+/// Mean of [`angles`].
+pub fn mean_angle(data: &Path, solved: &SolvedView) -> f64 {
+    let angles = angles(data, solved);
+    angles.iter().map(|a| a.2).sum::<f64>() / angles.len() as f64
 }
