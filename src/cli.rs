@@ -114,7 +114,8 @@ pub struct WorkArgs {
     /// Number of threads; all cores by default. Results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
-    /// Memory to stay within, as 4G or 800M; half of the free memory by default
+    /// Bounds how many photos are read or searched for keypoints at once (stages 1 and 2; at least
+    /// one), as 4G or 800M; half of the free memory by default. Later stages need what the photos ask
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub memory: Option<u64>,
     /// One JSON object a line on stdout

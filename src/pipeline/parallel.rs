@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Threads and memory of a command; results do not depend on either.
 #[derive(Clone, Copy, Debug)]
 pub struct Resources {
-    /// Bytes to stay within.
+    /// Bytes that photos worked on at once may take in stages 1 and 2.
     pub memory: u64,
 }
 
