@@ -127,7 +127,8 @@ pub struct ShadingOptions {
     /// Weight of the area term of RGB-D refinement, per pixel of the reference plane, with shading
     /// weighing 1 and slopes in (log depth, pixel) units; 0 is off. Too large flattens.
     pub area_weight: f64,
-    /// Cut the gradient at the pixels that a view's map of depth breaks names; off ignores the map.
+    /// Cut the gradient where the surface breaks: at the pixels of a view's map of depth breaks, and
+    /// where shading and an integrable surface are found to disagree.
     pub depth_edges: bool,
     /// Solve on coarser grids first. Off in the paper's splitting.
     pub coarse_to_fine: bool,

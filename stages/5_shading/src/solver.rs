@@ -206,6 +206,11 @@ fn schedule(
     }
 }
 
+/// Penalty under which a pixel's own slopes and the surface's have the weights of their errors.
+fn normal_beta(sigma: f64) -> f32 {
+    (2.0 * (sigma / SLOPE_ERROR).powi(2)) as f32
+}
+
 /// Slopes of the integrated surface.
 fn surface_slopes(level: &Level, geometry: &Geometry, y: &[f32]) -> (Vec<f32>, Vec<f32>) {
     let mut p = vec![0.0; level.pixels.padded];
@@ -224,7 +229,7 @@ fn refine_slopes(
     let target = surface_slopes(level, geometry, y);
     let (mut p, mut q) = target.clone();
     let terms = ThetaTerms {
-        beta: (2.0 * (sigma / SLOPE_ERROR).powi(2)) as f32,
+        beta: normal_beta(sigma),
         area: 0.0,
         num_steps: 8,
     };
@@ -332,10 +337,12 @@ fn solve_view(
                 loss: options.loss,
                 white: prepared.white as f32,
                 aspect: geometry.aspect,
+                edge_beta: (options.depth_edges && known.determined()).then(|| normal_beta(sigma)),
                 courses: &courses,
                 observer,
             };
             let outcome = splitting::solve(&levels, &mut y, &setting)?;
+            report.num_depth_breaks += outcome.num_breaks;
             report.iterations = outcome.records;
             report.seconds.theta = outcome.seconds.theta;
             report.seconds.z = outcome.seconds.z;
