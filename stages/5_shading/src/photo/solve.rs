@@ -438,6 +438,7 @@ impl Course<'_> {
 
     /// Gauss-Newton rounds over all views. Views of even and odd number take turns, so that two
     /// views never swap their surfaces.
+    #[allow(clippy::too_many_arguments)] // what a lap works on, its weights, and its name in the report
     pub(crate) fn lap(
         &mut self,
         at: usize,
