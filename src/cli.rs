@@ -277,7 +277,7 @@ pub struct ShadeArgs {
     /// How samples relate to light
     #[arg(long, value_name = "ENCODING")]
     pub encoding: Option<Encoding>,
-    /// Options, as TOML (tables [photos], [shading] and [lighting])
+    /// Options, as TOML: tables `photos`, `shading` and `lighting`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     /// Folder for the results
@@ -348,7 +348,7 @@ pub struct SynthArgs {
     /// Another seed is another object
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Options of scene and photographs, as TOML (tables [scene] and [photographs])
+    /// Options of scene and photographs, as TOML: tables `scene` and `photographs`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     /// One JSON object a line on stdout

@@ -10,7 +10,7 @@
 //! with cell weights `w` (0 to 1; small where the surface breaks), hourglass stabilisation `h`,
 //! nodal masses `m` (a depth prior) and point constraints at sub-pixel positions, `b_k` their
 //! bilinear weights. The normal equations are solved by conjugate gradients, preconditioned by one
-//! cycle of [`crate::multigrid`], where the point constraints appear as lumped masses.
+//! cycle of `multigrid`, where the point constraints appear as lumped masses.
 //!
 //! Source: METHOD 7; the mixed-precision choice is `f32` for fields and `f64` for inner products.
 
