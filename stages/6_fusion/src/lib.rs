@@ -3,12 +3,12 @@
 //! In: posed views, their depth and normal maps, the photos (for colour). Out: a [`FusedCloud`] and
 //! a [`FusionReport`].
 //!
-//! 1. [`views`]: maps are checked; borders, depth edges and grazing surface are left out.
-//! 2. [`pairs`], [`reconcile`]: how far the views lie apart, and a joint robust adjustment of the
+//! 1. `views`: maps are checked; borders, depth edges and grazing surface are left out.
+//! 2. `pairs`, `reconcile`: how far the views lie apart, and a joint robust adjustment of the
 //!    smooth part of it.
-//! 3. [`points`], [`color`]: every piece of surface once, from the view that resolves it best, at
+//! 3. `points`, `color`: every piece of surface once, from the view that resolves it best, at
 //!    the mean of the views that agree.
-//! 4. [`tsdf`], [`surface`], [`holes`]: signed distances of all views, their zero set as a mesh.
+//! 4. `tsdf`, `surface`, `holes`: signed distances of all views, their zero set as a mesh.
 //!
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
 //! a statue.

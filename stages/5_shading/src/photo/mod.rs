@@ -8,10 +8,10 @@
 //! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
 //! views' surfaces, a weak robust thin plate.
 //!
-//! Steps: dense search inside the visual hull ([`hull`], [`patchmatch`]); exposure gains and the
-//! photos' disagreement ([`gains`]), from which the weights follow; a start that the views agree on
-//! ([`start`]); Gauss-Newton rounds ([`step`]) over the terms [`matching`], [`consensus`], [`plate`]
-//! and [`shading`], first without shading, then in laps of light and shape; finer levels at last.
+//! Steps: dense search inside the visual hull (`hull`, `patchmatch`); exposure gains and the
+//! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
+//! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
+//! and `shading`, first without shading, then in laps of light and shape; finer levels at last.
 
 mod camera;
 mod consensus;
