@@ -11,7 +11,7 @@ use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_poses::anchors::{AnchorOptions, find};
 use rilievo_scene::{
     FeatureMatches, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Photo, PhotoIdx,
-    PhotoSet, PosedView, PosedViews, Raster, RigidTransform, Silent, ViewIdx,
+    PhotoSet, PosedView, PosedViews, Raster, RigidTransform, Silent, ViewIdx, srgb,
 };
 use std::error::Error;
 use std::path::Path;
@@ -19,20 +19,13 @@ use std::sync::Arc;
 
 type Failure = Box<dyn Error + Send + Sync>;
 
-fn srgb_to_linear(v: f32) -> f32 {
-    if v <= 0.04045 {
-        v / 12.92
-    } else {
-        ((v + 0.055) / 1.055).powf(2.4)
-    }
-}
-
 fn read_photo(path: &Path, linear: bool) -> Result<LinearImage, Failure> {
     let image = image::open(path)?.into_rgb32f();
     let (width, height) = (image.width() as usize, image.height() as usize);
     let mut data = image.into_raw();
     if !linear {
-        data.iter_mut().for_each(|v| *v = srgb_to_linear(*v));
+        data.iter_mut()
+            .for_each(|v| *v = srgb::decode(f64::from(*v)) as f32);
     }
     Ok(LinearImage {
         width,

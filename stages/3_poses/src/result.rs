@@ -184,19 +184,8 @@ fn paint(scene: &Scene<'_>, posed: &mut PosedViews) {
             for c in 0..3 {
                 let channel = c.min(image.channels - 1);
                 let linear = image.sample(pixel.x, pixel.y, channel).unwrap_or(0.0);
-                posed.points[*k].color[c] = encode_srgb(linear);
+                posed.points[*k].color[c] = rilievo_scene::srgb::encode_byte(linear);
             }
         }
     }
-}
-
-/// IEC 61966-2-1.
-fn encode_srgb(linear: f32) -> u8 {
-    let v = linear.clamp(0.0, 1.0);
-    let encoded = if v <= 0.003_130_8 {
-        12.92 * v
-    } else {
-        1.055 * v.powf(1.0 / 2.4) - 0.055
-    };
-    (255.0 * encoded).round() as u8
 }

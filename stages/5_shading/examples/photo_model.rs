@@ -40,10 +40,8 @@ fn linear(path: &Path) -> Result<LinearImage, Box<dyn Error>> {
             let v = f32::from(v) / 65535.0;
             if sixteen {
                 v
-            } else if v <= 0.04045 {
-                v / 12.92
             } else {
-                ((v + 0.055) / 1.055).powf(2.4)
+                rilievo_scene::srgb::decode(f64::from(v)) as f32
             }
         })
         .collect();

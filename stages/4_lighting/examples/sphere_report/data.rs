@@ -51,11 +51,7 @@ fn linear_of(path: &Path, is_linear: bool) -> Result<LinearImage> {
     } else {
         let decode = |v: u8| {
             let v = f32::from(v) / 255.0;
-            if v <= 0.04045 {
-                v / 12.92
-            } else {
-                ((v + 0.055) / 1.055).powf(2.4)
-            }
+            rilievo_scene::srgb::decode(f64::from(v)) as f32
         };
         image.to_rgb8().into_raw().into_iter().map(decode).collect()
     };

@@ -3,17 +3,8 @@
 use crate::error::IoError;
 use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
-use rilievo_scene::LinearImage;
+use rilievo_scene::{LinearImage, srgb};
 use std::path::Path;
-
-/// The sRGB curve, linear to encoded, both 0 to 1 (IEC 61966-2-1).
-pub(crate) fn srgb_encode(linear: f32) -> f32 {
-    if linear <= 0.003_130_8 {
-        12.92 * linear
-    } else {
-        1.055 * linear.powf(1.0 / 2.4) - 0.055
-    }
-}
 
 /// A linear image as the bytes of a JPEG file; values outside 0 to 1 are clipped, as in a camera.
 ///
@@ -23,7 +14,7 @@ pub fn encode_photo_jpeg(photo: &LinearImage, quality: u8) -> Result<Vec<u8>, Io
     let samples: Vec<u8> = photo
         .data
         .iter()
-        .map(|&linear| (255.0 * srgb_encode(linear.clamp(0.0, 1.0))).round() as u8)
+        .map(|&linear| srgb::encode_byte(linear))
         .collect();
     let color = if photo.channels == 1 {
         ExtendedColorType::L8

@@ -11,9 +11,8 @@
 
 use crate::error::IoError;
 use crate::mask::encode_png;
-use crate::photo_writer::srgb_encode;
 use image::ExtendedColorType;
-use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster};
+use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster, srgb};
 use std::path::Path;
 
 type Rgb = [u8; 3];
@@ -150,7 +149,7 @@ fn paint(preview: Preview<'_>) -> Raster<Rgb> {
                 .map(|pixel| {
                     std::array::from_fn(|c| {
                         let value = pixel.get(c).or(pixel.first()).copied().unwrap_or(0.0);
-                        (255.0 * srgb_encode(value.clamp(0.0, 1.0))).round() as u8
+                        srgb::encode_byte(value)
                     })
                 })
                 .collect(),

@@ -25,6 +25,7 @@ pub mod poses;
 pub mod raster;
 pub mod shaded;
 pub mod sphere;
+pub mod srgb;
 pub mod transform;
 
 pub use calibration::{LightSource, LightingCalibration, ViewLighting};

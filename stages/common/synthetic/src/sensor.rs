@@ -3,7 +3,7 @@
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use rilievo_scene::LinearImage;
+use rilievo_scene::{LinearImage, srgb};
 
 /// Two independent standard normal numbers (Box and Muller, 1958).
 fn normal_pair(random: &mut ChaCha8Rng) -> (f64, f64) {
@@ -48,20 +48,12 @@ pub(crate) fn add_noise(image: &mut LinearImage, seed: u64, view: usize, noise: 
         });
 }
 
-/// 8-bit sRGB of linear values (IEC 61966-2-1), clipped to 0..1.
+/// 8-bit sRGB of linear values, clipped to 0..1.
 pub fn to_srgb8(image: &LinearImage) -> Vec<u8> {
     image
         .data
         .par_iter()
-        .map(|&linear| {
-            let v = f64::from(linear).clamp(0.0, 1.0);
-            let encoded = if v <= 0.003_130_8 {
-                12.92 * v
-            } else {
-                1.055 * v.powf(1.0 / 2.4) - 0.055
-            };
-            (255.0 * encoded).round() as u8
-        })
+        .map(|&linear| srgb::encode_byte(linear))
         .collect()
 }
 

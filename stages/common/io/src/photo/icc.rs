@@ -40,7 +40,7 @@ pub(super) fn tone_curve(profile: &[u8]) -> Option<ToneCurve> {
     };
     Some(if distance(|x| x) < SAME_CURVE {
         ToneCurve::Linear
-    } else if distance(srgb) < SAME_CURVE {
+    } else if distance(rilievo_scene::srgb::decode) < SAME_CURVE {
         ToneCurve::Srgb
     } else {
         ToneCurve::Other(table.into_iter().map(|value| value as f32).collect())
@@ -52,14 +52,6 @@ pub(super) fn power_table(gamma: f64) -> Vec<f32> {
     (0..TABLE_LEN)
         .map(|i| (i as f64 / (TABLE_LEN - 1) as f64).powf(gamma) as f32)
         .collect()
-}
-
-fn srgb(stored: f64) -> f64 {
-    if stored <= 0.040_45 {
-        stored / 12.92
-    } else {
-        ((stored + 0.055) / 1.055).powf(2.4)
-    }
 }
 
 fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
@@ -227,7 +219,7 @@ mod tests {
         assert_eq!(tone_curve(&curv(&[0, 65535])), Some(ToneCurve::Linear));
         assert_eq!(tone_curve(&para(0, &[1.0])), Some(ToneCurve::Linear));
         let table: Vec<u16> = (0..1024)
-            .map(|i| (srgb(f64::from(i) / 1023.0) * 65535.0).round() as u16)
+            .map(|i| (rilievo_scene::srgb::decode(f64::from(i) / 1023.0) * 65535.0).round() as u16)
             .collect();
         assert_eq!(tone_curve(&curv(&table)), Some(ToneCurve::Srgb));
         let parameters = [2.4, 1.0 / 1.055, 0.055 / 1.055, 1.0 / 12.92, 0.04045];
