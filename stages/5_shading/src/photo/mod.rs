@@ -15,8 +15,10 @@
 
 mod camera;
 mod consensus;
+mod course;
 mod gains;
 mod hull;
+mod lap;
 mod level;
 mod light;
 mod matching;
@@ -25,8 +27,10 @@ mod output;
 mod patchmatch;
 mod plate;
 pub(crate) mod rectify;
+mod relight;
 mod report;
 mod sampling;
+mod search;
 mod shading;
 mod solve;
 mod start;
@@ -34,9 +38,9 @@ mod step;
 mod surround;
 mod views;
 
+pub use course::Probe;
 pub use options::PhotoOptions;
 pub use report::{LapReport, PhotoReport, PhotoViewReport};
-pub use solve::Probe;
 
 use crate::error::ShadingError;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};

@@ -1,0 +1,103 @@
+//! What the steps of a run share: views, options, observer, report.
+
+use super::consensus;
+use super::level;
+use super::options::PhotoOptions;
+use super::output;
+use super::report::PhotoReport;
+use super::start;
+use super::views::Scene;
+use crate::error::ShadingError;
+use rayon::prelude::*;
+use rilievo_numerics::plate_system::{PlateError, PlateSolver};
+use rilievo_scene::{Event, Flow, Observer, ShadedViews, StageId};
+
+/// Receives the shape after each step, for measurement.
+pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;
+
+/// Everything that the steps of a run share.
+pub(crate) struct Course<'a> {
+    pub scene: Scene,
+    pub options: &'a PhotoOptions,
+    pub observer: &'a dyn Observer,
+    pub report: PhotoReport,
+    pub sigma_match: f64,
+    pub probe: Option<&'a Probe<'a>>,
+}
+
+impl Course<'_> {
+    /// Tells a step; ends the run when asked to.
+    pub(crate) fn tell(&self, step: &str, done: usize, total: usize) -> Result<(), ShadingError> {
+        match self.observer.event(Event::Progress {
+            stage: StageId::Shading,
+            step: step.to_owned(),
+            done,
+            total,
+        }) {
+            Flow::Continue => Ok(()),
+            Flow::Stop => Err(ShadingError::Interrupted),
+        }
+    }
+
+    pub(crate) fn failed(&self, view: usize, error: &PlateError) -> ShadingError {
+        ShadingError::Numerics {
+            view: self.scene.frames[view].name.clone(),
+            reason: error.to_string(),
+        }
+    }
+
+    /// Factorisations of a level, one per view.
+    pub(crate) fn solvers(&self, at: usize) -> Result<Vec<PlateSolver>, ShadingError> {
+        let results: Vec<_> = self.scene.pyramid[at]
+            .views
+            .par_iter()
+            .map(|view| PlateSolver::new(&view.pixels))
+            .collect();
+        results
+            .into_iter()
+            .enumerate()
+            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+    /// All views' surfaces made one.
+    pub(crate) fn fused(
+        &self,
+        at: usize,
+        depths: &[Vec<f64>],
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let level = &self.scene.pyramid[at];
+        self.tell("fusing views", 0, 1)?;
+        Ok(consensus::fuse(level, depths, 4.0 / level.focal()))
+    }
+
+    /// The surface at the next finer level.
+    pub(crate) fn descend(
+        &self,
+        at: usize,
+        solvers: &[PlateSolver],
+        depths: &[Vec<f64>],
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        let filled: Vec<_> = (0..fine.views.len())
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|i| {
+                let (values, known) = level::upsample(&coarse.views[i], &fine.views[i], &depths[i]);
+                let weight: Vec<f64> = known.iter().map(|&k| f64::from(u8::from(k))).collect();
+                start::fill(&fine.views[i], &solvers[i], &values, &weight, 1.0, 1e-5)
+            })
+            .collect();
+        filled
+            .into_iter()
+            .enumerate()
+            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+
+    /// Shows the current surface to the probe, at the photos' resolution.
+    pub(crate) fn show(&self, at: usize, step: &str, depths: &[Vec<f64>]) {
+        if let Some(probe) = self.probe {
+            probe(step, &output::maps(&self.scene, at, depths));
+        }
+    }
+}

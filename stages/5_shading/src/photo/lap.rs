@@ -1,0 +1,185 @@
+//! One lap: Gauss-Newton rounds over all views under fixed weights and a fixed light.
+
+use super::course::Course;
+use super::level;
+use super::light::Light;
+use super::matching::MatchOptions;
+use super::report::LapReport;
+use super::shading::{ShadingTerm, ShadingWeights};
+use super::step::{self, StepOptions};
+use crate::error::ShadingError;
+use rayon::prelude::*;
+use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_numerics::robust::median;
+use std::time::Instant;
+
+/// Weights of one lap.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct LapWeights {
+    /// Standard deviation of the depth against the other views, pixel footprints.
+    pub consensus_px: f64,
+    /// Depth difference to a view that sees the point, pixel footprints.
+    pub visible_px: f64,
+    /// Weight of squared bends.
+    pub plate: f64,
+    /// Bend at which the plate turns linear.
+    pub plate_knee: f64,
+    /// Shading, where it takes part.
+    pub shading: Option<ShadingWeights>,
+}
+
+/// Agreement alone.
+pub(crate) const PHOTOS_ONLY: LapWeights = LapWeights {
+    consensus_px: 0.9,
+    visible_px: 3.5,
+    plate: 30.0,
+    plate_knee: 0.05,
+    shading: None,
+};
+
+/// Weights of the laps with shading: it starts weak, on a light fitted to a rough shape, and grows.
+///
+/// `σ_s = share · r (1 + (r/r₀)²)` of the light's median residual `r`: where the light explains the
+/// photos as well as it can (2 to 3 %), shading weighs fully; at a residual of 20 % (pigment, dirt,
+/// gloss) it has lost its say, because what it would explain by relief is not relief.
+pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
+    // Residual at which the model's error outweighs relief.
+    const RESIDUAL_KNEE: f64 = 0.08;
+    // Share, correction's bell in pixels, plate, its knee, consensus and visibility in footprints.
+    let table = [
+        (0.57, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.6, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.5, 8.0, 60.0, 0.05, 0.62, 3.5),
+        (0.4, 6.0, 100.0, 0.1, 0.45, 1.8),
+    ];
+    let (share, correction_px, plate, plate_knee, consensus_px, visible_px) =
+        table[lap.min(table.len() - 1)];
+    LapWeights {
+        consensus_px,
+        visible_px,
+        plate,
+        plate_knee,
+        shading: Some(ShadingWeights {
+            sigma: share * residual * (1.0 + (residual / RESIDUAL_KNEE).powi(2)),
+            knee: 2.0,
+            correction_px,
+            max_correction: 0.15,
+            mean_tolerance: 1.8,
+        }),
+    }
+}
+
+impl Course<'_> {
+    /// Weights of a step; lengths in footprints of a pixel.
+    fn step_options(&self, at: usize, weights: &LapWeights) -> StepOptions {
+        let footprint = 1.0 / self.scene.pyramid[at].focal();
+        StepOptions {
+            matching: MatchOptions {
+                sigma: self.sigma_match,
+                knee: 2.0,
+                visible_tolerance: weights.visible_px * footprint,
+                gain_field_px: 8.0,
+                left_out: None,
+            },
+            sigma_consensus: weights.consensus_px * footprint,
+            plate_weight: weights.plate,
+            plate_knee: weights.plate_knee,
+            max_step: 9.0 * footprint,
+        }
+    }
+
+    /// Gauss-Newton rounds over all views. Views of even and odd number take turns, so that two
+    /// views never swap their surfaces.
+    #[allow(clippy::too_many_arguments)] // what a lap works on, its weights, and its name in the report
+    pub(crate) fn lap(
+        &mut self,
+        at: usize,
+        solvers: &[PlateSolver],
+        depths: &mut [Vec<f64>],
+        weights: &LapWeights,
+        light: Option<&Light>,
+        kind: &str,
+        num_rounds: usize,
+    ) -> Result<(), ShadingError> {
+        let began = Instant::now();
+        let options = self.step_options(at, weights);
+        let mut record = LapReport {
+            level: at,
+            kind: kind.to_owned(),
+            sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
+            ..LapReport::default()
+        };
+        for round in 0..num_rounds {
+            self.tell(kind, round, num_rounds)?;
+            let level = &self.scene.pyramid[at];
+            let (mut change, mut residuals) = (0.0, Vec::new());
+            for parity in 0..2 {
+                let rasters = level::depth_rasters(level, depths);
+                let outcomes: Vec<_> = (parity..level.views.len())
+                    .step_by(2)
+                    .collect::<Vec<_>>()
+                    .into_par_iter()
+                    .with_max_len(1)
+                    .map(|i| {
+                        let term = light.zip(weights.shading).map(|(light, mut weights)| {
+                            weights.mean_tolerance /= level.focal();
+                            ShadingTerm::new(
+                                level,
+                                i,
+                                depths,
+                                &rasters,
+                                &light.harmonics[i],
+                                None,
+                                &weights,
+                            )
+                        });
+                        let outcome = step::improve(
+                            level,
+                            i,
+                            &solvers[i],
+                            depths,
+                            &rasters,
+                            term.as_ref(),
+                            &options,
+                        );
+                        (i, outcome)
+                    })
+                    .collect();
+                for (i, outcome) in outcomes {
+                    let outcome = outcome.map_err(|e| self.failed(i, &e))?;
+                    depths[i] = outcome.depth;
+                    change += outcome.change.powi(2);
+                    residuals.extend(
+                        outcome
+                            .matches
+                            .residual
+                            .iter()
+                            .zip(&outcome.matches.num_visible)
+                            .step_by(7)
+                            .filter(|&(_, &n)| n > 0)
+                            .map(|(&r, _)| f64::from(r)),
+                    );
+                    let alone = outcome
+                        .matches
+                        .num_visible
+                        .iter()
+                        .filter(|&&n| n == 0)
+                        .count();
+                    self.report.views[i].seen_alone =
+                        alone as f64 / outcome.matches.num_visible.len().max(1) as f64;
+                }
+            }
+            let level = &self.scene.pyramid[at];
+            record.last_change = (change / level.views.len() as f64).sqrt() * level.focal();
+            record.match_residual = median(&mut residuals).unwrap_or(f64::NAN);
+            record.num_rounds = round + 1;
+            if record.last_change < self.options.round_tolerance {
+                break;
+            }
+        }
+        record.seconds = began.elapsed().as_secs_f64();
+        self.report.laps.push(record);
+        self.show(at, kind, depths);
+        Ok(())
+    }
+}

@@ -1,0 +1,208 @@
+//! Before the first lap: exposure of the photos, and the surface that dense search finds.
+//!
+//! Correlation needs no exposure, so it searches one level coarser; where views agree their intensities
+//! give the gains, and what the gains leave is the photos' disagreement, from which σ_m follows. With
+//! the gains divided out the coarse level is searched again, by squared differences where brightness
+//! is as good as constant.
+
+use super::course::Course;
+use super::gains::{self, Exposure};
+use super::hull;
+use super::level::Level;
+use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
+use super::report::{LapReport, PhotoViewReport};
+use super::start;
+use crate::error::ShadingError;
+use nalgebra::Point3;
+use rayon::prelude::*;
+use rilievo_scene::{Mask, PosedViews};
+use std::time::Instant;
+
+/// Relative noise of 8-bit photographs: no photos agree better than this.
+const MIN_DISAGREEMENT: f64 = 0.012;
+/// Beyond this the photos hardly show the same object.
+const MAX_DISAGREEMENT: f64 = 0.2;
+/// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
+/// surface and moves nothing.
+const SIGMA_SHARE: f64 = 0.4;
+impl Course<'_> {
+    fn dense_search(
+        &self,
+        at: usize,
+        posed: &PosedViews,
+        cost: PatchCost,
+        start: Option<&[Planes]>,
+    ) -> Result<Vec<Planes>, ShadingError> {
+        let level = &self.scene.pyramid[at];
+        let points: Vec<Point3<f64>> = posed
+            .points
+            .iter()
+            .map(|p| Point3::from(p.position))
+            .chain(posed.anchors.iter().map(|a| Point3::from(a.position)))
+            .collect();
+        let ranges =
+            hull::object_ranges(&level.views, self.scene.masked, &points).ok_or_else(|| {
+                ShadingError::NoDepth {
+                    view: self.scene.frames[0].name.clone(),
+                }
+            })?;
+        // A pixel of slack: masks of different views never meet exactly.
+        let masks: Vec<Mask> = level
+            .views
+            .iter()
+            .map(|v| hull::dilate(&v.mask, 1))
+            .collect();
+        let options = PatchMatchOptions {
+            cost,
+            radius_px: 6,
+            stride_px: 2,
+            // A start needs its planes spread and polished only.
+            num_sweeps: if start.is_some() {
+                self.options.num_sweeps.div_ceil(2)
+            } else {
+                self.options.num_sweeps
+            },
+            num_trials: 6,
+            num_best: 3,
+            seed: self.options.seed,
+        };
+        Ok((0..level.views.len())
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|i| {
+                let ranges = hull::pixel_ranges(&level.views, &masks, i, ranges[i]);
+                patchmatch::search(level, i, &masks, &ranges, start.map(|s| &s[i]), &options)
+            })
+            .collect())
+    }
+
+    /// Gains of the photos, divided out of every level, and the weight of the match term.
+    pub(crate) fn find_exposure(
+        &mut self,
+        posed: &PosedViews,
+    ) -> Result<(Exposure, Vec<Planes>), ShadingError> {
+        let began = Instant::now();
+        let at = (self.scene.coarse + 1).min(self.scene.pyramid.len() - 1);
+        self.tell("comparing exposures", 0, 1)?;
+        let planes = self.dense_search(at, posed, PatchCost::Correlation, None)?;
+        let level = &self.scene.pyramid[at];
+        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
+        let exposure = gains::estimate(level, &depths, &agreement);
+        for level in &mut self.scene.pyramid {
+            for (view, gain) in level.views.iter_mut().zip(&exposure.gains) {
+                view.divide_by_gain(*gain);
+            }
+        }
+        for (photo, gain) in self.scene.small.iter_mut().zip(&exposure.gains) {
+            photo.divide_by_gain(*gain);
+        }
+        let disagreement = exposure
+            .disagreement
+            .clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT);
+        self.sigma_match = SIGMA_SHARE * disagreement;
+        self.report.disagreement = exposure.disagreement;
+        self.report.sigma_match = self.sigma_match;
+        self.report.laps.push(LapReport {
+            level: at,
+            kind: "exposure".to_owned(),
+            seconds: began.elapsed().as_secs_f64(),
+            ..LapReport::default()
+        });
+        self.report.views = self
+            .scene
+            .frames
+            .iter()
+            .enumerate()
+            .map(|(i, frame)| PhotoViewReport {
+                name: frame.name.clone(),
+                num_pixels: self.scene.pyramid[0].views[i].pixels.len(),
+                sources: self.scene.sources[i]
+                    .iter()
+                    .map(|&j| self.scene.frames[j].name.clone())
+                    .collect(),
+                gain: exposure.gains[i],
+                disagreement: exposure.per_view[i],
+                ..PhotoViewReport::default()
+            })
+            .collect();
+        Ok((exposure, planes))
+    }
+
+    /// The surface that the views agree on, continued over their masks.
+    pub(crate) fn find_surface(
+        &mut self,
+        posed: &PosedViews,
+        (exposure, planes): &(Exposure, Vec<Planes>),
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let began = Instant::now();
+        let at = self.scene.coarse;
+        self.tell("searching depth", 0, 1)?;
+        // Where brightness is as good as constant, differences tell more than correlation.
+        let cost = if exposure.disagreement < 0.055 {
+            PatchCost::SquaredDifferences {
+                sigma: (2.7 * self.sigma_match) as f32,
+            }
+        } else {
+            PatchCost::Correlation
+        };
+        let start: Option<Vec<Planes>> = self.scene.pyramid.get(at + 1).map(|coarse| {
+            coarse
+                .views
+                .iter()
+                .zip(&self.scene.pyramid[at].views)
+                .zip(planes)
+                .map(|((coarse, fine), planes)| patchmatch::refine_start(coarse, fine, planes))
+                .collect()
+        });
+        let planes = self.dense_search(at, posed, cost, start.as_deref())?;
+        let solvers = self.solvers(at)?;
+        let level = &self.scene.pyramid[at];
+        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
+        let filled: Vec<_> = level
+            .views
+            .par_iter()
+            .enumerate()
+            .map(|(i, view)| {
+                let weight: Vec<f64> = agreement[i]
+                    .count
+                    .iter()
+                    .map(|&c| match c {
+                        0 => 0.0,
+                        1 => 0.5,
+                        _ => 1.0,
+                    })
+                    .collect();
+                start::fill(
+                    view,
+                    &solvers[i],
+                    &depths[i],
+                    &weight,
+                    1.0 / level.focal(),
+                    10.0,
+                )
+            })
+            .collect();
+        for (i, agreement) in agreement.iter().enumerate() {
+            let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
+            self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
+        }
+        self.report.laps.push(LapReport {
+            level: at,
+            kind: "search".to_owned(),
+            seconds: began.elapsed().as_secs_f64(),
+            ..LapReport::default()
+        });
+        filled
+            .into_iter()
+            .enumerate()
+            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+}
+
+/// Relative depth within which two views' dense depths agree: a few pixels of the level.
+fn agreement_tolerance(level: &Level) -> f64 {
+    2.7 / level.focal()
+}
