@@ -41,7 +41,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Poses => 1,
         StageId::Lighting => 1,
         StageId::Shading => 1,
-        StageId::Fusion => 1,
+        StageId::Fusion => 2,
     }
 }
 

@@ -8,7 +8,7 @@
 //!    smooth part of it.
 //! 3. `points`, `color`: every piece of surface once, from the view that resolves it best, at
 //!    the mean of the views that agree.
-//! 4. `tsdf`, `surface`, `holes`: signed distances of all views, their zero set as a mesh.
+//! 4. `tsdf`, `surface`, `rim`, `holes`: signed distances of all views, their zero set as a mesh.
 //!
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
 //! a statue.
@@ -21,6 +21,7 @@ mod pairs;
 mod points;
 mod reconcile;
 mod report;
+mod rim;
 mod surface;
 mod tsdf;
 mod views;

@@ -128,7 +128,8 @@ pub(crate) fn neighbours(views: &[View], max_num: usize) -> Vec<Vec<usize>> {
         .collect()
 }
 
-/// Pairs of pixels on a grid of `stride` pixels, in the order of views, rows and columns.
+/// Pairs of pixels on a grid of `stride` pixels, in the order of views, rows and columns. Only what
+/// gives points counts: a distance at the border or at grazing incidence tells of neither view.
 pub(crate) fn find_pairs(
     views: &[View],
     neighbours: &[Vec<usize>],
@@ -150,7 +151,7 @@ pub(crate) fn find_pairs(
             let view = &views[i];
             let mut pairs = Vec::new();
             for x in (stride / 2..view.depth.width).step_by(stride) {
-                let Some(surface) = view.at(x, y) else {
+                let Some(surface) = view.at(x, y).filter(|s| s.gives) else {
                     continue;
                 };
                 let candidate = Candidate {
@@ -165,6 +166,7 @@ pub(crate) fn find_pairs(
                         distance,
                         normal,
                         footprint,
+                        gives: true,
                         ..
                     } = look(other, &candidate, tolerance, min_normal_cosine)
                     else {

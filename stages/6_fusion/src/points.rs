@@ -30,6 +30,11 @@ const ENOUGH: f64 = 2.0;
 /// a pixel covers seven footprints.
 const MAX_SPLIT: usize = 4;
 
+/// Points between pixels are made where depths and normals agree on the surface there to this many
+/// footprints; elsewhere (a rim that turns within a pixel, noise) the pixel's own point is all that
+/// is known.
+const MAX_STRAIN_PX: f64 = 0.1;
+
 enum Verdict {
     /// Too few views agree, or others see through it.
     Inconsistent,
@@ -87,10 +92,12 @@ pub(crate) fn gather(
                         Verdict::Elsewhere => {}
                         Verdict::Keep { point, coverage } => {
                             let split = (ENOUGH / coverage).sqrt().ceil() as usize;
-                            if split <= 1 {
-                                kept.push(point);
-                            } else {
+                            let num_before = kept.len();
+                            if split > 1 {
                                 judge.split(i, [x, y], split.min(MAX_SPLIT), &mut kept);
+                            }
+                            if kept.len() == num_before {
+                                kept.push(point);
                             }
                         }
                     }
@@ -138,7 +145,9 @@ impl Judge<'_> {
             let place = Point2::new(x as f64 + offset(k % n), y as f64 + offset(k / n));
             let ray = view.camera.ray(&place);
             let surface = view.along(&Point3::from(ray));
-            let Some(surface) = surface.filter(|s| !s.is_extrapolated) else {
+            let Some(surface) =
+                surface.filter(|s| !s.is_extrapolated && s.strain_px < MAX_STRAIN_PX)
+            else {
                 continue;
             };
             if let Verdict::Keep { point, .. } = self.pixel(idx, &ray, &surface) {

@@ -2,15 +2,15 @@
 //!
 //! Surface nets block by block (each block with one layer of its neighbours), welded by the cell
 //! that each vertex lies in; triangles with a corner in a cell that touches an unknown voxel are
-//! no surface but the end of what was seen, and are dropped; so are small loose pieces. Vertices
-//! are then moved onto the cloud's tangent planes, which keeps the detail that averaging over a
-//! cell loses, and take normals and colours from the cloud.
+//! no surface but the end of what was seen, and are dropped; so are small loose pieces. The end is
+//! smoothed ([`rim`]); vertices take normals and colours from the cloud.
 
 use crate::error::FusionError;
 use crate::holes::close;
 use crate::options::FusionOptions;
 use crate::points::blend;
 use crate::report::MeshReport;
+use crate::rim;
 use crate::tsdf::{Key, SIDE, UNKNOWN, VOLUME, Volume};
 use fast_surface_nets::ndshape::{ConstShape, ConstShape3u32};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
@@ -26,12 +26,8 @@ type PaddedShape = ConstShape3u32<PADDED, PADDED, PADDED>;
 
 /// A piece with fewer triangles than this share of the largest one is no surface.
 const MIN_PIECE: f64 = 0.005;
-/// Cloud points that a vertex takes its plane, normal and colour from.
+/// Cloud points that a vertex takes its normal and colour from.
 const NUM_NEAREST: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(5);
-/// A vertex moves at most this far onto the cloud's planes, voxels; farther away is another
-/// surface.
-const MAX_MOVE: f64 = 0.75;
-
 /// A vertex of a block: the cell that it lies in, in voxels of the whole volume, and its place.
 struct Vertex {
     cell: [i32; 3],
@@ -74,6 +70,7 @@ pub(crate) fn extract(
         .collect();
     step("joining the surface", 1)?;
     let mut mesh = weld(volume, pieces);
+    rim::smooth(&mut mesh);
     let num_dropped_pieces = drop_small_pieces(&mut mesh);
     if options.watertight {
         close(&mut mesh);
@@ -244,15 +241,15 @@ fn drop_small_pieces(mesh: &mut Mesh) -> usize {
 
 /// A vertex with what the cloud gives it.
 struct Dressed {
-    position: [f32; 3],
     normal: [f32; 3],
     color: [u8; 3],
-    /// Distance that it had from the cloud's planes, world's unit.
+    /// Distance from the cloud's planes, world's unit.
     distance: f64,
 }
 
-/// Moves vertices onto the cloud's planes and gives them its normals and colours; returns the mean
-/// distance that they had from those planes.
+/// Gives vertices the cloud's normals and colours; returns the mean distance from its planes. The
+/// vertices stay: the zero of the distances is nearer to the surface than the mean of the planes of a
+/// few points, which curvature bends outwards.
 fn dress(mesh: &mut Mesh, points: &[CloudPoint], voxel: f64) -> Option<f64> {
     let positions: Vec<[f32; 3]> = points.iter().map(|p| p.position).collect();
     let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&positions).ok()?;
@@ -284,13 +281,7 @@ fn dress(mesh: &mut Mesh, points: &[CloudPoint], voxel: f64) -> Option<f64> {
                 0.0
             };
             let (normal, color) = blend(points, &nearest);
-            let moved = if offset.abs() <= MAX_MOVE * voxel {
-                at - normal.map(f64::from) * offset
-            } else {
-                at
-            };
             Dressed {
-                position: moved.map(|c| c as f32).into(),
                 normal: normal.into(),
                 color,
                 distance: offset.abs(),
@@ -298,7 +289,6 @@ fn dress(mesh: &mut Mesh, points: &[CloudPoint], voxel: f64) -> Option<f64> {
         })
         .collect();
     let mean = dressed.iter().map(|d| d.distance).sum::<f64>() / dressed.len().max(1) as f64;
-    mesh.vertices = dressed.iter().map(|d| d.position).collect();
     mesh.normals = dressed.iter().map(|d| d.normal).collect();
     mesh.colors = dressed.iter().map(|d| d.color).collect();
     (!dressed.is_empty()).then_some(mean)

@@ -48,6 +48,8 @@ pub(crate) struct Surface {
     pub gives: bool,
     /// Whether a corner was missing, and the tangent planes of the others carried on.
     pub is_extrapolated: bool,
+    /// How far the two interpolants lie apart along the normal, pixel footprints.
+    pub strain_px: f64,
 }
 
 /// Share of the bilinear weights that must exist: half a pixel beyond the map's border.
@@ -60,6 +62,8 @@ const EXTRAPOLATED: f64 = 0.01;
 const MIN_CONFIDENCE: f64 = 0.05;
 /// Slope of an edge against the steepest surface that is kept: noise must not cut slopes.
 const EDGE_FACTOR: f64 = 1.5;
+/// Share of a step in depth that the normals may leave unexplained where it is no edge.
+const MAX_SURPRISE: f64 = 0.5;
 
 impl View {
     /// Ray of an integer pixel, `z = 1`.
@@ -116,6 +120,7 @@ impl View {
             confidence: self.confidence_at(x, y),
             gives: *self.gives.at(x, y),
             is_extrapolated: false,
+            strain_px: 0.0,
         })
     }
 
@@ -159,22 +164,24 @@ impl View {
         // Beside a missing corner the surface is extrapolated: good to confirm, not to average.
         let is_extrapolated = total <= FULL_WEIGHT;
         let trust = if is_extrapolated { EXTRAPOLATED } else { 1.0 };
-        let agree = (planes / chord - 1.0).abs() * self.camera.focal_px() < 1.0;
-        let inverse = match (is_extrapolated, agree) {
+        let apart_px = (planes / chord - 1.0).abs() * self.camera.focal_px();
+        let inverse = match (is_extrapolated, apart_px < 1.0) {
             (false, true) => 0.5 * (chord + planes),
             // Normals that contradict the depths by a pixel footprint have nothing to add to them.
             (false, false) => chord,
             // Beside a missing corner the chord leans; the tangent planes carry on.
             (true, _) => planes / total,
         };
+        let normal = normal.normalize();
         Some(Surface {
             depth: 1.0 / inverse,
-            normal: normal.normalize(),
+            normal,
             confidence: trust * confidence / total,
             gives: *self
                 .gives
                 .at(x + usize::from(fx > 0.5), y + usize::from(fy > 0.5)),
             is_extrapolated,
+            strain_px: apart_px * normal.dot(&ray).abs(),
         })
     }
 }
@@ -282,28 +289,45 @@ fn clean(
 
 const AROUND: [(isize, isize); 4] = [(-1, 0), (1, 0), (0, -1), (0, 1)];
 
-/// Clears pixels on both sides of depth edges: no surface runs from one side to the other.
+/// Clears pixels on both sides of depth edges: no surface runs from one side to the other. A step
+/// that the tangent planes of both sides foretell is no edge but oblique surface.
 fn drop_edges(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
     // The steepest surface that is kept rises by this share of its depth from pixel to pixel.
     let steepest =
         EDGE_FACTOR * options.max_grazing_deg.min(89.0).to_radians().tan() / view.camera.focal_px();
-    let before = view.depth.clone();
-    for y in 0..before.height {
-        for x in 0..before.width {
-            let here = *before.at(x, y);
-            let is_edge = here > 0.0
-                && AROUND.iter().any(|(dx, dy)| {
-                    before
-                        .get(x as isize + dx, y as isize + dy)
-                        .is_some_and(|&z| {
-                            z > 0.0 && f64::from((z - here).abs()) > steepest * f64::from(here)
-                        })
-                });
-            if is_edge {
-                *view.depth.at_mut(x, y) = 0.0;
-                report.num_border += 1;
+    let is_edge_to = |x: usize, y: usize, dx: isize, dy: isize| {
+        let (Some(here), Some(u), Some(v)) = (
+            view.at(x, y),
+            x.checked_add_signed(dx).filter(|&u| u < view.depth.width),
+            y.checked_add_signed(dy).filter(|&v| v < view.depth.height),
+        ) else {
+            return false;
+        };
+        let Some(there) = view.at(u, v) else {
+            return false;
+        };
+        let step = (there.depth / here.depth).ln();
+        if step.abs() <= steepest {
+            return false;
+        }
+        // The logarithm of the depths' ratio on a plane with normal n is ln(n·r / n·r').
+        let (ray, next) = (view.ray(x, y), view.ray(u, v));
+        let on_plane = |n: &Vector3<f64>| (n.dot(&ray) / n.dot(&next)).ln();
+        let foretold = 0.5 * (on_plane(&here.normal) + on_plane(&there.normal));
+        // Written so that a plane seen from behind, whose logarithm is no number, foretells nothing.
+        !(step - foretold).abs().lt(&(MAX_SURPRISE * step.abs()))
+    };
+    let mut edges = Vec::new();
+    for y in 0..view.depth.height {
+        for x in 0..view.depth.width {
+            if AROUND.iter().any(|&(dx, dy)| is_edge_to(x, y, dx, dy)) {
+                edges.push((x, y));
             }
         }
+    }
+    report.num_border += edges.len();
+    for (x, y) in edges {
+        *view.depth.at_mut(x, y) = 0.0;
     }
 }
 

@@ -119,43 +119,32 @@ fn exact_maps_give_the_sphere_without_layers() {
     let (fused, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
     let errors = errors(&fused, 1.0);
     assert!(errors.len() > 5000, "{} points", errors.len());
-    let p99 = errors[errors.len() * 99 / 100] / footprint();
     let worst = errors[errors.len() - 1] / footprint();
-    // The rim of so coarse a sphere turns by ten degrees from pixel to pixel.
-    assert!(p99 < 0.05 && worst < 0.2, "{p99}, {worst} footprints");
-    let mut cosines = Vec::with_capacity(fused.cloud.points.len());
+    assert!(worst < 0.05, "{worst} footprints");
     for p in &fused.cloud.points {
         let (at, n) = (Vector3::from(p.position), Vector3::from(p.normal));
-        cosines.push(at.normalize().dot(&n));
+        assert!(at.normalize().dot(&n) > 0.9999, "{p:?}");
         assert!(
             p.num_views >= 2 && (0.0..=1.0).contains(&p.confidence),
             "{p:?}"
         );
     }
-    cosines.sort_by(f32::total_cmp);
-    // Half a degree for all but the rim, where a point between two pixels takes a normal between
-    // theirs: a fifth of the ten degrees there at worst.
-    let (p1, worst) = (cosines[cosines.len() / 100], cosines[0]);
-    assert!(p1 > 0.99996 && worst > 0.9994, "{p1}, {worst}");
     let rms = report.layering_after.rms / footprint();
-    assert!(rms < 0.05, "{rms} footprints between views");
+    assert!(rms < 0.02, "{rms} footprints between views");
 
     let mesh = report.mesh.expect("a mesh was asked for");
-    let mut off: Vec<f64> = fused
+    let off: Vec<f64> = fused
         .mesh
         .vertices
         .iter()
         .map(|v| (length(v) - 1.0).abs() / mesh.voxel)
         .collect();
-    off.sort_by(f64::total_cmp);
-    // Surface that every view sees at up to 82 degrees of incidence raises the mean, not the median.
-    let median = off[off.len() / 2];
     let mean = off.iter().sum::<f64>() / off.len() as f64;
-    assert!(median < 0.04 && mean < 0.1, "{median}, {mean} cells");
+    let worst = off.iter().copied().fold(0.0, f64::max);
+    assert!(mean < 0.02 && worst < 0.25, "{mean}, {worst} cells");
 }
 
 #[test]
-#[ignore = "known defect: beyond 78 degrees of incidence the mesh folds and frays at its rim"]
 fn the_mesh_ends_in_one_clean_rim() {
     let (posed, shaded) = views(&ARC, 1.0);
     let (fused, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");

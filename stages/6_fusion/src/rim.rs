@@ -1,0 +1,156 @@
+//! Where the mesh ends: a smooth rim instead of a stair of cells.
+//!
+//! A net of cells ends in steps and teeth. Triangles that hang on the mesh by one edge are cut off;
+//! then every boundary vertex `x` with neighbours `a`, `b` along the boundary moves towards their
+//! mean within its tangent plane, `x' = x + ½ (1 − n nᵀ)((a + b) / 2 − x)`: the surface stays where
+//! it is up to `κ h² / 8` (curvature κ, cell h), only its end becomes smooth.
+
+use nalgebra::Vector3;
+use rilievo_scene::Mesh;
+use std::collections::BTreeMap;
+
+/// Rounds of cutting teeth: a tooth of two triangles takes two.
+const NUM_CUTS: usize = 3;
+/// Rounds of smoothing: a step of one cell spreads over as many cells.
+const NUM_SMOOTHINGS: usize = 5;
+
+type Edges = BTreeMap<(u32, u32), u32>;
+
+/// How many triangles have an edge, by its vertices in ascending order.
+fn edges(mesh: &Mesh) -> Edges {
+    let mut edges = Edges::new();
+    for t in &mesh.triangles {
+        for k in 0..3 {
+            *edges.entry(key(t[k], t[(k + 1) % 3])).or_default() += 1;
+        }
+    }
+    edges
+}
+
+fn key(a: u32, b: u32) -> (u32, u32) {
+    (a.min(b), a.max(b))
+}
+
+/// Cuts teeth off and smooths the boundary. Vertices may remain without a triangle.
+pub(crate) fn smooth(mesh: &mut Mesh) {
+    let mut counts = edges(mesh);
+    for _ in 0..NUM_CUTS {
+        let before = mesh.triangles.len();
+        let is_open = |counts: &Edges, t: &[u32; 3], k: usize| {
+            counts.get(&key(t[k], t[(k + 1) % 3])) == Some(&1)
+        };
+        let kept: Vec<[u32; 3]> = mesh
+            .triangles
+            .iter()
+            .filter(|t| (0..3).filter(|&k| is_open(&counts, t, k)).count() < 2)
+            .copied()
+            .collect();
+        mesh.triangles = kept;
+        counts = edges(mesh);
+        if mesh.triangles.len() == before {
+            break;
+        }
+    }
+    let mut along: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (&(a, b), _) in counts.iter().filter(|(_, count)| **count == 1) {
+        along.entry(a).or_default().push(b);
+        along.entry(b).or_default().push(a);
+    }
+    let mut normals: BTreeMap<u32, Vector3<f64>> =
+        along.keys().map(|&v| (v, Vector3::zeros())).collect();
+    let at = |mesh: &Mesh, v: u32| Vector3::from(mesh.vertices[v as usize].map(f64::from));
+    for t in &mesh.triangles {
+        if !t.iter().any(|v| normals.contains_key(v)) {
+            continue;
+        }
+        let [a, b, c] = t.map(|v| at(mesh, v));
+        let normal = (b - a).cross(&(c - a));
+        for v in t {
+            if let Some(sum) = normals.get_mut(v) {
+                *sum += normal;
+            }
+        }
+    }
+    for _ in 0..NUM_SMOOTHINGS {
+        let moved: Vec<(u32, Vector3<f64>)> = along
+            .iter()
+            .filter_map(|(&v, neighbours)| {
+                // Where boundaries touch, there is no "along".
+                let &[a, b] = neighbours.as_slice() else {
+                    return None;
+                };
+                let normal = normals[&v].try_normalize(0.0)?;
+                let here = at(mesh, v);
+                let step = 0.5 * (0.5 * (at(mesh, a) + at(mesh, b)) - here);
+                Some((v, here + step - normal * normal.dot(&step)))
+            })
+            .collect();
+        for (v, position) in moved {
+            mesh.vertices[v as usize] = position.map(|c| c as f32).into();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Length of all edges that one triangle alone has.
+    fn length(mesh: &Mesh) -> f64 {
+        let at = |v: u32| Vector3::from(mesh.vertices[v as usize].map(f64::from));
+        edges(mesh)
+            .iter()
+            .filter(|(_, count)| **count == 1)
+            .map(|((a, b), _)| (at(*a) - at(*b)).norm())
+            .sum()
+    }
+
+    /// Cells of a plane inside a disc, two triangles each.
+    fn stairs(radius: f64) -> Mesh {
+        let half = radius.ceil() as i32 + 1;
+        let side = 2 * half + 1;
+        let index = |x: i32, y: i32| ((y + half) * side + x + half) as u32;
+        let mut mesh = Mesh::default();
+        for y in -half..=half {
+            for x in -half..=half {
+                mesh.vertices.push([x as f32, y as f32, 0.0]);
+                let middle = (f64::from(x) + 0.5).hypot(f64::from(y) + 0.5);
+                if x < half && y < half && middle < radius {
+                    let [a, b, c, d] =
+                        [(0, 0), (1, 0), (1, 1), (0, 1)].map(|(dx, dy)| index(x + dx, y + dy));
+                    mesh.triangles.extend([[a, b, c], [a, c, d]]);
+                }
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn the_stairs_of_a_disc_become_its_circle() {
+        let mut mesh = stairs(20.3);
+        let circle = std::f64::consts::TAU * 20.0;
+        assert!(length(&mesh) > 1.2 * circle, "{}", length(&mesh));
+        smooth(&mut mesh);
+        let ratio = length(&mesh) / circle;
+        assert!((0.93..1.03).contains(&ratio), "{ratio}");
+        // The surface stays in its plane, and no triangle turns over.
+        assert!(mesh.vertices.iter().all(|v| v[2] == 0.0));
+        for t in &mesh.triangles {
+            let [a, b, c] = t.map(|v| Vector3::from(mesh.vertices[v as usize]));
+            let area = (b - a).cross(&(c - a)).z;
+            assert!(area > 0.0, "{area}");
+        }
+    }
+
+    #[test]
+    fn a_closed_mesh_stays_as_it_is() {
+        let mut mesh = Mesh {
+            vertices: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+            ..Mesh::default()
+        };
+        let before = mesh.clone();
+        smooth(&mut mesh);
+        assert_eq!(mesh, before);
+    }
+}
