@@ -244,8 +244,8 @@ pub struct ShadeArgs {
     /// Image of a single view
     #[arg(long, value_name = "F", conflicts_with = "scene", requires = "camera")]
     pub image: Option<PathBuf>,
-    /// Its mask; the whole frame by default
-    #[arg(long, value_name = "F", conflicts_with = "scene")]
+    /// Its mask; the whole frame by default. With a scene of one view, instead of the scene's
+    #[arg(long, value_name = "F")]
     pub mask: Option<PathBuf>,
     /// Its camera
     #[arg(long, value_name = "F", conflicts_with = "scene")]
@@ -256,16 +256,20 @@ pub struct ShadeArgs {
     /// Start: a depth map, a plane, or the matches
     #[arg(long, value_name = "DEPTH.exr|plane|anchors")]
     pub init: Option<String>,
-    /// Measured depth that is to be refined
-    #[arg(long, value_name = "DEPTH.exr", conflicts_with = "scene")]
+    /// Measured depth that is to be refined. With a scene of one view, instead of the scene's
+    #[arg(long, value_name = "DEPTH.exr")]
     pub prior: Option<PathBuf>,
+    /// How the values of depth files stand: row by row, as they should, or column by column; found
+    /// out, and told, by default
+    #[arg(long, value_name = "ORDER")]
+    pub depth_order: Option<DepthOrder>,
     /// Weight of the prior: squared difference of log depths against squared intensities
     #[arg(long, value_name = "W", default_value_t = 500.0)]
     pub prior_weight: f64,
     /// Weight of the surface's area; 0 by default
     #[arg(long, value_name = "W")]
     pub area_weight: Option<f64>,
-    /// How slopes and depth are separated: full, or as in the paper
+    /// How slopes and depth are separated: full, as in the paper, or not at all
     #[arg(long, value_name = "SPLITTING")]
     pub splitting: Option<Splitting>,
     /// Order of the harmonics
@@ -294,6 +298,17 @@ pub enum Splitting {
     Full,
     /// Frozen linearisation, as in the paper
     Paper,
+    /// The plain fixed point without splitting, for comparison only
+    FixedPoint,
+}
+
+/// `--depth-order`
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DepthOrder {
+    /// Row by row
+    Rows,
+    /// Column by column
+    Columns,
 }
 
 /// `--projection`

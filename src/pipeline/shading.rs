@@ -4,14 +4,14 @@
 use super::Context;
 use super::errors::{from_io, from_lighting, from_shading};
 use crate::exit::Failure;
-use crate::store::{RunDir, StageWriter};
+use crate::store::{RunDir, StageWriter, StoreError};
 use rilievo_io::{
     Preview, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
     write_linear, write_normal, write_preview_png,
 };
 use rilievo_scene::{ShadedView, ShadedViews, StageId, ViewIdx};
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Longer side of the pictures, pixels: all detail of usual photos, little space.
 const PREVIEW_SIDE: usize = 1600;
@@ -57,7 +57,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         .warn_all(StageId::Shading, &light_on_surface.advice);
     let mut files = Vec::new();
     for view in &shaded.views {
-        write_view(writer, view)?;
+        write_maps(&|file: &str| writer.path(file), view)?;
         files.push(ViewFiles {
             name: view.name.clone(),
             view: view.view,
@@ -68,42 +68,38 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     }
     let path = writer.path("views.json")?;
     std::fs::write(&path, serde_json::to_vec_pretty(&files)?)
-        .map_err(crate::store::StoreError::files("write", &path))?;
+        .map_err(StoreError::files("write", &path))?;
     let mut report = serde_json::to_value(report)?;
     report["light_on_surface"] = serde_json::to_value(light_on_surface)?;
     Ok(report)
 }
 
-fn write_view(writer: &StageWriter, view: &ShadedView) -> anyhow::Result<()> {
-    let file = |kind: &str, ending: &str| writer.path(&format!("{kind}/{}.{ending}", view.name));
+/// Writes the maps of a view, and a picture beside each that can be looked at; `path` gives the place
+/// of `KIND/NAME.ENDING`, in a folder that exists.
+///
+/// # Errors
+/// When one cannot be written.
+pub fn write_maps(
+    path: &dyn Fn(&str) -> Result<PathBuf, StoreError>,
+    view: &ShadedView,
+) -> Result<(), Failure> {
+    let file = |kind: &str, ending: &str| path(&format!("{kind}/{}.{ending}", view.name));
     write_depth(&file("depth", "exr")?, &view.depth).map_err(from_io)?;
     write_normal(&file("normal", "exr")?, &view.normal).map_err(from_io)?;
     if let Some(confidence) = &view.confidence {
         write_channel(&file("confidence", "exr")?, "C", confidence).map_err(from_io)?;
     }
-    if let Some(rendered) = &view.rendered {
-        write_linear(&file("rendered", "exr")?, rendered).map_err(from_io)?;
-    }
     if let Some(albedo) = &view.albedo {
         write_linear(&file("albedo", "exr")?, albedo).map_err(from_io)?;
     }
-    write_previews(writer.dir(), view)?;
-    Ok(())
-}
-
-/// Writes the pictures of a view beside its maps.
-///
-/// # Errors
-/// When they cannot be written.
-pub fn write_previews(dir: &Path, view: &ShadedView) -> Result<(), Failure> {
-    let write = |kind: &str, preview: Preview<'_>| {
-        let path = dir.join(kind).join(format!("{}.png", view.name));
-        write_preview_png(&path, preview, PREVIEW_SIDE).map_err(from_io)
+    let picture = |kind: &str, preview: Preview<'_>| {
+        write_preview_png(&file(kind, "png")?, preview, PREVIEW_SIDE).map_err(from_io)
     };
-    write("depth", Preview::Depth(&view.depth))?;
-    write("normal", Preview::Normal(&view.normal))?;
+    picture("depth", Preview::Depth(&view.depth))?;
+    picture("normal", Preview::Normal(&view.normal))?;
     if let Some(rendered) = &view.rendered {
-        write("rendered", Preview::Linear(rendered))?;
+        write_linear(&file("rendered", "exr")?, rendered).map_err(from_io)?;
+        picture("rendered", Preview::Linear(rendered))?;
     }
     Ok(())
 }

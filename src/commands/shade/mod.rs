@@ -4,6 +4,7 @@
 //! Writes `DIR/depth/NAME.exr`, `DIR/normal/NAME.exr`, `DIR/rendered/NAME.exr` with a picture
 //! beside each, and `DIR/report.json`.
 
+mod depth_order;
 mod problem;
 
 use super::finish;
@@ -11,9 +12,8 @@ use crate::cli::{Projection, ShadeArgs, Splitting};
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
-use crate::pipeline::{Resources, from_io, from_shading, write_previews};
+use crate::pipeline::{Resources, from_shading, write_maps};
 use crate::store::{StoreError, write_atomically};
-use rilievo_io::{write_channel, write_depth, write_linear, write_normal};
 use rilievo_scene::{ShadedView, StageId, ViewIdx};
 use rilievo_shading::{HarmonicOrder, SolvedView, StartShape};
 use std::path::Path;
@@ -49,8 +49,8 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
     for warning in &solution.report.warnings {
         console.warn(StageId::Shading, warning.clone());
     }
-    for view in &solution.views {
-        write_view(&args.output, view)?;
+    for (index, view) in solution.views.into_iter().enumerate() {
+        write_view(&args.output, index, view)?;
     }
     let seconds = began.elapsed().as_secs_f64();
     let report = serde_json::json!({
@@ -84,6 +84,9 @@ fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
     match args.splitting {
         Some(Splitting::Full) => options.shading.splitting = rilievo_shading::Splitting::Full,
         Some(Splitting::Paper) => options.shading.splitting = rilievo_shading::Splitting::Paper,
+        Some(Splitting::FixedPoint) => {
+            options.shading.splitting = rilievo_shading::Splitting::FixedPoint;
+        }
         None => {}
     }
     match args.order {
@@ -113,27 +116,23 @@ fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
     Ok(options)
 }
 
-fn write_view(folder: &Path, view: &SolvedView) -> anyhow::Result<()> {
-    let path = |kind: &str| -> Result<std::path::PathBuf, StoreError> {
-        let dir = folder.join(kind);
-        std::fs::create_dir_all(&dir).map_err(StoreError::files("create", &dir))?;
-        Ok(dir.join(format!("{}.exr", view.name)))
-    };
-    write_depth(&path("depth")?, &view.depth).map_err(from_io)?;
-    write_normal(&path("normal")?, &view.normal).map_err(from_io)?;
-    write_linear(&path("rendered")?, &view.rendered).map_err(from_io)?;
-    if let Some(confidence) = &view.confidence {
-        write_channel(&path("confidence")?, "C", confidence).map_err(from_io)?;
-    }
+/// The maps of a view as the stage's own run would write them.
+fn write_view(folder: &Path, index: usize, view: SolvedView) -> anyhow::Result<()> {
     let shaded = ShadedView {
-        view: ViewIdx(0),
-        name: view.name.clone(),
-        depth: view.depth.clone(),
-        normal: view.normal.clone(),
-        confidence: None,
-        rendered: Some(view.rendered.clone()),
+        view: ViewIdx(index),
+        name: view.name,
+        depth: view.depth,
+        normal: view.normal,
+        confidence: view.confidence,
+        rendered: Some(view.rendered),
         albedo: None,
     };
-    write_previews(folder, &shaded)?;
+    let path = |file: &str| {
+        let path = folder.join(file);
+        let dir = path.parent().unwrap_or(folder);
+        std::fs::create_dir_all(dir).map_err(StoreError::files("create", dir))?;
+        Ok(path)
+    };
+    write_maps(&path, &shaded)?;
     Ok(())
 }

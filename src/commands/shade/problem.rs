@@ -1,17 +1,18 @@
 //! The shading problem that a command line or a scene file describes.
 
+use super::depth_order;
 use crate::cli::ShadeArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{from_io, from_lighting};
 use rilievo_io::{
-    LightingFile, SceneFile, SceneView, decode_photo, read_cameras, read_depth, read_lighting,
-    read_mask, read_matches_csv, read_scene, split_lighting_spec,
+    LightingFile, SceneFile, SceneView, decode_photo, read_cameras, read_lighting, read_mask,
+    read_matches_csv, read_scene, split_lighting_spec,
 };
 use rilievo_scene::{DepthMap, Lighting, LinearImage, Mask, StageId};
 use rilievo_shading::{DepthPrior, ShadingProblem, ShadingView, ViewLight, ViewMatches};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The problem, and where each view's lighting came from.
@@ -40,10 +41,11 @@ pub fn build(
             );
         }
     };
+    refuse_one_file_for_all(args, scene.views.len())?;
     let mut problem = ShadingProblem::default();
     let mut lighting = Vec::new();
     for view in &scene.views {
-        let (view, source) = read_view(view, args, options)?;
+        let (view, source) = read_view(view, args, options, console)?;
         console.note(&format!("  {}: lighting {source}", view.name));
         lighting.push(serde_json::json!({"view": view.name, "lighting": source}));
         problem.views.push(view);
@@ -73,6 +75,27 @@ pub fn build(
     Ok(Described { problem, lighting })
 }
 
+/// Masks and depths belong to a view each: one file cannot stand for several.
+fn refuse_one_file_for_all(args: &ShadeArgs, num_views: usize) -> Result<(), Failure> {
+    let init_file = args.init.as_deref().filter(|init| !is_word(init));
+    let given = [
+        ("mask", args.mask.is_some()),
+        ("prior", args.prior.is_some()),
+        ("init", init_file.is_some()),
+    ];
+    match given.iter().find(|(_, given)| *given) {
+        Some((key, _)) if num_views > 1 => Err(Failure::Usage(format!(
+            "--{key} gives the file of one view, but the scene has {num_views}: name one per view in the \
+             scene, as \"{key}\""
+        ))),
+        _ => Ok(()),
+    }
+}
+
+fn is_word(init: &str) -> bool {
+    matches!(init, "plane" | "anchors")
+}
+
 /// A scene of one view from the command line.
 fn single(args: &ShadeArgs, image: PathBuf, camera: PathBuf) -> SceneFile {
     let name = image.file_stem().map_or("image".to_owned(), |stem| {
@@ -98,6 +121,7 @@ fn read_view(
     view: &SceneView,
     args: &ShadeArgs,
     options: &StageOptions,
+    console: &Console,
 ) -> anyhow::Result<(ShadingView, String)> {
     let decoded = decode_photo(&view.image).map_err(from_io)?;
     let measured_as_float = decoded.samples.bits() == 32;
@@ -109,21 +133,25 @@ fn read_view(
         .cameras
         .first()
         .ok_or_else(|| Failure::input(&view.camera, "holds no camera"))?;
-    let mask = match &view.mask {
+    let mask_file = args.mask.as_ref().or(view.mask.as_ref());
+    let mask = match mask_file {
         Some(path) => read_mask(path).map_err(from_io)?,
         None => Mask::filled(image.width, image.height, true),
     };
     if !(mask.width == image.width && mask.height == image.height) {
-        let path = view.mask.as_ref().unwrap_or(&view.image);
+        let path = mask_file.unwrap_or(&view.image);
         let reason = format!(
             "the mask has {} x {} pixels, the image {} x {}",
             mask.width, mask.height, image.width, image.height
         );
         return Err(Failure::input(path, reason).into());
     }
-    let prior = view.prior.as_deref().map(read_depth).transpose();
-    let prior = prior.map_err(from_io)?;
-    let initial = initial_depth(view, args)?;
+    let depth = |path: &Path| depth_order::read(path, args.depth_order, console);
+    let prior_file = args.prior.as_deref().or(view.prior.as_deref());
+    let prior = prior_file.map(depth).transpose()?;
+    let init_file = args.init.as_deref().or(view.init.as_deref());
+    let init_file = init_file.filter(|init| !is_word(init));
+    let initial = init_file.map(|file| depth(file.as_ref())).transpose()?;
 
     let spec = args.lighting.as_deref().map(split_lighting_spec);
     let (lighting, source) = match spec.or_else(|| view.lighting.clone()) {
@@ -155,14 +183,6 @@ fn read_view(
         weight: args.prior_weight,
     });
     Ok((solved, source))
-}
-
-/// The depth map to start from, where the command line or the scene names one.
-fn initial_depth(view: &SceneView, args: &ShadeArgs) -> Result<Option<DepthMap>, Failure> {
-    match args.init.as_deref().or(view.init.as_deref()) {
-        None | Some("plane" | "anchors") => Ok(None),
-        Some(file) => read_depth(file.as_ref()).map(Some).map_err(from_io),
-    }
 }
 
 fn given_lighting(

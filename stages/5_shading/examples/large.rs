@@ -1,86 +1,207 @@
-//! Time and memory of one large colour view from an anchored start: `large [MEGAPIXELS]`.
+//! Time and memory of large colour views: `large [MEGAPIXELS] [--views N] [--literal]`.
+//!
+//! One view starts from 400 anchors; several stand side by side before the same relief and are tied
+//! by 300 matches between neighbours (eq. 15 itself with `--literal`).
 
-use rilievo_scene::{Intrinsics, Lighting, LinearImage, Mask, Silent, SphericalHarmonics};
-use rilievo_shading::{DepthAnchor, ShadingOptions, ShadingProblem, ShadingView, ViewLight, solve};
+use nalgebra::{Point3, Rotation3, Vector3};
+use rilievo_scene::{
+    Intrinsics, Lighting, LinearImage, Mask, RigidTransform, Silent, SphericalHarmonics,
+};
+use rilievo_shading::{
+    Coupling, DepthAnchor, ShadingOptions, ShadingProblem, ShadingView, ViewLight, ViewMatches,
+    solve,
+};
 use std::sync::Arc;
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let megapixels: f64 = std::env::args().nth(1).map_or(Ok(12.0), |v| v.parse())?;
-    let height = (megapixels * 1e6 * 0.75).sqrt() as usize;
-    let width = height * 4 / 3;
-    let focal = 1.2 * width as f64;
-    let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-    // Relief in pixels of log depth times focal length; waves of fixed share of the frame.
-    let wave = height as f64 / 12.0;
-    let unknown = |x: f64, y: f64| 0.5 * wave * (x / wave).sin() * (0.8 * y / wave).cos();
-    let rows = [
-        [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
-        [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
-        [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
-    ]
-    .map(SphericalHarmonics);
-    let normal = |x: f64, y: f64| {
-        let p = 0.5 * (x / wave).cos() * (0.8 * y / wave).cos();
-        let q = -0.4 * (x / wave).sin() * (0.8 * y / wave).sin();
-        let (u, v) = ((x - cx) / focal, (y - cy) / focal);
-        nalgebra::Vector3::new(p, q, -1.0 - u * p - v * q).normalize()
-    };
-    let mut image = LinearImage::filled(width, height, 3, 0.0);
-    for y in 0..height {
-        for x in 0..width {
-            let n = normal(x as f64, y as f64);
-            for (c, row) in rows.iter().enumerate() {
-                image.pixel_mut(x, y)[c] = row.evaluate(&n) as f32;
-            }
+type Failure = Box<dyn std::error::Error>;
+
+/// Waves per frame height.
+const WAVES: f64 = 12.0;
+/// Step between cameras, in distances to the relief: ten degrees of triangulation.
+const BASELINE: f64 = 0.17;
+
+/// A relief around `z = 1`, and cameras along the x axis that look along z.
+struct Relief {
+    width: usize,
+    height: usize,
+    focal: f64,
+}
+
+impl Relief {
+    fn new(megapixels: f64) -> Self {
+        let height = (megapixels * 1e6 * 0.75).sqrt() as usize;
+        let width = height * 4 / 3;
+        Self {
+            width,
+            height,
+            focal: 1.2 * width as f64,
         }
     }
-    let mut view = ShadingView::new(
-        "large",
-        Arc::new(image),
-        Mask::filled(width, height, true),
-        Intrinsics::pinhole(width, height, focal, cx, cy),
-        ViewLight::Uniform(Lighting {
-            channels: rows.to_vec(),
-        }),
-    );
-    for k in 0..400_usize {
-        let x = (0.02 + 0.96 * ((k * 197) % 400) as f64 / 400.0) * width as f64;
-        let y = (0.02 + 0.96 * ((k * 71 + 13) % 400) as f64 / 400.0) * height as f64;
-        view.anchors.push(DepthAnchor {
-            pixel: [x, y],
-            depth: (unknown(x, y) / focal).exp(),
-            sigma_ln_depth: 0.5 / focal,
-        });
+
+    fn camera(&self) -> Intrinsics {
+        let (cx, cy) = (self.width as f64 / 2.0, self.height as f64 / 2.0);
+        Intrinsics::pinhole(self.width, self.height, self.focal, cx, cy)
     }
-    let problem = ShadingProblem {
-        views: vec![view],
-        matches: Vec::new(),
-    };
-    let solution = solve(&problem, &ShadingOptions::default(), &Silent)?;
-    let facts = &solution.report.views[0];
-    let normals = &solution.views[0].normal;
-    let (mut sum, mut count) = (0.0, 0);
-    for y in (0..height).step_by(7) {
-        for x in (0..width).step_by(7) {
-            if let Some(n) = normals.normal(x, y) {
-                let cosine = n.dot(&normal(x as f64, y as f64)).clamp(-1.0, 1.0);
-                sum += cosine.acos().to_degrees();
-                count += 1;
+
+    /// Height above the camera plane, and its slopes, at world `x, y`.
+    fn surface(&self, x: f64, y: f64) -> (f64, [f64; 2]) {
+        let wave = self.height as f64 / WAVES / self.focal;
+        let (sx, cx) = (x / wave).sin_cos();
+        let (sy, cy) = (0.8 * y / wave).sin_cos();
+        (1.0 + 0.5 * wave * sx * cy, [0.5 * cx * cy, -0.4 * sx * sy])
+    }
+
+    fn center(view: usize) -> f64 {
+        BASELINE * view as f64
+    }
+
+    /// Depth and normal that a view sees at a pixel.
+    fn seen(&self, view: usize, x: f64, y: f64) -> (f64, Vector3<f64>) {
+        let camera = self.camera();
+        let (u, v) = ((x - camera.cx) / self.focal, (y - camera.cy) / self.focal);
+        let mut z = 1.0;
+        // Newton's method along the ray; slopes along it are far below 1.
+        for _ in 0..6 {
+            let (wanted, [sx, sy]) = self.surface(Self::center(view) + u * z, v * z);
+            z -= (z - wanted) / (1.0 - sx * u - sy * v);
+        }
+        let (_, [sx, sy]) = self.surface(Self::center(view) + u * z, v * z);
+        (z, Vector3::new(sx, sy, -1.0).normalize())
+    }
+
+    fn view(&self, index: usize) -> ShadingView {
+        let rows = [
+            [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
+            [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
+            [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
+        ]
+        .map(SphericalHarmonics);
+        let mut image = LinearImage::filled(self.width, self.height, 3, 0.0);
+        for y in 0..self.height {
+            for x in 0..self.width {
+                let (_, n) = self.seen(index, x as f64, y as f64);
+                for (c, row) in rows.iter().enumerate() {
+                    image.pixel_mut(x, y)[c] = row.evaluate(&n) as f32;
+                }
             }
         }
+        let mut view = ShadingView::new(
+            format!("view{index}"),
+            Arc::new(image),
+            Mask::filled(self.width, self.height, true),
+            self.camera(),
+            ViewLight::Uniform(Lighting {
+                channels: rows.to_vec(),
+            }),
+        );
+        view.cam_from_world = Some(RigidTransform::from_world_pose(
+            Rotation3::identity(),
+            Point3::new(Self::center(index), 0.0, 0.0),
+        ));
+        view
+    }
+
+    /// `num` pixels spread over the frame.
+    fn spread(&self, num: usize) -> impl Iterator<Item = [f64; 2]> + '_ {
+        (0..num).map(move |k| {
+            let share = |step: usize| 0.02 + 0.96 * ((k * step + 13) % num) as f64 / num as f64;
+            [
+                share(197) * self.width as f64,
+                share(71) * self.height as f64,
+            ]
+        })
+    }
+
+    fn anchors(&self) -> Vec<DepthAnchor> {
+        self.spread(400)
+            .map(|pixel| DepthAnchor {
+                pixel,
+                depth: self.seen(0, pixel[0], pixel[1]).0,
+                sigma_ln_depth: 0.5 / self.focal,
+            })
+            .collect()
+    }
+
+    /// Points of a view where the next one sees them.
+    fn matches(&self, first: usize) -> ViewMatches {
+        let pixels = self
+            .spread(300)
+            .filter_map(|[x, y]| {
+                let (z, _) = self.seen(first, x, y);
+                let moved = x - self.focal * BASELINE / z;
+                (moved > 1.0).then_some([x, y, moved, y])
+            })
+            .collect();
+        ViewMatches {
+            views: [first, first + 1],
+            pixels,
+        }
+    }
+}
+
+fn main() -> Result<(), Failure> {
+    let (mut megapixels, mut num_views, mut coupling) = (None, 1, Coupling::Anchors);
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
+        match arg.as_str() {
+            "--views" => num_views = args.next().ok_or("--views needs a number")?.parse()?,
+            "--literal" => coupling = Coupling::Literal,
+            _ => megapixels = Some(arg.parse::<f64>()?),
+        }
+    }
+    let relief = Relief::new(megapixels.unwrap_or(12.0));
+    let mut problem = ShadingProblem {
+        views: (0..num_views).map(|index| relief.view(index)).collect(),
+        matches: (1..num_views)
+            .map(|index| relief.matches(index - 1))
+            .collect(),
+    };
+    if let [only] = problem.views.as_mut_slice() {
+        only.anchors = relief.anchors();
+    }
+    let options = ShadingOptions {
+        coupling,
+        ..ShadingOptions::default()
+    };
+    let solution = solve(&problem, &options, &Silent)?;
+    let mut total = 0.0;
+    for (index, (view, facts)) in solution
+        .views
+        .iter()
+        .zip(&solution.report.views)
+        .enumerate()
+    {
+        let (mut angles, mut away, mut count) = (0.0, 0.0, 0);
+        for y in (0..relief.height).step_by(7) {
+            for x in (0..relief.width).step_by(7) {
+                let (depth, truth) = relief.seen(index, x as f64, y as f64);
+                if let Some(n) = view.normal.normal(x, y) {
+                    angles += n.dot(&truth).clamp(-1.0, 1.0).acos().to_degrees();
+                    away += (f64::from(*view.depth.at(x, y)) / depth - 1.0).abs();
+                    count += 1;
+                }
+            }
+        }
+        let count = f64::from(count.max(1));
+        total += facts.seconds.total;
+        println!(
+            "{} {}x{}: {:.1} s (start {:.1}, theta {:.1}, z {:.1}), mean angle {:.3} deg, depth {:.4} %",
+            view.name,
+            relief.width,
+            relief.height,
+            facts.seconds.total,
+            facts.seconds.start,
+            facts.seconds.theta,
+            facts.seconds.z,
+            angles / count,
+            100.0 * away / count,
+        );
     }
     let memory = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let peak = memory
         .lines()
         .find(|line| line.starts_with("VmHWM"))
         .unwrap_or("peak memory unknown");
-    println!(
-        "{width}x{height}: {:.1} s (start {:.1}, theta {:.1}, z {:.1}), mean angle {:.3} deg, {peak}",
-        facts.seconds.total,
-        facts.seconds.start,
-        facts.seconds.theta,
-        facts.seconds.z,
-        sum / f64::from(count.max(1)),
-    );
+    println!("{num_views} view(s): {total:.1} s, {peak}");
     Ok(())
 }

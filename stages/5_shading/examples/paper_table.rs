@@ -151,7 +151,7 @@ fn main() -> Result<(), Failure> {
     while let Some(arg) = args.next() {
         match arg.as_str() {
             "--pictures" => pictures = args.next(),
-            "--methods" => methods = vec![Splitting::Full, Splitting::Paper, Splitting::None],
+            "--methods" => methods = vec![Splitting::Full, Splitting::Paper, Splitting::FixedPoint],
             _ if data.is_none() => data = Some(arg),
             _ => cases.push(arg),
         }

@@ -21,7 +21,7 @@ const UNLIKE: f32 = 0.07;
 pub(crate) struct Level {
     pub(crate) grid: CornerGrid,
     pub(crate) pixels: Pixels,
-    /// Weight of the integration term per pixel: below 1 where the surface breaks.
+    /// Weight of the integration term per pixel, of padded length: below 1 where the surface breaks.
     pub(crate) stiffness: Vec<f32>,
     /// 1 at the image's resolution, 2, 4, … on coarser levels.
     pub(crate) scale: f32,
@@ -60,7 +60,7 @@ pub(crate) fn ladder(
             .pixels
             .coarsen(&parents, grid.num_cells, UNLIKE * white as f32);
         // A coarse pixel is as stiff as the softest one under it.
-        let mut stiffness = vec![1.0_f32; grid.num_cells];
+        let mut stiffness = vec![1.0_f32; pixels.padded];
         for (&parent, &w) in parents.iter().zip(&fine.stiffness) {
             let coarse = &mut stiffness[parent as usize];
             *coarse = coarse.min(w);

@@ -4,7 +4,7 @@
 //! start, anchors, matches with other views, a depth prior). **Out**: depth, normals, re-rendered image
 //! and confidence per view, and a report of energies, residuals and times.
 //!
-//! **Method.** Per view, over the log depth `z̃` (eq. 7, 8; METHOD 3, 4, 6, 7),
+//! **Method.** Per view, over the log depth `z̃` (eq. 7, 8),
 //!
 //! ```text
 //! min  Σ_pixels w Σ_c (ρ^c l^c·h(n(∇z̃)) − I^c)² + ν Σ d + μ Σ (z̃ − z̃₀)² + Σ_anchors (z̃ − z̃_a)² σ_I²/σ_a²

@@ -25,6 +25,7 @@ use crate::model::Facet;
 use crate::pixels::Pixels;
 use crate::solution::{IterationRecord, Termination};
 use crate::splitting::{HOURGLASS, Ties, constraints_of, slopes};
+use crate::theta::{Quadratic, descend};
 use rayon::prelude::*;
 use rilievo_numerics::corner_poisson::CornerPoisson;
 use rilievo_scene::{Event, Flow, Observer, StageId};
@@ -105,27 +106,13 @@ fn freeze(
             hessian[1] += w * j[0] * j[1];
             hessian[2] += w * j[1] * j[1];
         }
-        (value, gradient, hessian)
-    };
-    let (mut theta, mut damping) = (start, 1e-4_f32);
-    let mut model = evaluate(theta);
-    for _ in 0..5 {
-        let (_, gradient, h) = model;
-        let (a, b, d) = (h[0] + damping, h[1], h[2] + damping);
-        let inverse = 1.0 / (a * d - b * b);
-        let trial = [
-            theta[0] - (d * gradient[0] - b * gradient[1]) * inverse,
-            theta[1] - (a * gradient[1] - b * gradient[0]) * inverse,
-        ];
-        let at_trial = evaluate(trial);
-        if at_trial.0 <= model.0 {
-            (theta, model) = (trial, at_trial);
-            damping *= 0.3;
-        } else {
-            damping = 10.0 * damping + 1e-4;
+        Quadratic {
+            value,
+            gradient,
+            hessian,
         }
-    }
-    theta
+    };
+    descend(start, 5, evaluate)
 }
 
 /// Per-pixel tensors `T = Σ w a aᵀ + β/2` and vectors `v` of the z-step `min gᵀTg − 2 v·g`.

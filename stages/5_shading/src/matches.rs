@@ -15,7 +15,7 @@
 //! of the other at a match is `z₁ = a·(z₂ b + c₂ − c₁)/(a·a)`, `a`, `b` the rays in the world. The views
 //! then take turns, instead of each being tied to the triangulated point.
 //!
-//! Source: the paper, eq. 13–15; METHOD 6.
+//! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 13–15.
 
 use crate::error::ShadingError;
 use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};

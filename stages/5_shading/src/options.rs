@@ -26,7 +26,7 @@ pub enum Splitting {
     /// Eq. 9–12 of the paper: frozen linearisation in the z-step, penalty adapted as in He et al.
     Paper,
     /// The fixed point without splitting, which the paper shows to fail; for comparison.
-    None,
+    FixedPoint,
 }
 
 /// Order of the harmonics that are used.
@@ -78,7 +78,7 @@ pub enum Coupling {
     Literal,
 }
 
-/// Course of the penalty β (METHOD 4).
+/// Course of the penalty β.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PenaltySchedule {

@@ -54,7 +54,7 @@ impl Geometry {
 pub(crate) struct PreparedView {
     pub(crate) grid: CornerGrid,
     pub(crate) pixels: Pixels,
-    /// Weight of the integration term per pixel.
+    /// Weight of the integration term per pixel, of padded length.
     pub(crate) stiffness: Vec<f32>,
     pub(crate) geometry: Geometry,
     /// 99 % quantile of the intensities: the unit of noise and losses.
@@ -304,7 +304,7 @@ pub(crate) fn prepare(
             advice: "all its pixels are clipped, dark or not finite",
         });
     }
-    let mut stiffness = vec![1.0; len];
+    let mut stiffness = vec![1.0; padded];
     if let (Some(breaks), true) = (&view.depth_breaks, options.depth_edges) {
         for ((x, y), stiffness) in grid.pixels().zip(&mut stiffness) {
             if *breaks.at(x, y) {

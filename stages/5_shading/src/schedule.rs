@@ -18,7 +18,8 @@
 //! grows geometrically between; every level runs over its own part of that range. All scales with
 //! squared intensity, so that nothing needs tuning per data set.
 //!
-//! Source: METHOD 4, whose measured optima per lighting the rule reproduces from the data.
+//! Source: rilievo's own; the penalties of the paper's later code and of He et al. (`he2000`) adapt
+//! to residuals instead, which says nothing on what the image leaves open.
 
 use crate::model::Facet;
 use crate::pixels::Pixels;

@@ -219,17 +219,20 @@ fn surface_slopes(level: &Level, geometry: &Geometry, y: &[f32]) -> (Vec<f32>, V
     (p, q)
 }
 
-/// Normals: slopes of the surface, drawn towards what each pixel's intensity says.
+/// Normals: slopes of the surface, drawn towards what each pixel's intensity says; all the more where
+/// the surface breaks.
 fn refine_slopes(
     level: &Level,
     geometry: &Geometry,
     sigma: f64,
     y: &[f32],
+    outcome: splitting::Outcome,
 ) -> (Vec<f32>, Vec<f32>) {
     let target = surface_slopes(level, geometry, y);
-    let (mut p, mut q) = target.clone();
+    let [mut p, mut q] = outcome.theta;
     let terms = ThetaTerms {
         beta: normal_beta(sigma),
+        stiffness: &outcome.stiffness,
         area: 0.0,
         num_steps: 8,
     };
@@ -327,8 +330,9 @@ fn solve_view(
     let method = match options.splitting {
         Splitting::Full => None,
         Splitting::Paper => Some(linearized::Method::Splitting),
-        Splitting::None => Some(linearized::Method::FixedPoint),
+        Splitting::FixedPoint => Some(linearized::Method::FixedPoint),
     };
+    let mut solved_fully = None;
     match method {
         None => {
             let setting = Setting {
@@ -341,12 +345,13 @@ fn solve_view(
                 courses: &courses,
                 observer,
             };
-            let outcome = splitting::solve(&levels, &mut y, &setting)?;
+            let mut outcome = splitting::solve(&levels, &mut y, &setting)?;
             report.num_depth_breaks += outcome.num_breaks;
-            report.iterations = outcome.records;
+            report.iterations = std::mem::take(&mut outcome.records);
             report.seconds.theta = outcome.seconds.theta;
             report.seconds.z = outcome.seconds.z;
             report.termination = Some(Termination::ScheduleEnded);
+            solved_fully = Some(outcome);
         }
         Some(method) => {
             let setting = linearized::Setting {
@@ -366,8 +371,8 @@ fn solve_view(
     slopes(&finest.grid, geometry.aspect, &y, &mut p, &mut q);
     energies(view, finest, &geometry, options, &y, (&p, &q), &mut report);
     // The paper's methods give the surface's own normals; the full splitting draws them to shading.
-    if method.is_none() {
-        (p, q) = refine_slopes(finest, &geometry, sigma, &y);
+    if let Some(outcome) = solved_fully {
+        (p, q) = refine_slopes(finest, &geometry, sigma, &y, outcome);
     }
     report.rms_rendered = rms_residual(&finest.pixels, &p, &q);
     let confidence = options.confidence.then(|| {

@@ -18,7 +18,8 @@
 //!
 //! The first iterations run on coarse levels; the change of a level is interpolated to the next.
 //!
-//! Source: METHOD 4; the authors' later code for the splitting, continuation as measured there.
+//! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 9–12, with the whole shading term in the
+//! θ-step; continuation instead of an adapted penalty: see [`crate::schedule`].
 
 use crate::error::ShadingError;
 use crate::levels::{Level, add_change, place_constraint, restrict_nodes};
@@ -29,7 +30,7 @@ use crate::theta::{Candidates, ThetaTerms, theta_step};
 use rayon::prelude::*;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::{CornerPoisson, PointConstraint};
-use rilievo_numerics::robust::RobustLoss;
+use rilievo_numerics::robust::{RobustLoss, quantile};
 use rilievo_scene::{Event, Flow, Observer, StageId};
 use std::time::Instant;
 
@@ -41,6 +42,19 @@ const Z_TOLERANCE: f64 = 0.1;
 /// Conflict between shading and surface, as a tangent, at which the surface is taken to break: three
 /// degrees. Smaller gains a little more on exact images, but would soften noise.
 const BREAK_CONFLICT: f32 = 0.05;
+/// While the surface still bends over a break, it disagrees with shading all around it: at first only
+/// the largest conflicts are breaks, of about this quantile, and then ever smaller ones.
+const LARGE_CONFLICT: f64 = 0.99;
+/// Squared residual that is no noise, in units of the median squared residual that is left when slopes
+/// are free: that of one degree of freedom (three channels, two slopes), against 9 times the median
+/// of three.
+const NOISE_LIMIT: f32 = 9.0 * 2.37 / 0.455;
+/// Slope from which a facet is a wall, which hardly any light that it is seen by tells apart from a
+/// step: 76 degrees.
+const MAX_SLOPE: f32 = 4.0;
+/// How often the breaks are looked for, at equal distances over the finest level's second half: while
+/// it bends over a break, a surface disagrees with shading all around it.
+const NUM_BREAK_SEARCHES: usize = 5;
 /// Conjugate-gradient steps per z-step.
 const MAX_Z_STEPS: usize = 3;
 
@@ -93,6 +107,10 @@ pub(crate) struct Outcome {
     pub(crate) records: Vec<IterationRecord>,
     /// Pixels at which the surface was found to break.
     pub(crate) num_breaks: usize,
+    /// Stiffness of the finest level's pixels at the end, of padded length.
+    pub(crate) stiffness: Vec<f32>,
+    /// Their slopes θ.
+    pub(crate) theta: [Vec<f32>; 2],
     pub(crate) seconds: StepSeconds,
 }
 
@@ -167,30 +185,66 @@ fn weigh(stiffness: &[f32], p: &mut [f32], q: &mut [f32]) {
     }
 }
 
-/// Lowers the stiffness where shading alone asks for other slopes than an integrable surface can
+/// Sets the stiffness low where shading alone asks for other slopes than an integrable surface can
 /// have: there the surface breaks. Returns the number of such pixels.
 fn soften_breaks(
     level: &Level,
     surface: (&[f32], &[f32]),
-    theta: (&[f32], &[f32]),
+    (theta_p, theta_q): (&mut [f32], &mut [f32]),
     beta: f32,
+    share_of_largest: f32,
     stiffness: &mut [f32],
 ) -> usize {
     let terms = ThetaTerms {
         beta,
+        stiffness: &[],
         area: 0.0,
         num_steps: 4,
     };
-    let (mut p, mut q) = (theta.0.to_vec(), theta.1.to_vec());
-    theta_step(&level.pixels, surface, &terms, None, &mut p, &mut q);
+    let (sp, sq) = surface;
+    // Where the surface stands up like a wall, shading is asked without it.
+    let (mut p, mut q) = (theta_p.to_vec(), theta_q.to_vec());
+    let (mut tp, mut tq) = (sp.to_vec(), sq.to_vec());
+    for k in 0..level.pixels.len {
+        let by = MAX_SLOPE / sp[k].hypot(sq[k]);
+        if by < 1.0 {
+            (tp[k], tq[k]) = (by * sp[k], by * sq[k]);
+            (p[k], q[k]) = (tp[k], tq[k]);
+        }
+    }
+    theta_step(&level.pixels, (&tp, &tq), &terms, None, &mut p, &mut q);
+    // Steep facets may differ by more for the same angle.
+    let conflict = |k: usize| {
+        let away = (p[k] - sp[k]).powi(2) + (q[k] - sq[k]).powi(2);
+        away / (1.0 + sp[k].powi(2) + sq[k].powi(2))
+    };
+    let pixels = &level.pixels;
+    let residual = |k: usize, slopes: [f32; 2]| {
+        let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], slopes);
+        (0..pixels.channels)
+            .map(|c| facet.shade(&pixels.light(c, k)).0 - pixels.intensity[c * pixels.padded + k])
+            .map(|r| r * r)
+            .sum::<f32>()
+    };
+    let quantile_of = |share: f64, of: &dyn Fn(usize) -> f32| {
+        let every = 1 + pixels.len / 20_000;
+        let indices = (0..pixels.len).step_by(every);
+        let mut sample: Vec<f64> = indices.map(|k| f64::from(of(k))).collect();
+        quantile(&mut sample, share).unwrap_or(0.0) as f32
+    };
+    let largest = quantile_of(LARGE_CONFLICT, &conflict);
+    let angle_limit = (BREAK_CONFLICT * BREAK_CONFLICT).max(share_of_largest * largest);
+    let noise_limit = NOISE_LIMIT * quantile_of(0.5, &|k| residual(k, [p[k], q[k]]));
     let mut count = 0;
-    for (k, stiffness) in stiffness.iter_mut().enumerate() {
-        let conflict = (p[k] - surface.0[k]).powi(2) + (q[k] - surface.1[k]).powi(2);
-        // Steep facets may differ by more for the same angle.
-        let relative = conflict / (1.0 + surface.0[k].powi(2) + surface.1[k].powi(2));
-        let factor = 1.0 / (1.0 + relative / (BREAK_CONFLICT * BREAK_CONFLICT)).powi(2);
-        *stiffness *= factor.max(1e-3);
-        count += usize::from(factor < 0.25);
+    for (k, (stiffness, given)) in stiffness.iter_mut().zip(&level.stiffness).enumerate() {
+        let unexplained = residual(k, [sp[k], sq[k]]) / noise_limit.max(f32::MIN_POSITIVE);
+        let excess = (conflict(k) / angle_limit).min(unexplained);
+        let factor = 1.0 / (1.0 + excess * excess);
+        *stiffness = given * factor.max(1e-3);
+        if factor < 0.25 {
+            count += 1;
+            (theta_p[k], theta_q[k]) = (p[k], q[k]);
+        }
     }
     count
 }
@@ -214,6 +268,17 @@ fn reweight(base: &Pixels, out: &mut Pixels, (p, q): (&[f32], &[f32]), setting: 
         });
 }
 
+/// Whether breaks are looked for at an iteration, and then the share of the largest squared conflict
+/// that makes one.
+fn break_search(iteration: usize, num_iterations: usize) -> Option<f32> {
+    let half = num_iterations / 2;
+    let every = (half / NUM_BREAK_SEARCHES).max(1);
+    let since = iteration.checked_sub(half)?;
+    since
+        .is_multiple_of(every)
+        .then(|| 0.5 * 0.25_f32.powi((since / every) as i32))
+}
+
 fn solve_level(
     at: usize,
     level: &Level,
@@ -232,7 +297,7 @@ fn solve_level(
     let zeros = || vec![0.0_f32; padded];
     let started = Instant::now();
     let mut stiffness = level.stiffness.clone();
-    let mut system = CornerPoisson::new(grid, &stiffness, HOURGLASS);
+    let mut system = CornerPoisson::new(grid, &stiffness[..pixels.len], HOURGLASS);
     let tied = !ties.is_empty();
     let (mut gp, mut gq) = (zeros(), zeros());
     slopes(grid, setting.aspect, y, &mut gp, &mut gq);
@@ -245,16 +310,24 @@ fn solve_level(
     let growth = course.growth as f32;
     let mut beta = course.beta_start;
     for iteration in 0..course.num_iterations {
-        if let (0, Some(beta)) = (at, setting.edge_beta)
-            && iteration == course.num_iterations / 2
+        if let Some(beta) = setting.edge_beta
+            && let Some(share) = break_search(iteration, course.num_iterations)
         {
-            outcome.num_breaks = soften_breaks(level, (&gp, &gq), (&p, &q), beta, &mut stiffness);
-            system = CornerPoisson::new(grid, &stiffness, HOURGLASS);
+            outcome.num_breaks = soften_breaks(
+                level,
+                (&gp, &gq),
+                (&mut p, &mut q),
+                beta,
+                share,
+                &mut stiffness,
+            );
+            system = CornerPoisson::new(grid, &stiffness[..pixels.len], HOURGLASS);
         }
         // Here (tp, tq) = ∇y + u.
         let started = Instant::now();
         let terms = ThetaTerms {
             beta: beta as f32,
+            stiffness: &stiffness,
             area: setting.area,
             num_steps: 3,
         };
@@ -320,6 +393,10 @@ fn solve_level(
             return Err(ShadingError::Interrupted);
         }
         beta *= f64::from(growth);
+    }
+    if at == 0 {
+        outcome.stiffness = stiffness;
+        outcome.theta = [p, q];
     }
     Ok(())
 }

@@ -12,7 +12,8 @@
 //! bilinear weights. The normal equations are solved by conjugate gradients, preconditioned by one
 //! cycle of `multigrid`, where the point constraints appear as lumped masses.
 //!
-//! Source: METHOD 7; the mixed-precision choice is `f32` for fields and `f64` for inner products.
+//! Source: the z-step of Quéau et al., ICCV 2017 (`queau2017`), eq. 12, on corner nodes; `f32` for
+//! fields and `f64` for inner products.
 
 use crate::corner_grid::CornerGrid;
 use crate::multigrid::{Multigrid, Operator, for_rows};

@@ -15,7 +15,7 @@
 //! A plate that interpolates passes through false values too. The fit therefore starts stiff,
 //! `ℓ` three spacings, where a false value stands out, and relaxes while weights are renewed.
 //!
-//! Source: Duchon 1977 (`duchon1977`), the biharmonic spline; METHOD 6.
+//! Source: Duchon 1977 (`duchon1977`), the biharmonic spline.
 
 use crate::plate_system::{Functional, PixelNumbering, PlateError, PlateSolver, PlateSystem};
 use crate::robust::{SIGMA_FROM_MAD, median};

@@ -7,7 +7,7 @@
 //! * the outline is the cone `d · u = cos a`; with the axis at `t` off the optical axis its image
 //!   has its centre at `f sin t cos t / (cos²t − sin²a)`, semi-axes
 //!   `f sin a cos a / (cos²t − sin²a)` away from the principal point and
-//!   `f sin a / √(cos²t − sin²a)` across (METHOD 8);
+//!   `f sin a / √(cos²t − sin²a)` across;
 //! * points on the outline give the cone linearly: `d_i · w = 1` with `w = u / cos a`.
 
 use super::SphereError;
@@ -119,7 +119,7 @@ impl SphereInCamera {
     /// the cone reaching a right angle off the optical axis).
     pub fn ellipse(&self, intrinsics: &Intrinsics) -> Result<EllipsePx, SphereError> {
         let cone = self.cone().ok_or(SphereError::Impossible)?;
-        // In normalised coordinates the formula of METHOD 8 holds with f = 1 around the origin.
+        // In normalised coordinates the module's formula holds with f = 1 around the origin.
         let (sin_a2, cos_t) = (cone.half_angle.sin().powi(2), cone.axis.z);
         let denominator = cos_t * cos_t - sin_a2;
         if denominator <= 0.0 {

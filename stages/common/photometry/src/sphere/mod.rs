@@ -2,8 +2,8 @@
 //!
 //! # Problem
 //! A sphere of radius `R` at `C` (camera frame) is met by the rays within the half-angle
-//! `a = asin(R / |C|)` of the axis `u = C / |C|`: a cone. Its outline in the picture is an ellipse
-//! (METHOD 8), displaced from the image of the centre and elongated away from the optical axis;
+//! `a = asin(R / |C|)` of the axis `u = C / |C|`: a cone. Its outline in the picture is an ellipse,
+//! displaced from the image of the centre and elongated away from the optical axis;
 //! treating it as orthographic turns all normals by the angle off the axis.
 //!
 //! * [`SphereInCamera`]: normals, outline and ellipse of a known sphere.

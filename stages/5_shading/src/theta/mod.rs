@@ -1,0 +1,242 @@
+//! θ-step: the shading term, pixel by pixel.
+//!
+//! **Problem.** At every pixel, for the slopes `θ = (p, q)`,
+//!
+//! ```text
+//! min_θ  w Σ_c (S_c(θ) − I_c)² + ν d(θ) + β s/2 |θ − t|²,      t = ∇y + u,
+//! ```
+//!
+//! `S` the model of [`crate::model`], `d` the facet's area, `s` the pixel's stiffness, `u` the scaled
+//! dual. Two unknowns, a few
+//! damped Gauss-Newton steps from the current `θ`; a step that does not lower the term is undone
+//! and the damping raised. A far start is first replaced by the best of a fixed set of normals.
+//!
+//! `pixel` holds the term and a damped step in readable form, the oracle of the tests; `lanes` treats
+//! [`LANES`] pixels at once with the same functions, compiled for the processor that runs it;
+//! `search` holds the fixed set of normals.
+//!
+//! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 11, with the shading term whole instead of
+//! linearised.
+
+mod lanes;
+mod pixel;
+mod search;
+
+pub(crate) use pixel::{Quadratic, descend};
+pub(crate) use search::Candidates;
+
+use crate::pixels::{LANES, Pixels};
+use lanes::blocks;
+use rayon::prelude::*;
+
+/// Pixels per parallel task.
+const TASK_LEN: usize = 256 * LANES;
+
+/// What the θ-step minimises, beside the pixels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ThetaTerms<'a> {
+    /// Penalty β.
+    pub(crate) beta: f32,
+    /// Its factor at every pixel, of padded length; empty for 1 everywhere.
+    pub(crate) stiffness: &'a [f32],
+    /// Weight ν of the area.
+    pub(crate) area: f32,
+    /// Gauss-Newton steps.
+    pub(crate) num_steps: usize,
+}
+
+/// Minimises the term of every pixel, starting at and writing to `(p, q)`.
+///
+/// # Shapes
+/// All arrays have the padded length of `pixels`. Returns `Σ w |S(θ) − I|²`.
+pub(crate) fn theta_step(
+    pixels: &Pixels,
+    target: (&[f32], &[f32]),
+    terms: &ThetaTerms<'_>,
+    candidates: Option<&Candidates>,
+    p: &mut [f32],
+    q: &mut [f32],
+) -> f64 {
+    let task = |(task, (p, q)): (usize, (&mut [f32], &mut [f32]))| {
+        let first = task * TASK_LEN;
+        if pixels.channels == 1 {
+            dispatch::<1>(pixels, first, target, terms, candidates, p, q)
+        } else {
+            dispatch::<3>(pixels, first, target, terms, candidates, p, q)
+        }
+    };
+    let sums: Vec<f64> = if pixels.padded <= 2 * TASK_LEN {
+        p.chunks_mut(TASK_LEN)
+            .zip(q.chunks_mut(TASK_LEN))
+            .enumerate()
+            .map(task)
+            .collect()
+    } else {
+        p.par_chunks_mut(TASK_LEN)
+            .zip(q.par_chunks_mut(TASK_LEN))
+            .enumerate()
+            .map(task)
+            .collect()
+    };
+    sums.iter().sum()
+}
+
+/// The kernel compiled for the widest vectors of this processor.
+fn dispatch<const C: usize>(
+    pixels: &Pixels,
+    first: usize,
+    target: (&[f32], &[f32]),
+    terms: &ThetaTerms<'_>,
+    candidates: Option<&Candidates>,
+    p: &mut [f32],
+    q: &mut [f32],
+) -> f64 {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2,fma")]
+        fn wide<const C: usize>(
+            pixels: &Pixels,
+            first: usize,
+            target: (&[f32], &[f32]),
+            terms: &ThetaTerms<'_>,
+            candidates: Option<&Candidates>,
+            p: &mut [f32],
+            q: &mut [f32],
+        ) -> f64 {
+            blocks::<C>(pixels, first, target, terms, candidates, p, q)
+        }
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            // SAFETY: the processor has the features that the function is compiled for.
+            #[allow(unsafe_code)]
+            return unsafe { wide::<C>(pixels, first, target, terms, candidates, p, q) };
+        }
+    }
+    blocks::<C>(pixels, first, target, terms, candidates, p, q)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::pixel::scalar_step;
+    use super::*;
+    use crate::model::Facet;
+    use crate::pixels::Coefficients;
+
+    fn pixels(channels: usize, per_pixel: bool) -> Pixels {
+        let len = 53;
+        let padded = Pixels::padded_len(len);
+        let rows: Vec<[f32; 9]> = (0..channels)
+            .map(|c| {
+                let s = c as f32 - 1.0;
+                [
+                    0.2 * s,
+                    0.3 - 0.2 * s,
+                    -1.0,
+                    0.3,
+                    0.1,
+                    -0.1 * s,
+                    0.05,
+                    0.1 * s,
+                    0.04,
+                ]
+            })
+            .collect();
+        let mut pixels = Pixels {
+            channels,
+            padded,
+            len,
+            ray_x: (0..padded).map(|k| 0.01 * k as f32 - 0.2).collect(),
+            ray_y: (0..padded).map(|k| 0.2 - 0.007 * k as f32).collect(),
+            intensity: vec![0.0; padded * channels],
+            weight: (0..padded)
+                .map(|k| if k % 11 == 7 { 0.0 } else { 1.0 })
+                .collect(),
+            light: Coefficients::Uniform(rows.clone()),
+        };
+        for k in 0..len {
+            let slopes = [0.8 * (0.3 * k as f32).sin(), 0.6 * (0.2 * k as f32).cos()];
+            let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], slopes);
+            for (c, row) in rows.iter().enumerate() {
+                pixels.intensity[c * padded + k] = facet.shade(row).0;
+            }
+        }
+        if per_pixel {
+            let mut values = vec![0.0; padded * channels * 9];
+            for (c, row) in rows.iter().enumerate() {
+                for (j, l) in row.iter().enumerate() {
+                    values[(c * 9 + j) * padded..(c * 9 + j + 1) * padded].fill(*l);
+                }
+            }
+            pixels.light = Coefficients::PerPixel(values);
+        }
+        pixels
+    }
+
+    #[test]
+    fn lanes_give_what_the_readable_version_gives() {
+        for channels in [1, 3] {
+            for per_pixel in [false, true] {
+                let pixels = pixels(channels, per_pixel);
+                let target: Vec<f32> = (0..pixels.padded).map(|k| 0.01 * k as f32).collect();
+                let stiffness: Vec<f32> = (0..pixels.padded)
+                    .map(|k| if k % 5 == 3 { 0.1 } else { 1.0 })
+                    .collect();
+                let terms = ThetaTerms {
+                    beta: 0.05,
+                    stiffness: &stiffness,
+                    area: 0.01,
+                    num_steps: 4,
+                };
+                let (mut p, mut q) = (vec![0.1; pixels.padded], vec![-0.1; pixels.padded]);
+                theta_step(&pixels, (&target, &target), &terms, None, &mut p, &mut q);
+                for k in 0..pixels.len {
+                    let expected = scalar_step(&pixels, k, [target[k]; 2], [0.1, -0.1], &terms);
+                    let away = (p[k] - expected[0]).abs().max((q[k] - expected[1]).abs());
+                    assert!(away < 1e-4, "pixel {k}: {away}, {channels} channels");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_pixel_without_weight_goes_to_its_target() {
+        let pixels = pixels(3, false);
+        let target = vec![0.4; pixels.padded];
+        let terms = ThetaTerms {
+            beta: 0.5,
+            stiffness: &[],
+            area: 0.0,
+            num_steps: 8,
+        };
+        let (mut p, mut q) = (vec![0.0; pixels.padded], vec![0.0; pixels.padded]);
+        theta_step(&pixels, (&target, &target), &terms, None, &mut p, &mut q);
+        assert!(
+            (p[7] - 0.4).abs() < 1e-3 && (q[7] - 0.4).abs() < 1e-3,
+            "{} {}",
+            p[7],
+            q[7]
+        );
+    }
+
+    #[test]
+    fn the_search_finds_exact_slopes_from_far() {
+        let pixels = pixels(3, false);
+        let target = vec![0.0; pixels.padded];
+        let terms = ThetaTerms {
+            beta: 1e-4,
+            stiffness: &[],
+            area: 0.0,
+            num_steps: 10,
+        };
+        let candidates = Candidates::new(&pixels, 8, 3.0);
+        let (mut p, mut q) = (vec![2.5; pixels.padded], vec![-2.5; pixels.padded]);
+        let energy = theta_step(
+            &pixels,
+            (&target, &target),
+            &terms,
+            Some(&candidates),
+            &mut p,
+            &mut q,
+        );
+        assert!(energy < 1e-4, "{energy}");
+    }
+}
