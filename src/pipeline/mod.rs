@@ -22,7 +22,7 @@ pub use photos::check as check_photos;
 pub use plan::{Plan, StageState, upstream};
 pub use poses::load as load_poses;
 pub use request::{LightingInput, Request, SphereInput};
-pub use shading::write_maps;
+pub use shading::{shown_albedo, write_maps};
 
 use crate::exit::Failure;
 use crate::interrupt;

@@ -40,7 +40,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Features => 1,
         StageId::Poses => 1,
         StageId::Lighting => 1,
-        StageId::Shading => 2,
+        StageId::Shading => 3,
         StageId::Fusion => 2,
     }
 }

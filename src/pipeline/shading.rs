@@ -9,7 +9,7 @@ use rilievo_io::{
     Preview, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
     write_linear, write_normal, write_preview_png,
 };
-use rilievo_scene::{ShadedView, ShadedViews, StageId, ViewIdx};
+use rilievo_scene::{LinearImage, ShadedView, ShadedViews, StageId, ViewIdx};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -89,9 +89,6 @@ pub fn write_maps(
     if let Some(confidence) = &view.confidence {
         write_channel(&file("confidence", "exr")?, "C", confidence).map_err(from_io)?;
     }
-    if let Some(albedo) = &view.albedo {
-        write_linear(&file("albedo", "exr")?, albedo).map_err(from_io)?;
-    }
     let picture = |kind: &str, preview: Preview<'_>| {
         write_preview_png(&file(kind, "png")?, preview, PREVIEW_SIDE).map_err(from_io)
     };
@@ -101,7 +98,23 @@ pub fn write_maps(
         write_linear(&file("rendered", "exr")?, rendered).map_err(from_io)?;
         picture("rendered", Preview::Linear(rendered))?;
     }
+    if let Some(albedo) = &view.albedo {
+        write_linear(&file("albedo", "exr")?, albedo).map_err(from_io)?;
+        picture("albedo", Preview::Linear(&shown_albedo(albedo)))?;
+    }
+    if let Some(map) = &view.confidence {
+        picture("confidence", Preview::Error { map, max: 1.0 })?;
+    }
     Ok(())
+}
+
+/// Albedo as a picture: the mean albedo, 1, becomes a middle grey.
+pub fn shown_albedo(albedo: &LinearImage) -> LinearImage {
+    const MEAN_LEVEL: f32 = 0.5;
+    LinearImage {
+        data: albedo.data.iter().map(|v| v * MEAN_LEVEL).collect(),
+        ..*albedo
+    }
 }
 
 /// Maps of a committed stage 5.

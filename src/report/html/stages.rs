@@ -248,6 +248,7 @@ fn shading(facts: &Value) -> String {
         "with the best distant light",
     ];
     let mut html = table("Photos and light, differences on the result", &head, &light);
+    html += &trust(facts);
     for view in items(facts, "/views") {
         let series = |key: &str| -> Vec<f64> {
             items(view, "/iterations")
@@ -274,6 +275,51 @@ fn shading(facts: &Value) -> String {
             escape(&format!("{:#}", without_iterations(facts)))
         ),
     )
+}
+
+/// Where shading took part, and what photos that were left out said of it.
+fn trust(facts: &Value) -> String {
+    let views = items(facts, "/photo/views");
+    if views.is_empty() {
+        return String::new();
+    }
+    let rows: Vec<_> = views
+        .iter()
+        .map(|view| {
+            vec![
+                text(view, "/name"),
+                number(view, "/gain/1", 3),
+                percent(view, "/disagreement", 1),
+                percent(view, "/seen_alone", 1),
+                percent(view, "/light_residual", 1),
+                percent(view, "/shading_trust", 0),
+                percent(view, "/without_shading", 1),
+            ]
+        })
+        .collect();
+    let head = [
+        "view",
+        "exposure gain (green)",
+        "disagreement with other photos",
+        "seen in this photo alone",
+        "light misses the photo by",
+        "trust in shading",
+        "where shading takes no part",
+    ];
+    let mut html = format!("<p>{}</p>", escape(&text(facts, "/photo/shading")));
+    if facts.pointer("/photo/validation/significance").is_some() {
+        html += &format!(
+            "<p>Photos that were left out: squared difference {} without shading, {} with it, \
+             {} standard deviations in its favour.</p>",
+            number(facts, "/photo/validation/squared_residual/0", 6),
+            number(facts, "/photo/validation/squared_residual/1", 6),
+            number(facts, "/photo/validation/significance", 1),
+        );
+    }
+    for note in items(facts, "/photo/notes") {
+        html += &format!("<p>{}</p>", escape(note.as_str().unwrap_or_default()));
+    }
+    html + &table("Agreement and shading", &head, &rows)
 }
 
 fn without_iterations(facts: &Value) -> Value {

@@ -3,6 +3,7 @@
 
 use super::element::{escape, folded, items, number, percent};
 use super::picture::{self, MAX_SIDE, Window};
+use crate::pipeline::shown_albedo;
 use crate::store::RunDir;
 use nalgebra::{Point3, Vector3};
 use rilievo_io::{read_channel, read_depth, read_linear, read_normal};
@@ -87,6 +88,14 @@ fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<S
         "Depth".to_owned(),
         depth_legend(&depth),
     ));
+    if file("albedo").exists() {
+        let albedo = shown_albedo(&read_linear(&file("albedo"))?);
+        pictures.push((
+            picture::photo(&albedo, window, 1.0)?,
+            "Albedo".to_owned(),
+            "relative to the mean, which is a middle grey".to_owned(),
+        ));
+    }
     if file("confidence").exists() {
         let confidence = read_channel(&file("confidence"), "C")?;
         pictures.push((

@@ -4,9 +4,10 @@ use crate::error::ShadingError;
 use crate::options::ShadingOptions;
 use crate::photo::rectify::Rectification;
 use crate::problem::{DepthAnchor, ShadingProblem, ShadingView, ViewLight};
-use crate::solution::ShadingReport;
+use crate::solution::{ShadingReport, SolvedView};
 use rilievo_scene::{
-    LightingCalibration, Mask, Observer, PhotoSet, PosedViews, ShadedView, ShadedViews, ViewIdx,
+    DepthMap, LightingCalibration, LinearImage, Mask, Observer, PhotoSet, PosedViews, Raster,
+    ShadedView, ShadedViews, ViewIdx,
 };
 use std::sync::Arc;
 
@@ -78,18 +79,31 @@ pub(crate) fn run(
         report.views.extend(solution.report.views);
         report.warnings.extend(solution.report.warnings);
         for solved in solution.views {
-            let (depth, normal) = if rectification.is_identity() {
-                (solved.depth, solved.normal)
-            } else {
-                rectification.bend_back(&mask, &solved.depth, &solved.normal)
-            };
+            let SolvedView {
+                mut depth,
+                mut normal,
+                mut rendered,
+                mut confidence,
+                ..
+            } = solved;
+            if !rectification.is_identity() {
+                confidence = confidence
+                    .map(|c| bent(&rectification, &mask, &depth, c.data.iter().map(|&v| [v])))
+                    .map(|c| Raster {
+                        width: c.width,
+                        height: c.height,
+                        data: c.data.iter().map(|v| v[0]).collect(),
+                    });
+                rendered = bent_image(&rectification, &mask, &depth, &rendered);
+                (depth, normal) = rectification.bend_back(&mask, &depth, &normal);
+            }
             shaded.views.push(ShadedView {
                 view: ViewIdx(index),
                 name: posed_view.name.clone(),
                 depth,
                 normal,
-                confidence: solved.confidence.filter(|_| rectification.is_identity()),
-                rendered: rectification.is_identity().then_some(solved.rendered),
+                confidence,
+                rendered: Some(rendered),
                 albedo: None,
             });
         }
@@ -98,6 +112,45 @@ pub(crate) fn run(
         return Err(ShadingError::NoViews);
     }
     Ok((shaded, report))
+}
+
+/// Values of a straightened image on the photo's own pixels.
+fn bent<const N: usize>(
+    rectification: &Rectification,
+    mask: &Mask,
+    depth: &DepthMap,
+    values: impl Iterator<Item = [f32; N]>,
+) -> Raster<[f32; N]> {
+    let values = Raster {
+        width: depth.width,
+        height: depth.height,
+        data: values.collect(),
+    };
+    rectification.bend_values_back(mask, depth, &values)
+}
+
+fn bent_image(
+    rectification: &Rectification,
+    mask: &Mask,
+    depth: &DepthMap,
+    image: &LinearImage,
+) -> LinearImage {
+    let channels = image.channels;
+    let pixels = image
+        .data
+        .chunks_exact(channels)
+        .map(|p| std::array::from_fn::<f32, 3, _>(|c| p[c.min(channels - 1)]));
+    let bent = bent(rectification, mask, depth, pixels);
+    LinearImage {
+        width: bent.width,
+        height: bent.height,
+        channels,
+        data: bent
+            .data
+            .iter()
+            .flat_map(|v| v.iter().take(channels).copied())
+            .collect(),
+    }
 }
 
 /// Anchors, or failing these sparse points, that a view sees, at pixels of its pinhole camera.

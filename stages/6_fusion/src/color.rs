@@ -53,12 +53,14 @@ impl ColorSource {
                 continue;
             };
             let pixels = photo.pixels.load()?;
-            let rendered = maps.rendered.as_ref().filter(|r| {
+            let fits = |r: &&LinearImage| {
                 options.color == ColorMode::Albedo
                     && (r.width, r.height, r.channels)
                         == (pixels.width, pixels.height, pixels.channels)
-            });
-            images.push(Some(encode(&pixels, rendered, view)));
+            };
+            let rendered = maps.rendered.as_ref().filter(fits);
+            let albedo = maps.albedo.as_ref().filter(fits);
+            images.push(Some(encode(&pixels, rendered, albedo, view)));
         }
         Ok(Self {
             images,
@@ -134,7 +136,13 @@ impl ColorSource {
     }
 }
 
-fn encode(pixels: &LinearImage, rendered: Option<&LinearImage>, view: &View) -> Image {
+/// `albedo` is the one that `rendered` contains; without it, the mean albedo.
+fn encode(
+    pixels: &LinearImage,
+    rendered: Option<&LinearImage>,
+    albedo: Option<&LinearImage>,
+    view: &View,
+) -> Image {
     let channels = pixels.channels;
     let data = (0..pixels.width * pixels.height)
         .into_par_iter()
@@ -143,7 +151,8 @@ fn encode(pixels: &LinearImage, rendered: Option<&LinearImage>, view: &View) -> 
                 let k = i * channels + c.min(channels - 1);
                 let value = match rendered.map(|r| r.data[k]) {
                     Some(shading) if shading > MIN_RENDERED => {
-                        MEAN_ALBEDO_LEVEL * pixels.data[k] / shading
+                        let own = albedo.map_or(1.0, |a| a.data[k]);
+                        MEAN_ALBEDO_LEVEL * own * pixels.data[k] / shading
                     }
                     _ => pixels.data[k],
                 };

@@ -97,7 +97,7 @@ impl Course<'_> {
     /// Shows the current surface to the probe, at the photos' resolution.
     pub(crate) fn show(&self, at: usize, step: &str, depths: &[Vec<f64>]) {
         if let Some(probe) = self.probe {
-            probe(step, &output::maps(&self.scene, at, depths));
+            probe(step, &output::maps(&self.scene, at, depths, &[]));
         }
     }
 }

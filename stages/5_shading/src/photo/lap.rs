@@ -1,7 +1,7 @@
 //! One lap: Gauss-Newton rounds over all views under fixed weights and a fixed light.
 
 use super::course::Course;
-use super::level;
+use super::level::{self, Level};
 use super::light::Light;
 use super::matching::MatchOptions;
 use super::report::LapReport;
@@ -64,28 +64,32 @@ pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
             knee: 2.0,
             correction_px,
             max_correction: 0.15,
-            mean_tolerance: 1.8,
         }),
     }
 }
 
+/// Weights of a step; lengths in footprints of a pixel.
+pub(crate) fn step_weights(level: &Level, sigma_match: f64, weights: &LapWeights) -> StepOptions {
+    let footprint = 1.0 / level.focal();
+    StepOptions {
+        matching: MatchOptions {
+            sigma: sigma_match,
+            knee: 2.0,
+            visible_tolerance: weights.visible_px * footprint,
+            gain_field_px: 8.0,
+            left_out: None,
+        },
+        sigma_consensus: weights.consensus_px * footprint,
+        plate_weight: weights.plate,
+        plate_knee: weights.plate_knee,
+        max_step: 9.0 * footprint,
+    }
+}
+
 impl Course<'_> {
-    /// Weights of a step; lengths in footprints of a pixel.
-    fn step_options(&self, at: usize, weights: &LapWeights) -> StepOptions {
-        let footprint = 1.0 / self.scene.pyramid[at].focal();
-        StepOptions {
-            matching: MatchOptions {
-                sigma: self.sigma_match,
-                knee: 2.0,
-                visible_tolerance: weights.visible_px * footprint,
-                gain_field_px: 8.0,
-                left_out: None,
-            },
-            sigma_consensus: weights.consensus_px * footprint,
-            plate_weight: weights.plate,
-            plate_knee: weights.plate_knee,
-            max_step: 9.0 * footprint,
-        }
+    /// [`step_weights`] of a level.
+    pub(crate) fn step_options(&self, at: usize, weights: &LapWeights) -> StepOptions {
+        step_weights(&self.scene.pyramid[at], self.sigma_match, weights)
     }
 
     /// Gauss-Newton rounds over all views. Views of even and odd number take turns, so that two
@@ -121,17 +125,8 @@ impl Course<'_> {
                     .into_par_iter()
                     .with_max_len(1)
                     .map(|i| {
-                        let term = light.zip(weights.shading).map(|(light, mut weights)| {
-                            weights.mean_tolerance /= level.focal();
-                            ShadingTerm::new(
-                                level,
-                                i,
-                                depths,
-                                &rasters,
-                                &light.harmonics[i],
-                                None,
-                                &weights,
-                            )
+                        let term = light.zip(weights.shading).map(|(light, weights)| {
+                            ShadingTerm::new(level, i, depths, &rasters, &light.of(i), &weights)
                         });
                         let outcome = step::improve(
                             level,

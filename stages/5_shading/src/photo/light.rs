@@ -1,40 +1,61 @@
 //! The light of a lap: nine coefficients per pixel of every view, fitted on the current shape.
 //!
-//! With visibility: rays from the pixels of the next coarser level against the solid that the depth
+//! Rays from the pixels of the next coarser level against the solid that the depth
 //! maps carve, the sphere and the ground; the environment fitted on object and sphere pixels together;
-//! coefficients interpolated to the level. Without: nine distant harmonics, fitted robustly on the
-//! current normals of all views (light fixed in the world) or of each (fixed to the camera).
+//! coefficients interpolated to the level. Pigment, and an albedo of the sphere that differs from the
+//! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
+use super::albedo::{self, Albedo};
 use super::level::{Level, LevelView};
 use super::plate;
-use super::shading::{self, PixelHarmonics};
+use super::shading::{self, PixelHarmonics, PixelLight};
+use super::spread;
 use super::surround::{SmallPhoto, look_at_sphere};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
-use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_numerics::robust::median;
-use rilievo_photometry::harmonics::{FitOptions, fit_robust, rotate, rotate_harmonics};
+use rilievo_photometry::harmonics::rotate_harmonics;
 use rilievo_photometry::visibility::{
-    DepthView, EnvironmentSample, Ground, Surroundings, Volume, WarmSphere, directions,
-    fit_environment, transfer,
+    DepthView, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Volume, WarmSphere,
+    directions, fit_environment, transfer,
 };
-use rilievo_scene::{
-    Intrinsics, LightKind, Lighting, LocatedSphere, Raster, RigidTransform, SphericalHarmonics,
-};
+use rilievo_scene::{Intrinsics, LocatedSphere, RigidTransform, SphericalHarmonics};
 
 /// The light of all views at one level.
 #[derive(Clone, Debug)]
 pub(crate) struct Light {
     /// Per view and masked pixel, camera frame.
     pub harmonics: Vec<Vec<PixelHarmonics>>,
-    /// Median relative residual per view, at the shape that it was fitted on.
+    /// Median relative residual per view, at the shape that it was fitted on, pigment divided out.
     pub residuals: Vec<f64>,
+    /// Pigment, where it was looked for.
+    pub pigment: Option<Albedo>,
+    /// Per view and masked pixel, how far shading may move the surface, 0 to 1; empty: everywhere.
+    pub trust: Vec<Vec<f32>>,
+    /// Log depth difference at which another view's intensity loses its say; 0 where the views are lit
+    /// differently.
+    pub mean_tolerance: f64,
 }
 
 impl Light {
     /// Median over the views.
     pub fn residual(&self) -> f64 {
         median(&mut self.residuals.clone()).unwrap_or(f64::NAN)
+    }
+
+    /// The light of a view's pixels.
+    pub fn of(&self, view: usize) -> PixelLight<'_> {
+        PixelLight {
+            harmonics: &self.harmonics[view],
+            pigment: self.pigment_of(view),
+            trust: self.trust.get(view).map(Vec::as_slice),
+            mean_tolerance: self.mean_tolerance,
+        }
+    }
+
+    /// Pigment of a view's pixels.
+    pub fn pigment_of(&self, view: usize) -> Option<&[[f32; 3]]> {
+        self.pigment.as_ref().map(|p| p.relative[view].as_slice())
     }
 }
 
@@ -49,73 +70,29 @@ pub(crate) struct LightScene<'a> {
 /// Voxels along the object's longest side.
 const MAX_VOXELS: usize = 224;
 /// Object pixels of a view on which the environment is fitted.
-const FIT_PIXELS: usize = 3000;
+pub(crate) const FIT_PIXELS: usize = 3000;
 /// Smoothness of the environment, relative.
 const SMOOTHNESS: f64 = 1e-3;
+/// Relative depth, in pixel footprints, at which another view's intensity loses half its say.
+const MEAN_TOLERANCE_PX: f64 = 1.8;
+/// Difference of log depth, in pixel footprints, at which neighbours belong to different surfaces.
+const EDGE_PX: f64 = 6.0;
+/// Belief in pigment, and departure of the sphere's albedo, below which a second fit changes nothing.
+const MIN_BELIEF: f64 = 0.05;
+const MIN_RATIO: f32 = 0.03;
 /// Influence of all sphere points against all object pixels of one view.
 const SPHERE_SHARE: f32 = 5.0;
 
-fn rotation(view: &LevelView) -> UnitQuaternion<f64> {
+pub(crate) fn rotation(view: &LevelView) -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(view.camera.rotation))
 }
 
-/// Nine distant harmonics on the current shape.
-pub(crate) fn distant(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option<Light> {
-    let normals: Vec<Vec<[f64; 3]>> = level
-        .views
-        .par_iter()
-        .zip(depths)
-        .map(|(view, depth)| plate::normals(view, depth))
-        .collect();
-    let groups: Vec<Vec<usize>> = match kind {
-        LightKind::World => vec![(0..level.views.len()).collect()],
-        LightKind::Camera => (0..level.views.len()).map(|i| vec![i]).collect(),
-    };
-    let mut harmonics = vec![Vec::new(); level.views.len()];
-    for group in groups {
-        let (mut n, mut weights) = (Vec::new(), Vec::new());
-        let mut values: [Vec<f64>; 3] = Default::default();
-        for &i in &group {
-            let view = &level.views[i];
-            let step = (view.pixels.len() / FIT_PIXELS).max(1);
-            for p in (0..view.pixels.len()).step_by(step) {
-                if !view.is_usable(p) {
-                    continue;
-                }
-                let rgb = view.intensity(p).map(f64::from);
-                let m = normals[i][p];
-                n.push(view.camera.rotation.tr_mul(&Vector3::new(m[0], m[1], m[2])));
-                let mean = ((rgb[0] + rgb[1] + rgb[2]) / 3.0).max(1e-4);
-                weights.push(1.0 / (mean * mean));
-                for c in 0..3 {
-                    values[c].push(rgb[c]);
-                }
-            }
-        }
-        let channels: Option<Vec<SphericalHarmonics>> = values
-            .iter()
-            .map(|v| {
-                fit_robust(&n, v, Some(&weights), &FitOptions::default())
-                    .ok()
-                    .map(|fit| fit.coefficients)
-            })
-            .collect();
-        let world = Lighting {
-            channels: channels?,
-        };
-        for &i in &group {
-            let own = rotate(&world, &rotation(&level.views[i]));
-            let pixel = [0, 1, 2].map(|c| own.channels[c].0.map(|v| v as f32));
-            harmonics[i] = vec![pixel; level.views[i].pixels.len()];
-        }
-    }
-    Some(with_residuals(level, &normals, harmonics))
-}
-
-fn with_residuals(
+/// The light with its residuals on a shape's normals.
+pub(crate) fn with_residuals(
     level: &Level,
     normals: &[Vec<[f64; 3]>],
     harmonics: Vec<Vec<PixelHarmonics>>,
+    pigment: Option<Albedo>,
 ) -> Light {
     let residuals = level
         .views
@@ -125,7 +102,13 @@ fn with_residuals(
             let mut r: Vec<f64> = (0..view.pixels.len())
                 .step_by(3)
                 .filter(|&p| view.is_usable(p))
-                .map(|p| relative(&harmonics[i][p], normals[i][p], view.intensity(p)))
+                .map(|p| {
+                    let mut rgb = view.intensity(p);
+                    if let Some(pigment) = &pigment {
+                        rgb = divided(rgb, pigment.relative[i][p]);
+                    }
+                    relative(&harmonics[i][p], normals[i][p], rgb)
+                })
                 .collect();
             median(&mut r).unwrap_or(f64::NAN)
         })
@@ -133,7 +116,14 @@ fn with_residuals(
     Light {
         harmonics,
         residuals,
+        pigment,
+        trust: Vec::new(),
+        mean_tolerance: MEAN_TOLERANCE_PX / level.focal(),
     }
+}
+
+fn divided(rgb: [f32; 3], albedo: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|c| rgb[c] / albedo[c].max(0.1))
 }
 
 fn relative(light: &PixelHarmonics, normal: [f64; 3], rgb: [f32; 3]) -> f64 {
@@ -155,14 +145,30 @@ pub(crate) fn visible(
 ) -> Option<Light> {
     let coarse: Vec<Vec<f64>> = (0..level.views.len())
         .into_par_iter()
-        .map(|i| reduce(&level.views[i], &rays_at.views[i], &depths[i]))
+        .map(|i| reduce_depth(&level.views[i], &rays_at.views[i], &depths[i]))
         .collect();
-    let coarse_normals: Vec<Vec<[f64; 3]>> = rays_at
-        .views
-        .par_iter()
-        .zip(&coarse)
-        .map(|(view, depth)| plate::normals(view, depth))
-        .collect();
+    let normals = |at: &Level, depths: &[Vec<f64>]| -> Vec<Vec<[f64; 3]>> {
+        at.views
+            .par_iter()
+            .zip(depths)
+            .map(|(view, depth)| plate::normals(view, depth))
+            .collect()
+    };
+    let (fine, rough) = (normals(level, depths), normals(rays_at, &coarse));
+    visible_on(level, (depths, &fine), rays_at, (&coarse, &rough), scene)
+}
+
+/// Depths and normals of all views.
+type Shape<'a> = (&'a [Vec<f64>], &'a [Vec<[f64; 3]>]);
+
+/// [`visible`], with the normals given.
+pub(crate) fn visible_on(
+    level: &Level,
+    (depths, normals): Shape,
+    rays_at: &Level,
+    (coarse, coarse_normals): Shape,
+    scene: &LightScene,
+) -> Option<Light> {
     let volume = Volume::carve(&depth_views(level, depths), MAX_VOXELS)?;
     let offset = 1.25 * volume.voxel;
     let sphere = scene.sphere.and_then(|s| look_at_sphere(s, scene.photos));
@@ -197,7 +203,7 @@ pub(crate) fn visible(
                 .collect()
         })
         .collect();
-    let mut samples = Vec::new();
+    let (mut samples, mut owners) = (Vec::new(), Vec::new());
     for (i, view) in rays_at.views.iter().enumerate() {
         let step = (view.pixels.len() / FIT_PIXELS).max(1);
         for p in (0..view.pixels.len()).step_by(step) {
@@ -212,6 +218,7 @@ pub(crate) fn visible(
                 intensity,
                 weight: 1.0,
             });
+            owners.push((i, p));
         }
     }
     if let Some((points, warm)) = &sphere {
@@ -239,30 +246,65 @@ pub(crate) fn visible(
             .collect();
         samples.extend(extra);
     }
-    let fit = fit_environment(&samples, &rays, SMOOTHNESS)?;
-    let normals: Vec<Vec<[f64; 3]>> = level
-        .views
-        .par_iter()
-        .zip(depths)
-        .map(|(view, depth)| plate::normals(view, depth))
-        .collect();
-    let harmonics = (0..level.views.len())
-        .map(|i| {
-            let turn = rotation(&level.views[i]);
-            let own: Vec<PixelHarmonics> = transfers[i]
-                .par_iter()
-                .with_min_len(256)
-                .map(|t| {
-                    t.harmonics(&rays, &fit.radiance, fit.bounce).map(|l| {
-                        let world = SphericalHarmonics(l.map(f64::from));
-                        rotate_harmonics(&world, &turn).0.map(|v| v as f32)
+    let mut fit = fit_environment(&samples, &rays, SMOOTHNESS)?;
+    let interpolated = |fit: &EnvironmentFit| -> Vec<Vec<PixelHarmonics>> {
+        (0..level.views.len())
+            .map(|i| {
+                let turn = rotation(&level.views[i]);
+                let own: Vec<PixelHarmonics> = transfers[i]
+                    .par_iter()
+                    .with_min_len(256)
+                    .map(|t| {
+                        t.harmonics(&rays, &fit.radiance, fit.bounce).map(|l| {
+                            let world = SphericalHarmonics(l.map(f64::from));
+                            rotate_harmonics(&world, &turn).0.map(|v| v as f32)
+                        })
                     })
-                })
-                .collect();
-            spread(&rays_at.views[i], &level.views[i], &own)
-        })
-        .collect();
-    Some(with_residuals(level, &normals, harmonics))
+                    .collect();
+                let (from, to) = (&rays_at.views[i], &level.views[i]);
+                let own = averaged(from, &coarse[i], &own);
+                finer((from, &coarse[i]), (to, &depths[i]), &own)
+            })
+            .collect()
+    };
+    let mut light = with_residuals(level, normals, interpolated(&fit), None);
+    let pigment = albedo::estimate(level, depths, &light);
+    let ratio = sphere_ratio(&samples[owners.len()..], &fit);
+    if pigment.belief > MIN_BELIEF || ratio.iter().any(|r| (r - 1.0).abs() > MIN_RATIO) {
+        let relative: Vec<Vec<[f32; 3]>> = (0..level.views.len())
+            .map(|i| reduce(&level.views[i], &rays_at.views[i], &pigment.relative[i]))
+            .collect();
+        for (sample, &(i, p)) in samples.iter_mut().zip(&owners) {
+            sample.intensity = divided(sample.intensity, relative[i][p]);
+        }
+        for sample in &mut samples[owners.len()..] {
+            sample.intensity = divided(sample.intensity, ratio);
+        }
+        fit = fit_environment(&samples, &rays, SMOOTHNESS)?;
+        light = with_residuals(level, normals, interpolated(&fit), None);
+    }
+    let pigment = albedo::estimate(level, depths, &light);
+    Some(with_residuals(
+        level,
+        normals,
+        light.harmonics,
+        Some(pigment),
+    ))
+}
+
+/// The sphere's albedo over the object's: median ratio between what it shows and what the light gives.
+fn sphere_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] {
+    std::array::from_fn(|c| {
+        let mut ratios: Vec<f64> = samples
+            .iter()
+            .filter_map(|s| {
+                let light: f32 = s.row.iter().zip(&fit.radiance).map(|(t, l)| t * l[c]).sum();
+                let light = light + fit.bounce[c] * s.nearby[c];
+                (light > 1e-4).then(|| f64::from(s.intensity[c] / light))
+            })
+            .collect();
+        median(&mut ratios).unwrap_or(1.0) as f32
+    })
 }
 
 fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
@@ -293,117 +335,103 @@ fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
         .collect()
 }
 
-/// Log depth at the coarser level: mean of the four children (all are masked).
-fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
+/// Values at the coarser level: mean of the four children (all are masked).
+fn reduce<const N: usize>(
+    fine: &LevelView,
+    coarse: &LevelView,
+    values: &[[f32; N]],
+) -> Vec<[f32; N]> {
+    if fine.mask.width == coarse.mask.width {
+        return values.to_vec();
+    }
+    (0..coarse.pixels.len())
+        .map(|p| {
+            let mut sum = [0.0; N];
+            for child in children(fine, coarse, p) {
+                for (s, v) in sum.iter_mut().zip(&values[child]) {
+                    *s += 0.25 * v;
+                }
+            }
+            sum
+        })
+        .collect()
+}
+
+/// Log depth at the coarser level.
+fn reduce_depth(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
     if fine.mask.width == coarse.mask.width {
         return depth.to_vec();
     }
     (0..coarse.pixels.len())
         .map(|p| {
-            let (x, y) = (
-                2 * coarse.pixels.xs[p] as usize,
-                2 * coarse.pixels.ys[p] as usize,
-            );
-            let sum: f64 = [(0, 0), (1, 0), (0, 1), (1, 1)]
+            children(fine, coarse, p)
+                .map(|c| 0.25 * depth[c])
                 .iter()
-                .map(|&(dx, dy)| {
-                    let number = fine.pixels.number[(y + dy) * fine.pixels.width + x + dx];
-                    depth[number as usize]
-                })
-                .sum();
-            0.25 * sum
+                .sum()
         })
         .collect()
 }
 
-/// Interpolates per-pixel coefficients to a finer level: bilinear over the masked parents, the
-/// nearest one where there is none.
-pub(crate) fn spread(
-    coarse: &LevelView,
-    fine: &LevelView,
+/// Numbers of the four pixels of the finer level that a pixel covers.
+fn children(fine: &LevelView, coarse: &LevelView, pixel: usize) -> [usize; 4] {
+    let (x, y) = (
+        2 * coarse.pixels.xs[pixel] as usize,
+        2 * coarse.pixels.ys[pixel] as usize,
+    );
+    [(0, 0), (1, 0), (0, 1), (1, 1)]
+        .map(|(dx, dy)| fine.pixels.number[(y + dy) * fine.pixels.width + x + dx] as usize)
+}
+
+/// Coefficients at a finer level; each with its log depths, so that nothing is mixed over depth edges.
+pub(crate) fn finer(
+    (coarse, coarse_depth): (&LevelView, &[f64]),
+    (fine, depth): (&LevelView, &[f64]),
     values: &[PixelHarmonics],
 ) -> Vec<PixelHarmonics> {
-    if fine.mask.width == coarse.mask.width {
-        return values.to_vec();
-    }
-    let nearest = nearest_pixels(coarse);
-    (0..fine.pixels.len())
-        .into_par_iter()
-        .with_min_len(512)
-        .map(|i| {
-            let (x, y) = fine.xy(i);
-            let (x, y) = (0.5 * (x + 0.5) - 0.5, 0.5 * (y + 0.5) - 0.5);
-            let (x0, y0) = (x.floor(), y.floor());
-            let (mut out, mut total) = ([[0.0_f32; 9]; 3], 0.0_f32);
-            for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
-                let weight = ((1.0 - (x - x0 - dx).abs()) * (1.0 - (y - y0 - dy).abs())) as f32;
-                let (px, py) = (x0 + dx, y0 + dy);
-                if weight <= 0.0 || px < 0.0 || py < 0.0 {
-                    continue;
-                }
-                let (px, py) = (px as usize, py as usize);
-                if px >= coarse.pixels.width || py >= coarse.pixels.height {
-                    continue;
-                }
-                let number = coarse.pixels.number[py * coarse.pixels.width + px];
-                if number == OUTSIDE {
-                    continue;
-                }
-                for (o, v) in out.iter_mut().zip(&values[number as usize]) {
-                    for (a, b) in o.iter_mut().zip(v) {
-                        *a += weight * b;
-                    }
-                }
-                total += weight;
-            }
-            if total > 0.0 {
-                out.map(|l| l.map(|v| v / total))
-            } else {
-                let px = (x.round().max(0.0) as usize).min(coarse.pixels.width - 1);
-                let py = (y.round().max(0.0) as usize).min(coarse.pixels.height - 1);
-                values[*nearest.at(px, py) as usize]
-            }
-        })
+    let flat: Vec<[f32; 27]> = values.iter().map(flattened).collect();
+    let guide = spread::Guide {
+        coarse: coarse_depth,
+        fine: depth,
+        reach: EDGE_PX / coarse.camera.focal(),
+    };
+    spread::spread_guided(coarse, fine, &flat, Some(&guide))
+        .iter()
+        .map(harmonics_of)
         .collect()
 }
 
-/// Number of the nearest masked pixel of every raster position (two chamfer sweeps).
-fn nearest_pixels(view: &LevelView) -> Raster<u32> {
-    let (w, h) = (view.pixels.width as i64, view.pixels.height as i64);
-    let mut number = view.pixels.number.clone();
-    let mut distance: Vec<i64> = number
-        .iter()
-        .map(|&n| if n == OUTSIDE { i64::MAX / 4 } else { 0 })
-        .collect();
-    let mut sweep = |forward: bool| {
-        let offsets: [(i64, i64, i64); 4] = [(-1, 0, 2), (0, -1, 2), (-1, -1, 3), (1, -1, 3)];
-        for k in 0..w * h {
-            let k = if forward { k } else { w * h - 1 - k };
-            let (x, y) = (k % w, k / w);
-            for (dx, dy, cost) in offsets {
-                let (dx, dy) = if forward { (dx, dy) } else { (-dx, -dy) };
-                let (ax, ay) = (x + dx, y + dy);
-                if ax < 0 || ay < 0 || ax >= w || ay >= h {
-                    continue;
-                }
-                let a = (ay * w + ax) as usize;
-                if distance[a] + cost < distance[k as usize] {
-                    distance[k as usize] = distance[a] + cost;
-                    number[k as usize] = number[a];
+fn flattened(l: &PixelHarmonics) -> [f32; 27] {
+    std::array::from_fn(|k| l[k / 9][k % 9])
+}
+
+fn harmonics_of(flat: &[f32; 27]) -> PixelHarmonics {
+    std::array::from_fn(|c| std::array::from_fn(|k| flat[9 * c + k]))
+}
+
+/// Mean over the neighbours on the same surface: few rays make steps where an occluder ends.
+fn averaged(view: &LevelView, depth: &[f64], values: &[PixelHarmonics]) -> Vec<PixelHarmonics> {
+    const REACH: i32 = 2;
+    let reach = EDGE_PX / view.camera.focal();
+    (0..values.len())
+        .into_par_iter()
+        .with_min_len(256)
+        .map(|p| {
+            let (mut sum, mut total) = ([0.0_f32; 27], 0.0_f32);
+            for dy in -REACH..=REACH {
+                for dx in -REACH..=REACH {
+                    let Some(q) = view.pixels.neighbour(p, dx, dy) else {
+                        continue;
+                    };
+                    let miss = ((depth[q] - depth[p]) / reach) as f32;
+                    let far = (dx * dx + dy * dy) as f32;
+                    let weight = (-0.3 * far - 0.5 * miss * miss).exp();
+                    for (s, v) in sum.iter_mut().zip(flattened(&values[q])) {
+                        *s += weight * v;
+                    }
+                    total += weight;
                 }
             }
-        }
-    };
-    sweep(true);
-    sweep(false);
-    for n in &mut number {
-        if *n == OUTSIDE {
-            *n = 0;
-        }
-    }
-    Raster {
-        width: view.pixels.width,
-        height: view.pixels.height,
-        data: number,
-    }
+            harmonics_of(&sum.map(|s| s / total))
+        })
+        .collect()
 }

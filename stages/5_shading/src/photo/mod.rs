@@ -11,16 +11,24 @@
 //! Steps: dense search inside the visual hull (`hull`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
-//! and `shading`, first without shading, then in laps of light and shape; finer levels at last.
+//! and `shading`, first without shading, then in laps of light and shape (`light`, `distant`), with
+//! the pigment divided out (`albedo`) and shading judged by photos that are left out (`validation`);
+//! finer levels; and what shape, light and pigment explain of the photos (`appearance`, `confidence`).
 
+mod albedo;
+mod appearance;
 mod camera;
+mod confidence;
 mod consensus;
 mod course;
+mod distant;
 mod gains;
 mod hull;
 mod lap;
 mod level;
 mod light;
+#[cfg(test)]
+mod light_tests;
 mod matching;
 mod options;
 mod output;
@@ -28,19 +36,24 @@ mod patchmatch;
 mod plate;
 pub(crate) mod rectify;
 mod relight;
+#[cfg(test)]
+mod rendered_tests;
 mod report;
 mod sampling;
 mod search;
 mod shading;
 mod solve;
+mod spread;
 mod start;
 mod step;
 mod surround;
+mod validation;
 mod views;
 
 pub use course::Probe;
 pub use options::PhotoOptions;
 pub use report::{LapReport, PhotoReport, PhotoViewReport};
+pub use validation::ValidationReport;
 
 use crate::error::ShadingError;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};

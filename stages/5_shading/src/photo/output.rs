@@ -1,15 +1,23 @@
 //! Maps on the photos' own pixels.
 
+use super::appearance::Appearance;
 use super::level::{self, LevelView};
-use super::plate;
 use super::views::Scene;
+use super::{plate, spread};
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::OUTSIDE;
-use rilievo_scene::{DepthMap, NormalMap, ShadedView, ShadedViews};
+use rilievo_scene::{
+    ConfidenceMap, DepthMap, LinearImage, NormalMap, Raster, ShadedView, ShadedViews,
+};
 
-/// Depth and normals of all views from log depths of a level; coarser ones are interpolated, and
-/// the rim that has no parents continues its neighbours.
-pub(crate) fn maps(scene: &Scene, at: usize, depths: &[Vec<f64>]) -> ShadedViews {
+/// Maps of all views from log depths of a level, and from appearances where there are any; coarser
+/// levels are interpolated, and the rim that has no parents continues its neighbours.
+pub(crate) fn maps(
+    scene: &Scene,
+    at: usize,
+    depths: &[Vec<f64>],
+    appearances: &[Appearance],
+) -> ShadedViews {
     let views = scene
         .frames
         .par_iter()
@@ -57,21 +65,106 @@ pub(crate) fn maps(scene: &Scene, at: usize, depths: &[Vec<f64>]) -> ShadedViews
                 *depth.at_mut(x, y) = values[p].exp() as f32;
                 *normal.at_mut(x, y) = n.map(|v| v as f32);
             }
+            let images = appearances.get(i).map(|a| images(scene, at, i, a, &depth));
             if !frame.rectification.is_identity() {
                 (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
             }
+            let (confidence, rendered, albedo) = match images {
+                Some((confidence, shaded)) => (
+                    Some(confidence),
+                    shaded.as_ref().map(|v| image(v, [0, 1, 2], frame.gain)),
+                    shaded.as_ref().map(|v| image(v, [3, 4, 5], [1.0; 3])),
+                ),
+                None => (None, None, None),
+            };
             ShadedView {
                 view: frame.view,
                 name: frame.name.clone(),
                 depth,
                 normal,
-                confidence: None,
-                rendered: None,
-                albedo: None,
+                confidence,
+                rendered,
+                albedo,
             }
         })
         .collect();
     ShadedViews { views }
+}
+
+/// Confidence, and the rendered image with the albedo (six channels), on the photo's own pixels.
+fn images(
+    scene: &Scene,
+    at: usize,
+    index: usize,
+    appearance: &Appearance,
+    depth: &DepthMap,
+) -> (ConfidenceMap, Option<Raster<[f32; 6]>>) {
+    let has_image = !appearance.rendered.is_empty();
+    let mut values: Vec<[f32; 7]> = appearance
+        .confidence
+        .iter()
+        .enumerate()
+        .map(|(p, &c)| {
+            let mut row = [0.0; 7];
+            row[0] = c;
+            if has_image {
+                row[1..4].copy_from_slice(&appearance.rendered[p]);
+                row[4..7].copy_from_slice(&appearance.albedo[p]);
+            }
+            row
+        })
+        .collect();
+    for finer in (0..at).rev() {
+        let (child, parent) = (
+            &scene.pyramid[finer].views[index],
+            &scene.pyramid[finer + 1].views[index],
+        );
+        values = spread::spread(parent, child, &values);
+    }
+    let frame = &scene.frames[index];
+    let pixels = &scene.pyramid[0].views[index].pixels;
+    let mut raster = Raster::filled(depth.width, depth.height, [0.0_f32; 7]);
+    for (p, value) in values.iter().enumerate() {
+        let x = pixels.xs[p] as usize + frame.corner.0;
+        let y = pixels.ys[p] as usize + frame.corner.1;
+        if *depth.at(x, y) > 0.0 {
+            *raster.at_mut(x, y) = *value;
+        }
+    }
+    if !frame.rectification.is_identity() {
+        raster = frame
+            .rectification
+            .bend_values_back(&frame.mask, depth, &raster);
+    }
+    let confidence = Raster {
+        width: raster.width,
+        height: raster.height,
+        data: raster.data.iter().map(|v| v[0].clamp(0.0, 1.0)).collect(),
+    };
+    let shaded = has_image.then(|| Raster {
+        width: raster.width,
+        height: raster.height,
+        data: raster
+            .data
+            .iter()
+            .map(|v| std::array::from_fn(|k| v[k + 1]))
+            .collect(),
+    });
+    (confidence, shaded)
+}
+
+/// Three of the channels, each times its gain.
+fn image(values: &Raster<[f32; 6]>, channels: [usize; 3], gain: [f64; 3]) -> LinearImage {
+    LinearImage {
+        width: values.width,
+        height: values.height,
+        channels: 3,
+        data: values
+            .data
+            .iter()
+            .flat_map(|v| [0, 1, 2].map(|c| v[channels[c]] * gain[c] as f32))
+            .collect(),
+    }
 }
 
 /// Gives pixels without a value the mean of their known neighbours, ring by ring.

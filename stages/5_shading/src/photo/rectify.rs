@@ -99,6 +99,47 @@ impl Rectification {
         }
         (out_depth, out_normal)
     }
+
+    /// Values on the photo's own pixels from those on the straightened ones, `depth` telling where
+    /// there are any; zero elsewhere.
+    pub(crate) fn bend_values_back<const N: usize>(
+        &self,
+        mask: &Mask,
+        depth: &DepthMap,
+        values: &Raster<[f32; N]>,
+    ) -> Raster<[f32; N]> {
+        Raster::from_fn(mask.width, mask.height, |x, y| {
+            if !*mask.at(x, y) {
+                return [0.0; N];
+            }
+            let ray = self
+                .original
+                .normalized(&nalgebra::Point2::new(x as f64, y as f64));
+            let xs = self.original.fx * ray.x + self.original.cx;
+            let ys = self.original.fy * ray.y + self.original.cy;
+            let (x0, y0) = (xs.floor() as isize, ys.floor() as isize);
+            let (mut sum, mut total) = ([0.0_f32; N], 0.0_f32);
+            for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+                let (u, v) = (x0 + dx, y0 + dy);
+                if !depth.get(u, v).is_some_and(|&z| z > 0.0) {
+                    continue;
+                }
+                let weight =
+                    ((1.0 - (xs - u as f64).abs()) * (1.0 - (ys - v as f64).abs()) + 1e-6) as f32;
+                if let Some(value) = values.get(u, v) {
+                    for (s, v) in sum.iter_mut().zip(value) {
+                        *s += weight * v;
+                    }
+                    total += weight;
+                }
+            }
+            if total > 0.0 {
+                sum.map(|s| s / total)
+            } else {
+                sum
+            }
+        })
+    }
 }
 
 #[cfg(test)]

@@ -1,11 +1,16 @@
 //! The light on the current shape, and the ground that it shines on.
 
+use super::appearance::Appearance;
 use super::course::Course;
+use super::distant;
+use super::lap::LapWeights;
 use super::light::{self, Light, LightScene};
 use super::report::LapReport;
 use super::surround;
+use super::{albedo, appearance, confidence, spread, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
+use rilievo_numerics::plate_system::PlateSolver;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LightKind, PosedViews};
 use std::time::Instant;
@@ -60,12 +65,29 @@ impl Course<'_> {
             None
         };
         let used = seen.is_some();
-        let light = seen.or_else(|| light::distant(level, depths, kind));
+        let light = seen.or_else(|| distant::fit(level, depths, kind));
         self.report.shading = match (used, light.is_some()) {
             (true, _) => "light with visibility".to_owned(),
             (false, true) => "distant light".to_owned(),
             (false, false) => "no light could be fitted".to_owned(),
         };
+        let mut notes = Vec::new();
+        if kind == LightKind::Camera {
+            notes.push(
+                "the light moves with the camera: own shadow is not modelled, and photos agree less",
+            );
+        }
+        if posed.sphere.is_none() && light.is_some() {
+            notes.push(
+                "no sphere: the light is read from the object's own surface, so that a light over \
+                 the whole object and its albedo cannot be told apart",
+            );
+        }
+        for note in notes {
+            if !self.report.notes.iter().any(|n| n == note) {
+                self.report.notes.push(note.to_owned());
+            }
+        }
         self.report.laps.push(LapReport {
             level: at,
             kind: format!(
@@ -79,13 +101,112 @@ impl Course<'_> {
         Ok(light)
     }
 
-    pub(crate) fn finer_light(&self, at: usize, light: &Light) -> Light {
+    /// Lets photos that are left out judge shading, and sets the light's trust.
+    pub(crate) fn validate(
+        &mut self,
+        at: usize,
+        solvers: &[PlateSolver],
+        depths: &[Vec<f64>],
+        light: Option<&mut Light>,
+        weights: &LapWeights,
+    ) -> Result<(), ShadingError> {
+        let (Some(light), Some(shading)) = (light, weights.shading) else {
+            return Ok(());
+        };
+        let began = Instant::now();
+        self.tell("leaving photos out", 0, 1)?;
+        let options = self.step_options(at, weights);
+        let level = &self.scene.pyramid[at];
+        let judged = validation::validate(level, solvers, depths, light, &shading, &options)
+            .map_err(|(i, e)| self.failed(i, &e))?;
+        let Some(judged) = judged else {
+            self.report.notes.push(
+                "no photo could be left out, so that shading is judged by the light's residual alone"
+                    .to_owned(),
+            );
+            return Ok(());
+        };
+        for (view, trust) in self.report.views.iter_mut().zip(&judged.trust) {
+            let n = trust.len().max(1) as f64;
+            view.shading_trust = Some(trust.iter().map(|&t| f64::from(t)).sum::<f64>() / n);
+            view.without_shading = Some(trust.iter().filter(|&&t| t < 0.1).count() as f64 / n);
+        }
+        light.trust = judged.trust;
+        self.report.validation = Some(judged.report);
+        self.report.laps.push(LapReport {
+            level: at,
+            kind: "cross-validation".to_owned(),
+            seconds: began.elapsed().as_secs_f64(),
+            ..LapReport::default()
+        });
+        Ok(())
+    }
+
+    /// The light at the next finer level.
+    pub(crate) fn finer_light(
+        &self,
+        at: usize,
+        coarse_depths: &[Vec<f64>],
+        depths: &[Vec<f64>],
+        light: &Light,
+    ) -> Light {
         let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
-        Light {
+        let mut out = Light {
             harmonics: (0..fine.views.len())
-                .map(|i| light::spread(&coarse.views[i], &fine.views[i], &light.harmonics[i]))
+                .map(|i| {
+                    light::finer(
+                        (&coarse.views[i], &coarse_depths[i]),
+                        (&fine.views[i], &depths[i]),
+                        &light.harmonics[i],
+                    )
+                })
                 .collect(),
             residuals: light.residuals.clone(),
+            pigment: None,
+            mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
+            trust: light
+                .trust
+                .iter()
+                .enumerate()
+                .map(|(i, trust)| {
+                    let values: Vec<[f32; 1]> = trust.iter().map(|&t| [t]).collect();
+                    spread::spread(&coarse.views[i], &fine.views[i], &values)
+                        .iter()
+                        .map(|t| t[0])
+                        .collect()
+                })
+                .collect(),
+        };
+        if light.pigment.is_some() {
+            out.pigment = Some(albedo::estimate(fine, depths, &out));
         }
+        out
+    }
+
+    /// What the final shape and light make of every pixel, and the facts on it.
+    pub(crate) fn appearance(
+        &mut self,
+        at: usize,
+        depths: &[Vec<f64>],
+        light: Option<&Light>,
+        weights: &LapWeights,
+    ) -> Vec<Appearance> {
+        let level = &self.scene.pyramid[at];
+        let mut views = match light {
+            Some(light) => appearance::render(level, depths, light, light.pigment.as_ref()),
+            None => vec![Appearance::default(); level.views.len()],
+        };
+        let matching = self.step_options(at, weights).matching;
+        let sigma = weights.shading.map(|s| s.sigma);
+        for (i, view) in views.iter_mut().enumerate() {
+            view.confidence = confidence::estimate(level, i, depths, &matching, light.zip(sigma));
+        }
+        if let Some(light) = light {
+            for (view, residual) in self.report.views.iter_mut().zip(&light.residuals) {
+                view.light_residual = Some(*residual);
+            }
+            self.report.pigment = light.pigment.as_ref().map(|p| p.explained);
+        }
+        views
     }
 }

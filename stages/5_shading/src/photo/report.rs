@@ -1,5 +1,6 @@
 //! Facts on a run of the photo model.
 
+use super::validation::ValidationReport;
 use serde::Serialize;
 
 /// Facts on one view.
@@ -21,6 +22,10 @@ pub struct PhotoViewReport {
     pub seen_alone: f64,
     /// Median relative residual of the light at the final shape, where shading was used.
     pub light_residual: Option<f64>,
+    /// Mean trust in shading after cross-validation, 0 to 1.
+    pub shading_trust: Option<f64>,
+    /// Share of the pixels where cross-validation ended shading.
+    pub without_shading: Option<f64>,
 }
 
 /// One lap.
@@ -55,6 +60,11 @@ pub struct PhotoReport {
     pub sigma_match: f64,
     /// Whether shading took part, and why not.
     pub shading: String,
+    /// What photos that were left out said of shading.
+    pub validation: Option<ValidationReport>,
+    /// Share of the small-scale brightness, beyond what the light explains, that colour predicts:
+    /// pigment.
+    pub pigment: Option<f64>,
     /// What the data could not tell.
     pub notes: Vec<String>,
 }

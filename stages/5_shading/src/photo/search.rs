@@ -94,6 +94,9 @@ impl Course<'_> {
                 view.divide_by_gain(*gain);
             }
         }
+        for (frame, gain) in self.scene.frames.iter_mut().zip(&exposure.gains) {
+            frame.gain = *gain;
+        }
         for (photo, gain) in self.scene.small.iter_mut().zip(&exposure.gains) {
             photo.divide_by_gain(*gain);
         }

@@ -9,27 +9,18 @@
 use super::level::{Level, LevelView};
 use super::plate;
 use super::sampling;
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::PlateSystem;
-use rilievo_scene::Raster;
+use rilievo_scene::{Raster, SphericalHarmonics};
 
 /// Nine coefficients for each of three channels, camera frame.
 pub(crate) type PixelHarmonics = [[f32; 9]; 3];
 
-/// The basis of eq. 1 in f64.
+/// The basis of eq. 1.
 #[inline]
 pub(crate) fn basis(n: [f64; 3]) -> [f64; 9] {
-    [
-        n[0],
-        n[1],
-        n[2],
-        1.0,
-        n[0] * n[1],
-        n[0] * n[2],
-        n[1] * n[2],
-        n[0] * n[0] - n[1] * n[1],
-        3.0 * n[2] * n[2] - 1.0,
-    ]
+    SphericalHarmonics::basis(&Vector3::from(n))
 }
 
 /// Derivative of the basis when the normal moves by `d`.
@@ -60,6 +51,34 @@ pub(crate) fn render(light: &PixelHarmonics, n: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|c| dot(&light[c], &h))
 }
 
+/// Derivatives of [`render`] when the normal moves by `dp` or `dq`.
+#[inline]
+pub(crate) fn render_derivatives(
+    light: &PixelHarmonics,
+    n: [f64; 3],
+    dp: [f64; 3],
+    dq: [f64; 3],
+) -> ([f64; 3], [f64; 3]) {
+    let (hp, hq) = (basis_derivative(n, dp), basis_derivative(n, dq));
+    (
+        [0, 1, 2].map(|c| dot(&light[c], &hp)),
+        [0, 1, 2].map(|c| dot(&light[c], &hq)),
+    )
+}
+
+/// The light of one view's pixels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PixelLight<'a> {
+    /// Coefficients.
+    pub harmonics: &'a [PixelHarmonics],
+    /// Albedo that is divided out of the photos.
+    pub pigment: Option<&'a [[f32; 3]]>,
+    /// Scales each pixel's weight, 0 to 1.
+    pub trust: Option<&'a [f32]>,
+    /// Log depth difference at which another view's intensity loses its say; 0: it has none.
+    pub mean_tolerance: f64,
+}
+
 /// How shading is weighed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ShadingWeights {
@@ -71,8 +90,6 @@ pub(crate) struct ShadingWeights {
     pub correction_px: f64,
     /// Largest correction.
     pub max_correction: f64,
-    /// Relative depth difference at which another view's intensity loses its say.
-    pub mean_tolerance: f64,
 }
 
 /// The term of one view, ready to be linearised at any depth near the one it was built at.
@@ -87,19 +104,26 @@ pub(crate) struct ShadingTerm<'a> {
 }
 
 impl<'a> ShadingTerm<'a> {
-    /// Builds the term at the current depths. `trust` scales each pixel's weight (0 to 1).
+    /// Builds the term at the current depths.
     pub fn new(
         level: &Level,
         index: usize,
         depths: &[Vec<f64>],
         rasters: &[Raster<f32>],
-        light: &'a [PixelHarmonics],
-        trust: Option<&[f32]>,
+        light: &PixelLight<'a>,
         weights: &ShadingWeights,
     ) -> Self {
         let view = &level.views[index];
         let n = view.pixels.len();
-        let mut target = mean_intensities(level, index, &depths[index], rasters, weights);
+        let mut target =
+            mean_intensities(level, index, &depths[index], rasters, light.mean_tolerance);
+        if let Some(albedo) = light.pigment {
+            for (t, a) in target.iter_mut().zip(albedo) {
+                for c in 0..3 {
+                    t[c] /= a[c].max(0.1);
+                }
+            }
+        }
         let mean =
             target.iter().flatten().map(|&v| f64::from(v)).sum::<f64>() / (3 * n).max(1) as f64;
         let floor = (0.02 * mean) as f32;
@@ -115,7 +139,7 @@ impl<'a> ShadingTerm<'a> {
             let limit = weights.max_correction as f32;
             let relative: Vec<[f32; 3]> = (0..n)
                 .map(|i| {
-                    let s = render(&light[i], normals[i]);
+                    let s = render(&light.harmonics[i], normals[i]);
                     [0, 1, 2].map(|c| {
                         (s[c] as f32 / target[i][c].max(0.3 * floor) - 1.0).clamp(-limit, limit)
                     })
@@ -130,12 +154,12 @@ impl<'a> ShadingTerm<'a> {
         }
         let scale = (0..n)
             .map(|i| {
-                let trust = trust.map_or(1.0, |t| t[i].max(0.0).sqrt());
+                let trust = light.trust.map_or(1.0, |t| t[i].max(0.0).sqrt());
                 usable[i] * trust / (weights.sigma as f32 * grey[i])
             })
             .collect();
         Self {
-            light,
+            light: light.harmonics,
             target,
             scale,
             knee: weights.knee,
@@ -185,12 +209,12 @@ impl<'a> ShadingTerm<'a> {
 }
 
 /// Mean of a pixel's intensity over the views that see the same point and agree on it.
-fn mean_intensities(
+pub(crate) fn mean_intensities(
     level: &Level,
     index: usize,
     depth: &[f64],
     rasters: &[Raster<f32>],
-    weights: &ShadingWeights,
+    tolerance: f64,
 ) -> Vec<[f32; 3]> {
     let view = &level.views[index];
     (0..view.pixels.len())
@@ -202,6 +226,9 @@ fn mean_intensities(
             let (mut sum, mut total) = (own, 1.0_f32);
             let (x, y) = view.xy(p);
             for (j, warp) in &level.sources[index] {
+                if tolerance <= 0.0 {
+                    break;
+                }
                 let other = &level.views[*j];
                 let Some(l) = warp.land(x, y, depth[p]) else {
                     continue;
@@ -211,8 +238,8 @@ fn mean_intensities(
                 {
                     continue;
                 }
-                let miss = (l.zeta - f64::from(sampling::bilinear(&rasters[*j], l.u, l.v)))
-                    / weights.mean_tolerance;
+                let miss =
+                    (l.zeta - f64::from(sampling::bilinear(&rasters[*j], l.u, l.v))) / tolerance;
                 if miss.abs() > 4.0 {
                     continue;
                 }

@@ -56,6 +56,9 @@ pub(crate) fn solve(
         light = course.light(at, &depths, posed, lighting.kind, ground.as_ref())?;
         let residual = light.as_ref().map_or(1.0, Light::residual);
         last = lap_weights(lap, residual);
+        if lap + 1 == options.num_laps {
+            course.validate(at, &solvers, &depths, light.as_mut(), &last)?;
+        }
         course.lap(
             at,
             &solvers,
@@ -78,12 +81,14 @@ pub(crate) fn solve(
             3,
         )?;
     }
+    let mut final_weights = last;
     while at > 0 && course.scene.pyramid[at - 1].mean_pixels() <= options.max_fine_pixels {
         at -= 1;
         solvers = course.solvers(at)?;
-        depths = course.descend(at, &solvers, &depths)?;
+        let coarse_depths = depths;
+        depths = course.descend(at, &solvers, &coarse_depths)?;
         course.show(at, "finer start", &depths);
-        light = light.map(|light| course.finer_light(at, &light));
+        light = light.map(|light| course.finer_light(at, &coarse_depths, &depths, &light));
         let mut weights = LapWeights {
             consensus_px: 0.9,
             visible_px: 3.5,
@@ -96,6 +101,7 @@ pub(crate) fn solve(
             shading.correction_px = 12.0;
         }
         let rounds = options.num_fine_rounds;
+        final_weights = weights;
         course.lap(
             at,
             &solvers,
@@ -106,11 +112,7 @@ pub(crate) fn solve(
             rounds,
         )?;
     }
-    if let Some(light) = &light {
-        for (view, residual) in course.report.views.iter_mut().zip(&light.residuals) {
-            view.light_residual = Some(*residual);
-        }
-    }
-    let shaded = output::maps(&course.scene, at, &depths);
+    let appearances = course.appearance(at, &depths, light.as_ref(), &final_weights);
+    let shaded = output::maps(&course.scene, at, &depths, &appearances);
     Ok((shaded, course.report))
 }

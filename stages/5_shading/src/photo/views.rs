@@ -21,6 +21,8 @@ pub(crate) struct SolvedFrame {
     pub rectification: Rectification,
     /// The mask in the photo's own frame.
     pub mask: Mask,
+    /// Exposure gain that the pyramid's images were divided by.
+    pub gain: [f64; 3],
 }
 
 /// All views of a run.
@@ -105,6 +107,7 @@ pub(crate) fn load(
                 corner,
                 rectification,
                 mask,
+                gain: [1.0; 3],
             };
             Ok((frame, view, small, photo.mask.is_some()))
         })

@@ -1,6 +1,6 @@
 //! Lighting as second-order spherical harmonics (eq. 1 of the paper).
 
-use nalgebra::Vector3;
+use nalgebra::{RealField, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// Nine coefficients `l` with `intensity = l · h(n)` and the basis
@@ -15,17 +15,18 @@ impl SphericalHarmonics {
 
     /// The basis functions at a unit normal.
     #[inline]
-    pub fn basis(n: &Vector3<f64>) -> [f64; 9] {
+    pub fn basis<T: RealField + Copy>(n: &Vector3<T>) -> [T; 9] {
+        let one = T::one();
         [
             n.x,
             n.y,
             n.z,
-            1.0,
+            one,
             n.x * n.y,
             n.x * n.z,
             n.y * n.z,
             n.x * n.x - n.y * n.y,
-            3.0 * n.z * n.z - 1.0,
+            (one + one + one) * n.z * n.z - one,
         ]
     }
 

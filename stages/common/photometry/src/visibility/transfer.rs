@@ -4,6 +4,7 @@
 use super::HORIZON;
 use super::surroundings::Surroundings;
 use nalgebra::Vector3;
+use rilievo_scene::SphericalHarmonics;
 
 /// Smallest sine of a ray's elevation over the surface: rays below are lifted to it.
 const LIFT: f32 = 0.05;
@@ -157,25 +158,16 @@ impl Transfer {
 
     /// What the surroundings send at the point's normal.
     pub fn nearby_intensity(&self) -> [f32; 3] {
-        let n = self.normal;
-        let h = [
-            n.x,
-            n.y,
-            n.z,
-            1.0,
-            n.x * n.y,
-            n.x * n.z,
-            n.y * n.z,
-            n.x * n.x - n.y * n.y,
-            3.0 * n.z * n.z - 1.0,
-        ];
+        let h = SphericalHarmonics::basis(&self.normal);
         self.nearby
             .map(|l| l.iter().zip(&h).map(|(a, b)| a * b).sum())
     }
 }
 
 #[cfg(test)]
+#[allow(clippy::unwrap_used)]
 mod tests {
+    use super::super::{DepthView, Volume, WarmSphere};
     use super::*;
 
     #[test]
@@ -205,7 +197,7 @@ mod tests {
         let light = seen.harmonics(&rays, &environment, [1.0, 0.5, 2.0]);
         // A normal 4° away from the one for which the horizon was taken.
         let moved = (normal + Vector3::new(0.05, 0.03, 0.02)).normalize();
-        let h = rilievo_scene::SphericalHarmonics::basis(&moved.map(f64::from));
+        let h = SphericalHarmonics::basis(&moved.map(f64::from));
         for channel in 0..3 {
             let bounce = [1.0, 0.5, 2.0][channel];
             let expected: f32 = rays
@@ -231,6 +223,63 @@ mod tests {
                 (value - f64::from(expected)).abs() < 1e-5,
                 "channel {channel}: {value} against {expected}"
             );
+        }
+    }
+
+    /// A plate of two by two at z = 2 that looks to −z, and a luminous sphere before it.
+    fn plate_and_sphere() -> Surroundings {
+        let view = DepthView {
+            intrinsics: rilievo_scene::Intrinsics::pinhole(16, 16, 16.0, 7.5, 7.5),
+            cam_from_world: rilievo_scene::RigidTransform {
+                rotation: nalgebra::UnitQuaternion::identity(),
+                translation: Vector3::zeros(),
+            },
+            depth: rilievo_scene::Raster::filled(16, 16, 2.0),
+            weight: rilievo_scene::Raster::filled(16, 16, 1.0),
+            image: rilievo_scene::LinearImage::filled(16, 16, 3, 0.3),
+            cut_by_frame: false,
+        };
+        let mut glow = SphericalHarmonics::default();
+        glow.0[3] = 0.4;
+        Surroundings {
+            volume: Volume::carve(&[view], 32).unwrap(),
+            sphere: Some(WarmSphere {
+                center: nalgebra::Point3::new(0.5, 0.0, 1.4),
+                radius: 0.3,
+                radiance: rilievo_scene::Lighting {
+                    channels: vec![glow; 3],
+                },
+            }),
+            ground: None,
+        }
+    }
+
+    #[test]
+    fn harmonics_agree_with_a_dense_sum_of_rays() {
+        let surroundings = plate_and_sphere();
+        let sky = |d: &Vector3<f32>| 0.5 + 0.4 * d.x - 0.3 * d.z;
+        let (point, normal) = (Vector3::new(0.05, 0.0, 2.0), Vector3::new(0.0, 0.0, -1.0));
+        let offset = 0.1;
+        let rays = directions(512);
+        let environment: Vec<[f32; 3]> = rays.iter().map(|d| [sky(d); 3]).collect();
+        let seen = transfer(&surroundings, &point, &normal, &rays, offset, false);
+        let light = seen.harmonics(&rays, &environment, [1.0; 3])[1];
+        let dense = directions(20_000);
+        for moved in [normal, Vector3::new(0.08, -0.05, -1.0).normalize()] {
+            let expected: f32 = dense
+                .iter()
+                .filter(|d| moved.dot(d) > 0.0)
+                .map(|d| {
+                    let start = point + normal * offset;
+                    let radiance = surroundings.cast(&start, d, false);
+                    let l = radiance.map_or(sky(d), |rgb| rgb[1]);
+                    4.0 / dense.len() as f32 * l * moved.dot(d)
+                })
+                .sum();
+            let h = SphericalHarmonics::basis(&moved.map(f64::from));
+            let value: f64 = light.iter().zip(&h).map(|(l, b)| f64::from(*l) * b).sum();
+            let error = (value / f64::from(expected) - 1.0).abs();
+            assert!(error < 0.03, "{value} against {expected} at {moved:?}");
         }
     }
 

@@ -1,0 +1,90 @@
+//! What the final shape, light and pigment make of each pixel: the image that they explain.
+//!
+//! `a_c = p_c · exp(bell(ln Ĩ_c − ln(p_c S_c)))`: pigment `p`, and the slow ratio between photo and
+//! light over a bell, which holds what changes more slowly than relief. `a_c S_c` times the photo's
+//! gain is the rendered image, in the photo's own linear units; what it leaves of the photo is what
+//! shape and light do not explain. Clipped and dark pixels take the albedo of their neighbours.
+
+use super::albedo::Albedo;
+use super::level::Level;
+use super::light::Light;
+use super::{plate, sampling, shading};
+use rayon::prelude::*;
+
+/// Standard deviation of the bell, pixels.
+const BELL_PX: f64 = 12.0;
+/// Largest slow ratio: a factor of two is no pigment of a plain object, but a light that is wrong.
+const MAX_LOG: f32 = 0.7;
+
+/// Images of one view, per masked pixel of a level.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Appearance {
+    /// Light times albedo, gains divided out.
+    pub rendered: Vec<[f32; 3]>,
+    /// Relative to the mean albedo that the light contains.
+    pub albedo: Vec<[f32; 3]>,
+    /// See `confidence`.
+    pub confidence: Vec<f32>,
+}
+
+/// Renders all views at the current shape; `confidence` is left empty.
+pub(crate) fn render(
+    level: &Level,
+    depths: &[Vec<f64>],
+    light: &Light,
+    albedo: Option<&Albedo>,
+) -> Vec<Appearance> {
+    let rasters = super::level::depth_rasters(level, depths);
+    (0..level.views.len())
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|i| {
+            let view = &level.views[i];
+            let target =
+                shading::mean_intensities(level, i, &depths[i], &rasters, light.mean_tolerance);
+            let normals = plate::normals(view, &depths[i]);
+            let mean = target.iter().flatten().map(|&v| f64::from(v)).sum::<f64>()
+                / (3 * target.len()).max(1) as f64;
+            let floor = (0.02 * mean) as f32;
+            let pigment = |p: usize| albedo.map_or([1.0; 3], |a| a.relative[i][p]);
+            let light: Vec<[f32; 3]> = (0..target.len())
+                .map(|p| {
+                    shading::render(&light.harmonics[i][p], normals[p]).map(|v| (v as f32).max(0.0))
+                })
+                .collect();
+            let mut weight = vec![0.0_f32; target.len()];
+            let ratio: Vec<[f32; 3]> = (0..target.len())
+                .map(|p| {
+                    let dark = light[p].iter().chain(&target[p]).any(|&v| v < floor);
+                    if dark || !view.is_usable(p) {
+                        return [0.0; 3];
+                    }
+                    weight[p] = 1.0;
+                    let known = pigment(p);
+                    std::array::from_fn(|c| {
+                        (target[p][c] / (light[p][c] * known[c]))
+                            .ln()
+                            .clamp(-MAX_LOG, MAX_LOG)
+                    })
+                })
+                .collect();
+            let slow = sampling::smooth(&view.pixels, &ratio, &weight, BELL_PX);
+            let albedo: Vec<[f32; 3]> = (0..target.len())
+                .map(|p| {
+                    let known = pigment(p);
+                    std::array::from_fn(|c| known[c] * slow[p][c].exp())
+                })
+                .collect();
+            let rendered = light
+                .iter()
+                .zip(&albedo)
+                .map(|(s, a)| std::array::from_fn(|c| s[c] * a[c]))
+                .collect();
+            Appearance {
+                rendered,
+                albedo,
+                confidence: Vec::new(),
+            }
+        })
+        .collect()
+}

@@ -1,0 +1,71 @@
+//! Nine distant harmonics for all pixels, fitted robustly on the current normals: of all views
+//! together when the light is fixed in the world, of each view when it is fixed to the camera.
+
+use super::level::Level;
+use super::light::{FIT_PIXELS, Light, rotation, with_residuals};
+use super::{albedo, plate};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use rilievo_photometry::harmonics::{FitOptions, fit_robust, rotate};
+use rilievo_scene::{LightKind, Lighting, SphericalHarmonics};
+
+/// Nine distant harmonics on the current shape.
+pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option<Light> {
+    let normals: Vec<Vec<[f64; 3]>> = level
+        .views
+        .par_iter()
+        .zip(depths)
+        .map(|(view, depth)| plate::normals(view, depth))
+        .collect();
+    let groups: Vec<Vec<usize>> = match kind {
+        LightKind::World => vec![(0..level.views.len()).collect()],
+        LightKind::Camera => (0..level.views.len()).map(|i| vec![i]).collect(),
+    };
+    let mut harmonics = vec![Vec::new(); level.views.len()];
+    for group in groups {
+        let (mut n, mut weights) = (Vec::new(), Vec::new());
+        let mut values: [Vec<f64>; 3] = Default::default();
+        for &i in &group {
+            let view = &level.views[i];
+            let step = (view.pixels.len() / FIT_PIXELS).max(1);
+            for p in (0..view.pixels.len()).step_by(step) {
+                if !view.is_usable(p) {
+                    continue;
+                }
+                let rgb = view.intensity(p).map(f64::from);
+                let m = normals[i][p];
+                n.push(view.camera.rotation.tr_mul(&Vector3::new(m[0], m[1], m[2])));
+                let mean = ((rgb[0] + rgb[1] + rgb[2]) / 3.0).max(1e-4);
+                weights.push(1.0 / (mean * mean));
+                for c in 0..3 {
+                    values[c].push(rgb[c]);
+                }
+            }
+        }
+        let channels: Option<Vec<SphericalHarmonics>> = values
+            .iter()
+            .map(|v| {
+                fit_robust(&n, v, Some(&weights), &FitOptions::default())
+                    .ok()
+                    .map(|fit| fit.coefficients)
+            })
+            .collect();
+        let world = Lighting {
+            channels: channels?,
+        };
+        for &i in &group {
+            let own = rotate(&world, &rotation(&level.views[i]));
+            let pixel = [0, 1, 2].map(|c| own.channels[c].0.map(|v| v as f32));
+            harmonics[i] = vec![pixel; level.views[i].pixels.len()];
+        }
+    }
+    let mut light = with_residuals(level, &normals, harmonics, None);
+    if kind == LightKind::Camera {
+        light.mean_tolerance = 0.0;
+    }
+    let pigment = albedo::estimate(level, depths, &light);
+    let tolerance = light.mean_tolerance;
+    let mut light = with_residuals(level, &normals, light.harmonics, Some(pigment));
+    light.mean_tolerance = tolerance;
+    Some(light)
+}

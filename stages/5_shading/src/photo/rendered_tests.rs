@@ -1,0 +1,321 @@
+//! Light, pigment, validation and outputs on rendered scenes with known truth.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use super::level::Level;
+use super::light::{self, Light, LightScene};
+use super::options::PhotoOptions;
+use super::validation::validate;
+use super::views::{self, Scene};
+use super::{distant, plate, shading};
+use nalgebra::{Point2, Point3};
+use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_scene::{
+    FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere, Photo,
+    PhotoIdx, PhotoSet, PosedView, PosedViews, Silent,
+};
+use rilievo_synthetic::{LightModel, RenderOptions, RenderedView, Renderer, SceneOptions, Subject};
+use std::sync::Arc;
+
+/// Brownish stains in space: relative albedo of a world point.
+fn stain(p: &Point3<f64>) -> [f64; 3] {
+    let wave = |a: f64, b: f64, c: f64| (60.0 * (a * p.x + b * p.y + c * p.z)).sin();
+    let s = wave(1.0, 0.4, 0.6) + wave(-0.5, 0.8, 0.7) + wave(0.3, -0.7, 0.9);
+    // Soft edges over about a centimetre.
+    let depth = 0.35 * ((s - 0.6) / 0.5).clamp(0.0, 1.0);
+    [0.6, 1.0, 1.4].map(|k| (1.0_f64 - depth).powf(k))
+}
+
+struct World {
+    views: Vec<RenderedView>,
+    photos: PhotoSet,
+    posed: PosedViews,
+}
+
+fn world(subject: Subject, light: LightModel, stained: bool, size: (usize, usize)) -> World {
+    let scene = rilievo_synthetic::Scene::new(SceneOptions {
+        seed: 5,
+        subject,
+        speckle: 0.01,
+        mesh_spacing_m: 0.003,
+        ..SceneOptions::default()
+    })
+    .unwrap();
+    let options = RenderOptions {
+        num_views: 4,
+        width: size.0,
+        height: size.1,
+        arc_deg: 50.0,
+        light,
+        noise: 0.003,
+        edge_samples: 2,
+        ..RenderOptions::default()
+    };
+    let renderer = Renderer::new(&scene, &options).unwrap();
+    let (mut photos, mut posed) = (PhotoSet::default(), PosedViews::default());
+    let mut views = Vec::new();
+    for i in 0..renderer.num_views() {
+        let mut view = renderer.render(i).unwrap();
+        if stained {
+            let world_from_cam = view.cam_from_world.inverse();
+            for y in 0..view.depth.height {
+                for x in 0..view.depth.width {
+                    let z = f64::from(*view.depth.at(x, y));
+                    if z > 0.0 {
+                        let pixel = Point2::new(x as f64, y as f64);
+                        let a = stain(&world_from_cam.apply(&view.intrinsics.unproject(&pixel, z)));
+                        for (v, a) in view.image.pixel_mut(x, y).iter_mut().zip(a) {
+                            *v *= a as f32;
+                        }
+                    }
+                }
+            }
+        }
+        photos.photos.push(Photo {
+            file_name: format!("{}.jpg", view.name),
+            name: view.name.clone(),
+            pixels: Arc::new(InMemoryPixels(Arc::new(view.image.clone()))),
+            intrinsics: view.intrinsics,
+            focal_source: FocalSource::CameraFile,
+            camera_group: 0,
+            orientation: 1,
+            mask: Some(Arc::new(view.object_mask.clone())),
+            clip_level: 0.99,
+            given_cam_from_world: None,
+        });
+        posed.views.push(PosedView {
+            photo: PhotoIdx(i),
+            name: view.name.clone(),
+            file_name: format!("{}.jpg", view.name),
+            intrinsics: view.intrinsics,
+            cam_from_world: view.cam_from_world,
+        });
+        views.push(view);
+    }
+    if let Some(sphere) = scene.sphere {
+        posed.sphere = Some(LocatedSphere {
+            center_in_world: sphere.center_in_world,
+            radius: sphere.radius,
+            center_sigma: [0.0; 3],
+            seen_in: Vec::new(),
+        });
+    }
+    World {
+        views,
+        photos,
+        posed,
+    }
+}
+
+fn loaded(world: &World) -> Scene {
+    views::load(&world.photos, &world.posed, &PhotoOptions::default()).unwrap()
+}
+
+/// True log depths at full resolution.
+fn depths(world: &World, scene: &Scene) -> Vec<Vec<f64>> {
+    let level = &scene.pyramid[0];
+    level
+        .views
+        .iter()
+        .zip(&scene.frames)
+        .zip(&world.views)
+        .map(|((view, frame), truth)| {
+            (0..view.pixels.len())
+                .map(|p| {
+                    let x = view.pixels.xs[p] as usize + frame.corner.0;
+                    let y = view.pixels.ys[p] as usize + frame.corner.1;
+                    f64::from(*truth.depth.at(x, y)).ln()
+                })
+                .collect()
+        })
+        .collect()
+}
+
+fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
+    let level = &scene.pyramid[0];
+    let rays_at = scene.pyramid.get(1).unwrap_or(level);
+    let light_scene = LightScene {
+        photos: &scene.small,
+        sphere: world.posed.sphere.as_ref(),
+        ground: None,
+        num_rays: 128,
+    };
+    light::visible(level, depths, rays_at, &light_scene).unwrap()
+}
+
+/// Median relative difference between light times pigment and the photos, away from the border.
+fn miss(level: &Level, depths: &[Vec<f64>], light: &Light) -> f64 {
+    let mut all = Vec::new();
+    for (i, view) in level.views.iter().enumerate() {
+        let normals = plate::normals(view, &depths[i]);
+        for p in (0..view.pixels.len()).step_by(3) {
+            if super::consensus::is_rim(view, p) {
+                continue;
+            }
+            let s = shading::render(&light.harmonics[i][p], normals[p]);
+            let known = light.pigment_of(i).map_or([1.0; 3], |a| a[p]);
+            let own = view.intensity(p);
+            let (a, b) = (s[1] * f64::from(known[1]), f64::from(own[1]));
+            all.push((a / b.max(1e-3) - 1.0).abs());
+        }
+    }
+    rilievo_numerics::robust::median(&mut all).unwrap()
+}
+
+#[test]
+fn light_is_recovered_with_and_without_shadow() {
+    let size = (320, 240);
+    let open = world(Subject::Bust, LightModel::Harmonics, false, size);
+    let scene = loaded(&open);
+    let truth = depths(&open, &scene);
+    let nine = distant::fit(&scene.pyramid[0], &truth, LightKind::World).unwrap();
+    let open_miss = miss(&scene.pyramid[0], &truth, &nine);
+    let shadowed = world(Subject::Bust, LightModel::Bounce, false, size);
+    let scene = loaded(&shadowed);
+    let truth = depths(&shadowed, &scene);
+    let level = &scene.pyramid[0];
+    let nine = miss(
+        level,
+        &truth,
+        &distant::fit(level, &truth, LightKind::World).unwrap(),
+    );
+    let rays = miss(level, &truth, &by_rays(&scene, &shadowed, &truth));
+    println!("nine harmonics without shadow {open_miss:.4}, with {nine:.4}; rays {rays:.4}");
+    assert!(open_miss < 0.02, "without shadow {open_miss}");
+    assert!(
+        rays < 0.9 * nine && rays < 0.05,
+        "rays {rays}, nine harmonics {nine}"
+    );
+}
+
+#[test]
+fn photos_left_out_end_shading_under_a_wrong_light() {
+    let world = world(Subject::Stone, LightModel::Bounce, false, (320, 240));
+    let scene = loaded(&world);
+    let level = &scene.pyramid[0];
+    let truth = depths(&world, &scene);
+    let right = by_rays(&scene, &world, &truth);
+    // The same light from the other side.
+    let mut wrong = right.clone();
+    for pixel in wrong.harmonics.iter_mut().flatten() {
+        for channel in pixel.iter_mut() {
+            channel[0] = -channel[0];
+            channel[1] = -channel[1];
+        }
+    }
+    let solvers: Vec<PlateSolver> = level
+        .views
+        .iter()
+        .map(|view| PlateSolver::new(&view.pixels).unwrap())
+        .collect();
+    let weights = super::lap::lap_weights(2, 0.03);
+    let options = super::lap::step_weights(level, 0.01, &weights);
+    let trust = |light: &Light| {
+        let judged = validate(
+            level,
+            &solvers,
+            &truth,
+            light,
+            &weights.shading.unwrap(),
+            &options,
+        )
+        .unwrap()
+        .unwrap();
+        let all: Vec<f32> = judged.trust.concat();
+        let mean = all.iter().sum::<f32>() / all.len() as f32;
+        println!("trust {mean:.3}, {:?}", judged.report);
+        mean
+    };
+    let (right, wrong) = (trust(&right), trust(&wrong));
+    assert!(right > 0.7, "trust in the right light {right}");
+    assert!(wrong < 0.1, "trust in the wrong light {wrong}");
+}
+
+#[test]
+fn stains_become_albedo_and_no_relief() {
+    let world = world(Subject::Stone, LightModel::Bounce, true, (400, 300));
+    let lighting = LightingCalibration {
+        source: LightSource::OwnShape,
+        kind: LightKind::World,
+        environment_in_world: None,
+        views: Vec::new(),
+    };
+    let (shaded, report) = super::run(
+        &world.photos,
+        &world.posed,
+        &lighting,
+        &PhotoOptions::default(),
+        &Silent,
+    )
+    .unwrap();
+    let (mut inside, mut outside) = (Vec::new(), Vec::new());
+    let (mut ranked, mut pairs, mut differences) = (Vec::new(), Vec::new(), Vec::new());
+    for (truth, view) in world.views.iter().zip(&shaded.views) {
+        let (albedo, rendered) = (
+            view.albedo.as_ref().unwrap(),
+            view.rendered.as_ref().unwrap(),
+        );
+        let confidence = view.confidence.as_ref().unwrap();
+        let world_from_cam = truth.cam_from_world.inverse();
+        for y in 0..truth.depth.height {
+            for x in 0..truth.depth.width {
+                let z = f64::from(*truth.depth.at(x, y));
+                let (Some(a), Some(b)) = (truth.normal.normal(x, y), view.normal.normal(x, y))
+                else {
+                    continue;
+                };
+                let error = a.dot(&b).clamp(-1.0, 1.0).acos().to_degrees();
+                let pixel = Point2::new(x as f64, y as f64);
+                let p = world_from_cam.apply(&truth.intrinsics.unproject(&pixel, z));
+                let known = stain(&p);
+                if known[1] < 0.85 {
+                    inside.push(error);
+                } else {
+                    outside.push(error);
+                }
+                let c = *confidence.at(x, y);
+                assert!((0.0..=1.0).contains(&c), "confidence {c}");
+                ranked.push((c, error));
+                pairs.push((f64::from(albedo.pixel(x, y)[1]).ln(), known[1].ln()));
+                let observed = truth.image.pixel(x, y)[1];
+                differences.push(f64::from((rendered.pixel(x, y)[1] / observed - 1.0).abs()));
+            }
+        }
+    }
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (stained, clean) = (mean(&inside), mean(&outside));
+    let correlation = correlation(&pairs);
+    let difference = rilievo_numerics::robust::median(&mut differences).unwrap();
+    ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let quarter = ranked.len() / 4;
+    let of = |part: &[(f32, f64)]| part.iter().map(|r| r.1).sum::<f64>() / part.len() as f64;
+    let (worst, best) = (of(&ranked[..quarter]), of(&ranked[3 * quarter..]));
+    println!(
+        "normals {stained:.2} deg in stains, {clean:.2} elsewhere; albedo correlates {correlation:.3}; \
+         rendered differs {difference:.4}; least confident quarter {worst:.2} deg, most {best:.2}; \
+         pigment {:?}, {:?}",
+        report.pigment, report.validation
+    );
+    assert!(
+        stained < 1.25 * clean,
+        "{stained} in stains, {clean} elsewhere"
+    );
+    assert!(correlation > 0.8, "albedo correlates {correlation}");
+    assert!(difference < 0.04, "rendered differs by {difference}");
+    assert!(worst > 1.5 * best, "least confident {worst}, most {best}");
+}
+
+fn correlation(pairs: &[(f64, f64)]) -> f64 {
+    let n = pairs.len() as f64;
+    let (ma, mb) = (
+        pairs.iter().map(|p| p.0).sum::<f64>() / n,
+        pairs.iter().map(|p| p.1).sum::<f64>() / n,
+    );
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (a, b) in pairs {
+        ab += (a - ma) * (b - mb);
+        aa += (a - ma).powi(2);
+        bb += (b - mb).powi(2);
+    }
+    ab / (aa * bb).sqrt()
+}
