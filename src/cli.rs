@@ -1,7 +1,7 @@
 //! The command line, as other tools call it.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use rilievo_io::CameraFormat;
+use rilievo_io::{CameraFormat, LightFormat};
 use rilievo_scene::StageId;
 use std::path::PathBuf;
 
@@ -25,6 +25,8 @@ pub enum Command {
     Demo(DemoArgs),
     /// Looks at photos and masks before anything is computed: what is good, what is not, what to do
     Check(CheckArgs),
+    /// Proposes masks of an object before a plain backdrop, to be looked at and corrected
+    Mask(MaskArgs),
     /// Photographs to depth maps, a point cloud and a mesh
     Reconstruct(Box<ReconstructArgs>),
     /// One stage of a run again, with what the run directory says
@@ -82,6 +84,25 @@ pub struct CheckArgs {
     pub work: WorkArgs,
 }
 
+/// `rilievo mask`
+#[derive(Debug, Args)]
+pub struct MaskArgs {
+    /// A folder of photos, or any number of files
+    #[arg(required = true, value_name = "PHOTOS")]
+    pub photos: Vec<PathBuf>,
+    /// Folder for the masks; pictures to look at go to DIR-overlays
+    #[arg(short, long, value_name = "DIR", default_value = "masks")]
+    pub output: PathBuf,
+    /// Writes over masks that are there already
+    #[arg(long)]
+    pub overwrite: bool,
+    /// How samples relate to light
+    #[arg(long, value_name = "ENCODING")]
+    pub encoding: Option<Encoding>,
+    #[command(flatten)]
+    pub work: WorkArgs,
+}
+
 /// `rilievo import`
 #[derive(Debug, Args)]
 pub struct ImportArgs {
@@ -100,12 +121,21 @@ pub struct ImportArgs {
 pub struct ExportArgs {
     /// A run directory, or a camera file
     pub source: PathBuf,
-    /// The format to write
-    #[arg(long, value_name = "FORMAT", value_parser = parse_format)]
-    pub format: CameraFormat,
+    /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras
+    #[arg(long, value_name = "FORMAT", value_parser = parse_export_format)]
+    pub format: ExportFormat,
     /// The file or folder to write
     #[arg(short, long, value_name = "PATH")]
     pub output: PathBuf,
+}
+
+/// What `rilievo export` writes.
+#[derive(Clone, Copy, Debug)]
+pub enum ExportFormat {
+    /// Cameras.
+    Cameras(CameraFormat),
+    /// Lighting.
+    Lights(LightFormat),
 }
 
 /// How to work, without any effect on results.
@@ -363,6 +393,9 @@ pub struct SynthArgs {
     /// Another seed is another object
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
+    /// A mesh to photograph instead of a made object: z up, front towards -y, of any size
+    #[arg(long, value_name = "FILE.ply")]
+    pub mesh: Option<PathBuf>,
     /// Options of scene and photographs, as TOML: tables `scene` and `photographs`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
@@ -394,6 +427,16 @@ fn parse_format(text: &str) -> Result<CameraFormat, String> {
             .collect();
         format!("formats are {}", names.join(", "))
     })
+}
+
+/// A camera format, or `lp` and `alicevision-lights`.
+fn parse_export_format(text: &str) -> Result<ExportFormat, String> {
+    match LightFormat::from_name(text) {
+        Some(format) => Ok(ExportFormat::Lights(format)),
+        None => parse_format(text)
+            .map(ExportFormat::Cameras)
+            .map_err(|formats| format!("{formats}, lp, alicevision-lights")),
+    }
 }
 
 /// `800M`, `4G`, or a number of bytes.

@@ -2,23 +2,14 @@
 
 mod common;
 
-use common::{arg, noise_photos, run, write_noise_photo};
-use rilievo_io::write_mask;
-use rilievo_scene::Mask;
+use common::{arg, noise_photos, reconstruct_until, run, write_noise_photo};
+use rilievo_io::{write_linear, write_mask};
+use rilievo_scene::{LinearImage, Mask};
 use std::path::Path;
 
 /// Reads photos only: enough for everything that is wrong with files.
 fn first_stage(photos: &Path, run_dir: &Path, more: &[&str]) -> (i32, String, String) {
-    let mut arguments = vec![
-        "reconstruct",
-        arg(photos),
-        "-o",
-        arg(run_dir),
-        "--until",
-        "1_photos",
-    ];
-    arguments.extend(more);
-    run(&arguments)
+    reconstruct_until("1_photos", photos, run_dir, more)
 }
 
 #[test]
@@ -42,12 +33,42 @@ fn bad_files_among_good_photos_are_named_and_the_good_ones_go_on() {
     std::fs::write(photos.join("notes.txt"), b"shutter 1/50").unwrap();
     let whole = std::fs::read(photos.join("p0.jpg")).unwrap();
     std::fs::write(photos.join("cut.jpg"), &whole[..whole.len() / 2]).unwrap();
+    // A sector that a memory card lost.
+    let mut damaged = whole.clone();
+    let middle = whole.len() / 2;
+    damaged[middle..middle + 512].fill(0);
+    std::fs::write(photos.join("sector.jpg"), &damaged).unwrap();
+    std::fs::write(photos.join("shot.NEF"), b"MM\0*").unwrap();
+    // Four components where three were: CMYK.
+    let mut cmyk = whole.clone();
+    let frame = whole
+        .windows(2)
+        .position(|pair| pair == [0xFF, 0xC0])
+        .unwrap();
+    cmyk[frame + 9] = 4;
+    std::fs::write(photos.join("press.jpg"), &cmyk).unwrap();
+    write_linear(&photos.join("dot.exr"), &LinearImage::filled(1, 1, 3, 0.5)).unwrap();
+    // A header that claims more pixels than any camera has.
+    std::fs::write(photos.join("huge.png"), png_header(65_500, 65_500)).unwrap();
 
     let run_dir = dir.path().join("run");
     let (code, _, stderr) = first_stage(&photos, &run_dir, &[]);
     assert_eq!(code, 0, "{stderr}");
-    for name in ["zero.jpg", "letter.jpg", "cut.jpg", "notes.txt"] {
-        assert!(stderr.contains(name), "{name} is not named in: {stderr}");
+    for (name, reason) in [
+        ("zero.jpg", "0 bytes"),
+        ("letter.jpg", "not a JPEG"),
+        ("cut.jpg", "cut off"),
+        ("sector.jpg", "damaged"),
+        ("shot.NEF", "linear 16-bit TIFF"),
+        ("press.jpg", "CMYK"),
+        ("dot.exr", "1 x 1"),
+        ("huge.png", "65500"),
+        ("notes.txt", "no photo"),
+    ] {
+        let told = stderr
+            .lines()
+            .any(|line| line.contains(name) && line.contains(reason));
+        assert!(told, "{name}: {reason} is not told in: {stderr}");
     }
     for name in ["p0", "p1", "p2"] {
         assert!(run_dir.join(format!("1_photos/linear/{name}.exr")).exists());
@@ -57,6 +78,29 @@ fn bad_files_among_good_photos_are_named_and_the_good_ones_go_on() {
         report.contains("cut.jpg"),
         "the report lists rejected photos"
     );
+}
+
+/// The first bytes of a PNG of 8-bit colours.
+fn png_header(width: u32, height: u32) -> Vec<u8> {
+    let mut bytes = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR".to_vec();
+    bytes.extend(width.to_be_bytes());
+    bytes.extend(height.to_be_bytes());
+    bytes.extend([8, 2, 0, 0, 0]);
+    // CRC-32 of the chunk (ISO 3309, as PNG asks).
+    let mut crc = u32::MAX;
+    for &byte in &bytes[12..] {
+        crc ^= u32::from(byte);
+        for _ in 0..8 {
+            crc = if crc & 1 == 1 {
+                0xEDB8_8320 ^ (crc >> 1)
+            } else {
+                crc >> 1
+            };
+        }
+    }
+    bytes.extend((!crc).to_be_bytes());
+    bytes.extend(b"\0\0\0\x10IDAT0123456789abcdef\0\0\0\0");
+    bytes
 }
 
 #[test]
@@ -235,10 +279,34 @@ fn two_photos_of_one_name_are_refused() {
         dir.path().join("right/a.jpg"),
     );
     let run_dir = dir.path().join("run");
+    // The folder above them is not searched, and says so.
+    let (code, _, stderr) = first_stage(dir.path(), &run_dir, &[]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(stderr.contains("left, right"), "{stderr}");
     let (code, _, stderr) = run(&["reconstruct", arg(&left), arg(&right), "-o", arg(&run_dir)]);
     assert_eq!(code, 3, "{stderr}");
     assert!(
         stderr.contains("left") && stderr.contains("right"),
         "{stderr}"
     );
+}
+
+#[test]
+fn a_run_without_poses_is_evaluated_to_nulls_with_reasons() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    let (code, _, stderr) = first_stage(&photos, &run_dir, &[]);
+    assert_eq!(code, 0, "{stderr}");
+    let truth = dir.path().join("truth");
+    std::fs::create_dir(&truth).unwrap();
+    let (code, stdout, stderr) =
+        run(&["evaluate", arg(&run_dir), "--truth", arg(&truth), "--json"]);
+    assert_eq!(code, 0, "{stderr}");
+    let found: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    for key in ["poses", "all", "cloud"] {
+        assert!(found[key].is_null(), "{key}: {found}");
+        assert!(found["reasons"][key].is_string(), "{key}: {found}");
+    }
+    assert_eq!(found["alignment"], "none");
 }

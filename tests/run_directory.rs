@@ -4,22 +4,14 @@
 
 mod common;
 
-use common::{arg, noise_photos, run, write_noise_photo};
+use common::{arg, noise_photos, reconstruct_until, run, write_noise_photo};
 use std::path::Path;
 
 /// Brings the first two stages up to date; `(stage, reused)` in order.
 fn two_stages(photos: &Path, run_dir: &Path, more: &[&str]) -> Vec<(String, bool)> {
-    let mut arguments = vec![
-        "reconstruct",
-        arg(photos),
-        "-o",
-        arg(run_dir),
-        "--until",
-        "2_features",
-        "--json",
-    ];
+    let mut arguments = vec!["--json"];
     arguments.extend(more);
-    let (code, stdout, stderr) = run(&arguments);
+    let (code, stdout, stderr) = reconstruct_until("2_features", photos, run_dir, &arguments);
     assert_eq!(code, 0, "{stderr}");
     stages(&stdout)
 }

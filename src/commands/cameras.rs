@@ -1,10 +1,14 @@
 //! `rilievo import` and `rilievo export`: cameras of other programs, in and out.
 
-use crate::cli::{ExportArgs, ImportArgs};
+use crate::cli::{ExportArgs, ExportFormat, ImportArgs};
 use crate::exit::Failure;
 use crate::pipeline::{from_io, load_poses};
 use crate::store::RunDir;
-use rilievo_io::{CameraFile, CameraFormat, export_cameras, import_cameras, write_cameras};
+use rilievo_io::{
+    CameraFile, CameraFormat, LightFormat, export_cameras, import_cameras, read_lighting,
+    write_cameras, write_lights,
+};
+use rilievo_scene::StageId;
 use std::path::Path;
 
 /// `rilievo import`
@@ -32,20 +36,55 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
 /// `rilievo export`
 ///
 /// # Errors
-/// When a camera has no equivalent in the format, or a file cannot be written.
+/// When a camera or light has no equivalent in the format, or a file cannot be written.
 pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
-    let cameras = if args.source.join("run.json").exists() {
-        let run = RunDir::open_to_read(&args.source)?;
-        CameraFile::from_posed_views(&load_poses(&run)?)
-    } else {
-        read(&args.source, None)?.0
+    let run = args
+        .source
+        .join("run.json")
+        .exists()
+        .then(|| RunDir::open_to_read(&args.source))
+        .transpose()?;
+    let format = match args.format {
+        ExportFormat::Cameras(format) => format,
+        ExportFormat::Lights(format) => return export_lights(args, format, run.as_ref()),
     };
-    export_cameras(&args.output, args.format, &cameras).map_err(from_io)?;
+    let cameras = match &run {
+        Some(run) => CameraFile::from_posed_views(&load_poses(run)?),
+        None => read(&args.source, None)?.0,
+    };
+    export_cameras(&args.output, format, &cameras).map_err(from_io)?;
     say!(
         "{} cameras are in {} ({})",
         cameras.cameras.len(),
         args.output.display(),
-        args.format.name()
+        format.name()
+    )?;
+    Ok(())
+}
+
+/// The lamps of a run's posed photos, in the cameras' order, so that views keep their numbers.
+fn export_lights(
+    args: &ExportArgs,
+    format: LightFormat,
+    run: Option<&RunDir>,
+) -> anyhow::Result<()> {
+    let run = run.ok_or_else(|| Failure::input(&args.source, "is no run directory"))?;
+    let file = run.stage_dir(StageId::Lighting).join("lighting.json");
+    let lighting = read_lighting(&file, None).map_err(from_io)?;
+    let lights: Vec<_> = load_poses(run)?
+        .views
+        .iter()
+        .filter_map(|view| {
+            let light = lighting.for_view(&view.name)?;
+            Some((view.file_name.clone(), light.clone()))
+        })
+        .collect();
+    write_lights(&args.output, format, &lights).map_err(from_io)?;
+    say!(
+        "{} lights are in {} ({})",
+        lights.len(),
+        args.output.display(),
+        format.name()
     )?;
     Ok(())
 }

@@ -49,8 +49,8 @@ fn look(
     }
     let resources = Resources::new(&args.work);
     let (report, problems) = check_photos(&request, &inputs, resources, console)?;
-    for warning in &report.warnings {
-        console.note(&format!("  warning: {warning}"));
+    for line in report.table().to_string().lines() {
+        console.note(&format!("  {line}"));
     }
     let usable = report.photos.len();
     *told = Some(report);

@@ -80,7 +80,7 @@ fn photograph(set: &Path, seed: u64, console: &Console) -> anyhow::Result<()> {
     console.note("photographing a synthetic scene");
     let mut options = SynthOptions::default();
     options.scene.seed = seed;
-    write_set(set, &options, console)
+    write_set(set, &options, None, console)
 }
 
 /// Deletes what an earlier demo left: this one shows what this program does, all of it.

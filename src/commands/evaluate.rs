@@ -52,6 +52,9 @@ impl Estimate {
             return Self::of_shade(root);
         }
         let run = RunDir::open_to_read(root)?;
+        if run.manifest(StageId::Poses)?.is_none() {
+            return Self::without_poses(&run);
+        }
         let views = load_poses(&run)?;
         let poses = views
             .views
@@ -69,6 +72,17 @@ impl Estimate {
         Ok(Self {
             expected: posed.chain(unregistered).collect(),
             poses,
+            maps: run.stage_dir(StageId::Shading),
+            cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
+        })
+    }
+
+    /// A run that has not come to poses yet: photos at most, from which a result was expected.
+    fn without_poses(run: &RunDir) -> anyhow::Result<Self> {
+        let photos = run.manifest(StageId::Photos)?;
+        Ok(Self {
+            poses: Vec::new(),
+            expected: photos.map_or_else(Vec::new, |manifest| manifest.items.into_keys().collect()),
             maps: run.stage_dir(StageId::Shading),
             cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
         })

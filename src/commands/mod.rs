@@ -5,6 +5,7 @@ mod check;
 mod clean;
 mod demo;
 mod evaluate;
+mod mask;
 mod reconstruct;
 mod run;
 mod shade;
@@ -33,6 +34,7 @@ pub fn dispatch(command: Command) -> anyhow::Result<()> {
         Command::Evaluate(args) => evaluate::evaluate(&args),
         Command::Synth(args) => synth::synth(&args),
         Command::Check(args) => check::check(&args),
+        Command::Mask(args) => mask::mask(&args),
         Command::Import(args) => cameras::import(&args),
         Command::Export(args) => cameras::export(&args),
     }

@@ -16,8 +16,8 @@ use crate::observe::Console;
 use crate::pipeline::from_io;
 use crate::store::StoreError;
 use rilievo_io::{
-    CameraEntry, CameraFile, write_cameras, write_depth, write_mask, write_mesh_ply, write_normal,
-    write_photo_jpeg,
+    CameraEntry, CameraFile, read_mesh_ply, write_cameras, write_depth, write_mask, write_mesh_ply,
+    write_normal, write_photo_jpeg,
 };
 use rilievo_scene::{Event, Flow, Observer, StageId, Unit};
 use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions};
@@ -43,7 +43,8 @@ pub struct SynthOptions {
 /// Unusable options, or a folder that cannot be written.
 pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
     let console = Console::new(args.json);
-    let outcome = options(args).and_then(|options| write_set(&args.output, &options, &console));
+    let outcome = options(args)
+        .and_then(|options| write_set(&args.output, &options, args.mesh.as_deref(), &console));
     if outcome.is_ok() {
         console.note(&format!(
             "{} photos, masks and ground truth are in {}",
@@ -80,9 +81,21 @@ fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
 ///
 /// # Errors
 /// As [`synth`].
-pub fn write_set(folder: &Path, options: &SynthOptions, console: &Console) -> anyhow::Result<()> {
+pub fn write_set(
+    folder: &Path,
+    options: &SynthOptions,
+    mesh: Option<&Path>,
+    console: &Console,
+) -> anyhow::Result<()> {
     let usage = |error: rilievo_synthetic::SyntheticError| Failure::Usage(error.to_string());
-    let scene = Scene::new(options.scene.clone()).map_err(usage)?;
+    let scene = match mesh {
+        None => Scene::new(options.scene.clone()).map_err(usage)?,
+        Some(path) => {
+            let mesh = read_mesh_ply(path).map_err(from_io)?;
+            Scene::with_mesh(options.scene.clone(), mesh)
+                .map_err(|error| Failure::input(path, error.to_string()))?
+        }
+    };
     let renderer = Renderer::new(&scene, &options.photographs).map_err(usage)?;
     for name in ["photos", "masks", "sphere_masks", "truth"] {
         let path = folder.join(name);
@@ -95,6 +108,7 @@ pub fn write_set(folder: &Path, options: &SynthOptions, console: &Console) -> an
     };
     let mut sphere_views = serde_json::Map::new();
     let mut lighting = serde_json::Map::new();
+    let mut gains = serde_json::Map::new();
     for index in 0..total {
         let view = renderer.render(index).map_err(usage)?;
         write_view(folder, &view)?;
@@ -104,6 +118,7 @@ pub fn write_set(folder: &Path, options: &SynthOptions, console: &Console) -> an
             sphere_views.insert(file_name.clone(), mask);
         }
         lighting.insert(view.name.clone(), serde_json::to_value(&view.lighting)?);
+        gains.insert(file_name.clone(), view.gain.into());
         cameras.cameras.push(CameraEntry {
             image: Some(file_name),
             intrinsics: view.intrinsics,
@@ -119,7 +134,18 @@ pub fn write_set(folder: &Path, options: &SynthOptions, console: &Console) -> an
             return Err(Failure::Interrupted.into());
         }
     }
+    cameras
+        .extra
+        .insert("exposure_gains".to_owned(), gains.into());
+    cameras
+        .extra
+        .insert("albedo".to_owned(), serde_json::json!(options.scene.albedo));
+    if let Some(sphere) = &scene.sphere {
+        let sphere = serde_json::json!({"center": sphere.center_in_world, "radius": sphere.radius});
+        cameras.extra.insert("sphere".to_owned(), sphere);
+    }
     write_cameras(&folder.join("truth/cameras.json"), &cameras).map_err(from_io)?;
+    cameras.extra.clear();
     for camera in &mut cameras.cameras {
         camera.cam_from_world = None;
     }

@@ -89,7 +89,12 @@ impl Inputs {
                     continue;
                 }
             };
-            let mask = match masks.as_ref().map(|folder| folder.find(&file_name)) {
+            // The photo's own folder tells two masks of one name apart.
+            let with_folder = Path::new(&text_of(path.parent().and_then(Path::file_name)))
+                .join(&file_name)
+                .to_string_lossy()
+                .into_owned();
+            let mask = match masks.as_ref().map(|folder| folder.find(&with_folder)) {
                 Some(Ok(mask)) => {
                     let hash = contents.hash(&mask)?;
                     Some((mask, hash))
@@ -189,9 +194,14 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
         let unreadable =
             |error| Failure::ReadOrWrite(format!("cannot read {}: {error}", argument.display()));
         let mut found = Vec::new();
+        let mut folders = Vec::new();
         for entry in std::fs::read_dir(argument).map_err(unreadable)? {
             let path = entry.map_err(unreadable)?.path();
-            if path.is_dir() || text_of(path.file_name()).starts_with('.') {
+            if text_of(path.file_name()).starts_with('.') {
+                continue;
+            }
+            if path.is_dir() {
+                folders.push(text_of(path.file_name()));
                 continue;
             }
             if rilievo_io::is_photo_name(&path) {
@@ -215,9 +225,17 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
             !mask
         });
         if found.is_empty() {
+            folders.sort();
+            let inside = match folders.as_slice() {
+                [] => String::new(),
+                folders => format!(
+                    "; folders inside it ({}) are not searched, name those that hold photos",
+                    folders.join(", ")
+                ),
+            };
             return Err(Failure::input(
                 argument,
-                "the folder holds no photo (JPEG, PNG, TIFF or OpenEXR)",
+                format!("the folder holds no photo (JPEG, PNG, TIFF or OpenEXR){inside}"),
             ));
         }
         files.extend(found);
@@ -238,10 +256,21 @@ impl MaskFolder {
     fn open(folder: &Path) -> Result<Self, Failure> {
         let entries = std::fs::read_dir(folder)
             .map_err(|error| Failure::input(folder, format!("cannot be read: {error}")))?;
-        let mut names: Vec<String> = entries
-            .flatten()
-            .map(|entry| text_of(Some(&entry.file_name())))
-            .collect();
+        let mut names = Vec::new();
+        for entry in entries.flatten() {
+            let name = text_of(Some(&entry.file_name()));
+            if entry.path().is_dir() {
+                let inside = std::fs::read_dir(entry.path())
+                    .into_iter()
+                    .flatten()
+                    .flatten();
+                names.extend(
+                    inside.map(|entry| format!("{name}/{}", text_of(Some(&entry.file_name())))),
+                );
+            } else {
+                names.push(name);
+            }
+        }
         names.sort();
         if names.is_empty() {
             return Err(Failure::input(folder, "the folder of masks is empty"));

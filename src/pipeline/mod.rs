@@ -18,7 +18,7 @@ mod shading;
 pub use errors::{from_io, from_lighting, from_shading};
 pub use inputs::Inputs;
 pub use parallel::Resources;
-pub use photos::check as check_photos;
+pub use photos::{check as check_photos, linear_photo, map_photos};
 pub use plan::{Plan, StageState, upstream};
 pub use poses::load as load_poses;
 pub use request::{LightingInput, Request, SphereInput};

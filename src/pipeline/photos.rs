@@ -8,12 +8,13 @@ use super::plan::version;
 use super::request::Request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
-use crate::store::{Item, StageWriter, StoreError, hash_json};
-use rilievo_io::{LinearFile, decode_photo, read_mask, write_linear, write_mask};
+use crate::store::{Item, StageWriter, StoreError, hash_bytes, hash_json};
+use rayon::prelude::*;
+use rilievo_io::{LinearFile, decode_photo_bytes, photo_size, read_mask, write_linear, write_mask};
 use rilievo_photos::{
     GivenCamera, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
 };
-use rilievo_scene::{PhotoSet, StageId};
+use rilievo_scene::{LinearImage, PhotoSet, StageId};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
@@ -57,12 +58,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console.warn(StageId::Photos, warning.clone());
     }
     let options = serde_json::to_value(&context.request.options.photos)?;
-    let prepared = map_items(
-        &inputs.photos,
-        context
-            .resources
-            .at_once(largest_photo_px(inputs) * BYTES_PER_PX),
-        StageId::Photos,
+    let prepared = map_photos(
+        inputs,
+        context.resources,
         "reading photos",
         context.console,
         |photo| {
@@ -118,6 +116,25 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     Ok(serde_json::to_value(report)?)
 }
 
+/// Works on every photo, as many at a time as memory allows; `None` when the user asked to stop.
+pub fn map_photos<R: Send>(
+    inputs: &Inputs,
+    resources: Resources,
+    step: &str,
+    console: &Console,
+    work: impl Fn(&PhotoInput) -> R + Sync,
+) -> Option<Vec<R>> {
+    let at_once = resources.at_once(largest_photo_px(inputs) * BYTES_PER_PX);
+    map_items(
+        &inputs.photos,
+        at_once,
+        StageId::Photos,
+        step,
+        console,
+        work,
+    )
+}
+
 /// The preflight alone: what the photos are, and every file that cannot be used, without keeping
 /// anything.
 ///
@@ -129,22 +146,15 @@ pub fn check(
     resources: Resources,
     console: &Console,
 ) -> anyhow::Result<(PhotosReport, Vec<Problem>)> {
-    let checked = map_items(
-        &inputs.photos,
-        resources.at_once(largest_photo_px(inputs) * BYTES_PER_PX),
-        StageId::Photos,
-        "reading photos",
-        console,
-        |photo| {
-            // Only the facts are kept: a large set need not fit into memory.
-            prepare(request, photo).map(|prepared| PreparedPhoto {
-                pixels: Arc::new(LinearFile {
-                    path: photo.path.clone(),
-                }),
-                ..prepared
-            })
-        },
-    )
+    let checked = map_photos(inputs, resources, "reading photos", console, |photo| {
+        // Only the facts are kept: a large set need not fit into memory.
+        prepare(request, photo).map(|prepared| PreparedPhoto {
+            pixels: Arc::new(LinearFile {
+                path: photo.path.clone(),
+            }),
+            ..prepared
+        })
+    })
     .ok_or(Failure::Interrupted)?;
     let mut usable = Vec::new();
     let mut problems = inputs.unreadable.clone();
@@ -165,8 +175,20 @@ pub fn check(
     let (_, mut report) = rilievo_photos::assemble(usable, &request.options.photos)
         .map_err(|error| Failure::NoResult(error.to_string()))?;
     report.rejected = problems.iter().map(rejected_photo).collect();
-    preflight(&report, console);
     Ok((report, problems))
+}
+
+/// A photo's linear pixels, without keeping anything.
+///
+/// # Errors
+/// Why the photo, or the mask or camera that was asked for with it, cannot be used.
+pub fn linear_photo(request: &Request, photo: &PhotoInput) -> anyhow::Result<Arc<LinearImage>> {
+    match prepare(request, photo) {
+        Ok(prepared) => Ok(prepared.pixels.load()?),
+        Err(Trouble::Photo(reason)) => Err(Failure::input(&photo.path, reason).into()),
+        Err(Trouble::Request(problem)) => Err(Failure::Input(vec![problem]).into()),
+        Err(Trouble::Fatal(error)) => Err(error),
+    }
 }
 
 /// Photos of a committed stage 1.
@@ -263,7 +285,16 @@ fn one(
 }
 
 fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Trouble> {
-    let decoded = decode_photo(&photo.path).map_err(|error| {
+    let bytes = std::fs::read(&photo.path)
+        .map_err(|error| Trouble::Photo(format!("cannot be read: {error}")))?;
+    // The share is kept under the content that was found at the start.
+    if hash_bytes(&bytes) != photo.hash {
+        return Err(Trouble::Request(Problem {
+            file: photo.path.clone(),
+            reason: "was replaced while it was read; run the same command again".to_owned(),
+        }));
+    }
+    let decoded = decode_photo_bytes(&photo.path, &bytes).map_err(|error| {
         let hint = error
             .hint
             .map_or(String::new(), |hint| format!(" ({hint})"));
@@ -342,10 +373,15 @@ fn write(writer: &StageWriter, prepared: PreparedPhoto) -> Result<(Kept, Vec<Str
     Ok((kept, files))
 }
 
-/// Pixels of the largest photo, from the files' sizes: JPEG stores a pixel in a bit or more.
+/// Pixels of the largest photo, by the files' headers.
 fn largest_photo_px(inputs: &Inputs) -> u64 {
-    let bytes = |photo: &PhotoInput| std::fs::metadata(&photo.path).map_or(0, |m| m.len());
-    inputs.photos.iter().map(bytes).max().unwrap_or(0) * 8
+    inputs
+        .photos
+        .par_iter()
+        .filter_map(|photo| photo_size(&photo.path))
+        .map(|(width, height)| (width * height) as u64)
+        .max()
+        .unwrap_or(0)
 }
 
 /// One line per photo: what was found before anything is computed.

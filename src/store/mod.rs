@@ -20,7 +20,7 @@ mod writer;
 
 pub use contents::Contents;
 pub use error::StoreError;
-pub use fingerprint::{Ingredients, hash_json};
+pub use fingerprint::{Ingredients, hash_bytes, hash_json};
 pub use manifest::{Item, Manifest};
 pub use run_dir::{FORMAT_VERSION, RunDir, write_atomically};
 pub use writer::StageWriter;

@@ -27,6 +27,25 @@ pub fn run(arguments: &[&str]) -> (i32, String, String) {
     )
 }
 
+/// Reconstructs up to a stage.
+pub fn reconstruct_until(
+    stage: &str,
+    photos: &Path,
+    run_dir: &Path,
+    more: &[&str],
+) -> (i32, String, String) {
+    let mut arguments = vec![
+        "reconstruct",
+        arg(photos),
+        "-o",
+        arg(run_dir),
+        "--until",
+        stage,
+    ];
+    arguments.extend(more);
+    run(&arguments)
+}
+
 /// A path as an argument.
 pub fn arg(path: &Path) -> &str {
     path.to_str().expect("test paths are UTF-8")
@@ -44,6 +63,40 @@ pub fn write_noise_photo(path: &Path, seed: u64) {
         *value = 0.05 + 0.8 * (state >> 40) as f32 / (1u64 << 24) as f32;
     }
     write_photo_jpeg(path, &image, 90).expect("a photo can be written");
+}
+
+/// A JPEG file with EXIF: orientation and focal length in 35 mm equivalents (CIPA DC-008: the tags
+/// 0x0112 in the first directory, 0xA405 in the one that 0x8769 points to).
+pub fn with_exif(jpeg: &[u8], orientation: u16, focal_35mm: u16) -> Vec<u8> {
+    let entry = |tag: u16, kind: u16, value: u32| {
+        let mut bytes = Vec::new();
+        bytes.extend(tag.to_le_bytes());
+        bytes.extend(kind.to_le_bytes());
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(value.to_le_bytes());
+        bytes
+    };
+    let directory = |entries: &[Vec<u8>]| {
+        let mut bytes = (entries.len() as u16).to_le_bytes().to_vec();
+        bytes.extend(entries.concat());
+        bytes.extend(0u32.to_le_bytes());
+        bytes
+    };
+    let mut tiff = b"II*\0\x08\0\0\0".to_vec();
+    // Header 8, first directory 2 + 2 * 12 + 4.
+    let second = 8 + 2 + 2 * 12 + 4;
+    tiff.extend(directory(&[
+        entry(0x0112, 3, u32::from(orientation)),
+        entry(0x8769, 4, second),
+    ]));
+    tiff.extend(directory(&[entry(0xA405, 3, u32::from(focal_35mm))]));
+    let mut bytes = jpeg[..2].to_vec();
+    bytes.extend([0xFF, 0xE1]);
+    bytes.extend(((tiff.len() + 8) as u16).to_be_bytes());
+    bytes.extend(b"Exif\0\0");
+    bytes.extend(&tiff);
+    bytes.extend(&jpeg[2..]);
+    bytes
 }
 
 /// A folder with `count` photos of noise.

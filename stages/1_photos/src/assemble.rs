@@ -9,6 +9,22 @@ use rilievo_scene::{FocalSource, Photo, PhotoSet};
 /// Ratio of colours between photos from which the user is warned: a tenth is a visible tint.
 const WHITE_BALANCE_WARNING: f64 = 1.1;
 
+/// Noise over level from which the user is warned: at a tenth of the shading's own range.
+const NOISE_WARNING: f64 = 0.05;
+
+/// Sharpness over the middle one of the set below which a photo is likely blurred.
+const BLUR_WARNING: f64 = 0.5;
+
+/// Photos from which on a set has a middle to compare with.
+const MIN_SET: usize = 4;
+
+/// Darkest level of all photos, where samples were taken as linear, from which a pedestal that was
+/// not subtracted is likely.
+const PEDESTAL_WARNING: f64 = 0.02;
+
+/// Corners over sides, over a whole set, below which vignetting is likely.
+const FALLOFF_WARNING: f64 = 0.7;
+
 /// Orders photos by file name, groups them by camera, and reports on the set.
 ///
 /// # Errors
@@ -72,9 +88,11 @@ pub fn assemble(
         level_spread_ev: ratio(&facts.iter().map(|f| f.median_level).collect::<Vec<_>>())
             .map_or(0.0, f64::log2),
         white_balance_spread: white_balance_spread(&facts),
+        corner_falloff: middle(facts.iter().map(|f| f.corner_falloff)),
         warnings: Vec::new(),
         photos: facts,
     };
+    check_levels(&report, options)?;
     report.warnings = warnings(&report, options);
     Ok((set, report))
 }
@@ -106,6 +124,25 @@ fn check_set(photos: &[PreparedPhoto]) -> Result<(), PhotosError> {
         });
     }
     Ok(())
+}
+
+/// Refuses photos that differ by more than one light and one exposure can explain.
+fn check_levels(report: &PhotosReport, options: &PhotosOptions) -> Result<(), PhotosError> {
+    let told = report.exposure_spread_ev.is_some();
+    if told || report.level_spread_ev <= options.max_level_spread_ev {
+        return Ok(());
+    }
+    let level = |a: &&PhotoFacts, b: &&PhotoFacts| a.median_level.total_cmp(&b.median_level);
+    let name = |facts: Option<&PhotoFacts>| facts.map_or_else(String::new, |f| f.file_name.clone());
+    Err(PhotosError::Exposure {
+        spread_ev: report.level_spread_ev,
+        dark: name(report.photos.iter().min_by(level)),
+        bright: name(report.photos.iter().max_by(level)),
+    })
+}
+
+fn middle(values: impl Iterator<Item = f64>) -> f64 {
+    crate::measures::median(&mut values.collect::<Vec<_>>())
 }
 
 /// What photos of one camera group have in common.
@@ -241,6 +278,35 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         which(&|f| f.mask_coverage.is_none() && report.num_masks > 0),
         "has no mask though others have",
     );
+    let set = report.photos.len() >= MIN_SET;
+    let sharpness = middle(report.photos.iter().map(|f| f.sharpness));
+    about(
+        which(&|f| set && f.sharpness < BLUR_WARNING * sharpness),
+        "much less sharp than the others; blurred or out of focus? Leave it out if so",
+    );
+    about(
+        which(&|f| f.noise_sigma > NOISE_WARNING * f.median_level.max(1e-4)),
+        "noisy; shoot at the lowest ISO, from a tripod, or with more light",
+    );
+    let black = report
+        .photos
+        .iter()
+        .map(|f| f.black_level)
+        .fold(f64::INFINITY, f64::min);
+    let linear = |f: &PhotoFacts| f.encoding == AppliedEncoding::Linear && f.bits < 32;
+    if set && black > PEDESTAL_WARNING && report.photos.iter().all(linear) {
+        warnings.push(format!(
+            "nothing in any photo is darker than {black:.3}: was the black level subtracted when \
+             the photos were made linear?"
+        ));
+    }
+    if set && report.corner_falloff < FALLOFF_WARNING {
+        warnings.push(format!(
+            "corners have {:.0} % of the brightness of the sides over the whole set: if the lens \
+             darkens them, use a smaller aperture or correct vignetting while developing",
+            100.0 * report.corner_falloff
+        ));
+    }
     if let Some(spread) = report.exposure_spread_ev
         && spread > options.exposure_warning_ev
     {

@@ -7,11 +7,14 @@
 //! `d > t`, its holes filled, with `t` by Otsu's method (IEEE Trans. SMC 9, 1979) on `ln(1 + d)`.
 //!
 //! It is a proposal, to be looked at and corrected by hand: shadows on the backdrop, and parts of
-//! the object as dark as it, are beyond what brightness tells.
+//! the object as dark as it, are beyond what brightness tells. How sure it is, [`MaskProposal`] says
+//! by how far the two classes lie apart, `η = between-class variance / variance` (Otsu's measure), and
+//! by how much of the object's area lies near the threshold.
 
 use crate::error::PhotosError;
 use nalgebra::{Matrix6, Vector6};
 use rilievo_scene::{LinearImage, Mask, Raster};
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Width of the ring, share of the shorter side.
@@ -30,7 +33,7 @@ const MIN_SIGMA: f64 = 0.004;
 const MAX_SIGMA: f64 = 0.05;
 
 /// Least share of the ring that must be backdrop.
-const MIN_BACKDROP_SHARE: f64 = 0.4;
+const MIN_BACKDROP_SHARE: f64 = 0.65;
 
 /// Least threshold: an empty frame has no two classes for Otsu's method to part.
 const MIN_DISTANCE: f64 = 6.0;
@@ -38,7 +41,47 @@ const MIN_DISTANCE: f64 = 6.0;
 /// Shares of the frame between which a region can be an object.
 const OBJECT_SHARES: std::ops::RangeInclusive<f64> = 0.002..=0.95;
 
+/// Distances from the threshold, as a factor, within which a pixel is in doubt.
+const DOUBT_FACTOR: f32 = 1.5;
+
+/// Backdrop levels below which it is called dark and above which bright, square root of linear.
+const DARK_BRIGHT: [f64; 2] = [0.35, 0.7];
+
 type Surface = Vector6<f64>;
+
+/// What the backdrop is like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Backdrop {
+    /// Darker than an eighth of white.
+    Dark,
+    /// Between the two.
+    Grey,
+    /// Brighter than half of white.
+    Bright,
+}
+
+/// A proposed mask and how far to trust it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MaskProposal {
+    /// The object.
+    pub mask: Mask,
+    /// What it stands before.
+    pub backdrop: Backdrop,
+    /// How far object and backdrop lie apart: Otsu's `η`, 0 to 1.
+    pub separability: f64,
+    /// Pixels near the threshold over the object's pixels.
+    pub doubtful_share: f64,
+    /// Share of the frame's border that the object touches.
+    pub border_share: f64,
+}
+
+impl MaskProposal {
+    /// Trust in one number, 0 to 1: `η` times the share that is not in doubt.
+    pub fn certainty(&self) -> f64 {
+        self.separability * (1.0 - self.doubtful_share.min(1.0))
+    }
+}
 
 fn monomials(x: f64, y: f64) -> Vector6<f64> {
     Vector6::new(1.0, x, y, x * x, x * y, y * y)
@@ -48,7 +91,7 @@ fn monomials(x: f64, y: f64) -> Vector6<f64> {
 ///
 /// # Errors
 /// [`PhotosError::NoBackdrop`] when the frame's border is not plain or nothing stands out from it.
-pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<Mask, PhotosError> {
+pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<MaskProposal, PhotosError> {
     let refuse = |reason: &'static str| PhotosError::NoBackdrop {
         photo: photo.to_owned(),
         reason,
@@ -68,6 +111,7 @@ pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<Mask, PhotosErro
 
     // Backdrop, channel by channel.
     let mut squared = vec![0.0f32; width * height];
+    let mut levels = Vec::new();
     for channel in 0..image.channels {
         let value =
             |index: usize| f64::from(image.data[index * image.channels + channel].max(0.0)).sqrt();
@@ -79,6 +123,8 @@ pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<Mask, PhotosErro
                 "its border is not plain; put one even sheet behind the object",
             ));
         }
+        let mut level: Vec<f64> = ring.iter().map(|&i| surface.dot(&at(i))).collect();
+        levels.push(crate::measures::median(&mut level));
         for (index, sum) in squared.iter_mut().enumerate() {
             let deviation = (value(index) - surface.dot(&at(index))) / sigma;
             *sum += (deviation * deviation) as f32;
@@ -87,7 +133,8 @@ pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<Mask, PhotosErro
     let distance: Vec<f32> = squared.into_iter().map(|sum| sum.sqrt().ln_1p()).collect();
 
     // Object.
-    let threshold = otsu(&distance).max(MIN_DISTANCE.ln_1p() as f32);
+    let (threshold, separability) = otsu(&distance);
+    let threshold = threshold.max(MIN_DISTANCE.ln_1p() as f32);
     let apart = Raster {
         width,
         height,
@@ -97,7 +144,27 @@ pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<Mask, PhotosErro
     if !OBJECT_SHARES.contains(&object.coverage()) {
         return Err(refuse("nothing stands out from the backdrop"));
     }
-    Ok(object)
+    // Inside the object everything may be as bright as the backdrop; only its rim is in doubt.
+    let doubt = DOUBT_FACTOR.ln();
+    let doubtful = distance
+        .iter()
+        .enumerate()
+        .filter(|&(index, &d)| {
+            (d - threshold).abs() < doubt && (!object.data[index] || !apart.data[index])
+        })
+        .count();
+    let level = levels.iter().sum::<f64>() / levels.len() as f64;
+    Ok(MaskProposal {
+        backdrop: match level {
+            l if l < DARK_BRIGHT[0] => Backdrop::Dark,
+            l if l > DARK_BRIGHT[1] => Backdrop::Bright,
+            _ => Backdrop::Grey,
+        },
+        separability,
+        doubtful_share: doubtful as f64 / object.count().max(1) as f64,
+        border_share: crate::mask::border_share(&object),
+        mask: object,
+    })
 }
 
 /// Pixels along the frame, thinned to some ten thousand.
@@ -147,8 +214,9 @@ fn fit(
         .then_some((surface, sigma, kept as f64 / ring.len() as f64))
 }
 
-/// The threshold that parts values into two classes with the largest variance between them.
-fn otsu(values: &[f32]) -> f32 {
+/// The threshold that parts values into two classes with the largest variance between them, and
+/// that variance over the whole.
+fn otsu(values: &[f32]) -> (f32, f64) {
     const NUM_BINS: usize = 256;
     let max = values.iter().copied().fold(0.0f32, f32::max).max(1e-6);
     let mut histogram = [0usize; NUM_BINS];
@@ -177,7 +245,16 @@ fn otsu(values: &[f32]) -> f32 {
             (best, best_bin) = (between, bin);
         }
     }
-    (best_bin as f32 + 1.0) / (NUM_BINS - 1) as f32 * max
+    let mean = sum / total;
+    let variance: f64 = histogram
+        .iter()
+        .enumerate()
+        .map(|(bin, &count)| (bin as f64 - mean).powi(2) * count as f64)
+        .sum();
+    // `best` holds the classes' counts where shares belong.
+    let separability = best.max(0.0) / (total * variance).max(f64::MIN_POSITIVE);
+    let threshold = (best_bin as f32 + 1.0) / (NUM_BINS - 1) as f32 * max;
+    (threshold, separability.clamp(0.0, 1.0))
 }
 
 /// Visits the pixels connected to a start through pixels of the same value.
@@ -291,11 +368,27 @@ mod tests {
     fn objects_before_dark_and_bright_gradients_are_found() {
         let dark = scene(|u, v| 0.03 + 0.03 * u * v, 0.5);
         let bright = scene(|u, v| 0.9 - 0.2 * u + 0.1 * v, 0.35);
-        for (image, truth) in [dark, bright] {
+        let cases = [(dark, Backdrop::Dark), (bright, Backdrop::Bright)];
+        for ((image, truth), backdrop) in cases {
             let found = propose_mask("a.jpg", &image).unwrap();
-            let overlap = overlap(&found, &truth);
+            let overlap = overlap(&found.mask, &truth);
             assert!(overlap > 0.98, "{overlap}");
+            assert_eq!(found.backdrop, backdrop);
+            assert!(found.certainty() > 0.8, "{found:?}");
+            assert!(found.border_share == 0.0, "{}", found.border_share);
         }
+    }
+
+    #[test]
+    fn an_object_hardly_brighter_than_its_backdrop_is_less_certain() {
+        let certainty = |object: f32| {
+            let (image, _) = scene(|u, v| 0.2 + 0.05 * u * v, object);
+            propose_mask("a.jpg", &image).map(|found| found.certainty())
+        };
+        let clear = certainty(0.8).unwrap();
+        // The object's brightness passes through the backdrop's.
+        let unclear = certainty(0.32).unwrap_or(0.0);
+        assert!(unclear < clear - 0.1, "{unclear} {clear}");
     }
 
     #[test]

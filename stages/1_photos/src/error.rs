@@ -147,6 +147,20 @@ pub enum PhotosError {
         /// A colour photo.
         color: String,
     },
+    /// The photos' levels differ by more than one light and exposure can explain.
+    #[error(
+        "brightness differs by {spread_ev:.1} EV between {dark} and {bright}, and EXIF does not tell \
+         the exposures: automatic exposure? Shoot with fixed exposure, keep EXIF, leave out the odd \
+         photos, or force it with max_level_spread_ev under [photos]"
+    )]
+    Exposure {
+        /// Largest over smallest median level, EV.
+        spread_ev: f64,
+        /// The darkest photo.
+        dark: String,
+        /// The brightest photo.
+        bright: String,
+    },
     /// No mask can be proposed.
     #[error("{photo}: no mask can be proposed: {reason}")]
     NoBackdrop {

@@ -31,7 +31,7 @@ pub mod report;
 pub mod table;
 
 pub use assemble::assemble;
-pub use backdrop::propose_mask;
+pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use encoding::linearize;
 pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions};

@@ -15,7 +15,7 @@ const FULL_SHARE: f64 = 0.999;
 const INVERTED_HOLE_SHARE: f64 = 0.01;
 
 /// Share of the pixels along the four sides that a mask marks.
-fn border_share(mask: &Mask) -> f64 {
+pub(crate) fn border_share(mask: &Mask) -> f64 {
     let (w, h) = (mask.width, mask.height);
     let mut marked = 0usize;
     let mut total = 0usize;

@@ -44,6 +44,10 @@ pub struct PhotosOptions {
     pub clipped_warning_share: f64,
     /// Spread of exposure between photos, in EV, from which the user is warned.
     pub exposure_warning_ev: f64,
+    /// Spread of the photos' median levels, in EV, beyond which photos whose EXIF does not tell
+    /// their exposure are refused: automatic exposure of that size leaves no light to solve for.
+    /// Walking around an object under one light changes its level by one or two. Larger forces it.
+    pub max_level_spread_ev: f64,
 }
 
 impl Default for PhotosOptions {
@@ -59,6 +63,7 @@ impl Default for PhotosOptions {
             inverted_border_share: 0.75,
             clipped_warning_share: 0.02,
             exposure_warning_ev: 0.1,
+            max_level_spread_ev: 5.0,
         }
     }
 }
@@ -105,6 +110,12 @@ impl PhotosOptions {
                 self.exposure_warning_ev,
                 0.0..=100.0,
                 "it must lie between 0 and 100",
+            ),
+            (
+                "max_level_spread_ev",
+                self.max_level_spread_ev,
+                0.0..=1e3,
+                "it must lie between 0 and 1000",
             ),
             (
                 "min_side_px",

@@ -103,6 +103,8 @@ pub fn prepare(
         noise_sigma: measured.noise_sigma,
         sharpness: measured.sharpness,
         color_ratios: measured.color_ratios,
+        black_level: measured.black_level,
+        corner_falloff: measured.corner_falloff,
         exif: decoded.exif,
         file_name: decoded.file_name,
     };

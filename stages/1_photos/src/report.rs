@@ -63,6 +63,10 @@ pub struct PhotoFacts {
     pub sharpness: f64,
     /// Red over green and blue over green, over the mask or the frame, of unclipped pixels.
     pub color_ratios: Option<[f64; 2]>,
+    /// Darkest thousandth of the frame, linear.
+    pub black_level: f64,
+    /// Level of the corners over that of the sides' middles; hints at vignetting over a whole set.
+    pub corner_falloff: f64,
     /// What EXIF says.
     pub exif: ExifFacts,
 }
@@ -105,6 +109,8 @@ pub struct PhotosReport {
     /// Largest over smallest ratio of colours over the masks (or frames), of both ratios the worse;
     /// absent unless all photos have colours.
     pub white_balance_spread: Option<f64>,
+    /// Median over the photos of the corners' level over that of the sides' middles.
+    pub corner_falloff: f64,
     /// What the user should know, each with the photo and what to try.
     pub warnings: Vec<String>,
 }

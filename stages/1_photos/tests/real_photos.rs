@@ -1,22 +1,12 @@
 //! Stage 1 on the photographs in the shared folder beside the repository, where it is there.
 
+#[path = "../../common/shared_data.rs"]
+mod shared_data;
+
 use rilievo_io::{decode_photo, read_mask};
 use rilievo_photos::{PhotosOptions, assemble, prepare};
 use rilievo_scene::FocalSource;
-use std::path::{Path, PathBuf};
-
-fn data(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .nth(3)?
-        .join("shared/data")
-        .join(name);
-    if !folder.is_dir() {
-        eprintln!("skipped: no {}", folder.display());
-        return None;
-    }
-    Some(folder)
-}
+use shared_data::data;
 
 #[test]
 fn focal_length_of_a_compact_camera_from_exif() {

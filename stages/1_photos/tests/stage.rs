@@ -217,6 +217,59 @@ fn exposure_that_varies_is_told() {
     );
 }
 
+/// A prepared photo of another brightness.
+fn at_level(file_name: &str, scale: f64, exif: ExifFacts) -> PreparedPhoto {
+    let mut decoded = photo(file_name, exif);
+    let samples = (0..decoded.width * decoded.height * 3).map(|i| (i % 251) as f64 / 250.0 * scale);
+    decoded.samples = Samples::F32(samples.map(|v| v as f32).collect());
+    decoded.linear_by_metadata = true;
+    prepare(decoded, None, None, &PhotosOptions::default()).unwrap()
+}
+
+#[test]
+fn levels_that_no_fixed_exposure_explains_are_refused_unless_exif_tells_or_they_are_forced() {
+    let mut options = PhotosOptions::default();
+    let set = |exif: &ExifFacts| {
+        vec![
+            at_level("dark.exr", 0.01, exif.clone()),
+            at_level("bright.exr", 0.9, exif.clone()),
+        ]
+    };
+    let error = assemble(set(&zoom(20.0)), &options)
+        .unwrap_err()
+        .to_string();
+    for expected in ["dark.exr", "bright.exr", "6.5 EV", "max_level_spread_ev"] {
+        assert!(error.contains(expected), "{error}");
+    }
+    let told = ExifFacts {
+        exposure_time_s: Some(0.01),
+        f_number: Some(8.0),
+        iso: Some(100.0),
+        ..zoom(20.0)
+    };
+    assert!(assemble(set(&told), &options).is_ok());
+    options.max_level_spread_ev = 10.0;
+    assert!(assemble(set(&zoom(20.0)), &options).is_ok());
+}
+
+#[test]
+fn a_blurred_photo_among_sharp_ones_is_told() {
+    let mut photos: Vec<PreparedPhoto> = ["a.jpg", "b.jpg", "c.jpg"]
+        .map(|name| prepared(name, zoom(20.0)))
+        .to_vec();
+    let mut blurred = photo("d.jpg", zoom(20.0));
+    let smooth = |i: usize| (100.0 + 80.0 * (i as f64 / 900.0).sin()) as u8;
+    blurred.samples = Samples::U8((0..blurred.samples.len()).map(smooth).collect());
+    photos.push(prepare(blurred, None, None, &PhotosOptions::default()).unwrap());
+    let (_, report) = assemble(photos, &PhotosOptions::default()).unwrap();
+    let told = report.warnings.iter().find(|w| w.contains("sharp"));
+    assert!(
+        told.is_some_and(|w| w.starts_with("d.jpg")),
+        "{:?}",
+        report.warnings
+    );
+}
+
 #[test]
 fn the_table_names_every_photo_and_what_is_wrong() {
     let options = PhotosOptions::default();

@@ -13,6 +13,7 @@
 //! | cameras of other programs | [`adapters`] |
 //! | the reference sphere | [`read_sphere_file`] |
 //! | lighting | [`read_lighting`], [`write_lighting`] |
+//! | lighting for other programs | [`write_lights`] |
 //! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
 //! | point clouds and meshes as PLY | [`ply`] |
 //! | depth as PFM | [`pfm`] |
@@ -23,11 +24,13 @@
 //! y down, z forward, depth along the axis); a format with others is converted here, both ways.
 
 pub mod adapters;
+mod bytes;
 pub mod cameras;
 pub mod colmap;
 pub mod error;
 pub mod exr_maps;
 mod json;
+pub mod light_export;
 pub mod lighting_file;
 pub mod mask;
 pub mod mask_names;
@@ -49,10 +52,11 @@ pub use exr_maps::{
     LinearFile, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
     write_linear, write_linear_half, write_normal,
 };
+pub use light_export::{LightFormat, write_lights};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{read_mask, write_mask};
 pub use mask_names::{expected_mask_name, find_mask, is_mask_among};
-pub use photo::{decode_photo, decode_photo_bytes, is_photo_name};
+pub use photo::{decode_photo, decode_photo_bytes, is_photo_name, photo_size};
 pub use photo_writer::{encode_photo_jpeg, write_photo_jpeg};
 pub use ply::{read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};
 pub use preview::{Preview, encode_preview_png, write_preview_png};

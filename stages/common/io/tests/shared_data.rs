@@ -3,23 +3,14 @@
 // Helpers of the tests may fail as the tests do.
 #![allow(clippy::unwrap_used)]
 
+#[path = "../../shared_data.rs"]
+mod shared_data;
+
 use nalgebra::{Point3, Vector3};
 use rilievo_io as io;
 use rilievo_scene::{SphereMark, Unit};
-use std::path::{Path, PathBuf};
-
-fn data(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .nth(4)?
-        .join("shared/data")
-        .join(name);
-    if !folder.is_dir() {
-        eprintln!("skipped: no {}", folder.display());
-        return None;
-    }
-    Some(folder)
-}
+use shared_data::data;
+use std::path::Path;
 
 #[test]
 fn a_studio_set_is_consistent() {

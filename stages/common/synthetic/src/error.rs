@@ -19,6 +19,12 @@ pub enum SyntheticError {
         /// Seed of the scene.
         seed: u64,
     },
+    /// A given mesh is no surface.
+    #[error("the mesh cannot be photographed: {reason}")]
+    Mesh {
+        /// Why.
+        reason: String,
+    },
     /// A photo beyond the last one.
     #[error("there is no photo {idx}: the scene has {num_views}")]
     NoSuchView {

@@ -12,6 +12,7 @@ mod bvh;
 mod cameras;
 mod environment;
 mod error;
+mod given;
 mod mat;
 mod noise;
 mod options;

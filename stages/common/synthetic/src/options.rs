@@ -34,6 +34,11 @@ pub struct SceneOptions {
     /// Relative standard deviation of the object's albedo, a fine speckle. It gives keypoints
     /// something to hold on to; shading takes it for shape.
     pub speckle: f64,
+    /// Share of the albedo that soft-edged brownish stains take where they are darkest; 0 has none.
+    pub stains: f64,
+    /// Share of a smooth dielectric's mirror reflection (4 % at normal incidence, more when grazed)
+    /// that the object adds to its matte light; 0 is matte, 1 is glazed.
+    pub gloss: f64,
     /// Radius of the reference sphere, metres; 0 for none.
     pub sphere_radius_m: f64,
     /// Edge of the surface mesh, metres. Finer costs time with its third power, coarser loses relief
@@ -50,6 +55,8 @@ impl Default for SceneOptions {
             relief: 1.0,
             albedo: [0.56, 0.53, 0.48],
             speckle: 0.03,
+            stains: 0.0,
+            gloss: 0.0,
             sphere_radius_m: 0.03,
             mesh_spacing_m: 0.0015,
         }
@@ -165,6 +172,18 @@ impl SceneOptions {
             "speckle",
             self.speckle,
             "0 to 0.3",
+        )?;
+        check(
+            (0.0..=0.9).contains(&self.stains),
+            "stains",
+            self.stains,
+            "0 to 0.9",
+        )?;
+        check(
+            (0.0..=1.0).contains(&self.gloss),
+            "gloss",
+            self.gloss,
+            "0 to 1",
         )?;
         check(
             (0.0..=0.5 * self.height_m).contains(&self.sphere_radius_m),

@@ -6,7 +6,7 @@
 //!
 //! Steps: a ray per pixel centre against mesh, sphere and mat; on the object Newton's method along
 //! the ray from the mesh onto the implicit surface, whose gradient is the normal (depth and normal
-//! are exact, not those of the mesh); pixels on edges again with several rays; exposure and noise.
+//! are exact, not those of the mesh; a given mesh is the surface itself); pixels on edges again with several rays; exposure and noise.
 
 use crate::bake::{Bake, Deficit, Surroundings};
 use crate::cameras::{intrinsics, place};
@@ -16,6 +16,7 @@ use crate::mat::Mat;
 use crate::options::{LightModel, RenderOptions};
 use crate::scene::Scene;
 use crate::sensor;
+use crate::shape::Shape;
 use crate::view::RenderedView;
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
@@ -246,6 +247,13 @@ fn on_edge(samples: &[Sample], width: usize, height: usize, x: usize, y: usize) 
         || (y + 1 < height && differs(x, y + 1))
 }
 
+/// Unit normal between those of a triangle's corners.
+fn between(normals: [[f32; 3]; 3], [u, v]: [f64; 2]) -> Vector3<f64> {
+    let [a, b, c] = normals.map(|n| Vector3::from(n.map(f64::from)));
+    let sum = a * (1.0 - u - v) + b * u + c * v;
+    sum.try_normalize(0.0).unwrap_or(a)
+}
+
 /// One camera at work.
 struct Shot<'a> {
     renderer: &'a Renderer<'a>,
@@ -302,15 +310,27 @@ impl Shot<'_> {
             depth_of(ground),
         );
         if let Some((t, hit)) = object.filter(|_| t_object <= t_sphere && t_object <= t_ground) {
-            let depth = self.onto_surface(&ray, t);
+            let corners = scene.mesh.triangles[hit.triangle as usize];
+            let uv = hit.uv.map(f64::from);
+            let (depth, normal) = match &scene.shape {
+                Some(shape) => {
+                    let depth = self.onto_surface(shape, &ray, t);
+                    let at = self.center + ray * depth;
+                    (depth, shape.normal(&(at.coords / scene.options.height_m)))
+                }
+                None => (
+                    t,
+                    between(corners.map(|v| scene.mesh.normals[v as usize]), uv),
+                ),
+            };
             let at = self.center + ray * depth;
-            let normal = scene.shape.normal(&(at.coords / scene.options.height_m));
-            let deficit = self.renderer.bake.on_object(
-                scene.mesh.triangles[hit.triangle as usize],
-                hit.uv.map(f64::from),
-            );
+            let deficit = self.renderer.bake.on_object(corners, uv);
             let albedo = scene.object_albedo(&at);
-            return self.lit(Kind::Object, depth, &normal, &albedo, &deficit);
+            let mut sample = self.lit(Kind::Object, depth, &normal, &albedo, &deficit);
+            if scene.options.gloss > 0.0 {
+                sample.color += self.reflection(&at, &(ray / length), &normal);
+            }
+            return sample;
         }
         if let Some((t, s)) = sphere.filter(|_| t_sphere <= t_ground) {
             let at = self.center + ray * t;
@@ -362,15 +382,35 @@ impl Shot<'_> {
         }
     }
 
+    /// What a smooth dielectric mirrors of the environment, by Schlick's approximation of Fresnel's
+    /// term (Computer Graphics Forum 13, 1994); black where the object itself is mirrored.
+    fn reflection(&self, at: &Point3<f64>, ray: &Vector3<f64>, normal: &Vector3<f64>) -> Rgb {
+        const AT_NORMAL_INCIDENCE: f64 = 0.04;
+        let scene = self.renderer.scene;
+        let cosine = (-ray.dot(normal)).clamp(0.0, 1.0);
+        let mirrored = ray - normal * (2.0 * ray.dot(normal));
+        // Off the mesh, which the exact surface may lie under by an edge's sagitta.
+        let clear = scene.options.mesh_spacing_m;
+        let origin = at + normal * clear;
+        let blocked = scene.bvh.cast(
+            origin.coords.map(|c| c as f32).into(),
+            mirrored.map(|c| c as f32).into(),
+            clear as f32,
+            f32::INFINITY,
+            true,
+        );
+        if blocked.is_some() {
+            return Rgb::zeros();
+        }
+        let share = AT_NORMAL_INCIDENCE + (1.0 - AT_NORMAL_INCIDENCE) * (1.0 - cosine).powi(5);
+        scene.environment.radiance(&mirrored) * (scene.options.gloss * share * self.scale)
+    }
+
     /// Moves a hit of the mesh along its ray onto the implicit surface.
-    fn onto_surface(&self, ray: &Vector3<f64>, start: f64) -> f64 {
+    fn onto_surface(&self, shape: &Shape, ray: &Vector3<f64>, start: f64) -> f64 {
         let scene = self.renderer.scene;
         let to_heights = 1.0 / scene.options.height_m;
-        let value = |t: f64| {
-            scene
-                .shape
-                .value(&((self.center + ray * t).coords * to_heights))
-        };
+        let value = |t: f64| shape.value(&((self.center + ray * t).coords * to_heights));
         // The mesh lies within an edge's length of the surface, except where the ray grazes it.
         let reach = 2.0 * scene.options.mesh_spacing_m / ray.norm();
         let step = 1e-7 * start;

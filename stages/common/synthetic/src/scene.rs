@@ -3,6 +3,7 @@
 use crate::bvh::Bvh;
 use crate::environment::{Environment, Rgb, fibonacci};
 use crate::error::SyntheticError;
+use crate::given;
 use crate::mat::Mat;
 use crate::noise::gradient_noise;
 use crate::options::SceneOptions;
@@ -10,6 +11,9 @@ use crate::shape::Shape;
 use crate::surface::extract;
 use nalgebra::{Point3, Vector3};
 use rilievo_scene::Mesh;
+
+/// How much of each colour a stain takes, the most first.
+const BROWN: Rgb = Rgb::new(0.75, 0.9, 1.0);
 
 /// The reference sphere, metres, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +45,8 @@ pub struct Scene {
     pub mesh: Mesh,
     /// The reference sphere, where there is one.
     pub sphere: Option<ReferenceSphere>,
-    pub(crate) shape: Shape,
+    /// The exact surface; absent where a mesh was given, which then is the surface.
+    pub(crate) shape: Option<Shape>,
     pub(crate) bvh: Bvh,
     pub(crate) mat: Mat,
     pub(crate) environment: Environment,
@@ -73,6 +78,25 @@ impl Scene {
             height,
             options.seed,
         )?;
+        Ok(Self::around(options, mesh, Some(shape)))
+    }
+
+    /// Builds a scene around a given mesh instead of a made object: moved onto the mat's middle and
+    /// scaled to the height of the options; z is up, −y the front. Its normals, made where it has
+    /// none, are the surface's.
+    ///
+    /// # Errors
+    /// Unusable options, or a mesh without triangles, with corners that are not there or numbers
+    /// that are none, or flat.
+    pub fn with_mesh(options: SceneOptions, mesh: Mesh) -> Result<Self, SyntheticError> {
+        options.validate()?;
+        let mesh = given::standing(mesh, options.height_m)
+            .map_err(|reason| SyntheticError::Mesh { reason })?;
+        Ok(Self::around(options, mesh, None))
+    }
+
+    fn around(options: SceneOptions, mesh: Mesh, shape: Option<Shape>) -> Self {
+        let height = options.height_m;
         let bvh = Bvh::new(&mesh);
         // Clear of the object by about its own size, so that it stays out of its shadow.
         let sphere = (options.sphere_radius_m > 0.0).then(|| ReferenceSphere {
@@ -83,7 +107,7 @@ impl Scene {
             ],
             radius: options.sphere_radius_m,
         });
-        Ok(Self {
+        Self {
             mat: Mat::new(options.seed, 1.75 * height, 1.35 * height),
             environment: Environment::new(options.seed, Mat::mean_albedo()),
             shape,
@@ -91,21 +115,29 @@ impl Scene {
             mesh,
             sphere,
             options,
-        })
+        }
     }
 
     /// Albedo of the object at a point of its surface.
     pub fn object_albedo(&self, point_in_world: &Point3<f64>) -> Vector3<f64> {
-        let mean = Rgb::from(self.options.albedo);
-        if self.options.speckle == 0.0 {
-            return mean;
-        }
+        let mut albedo = Rgb::from(self.options.albedo);
         let p = point_in_world.coords / self.options.height_m;
         let seed = self.options.seed as u32;
-        // Two octaves of unit variance together: gradient noise has a standard deviation of 0.28.
-        let speckle = gradient_noise(&(p / 0.010), seed ^ 0x91)
-            + 0.7 * gradient_noise(&(p / 0.026), seed ^ 0x92);
-        mean * (1.0 + self.options.speckle * speckle / 0.34)
+        if self.options.speckle > 0.0 {
+            // Two octaves of unit variance together: gradient noise has a standard deviation of 0.28.
+            let speckle = gradient_noise(&(p / 0.010), seed ^ 0x91)
+                + 0.7 * gradient_noise(&(p / 0.026), seed ^ 0x92);
+            albedo *= 1.0 + self.options.speckle * speckle / 0.34;
+        }
+        if self.options.stains > 0.0 {
+            let patches = gradient_noise(&(p / 0.16), seed ^ 0x93)
+                + 0.3 * gradient_noise(&(p / 0.05), seed ^ 0x94);
+            // A quarter of the surface, with soft edges.
+            let depth = ((patches - 0.15) / 0.25).clamp(0.0, 1.0);
+            let share = self.options.stains * depth * depth * (3.0 - 2.0 * depth);
+            albedo = albedo.component_mul(&BROWN.map(|tint| 1.0 - share * tint));
+        }
+        albedo
     }
 
     /// Points around object and sphere: what every photo should show.

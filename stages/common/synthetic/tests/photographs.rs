@@ -52,10 +52,15 @@ fn inner_pixels(view: &RenderedView) -> Vec<(usize, usize)> {
 
 #[test]
 fn harmonic_photos_obey_the_image_formation_exactly() {
-    let views = render(&scene(Subject::Bust), &small(LightModel::Harmonics)).expect("photos");
+    let options = RenderOptions {
+        width: 256,
+        height: 192,
+        ..small(LightModel::Harmonics)
+    };
+    let views = render(&scene(Subject::Bust), &options).expect("photos");
     for view in &views {
         let pixels = inner_pixels(view);
-        assert!(pixels.len() > 100, "{}", pixels.len());
+        assert!(pixels.len() > 500, "{}", pixels.len());
         for (x, y) in pixels {
             let n = view.normal.normal(x, y).expect("a normal on the object");
             for (c, row) in view.lighting.channels.iter().enumerate() {
@@ -180,6 +185,93 @@ fn true_tracks_project_where_they_say() {
             assert!((q.x - pixel[0]).hypot(q.y - pixel[1]) < 1e-9 && (p.z - depth).abs() < 1e-12);
         }
     }
+}
+
+#[test]
+fn a_given_mesh_is_photographed_as_the_shape_that_it_was_made_of() {
+    let made = scene(Subject::Ellipsoid);
+    let mut mesh = made.mesh.clone();
+    // Of any size, anywhere, without normals: it is put onto the mat.
+    for vertex in &mut mesh.vertices {
+        *vertex = vertex.map(|c| 7.0 * c + 3.0);
+    }
+    mesh.normals.clear();
+    let given = Scene::with_mesh(made.options.clone(), mesh).expect("a usable mesh");
+    let options = small(LightModel::Harmonics);
+    let (a, b) = (
+        render(&made, &options).expect("photos"),
+        render(&given, &options).expect("photos"),
+    );
+    let (mut worst_depth, mut angles) = (0.0f64, Vec::new());
+    for (a, b) in a.iter().zip(&b) {
+        for (x, y) in inner_pixels(a) {
+            let (z, other) = (f64::from(*a.depth.at(x, y)), f64::from(*b.depth.at(x, y)));
+            worst_depth = worst_depth.max((other / z - 1.0).abs());
+            let n = a.normal.normal(x, y).expect("a normal");
+            let other = b.normal.normal(x, y).expect("a normal");
+            angles.push(n.angle(&other).to_degrees());
+        }
+    }
+    angles.sort_by(f64::total_cmp);
+    let median = angles[angles.len() / 2];
+    // Chords of 6 mm on a body 24 cm high.
+    assert!(worst_depth < 5e-3, "{worst_depth}");
+    assert!(median < 2.0, "{median} degrees");
+
+    for (broken, reason) in [
+        (rilievo_scene::Mesh::default(), "no triangles"),
+        (
+            rilievo_scene::Mesh {
+                vertices: vec![[0.0; 3]; 3],
+                triangles: vec![[0, 1, 3]],
+                ..Default::default()
+            },
+            "corner 3",
+        ),
+    ] {
+        let error = Scene::with_mesh(made.options.clone(), broken).unwrap_err();
+        assert!(error.to_string().contains(reason), "{error}");
+    }
+}
+
+#[test]
+fn stains_darken_a_part_and_gloss_adds_light_where_it_is_grazed() {
+    let with = |stains: f64, gloss: f64| {
+        let options = SceneOptions {
+            stains,
+            gloss,
+            ..scene(Subject::Ellipsoid).options
+        };
+        let scene = Scene::new(options).expect("a usable scene");
+        let mut options = small(LightModel::Harmonics);
+        options.num_views = 1;
+        render(&scene, &options).expect("photos").remove(0)
+    };
+    let (plain, stained, glossy) = (with(0.0, 0.0), with(0.4, 0.0), with(0.0, 1.0));
+    let pixels = inner_pixels(&plain);
+    let ratio = |view: &RenderedView, x, y, c| {
+        f64::from(view.image.pixel(x, y)[c]) / f64::from(plain.image.pixel(x, y)[c])
+    };
+    let dark = pixels
+        .iter()
+        .filter(|&&(x, y)| ratio(&stained, x, y, 2) < 0.9)
+        .count();
+    let share = dark as f64 / pixels.len() as f64;
+    assert!((0.05..0.7).contains(&share), "{share}");
+    for &(x, y) in &pixels {
+        let [red, blue] = [0, 2].map(|c| ratio(&stained, x, y, c));
+        assert!(
+            (0.59..=1.001).contains(&blue) && blue <= red + 1e-6,
+            "{red} {blue}"
+        );
+        assert!(ratio(&glossy, x, y, 1) >= 0.999, "({x}, {y})");
+    }
+    let added: f64 = pixels
+        .iter()
+        .map(|&(x, y)| ratio(&glossy, x, y, 1) - 1.0)
+        .sum();
+    let mean = added / pixels.len() as f64;
+    assert!((0.01..0.5).contains(&mean), "{mean}");
 }
 
 #[test]

@@ -9,6 +9,9 @@
 //! | MVSNet | folder `cams/NNNNNNNN_cam.txt` | x right, y down, z forward | 0 | camera from world |
 //! | Middlebury | `*_par.txt` | the same | 0 | camera from world |
 //! | Metashape | `cameras.xml` | x right, y down, z forward | 0.5 | world from camera |
+//! | AliceVision | `cameras.sfm` (JSON) | the same | 0 | camera from world, and centre |
+//! | OpenMVS | `scene.mvs` (interface archive) | the same | 0 | camera from world, and centre |
+//! | IDR, NeuS | `cameras.npz` with `image/` | the same | 0 | projection matrix `K [R t]` |
 //! | TUM | `pose.txt` with `intrinsics.txt` | the same | 0 | world from camera |
 //!
 //! All become a [`CameraFile`] with our conventions, converted in both directions; a camera that a
@@ -19,6 +22,9 @@ mod bundler;
 mod metashape;
 mod middlebury;
 mod mvsnet;
+mod npz;
+mod openmvs;
+mod sfm_data;
 mod transforms;
 mod tum;
 
@@ -51,11 +57,17 @@ pub enum CameraFormat {
     Metashape,
     /// TUM's trajectory.
     Tum,
+    /// AliceVision's `sfmData`.
+    SfmData,
+    /// OpenMVS's scene.
+    OpenMvs,
+    /// IDR's and NeuS's `cameras.npz`.
+    Npz,
 }
 
 impl CameraFormat {
     /// All formats.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 12] = [
         Self::CamerasJson,
         Self::Colmap,
         Self::ColmapBinary,
@@ -65,6 +77,9 @@ impl CameraFormat {
         Self::Middlebury,
         Self::Metashape,
         Self::Tum,
+        Self::SfmData,
+        Self::OpenMvs,
+        Self::Npz,
     ];
 
     /// Name, as on the command line.
@@ -79,6 +94,9 @@ impl CameraFormat {
             Self::Middlebury => "middlebury",
             Self::Metashape => "metashape",
             Self::Tum => "tum",
+            Self::SfmData => "sfmdata",
+            Self::OpenMvs => "openmvs",
+            Self::Npz => "npz",
         }
     }
 
@@ -114,6 +132,15 @@ impl CameraFormat {
                 Self::CamerasJson
             });
         }
+        if name.ends_with(".sfm") {
+            return Some(Self::SfmData);
+        }
+        if name.ends_with(".mvs") {
+            return Some(Self::OpenMvs);
+        }
+        if name.ends_with(".npz") {
+            return Some(Self::Npz);
+        }
         if name.ends_with(".xml") {
             return Some(Self::Metashape);
         }
@@ -145,6 +172,9 @@ pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, I
         CameraFormat::Middlebury => middlebury::read(path),
         CameraFormat::Metashape => metashape::read(path),
         CameraFormat::Tum => tum::read(&inside(path, "pose.txt")),
+        CameraFormat::SfmData => sfm_data::read(&inside(path, "cameras.sfm")),
+        CameraFormat::OpenMvs => openmvs::read(&inside(path, "scene.mvs")),
+        CameraFormat::Npz => npz::read(&inside(path, "cameras_sphere.npz")),
     }
 }
 
@@ -178,6 +208,9 @@ pub fn export_cameras(
         CameraFormat::Middlebury => middlebury::write(path, cameras),
         CameraFormat::Metashape => metashape::write(path, cameras),
         CameraFormat::Tum => tum::write(path, cameras),
+        CameraFormat::SfmData => sfm_data::write(path, cameras),
+        CameraFormat::OpenMvs => openmvs::write(path, cameras),
+        CameraFormat::Npz => npz::write(path, cameras),
     }
 }
 

@@ -67,6 +67,9 @@ fn path_of(folder: &tempfile::TempDir, format: CameraFormat) -> PathBuf {
         CameraFormat::Middlebury => "stone_par.txt",
         CameraFormat::Metashape => "cameras.xml",
         CameraFormat::Tum => "pose.txt",
+        CameraFormat::SfmData => "cameras.sfm",
+        CameraFormat::OpenMvs => "scene.mvs",
+        CameraFormat::Npz => "cameras_sphere.npz",
     })
 }
 
@@ -89,7 +92,7 @@ fn every_format_gives_back_its_cameras() {
         let back = round_trip(format, &original);
         let worst = largest_projection_difference(&original, &back);
         assert!(worst < SAME_PX, "{format:?}: {worst}");
-        if format != CameraFormat::Mvsnet {
+        if !matches!(format, CameraFormat::Mvsnet | CameraFormat::Npz) {
             assert_eq!(
                 back.cameras[2].image, original.cameras[2].image,
                 "{format:?}"
@@ -128,6 +131,8 @@ fn lens_distortion_is_kept_or_refused() {
                         | CameraFormat::Mvsnet
                         | CameraFormat::Middlebury
                         | CameraFormat::Tum
+                        | CameraFormat::OpenMvs
+                        | CameraFormat::Npz
                 ),
                 "{error}"
             ),
@@ -391,6 +396,117 @@ fn no_part_of_a_file_panics() {
         for end in (0..whole.len()).step_by(11) {
             std::fs::write(&path, &whole[..end]).unwrap();
             let _ = import_cameras(&path, format);
+        }
+    }
+}
+
+#[test]
+fn sfm_data_of_all_versions_means_one_camera() {
+    let folder = folder();
+    let file = |name: &str, version: &str, camera: &str| {
+        let path = folder.path().join(name);
+        let text = format!(
+            r#"{{"version": {version}, "featuresFolders": "", "views": [{{"viewId": "7", "poseId": "9",
+            "intrinsicId": "5", "path": "/far/away/IMG_0000.png", "width": "64", "height": "48"}}],
+            "intrinsics": [{{"intrinsicId": "5", "width": "64", "height": "48", {camera}}}],
+            "poses": [{{"poseId": "9", "pose": {{"transform": {{"rotation":
+            ["0", "1", "0", "-1", "0", "0", "0", "0", "1"], "center": ["1", "2", "3"]}}}}}}]}}"#
+        );
+        std::fs::write(&path, text).unwrap();
+        import_cameras(&path, CameraFormat::SfmData).unwrap()
+    };
+    let versions = [
+        file(
+            "a.sfm",
+            r#"["1", "2", "0"]"#,
+            r#""type": "pinhole",
+            "pxFocalLength": ["80", "90"], "principalPoint": ["30", "25"]"#,
+        ),
+        file(
+            "b.sfm",
+            r#"["1", "2", "4"]"#,
+            r#""type": "radial3", "sensorWidth": "32",
+            "focalLength": "40", "pixelRatio": "0.88888888888888888",
+            "principalPoint": ["-2", "1"], "distortionParams": ["0", "0", "0"]"#,
+        ),
+        file(
+            "c.sfm",
+            r#"["1", "2", "8"]"#,
+            r#""type": "pinhole", "distortionType": "none",
+            "sensorWidth": "32", "focalLength": "40", "pixelRatio": "1.125",
+            "principalPoint": ["-2", "1"], "distortionParams": """#,
+        ),
+    ];
+    for found in &versions {
+        let entry = &found.cameras[0];
+        let i = &entry.intrinsics;
+        let worst = [i.fx - 80.0, i.fy - 90.0, i.cx - 30.0, i.cy - 25.0].map(f64::abs);
+        assert!(worst.iter().all(|d| *d < 1e-9), "{i:?}");
+        assert_eq!(entry.image.as_deref(), Some("IMG_0000.png"));
+        // The columns of camera from world: x of the world is y of the camera.
+        let pose = entry.cam_from_world.unwrap();
+        let point = pose.apply(&Point3::new(2.0, 2.0, 3.0));
+        assert!(
+            (point - Point3::new(0.0, 1.0, 0.0)).norm() < 1e-12,
+            "{point}"
+        );
+    }
+}
+
+#[test]
+fn a_projection_matrix_of_any_sign_and_scale_is_parted() {
+    let folder = folder();
+    let path = folder.path().join("cameras_sphere.npz");
+    std::fs::create_dir(folder.path().join("image")).unwrap();
+    for i in 0..3 {
+        let name = format!("IMG_{i:04}.png");
+        std::fs::copy(
+            folder.path().join(&name),
+            folder.path().join("image").join(&name),
+        )
+        .unwrap();
+    }
+    let original = cameras(plain());
+    export_cameras(&path, CameraFormat::Npz, &original).unwrap();
+    let mut bytes = std::fs::read(&path).unwrap();
+    // The first array's numbers, turned to the other sign: the same camera.
+    let at = bytes
+        .windows(6)
+        .position(|six| six == b"\x93NUMPY")
+        .unwrap()
+        + 128;
+    for i in 0..12 {
+        bytes[at + 8 * i + 7] ^= 0x80;
+    }
+    std::fs::write(&path, &bytes).unwrap();
+    let back = import_cameras(&path, CameraFormat::Npz).unwrap();
+    let worst = largest_projection_difference(&original, &back);
+    assert!(worst < SAME_PX, "{worst}");
+    for end in (0..bytes.len()).step_by(7) {
+        std::fs::write(&path, &bytes[..end]).unwrap();
+        assert!(
+            import_cameras(&path, CameraFormat::Npz).is_err(),
+            "{end} bytes"
+        );
+    }
+}
+
+#[test]
+fn damaged_scenes_never_panic() {
+    let folder = folder();
+    for format in [
+        CameraFormat::OpenMvs,
+        CameraFormat::Npz,
+        CameraFormat::SfmData,
+    ] {
+        let path = path_of(&folder, format);
+        export_cameras(&path, format, &cameras(plain())).unwrap();
+        let whole = std::fs::read(&path).unwrap();
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 0x5A;
+            std::fs::write(&path, &bytes).unwrap();
+            drop(import_cameras(&path, format));
         }
     }
 }

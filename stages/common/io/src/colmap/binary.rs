@@ -2,77 +2,13 @@
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
 use super::text::pose;
+use crate::bytes::Bytes;
 use crate::error::IoError;
 use nalgebra::Vector3;
 use std::path::Path;
 
 /// COLMAP's number for "no point".
 const NO_POINT: u64 = u64::MAX;
-
-/// Bytes with a position; every read is checked against the end.
-struct Bytes<'a> {
-    file: &'a Path,
-    data: &'a [u8],
-    at: usize,
-}
-
-impl Bytes<'_> {
-    fn take<const N: usize>(&mut self) -> Result<[u8; N], IoError> {
-        let piece = self
-            .data
-            .get(self.at..self.at + N)
-            .and_then(|piece| <[u8; N]>::try_from(piece).ok())
-            .ok_or_else(|| {
-                IoError::input(
-                    self.file,
-                    format!("ends too early, after {} bytes", self.data.len()),
-                )
-            })?;
-        self.at += N;
-        Ok(piece)
-    }
-
-    fn refuse(&self, reason: impl std::fmt::Display) -> IoError {
-        IoError::input(self.file, format!("at byte {}: {reason}", self.at))
-    }
-
-    fn u8(&mut self) -> Result<u8, IoError> {
-        Ok(self.take::<1>()?[0])
-    }
-
-    fn u32(&mut self) -> Result<u32, IoError> {
-        Ok(u32::from_le_bytes(self.take()?))
-    }
-
-    fn u64(&mut self) -> Result<u64, IoError> {
-        Ok(u64::from_le_bytes(self.take()?))
-    }
-
-    fn number(&mut self) -> Result<f64, IoError> {
-        let value = f64::from_le_bytes(self.take()?);
-        if value.is_finite() {
-            Ok(value)
-        } else {
-            Err(self.refuse(format!("{value} is not a finite number")))
-        }
-    }
-
-    fn size(&mut self) -> Result<usize, IoError> {
-        let value = self.u64()?;
-        usize::try_from(value).map_err(|_| self.refuse(format!("{value} is too large")))
-    }
-
-    fn name(&mut self) -> Result<String, IoError> {
-        let mut bytes = Vec::new();
-        loop {
-            match self.u8()? {
-                0 => break,
-                byte => bytes.push(byte),
-            }
-        }
-        String::from_utf8(bytes).map_err(|_| self.refuse("the image's name is no text"))
-    }
-}
 
 /// Reads the three files; `points3D.bin` may be missing.
 pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
@@ -89,16 +25,12 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
     Ok(model)
 }
 
-fn bytes<'a>(file: &'a Path, data: &'a [u8]) -> Bytes<'a> {
-    Bytes { file, data, at: 0 }
-}
-
 pub(super) fn parse_cameras(
     file: &Path,
     data: &[u8],
     model: &mut ColmapModel,
 ) -> Result<(), IoError> {
-    let mut bytes = bytes(file, data);
+    let mut bytes = Bytes::new(file, data);
     // Counts come from the file: memory is asked for as content arrives, never ahead.
     for _ in 0..bytes.u64()? {
         let id = bytes.u32()?;
@@ -127,7 +59,7 @@ pub(super) fn parse_images(
     data: &[u8],
     model: &mut ColmapModel,
 ) -> Result<(), IoError> {
-    let mut bytes = bytes(file, data);
+    let mut bytes = Bytes::new(file, data);
     for _ in 0..bytes.u64()? {
         let id = bytes.u32()?;
         let q = [
@@ -162,7 +94,7 @@ pub(super) fn parse_points(
     data: &[u8],
     model: &mut ColmapModel,
 ) -> Result<(), IoError> {
-    let mut bytes = bytes(file, data);
+    let mut bytes = Bytes::new(file, data);
     for _ in 0..bytes.u64()? {
         let mut point = ColmapPoint {
             id: bytes.u64()?,

@@ -198,3 +198,18 @@ fn no_part_of_a_binary_file_panics() {
         }
     }
 }
+
+#[test]
+fn models_with_rigs_and_frames_carry_their_poses_in_the_images() {
+    let folder = tempfile::tempdir().unwrap();
+    let views = views();
+    write_colmap_text(folder.path(), &views).unwrap();
+    let plain = read_model(folder.path()).unwrap();
+    // As COLMAP 3.12 writes them beside the model: a rig per camera, a frame per image.
+    let rigs = "# RIG_ID, NUM_SENSORS, REF_SENSOR_TYPE, REF_SENSOR_ID, SENSORS[]\n1 1 CAMERA 1\n";
+    std::fs::write(folder.path().join("rigs.txt"), rigs).unwrap();
+    let frames = "# FRAME_ID, RIG_ID, RIG_FROM_WORLD[], NUM_DATA_IDS, DATA_IDS[]\n\
+                  1 1 1 0 0 0 0 0 0 1 CAMERA 1 1\n";
+    std::fs::write(folder.path().join("frames.txt"), frames).unwrap();
+    assert_eq!(read_model(folder.path()).unwrap(), plain);
+}

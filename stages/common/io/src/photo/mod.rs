@@ -11,8 +11,9 @@
 //! | 16 bit | the same; and also when the file says nothing of its colours: programs that encode for a display write the profile or `sRGB`, those that store measurements write none |
 
 mod exif_facts;
+mod float_tiff;
 mod icc;
-mod jpeg_structure;
+mod jpeg;
 mod png_color;
 
 use crate::error::IoError;
@@ -27,24 +28,27 @@ use std::path::Path;
 const PHOTO_ENDINGS: [&str; 8] = ["jpg", "jpeg", "jpe", "png", "tif", "tiff", "exr", "hdr"];
 
 /// Endings of photos that people have and this program cannot decode.
-const FOREIGN_ENDINGS: [(&str, &str); 16] = [
+const FOREIGN_ENDINGS: [(&str, &str); 6] = [
     ("heic", "HEIC"),
     ("heif", "HEIF"),
     ("avif", "AVIF"),
     ("webp", "WebP"),
     ("jxl", "JPEG XL"),
-    ("dng", "camera RAW"),
-    ("cr2", "camera RAW"),
-    ("cr3", "camera RAW"),
-    ("nef", "camera RAW"),
-    ("arw", "camera RAW"),
-    ("raf", "camera RAW"),
-    ("rw2", "camera RAW"),
-    ("orf", "camera RAW"),
-    ("pef", "camera RAW"),
-    ("srw", "camera RAW"),
     ("gif", "GIF"),
 ];
+
+/// Endings of camera RAW files.
+const RAW_ENDINGS: [&str; 21] = [
+    "dng", "cr2", "cr3", "crw", "nef", "nrw", "arw", "srf", "sr2", "raf", "rw2", "orf", "pef",
+    "srw", "x3f", "3fr", "iiq", "mrw", "kdc", "dcr", "erf",
+];
+
+/// How a RAW file becomes a photo whose samples are proportional to light. LibRaw's `-4` writes 16
+/// bits without tone curve and automatic brightness, `-o 0` keeps the camera's colours, so that the
+/// file says nothing of its colours and is taken as linear.
+const RAW_HINT: &str = "develop all photos alike to linear 16-bit TIFF, as with LibRaw's \
+     dcraw_emu -T -4 -o 0 -w FILE, or in RawTherapee or darktable with a linear output profile and \
+     no tone curve";
 
 /// More pixels than any camera has: a header that claims them is damaged.
 const MAX_PIXELS: u64 = 1_000_000_000;
@@ -64,6 +68,7 @@ pub fn is_photo_name(path: &Path) -> bool {
     let ending = ending(path);
     !hidden
         && (PHOTO_ENDINGS.contains(&ending.as_str())
+            || RAW_ENDINGS.contains(&ending.as_str())
             || FOREIGN_ENDINGS.iter().any(|(name, _)| *name == ending))
 }
 
@@ -71,7 +76,7 @@ pub fn is_photo_name(path: &Path) -> bool {
 ///
 /// # Errors
 /// When the file cannot be read, is no image, is damaged or cut off, or is of a kind that is not
-/// supported (CMYK, grey floating-point TIFF, camera RAW).
+/// supported (CMYK, camera RAW).
 pub fn decode_photo(path: &Path) -> Result<DecodedPhoto, IoError> {
     let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
     decode_photo_bytes(path, &bytes)
@@ -85,10 +90,12 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
     if bytes.is_empty() {
         return Err(IoError::input(path, "the file is empty (0 bytes)"));
     }
-    if let Some((_, kind)) = FOREIGN_ENDINGS
-        .iter()
-        .find(|(name, _)| *name == ending(path))
-    {
+    let ending = ending(path);
+    if RAW_ENDINGS.contains(&ending.as_str()) {
+        let reason = format!("camera RAW files (.{ending}) cannot be decoded");
+        return Err(IoError::input(path, reason).with_hint(RAW_HINT));
+    }
+    if let Some((_, kind)) = FOREIGN_ENDINGS.iter().find(|(name, _)| *name == ending) {
         return Err(
             IoError::input(path, format!("{kind} files cannot be decoded"))
                 .with_hint("convert to 16-bit TIFF, OpenEXR or JPEG with one fixed development"),
@@ -121,6 +128,15 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
             "the image is damaged (its decoder failed)",
         ))
     })
+}
+
+/// Columns and rows of a photo by its header alone; `None` where it has none that can be read.
+pub fn photo_size(path: &Path) -> Option<(usize, usize)> {
+    let reader = ImageReader::open(path).ok()?.with_guessed_format().ok()?;
+    // As in decoding: a decoder that fails on damaged bytes costs this photo alone.
+    let size = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| reader.into_dimensions()));
+    let (width, height) = size.ok()?.ok()?;
+    Some((width as usize, height as usize))
 }
 
 fn file_name(path: &Path) -> String {
@@ -157,16 +173,15 @@ fn decode_raster(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<Decod
     let damaged = |error: image::ImageError| {
         let refusal = IoError::input(path, describe(&error));
         match error {
-            image::ImageError::Unsupported(_) => refusal.with_hint(
-                "convert to OpenEXR, or to PNG or TIFF with 8 or 16 bits; floating-point TIFF \
-                 must have three channels",
-            ),
+            image::ImageError::Unsupported(_) => {
+                refusal.with_hint("convert to OpenEXR, or to PNG or TIFF with 8 or 16 bits")
+            }
             _ => refusal,
         }
     };
     if format == ImageFormat::Jpeg {
-        jpeg_structure::check(bytes).map_err(|reason| match reason {
-            jpeg_structure::Defect::Cmyk => {
+        jpeg::check(bytes).map_err(|reason| match reason {
+            jpeg::Defect::Cmyk => {
                 IoError::input(path, reason.to_string()).with_hint("convert the photo to RGB")
             }
             _ => IoError::input(path, reason.to_string())
@@ -175,7 +190,29 @@ fn decode_raster(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<Decod
     }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.no_limits();
-    let mut decoder = reader.into_decoder().map_err(damaged)?;
+    let mut decoder = match reader.into_decoder() {
+        Ok(decoder) => decoder,
+        Err(error) => {
+            let float = (format == ImageFormat::Tiff)
+                .then(|| float_tiff::read(bytes))
+                .flatten();
+            return match float {
+                Some((width, height, channels, data)) => Ok(DecodedPhoto {
+                    file_name: file_name(path),
+                    width,
+                    height,
+                    channels,
+                    samples: Samples::F32(data),
+                    linear_by_metadata: true,
+                    encoding_reason: "floating point".to_owned(),
+                    profile_curve: None,
+                    alpha: None,
+                    exif: exif_facts::read(bytes),
+                }),
+                None => Err(damaged(error)),
+            };
+        }
+    };
     let (width, height) = decoder.dimensions();
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
         return Err(IoError::input(
@@ -187,10 +224,8 @@ fn decode_raster(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<Decod
         decoder.original_color_type(),
         image::ExtendedColorType::Cmyk8 | image::ExtendedColorType::Cmyk16
     ) {
-        return Err(
-            IoError::input(path, jpeg_structure::Defect::Cmyk.to_string())
-                .with_hint("convert the photo to RGB"),
-        );
+        return Err(IoError::input(path, jpeg::Defect::Cmyk.to_string())
+            .with_hint("convert the photo to RGB"));
     }
     let profile = decoder.icc_profile().ok().flatten();
     // Bounds what a damaged header can ask for beyond the pixels themselves.

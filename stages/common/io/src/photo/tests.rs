@@ -130,10 +130,97 @@ fn a_cut_off_photo_is_refused_at_every_length() {
     }
 }
 
+/// A JPEG of the real coding kinds: sequential at two samplings, grey, with restart markers, and
+/// progressive; made by another program.
+const FOREIGN_JPEGS: [(&str, &[u8]); 5] = [
+    ("4:4:4", include_bytes!("samples/plain.jpg")),
+    ("4:2:0", include_bytes!("samples/halved.jpg")),
+    ("grey", include_bytes!("samples/grey.jpg")),
+    ("restart", include_bytes!("samples/restart.jpg")),
+    ("progressive", include_bytes!("samples/progressive.jpg")),
+];
+
+#[test]
+fn jpegs_of_all_kinds_pass_and_damage_in_their_middle_is_named() {
+    for (kind, whole) in FOREIGN_JPEGS {
+        let good = decode("a.jpg", whole);
+        assert!(good.is_ok(), "{kind}: {good:?}");
+        // What disks and memory cards lose: a sector, read back as zeros or as something else.
+        for filler in [0x00, 0xA5, 0x31] {
+            for share in [0.35, 0.5, 0.65, 0.8] {
+                let at = (whole.len() as f64 * share) as usize;
+                let mut bytes = whole.to_vec();
+                bytes[at..at + 64].fill(filler);
+                let found = decode("a.jpg", &bytes);
+                let told = found
+                    .as_ref()
+                    .map_or_else(ToString::to_string, |_| String::new());
+                assert!(
+                    told.contains("damaged"),
+                    "{kind} {filler:x} {share}: {told:?}"
+                );
+            }
+        }
+        // A part that is missing, as from a broken transfer.
+        let at = whole.len() / 2;
+        let bytes = [&whole[..at], &whole[at + 100..]].concat();
+        assert!(decode("a.jpg", &bytes).is_err(), "{kind}");
+    }
+}
+
+#[test]
+fn single_wrong_bytes_of_a_jpeg_are_told_where_the_codes_fall_out_of_step() {
+    let whole = FOREIGN_JPEGS[1].1;
+    let scan = whole
+        .windows(2)
+        .position(|pair| pair == [0xFF, 0xDA])
+        .unwrap()
+        + 20;
+    let (mut num, mut num_told) = (0usize, 0usize);
+    for at in (scan..whole.len() - 200).step_by(23) {
+        let mut bytes = whole.to_vec();
+        bytes[at] ^= 0x6D;
+        num += 1;
+        num_told += usize::from(decode("a.jpg", &bytes).is_err());
+    }
+    // The others change values alone, which no check of the file's structure can see.
+    let share = num_told as f64 / num as f64;
+    assert!(share > 0.25, "{num_told} of {num}");
+}
+
+#[test]
+fn floating_point_tiffs_of_all_kinds_are_read() {
+    use tiff::encoder::{TiffEncoder, colortype};
+    let values: Vec<f32> = (0..20).map(|i| i as f32 * 0.25 - 1.0).collect();
+    let doubles: Vec<f64> = values.iter().map(|&v| f64::from(v)).collect();
+    let mut grey = Cursor::new(Vec::new());
+    TiffEncoder::new(&mut grey)
+        .unwrap()
+        .write_image::<colortype::Gray32Float>(5, 4, &values)
+        .unwrap();
+    let mut double = Cursor::new(Vec::new());
+    TiffEncoder::new(&mut double)
+        .unwrap()
+        .write_image::<colortype::Gray64Float>(5, 4, &doubles)
+        .unwrap();
+    for bytes in [grey.into_inner(), double.into_inner()] {
+        let photo = decode("a.tif", &bytes).unwrap();
+        assert_eq!((photo.width, photo.height, photo.channels), (5, 4, 1));
+        assert_eq!(photo.samples, Samples::F32(values.clone()));
+        assert!(photo.linear_by_metadata);
+        for end in 0..bytes.len() {
+            let _ = decode("a.tif", &bytes[..end]);
+        }
+        assert!(decode("a.tif", &bytes[..bytes.len() / 3]).is_err());
+    }
+}
+
 #[test]
 fn damaged_bytes_never_panic() {
-    for format in [ImageFormat::Jpeg, ImageFormat::Png, ImageFormat::Tiff] {
-        let whole = encoded(rgb8(24, 16), format);
+    let made = [ImageFormat::Jpeg, ImageFormat::Png, ImageFormat::Tiff]
+        .map(|format| encoded(rgb8(24, 16), format));
+    let progressive = FOREIGN_JPEGS[4].1[..2000].to_vec();
+    for whole in made.into_iter().chain([progressive]) {
         for at in 0..whole.len() {
             let mut bytes = whole.clone();
             bytes[at] ^= 0x5A;
@@ -148,7 +235,8 @@ fn what_is_no_photo_is_refused_by_name() {
     for (name, content, expected) in [
         ("empty.jpg", &b""[..], "0 bytes"),
         ("text.jpg", b"Dear Sir or Madam", "not a JPEG"),
-        ("raw.NEF", b"MM\0*", "camera RAW"),
+        ("raw.NEF", b"MM\0*", "linear 16-bit TIFF"),
+        ("raw.dng", b"II*\0", "dcraw_emu"),
         ("phone.heic", b"....ftypheic", "HEIC"),
     ] {
         let path = folder.path().join(name);
@@ -248,6 +336,19 @@ fn png_color_chunks_are_judged() {
     assert_eq!(gamma(0), None);
     assert_eq!(with_chunk(b"cICP", &[1, 8, 0, 1]), Some(PngColor::Linear));
     assert_eq!(with_chunk(b"cICP", &[1, 13, 0, 1]), Some(PngColor::Encoded));
+}
+
+#[test]
+fn sizes_are_read_from_headers_alone() {
+    let folder = folder();
+    for (name, format) in [("a.png", ImageFormat::Png), ("a.jpg", ImageFormat::Jpeg)] {
+        let path = folder.path().join(name);
+        let bytes = encoded(rgb8(40, 30), format);
+        std::fs::write(&path, &bytes[..bytes.len() - 40]).unwrap();
+        assert_eq!(photo_size(&path), Some((40, 30)), "{name}");
+    }
+    std::fs::write(folder.path().join("b.jpg"), b"no photo").unwrap();
+    assert_eq!(photo_size(&folder.path().join("b.jpg")), None);
 }
 
 #[test]

@@ -54,6 +54,40 @@ pub struct CloudComparison {
     pub threshold: f64,
     /// Share of the whole surface that `completeness` is measured on.
     pub counted_surface: f64,
+    /// Mean distance of the counted surface from the nearest point.
+    pub completeness_mean: f64,
+    /// Chamfer distance, L1: mean of `accuracy_mean` and `completeness_mean`.
+    pub chamfer_l1: f64,
+    /// Chamfer distance, L2: mean of both mean squared distances, truth's unit squared.
+    pub chamfer_l2: f64,
+    /// The larger of both directions' 95 % quantiles of the distance.
+    pub hausdorff_95: f64,
+    /// The same shares at other thresholds.
+    pub at: Vec<ThresholdShares>,
+}
+
+/// Shares at one threshold.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ThresholdShares {
+    /// The threshold, truth's unit.
+    pub threshold: f64,
+    /// Share of the points within it.
+    pub precision: f64,
+    /// Share of the counted surface within it of a point.
+    pub completeness: f64,
+    /// Harmonic mean of the two.
+    pub f_score: f64,
+}
+
+/// Other thresholds that are told, as multiples of the threshold.
+const OTHER_THRESHOLDS: [f64; 4] = [0.25, 0.5, 2.0, 4.0];
+
+fn harmonic_mean(a: f64, b: f64) -> f64 {
+    if a + b > 0.0 {
+        2.0 * a * b / (a + b)
+    } else {
+        0.0
+    }
 }
 
 /// What the cloud is compared with.
@@ -236,13 +270,14 @@ pub fn compare_cloud(
         .map(|p| surface.nearest(&Point3::from(*p)).0)
         .collect();
     let num = distances.len() as f64;
-    let precision = distances.iter().filter(|&&d| d <= threshold).count() as f64 / num;
+    let precision_at = |limit: f64| distances.iter().filter(|&&d| d <= limit).count() as f64 / num;
     let accuracy_mean = distances.iter().sum::<f64>() / num;
+    let accuracy_square = distances.iter().map(|d| d * d).sum::<f64>() / num;
 
     let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&points).ok()?;
     let samples = &surface.samples;
-    // 0: not counted, 1: counted and missed, 2: found.
-    let states: Vec<u8> = samples
+    // Distance from the nearest point; negative where the surface is not counted.
+    let gaps: Vec<f64> = samples
         .points
         .par_iter()
         .zip(&samples.triangles)
@@ -253,43 +288,57 @@ pub fn compare_cloud(
             let views = truth.views.iter();
             let num_seen = views.filter(|view| sees(view, &p, &normal)).count();
             if !truth.views.is_empty() && num_seen < 2 {
-                return 0;
+                return -1.0;
             }
             let nearest = tree
                 .query(sample)
                 .nearest_one::<SquaredEuclidean<f64>>()
                 .execute();
-            1 + u8::from(nearest.distance <= threshold * threshold)
+            nearest.distance.sqrt()
         })
         .collect();
-    let area_of = |wanted: &dyn Fn(u8) -> bool| -> f64 {
-        states
-            .iter()
-            .zip(&samples.areas)
-            .filter(|(state, _)| wanted(**state))
-            .map(|(_, area)| area)
-            .sum()
+    // Weighted by the area that a sample stands for.
+    let sum_of = |weight: &dyn Fn(f64) -> f64| -> f64 {
+        let pairs = gaps.iter().zip(&samples.areas);
+        pairs.map(|(&gap, area)| weight(gap) * area).sum()
     };
-    let counted = area_of(&|s| s > 0);
-    let completeness = if counted > 0.0 {
-        area_of(&|s| s == 2) / counted
-    } else {
-        0.0
+    let counted = sum_of(&|gap| f64::from(u8::from(gap >= 0.0)));
+    let mean_of = |weight: &dyn Fn(f64) -> f64| {
+        let sum = sum_of(&|gap| if gap >= 0.0 { weight(gap) } else { 0.0 });
+        if counted > 0.0 { sum / counted } else { 0.0 }
     };
-    let sum = precision + completeness;
+    let shares = |limit: f64| {
+        let precision = precision_at(limit);
+        let completeness = mean_of(&|gap| f64::from(u8::from(gap <= limit)));
+        ThresholdShares {
+            threshold: limit,
+            precision,
+            completeness,
+            f_score: harmonic_mean(precision, completeness),
+        }
+    };
+    let main = shares(threshold);
+    let at = OTHER_THRESHOLDS
+        .map(|factor| shares(factor * threshold))
+        .to_vec();
+    let completeness_mean = mean_of(&|gap| gap);
+    let mut gaps_counted: Vec<f64> = gaps.iter().copied().filter(|&gap| gap >= 0.0).collect();
+    // Samples of the surface stand for nearly equal areas, so that a plain quantile serves.
+    let gap_95 = quantile(&mut gaps_counted, 0.95).unwrap_or(0.0);
     Some(CloudComparison {
         accuracy_median: quantile(&mut distances, 0.5)?,
         accuracy_p90: quantile(&mut distances, 0.9)?,
         accuracy_mean,
-        precision,
-        completeness,
-        f_score: if sum > 0.0 {
-            2.0 * precision * completeness / sum
-        } else {
-            0.0
-        },
+        precision: main.precision,
+        completeness: main.completeness,
+        f_score: main.f_score,
         threshold,
-        counted_surface: counted / area_of(&|_| true),
+        counted_surface: counted / samples.areas.iter().sum::<f64>(),
+        completeness_mean,
+        chamfer_l1: 0.5 * (accuracy_mean + completeness_mean),
+        chamfer_l2: 0.5 * (accuracy_square + mean_of(&|gap| gap * gap)),
+        hausdorff_95: quantile(&mut distances, 0.95)?.max(gap_95),
+        at,
     })
 }
 
@@ -350,6 +399,18 @@ mod tests {
         assert!((whole.completeness - 0.515).abs() < 0.01, "{whole:?}");
         let expected = 2.0 * whole.completeness / (1.0 + whole.completeness);
         assert!((whole.f_score - expected).abs() < 1e-12, "{whole:?}");
+        // Half of the surface lies on average a quarter away, the other under the points.
+        assert!((whole.completeness_mean - 0.128).abs() < 0.005, "{whole:?}");
+        let l1 = 0.5 * (whole.accuracy_mean + whole.completeness_mean);
+        assert!((whole.chamfer_l1 - l1).abs() < 1e-12, "{whole:?}");
+        // The mean square of 0 to 1/2 over half of the surface, and half of that.
+        assert!((whole.chamfer_l2 - 0.5 / 24.0).abs() < 1e-3, "{whole:?}");
+        assert!((whole.hausdorff_95 - 0.45).abs() < 0.02, "{whole:?}");
+        let growing = whole
+            .at
+            .windows(2)
+            .all(|w| w[0].completeness < w[1].completeness);
+        assert!(growing && whole.at.len() == 4, "{whole:?}");
     }
 
     #[test]

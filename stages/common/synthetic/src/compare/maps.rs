@@ -56,6 +56,8 @@ pub struct PixelErrors {
     pub normal_deg: Vec<f64>,
     /// Relative errors of depth, absolute values.
     pub depth_rel: Vec<f64>,
+    /// Depths of both sides, `[estimate times scale, truth]`, truth's unit.
+    pub depths: Vec<[f32; 2]>,
     /// Where the normals come from.
     pub normal_source: NormalSource,
 }
@@ -75,6 +77,13 @@ pub struct MapComparison {
     pub depth_p90_rel: Option<f64>,
     /// Root mean square of the relative depth error.
     pub depth_rms_rel: Option<f64>,
+    /// Mean absolute error of depth, truth's unit.
+    pub depth_mae: Option<f64>,
+    /// Root mean square error of depth, truth's unit.
+    pub depth_rmse: Option<f64>,
+    /// The same after the scale and offset of depth that fit best, which are told beside it: what
+    /// is left of a shape whose distance and size are free.
+    pub depth_rmse_scale_offset: Option<[f64; 3]>,
     /// Share of compared normals within 11.25, 22.5 and 30 degrees.
     pub normal_within_11_22_30_deg: Option<[f64; 3]>,
     /// Where the normals come from.
@@ -86,6 +95,40 @@ pub struct MapComparison {
 }
 
 impl PixelErrors {
+    fn depth_errors(&self, of: impl Fn(f64) -> f64) -> Vec<f64> {
+        let difference = |[z, truth]: &[f32; 2]| f64::from(*z) - f64::from(*truth);
+        self.depths
+            .iter()
+            .map(|pair| of(difference(pair)))
+            .collect()
+    }
+
+    /// Root mean square of `a z + b − truth` over the best `a` and `b`; `[rms, a, b]`.
+    fn fitted_depth(&self) -> Option<[f64; 3]> {
+        if self.depths.is_empty() {
+            return None;
+        }
+        let num = self.depths.len() as f64;
+        let pairs = || {
+            self.depths
+                .iter()
+                .map(|[z, t]| (f64::from(*z), f64::from(*t)))
+        };
+        let (z_mean, t_mean) =
+            pairs().fold((0.0, 0.0), |(a, b), (z, t)| (a + z / num, b + t / num));
+        let (mut zz, mut zt) = (0.0, 0.0);
+        for (z, t) in pairs() {
+            zz += (z - z_mean).powi(2);
+            zt += (z - z_mean) * (t - t_mean);
+        }
+        let scale = if zz > 0.0 { zt / zz } else { 1.0 };
+        let offset = t_mean - scale * z_mean;
+        let square = pairs()
+            .map(|(z, t)| (scale * z + offset - t).powi(2))
+            .sum::<f64>();
+        Some([(square / num).sqrt(), scale, offset])
+    }
+
     /// Means and quantiles.
     pub fn summary(&self) -> MapComparison {
         let mut reasons = BTreeMap::new();
@@ -93,7 +136,14 @@ impl PixelErrors {
             reasons.insert("complete".into(), "the truth has no depth here".into());
         }
         if self.depth_rel.is_empty() {
-            for key in ["depth_median_rel", "depth_p90_rel", "depth_rms_rel"] {
+            for key in [
+                "depth_median_rel",
+                "depth_p90_rel",
+                "depth_rms_rel",
+                "depth_mae",
+                "depth_rmse",
+                "depth_rmse_scale_offset",
+            ] {
                 reasons.insert(
                     key.into(),
                     "no pixel has both an estimated and a true depth".into(),
@@ -130,6 +180,9 @@ impl PixelErrors {
             depth_p90_rel: quantile(&mut depth, 0.9),
             depth_rms_rel: mean(&self.depth_rel.iter().map(|d| d * d).collect::<Vec<_>>())
                 .map(f64::sqrt),
+            depth_mae: mean(&self.depth_errors(|e| e.abs())),
+            depth_rmse: mean(&self.depth_errors(|e| e * e)).map(f64::sqrt),
+            depth_rmse_scale_offset: self.fitted_depth(),
             normal_within_11_22_30_deg: (!normal.is_empty())
                 .then(|| [share_within(11.25), share_within(22.5), share_within(30.0)]),
             normals_from: self.normal_source,
@@ -150,6 +203,7 @@ pub fn aggregate<'a>(views: impl Iterator<Item = &'a PixelErrors>) -> Option<Map
             all.num_estimated += view.num_estimated;
             all.normal_deg.extend_from_slice(&view.normal_deg);
             all.depth_rel.extend_from_slice(&view.depth_rel);
+            all.depths.extend_from_slice(&view.depths);
             Some(all)
         })
         .map(|all| all.summary())
@@ -196,6 +250,7 @@ pub fn compare_maps(
         num_estimated: 0,
         normal_deg: Vec::new(),
         depth_rel: Vec::new(),
+        depths: Vec::new(),
         normal_source,
     };
     let Some(depth) = depth else {
@@ -208,6 +263,9 @@ pub fn compare_maps(
             errors
                 .depth_rel
                 .push(((scale * f64::from(z) - z_true) / z_true).abs());
+            errors
+                .depths
+                .push([(scale * f64::from(z)) as f32, z_true as f32]);
         }
     }
     let planes;
@@ -402,6 +460,16 @@ mod tests {
             assert_eq!(summary.complete, Some(0.5));
             let median = summary.depth_median_rel.expect("pixels in common");
             assert!((median - 0.01).abs() < 1e-6, "{median}");
+            let [rms, scale, offset] = summary.depth_rmse_scale_offset.expect("pixels in common");
+            assert!(
+                rms < 1e-6 && (scale * 1.01 - 1.0).abs() < 1e-5,
+                "{rms} {scale} {offset}"
+            );
+            let (mae, rmse) = (summary.depth_mae, summary.depth_rmse);
+            assert!(
+                mae > Some(0.005) && mae < Some(0.05) && mae <= rmse,
+                "{mae:?} {rmse:?}"
+            );
             let mae = summary.normal_mae_deg.expect("pixels in common");
             assert!(mae < 1e-2, "{mae}");
         }

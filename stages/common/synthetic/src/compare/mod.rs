@@ -10,7 +10,7 @@ mod evaluation;
 mod maps;
 
 pub use align::{AlignmentRequest, NamedPose, PoseComparison, Similarity, align, compare_poses};
-pub use cloud::{CloudComparison, MeshDistance, TrueSurface, compare_cloud};
+pub use cloud::{CloudComparison, MeshDistance, ThresholdShares, TrueSurface, compare_cloud};
 pub use evaluation::{Alignment, Evaluation, evaluate};
 pub use maps::{
     MapComparison, NormalSource, PixelErrors, TruthView, aggregate, compare_maps, plane_normals,

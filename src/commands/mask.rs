@@ -1,0 +1,202 @@
+//! `rilievo mask PHOTOS`: proposes masks of an object before a plain backdrop.
+//!
+//! ```text
+//! DIR/NAME.png            the proposed mask, white is object
+//! DIR-overlays/NAME.png   the photo with the mask's outline, what it leaves out darkened
+//! ```
+//!
+//! A mask that is there already is left alone: it may have been corrected by hand.
+
+use super::finish;
+use crate::cli::MaskArgs;
+use crate::config::StageOptions;
+use crate::exit::{Failure, Problem};
+use crate::observe::Console;
+use crate::pipeline::{
+    Inputs, LightingInput, Request, Resources, SphereInput, from_io, linear_photo, map_photos,
+};
+use crate::store::{Contents, StoreError};
+use rilievo_io::{Preview, write_mask, write_preview_png};
+use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
+use rilievo_scene::{LinearImage, Mask};
+use std::path::{Path, PathBuf};
+
+/// Certainty below which the user is asked to look closely.
+const CLEAR: f64 = 0.6;
+
+/// Longer side of the pictures to look at.
+const OVERLAY_SIDE_PX: usize = 1600;
+
+/// Brightness of what the mask leaves out, in the pictures.
+const OUTSIDE: f32 = 0.25;
+
+/// Linear red of the outline.
+const OUTLINE: [f32; 3] = [1.0, 0.05, 0.02];
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Input`] with the photos that cannot be read; [`Failure::NoResult`] when no mask could
+/// be proposed for some photo. The others' masks are written first.
+pub fn mask(args: &MaskArgs) -> anyhow::Result<()> {
+    let console = Console::new(args.work.json);
+    let mut told = Vec::new();
+    let outcome = propose(args, &console, &mut told);
+    finish(&console, &outcome, serde_json::json!({"masks": told}));
+    outcome
+}
+
+/// What became of a photo.
+enum Proposed {
+    Written(MaskProposal),
+    Kept,
+}
+
+fn propose(
+    args: &MaskArgs,
+    console: &Console,
+    told: &mut Vec<serde_json::Value>,
+) -> anyhow::Result<()> {
+    let mut options = StageOptions::default();
+    options.override_with(None, None, args.encoding);
+    let request = Request {
+        photos: args.photos.clone(),
+        masks: None,
+        cameras: None,
+        sphere: SphereInput::None,
+        lighting: LightingInput::Found,
+        options,
+    };
+    let inputs = Inputs::scan(&request, &mut Contents::without_memory())?;
+    for problem in &inputs.skipped {
+        console.note(&format!("  {problem}"));
+    }
+    let overlays = overlay_folder(&args.output);
+    for folder in [&args.output, &overlays] {
+        std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+    }
+    let resources = Resources::new(&args.work);
+    let outcomes = map_photos(
+        &inputs,
+        resources,
+        "proposing masks",
+        console,
+        |photo| -> anyhow::Result<Proposed> {
+            let target = args.output.join(format!("{}.png", photo.name));
+            if target.exists() && !args.overwrite {
+                return Ok(Proposed::Kept);
+            }
+            let image = linear_photo(&request, photo)?;
+            let proposal = propose_mask(&photo.file_name, &image)
+                .map_err(|error| Failure::NoResult(error.to_string()))?;
+            write_mask(&target, &proposal.mask).map_err(from_io)?;
+            let overlay = overlay(&image, &proposal.mask);
+            let picture = overlays.join(format!("{}.png", photo.name));
+            write_preview_png(&picture, Preview::Linear(&overlay), OVERLAY_SIDE_PX)
+                .map_err(from_io)?;
+            Ok(Proposed::Written(proposal))
+        },
+    )
+    .ok_or(Failure::Interrupted)?;
+
+    let mut unusable: Vec<Problem> = inputs.unreadable.clone();
+    let mut without = Vec::new();
+    for (photo, outcome) in inputs.photos.iter().zip(outcomes) {
+        let name = &photo.file_name;
+        match outcome {
+            Ok(Proposed::Written(proposal)) => {
+                console.note(&format!("  {name}: {}", sentence(&proposal)));
+                told.push(facts(name, &proposal));
+            }
+            Ok(Proposed::Kept) => console.note(&format!(
+                "  {name}: has a mask already, left as it is (--overwrite makes it anew)"
+            )),
+            Err(error) => match error.downcast_ref::<Failure>() {
+                Some(Failure::Input(problems)) => unusable.extend(problems.iter().cloned()),
+                Some(Failure::NoResult(reason)) => without.push(reason.clone()),
+                _ => return Err(error),
+            },
+        }
+    }
+    if !unusable.is_empty() {
+        without
+            .iter()
+            .for_each(|reason| console.note(&format!("  {reason}")));
+        return Err(Failure::Input(unusable).into());
+    }
+    if !without.is_empty() {
+        return Err(Failure::NoResult(without.join("\n")).into());
+    }
+    console.note(&format!(
+        "masks are in {}, pictures to look at in {}; correct the masks by hand where needed",
+        args.output.display(),
+        overlays.display()
+    ));
+    Ok(())
+}
+
+/// `masks-overlays` beside `masks`: among the masks, the pictures would be taken for masks.
+fn overlay_folder(masks: &Path) -> PathBuf {
+    let mut name = masks.file_name().unwrap_or_default().to_os_string();
+    name.push("-overlays");
+    masks.with_file_name(name)
+}
+
+fn sentence(proposal: &MaskProposal) -> String {
+    let backdrop = match proposal.backdrop {
+        Backdrop::Dark => "dark",
+        Backdrop::Grey => "grey",
+        Backdrop::Bright => "bright",
+    };
+    let mut text = format!(
+        "{:.1} % of the frame before a {backdrop} backdrop, certainty {:.2}",
+        100.0 * proposal.mask.coverage(),
+        proposal.certainty()
+    );
+    if proposal.certainty() < CLEAR {
+        text += "; not clear, look closely";
+    }
+    if proposal.border_share > 0.0 {
+        text += "; the object touches the frame's border";
+    }
+    text
+}
+
+fn facts(photo: &str, proposal: &MaskProposal) -> serde_json::Value {
+    serde_json::json!({
+        "photo": photo,
+        "coverage": proposal.mask.coverage(),
+        "backdrop": proposal.backdrop,
+        "certainty": proposal.certainty(),
+        "separability": proposal.separability,
+        "doubtful_share": proposal.doubtful_share,
+        "border_share": proposal.border_share,
+    })
+}
+
+/// The photo in colours, darkened outside the mask, with its outline.
+fn overlay(image: &LinearImage, mask: &Mask) -> LinearImage {
+    let mut picture = LinearImage::filled(image.width, image.height, 3, 0.0);
+    // As wide as a line of the picture that is shown.
+    let reach = (image.width.max(image.height) / OVERLAY_SIDE_PX) as isize + 1;
+    for y in 0..image.height {
+        for x in 0..image.width {
+            let inside = *mask.at(x, y);
+            let (px, py) = (x as isize, y as isize);
+            let on_outline = inside
+                && [(reach, 0), (-reach, 0), (0, reach), (0, -reach)]
+                    .iter()
+                    .any(|(dx, dy)| !mask.contains(px + dx, py + dy));
+            let light = if inside { 1.0 } else { OUTSIDE };
+            let from = image.pixel(x, y);
+            let to = picture.pixel_mut(x, y);
+            for (channel, value) in to.iter_mut().enumerate() {
+                *value = light * from[channel.min(image.channels - 1)];
+            }
+            if on_outline {
+                to.copy_from_slice(&OUTLINE);
+            }
+        }
+    }
+    picture
+}

@@ -1,0 +1,210 @@
+//! Whether a JPEG file is whole: a walk over its markers and through its Huffman-coded data.
+//!
+//! Decoders fill the missing part of a cut-off JPEG with grey, go on after damage in the middle with
+//! whatever the bits happen to say, and report success; as a photo that is worse than none. Two
+//! things tell:
+//! 1. the end-of-image marker (ITU-T T.81, section B.1.1.3), always the last thing that a camera
+//!    writes, is absent from a file that was cut off;
+//! 2. each scan must hold exactly the blocks that its frame asks for ([`entropy`]): after damage the
+//!    codes fall out of step, and their number no longer fits.
+//!
+//! What cannot be told: a changed bit inside a coefficient's value, which leaves the codes in step.
+
+mod entropy;
+mod huffman;
+
+use entropy::{Component, Frame, Scan};
+use huffman::HuffmanTable;
+
+/// What is wrong with a JPEG file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum Defect {
+    /// The file ends before its end-of-image marker.
+    #[error("the JPEG is cut off: it ends after {0} bytes without its end marker")]
+    CutOff(usize),
+    /// Four colour components.
+    #[error("CMYK images have no red, green and blue to measure")]
+    Cmyk,
+    /// A frame of zero size, a lossless or arithmetic frame, or no frame at all.
+    #[error("the JPEG is damaged: {0}")]
+    Damaged(&'static str),
+    /// The coded data do not fit the frame.
+    #[error("the JPEG is damaged: its image data make no sense at row {row} of {height} or before")]
+    Scan {
+        /// Row of pixels at which it shows.
+        row: usize,
+        /// Rows of the photo.
+        height: usize,
+    },
+    /// The coded data go on after the last pixel.
+    #[error("the JPEG is damaged: {0} bytes of image data are left after the last pixel")]
+    Left(usize),
+}
+
+/// Tables and frame as far as the walk has come.
+#[derive(Default)]
+struct State {
+    frame: Option<Frame>,
+    /// Quantiser of the mean, by table.
+    mean_steps: [u16; 4],
+    dc: [Option<HuffmanTable>; 4],
+    ac: [Option<HuffmanTable>; 4],
+    restart_interval: usize,
+}
+
+/// Walks over the markers.
+pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
+    let cut_off = || Defect::CutOff(bytes.len());
+    let mut state = State::default();
+    let mut at = 2; // After the start-of-image marker that the format was recognised by.
+    let mut seen_frame = false;
+    let mut seen_scan = false;
+    loop {
+        // Markers may be preceded by any number of fill bytes; some cameras pad between segments.
+        while *bytes.get(at).ok_or_else(cut_off)? != 0xFF {
+            at += 1;
+        }
+        while *bytes.get(at).ok_or_else(cut_off)? == 0xFF {
+            at += 1;
+        }
+        let marker = *bytes.get(at).ok_or_else(cut_off)?;
+        at += 1;
+        match marker {
+            0xD9 if seen_scan => return Ok(()),
+            0xD9 => return Err(Defect::Damaged("it has no image data")),
+            // A stuffed zero, a restart marker or a lone marker carries no length.
+            0x00 | 0x01 | 0xD0..=0xD8 => continue,
+            _ => {}
+        }
+        let length = match bytes.get(at..at + 2) {
+            Some([high, low]) => usize::from(*high) << 8 | usize::from(*low),
+            _ => return Err(cut_off()),
+        };
+        let segment = bytes.get(at + 2..at + length.max(2)).ok_or_else(cut_off)?;
+        at += length.max(2);
+        match marker {
+            0xC4 => state.huffman_tables(segment)?,
+            0xDB => state.quantisers(segment),
+            0xDD => {
+                if let [high, low, ..] = segment {
+                    state.restart_interval = usize::from(*high) << 8 | usize::from(*low);
+                }
+            }
+            // Start of frame; C8 and CC are reserved and tables of arithmetic coding.
+            0xC0..=0xCF if !matches!(marker, 0xC8 | 0xCC) => {
+                seen_frame = true;
+                match segment.get(5) {
+                    Some(1 | 3) => {}
+                    Some(4) => return Err(Defect::Cmyk),
+                    _ => return Err(Defect::Damaged("it has neither 1 nor 3 components")),
+                }
+                state.frame = frame(marker, segment);
+            }
+            0xDA => {
+                if !seen_frame {
+                    return Err(Defect::Damaged("its image data come before its frame"));
+                }
+                seen_scan = true;
+                at = state.scan(segment, bytes, at)?;
+            }
+            _ => {}
+        }
+    }
+}
+
+/// A frame whose scans can be followed: Huffman-coded, of a size that a photo can have.
+fn frame(marker: u8, segment: &[u8]) -> Option<Frame> {
+    let progressive = match marker {
+        0xC0 | 0xC1 => false,
+        0xC2 => true,
+        _ => return None,
+    };
+    let word =
+        |at: usize| Some(usize::from(*segment.get(at)?) << 8 | usize::from(*segment.get(at + 1)?));
+    let (height, width) = (word(1)?, word(3)?);
+    let components = segment
+        .get(6..)?
+        .chunks_exact(3)
+        .take(usize::from(*segment.get(5)?))
+        .map(|c| Component::new(c[0], usize::from(c[1] >> 4), usize::from(c[1] & 15), c[2]))
+        .collect::<Option<Vec<_>>>()?;
+    let too_large = (width * height) as u64 > super::MAX_PIXELS;
+    (width > 0 && height > 0 && !too_large && !components.is_empty())
+        .then(|| Frame::new(progressive, segment[0], width, height, components))
+}
+
+impl State {
+    fn huffman_tables(&mut self, mut segment: &[u8]) -> Result<(), Defect> {
+        while segment.len() >= 17 {
+            let (slot, class) = (usize::from(segment[0] & 15), segment[0] >> 4);
+            let (table, used) = HuffmanTable::read(&segment[1..])
+                .ok_or(Defect::Damaged("a code table contradicts itself"))?;
+            let tables = if class == 0 {
+                &mut self.dc
+            } else {
+                &mut self.ac
+            };
+            *tables
+                .get_mut(slot)
+                .ok_or(Defect::Damaged("a code table has no place"))? = Some(table);
+            segment = &segment[1 + used..];
+        }
+        Ok(())
+    }
+
+    fn quantisers(&mut self, mut segment: &[u8]) {
+        while let [head, rest @ ..] = segment {
+            let (slot, wide) = (usize::from(head & 15), head >> 4 != 0);
+            let step = match (wide, rest) {
+                (false, [step, ..]) => u16::from(*step),
+                (true, [high, low, ..]) => u16::from_be_bytes([*high, *low]),
+                _ => return,
+            };
+            if let Some(known) = self.mean_steps.get_mut(slot) {
+                *known = step;
+            }
+            segment = rest.get(if wide { 128 } else { 64 }..).unwrap_or(&[]);
+        }
+    }
+
+    /// Follows a scan's data from `at` on; where they end.
+    fn scan(&mut self, header: &[u8], bytes: &[u8], at: usize) -> Result<usize, Defect> {
+        let damaged = Defect::Damaged("a scan does not fit its frame");
+        let Some(frame) = &mut self.frame else {
+            // Of a kind that the decoder refuses with its own words.
+            return Ok(at);
+        };
+        let num = usize::from(*header.first().ok_or(damaged)?);
+        let [first, last, approximation] = *header
+            .get(1 + 2 * num..4 + 2 * num)
+            .and_then(|end| <&[u8; 3]>::try_from(end).ok())
+            .ok_or(damaged)?;
+        let mut parts = Vec::new();
+        for selector in header[1..1 + 2 * num].chunks_exact(2) {
+            let index = frame.index_of(selector[0]).ok_or(damaged)?;
+            let table = |slot: u8, tables: &'_ [Option<HuffmanTable>; 4]| {
+                tables
+                    .get(usize::from(slot))
+                    .and_then(Option::as_ref)
+                    .cloned()
+            };
+            parts.push(entropy::Part {
+                component: index,
+                dc: table(selector[1] >> 4, &self.dc),
+                ac: table(selector[1] & 15, &self.ac),
+                mean_step: self.mean_steps[frame.quantiser_of(index)],
+            });
+        }
+        if parts.is_empty() {
+            return Err(damaged);
+        }
+        let scan = Scan {
+            parts,
+            band: (usize::from(first), usize::from(last)),
+            refines: approximation >> 4 != 0,
+            shift: approximation & 15,
+            restart_interval: self.restart_interval,
+        };
+        entropy::follow(frame, &scan, bytes, at)
+    }
+}

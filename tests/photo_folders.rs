@@ -1,0 +1,241 @@
+//! Folders as photographers have them: turned photos, odd names, folders that cannot be written,
+//! masks under any of their usual names, and masks that the program proposes.
+
+#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
+
+mod common;
+
+use common::{arg, noise_photos, reconstruct_until, rilievo, run, with_exif, write_noise_photo};
+use rilievo_io::{read_mask, write_mask, write_photo_jpeg};
+use rilievo_scene::{LinearImage, Mask};
+use std::path::Path;
+
+fn object() -> Mask {
+    Mask::from_fn(160, 120, |x, y| {
+        (40..120).contains(&x) && (30..90).contains(&y)
+    })
+}
+
+#[test]
+fn all_orientations_keep_the_sensors_frame() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 1);
+    let jpeg = std::fs::read(photos.join("p0.jpg")).unwrap();
+    std::fs::remove_file(photos.join("p0.jpg")).unwrap();
+    let masks = dir.path().join("masks");
+    std::fs::create_dir(&masks).unwrap();
+    for orientation in 1..=8 {
+        let name = format!("turned{orientation}");
+        let bytes = with_exif(&jpeg, orientation, 50);
+        std::fs::write(photos.join(format!("{name}.jpg")), bytes).unwrap();
+        write_mask(&masks.join(format!("{name}.png")), &object()).unwrap();
+    }
+    let run_dir = dir.path().join("run");
+    let more = ["--masks", arg(&masks)];
+    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &more);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains("used as stored"), "{stderr}");
+    let linear = |n: u16| {
+        std::fs::read(run_dir.join(format!("1_photos/linear/turned{n}.exr"))).expect("a result")
+    };
+    for orientation in 2..=8 {
+        assert!(
+            linear(orientation) == linear(1),
+            "orientation {orientation}"
+        );
+    }
+}
+
+#[test]
+fn a_focal_length_that_cannot_be_is_a_guess_and_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let jpeg = std::fs::read(photos.join("p0.jpg")).unwrap();
+    std::fs::write(photos.join("p0.jpg"), with_exif(&jpeg, 1, 60_000)).unwrap();
+    let (code, _, stderr) = run(&["check", arg(&photos)]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        stderr.contains("60000") && stderr.contains("not plausible"),
+        "{stderr}"
+    );
+    assert!(stderr.contains("focal length unknown"), "{stderr}");
+}
+
+#[test]
+fn spaces_and_any_script_are_names_like_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path().join("Büste à la fenêtre 石膏像");
+    let masks = folder.join("маски и прочее");
+    std::fs::create_dir_all(&masks).unwrap();
+    for (index, name) in ["vue de face", "横から見た", "it's \"it\""]
+        .iter()
+        .enumerate()
+    {
+        write_noise_photo(&folder.join(format!("{name}.jpg")), index as u64 + 1);
+        write_mask(&masks.join(format!("{name}.png")), &object()).unwrap();
+    }
+    let run_dir = dir.path().join("résultat 1");
+    let more = ["--masks", arg(&masks)];
+    let (code, _, stderr) = reconstruct_until("1_photos", &folder, &run_dir, &more);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(run_dir.join("1_photos/linear/横から見た.exr").exists());
+    assert!(stderr.contains("3/3"), "{stderr}");
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_read_and_left_as_it_was() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let look = || {
+        let mut files: Vec<_> = std::fs::read_dir(&photos)
+            .expect("a folder")
+            .flatten()
+            .map(|entry| {
+                let data = entry.metadata().expect("a file");
+                (entry.file_name(), data.len(), data.modified().ok())
+            })
+            .collect();
+        files.sort();
+        files
+    };
+    let before = look();
+    let set = |path: &Path, mode: u32| {
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode)).expect("allowed");
+    };
+    set(&photos.join("p0.jpg"), 0o444);
+    set(&photos, 0o555);
+    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &dir.path().join("run"), &[]);
+    set(&photos, 0o755);
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(look(), before);
+}
+
+#[test]
+fn masks_are_found_under_all_usual_names() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 1);
+    for name in [
+        "p0.png",
+        "p0.jpg.png",
+        "p0_mask.png",
+        "p0-mask.PNG",
+        "mask_p0.png",
+        "photos/p0.png",
+        "object/p0_mask.png",
+    ] {
+        let masks = tempfile::tempdir_in(dir.path()).unwrap();
+        let path = masks.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        write_mask(&path, &object()).unwrap();
+        let (code, _, stderr) = run(&["check", arg(&photos), "--masks", arg(masks.path())]);
+        assert_eq!(code, 0, "{name}: {stderr}");
+        assert!(stderr.contains("masks: 1/1 matched"), "{name}: {stderr}");
+    }
+}
+
+#[test]
+fn nothing_of_the_environment_is_needed() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let output = rilievo()
+        .env_clear()
+        .env("LC_ALL", "de_DE.UTF-8")
+        .args(["check", arg(&photos), "--json"])
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0));
+    let text = String::from_utf8(output.stdout).unwrap();
+    let last: serde_json::Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
+    let photo = &last["report"]["photos"][0];
+    for key in [
+        "black_level",
+        "corner_falloff",
+        "noise_sigma",
+        "sharpness",
+        "clipped_share",
+    ] {
+        assert!(photo[key].is_number(), "{key}: {photo}");
+    }
+}
+
+/// A shaded ball before an even backdrop.
+fn write_ball(path: &Path, backdrop: f32) -> Mask {
+    let mask = Mask::from_fn(160, 120, |x, y| {
+        (x as f32 - 84.0).hypot(y as f32 - 60.0) < 35.0
+    });
+    let mut image = LinearImage::filled(160, 120, 3, backdrop);
+    for y in 0..120 {
+        for x in 0..160 {
+            if *mask.at(x, y) {
+                let shade = 0.2 + 0.3 * (x as f32 - 49.0) / 70.0;
+                image.pixel_mut(x, y).fill(shade);
+            }
+        }
+    }
+    write_photo_jpeg(path, &image, 95).expect("a photo");
+    mask
+}
+
+#[test]
+fn masks_are_proposed_shown_and_never_written_over() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    let truth = write_ball(&photos.join("dark.jpg"), 0.01);
+    write_ball(&photos.join("bright.jpg"), 0.9);
+    let masks = dir.path().join("masks");
+    let (code, _, stderr) = run(&["mask", arg(&photos), "-o", arg(&masks)]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        stderr.contains("dark backdrop") && stderr.contains("bright backdrop"),
+        "{stderr}"
+    );
+    assert!(stderr.contains("certainty"), "{stderr}");
+    for name in ["dark", "bright"] {
+        let found = read_mask(&masks.join(format!("{name}.png"))).unwrap();
+        let wrong = found
+            .data
+            .iter()
+            .zip(&truth.data)
+            .filter(|(a, b)| a != b)
+            .count();
+        assert!(
+            wrong < truth.count() / 50,
+            "{name}: {wrong} of {}",
+            truth.count()
+        );
+        let overlay = dir.path().join(format!("masks-overlays/{name}.png"));
+        assert!(overlay.exists(), "{}", overlay.display());
+    }
+    // What it proposes is what the other commands accept.
+    let (code, _, stderr) = run(&["check", arg(&photos), "--masks", arg(&masks)]);
+    assert_eq!(code, 0, "{stderr}");
+
+    // Corrected by hand, and another photo that allows no mask.
+    write_mask(&masks.join("dark.png"), &object()).unwrap();
+    write_noise_photo(&photos.join("noise.jpg"), 5);
+    let (code, _, stderr) = run(&["mask", arg(&photos), "-o", arg(&masks)]);
+    assert_eq!(code, 4, "{stderr}");
+    assert!(
+        stderr.contains("noise.jpg") && stderr.contains("not plain"),
+        "{stderr}"
+    );
+    assert_eq!(read_mask(&masks.join("dark.png")).unwrap(), object());
+}
+
+/// Long: some three gigabytes and half a minute.
+#[test]
+#[ignore = "needs three gigabytes"]
+fn a_hundred_megapixels_are_one_photo_like_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut image = LinearImage::filled(12_000, 8_400, 3, 0.0);
+    for (i, value) in image.data.iter_mut().enumerate() {
+        *value = 0.2 + 0.6 * ((i / 3) % 12_000) as f32 / 12_000.0;
+    }
+    write_photo_jpeg(&dir.path().join("large.jpg"), &image, 80).unwrap();
+    drop(image);
+    let (code, _, stderr) = run(&["check", arg(dir.path())]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains("12000 x 8400"), "{stderr}");
+}
