@@ -189,7 +189,12 @@ fn true_tracks_project_where_they_say() {
 
 #[test]
 fn a_given_mesh_is_photographed_as_the_shape_that_it_was_made_of() {
-    let made = scene(Subject::Ellipsoid);
+    // Without relief, which a mesh of this spacing cannot hold.
+    let options = SceneOptions {
+        relief: 0.0,
+        ..scene(Subject::Ellipsoid).options
+    };
+    let made = Scene::new(options).expect("a usable scene");
     let mut mesh = made.mesh.clone();
     // Of any size, anywhere, without normals: it is put onto the mat.
     for vertex in &mut mesh.vertices {
@@ -216,7 +221,7 @@ fn a_given_mesh_is_photographed_as_the_shape_that_it_was_made_of() {
     let median = angles[angles.len() / 2];
     // Chords of 6 mm on a body 24 cm high.
     assert!(worst_depth < 5e-3, "{worst_depth}");
-    assert!(median < 2.0, "{median} degrees");
+    assert!(median < 1.0, "{median} degrees");
 
     for (broken, reason) in [
         (rilievo_scene::Mesh::default(), "no triangles"),
