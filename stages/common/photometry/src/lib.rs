@@ -8,6 +8,5 @@
 //! Shared by stages 3 (metric scale), 4 (lighting) and 5 (per-pixel lighting).
 
 pub mod harmonics;
-mod robust;
 pub mod sphere;
 pub mod visibility;

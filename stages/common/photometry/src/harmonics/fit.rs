@@ -408,8 +408,8 @@ fn iterate<const N: usize>(
         }
         sorted.clear();
         sorted.extend_from_slice(scaled);
-        let median = crate::robust::quantile(&mut sorted, 0.5)?;
-        Some((crate::robust::SIGMA_FROM_MAD * median).max(EXACT * noise.mean))
+        let median = rilievo_numerics::robust::quantile(&mut sorted, 0.5)?;
+        Some((rilievo_numerics::robust::SIGMA_FROM_MAD * median).max(EXACT * noise.mean))
     };
     let mut sigma = measure(&l, &mut scaled, &mut scales)?;
     let mut normal_matrix = SMatrix::<f64, N, N>::zeros();

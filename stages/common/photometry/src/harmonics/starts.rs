@@ -63,7 +63,7 @@ fn trim<const N: usize>(
             residuals[k] = (predicted - samples[k].value).abs() / scales[k];
             sorted.push(residuals[k]);
         }
-        let limit = crate::robust::quantile(&mut sorted, options.start_quantile)?;
+        let limit = rilievo_numerics::robust::quantile(&mut sorted, options.start_quantile)?;
         let cost = sorted.iter().filter(|r| **r <= limit).map(|r| r * r).sum();
         best = Some((cost, l));
         if step < NUM_TRIMS {
@@ -109,7 +109,7 @@ pub(super) fn partial_starts<const N: usize>(
     for (direction, left_out) in cuts {
         let side = |s: &Sample| (s.normal - mean).dot(&direction);
         let mut sides: Vec<f64> = few().map(side).collect();
-        let limit = crate::robust::quantile(&mut sides, 1.0 - left_out)?;
+        let limit = rilievo_numerics::robust::quantile(&mut sides, 1.0 - left_out)?;
         let kept = |s: &Sample| side(s) <= limit;
         let partial = solve::<N>(samples, |k| {
             let sample = &samples[k];

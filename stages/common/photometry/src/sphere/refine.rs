@@ -122,7 +122,7 @@ pub fn refine_outline(
     }
     found.num_edges = edges.len();
     let mut strengths: Vec<f64> = edges.iter().map(|(strength, _)| *strength).collect();
-    let limit = WEAK_EDGE * crate::robust::quantile(&mut strengths, 0.6).unwrap_or(0.0);
+    let limit = WEAK_EDGE * rilievo_numerics::robust::quantile(&mut strengths, 0.6).unwrap_or(0.0);
     found.points = edges
         .into_iter()
         .filter_map(|(strength, point)| (strength >= limit).then_some(point))

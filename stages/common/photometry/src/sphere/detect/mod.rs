@@ -312,9 +312,9 @@ fn confirm(
         }
     }
     let num_seen = fit.sphere.seen_in.len();
-    let residual = crate::robust::quantile(&mut residuals, 0.5).unwrap_or(f64::INFINITY);
-    let support = crate::robust::quantile(&mut supports, 0.5).unwrap_or(0.0);
-    let share = crate::robust::quantile(&mut explained, 0.5).unwrap_or(0.0);
+    let residual = rilievo_numerics::robust::quantile(&mut residuals, 0.5).unwrap_or(f64::INFINITY);
+    let support = rilievo_numerics::robust::quantile(&mut supports, 0.5).unwrap_or(0.0);
+    let share = rilievo_numerics::robust::quantile(&mut explained, 0.5).unwrap_or(0.0);
     let num_alike = num_seen - num_unlike.min(num_seen);
     // Two photos agree by chance now and then, three hardly ever.
     let at_least: usize = if images.len() < 4 { 2 } else { 3 };
