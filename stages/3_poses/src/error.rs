@@ -1,5 +1,6 @@
 //! Errors of stage 3.
 
+use rilievo_photometry::sphere::SphereError;
 use rilievo_scene::PixelError;
 
 /// Why stage 3 failed.
@@ -68,6 +69,18 @@ pub enum PosesError {
         share_consistent: f64,
         /// Which convention explains them, or what to try.
         hint: String,
+    },
+    /// An option of the reference sphere is out of range.
+    #[error("option sphere: {source}")]
+    Sphere {
+        /// Which one.
+        source: SphereError,
+    },
+    /// The measured distance cannot be found in the model.
+    #[error("the known distance cannot be used: {reason}")]
+    KnownDistance {
+        /// Which photo or point, and why.
+        reason: String,
     },
     /// A photo could not be read.
     #[error(transparent)]

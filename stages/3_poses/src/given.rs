@@ -5,19 +5,16 @@
 //! they do not agree, common other conventions are tried, so that the message can name the likely one.
 
 use crate::adjustment::BundleOptions;
+use crate::consistency::{MIN_CONSISTENT_SHARE, num_agreeing};
 use crate::error::PosesError;
 use crate::incremental::{Reconstruction, limits};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{GivenPoses, PosesOptions};
 use crate::projection::CenteredPose;
-use crate::relative_pose::depths;
 use crate::scene::Scene;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{PhotoSet, RigidTransform};
-
-/// Least share of matches that given poses must explain.
-const MIN_CONSISTENT_SHARE: f64 = 0.5;
 
 /// The given poses, when every photo has one and they are to be used.
 pub fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<RigidTransform>> {
@@ -36,29 +33,12 @@ fn consistent_share(scene: &Scene<'_>, poses: &[RigidTransform], max_error_px: f
     let (mut agreeing, mut total) = (0_usize, 0_usize);
     for pair in &scene.matches.pairs {
         let (i, j) = (pair.first.0, pair.second.0);
-        let relative = poses[j].compose(&poses[i].inverse());
-        let baseline = relative.translation.norm();
-        if baseline <= 1e-12 {
-            continue;
-        }
-        let essential =
-            (relative.translation / baseline).cross_matrix() * relative.rotation_matrix();
-        let (ci, cj) = (
-            &scene.photos.photos[i].intrinsics,
-            &scene.photos.photos[j].intrinsics,
-        );
-        let limit = max_error_px / (0.5 * (ci.focal_px() + cj.focal_px()));
-        for m in &pair.matches {
-            let x1 = ci.ray(&scene.pixels[i][m[0] as usize]);
-            let x2 = cj.ray(&scene.pixels[j][m[1] as usize]);
-            let (l2, l1) = (essential * x1, essential.tr_mul(&x2));
-            let g = l2.xy().norm_squared() + l1.xy().norm_squared();
-            // The epipolar constraint alone also holds for a scene behind the cameras.
-            let (depth1, depth2, _) = depths(&relative, &x1.xy().into(), &x2.xy().into());
-            agreeing += usize::from(
-                x2.dot(&l2).powi(2) <= limit * limit * g && depth1 > 0.0 && depth2 > 0.0,
-            );
-            total += 1;
+        let cameras = [i, j].map(|photo| &scene.photos.photos[photo].intrinsics);
+        if let Some(found) =
+            num_agreeing(scene, pair, cameras, [&poses[i], &poses[j]], max_error_px)
+        {
+            agreeing += found;
+            total += pair.matches.len();
         }
     }
     (total > 0).then(|| agreeing as f64 / total as f64)
@@ -174,5 +154,7 @@ pub fn reconstruct(
         initial_pair: None,
         adjustments,
         failed: Vec::new(),
+        contradicting: Vec::new(),
+        lens: None,
     })
 }

@@ -6,12 +6,13 @@
 //! locally, and as a whole whenever they have grown by a tenth.
 
 use crate::adjustment::{AdjustedCamera, BundleOptions};
+use crate::consistency;
 use crate::error::PosesError;
 use crate::initial_pair::{self, InitialPair};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
 use crate::projection::CenteredPose;
-use crate::report::AdjustmentReport;
+use crate::report::{AdjustmentReport, LensReport};
 use crate::resection::resect;
 use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
@@ -29,7 +30,7 @@ const MAX_NUM_INITIAL_PAIRS: usize = 6;
 const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
 
 /// Views from which lens distortion is told from the shape of the scene.
-const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
+pub const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
 /// Least relative drop of the cost for which distortion is adopted: noise alone lowers it by the
 /// number of its coefficients over that of the observations, far less.
 const MIN_COST_DROP_FOR_DISTORTION: f64 = 0.03;
@@ -63,6 +64,10 @@ pub struct Reconstruction {
     pub adjustments: Vec<AdjustmentReport>,
     /// Photos that failed, with the number of known points that they see and of those that agreed.
     pub failed: Vec<(usize, usize, usize)>,
+    /// Photos whose poses contradicted their matches, in the order found.
+    pub contradicting: Vec<usize>,
+    /// Distortion that given intrinsics leave, where the poses allow for it.
+    pub lens: Option<LensReport>,
 }
 
 /// Reconstructs as many of the available photos as possible in one model.
@@ -133,8 +138,47 @@ fn grow(
     if model.num_points() < options.min_num_visible_points {
         return Ok(None);
     }
-    let mut failed: Vec<(usize, usize, usize)> = Vec::new();
-    let mut num_at_last_global = 2;
+    let mut grown = Reconstruction {
+        model,
+        initial_pair: Some((pair.first, pair.second)),
+        adjustments,
+        failed: Vec::new(),
+        contradicting: Vec::new(),
+        lens: None,
+    };
+    extend(scene, &mut grown, available, options, observer)?;
+    // A photo that was deceived by repeated texture gets a second chance among the others.
+    let max_error_px = 3.0 * options.max_reprojection_error_px;
+    let mut available = available.to_vec();
+    while grown.model.num_views() > 3
+        && let Some(photo) = consistency::contradicting(scene, &grown.model, max_error_px)
+    {
+        if !consistency::expel(scene, &mut grown.model, photo, &limits) {
+            return Ok(None);
+        }
+        available[photo] = !grown.contradicting.contains(&photo);
+        grown.contradicting.push(photo);
+        extend(scene, &mut grown, &available, options, observer)?;
+    }
+    Ok(Some(grown))
+}
+
+/// Registers photos one after the other, the best seen first, until none is left that can be.
+fn extend(
+    scene: &Scene<'_>,
+    grown: &mut Reconstruction,
+    available: &[bool],
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<(), PosesError> {
+    let limits = limits(options);
+    let Reconstruction {
+        model,
+        adjustments,
+        failed,
+        ..
+    } = grown;
+    let mut num_at_last_global = model.num_views();
     loop {
         let flow = observer.event(Event::Progress {
             stage: StageId::Poses,
@@ -146,10 +190,10 @@ fn grow(
             return Err(PosesError::Interrupted);
         }
         // A photo that failed is tried again once the model has grown.
-        let candidates = next_views(scene, &model, available, &failed, options);
+        let candidates = next_views(scene, model, available, failed, options);
         let mut registered = None;
         for photo in candidates {
-            match register(scene, &model, photo, options) {
+            match register(scene, model, photo, options) {
                 Ok(pose) => {
                     model.poses[photo] = Some(pose);
                     registered = Some(photo);
@@ -166,11 +210,11 @@ fn grow(
         model.triangulate_all(scene, &limits);
         let num_views = model.num_views();
         if num_views <= MAX_NUM_VIEWS_ALWAYS_GLOBAL || 10 * num_views >= 11 * num_at_last_global {
-            adjustments.push(adjust_all(&mut model, scene)?);
-            adjustments.extend(try_full_intrinsics(&mut model, scene)?);
+            adjustments.push(adjust_all(model, scene)?);
+            adjustments.extend(try_full_intrinsics(model, scene)?);
             num_at_last_global = num_views;
         } else {
-            let mut local = neighbors(scene, &model, photo);
+            let mut local = neighbors(scene, model, photo);
             local.push(photo);
             let scope = AdjustmentScope {
                 step: "local",
@@ -181,12 +225,7 @@ fn grow(
         }
         model.triangulate_all(scene, &limits);
     }
-    Ok(Some(Reconstruction {
-        model,
-        initial_pair: Some((pair.first, pair.second)),
-        adjustments,
-        failed,
-    }))
+    Ok(())
 }
 
 /// What may change: the focal length once enough views hold it, distortion once it was adopted.

@@ -7,10 +7,13 @@
 
 mod adjustment;
 pub mod anchors;
+mod consistency;
 pub mod error;
 mod given;
 mod incremental;
 mod initial_pair;
+mod known_distance;
+mod lens;
 mod model;
 pub mod options;
 mod p3p;
@@ -24,10 +27,13 @@ mod scale;
 mod scene;
 mod tracks;
 mod triangulation;
+mod vertical;
 
 pub use error::PosesError;
+pub use known_distance::{KnownDistance, MarkedPoints};
 pub use options::{GivenPoses, PosesOptions, RefineIntrinsics};
-pub use report::{AdjustmentReport, PosesReport, ViewReport};
+pub use report::{AdjustmentReport, LensReport, PosesReport, ViewReport};
+pub use vertical::{Vertical, VerticalSource};
 
 use adjustment::BundleOptions;
 use incremental::Reconstruction;
@@ -73,16 +79,24 @@ pub fn run(
         let free_photos: Option<&[usize]> = if keeps_given { Some(&[]) } else { None };
         finish_on_patches(&scene, &mut reconstruction, free_photos, options, observer)?;
     }
+    if !keeps_given {
+        allow_for_distortion(&scene, &mut reconstruction, options)?;
+    }
     let (mut posed, mut report) =
         result::assemble(&scene, &reconstruction, &other_models, keeps_given, options);
     scale::apply(
         photos,
         sphere,
         given.is_some(),
+        options,
         &mut posed,
         &mut report,
         &mut warnings,
-    );
+    )?;
+    report.vertical = vertical::find(photos, &posed);
+    if let Some(lens) = &report.lens {
+        warnings.push(lens.advice());
+    }
     warnings.extend(
         posed
             .unregistered
@@ -214,6 +228,28 @@ fn finish_on_patches(
         if round == 0 {
             model.drop_outliers(scene, &incremental::limits(options));
         }
+    }
+    Ok(())
+}
+
+/// Lets the poses allow for distortion that given intrinsics do not state; see [`lens`].
+fn allow_for_distortion(
+    scene: &Scene<'_>,
+    reconstruction: &mut Reconstruction,
+    options: &PosesOptions,
+) -> Result<(), PosesError> {
+    let bundle_options = BundleOptions {
+        loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
+        max_num_iterations: 50,
+        relative_cost_change: 1e-8,
+    };
+    let model = &mut reconstruction.model;
+    if let Some(before) = reconstruction.adjustments.last()
+        && let Some((found, adjustments)) =
+            lens::allow_for_distortion(scene, model, before, &bundle_options, options)?
+    {
+        reconstruction.lens = Some(found);
+        reconstruction.adjustments.extend(adjustments);
     }
     Ok(())
 }

@@ -4,7 +4,7 @@ use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Obs
 use crate::error::PosesError;
 use crate::projection::CenteredPose;
 use crate::report::AdjustmentReport;
-use crate::scene::Scene;
+use crate::scene::{DISTORTION_SIGMA, Scene};
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
 use nalgebra::{Matrix3, Point2, Point3};
 use rayon::prelude::*;
@@ -43,7 +43,7 @@ pub struct Model {
 pub struct AdjustmentScope<'a> {
     /// Name for the report.
     pub step: &'a str,
-    /// Photos whose poses may change; `None`: all.
+    /// Photos whose poses may change; `None`: all; empty: none, all points alone.
     pub photos: Option<&'a [usize]>,
     /// Which intrinsics may change.
     pub intrinsics: IntrinsicsScope,
@@ -58,6 +58,8 @@ pub enum IntrinsicsScope {
     Focal,
     /// All.
     All,
+    /// Radial distortion of cameras that are otherwise as given; see [`crate::lens`].
+    Nuisance,
 }
 
 /// A pixel that replaces a keypoint's own, with its standard deviation in pixels.
@@ -236,6 +238,8 @@ impl Model {
         scene: &Scene<'_>,
         scope: &AdjustmentScope<'_>,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
+        // With no pose free it is the points that are wanted, all of them.
+        let points_only = scope.photos.is_some_and(<[usize]>::is_empty);
         let is_free = |photo: usize| scope.photos.is_none_or(|list| list.contains(&photo));
         let mut view_of = vec![None; self.poses.len()];
         let mut photos = Vec::new();
@@ -246,7 +250,7 @@ impl Model {
             let Some(point) = point else { continue };
             let sightings = &scene.tracks[t];
             let sees = |&place: &usize| is_free(sightings[place].photo);
-            if !point.support.iter().any(sees) {
+            if !points_only && !point.support.iter().any(sees) {
                 continue;
             }
             for (place, pixel, sigma) in self.observations(scene, t) {
@@ -288,6 +292,9 @@ impl Model {
                         std::array::from_fn(|k| fixed.prior_sigma[k].filter(|_| k == 0))
                     }
                     IntrinsicsScope::All => fixed.prior_sigma,
+                    IntrinsicsScope::Nuisance => std::array::from_fn(|k| {
+                        (k == crate::lens::K1).then_some(DISTORTION_SIGMA[0])
+                    }),
                 },
                 ..camera.clone()
             })

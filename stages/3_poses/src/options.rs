@@ -2,16 +2,20 @@
 
 use crate::anchors::AnchorOptions;
 use crate::error::PosesError;
+use crate::known_distance::KnownDistance;
+use rilievo_photometry::sphere::SphereOptions;
 use serde::{Deserialize, Serialize};
 
 /// Which intrinsics the adjustment may change.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RefineIntrinsics {
-    /// Focal length where it is not from a camera file; everything else stays bit-identical.
+    /// Focal length where it is not from a camera file, and distortion where the photos show it;
+    /// what a camera file says stays bit-identical. Where the photos clearly show distortion that
+    /// it does not state, the poses allow for it and a warning says so.
     #[default]
     Auto,
-    /// Nothing.
+    /// Nothing, and poses take the intrinsics as exact.
     None,
     /// Focal length of every camera group.
     Focal,
@@ -53,6 +57,10 @@ pub struct PosesOptions {
     pub min_num_initial_inliers: usize,
     /// Whether track positions are refined by patch alignment before the last adjustment.
     pub refine_tracks: bool,
+    /// A distance measured in the scene, which makes the world metric.
+    pub known_distance: Option<KnownDistance>,
+    /// How the reference sphere is found and located.
+    pub sphere: SphereOptions,
     /// Seed of all random samples.
     pub seed: u64,
     /// How depth anchors are found.
@@ -70,6 +78,8 @@ impl Default for PosesOptions {
             min_num_visible_points: 15,
             min_num_initial_inliers: 30,
             refine_tracks: true,
+            known_distance: None,
+            sphere: SphereOptions::default(),
             seed: 1,
             anchors: AnchorOptions::default(),
         }
@@ -110,6 +120,12 @@ impl PosesOptions {
                 });
             }
         }
+        if let Some(known) = &self.known_distance {
+            known.validate()?;
+        }
+        self.sphere
+            .validate()
+            .map_err(|source| PosesError::Sphere { source })?;
         self.anchors.validate()
     }
 }

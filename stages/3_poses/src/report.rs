@@ -1,6 +1,7 @@
 //! Facts about a run of stage 3.
 
 use crate::anchors::AnchorReport;
+use crate::vertical::Vertical;
 use rilievo_numerics::least_squares::SolveReport;
 use rilievo_scene::Scale;
 use serde::{Deserialize, Serialize};
@@ -37,6 +38,31 @@ pub struct ViewReport {
     pub center_sigma: Option<f64>,
 }
 
+/// Radial distortion that given intrinsics do not state, and the poses allow for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LensReport {
+    /// `k₁` of each distinct camera, in which the photos were explained best.
+    pub k1: Vec<f64>,
+    /// Largest displacement that it means at an observation, pixels.
+    pub largest_px: f64,
+    /// Share by which it lowers the adjustment's cost.
+    pub cost_drop: f64,
+}
+
+impl LensReport {
+    /// What the user should know of it.
+    pub fn advice(&self) -> String {
+        format!(
+            "the photos show up to {:.1} px of radial distortion that the given intrinsics do not \
+             state (with it the adjustment's cost falls by {:.0} %); the poses allow for it, the \
+             intrinsics stay as given; correct the photos, state the distortion, or set \
+             poses.refine_intrinsics = \"all\"",
+            self.largest_px,
+            100.0 * self.cost_drop
+        )
+    }
+}
+
 /// Facts about a run of stage 3.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PosesReport {
@@ -60,6 +86,10 @@ pub struct PosesReport {
     pub refined_focals_px: Vec<(usize, f64, f64)>,
     /// Unit and origin of the scale.
     pub scale: Scale,
+    /// The vertical, where it can be told.
+    pub vertical: Option<Vertical>,
+    /// Distortion that given intrinsics leave.
+    pub lens: Option<LensReport>,
     /// The adjustments that shaped the result.
     pub adjustments: Vec<AdjustmentReport>,
     /// Depth anchors.

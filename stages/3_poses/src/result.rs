@@ -83,7 +83,10 @@ pub fn assemble(
     let scope = AdjustmentScope {
         step: "covariance",
         photos: if keeps_given { Some(&[]) } else { None },
-        intrinsics: IntrinsicsScope::Fixed,
+        intrinsics: match reconstruction.lens {
+            Some(_) => IntrinsicsScope::Nuisance,
+            None => IntrinsicsScope::Fixed,
+        },
     };
     let bundle_options = BundleOptions {
         loss: RobustLoss::Cauchy(2.0),
@@ -122,6 +125,7 @@ pub fn assemble(
             .filter(|(before, after)| before.initial.fx != after.fx)
             .map(|(before, after)| (before.group, before.initial.fx, after.fx))
             .collect(),
+        lens: reconstruction.lens.clone(),
         adjustments: reconstruction.adjustments.clone(),
         ..PosesReport::default()
     };
@@ -136,6 +140,11 @@ fn reason(
     photo: usize,
     options: &PosesOptions,
 ) -> String {
+    if reconstruction.contradicting.contains(&photo) {
+        return "wherever it is placed, most of its matches with other photos contradict that; \
+                repeated texture or a symmetric object deceives it, put a printed mat under the object"
+            .to_owned();
+    }
     if let Some(others) = other_models.iter().find(|m| m.contains(&photo)) {
         return format!(
             "belongs to a separate model of {} photos that shares no points with the larger one; add photos in between",

@@ -1,22 +1,34 @@
-//! Unit of the world: metric from the reference sphere or from given poses, else arbitrary.
+//! Unit of the world: metric from given poses, a known distance or the reference sphere, else
+//! arbitrary.
 //!
 //! A sphere of known radius `R` that measures `r` in the world's unit makes one unit `R/r` metres;
 //! centres, points and the sphere are multiplied by that. Given poses are metres already, and the
 //! sphere is then only located.
+//!
+//! The sphere is located after the adjustment, not in it: its outline gives a view two coordinates
+//! of the centre, as precise as one of the thousand points that the view sees, so that it would move
+//! the poses by less than a twentieth of their standard deviation; and an outline that is biased by
+//! its own shadow cannot bend them.
 
+use crate::error::PosesError;
+use crate::options::PosesOptions;
 use crate::report::PosesReport;
-use rilievo_photometry::sphere::{SphereOptions, WorldScale, locate_request};
+use rilievo_photometry::sphere::{WorldScale, locate_request};
 use rilievo_scene::{PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit};
 
-/// Sets the scale and locates the sphere; what hinders becomes a warning.
+/// Sets the scale and locates the sphere; what hinders the sphere becomes a warning.
+///
+/// # Errors
+/// When a known distance cannot be found in the model.
 pub fn apply(
     photos: &PhotoSet,
     sphere: Option<&SphereRequest>,
     has_given_poses: bool,
+    options: &PosesOptions,
     posed: &mut PosedViews,
     report: &mut PosesReport,
     warnings: &mut Vec<String>,
-) {
+) -> Result<(), PosesError> {
     if has_given_poses {
         posed.scale = Scale {
             unit: Unit::Metre,
@@ -24,26 +36,40 @@ pub fn apply(
             relative_sigma: None,
         };
     }
+    if let Some(known) = &options.known_distance {
+        let (metres_per_unit, relative_sigma) = known.metres_per_unit(posed, report)?;
+        if has_given_poses {
+            let apart = (metres_per_unit - 1.0).abs();
+            if apart > (3.0 * relative_sigma).max(0.01) {
+                warnings.push(format!(
+                    "the known distance is {:.1} % of what the given cameras say; check it, or their unit",
+                    100.0 * metres_per_unit
+                ));
+            }
+        } else {
+            multiply(posed, report, metres_per_unit);
+            posed.scale = Scale {
+                unit: Unit::Metre,
+                source: ScaleSource::KnownDistance,
+                relative_sigma: Some(relative_sigma),
+            };
+        }
+    }
+    let is_metric = posed.scale.unit == Unit::Metre;
     if let Some(request) = sphere
         && request.radius.is_some()
     {
-        let world_scale = if has_given_poses {
+        let world_scale = if is_metric {
             WorldScale::Metric
         } else {
             WorldScale::Free
         };
-        let found = locate_request(
-            photos,
-            &posed.views,
-            request,
-            world_scale,
-            &SphereOptions::default(),
-        );
+        let found = locate_request(photos, &posed.views, request, world_scale, &options.sphere);
         match found {
             Ok(fit) => {
                 posed.sphere = Some(fit.sphere);
                 // Without views the centre was merely stated: it says nothing of the scale.
-                if !has_given_poses && !fit.views.is_empty() {
+                if !is_metric && !fit.views.is_empty() {
                     multiply(posed, report, fit.metres_per_unit);
                     posed.scale = Scale {
                         unit: Unit::Metre,
@@ -55,22 +81,19 @@ pub fn apply(
                     && (ratio - 1.0).abs() > 0.05
                 {
                     warnings.push(format!(
-                        "the sphere's outlines give {:.1} % of its stated radius; check the radius, or the unit of the given cameras",
+                        "the sphere's outlines give {:.1} % of its stated radius; check the radius, or what gave the unit",
                         100.0 * ratio
                     ));
                 }
             }
             Err(error) => warnings.push(format!(
                 "the reference sphere was not located, the scale stays {}: {error}",
-                if has_given_poses {
-                    "that of the given cameras"
-                } else {
-                    "arbitrary"
-                }
+                if is_metric { "as it is" } else { "arbitrary" }
             )),
         }
     }
     report.scale = posed.scale;
+    Ok(())
 }
 
 /// Multiplies every length of the world.

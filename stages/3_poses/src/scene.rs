@@ -13,7 +13,7 @@ const GUESS_FOCAL_SIGMA: f64 = 0.4;
 /// Standard deviation of the principal point, as a share of the image's longer side.
 const PRINCIPAL_POINT_SIGMA: f64 = 0.02;
 /// Standard deviation of the distortion coefficients `k1, k2, p1, p2, k3`.
-const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
+pub const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
 
 /// Standard deviation of a small keypoint's coordinate, pixels: the distances of matches from the
 /// true epipolar lines of three calibrated photo sets.

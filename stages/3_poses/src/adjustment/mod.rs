@@ -5,6 +5,9 @@
 //! priors; `ρ` a robust loss, `σ_k` the standard deviation of an observation in pixels. Levenberg-Marquardt
 //! with iterated weights; the step by the Schur complement of the points ([`schur`]).
 //!
+//! Damping and report are those of [`rilievo_numerics::least_squares`]; its driver is not, since it
+//! is for a handful of parameters in one dense block and forms the step itself.
+//!
 //! The gauge is fixed by one view (all six parameters) and one coordinate of the centre farthest
 //! from it, unless enough views are held fixed anyway.
 

@@ -1,0 +1,94 @@
+//! Poses despite intrinsics that are not quite right.
+//!
+//! Given intrinsics stay as they are, to the bit. But a lens that was "corrected" often keeps a
+//! little distortion, and with a narrow field of view poses bend to explain it: rotation and
+//! distance almost cancel each other there, so that a pixel at the corners moves the centres by
+//! many times their standard deviation. So radial distortion is a nuisance parameter:
+//!
+//! `min over P, X, k₁ of Σ ρ(|π(c, k₁, P, X) − x| / σ) + ½ (k₁ / σ_k)²`
+//!
+//! gives the poses `P`, `k₁` is dropped, and the points are adjusted to these poses under the given
+//! intrinsics. Only where the observations show it clearly: with exact intrinsics the parameter is
+//! worth nothing, and poses that were found without it are more exact.
+
+use crate::adjustment::BundleOptions;
+use crate::error::PosesError;
+use crate::incremental::MIN_NUM_VIEWS_FOR_DISTORTION;
+use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
+use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::report::{AdjustmentReport, LensReport};
+use crate::scene::Scene;
+
+/// Least relative drop of the cost: below it, distortion is less than what patches and noise do.
+const MIN_COST_DROP: f64 = 0.03;
+/// Least drop of the squared residuals over their variance. One parameter lowers it by 1 on average
+/// when observations are independent; neighbouring ones are not, so ask for five deviations.
+const MIN_CHI_SQUARE_DROP: f64 = 25.0;
+/// Index of `k₁` among the intrinsics.
+pub const K1: usize = 3;
+
+/// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
+/// leave some; what was found, and the adjustments.
+///
+/// `before`: the last adjustment of all poses with the intrinsics as given.
+///
+/// # Errors
+/// When an adjustment breaks down.
+pub fn allow_for_distortion(
+    scene: &Scene<'_>,
+    model: &mut Model,
+    before: &AdjustmentReport,
+    bundle_options: &BundleOptions,
+    options: &PosesOptions,
+) -> Result<Option<(LensReport, Vec<AdjustmentReport>)>, PosesError> {
+    let fixed = |c: &crate::scene::SceneCamera| c.prior_sigma.iter().all(Option::is_none);
+    if options.refine_intrinsics != RefineIntrinsics::Auto
+        || model.num_views() < MIN_NUM_VIEWS_FOR_DISTORTION
+        || !scene.cameras.iter().all(fixed)
+    {
+        return Ok(None);
+    }
+    let mut bent = model.clone();
+    let scope = AdjustmentScope {
+        step: "radial distortion as a nuisance",
+        photos: None,
+        intrinsics: IntrinsicsScope::Nuisance,
+    };
+    let after = bent.adjust(scene, &scope, bundle_options)?;
+    let (cost, cost_after) = (before.solve.final_cost, after.solve.final_cost);
+    let parameters = 3 * before.num_points + 6 * before.num_views;
+    let degrees = (2 * before.num_observations).saturating_sub(parameters);
+    let drop = (cost - cost_after) / cost.max(f64::MIN_POSITIVE);
+    let chi_square_drop = (cost - cost_after) / (cost_after / degrees.max(1) as f64);
+    if drop.is_nan() || drop < MIN_COST_DROP || chi_square_drop < MIN_CHI_SQUARE_DROP {
+        return Ok(None);
+    }
+    let k1: Vec<f64> = bent.cameras.iter().map(|c| c.deviation[K1]).collect();
+    let mut largest_px = 0.0_f64;
+    for (t, point) in bent.points.iter().enumerate() {
+        if point.is_none() {
+            continue;
+        }
+        for (place, pixel, _) in bent.observations(scene, t) {
+            let camera = scene.camera_of[scene.tracks[t][place].photo];
+            let intrinsics = &scene.cameras[camera].initial;
+            let radius = intrinsics.ray(&pixel).xy().norm();
+            let shift = (k1[camera] * radius.powi(3) * intrinsics.focal_px()).abs();
+            largest_px = largest_px.max(shift);
+        }
+    }
+    model.poses = bent.poses;
+    model.points = bent.points;
+    let points_only = AdjustmentScope {
+        step: "points, intrinsics as given",
+        photos: Some(&[]),
+        intrinsics: IntrinsicsScope::Fixed,
+    };
+    let settled = model.adjust(scene, &points_only, bundle_options)?;
+    let report = LensReport {
+        k1,
+        largest_px,
+        cost_drop: drop,
+    };
+    Ok(Some((report, vec![after, settled])))
+}

@@ -1,0 +1,166 @@
+//! The vertical of the scene, where it can be told.
+//!
+//! A flat ground (a printed mat, a table): the plane `n · X = d` that most points off the object lie
+//! on, by random triples and a least-squares fit (`n` = the eigenvector of the smallest eigenvalue
+//! of the scatter); its standard deviation is `σ_n = √(λ₀ / (N λ₁))`. A plane that stands rather
+//! than lies, seen from the cameras' own upright, is a wall and does not count. Else the mean of
+//! the cameras' upright directions, with EXIF's orientation, for cameras that were held level.
+
+use nalgebra::{Matrix3, Point3, Vector3};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rilievo_scene::{PhotoSet, PosedViews};
+use serde::{Deserialize, Serialize};
+
+/// What the vertical was told from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VerticalSource {
+    /// A flat ground off the object.
+    Ground,
+    /// How the cameras were held.
+    Cameras,
+}
+
+/// The vertical of the scene.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Vertical {
+    /// Unit vector upwards in the world frame.
+    pub up_in_world: [f64; 3],
+    /// What it was told from.
+    pub source: VerticalSource,
+    /// Standard deviation, degrees.
+    pub sigma_deg: f64,
+    /// Share of the points off the object that lie on the ground.
+    pub ground_share: Option<f64>,
+}
+
+/// Fewest points off the object that can make a ground.
+const MIN_NUM_POINTS: usize = 30;
+/// Least share of them on the ground.
+const MIN_GROUND_SHARE: f64 = 0.5;
+/// Distance from the plane of a point on it, as a share of the cameras' distance: paper that is not
+/// quite flat, a tenth of a millimetre to a millimetre at arm's length.
+const MAX_OFF_PLANE: f64 = 0.002;
+const NUM_TRIPLES: usize = 300;
+/// A ground's normal is nearer to the cameras' upright than this; a wall's is not.
+const MAX_LEAN_DEG: f64 = 60.0;
+/// Cameras whose upright directions differ more were turned at will.
+const MAX_SPREAD_DEG: f64 = 25.0;
+
+/// The vertical, or `None` when neither ground nor cameras tell it.
+pub fn find(photos: &PhotoSet, posed: &PosedViews) -> Option<Vertical> {
+    let upright = upright(photos, posed);
+    let ground = upright.and_then(|(up, _)| ground(photos, posed, &up));
+    ground.or_else(|| {
+        upright
+            .filter(|&(_, spread_deg)| spread_deg <= MAX_SPREAD_DEG)
+            .map(|(up, spread_deg)| Vertical {
+                up_in_world: up.into(),
+                source: VerticalSource::Cameras,
+                sigma_deg: spread_deg,
+                ground_share: None,
+            })
+    })
+}
+
+/// Mean upright direction of the cameras, and the RMS angle of the cameras to it, degrees.
+fn upright(photos: &PhotoSet, posed: &PosedViews) -> Option<(Vector3<f64>, f64)> {
+    let each: Vec<Vector3<f64>> = posed
+        .views
+        .iter()
+        .map(|view| {
+            // Where "up" of the scene lies in the stored picture (EXIF 2.32, tag Orientation).
+            let up_in_cam = match photos.photos[view.photo.0].orientation {
+                3 | 4 => Vector3::y(),
+                5 | 6 => -Vector3::x(),
+                7 | 8 => Vector3::x(),
+                _ => -Vector3::y(),
+            };
+            view.cam_from_world.rotation.inverse() * up_in_cam
+        })
+        .collect();
+    let mean = each.iter().sum::<Vector3<f64>>().try_normalize(1e-6)?;
+    let squares: f64 = each.iter().map(|up| up.angle(&mean).powi(2)).sum();
+    let spread = (squares / each.len().max(1) as f64).sqrt();
+    Some((mean, spread.to_degrees()))
+}
+
+/// The plane that most points off the object lie on.
+fn ground(photos: &PhotoSet, posed: &PosedViews, upright: &Vector3<f64>) -> Option<Vertical> {
+    let on_object = |view: usize, pixel: &[f64; 2]| {
+        let mask = photos.photos[posed.views[view].photo.0].mask.as_ref();
+        mask.is_some_and(|m| m.contains(pixel[0].round() as isize, pixel[1].round() as isize))
+    };
+    let points: Vec<Point3<f64>> = posed
+        .points
+        .iter()
+        .filter(|p| !p.track.iter().any(|t| on_object(t.view.0, &t.pixel)))
+        .map(|p| Point3::from(p.position))
+        .collect();
+    if points.len() < MIN_NUM_POINTS {
+        return None;
+    }
+    let centers: Vec<Point3<f64>> = posed
+        .views
+        .iter()
+        .map(|v| v.cam_from_world.center_in_source())
+        .collect();
+    let middle = mean(&points);
+    let reach = centers.iter().map(|c| (c - middle).norm()).sum::<f64>() / centers.len() as f64;
+    let limit = MAX_OFF_PLANE * reach;
+    let near = |normal: &Vector3<f64>, at: &Point3<f64>| -> Vec<Point3<f64>> {
+        let off = |p: &&Point3<f64>| (*p - at).dot(normal).abs() <= limit;
+        points.iter().filter(off).copied().collect()
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(points.len() as u64);
+    let mut best: Vec<Point3<f64>> = Vec::new();
+    for _ in 0..NUM_TRIPLES {
+        let [a, b, c] = [(); 3].map(|()| points[rng.random_range(0..points.len())]);
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(limit * limit) else {
+            continue;
+        };
+        let support = near(&normal, &a);
+        if support.len() > best.len() {
+            best = support;
+        }
+    }
+    let (normal, _) = plane(&best)?;
+    let inliers = near(&normal, &mean(&best));
+    let (normal, sigma) = plane(&inliers)?;
+    let share = inliers.len() as f64 / points.len() as f64;
+    // The ground is seen from above.
+    let above = centers.iter().map(|c| (c - mean(&inliers)).dot(&normal));
+    let up = normal * above.sum::<f64>().signum();
+    let leans = up.angle(upright).to_degrees() > MAX_LEAN_DEG;
+    (share >= MIN_GROUND_SHARE && inliers.len() >= MIN_NUM_POINTS && !leans).then(|| Vertical {
+        up_in_world: up.into(),
+        source: VerticalSource::Ground,
+        sigma_deg: sigma.to_degrees(),
+        ground_share: Some(share),
+    })
+}
+
+fn mean(points: &[Point3<f64>]) -> Point3<f64> {
+    let sum: Vector3<f64> = points.iter().map(|p| p.coords).sum();
+    Point3::from(sum / points.len().max(1) as f64)
+}
+
+/// Normal of the plane through points, and its standard deviation in radians; `None` when they lie
+/// on a line.
+fn plane(points: &[Point3<f64>]) -> Option<(Vector3<f64>, f64)> {
+    let middle = mean(points);
+    let scatter = points.iter().fold(Matrix3::zeros(), |sum, p| {
+        let d = p - middle;
+        sum + d * d.transpose()
+    });
+    let eigen = scatter.symmetric_eigen();
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
+    let [least, second] = [order[0], order[1]].map(|k| eigen.eigenvalues[k].max(0.0));
+    if points.len() < 3 || second.is_nan() || second <= 16.0 * least {
+        return None;
+    }
+    let sigma = (least / (points.len() as f64 * second)).sqrt();
+    Some((eigen.eigenvectors.column(order[0]).into_owned(), sigma))
+}

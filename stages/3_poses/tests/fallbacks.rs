@@ -1,0 +1,319 @@
+//! Input that deceives: copies, repeated texture, wrong intrinsics; and what fixes scale and vertical.
+
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{World, WorldOptions, camera, from_truth, look_at, options, pose_errors, world};
+use nalgebra::{Point2, Point3, Rotation3, UnitQuaternion, Vector3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rilievo_poses::{
+    KnownDistance, MarkedPoints, PosesError, PosesOptions, PosesReport, VerticalSource, run,
+};
+use rilievo_scene::{FocalSource, PosedViews, RigidTransform, ScaleSource, Silent, Unit};
+
+fn solve_with(world: &World, options: &PosesOptions) -> (PosedViews, PosesReport) {
+    run(&world.photos, &world.matches, None, options, &Silent).unwrap()
+}
+
+/// Poses on an arc, and points in a ball.
+fn arc(angles_deg: &[f64], num_points: usize) -> (Vec<RigidTransform>, Vec<Point3<f64>>) {
+    let poses = angles_deg
+        .iter()
+        .map(|deg| {
+            let a = deg.to_radians();
+            let center = Point3::new(3.0 * a.cos(), 3.0 * a.sin(), 0.9);
+            look_at(center, Point3::origin())
+        })
+        .collect();
+    let points = (0..num_points)
+        .map(|k| {
+            let k = k as f64;
+            Point3::new(
+                0.7 * (k * 1.31).sin(),
+                0.7 * (k * 0.71).cos(),
+                0.5 * (k * 2.13).sin(),
+            )
+        })
+        .collect();
+    (poses, points)
+}
+
+#[test]
+fn copies_of_a_photo_get_the_same_pose() {
+    let (poses, points) = arc(&[0.0, 15.0, 30.0, 30.0, 30.0, 45.0, 60.0], 300);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let set = from_truth(&WorldOptions::default(), poses, &points, &mut rng);
+    let (posed, _) = solve_with(&set, &options());
+    assert_eq!(posed.views.len(), 7);
+    let center = |k: usize| posed.views[k].cam_from_world.center_in_source();
+    let apart = (center(2) - center(3))
+        .norm()
+        .max((center(2) - center(4)).norm());
+    let baseline = (center(0) - center(6)).norm();
+    assert!(apart < 1e-5 * baseline, "{apart} of {baseline}");
+    let (error, _) = pose_errors(&posed, &set.cam_from_world);
+    assert!(error < 1e-5, "{error}");
+}
+
+#[test]
+fn only_copies_of_one_photo_have_no_parallax() {
+    let (poses, points) = arc(&[10.0, 10.0, 10.0], 200);
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let set = from_truth(&WorldOptions::default(), poses, &points, &mut rng);
+    let result = run(&set.photos, &set.matches, None, &options(), &Silent);
+    assert!(
+        matches!(result, Err(PosesError::OnlyHomographies { .. })),
+        "{result:?}"
+    );
+}
+
+#[test]
+fn repeated_texture_on_a_symmetric_object_does_not_deceive() {
+    // Point k + n/2 is point k turned half around the vertical, and looks the same.
+    let (poses, half) = arc(
+        &[0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 140.0, 160.0],
+        150,
+    );
+    let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
+    let mut points = half.clone();
+    points.extend(half.iter().map(|p| turn * p));
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let settings = WorldOptions {
+        noise_px: 0.2,
+        ..WorldOptions::default()
+    };
+    let mut set = from_truth(&settings, poses, &points, &mut rng);
+    let n = half.len() as u32;
+    for pair in &mut set.matches.pairs {
+        let apart = pair.second.0 - pair.first.0;
+        if apart >= 7 {
+            // From opposite sides most matches are with the twin, and agree with each other.
+            for m in pair.matches.iter_mut().filter(|m| m[0] % 5 < 3) {
+                m[1] = (m[1] + n) % (2 * n);
+            }
+        }
+    }
+    let (posed, _) = solve_with(&set, &options());
+    // Who was deceived stays out with a reason; no pose is wrong.
+    assert!(posed.views.len() >= 7, "{:?}", posed.unregistered);
+    for out in &posed.unregistered {
+        // On their own they still make a model.
+        let known = ["symmetric", "separate model"];
+        assert!(
+            known.iter().any(|k| out.reason.contains(k)),
+            "{}",
+            out.reason
+        );
+    }
+    let (center, rotation) = pose_errors(&posed, &set.cam_from_world);
+    assert!(center < 2e-3 && rotation < 0.1, "{center} {rotation}");
+}
+
+#[test]
+fn a_focal_length_a_quarter_off_in_exif_is_found() {
+    let mut set = world(&WorldOptions {
+        noise_px: 0.2,
+        span_deg: 120.0,
+        num_views: 8,
+        ..WorldOptions::default()
+    });
+    for photo in &mut set.photos.photos {
+        photo.intrinsics.fx *= 1.25;
+        photo.intrinsics.fy *= 1.25;
+        photo.focal_source = FocalSource::Exif35mm;
+    }
+    let (posed, _) = solve_with(&set, &options());
+    assert_eq!(posed.views.len(), 8);
+    let focal = posed.views[0].intrinsics.fx;
+    assert!((focal / 1300.0 - 1.0).abs() < 0.01, "{focal}");
+}
+
+/// Keypoints moved by radial distortion that no camera states.
+fn distort(set: &mut World, k1: f64) {
+    let camera = camera();
+    for list in &mut set.matches.photos {
+        for keypoint in &mut list.keypoints {
+            let at = Point2::new(f64::from(keypoint.x), f64::from(keypoint.y));
+            let ray = camera.ray(&at);
+            let factor = 1.0 + k1 * ray.xy().norm_squared();
+            keypoint.x = (camera.cx + camera.fx * ray.x * factor) as f32;
+            keypoint.y = (camera.cy + camera.fy * ray.y * factor) as f32;
+        }
+    }
+}
+
+#[test]
+fn poses_allow_for_distortion_that_the_given_camera_does_not_state() {
+    let settings = WorldOptions {
+        noise_px: 0.1,
+        num_views: 5,
+        span_deg: 50.0,
+        ..WorldOptions::default()
+    };
+    let mut set = world(&settings);
+    distort(&mut set, 0.1);
+    let (posed, report) = solve_with(&set, &options());
+    let lens = report.lens.unwrap();
+    assert!((lens.k1[0] - 0.1).abs() < 0.003, "{lens:?}");
+    assert!(lens.largest_px > 0.5 && lens.cost_drop > 0.1, "{lens:?}");
+    assert!(report.warnings.iter().any(|w| w.contains("distortion")));
+    // The camera stays as given, to the bit, and the poses are nearer to the truth.
+    assert_eq!(posed.views[0].intrinsics, camera());
+    let exact = PosesOptions {
+        refine_intrinsics: rilievo_poses::RefineIntrinsics::None,
+        ..options()
+    };
+    let (bent, report) = solve_with(&set, &exact);
+    assert!(report.lens.is_none());
+    let (with, _) = pose_errors(&posed, &set.cam_from_world);
+    let (without, _) = pose_errors(&bent, &set.cam_from_world);
+    assert!(with < 0.5 * without && with < 1e-3, "{with} {without}");
+}
+
+#[test]
+fn an_exact_camera_is_not_doubted() {
+    for noise_px in [0.05, 0.5] {
+        let set = world(&WorldOptions {
+            noise_px,
+            ..WorldOptions::default()
+        });
+        let (_, report) = solve_with(&set, &options());
+        assert!(report.lens.is_none(), "{:?}", report.lens);
+    }
+}
+
+#[test]
+fn a_distance_between_cameras_makes_the_world_metric() {
+    let set = world(&WorldOptions {
+        noise_px: 0.1,
+        ..WorldOptions::default()
+    });
+    let center = |k: usize| set.cam_from_world[k].center_in_source();
+    let metres = (center(0) - center(4)).norm();
+    let known = KnownDistance {
+        metres,
+        sigma_metres: 0.001 * metres,
+        cameras: Some(["v000".to_owned(), "v004.png".to_owned()]),
+        marks: Vec::new(),
+    };
+    let with = |known| PosesOptions {
+        known_distance: Some(known),
+        ..options()
+    };
+    let (posed, report) = solve_with(&set, &with(known.clone()));
+    assert_eq!(posed.scale.unit, Unit::Metre);
+    assert_eq!(posed.scale.source, ScaleSource::KnownDistance);
+    let sigma = report.scale.relative_sigma.unwrap();
+    assert!((0.001..0.002).contains(&sigma), "{sigma}");
+    let found = |a: usize, b: usize| {
+        let at = |k: usize| posed.views[k].cam_from_world.center_in_source();
+        (at(a) - at(b)).norm()
+    };
+    let expected = (center(1) - center(5)).norm();
+    assert!(
+        (found(1, 5) / expected - 1.0).abs() < 1e-3,
+        "{}",
+        found(1, 5)
+    );
+    let stranger = KnownDistance {
+        cameras: Some(["v000".to_owned(), "v099".to_owned()]),
+        ..known
+    };
+    let result = run(&set.photos, &set.matches, None, &with(stranger), &Silent);
+    match result {
+        Err(PosesError::KnownDistance { reason }) => assert!(reason.contains("v099"), "{reason}"),
+        other => panic!("{:?}", other.map(|(posed, _)| posed.scale)),
+    }
+}
+
+#[test]
+fn two_marked_points_make_the_world_metric() {
+    let set = world(&WorldOptions {
+        noise_px: 0.1,
+        ..WorldOptions::default()
+    });
+    let (first, second) = (Point3::new(-0.3, 0.2, 0.1), Point3::new(0.4, -0.1, -0.2));
+    let mark = |k: usize, shift: f64| {
+        let pixel = |p: &Point3<f64>| {
+            let at = camera().project(&set.cam_from_world[k].apply(p)).unwrap();
+            [at.x, at.y + shift]
+        };
+        MarkedPoints {
+            image: format!("v{k:03}.png"),
+            first: pixel(&first),
+            second: pixel(&second),
+        }
+    };
+    let known = |marks| KnownDistance {
+        metres: (first - second).norm(),
+        sigma_metres: 0.0,
+        cameras: None,
+        marks,
+    };
+    let with = |marks| PosesOptions {
+        known_distance: Some(known(marks)),
+        ..options()
+    };
+    let (posed, _) = solve_with(&set, &with(vec![mark(0, 0.3), mark(2, -0.2), mark(4, 0.1)]));
+    let sigma = posed.scale.relative_sigma.unwrap();
+    // A pixel of 1300 at 3 m, over 0.8 m, from three photos.
+    assert!((0.001..0.01).contains(&sigma), "{sigma}");
+    let center = |k: usize| set.cam_from_world[k].center_in_source();
+    let at = |k: usize| posed.views[k].cam_from_world.center_in_source();
+    let ratio = (at(0) - at(5)).norm() / (center(0) - center(5)).norm();
+    assert!((ratio - 1.0).abs() < 3.0 * sigma, "{ratio} {sigma}");
+    let result = run(
+        &set.photos,
+        &set.matches,
+        None,
+        &with(vec![mark(0, 0.0), mark(2, 60.0)]),
+        &Silent,
+    );
+    assert!(
+        matches!(result, Err(PosesError::KnownDistance { .. })),
+        "{:?}",
+        result.map(|(posed, _)| posed.scale)
+    );
+    assert!(known(Vec::new()).validate().is_err());
+}
+
+#[test]
+fn the_vertical_follows_from_the_ground_or_from_the_cameras() {
+    // Two thirds of the points on a table 10° off the cameras' vertical.
+    let tilt = UnitQuaternion::from_euler_angles(10_f64.to_radians(), 0.0, 0.0);
+    let (poses, mut points) = arc(&[0.0, 15.0, 30.0, 45.0, 60.0], 300);
+    for (k, p) in points.iter_mut().enumerate() {
+        if k % 3 > 0 {
+            p.z = -0.6;
+            *p = tilt * *p;
+        }
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let settings = WorldOptions {
+        noise_px: 0.1,
+        ..WorldOptions::default()
+    };
+    let set = from_truth(&settings, poses, &points, &mut rng);
+    let (posed, report) = solve_with(&set, &options());
+    let vertical = report.vertical.unwrap();
+    assert_eq!(vertical.source, VerticalSource::Ground);
+    // In the frame of the first camera both worlds agree.
+    let up = posed.views[0].cam_from_world.rotation * Vector3::from(vertical.up_in_world);
+    let truth = set.cam_from_world[0].rotation * (tilt * Vector3::z());
+    let angle = up.angle(&truth).to_degrees();
+    assert!(angle < 0.05, "{angle}");
+    assert!(vertical.sigma_deg < 0.05, "{}", vertical.sigma_deg);
+
+    let (poses, points) = arc(&[0.0, 15.0, 30.0, 45.0, 60.0], 300);
+    let set = from_truth(&settings, poses, &points, &mut rng);
+    let (posed, report) = solve_with(&set, &options());
+    let vertical = report.vertical.unwrap();
+    assert_eq!(vertical.source, VerticalSource::Cameras);
+    let up = posed.views[0].cam_from_world.rotation * Vector3::from(vertical.up_in_world);
+    let truth = set.cam_from_world[0].rotation * Vector3::z();
+    // All cameras look down by 17°, around an arc of 60°: the mean leans as they do.
+    let angle = up.angle(&truth).to_degrees();
+    assert!(angle < 20.0, "{angle}");
+}
