@@ -7,8 +7,8 @@
 mod data;
 
 use data::Set;
-use rilievo_lighting::{LightingOptions, LightingRequest, run};
-use rilievo_photometry::sphere::{SphereOptions, WorldScale, locate_request};
+use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, run};
+use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_scene::{Silent, SphereRequest};
 use std::path::PathBuf;
 
@@ -86,4 +86,91 @@ fn no_sphere_is_found_where_there_is_none() {
     let views = &set.posed.views[..4];
     let result = locate_request(&set.photos, views, &find(0.04), WorldScale::Free, &options);
     assert!(result.is_err(), "{result:?}");
+}
+
+/// Finds the sphere in a world of unknown unit, and checks number, overlap, place and scale.
+fn locate_in(set: &mut Set) {
+    let mut shrunk = set.posed.views.clone();
+    for view in &mut shrunk {
+        view.cam_from_world.translation *= SHRINK;
+    }
+    let request = find(set.radius);
+    let options = SphereOptions::default();
+    let fit = locate_request(&set.photos, &shrunk, &request, WorldScale::Free, &options).unwrap();
+    assert_eq!(fit.sphere.seen_in.len(), 8, "{:?}", fit.views);
+    let scale = fit.metres_per_unit * SHRINK;
+    assert!((scale - 1.0).abs() < 0.003, "scale {scale}");
+    let mut sphere = fit.sphere;
+    let mut off = 0.0;
+    for (found, truth) in sphere.center_in_world.iter_mut().zip(set.center) {
+        *found /= SHRINK;
+        off += (*found - truth).powi(2);
+    }
+    sphere.radius /= SHRINK;
+    assert!(off.sqrt() < 0.0005, "centre off by {} m", off.sqrt());
+    for view in &set.posed.views {
+        let in_camera = SphereInCamera {
+            center: view
+                .cam_from_world
+                .apply(&nalgebra::Point3::from(sphere.center_in_world)),
+            radius: sphere.radius,
+        };
+        let overlap = set.overlap(view.photo, &in_camera, &view.intrinsics);
+        assert!(overlap >= 0.97, "{}: IoU {overlap}", view.name);
+    }
+    set.posed.sphere = Some(sphere);
+}
+
+#[test]
+fn the_sphere_of_a_smooth_object_is_found_in_all_photos() {
+    if let Some(mut set) = set("studio_smooth") {
+        locate_in(&mut set);
+    }
+}
+
+#[test]
+fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_of() {
+    let Some(mut set) = set("studio_stone") else {
+        return;
+    };
+    locate_in(&mut set);
+    let mut request = find(set.radius);
+    // The sphere's own light, as it is without the object's say.
+    let options = LightingOptions {
+        object_light: rilievo_lighting::ObjectLight::Off,
+        ..LightingOptions::default()
+    };
+    let shape = set.true_shape().unwrap();
+    let judge = |request: &SphereRequest| {
+        let light = LightingRequest::Sphere(request.clone());
+        let (calibration, _) = run(&set.photos, &set.posed, &light, &options, &Silent).unwrap();
+        let residuals: Vec<f64> = calibration
+            .views
+            .iter()
+            .map(|view| set.residual_on_truth(view.view.0, &view.lighting).unwrap())
+            .collect();
+        let surface = check_on_surface(
+            &set.photos,
+            &set.posed,
+            &calibration,
+            &shape,
+            &options,
+            &Silent,
+        );
+        (residuals, surface.unwrap())
+    };
+    let (side, surface) = judge(&request);
+    let mean = side.iter().sum::<f64>() / side.len() as f64;
+    assert!(mean <= 0.20, "{side:?}");
+    assert!(!surface.advice.is_empty());
+    for (view, truth) in surface.views.iter().zip(&side) {
+        let ratio = view.used_rms / truth;
+        assert!((0.67..1.33).contains(&ratio), "{}: {ratio}", view.name);
+    }
+    request.calibration = set.calibration.clone();
+    let (placed, surface) = judge(&request);
+    for residual in &placed {
+        assert!(*residual <= 0.125, "{placed:?}");
+    }
+    assert!(surface.advice.is_empty(), "{:?}", surface.advice);
 }
