@@ -2,6 +2,7 @@
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rilievo_io::{CameraFormat, LightFormat};
+use rilievo_poses::KnownDistance;
 use rilievo_scene::StageId;
 use std::path::PathBuf;
 
@@ -174,6 +175,10 @@ pub struct ReconstructArgs {
     /// Radius of the reference sphere
     #[arg(long, value_name = "METRES")]
     pub sphere_radius: Option<f64>,
+    /// Distance between the camera centres of two photos: makes the model metric without a sphere.
+    /// Between marked points instead: table `poses.known_distance` of the config file
+    #[arg(long, value_name = "PHOTO,PHOTO,METRES", value_parser = parse_known_distance)]
+    pub known_distance: Option<KnownDistance>,
     /// Known lighting; NAME picks one of several in the file
     #[arg(long, value_name = "FILE[:NAME]", conflicts_with = "lighting_shape")]
     pub lighting: Option<String>,
@@ -460,6 +465,23 @@ fn parse_size(text: &str) -> Result<u64, String> {
     }
 }
 
+/// `IMG_1.jpg,IMG_2.jpg,0.35`
+fn parse_known_distance(text: &str) -> Result<KnownDistance, String> {
+    let wrong = || "a known distance looks like IMG_1.jpg,IMG_2.jpg,0.35".to_owned();
+    let parts: Vec<&str> = text.split(',').map(str::trim).collect();
+    let [first, second, metres] = parts[..] else {
+        return Err(wrong());
+    };
+    let known = KnownDistance {
+        metres: metres.parse().map_err(|_| wrong())?,
+        sigma_metres: 0.0,
+        cameras: Some([first.to_owned(), second.to_owned()]),
+        marks: Vec::new(),
+    };
+    known.validate().map_err(|error| error.to_string())?;
+    Ok(known)
+}
+
 /// `640x480`
 fn parse_dimensions(text: &str) -> Result<(usize, usize), String> {
     text.split_once(['x', 'X'])
@@ -488,5 +510,12 @@ mod tests {
         assert!(parse_size("much").is_err() && parse_size("-1G").is_err());
         assert_eq!(parse_dimensions("640x480"), Ok((640, 480)));
         assert!(parse_dimensions("640").is_err());
+        let known = parse_known_distance("a.jpg, b.jpg,0.35").unwrap();
+        assert_eq!(
+            known.cameras,
+            Some(["a.jpg".to_owned(), "b.jpg".to_owned()])
+        );
+        assert!(parse_known_distance("a.jpg,0.35").is_err());
+        assert!(parse_known_distance("a.jpg,b.jpg,-1").is_err());
     }
 }

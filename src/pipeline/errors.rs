@@ -42,7 +42,9 @@ pub fn from_poses(error: PosesError) -> anyhow::Error {
     match error {
         PosesError::Interrupted => Failure::Interrupted.into(),
         PosesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
-        PosesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
+        PosesError::InvalidOption { .. } | PosesError::Sphere { .. } => {
+            Failure::Usage(error.to_string()).into()
+        }
         other => Failure::NoResult(other.to_string()).into(),
     }
 }

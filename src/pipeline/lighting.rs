@@ -1,4 +1,5 @@
-//! Stage 4: `lighting.json`, `calibration.json` (everything that the stage found).
+//! Stage 4: `lighting.json`, `calibration.json` (everything that the stage found), and where there is
+//! a sphere `overlay/NAME.png`: outline, re-rendered sphere and excluded pixels side by side.
 
 use super::Context;
 use super::errors::{from_io, from_lighting};
@@ -6,7 +7,9 @@ use super::inputs::shape_file;
 use super::request::LightingInput;
 use crate::exit::Failure;
 use crate::store::{StageWriter, StoreError};
-use rilievo_io::{LightingFile, read_depth, read_lighting, write_lighting};
+use rilievo_io::{
+    LightingFile, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
+};
 use rilievo_lighting::LightingRequest;
 use rilievo_scene::{
     LightKind, LightingCalibration, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx,
@@ -34,6 +37,13 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         .console
         .warn_all(StageId::Lighting, &report.warnings);
     write_lighting(&writer.path("lighting.json")?, &calibration, &views).map_err(from_io)?;
+    let options = &context.request.options.lighting;
+    let overlays = rilievo_lighting::overlays(&photos, &views, &calibration, options)
+        .map_err(from_lighting)?;
+    for overlay in &overlays {
+        let path = writer.path(&format!("overlay/{}.png", overlay.name))?;
+        write_preview_png(&path, Preview::Linear(&overlay.picture), 0).map_err(from_io)?;
+    }
     let path = writer.path(CALIBRATION)?;
     let text = serde_json::to_vec_pretty(&calibration)?;
     std::fs::write(&path, text).map_err(StoreError::files("write", &path))?;

@@ -3,6 +3,7 @@
 //! A stage's input is always read back from the run directory, also right after the stage before
 //! it, so that a run that was stopped and continued sees the same bytes as an undisturbed one.
 
+mod anchors;
 mod errors;
 mod features;
 mod fusion;

@@ -38,8 +38,8 @@ pub(super) fn version(stage: StageId) -> u32 {
     match stage {
         StageId::Photos => 2,
         StageId::Features => 1,
-        StageId::Poses => 1,
-        StageId::Lighting => 1,
+        StageId::Poses => 2,
+        StageId::Lighting => 2,
         StageId::Shading => 3,
         StageId::Fusion => 2,
     }

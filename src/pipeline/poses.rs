@@ -1,4 +1,5 @@
-//! Stage 3: `cameras.json`, `sparse/*.txt` (COLMAP), `posed_views.json` (everything, anchors too).
+//! Stage 3: `cameras.json`, `sparse/*.txt` (COLMAP), `anchors.ply` and `anchors.json`,
+//! `posed_views.json` (everything).
 
 use super::Context;
 use super::errors::{from_io, from_poses};
@@ -53,6 +54,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     .map_err(from_io)?;
     let sparse = writer.path("sparse/cameras.txt")?;
     write_colmap_text(sparse.parent().unwrap_or(writer.dir()), &views).map_err(from_io)?;
+    super::anchors::write(writer, &views)?;
     let path = writer.path(POSED_VIEWS)?;
     let file = std::fs::File::create(&path).map_err(StoreError::files("write", &path))?;
     let mut out = BufWriter::new(file);

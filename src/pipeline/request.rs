@@ -76,6 +76,9 @@ impl Request {
             None => StageOptions::default(),
         };
         options.override_with(args.model, args.anchors, args.encoding);
+        if let Some(known) = &args.known_distance {
+            options.poses.known_distance = Some(known.clone());
+        }
         options.validate()?;
         if let Some(radius) = args.sphere_radius
             && !(radius.is_finite() && radius > 0.0)

@@ -189,14 +189,43 @@ fn poses(facts: &Value) -> String {
         )
         + &format!(
             "<p>scale: {} ({}), relative standard deviation {}; {} points seen {} times on average; \
-             first pair {}</p>",
+             first pair {}</p>{}",
             escape(&text(facts, "/scale/unit")),
             escape(&text(facts, "/scale/source")),
             percent(facts, "/scale/relative_sigma", 2),
             text(facts, "/num_points"),
             number(facts, "/mean_track_length", 1),
             escape(&text(facts, "/initial_pair")),
+            vertical_and_residuals(facts),
         )
+}
+
+/// Which way is up, and how well the anchors' patches agree.
+fn vertical_and_residuals(facts: &Value) -> String {
+    let mut html = String::new();
+    if facts.pointer("/vertical").is_some_and(|v| !v.is_null()) {
+        html += &format!(
+            "<p>upwards in the world: {}, told from the {}, standard deviation {} deg</p>",
+            escape(&text(facts, "/vertical/up_in_world")),
+            escape(&text(facts, "/vertical/source")),
+            number(facts, "/vertical/sigma_deg", 2),
+        );
+    }
+    if facts.pointer("/anchors").is_some_and(|v| !v.is_null()) {
+        html += &format!(
+            "<p>{} anchors ({}) from {} patches: mean correlation {}, residual {} of ln intensity \
+             (RMS), deviations {} times those of independent residuals; all in \
+             <a href=\"3_poses/anchors.ply\">anchors.ply</a> and \
+             <a href=\"3_poses/anchors.json\">anchors.json</a></p>",
+            text(facts, "/anchors/num_anchors"),
+            escape(&text(facts, "/anchors/mode")),
+            text(facts, "/anchors/num_patches"),
+            number(facts, "/anchors/mean_correlation", 3),
+            number(facts, "/anchors/rms_residual", 4),
+            number(facts, "/anchors/noise_factor", 1),
+        );
+    }
+    html
 }
 
 fn lighting(facts: &Value) -> String {
@@ -221,8 +250,16 @@ fn lighting(facts: &Value) -> String {
         "gain",
         "left out because",
     ];
+    let uncalibrated = facts.pointer("/uncalibrated") == Some(&Value::Bool(true));
+    let mark = if uncalibrated {
+        "<p><strong>Uncalibrated</strong>: there was no sphere, file or shape. The light is fitted on \
+         the photos' own rough shape; brightness and albedo share one unknown factor, and where the \
+         shape is uncertain bumps and hollows may swap.</p>"
+    } else {
+        ""
+    };
     format!(
-        "<p>light from: {}; fixed to: {}; most light comes from {}</p>",
+        "{mark}<p>light from: {}; fixed to: {}; most light comes from {}</p>",
         escape(&text(facts, "/source")),
         escape(&text(facts, "/kind")),
         escape(&text(facts, "/dominant_direction"))

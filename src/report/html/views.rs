@@ -44,6 +44,7 @@ fn one(
         html += &dense(&maps, view, &photo)?;
     }
     html += &overlay(posed, index, view, &photo)?;
+    html += &sphere(run, &view.name);
     Ok(html)
 }
 
@@ -212,7 +213,18 @@ fn overlay(
             );
         }
     }
-    let mut caption = format!("{count} sparse points");
+    // A path of dots: a tenth of the size of circles, and there are thousands.
+    let mut dots = String::new();
+    let mut num_anchors = 0;
+    for anchor in &posed.anchors {
+        for seen in anchor.observations.iter().filter(|o| o.view.0 == index) {
+            num_anchors += 1;
+            dots += &format!("M{:.1} {:.1}h0", seen.pixel[0] / step, seen.pixel[1] / step);
+        }
+    }
+    marks = format!("<path d=\"{dots}\"/>{marks}");
+    let mut caption =
+        format!("{num_anchors} depth anchors (green), {count} sparse points (yellow)");
     if let Some(outline) = posed.sphere.as_ref().and_then(|s| outline(s, view)) {
         let points: Vec<String> = outline
             .iter()
@@ -229,6 +241,23 @@ fn overlay(
         picture::photo(photo, window, 1.0)?,
         escape(&view.name)
     ))
+}
+
+/// The sphere as stage 4 saw it, where there is a picture of that.
+fn sphere(run: &RunDir, name: &str) -> String {
+    let file = format!("overlay/{name}.png");
+    let Ok(bytes) = std::fs::read(run.stage_dir(StageId::Lighting).join(&file)) else {
+        return String::new();
+    };
+    let (stage, file) = (StageId::Lighting, escape(&file));
+    format!(
+        "<figure><a href=\"{stage}/{file}\"><img loading=\"lazy\" src=\"data:image/png;base64,{}\" \
+         alt=\"Sphere in {}\"></a><figcaption>Reference sphere: fitted outline; re-rendered under \
+         the light; pixels left out (magenta: clipped, blue: more than 10 % off the light, grey: \
+         margin or hidden)</figcaption></figure>",
+        picture::base64(&bytes),
+        escape(name)
+    )
 }
 
 /// Pixels of the sphere's outline: the circle in which the cone of tangent rays touches it,
