@@ -75,8 +75,6 @@ pub(crate) const FIT_PIXELS: usize = 3000;
 const SMOOTHNESS: f64 = 1e-3;
 /// Relative depth, in pixel footprints, at which another view's intensity loses half its say.
 const MEAN_TOLERANCE_PX: f64 = 1.8;
-/// Difference of log depth, in pixel footprints, at which neighbours belong to different surfaces.
-const EDGE_PX: f64 = 6.0;
 /// Belief in pigment, and departure of the sphere's albedo, below which a second fit changes nothing.
 const MIN_BELIEF: f64 = 0.05;
 const MIN_RATIO: f32 = 0.03;
@@ -261,9 +259,7 @@ pub(crate) fn visible_on(
                         })
                     })
                     .collect();
-                let (from, to) = (&rays_at.views[i], &level.views[i]);
-                let own = averaged(from, &coarse[i], &own);
-                finer((from, &coarse[i]), (to, &depths[i]), &own)
+                finer(&rays_at.views[i], &level.views[i], &own)
             })
             .collect()
     };
@@ -382,56 +378,18 @@ fn children(fine: &LevelView, coarse: &LevelView, pixel: usize) -> [usize; 4] {
         .map(|(dx, dy)| fine.pixels.number[(y + dy) * fine.pixels.width + x + dx] as usize)
 }
 
-/// Coefficients at a finer level; each with its log depths, so that nothing is mixed over depth edges.
+/// Coefficients at a finer level.
 pub(crate) fn finer(
-    (coarse, coarse_depth): (&LevelView, &[f64]),
-    (fine, depth): (&LevelView, &[f64]),
+    coarse: &LevelView,
+    fine: &LevelView,
     values: &[PixelHarmonics],
 ) -> Vec<PixelHarmonics> {
-    let flat: Vec<[f32; 27]> = values.iter().map(flattened).collect();
-    let guide = spread::Guide {
-        coarse: coarse_depth,
-        fine: depth,
-        reach: EDGE_PX / coarse.camera.focal(),
-    };
-    spread::spread_guided(coarse, fine, &flat, Some(&guide))
+    let flat: Vec<[f32; 27]> = values
         .iter()
-        .map(harmonics_of)
-        .collect()
-}
-
-fn flattened(l: &PixelHarmonics) -> [f32; 27] {
-    std::array::from_fn(|k| l[k / 9][k % 9])
-}
-
-fn harmonics_of(flat: &[f32; 27]) -> PixelHarmonics {
-    std::array::from_fn(|c| std::array::from_fn(|k| flat[9 * c + k]))
-}
-
-/// Mean over the neighbours on the same surface: few rays make steps where an occluder ends.
-fn averaged(view: &LevelView, depth: &[f64], values: &[PixelHarmonics]) -> Vec<PixelHarmonics> {
-    const REACH: i32 = 2;
-    let reach = EDGE_PX / view.camera.focal();
-    (0..values.len())
-        .into_par_iter()
-        .with_min_len(256)
-        .map(|p| {
-            let (mut sum, mut total) = ([0.0_f32; 27], 0.0_f32);
-            for dy in -REACH..=REACH {
-                for dx in -REACH..=REACH {
-                    let Some(q) = view.pixels.neighbour(p, dx, dy) else {
-                        continue;
-                    };
-                    let miss = ((depth[q] - depth[p]) / reach) as f32;
-                    let far = (dx * dx + dy * dy) as f32;
-                    let weight = (-0.3 * far - 0.5 * miss * miss).exp();
-                    for (s, v) in sum.iter_mut().zip(flattened(&values[q])) {
-                        *s += weight * v;
-                    }
-                    total += weight;
-                }
-            }
-            harmonics_of(&sum.map(|s| s / total))
-        })
+        .map(|l| std::array::from_fn(|k| l[k / 9][k % 9]))
+        .collect();
+    spread::spread(coarse, fine, &flat)
+        .iter()
+        .map(|l| std::array::from_fn(|c| std::array::from_fn(|k| l[9 * c + k])))
         .collect()
 }

@@ -241,8 +241,8 @@ fn rays_leave_less_than_nine_harmonics() {
     let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let right = ["IMG_0003", "IMG_0004", "IMG_0005", "IMG_0006"];
     for (set, names, limit) in [
-        ("studio_stone", &right, [0.068, 0.045]),
-        ("studio_smooth", &right, [0.068, 0.034]),
+        ("studio_stone", &right, [0.062, 0.041]),
+        ("studio_smooth", &right, [0.060, 0.031]),
     ] {
         let folder = data.join(set);
         if !folder.exists() {

@@ -143,23 +143,11 @@ impl Course<'_> {
     }
 
     /// The light at the next finer level.
-    pub(crate) fn finer_light(
-        &self,
-        at: usize,
-        coarse_depths: &[Vec<f64>],
-        depths: &[Vec<f64>],
-        light: &Light,
-    ) -> Light {
+    pub(crate) fn finer_light(&self, at: usize, depths: &[Vec<f64>], light: &Light) -> Light {
         let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
         let mut out = Light {
             harmonics: (0..fine.views.len())
-                .map(|i| {
-                    light::finer(
-                        (&coarse.views[i], &coarse_depths[i]),
-                        (&fine.views[i], &depths[i]),
-                        &light.harmonics[i],
-                    )
-                })
+                .map(|i| light::finer(&coarse.views[i], &fine.views[i], &light.harmonics[i]))
                 .collect(),
             residuals: light.residuals.clone(),
             pigment: None,

@@ -85,10 +85,9 @@ pub(crate) fn solve(
     while at > 0 && course.scene.pyramid[at - 1].mean_pixels() <= options.max_fine_pixels {
         at -= 1;
         solvers = course.solvers(at)?;
-        let coarse_depths = depths;
-        depths = course.descend(at, &solvers, &coarse_depths)?;
+        depths = course.descend(at, &solvers, &depths)?;
         course.show(at, "finer start", &depths);
-        light = light.map(|light| course.finer_light(at, &coarse_depths, &depths, &light));
+        light = light.map(|light| course.finer_light(at, &depths, &light));
         let mut weights = LapWeights {
             consensus_px: 0.9,
             visible_px: 3.5,

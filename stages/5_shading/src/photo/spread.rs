@@ -6,29 +6,11 @@ use rayon::prelude::*;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::Raster;
 
-/// Log depths that keep values from crossing depth edges.
-pub(crate) struct Guide<'a> {
-    pub coarse: &'a [f64],
-    pub fine: &'a [f64],
-    /// Difference at which a parent loses most of its weight.
-    pub reach: f64,
-}
-
 /// Interpolates `N` values a pixel from a level to the next finer one (or the same).
 pub(crate) fn spread<const N: usize>(
     coarse: &LevelView,
     fine: &LevelView,
     values: &[[f32; N]],
-) -> Vec<[f32; N]> {
-    spread_guided(coarse, fine, values, None)
-}
-
-/// [`spread`], with parents weighed by their depth where there is a guide.
-pub(crate) fn spread_guided<const N: usize>(
-    coarse: &LevelView,
-    fine: &LevelView,
-    values: &[[f32; N]],
-    guide: Option<&Guide>,
 ) -> Vec<[f32; N]> {
     if fine.mask.width == coarse.mask.width {
         return values.to_vec();
@@ -56,11 +38,6 @@ pub(crate) fn spread_guided<const N: usize>(
                 if number == OUTSIDE {
                     continue;
                 }
-                let weight = guide.map_or(weight, |g| {
-                    let miss = ((g.coarse[number as usize] - g.fine[i]) / g.reach) as f32;
-                    // Where all parents lie on another surface, the nearest in depth counts.
-                    weight * (-0.5 * (miss * miss).min(80.0)).exp()
-                });
                 for (o, v) in out.iter_mut().zip(&values[number as usize]) {
                     *o += weight * v;
                 }
