@@ -1,19 +1,26 @@
-//! The paper's table on `data/shading_table`: `paper_table DATA_DIR [--methods] [--pictures DIR] [CASE...]`,
-//! a case being `L3-rough`, `L3-flat`, `L3-two`, `L3-two-noise`, `L3-two-false`, …
+//! The paper's table: `paper_table [--data DIR] [--methods] [--pictures DIR] [CASE...]`, on a head that
+//! it makes itself or on a folder laid out as `shading_table`.
+//!
+//! A case is `L3-rough`, `L3-flat`, `L3-two`, `L3-two-noise`, `L3-two-false`, … or `L3-true`, which
+//! starts from the truth: where that leaves a larger difference of the images than another start, the
+//! image does not tell the two shapes apart.
 //!
 //! Prints mean and median angle of the normals over the whole mask, median relative depth error
 //! without and with one free scale, RMS of the re-rendered image, and CPU seconds; `--methods` adds the
-//! paper's splitting and the fixed point, `--pictures` writes image, normals and depth.
+//! paper's splitting and the fixed point, `--pictures` writes image, normals, depth and error of each, and
+//! the energy of the methods against the iterations (`CASE_methods.svg`).
 
+mod paper;
 mod table;
 
+use paper::Source;
 use rilievo_io::Preview;
-use rilievo_scene::{NormalMap, Silent};
+use rilievo_scene::{Raster, Silent};
 use rilievo_shading::{
-    ShadingOptions, ShadingProblem, ShadingSolution, Splitting, ViewMatches, solve,
+    ShadingOptions, ShadingProblem, ShadingSolution, SolvedView, Splitting, ViewMatches, solve,
 };
-use std::path::Path;
-use table::{Failure, read_matches, read_view};
+use std::path::{Path, PathBuf};
+use table::Failure;
 
 /// Seconds of processor time of this process.
 fn cpu_seconds() -> f64 {
@@ -36,26 +43,28 @@ fn quantile(values: &mut [f64], share: f64) -> f64 {
         .unwrap_or(f64::NAN)
 }
 
+/// Angle in degrees between a view's normals and the true ones, −1 outside the truth's mask.
+fn angles(source: &Source, solved: &SolvedView) -> Result<Raster<f32>, Failure> {
+    let (normals, _) = source.truth(&solved.name)?;
+    Ok(Raster::from_fn(normals.width, normals.height, |x, y| {
+        normals.normal(x, y).map_or(-1.0, |truth| {
+            solved.normal.normal(x, y).map_or(90.0, |n| {
+                let cosine = n.normalize().dot(&truth.normalize());
+                cosine.clamp(-1.0, 1.0).acos().to_degrees() as f32
+            })
+        })
+    }))
+}
+
 /// Mean and median angle in degrees, and median relative depth error in per cent.
-fn errors(data: &Path, solution: &ShadingSolution, at: usize) -> Result<[f64; 4], Failure> {
-    let solved = &solution.views[at];
-    let folder = data.join(&solved.name);
-    let normals: NormalMap = rilievo_io::read_normal(&folder.join("normal_true.exr"))?;
-    let depths = rilievo_io::read_depth(&folder.join("depth_true.exr"))?;
+fn errors(source: &Source, solved: &SolvedView) -> Result<[f64; 4], Failure> {
+    let (_, depths) = source.truth(&solved.name)?;
+    let map = angles(source, solved)?;
     let (mut angles, mut ratios) = (Vec::new(), Vec::new());
-    for y in 0..normals.height {
-        for x in 0..normals.width {
-            if let Some(truth) = normals.normal(x, y) {
-                let angle = solved.normal.normal(x, y).map_or(90.0, |n| {
-                    n.normalize()
-                        .dot(&truth.normalize())
-                        .clamp(-1.0, 1.0)
-                        .acos()
-                        .to_degrees()
-                });
-                angles.push(angle);
-                ratios.push(f64::from(solved.depth.at(x, y) / depths.at(x, y)));
-            }
+    for ((&angle, &truth), &depth) in map.data.iter().zip(&depths.data).zip(&solved.depth.data) {
+        if angle >= 0.0 {
+            angles.push(f64::from(angle));
+            ratios.push(f64::from(depth / truth));
         }
     }
     let mean = angles.iter().sum::<f64>() / angles.len() as f64;
@@ -101,20 +110,20 @@ fn disturbed(mut pixels: Vec<[f64; 4]>, kind: &str) -> Vec<[f64; 4]> {
     pixels
 }
 
-fn case_problem(data: &Path, case: &str) -> Result<ShadingProblem, Failure> {
+fn case_problem(source: &Source, case: &str) -> Result<ShadingProblem, Failure> {
     let (light, start) = case.split_once('-').ok_or("a case is LIGHT-START")?;
     let mut problem = ShadingProblem::default();
     if let Some(kind) = start.strip_prefix("two") {
         for name in ["view1", "view2"] {
-            problem.views.push(read_view(data, name, light, "flat")?);
+            problem.views.push(source.view(name, light, "flat")?);
         }
-        let pixels = read_matches(data)?;
+        let pixels = source.matches()?;
         problem.matches.push(ViewMatches {
             views: [0, 1],
             pixels: disturbed(pixels, kind),
         });
     } else {
-        problem.views.push(read_view(data, "view1", light, start)?);
+        problem.views.push(source.view("view1", light, start)?);
     }
     Ok(problem)
 }
@@ -131,48 +140,124 @@ const PAPER: [(&str, &str, f64); 8] = [
     ("L3", "two", 8.13),
 ];
 
-fn write_pictures(folder: &Path, case: &str, solution: &ShadingSolution) -> Result<(), Failure> {
+/// What the authors' code reaches on `shading_table`: lighting, start, mean angle in degrees.
+const AUTHORS_CODE: [(&str, &str, f64); 6] = [
+    ("L1", "rough", 8.27),
+    ("L2", "rough", 7.20),
+    ("L3", "rough", 1.90),
+    ("L1", "flat", 31.6),
+    ("L2", "flat", 29.9),
+    ("L3", "flat", 17.4),
+];
+
+/// The angle that one of the lists above has for a case.
+fn known(list: &[(&str, &str, f64)], case: &str) -> String {
+    list.iter()
+        .find(|(light, start, _)| case == format!("{light}-{start}"))
+        .map_or_else(|| "-".to_owned(), |(_, _, angle)| format!("{angle:.2}"))
+}
+
+/// Angle that is white in pictures of the error, degrees.
+const WHITE_DEG: f32 = 30.0;
+
+fn write_pictures(
+    folder: &Path,
+    case: &str,
+    source: &Source,
+    solution: &ShadingSolution,
+) -> Result<(), Failure> {
     std::fs::create_dir_all(folder)?;
     for view in &solution.views {
         let path = |kind: &str| folder.join(format!("{case}_{}_{kind}.png", view.name));
         rilievo_io::write_preview_png(&path("image"), Preview::Linear(&view.rendered), 0)?;
         rilievo_io::write_preview_png(&path("normal"), Preview::Normal(&view.normal), 0)?;
         rilievo_io::write_preview_png(&path("depth"), Preview::Depth(&view.depth), 0)?;
+        let error = Preview::Error {
+            map: &angles(source, view)?,
+            max: WHITE_DEG,
+        };
+        rilievo_io::write_preview_png(&path("error"), error, 0)?;
     }
     Ok(())
 }
 
+/// One curve of a figure: a name and values of the energy.
+type Curve = (String, Vec<f64>);
+
+/// Energy per pixel against the iteration, logarithmic, as SVG.
+fn figure(title: &str, curves: &[Curve]) -> String {
+    const COLOURS: [&str; 3] = ["#0060a0", "#c06000", "#808080"];
+    let values = || curves.iter().flat_map(|(_, values)| values).copied();
+    let log = |v: f64| v.max(1e-12).log10();
+    let low = values().map(log).fold(f64::INFINITY, f64::min).floor();
+    let high = values().map(log).fold(f64::NEG_INFINITY, f64::max).ceil();
+    let longest = curves.iter().map(|(_, v)| v.len()).max().unwrap_or(1);
+    let x = |k: usize| 60.0 + 500.0 * k as f64 / longest.max(2) as f64;
+    let y = |v: f64| 40.0 + 280.0 * (high - log(v)) / (high - low).max(1.0);
+    let mut svg = format!(
+        "<svg xmlns='http://www.w3.org/2000/svg' width='600' height='380' font-family='sans-serif' \
+         font-size='12'><rect width='600' height='380' fill='white'/><text x='60' y='20'>{title}: \
+         energy per pixel against iteration</text>"
+    );
+    for decade in low as i32..=high as i32 {
+        let at = y(10.0_f64.powi(decade));
+        svg += &format!(
+            "<path d='M60 {at}H560' stroke='#ddd'/><text x='15' y='{at}'>1e{decade}</text>"
+        );
+    }
+    for ((name, values), (k, colour)) in curves.iter().zip(COLOURS.iter().enumerate()) {
+        let points: Vec<String> = values
+            .iter()
+            .enumerate()
+            .map(|(k, &v)| format!("{:.1},{:.1}", x(k), y(v)))
+            .collect();
+        svg += &format!(
+            "<polyline fill='none' stroke='{colour}' stroke-width='2' points='{}'/><text x='{}' \
+             y='350' fill='{colour}'>{name}</text>",
+            points.join(" "),
+            80 + 160 * k
+        );
+    }
+    svg + "</svg>"
+}
+
 fn main() -> Result<(), Failure> {
-    let mut data = None;
-    let mut pictures = None;
+    let (mut source, mut pictures) = (None, None);
     let mut methods = vec![Splitting::Full];
     let mut cases: Vec<String> = Vec::new();
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
-            "--pictures" => pictures = args.next(),
+            "--data" => {
+                let folder = args.next().ok_or("--data needs a folder")?;
+                source = Some(Source::Folder(PathBuf::from(folder)));
+            }
+            "--pictures" => {
+                pictures = Some(PathBuf::from(
+                    args.next().ok_or("--pictures needs a folder")?,
+                ));
+            }
             "--methods" => methods = vec![Splitting::Full, Splitting::Paper, Splitting::FixedPoint],
-            _ if data.is_none() => data = Some(arg),
+            option if option.starts_with('-') => return Err(format!("unknown {option}").into()),
             _ => cases.push(arg),
         }
     }
-    let data = data.ok_or("usage: paper_table DATA_DIR [--methods] [--pictures DIR] [CASE...]")?;
-    let data = Path::new(&data);
+    let source = match source {
+        Some(source) => source,
+        None => Source::made(),
+    };
     if cases.is_empty() {
-        cases = ["rough", "flat", "two"]
+        cases = ["rough", "flat", "true", "two"]
             .iter()
             .flat_map(|start| ["L3", "L1", "L2"].map(|light| format!("{light}-{start}")))
             .collect();
     }
     println!(
-        "case           view   method MAE deg  median  depth %  scaled %  RMS image  CPU s  (paper, its object)"
+        "case           view   method     MAE deg  median  depth %  scaled %  RMS image  CPU s   paper  its code"
     );
     for case in cases {
-        let problem = case_problem(data, &case)?;
-        let paper = PAPER
-            .iter()
-            .find(|(light, start, _)| case == format!("{light}-{start}"))
-            .map_or_else(String::new, |(_, _, angle)| format!("{angle:.2}"));
+        let problem = case_problem(&source, &case)?;
+        let mut curves: Vec<Curve> = Vec::new();
         for &splitting in &methods {
             let options = ShadingOptions {
                 splitting,
@@ -181,19 +266,32 @@ fn main() -> Result<(), Failure> {
             let begun = cpu_seconds();
             let solution = solve(&problem, &options, &Silent)?;
             let cpu = cpu_seconds() - begun;
-            for at in 0..solution.views.len() {
-                let [mean, median, depth, scaled] = errors(data, &solution, at)?;
-                let facts = &solution.report.views[at];
+            for (solved, facts) in solution.views.iter().zip(&solution.report.views) {
+                let [mean, median, depth, scaled] = errors(&source, solved)?;
                 println!(
-                    "{case:14} {:6} {:6} {mean:7.3} {median:7.3} {depth:8.4} {scaled:8.4}  {:9.5} {cpu:6.2}  {paper}",
+                    "{case:14} {:6} {:10} {mean:7.3} {median:7.3} {depth:8.4}  {scaled:8.4}  {:9.5} {cpu:6.2}  {:>6}  {:>8}",
                     facts.name,
                     format!("{splitting:?}"),
-                    facts.rms_rendered
+                    facts.rms_rendered,
+                    known(&PAPER, &case),
+                    known(&AUTHORS_CODE, &case),
                 );
             }
-            if let (Some(folder), Splitting::Full) = (&pictures, splitting) {
-                write_pictures(Path::new(folder), &case, &solution)?;
+            if let Some(facts) = solution.report.views.first() {
+                let energies = facts.iterations.iter().map(|i| i.energy);
+                let per_pixel = energies.map(|e| e / facts.num_pixels as f64);
+                curves.push((format!("{splitting:?}"), per_pixel.collect()));
             }
+            if let Some(folder) = &pictures {
+                let name = format!("{case}_{splitting:?}");
+                write_pictures(folder, &name, &source, &solution)?;
+            }
+        }
+        if let (Some(folder), true) = (&pictures, curves.len() > 1) {
+            std::fs::write(
+                folder.join(format!("{case}_methods.svg")),
+                figure(&case, &curves),
+            )?;
         }
     }
     Ok(())

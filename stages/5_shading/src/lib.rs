@@ -25,6 +25,7 @@
 //!
 //! Source: Quéau, Mélou, Durou, Cremers, ICCV 2017 (`queau2017`).
 
+mod breaks;
 mod confidence;
 mod error;
 mod levels;

@@ -3,7 +3,7 @@
 //! **Rule.** Let `s₁ ≥ s₂` be the singular values of the shading Jacobian `∂S/∂(p, q)` (channels by
 //! two), medians over pixels at the start, and `σ` the noise of intensities. Across the direction of
 //! `s₂` a pixel knows its slope to `σ/s₂`. Where that is much less than the slopes of a start may err
-//! (`D`), the pixel determines its own normal: the penalty may start low, `s₂²/20`, so that shading
+//! (`D`), the pixel determines its own normal: the penalty may start low, `0.12 s₂²`, so that shading
 //! moves the surface freely, and a search over normals may leave the start. Where it is much more
 //! (grey images: `s₂ = 0`), the image is explained along one direction and says nothing across it;
 //! only a penalty stronger than shading, `10 s₁²`, keeps the start across while it corrects along.
@@ -11,7 +11,7 @@
 //! kept as tightly: `2 s₁²`. In between the logarithms are mixed by
 //!
 //! ```text
-//! t = s₂² D² / (s₂² D² + σ²),   ln β₀ = (1 − t) ln(2 s₁² or 10 s₁²) + t ln(s₂²/20).
+//! t = s₂² D² / (s₂² D² + σ²),   ln β₀ = (1 − t) ln(2 s₁² or 10 s₁²) + t ln(0.12 s₂²).
 //! ```
 //!
 //! The penalty ends at `15 s₁²`, where ∇y and θ agree to a fraction of what shading can tell, and

@@ -4,8 +4,8 @@
 //!
 //! ```text
 //! min_{y,θ}  E(θ) + C(y)   subject to  θ = ∇y,
-//! θ ← argmin E(θ) + β/2 |θ − (∇y + u)|²               θ-step, per pixel, crate::theta
-//! y ← argmin β/2 |∇y − θ + u|² + C(y)                 z-step, crate's corner Poisson
+//! θ ← argmin E(θ) + β s/2 |θ − (∇y + u)|²             θ-step, per pixel, crate::theta
+//! y ← argmin β s/2 |∇y − θ + u|² + C(y)               z-step, crate's corner Poisson
 //! u ← u + ∇y − θ,   then  β ← γ β,  u ← u/γ           scaled dual, continuation
 //! ```
 //!
@@ -13,14 +13,14 @@
 //! against the integration term, since `C` does not change. `y` is in pixels, `θ` and `u` without
 //! unit, `β` in intensity².
 //!
-//! Halfway on the finest level, where pixels determine their normals, slopes are freed once; where
-//! they then leave the surface's, it breaks, and the integration term loses weight.
+//! Where the surface breaks ([`crate::breaks`]), the stiffness `s` of a pixel is low, else 1.
 //!
 //! The first iterations run on coarse levels; the change of a level is interpolated to the next.
 //!
 //! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 9–12, with the whole shading term in the
 //! θ-step; continuation instead of an adapted penalty: see [`crate::schedule`].
 
+use crate::breaks::{break_search, soften_breaks};
 use crate::error::ShadingError;
 use crate::levels::{Level, add_change, place_constraint, restrict_nodes};
 use crate::model::Facet;
@@ -30,7 +30,7 @@ use crate::theta::{Candidates, ThetaTerms, theta_step};
 use rayon::prelude::*;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::{CornerPoisson, PointConstraint};
-use rilievo_numerics::robust::{RobustLoss, quantile};
+use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{Event, Flow, Observer, StageId};
 use std::time::Instant;
 
@@ -39,22 +39,6 @@ use std::time::Instant;
 pub(crate) const HOURGLASS: f32 = 0.01;
 /// Relative residual at which a z-step ends: the next iteration starts from its result.
 const Z_TOLERANCE: f64 = 0.1;
-/// Conflict between shading and surface, as a tangent, at which the surface is taken to break: three
-/// degrees. Smaller gains a little more on exact images, but would soften noise.
-const BREAK_CONFLICT: f32 = 0.05;
-/// While the surface still bends over a break, it disagrees with shading all around it: at first only
-/// the largest conflicts are breaks, of about this quantile, and then ever smaller ones.
-const LARGE_CONFLICT: f64 = 0.99;
-/// Squared residual that is no noise, in units of the median squared residual that is left when slopes
-/// are free: that of one degree of freedom (three channels, two slopes), against 9 times the median
-/// of three.
-const NOISE_LIMIT: f32 = 9.0 * 2.37 / 0.455;
-/// Slope from which a facet is a wall, which hardly any light that it is seen by tells apart from a
-/// step: 76 degrees.
-const MAX_SLOPE: f32 = 4.0;
-/// How often the breaks are looked for, at equal distances over the finest level's second half: while
-/// it bends over a break, a surface disagrees with shading all around it.
-const NUM_BREAK_SEARCHES: usize = 5;
 /// Conjugate-gradient steps per z-step.
 const MAX_Z_STEPS: usize = 3;
 
@@ -185,70 +169,6 @@ fn weigh(stiffness: &[f32], p: &mut [f32], q: &mut [f32]) {
     }
 }
 
-/// Sets the stiffness low where shading alone asks for other slopes than an integrable surface can
-/// have: there the surface breaks. Returns the number of such pixels.
-fn soften_breaks(
-    level: &Level,
-    surface: (&[f32], &[f32]),
-    (theta_p, theta_q): (&mut [f32], &mut [f32]),
-    beta: f32,
-    share_of_largest: f32,
-    stiffness: &mut [f32],
-) -> usize {
-    let terms = ThetaTerms {
-        beta,
-        stiffness: &[],
-        area: 0.0,
-        num_steps: 4,
-    };
-    let (sp, sq) = surface;
-    // Where the surface stands up like a wall, shading is asked without it.
-    let (mut p, mut q) = (theta_p.to_vec(), theta_q.to_vec());
-    let (mut tp, mut tq) = (sp.to_vec(), sq.to_vec());
-    for k in 0..level.pixels.len {
-        let by = MAX_SLOPE / sp[k].hypot(sq[k]);
-        if by < 1.0 {
-            (tp[k], tq[k]) = (by * sp[k], by * sq[k]);
-            (p[k], q[k]) = (tp[k], tq[k]);
-        }
-    }
-    theta_step(&level.pixels, (&tp, &tq), &terms, None, &mut p, &mut q);
-    // Steep facets may differ by more for the same angle.
-    let conflict = |k: usize| {
-        let away = (p[k] - sp[k]).powi(2) + (q[k] - sq[k]).powi(2);
-        away / (1.0 + sp[k].powi(2) + sq[k].powi(2))
-    };
-    let pixels = &level.pixels;
-    let residual = |k: usize, slopes: [f32; 2]| {
-        let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], slopes);
-        (0..pixels.channels)
-            .map(|c| facet.shade(&pixels.light(c, k)).0 - pixels.intensity[c * pixels.padded + k])
-            .map(|r| r * r)
-            .sum::<f32>()
-    };
-    let quantile_of = |share: f64, of: &dyn Fn(usize) -> f32| {
-        let every = 1 + pixels.len / 20_000;
-        let indices = (0..pixels.len).step_by(every);
-        let mut sample: Vec<f64> = indices.map(|k| f64::from(of(k))).collect();
-        quantile(&mut sample, share).unwrap_or(0.0) as f32
-    };
-    let largest = quantile_of(LARGE_CONFLICT, &conflict);
-    let angle_limit = (BREAK_CONFLICT * BREAK_CONFLICT).max(share_of_largest * largest);
-    let noise_limit = NOISE_LIMIT * quantile_of(0.5, &|k| residual(k, [p[k], q[k]]));
-    let mut count = 0;
-    for (k, (stiffness, given)) in stiffness.iter_mut().zip(&level.stiffness).enumerate() {
-        let unexplained = residual(k, [sp[k], sq[k]]) / noise_limit.max(f32::MIN_POSITIVE);
-        let excess = (conflict(k) / angle_limit).min(unexplained);
-        let factor = 1.0 / (1.0 + excess * excess);
-        *stiffness = given * factor.max(1e-3);
-        if factor < 0.25 {
-            count += 1;
-            (theta_p[k], theta_q[k]) = (p[k], q[k]);
-        }
-    }
-    count
-}
-
 /// Weights of iteratively re-weighted least squares at the present slopes: one per pixel, of the
 /// RMS residual over its channels.
 fn reweight(base: &Pixels, out: &mut Pixels, (p, q): (&[f32], &[f32]), setting: &Setting) {
@@ -266,17 +186,6 @@ fn reweight(base: &Pixels, out: &mut Pixels, (p, q): (&[f32], &[f32]), setting: 
             let r = (squared / base.channels as f32).sqrt() / setting.white;
             *weight = base.weight[k] * setting.loss.weight(f64::from(r)) as f32;
         });
-}
-
-/// Whether breaks are looked for at an iteration, and then the share of the largest squared conflict
-/// that makes one.
-fn break_search(iteration: usize, num_iterations: usize) -> Option<f32> {
-    let half = num_iterations / 2;
-    let every = (half / NUM_BREAK_SEARCHES).max(1);
-    let since = iteration.checked_sub(half)?;
-    since
-        .is_multiple_of(every)
-        .then(|| 0.5 * 0.25_f32.powi((since / every) as i32))
 }
 
 fn solve_level(

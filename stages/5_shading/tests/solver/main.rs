@@ -9,6 +9,7 @@ mod invariances;
 mod recovery;
 mod robustness;
 mod shared_scene;
+mod special_cases;
 mod surface;
 #[path = "../../examples/table/mod.rs"]
 mod table;
