@@ -1,6 +1,7 @@
 //! The command line, as other tools call it.
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use rilievo_fusion::{ColorMode, FusionOptions};
 use rilievo_io::{CameraFormat, LightFormat};
 use rilievo_poses::KnownDistance;
 use rilievo_scene::StageId;
@@ -40,6 +41,8 @@ pub enum Command {
     Clean(StageArgs),
     /// Shape from shading alone: one view, or several coupled; refinement of a measured depth
     Shade(Box<ShadeArgs>),
+    /// Depth and normal maps of other programs (COLMAP, OpenMVS, OpenEXR) to one cloud and one mesh
+    Fuse(Box<FuseArgs>),
     /// Accuracy of a run against ground truth
     Evaluate(EvaluateArgs),
     /// A synthetic photo folder with ground truth
@@ -194,6 +197,8 @@ pub struct ReconstructArgs {
     /// How samples relate to light
     #[arg(long, value_name = "ENCODING")]
     pub encoding: Option<Encoding>,
+    #[command(flatten)]
+    pub surface: SurfaceArgs,
     /// Options of the stages, as TOML
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
@@ -225,6 +230,73 @@ pub enum Anchors {
     Guided,
     /// Keypoint tracks alone
     Sift,
+}
+
+/// What the fused surface shall be like.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct SurfaceArgs {
+    /// Distance between the points of the cloud, in metres (the cameras' unit where it is another);
+    /// by default about one point a pixel of the best view
+    #[arg(long, value_name = "LENGTH")]
+    pub spacing: Option<f64>,
+    /// Closes the mesh where no view saw anything
+    #[arg(long)]
+    pub watertight: bool,
+    /// Colours as photographed, or with light and shadow taken out
+    #[arg(long, value_name = "COLOR")]
+    pub color: Option<Color>,
+}
+
+impl SurfaceArgs {
+    /// Takes over what the command line says.
+    pub fn apply(self, options: &mut FusionOptions) {
+        if let Some(spacing) = self.spacing {
+            options.spacing = spacing;
+        }
+        options.watertight |= self.watertight;
+        match self.color {
+            Some(Color::Photographed) => options.color = ColorMode::Photographed,
+            Some(Color::Albedo) => options.color = ColorMode::Albedo,
+            None => {}
+        }
+    }
+}
+
+/// `--color`
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Color {
+    /// The mean of the photos
+    Photographed,
+    /// The surface's own colour
+    Albedo,
+}
+
+/// `rilievo fuse`
+#[derive(Debug, Args)]
+pub struct FuseArgs {
+    /// Folder of the maps: COLMAP's dense workspace, OpenMVS's *.dmap, or OpenEXR (depth/NAME.exr with
+    /// normal/NAME.exr, or NAME_depth.exr with NAME_normal.exr)
+    #[arg(value_name = "MAPS")]
+    pub maps: PathBuf,
+    /// Cameras of the maps, where they do not lie beside them
+    #[arg(long, value_name = "FILE|COLMAP_DIR")]
+    pub cameras: Option<PathBuf>,
+    /// Photos, for the colours
+    #[arg(long, value_name = "DIR")]
+    pub photos: Option<PathBuf>,
+    /// Metres in one unit of the maps and cameras, where they do not say
+    #[arg(long, value_name = "METRES")]
+    pub scale: Option<f64>,
+    #[command(flatten)]
+    pub surface: SurfaceArgs,
+    /// Options, as TOML: table `fusion`
+    #[arg(long, value_name = "FILE.toml")]
+    pub config: Option<PathBuf>,
+    /// Folder for cloud.ply, mesh.ply, mesh.obj, mesh.glb and report.json
+    #[arg(short, long, value_name = "DIR")]
+    pub output: PathBuf,
+    #[command(flatten)]
+    pub work: WorkArgs,
 }
 
 /// `--encoding`

@@ -5,6 +5,7 @@ mod check;
 mod clean;
 mod demo;
 mod evaluate;
+mod fuse;
 mod mask;
 mod reconstruct;
 mod run;
@@ -32,6 +33,7 @@ pub fn dispatch(command: Command) -> anyhow::Result<()> {
         Command::Clean(args) => clean::clean(&args),
         Command::Shade(args) => shade::shade(&args),
         Command::Evaluate(args) => evaluate::evaluate(&args),
+        Command::Fuse(args) => fuse::fuse(&args),
         Command::Synth(args) => synth::synth(&args),
         Command::Check(args) => check::check(&args),
         Command::Mask(args) => mask::mask(&args),

@@ -1,10 +1,14 @@
-//! Stage 6: `cloud.ply`, `mesh.ply`.
+//! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, `mesh.obj` and `mesh.glb`.
 
 use super::Context;
 use super::errors::{from_fusion, from_io};
 use crate::store::StageWriter;
-use rilievo_io::{write_cloud_ply, write_mesh_ply};
-use rilievo_scene::StageId;
+use crate::exit::Failure;
+use rilievo_io::{
+    ViewerFrame, write_cloud_ply, write_mesh_glb, write_mesh_obj, write_mesh_ply,
+};
+use rilievo_scene::{FusedCloud, PosedViews, StageId};
+use std::path::PathBuf;
 
 /// Fuses all views.
 ///
@@ -23,8 +27,27 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     )
     .map_err(from_fusion)?;
     context.console.warn_all(StageId::Fusion, &report.warnings);
-    let unit = views.scale.unit;
-    write_cloud_ply(&writer.path("cloud.ply")?, &fused.cloud, unit).map_err(from_io)?;
-    write_mesh_ply(&writer.path("mesh.ply")?, &fused.mesh, unit).map_err(from_io)?;
+    write_surface(&fused, &views, &|name| Ok(writer.path(name)?))?;
     Ok(serde_json::to_value(report)?)
+}
+
+/// Writes cloud and mesh in all formats, to the paths of their names.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_surface(
+    fused: &FusedCloud,
+    views: &PosedViews,
+    path: &dyn Fn(&str) -> Result<PathBuf, Failure>,
+) -> Result<(), Failure> {
+    let unit = views.scale.unit;
+    write_cloud_ply(&path("cloud.ply")?, &fused.cloud, unit).map_err(from_io)?;
+    write_mesh_ply(&path("mesh.ply")?, &fused.mesh, unit).map_err(from_io)?;
+    // An empty mesh is valid PLY, and nothing that a viewer could show.
+    if !fused.mesh.triangles.is_empty() {
+        write_mesh_obj(&path("mesh.obj")?, &fused.mesh, unit).map_err(from_io)?;
+        let frame = ViewerFrame::from_views(views);
+        write_mesh_glb(&path("mesh.glb")?, &fused.mesh, unit, &frame).map_err(from_io)?;
+    }
+    Ok(())
 }

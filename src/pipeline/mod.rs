@@ -16,7 +16,8 @@ mod poses;
 mod request;
 mod shading;
 
-pub use errors::{from_io, from_lighting, from_shading};
+pub use errors::{from_fusion, from_io, from_lighting, from_shading};
+pub use fusion::write_surface;
 pub use inputs::Inputs;
 pub use parallel::Resources;
 pub use photos::{check as check_photos, linear_photo, map_photos};

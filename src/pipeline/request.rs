@@ -79,6 +79,7 @@ impl Request {
         if let Some(known) = &args.known_distance {
             options.poses.known_distance = Some(known.clone());
         }
+        args.surface.apply(&mut options.fusion);
         options.validate()?;
         if let Some(radius) = args.sphere_radius
             && !(radius.is_finite() && radius > 0.0)

@@ -16,6 +16,8 @@
 //! | lighting for other programs | [`write_lights`] |
 //! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
 //! | point clouds and meshes as PLY | [`ply`] |
+//! | meshes as OBJ and GLB | [`mesh`] |
+//! | depth and normal maps of COLMAP and OpenMVS | [`dense`] |
 //! | depth as PFM | [`pfm`] |
 //! | pictures for people | [`write_preview_png`] |
 //!
@@ -27,6 +29,7 @@ pub mod adapters;
 mod bytes;
 pub mod cameras;
 pub mod colmap;
+pub mod dense;
 pub mod error;
 pub mod exr_maps;
 mod json;
@@ -34,6 +37,7 @@ pub mod light_export;
 pub mod lighting_file;
 pub mod mask;
 pub mod mask_names;
+pub mod mesh;
 pub mod pfm;
 pub mod photo;
 pub mod photo_writer;
@@ -47,6 +51,7 @@ mod xml;
 pub use adapters::{CameraFormat, export_cameras, import_cameras};
 pub use cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};
 pub use colmap::write_colmap_text;
+pub use dense::{DmapFile, read_colmap_depth, read_colmap_normal, read_dmap};
 pub use error::{IoError, IoErrorKind};
 pub use exr_maps::{
     LinearFile, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
@@ -56,6 +61,7 @@ pub use light_export::{LightFormat, write_lights};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{read_mask, write_mask};
 pub use mask_names::{expected_mask_name, find_mask, is_mask_among};
+pub use mesh::{ViewerFrame, write_mesh_glb, write_mesh_obj};
 pub use photo::{decode_photo, decode_photo_bytes, is_photo_name, photo_size};
 pub use photo_writer::{encode_photo_jpeg, write_photo_jpeg};
 pub use ply::{read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};

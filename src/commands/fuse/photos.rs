@@ -1,0 +1,92 @@
+//! Photos for the colours of fused maps: decoded when they are needed, one at a time.
+
+use crate::exit::Failure;
+use rilievo_io::{decode_photo, is_photo_name};
+use rilievo_scene::{
+    FocalSource, LinearImage, Photo, PhotoIdx, PhotoSet, PixelError, PixelSource, PosedViews,
+    Samples, srgb,
+};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A photo on the disk.
+#[derive(Debug)]
+struct File(PathBuf);
+
+impl PixelSource for File {
+    fn load(&self) -> Result<Arc<LinearImage>, PixelError> {
+        let photo = decode_photo(&self.0).map_err(|error| PixelError {
+            name: self.0.display().to_string(),
+            reason: error.reason,
+        })?;
+        let linear = |stored: f64| {
+            if photo.linear_by_metadata {
+                stored as f32
+            } else {
+                srgb::decode(stored) as f32
+            }
+        };
+        let data = match &photo.samples {
+            Samples::U8(values) => values.iter().map(|&v| linear(f64::from(v) / 255.0)).collect(),
+            Samples::U16(values) => values
+                .iter()
+                .map(|&v| linear(f64::from(v) / 65535.0))
+                .collect(),
+            Samples::F32(values) => values.clone(),
+        };
+        Ok(Arc::new(LinearImage {
+            width: photo.width,
+            height: photo.height,
+            channels: photo.channels,
+            data,
+        }))
+    }
+}
+
+/// The photos of a folder that belong to the views, by name with or without the ending. Views
+/// without one keep no photo and are told of by fusion.
+///
+/// # Errors
+/// When the folder cannot be read, or holds no photo of any view.
+pub fn find(folder: &Path, posed: &mut PosedViews) -> Result<PhotoSet, Failure> {
+    let entries = std::fs::read_dir(folder).map_err(|error| {
+        Failure::input(folder, format!("cannot be read: {error} (--photos)"))
+    })?;
+    let mut files: Vec<PathBuf> = entries
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| is_photo_name(path))
+        .collect();
+    files.sort();
+    let mut photos = PhotoSet::default();
+    for view in &mut posed.views {
+        let fits = |path: &&PathBuf| {
+            path.file_name().is_some_and(|n| n.to_string_lossy() == view.file_name)
+                || path.file_stem().is_some_and(|n| n.to_string_lossy() == view.name)
+        };
+        let Some(path) = files.iter().find(fits) else {
+            view.photo = PhotoIdx(usize::MAX);
+            continue;
+        };
+        view.photo = PhotoIdx(photos.photos.len());
+        photos.photos.push(Photo {
+            file_name: view.file_name.clone(),
+            name: view.name.clone(),
+            pixels: Arc::new(File(path.clone())),
+            intrinsics: view.intrinsics,
+            focal_source: FocalSource::CameraFile,
+            camera_group: 0,
+            orientation: 1,
+            mask: None,
+            clip_level: 1.0,
+            given_cam_from_world: None,
+        });
+    }
+    if photos.photos.is_empty() {
+        return Err(Failure::input(
+            folder,
+            "holds no photo of any of the views (--photos)",
+        ));
+    }
+    Ok(photos)
+}
