@@ -3,6 +3,7 @@
 
 #![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
 
+mod browser;
 mod common;
 
 use common::{arg, differences, reconstruct_arguments, rilievo, run, synthetic_set};
@@ -78,7 +79,7 @@ fn the_result_is_accurate() {
     check("/all/normal_mae_deg", 0.0, 13.0);
     check("/all/depth_median_rel", 0.0, 0.002);
     check("/cloud/accuracy_median", 0.0, 0.6e-3);
-    check("/cloud/completeness", 0.45, 1.0);
+    check("/cloud/completeness", 0.6, 1.0);
     for file in [
         "3_poses/cameras.json",
         "3_poses/sparse/points3D.txt",
@@ -88,11 +89,34 @@ fn the_result_is_accurate() {
         "5_shading/normal/IMG_0001.exr",
         "6_fusion/cloud.ply",
         "6_fusion/mesh.ply",
+        "6_fusion/mesh.obj",
+        "6_fusion/mesh.glb",
+        "evaluation/deviation.ply",
         "report.json",
         "report.html",
     ] {
         assert!(run_dir.join(file).exists(), "{file} is missing");
     }
+}
+
+#[test]
+fn the_report_works_in_a_browser() {
+    let _alone = alone();
+    let (run_dir, _) = reference();
+    let Some(seen) = browser::open(&run_dir.join("report.html")) else {
+        eprintln!("skipped: there is no Chromium here to open the report in");
+        return;
+    };
+    assert_eq!(seen.errors, Vec::<String>::new(), "console");
+    let number = |key: &str| seen.facts[key].as_u64().unwrap_or(u64::MAX);
+    assert!((8..1000).contains(&number("images")), "{}", seen.facts);
+    assert_eq!(seen.facts["failed"], serde_json::json!([]));
+    assert_eq!(number("withoutAlt"), 0, "{}", seen.facts);
+    // Shaded surface has many tones; an empty canvas has one.
+    assert!((50..1 << 24).contains(&number("colors")), "{}", seen.facts);
+    assert_eq!(seen.facts["wide"], false, "scrolls sideways");
+    let size = std::fs::metadata(run_dir.join("report.html")).map_or(u64::MAX, |m| m.len());
+    assert!(size < 25_000_000 / 2, "{size} bytes for four views");
 }
 
 #[test]

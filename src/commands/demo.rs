@@ -53,6 +53,7 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
     };
     bring_run_up_to_date(&request, &run, range, &args.work, console)?;
     let evaluation = evaluate::measure(&run, &set.join("truth"), AlignmentRequest::Se3)?;
+    evaluate::show(&run, &set.join("truth"), AlignmentRequest::Se3, &evaluation)?;
     if args.work.json {
         let line = serde_json::json!({"event": "evaluation", "evaluation": evaluation});
         say!("{line}")?;

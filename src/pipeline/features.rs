@@ -5,7 +5,7 @@ use super::errors::from_features;
 use super::parallel::map_items;
 use super::plan::version;
 use crate::exit::Failure;
-use crate::store::{Item, StageWriter, StoreError, hash_json};
+use crate::store::{Item, RunDir, StageWriter, StoreError, hash_json};
 use anyhow::Context as _;
 use rilievo_features::FeaturesOptions;
 use rilievo_scene::{FeatureMatches, PairMatches, Photo, PhotoKeypoints, StageId};
@@ -146,4 +146,20 @@ fn read_binary<T: serde::de::DeserializeOwned>(path: &Path) -> anyhow::Result<T>
         reason: error.to_string(),
     })?;
     Ok(value)
+}
+
+/// Keypoints of one photo, by its name without ending.
+///
+/// # Errors
+/// When the file is missing or damaged.
+pub fn load_keypoints(run: &RunDir, name: &str) -> anyhow::Result<PhotoKeypoints> {
+    read_binary(&run.stage_dir(StageId::Features).join(keypoints_file(name)))
+}
+
+/// Verified matches of all pairs.
+///
+/// # Errors
+/// When the file is missing or damaged.
+pub fn load_pairs(run: &RunDir) -> anyhow::Result<Vec<PairMatches>> {
+    read_binary(&run.stage_dir(StageId::Features).join("pairs.bin"))
 }

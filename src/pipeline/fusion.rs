@@ -2,11 +2,9 @@
 
 use super::Context;
 use super::errors::{from_fusion, from_io};
-use crate::store::StageWriter;
 use crate::exit::Failure;
-use rilievo_io::{
-    ViewerFrame, write_cloud_ply, write_mesh_glb, write_mesh_obj, write_mesh_ply,
-};
+use crate::store::StageWriter;
+use rilievo_io::{ViewerFrame, write_cloud_ply, write_mesh_glb, write_mesh_obj, write_mesh_ply};
 use rilievo_scene::{FusedCloud, PosedViews, StageId};
 use std::path::PathBuf;
 

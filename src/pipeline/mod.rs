@@ -17,6 +17,7 @@ mod request;
 mod shading;
 
 pub use errors::{from_fusion, from_io, from_lighting, from_shading};
+pub use features::{load_keypoints, load_pairs};
 pub use fusion::write_surface;
 pub use inputs::Inputs;
 pub use parallel::Resources;

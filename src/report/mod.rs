@@ -4,11 +4,14 @@ mod html;
 mod json;
 mod system;
 
+pub use html::ViewErrors;
+
 use crate::exit::{self, Failure, Problem};
 use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, write_atomically};
 use serde::Serialize;
 use serde_json::{Value, json};
+use std::path::Path;
 
 /// How the command ended.
 #[derive(Clone, Debug, Serialize)]
@@ -39,6 +42,30 @@ impl Outcome {
             },
         }
     }
+}
+
+/// Puts an evaluation into the report of a run, in the place of an earlier one; tells whether there is
+/// a report. The next `reconstruct` that changes anything drops it again, for it is of older results.
+///
+/// # Errors
+/// When the report cannot be read or written.
+pub fn add_evaluation(
+    root: &Path,
+    table: &str,
+    views: &[ViewErrors],
+    deviations_mm: &[f64],
+) -> anyhow::Result<bool> {
+    let path = root.join("report.html");
+    if !path.exists() {
+        return Ok(false);
+    }
+    let page = std::fs::read_to_string(&path)?;
+    let section = html::evaluation_section(table, views, deviations_mm);
+    let Some(page) = html::with_evaluation(&page, &section) else {
+        return Ok(false);
+    };
+    write_atomically(&path, page.as_bytes())?;
+    Ok(true)
 }
 
 /// Whether a run has its report, and it tells this outcome of this request.

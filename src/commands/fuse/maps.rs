@@ -13,9 +13,7 @@ use rilievo_io::{
     CameraFile, CameraFormat, import_cameras, read_channel, read_colmap_depth, read_colmap_normal,
     read_depth, read_dmap, read_normal,
 };
-use rilievo_scene::{
-    ConfidenceMap, DepthMap, Intrinsics, NormalMap, RigidTransform, Unit,
-};
+use rilievo_scene::{ConfidenceMap, DepthMap, Intrinsics, NormalMap, RigidTransform, Unit};
 use std::path::{Path, PathBuf};
 
 /// Share of the normals that may look away from their camera: noise at the rim.
@@ -139,10 +137,17 @@ fn of_colmap(folder: &Path, maps: &Path, cameras: Option<&Path>) -> Result<Views
             })
         })
     };
-    assemble("COLMAP", folder, &cameras, &find, |path| {
-        let depth = read_colmap_depth(path);
-        depth.map_err(from_io)
-    }, |path| read_colmap_normal(path).map_err(from_io))
+    assemble(
+        "COLMAP",
+        folder,
+        &cameras,
+        &find,
+        |path| {
+            let depth = read_colmap_depth(path);
+            depth.map_err(from_io)
+        },
+        |path| read_colmap_normal(path).map_err(from_io),
+    )
 }
 
 fn of_exr(folder: &Path, cameras: Option<&Path>) -> Result<Views, Failure> {
@@ -230,12 +235,20 @@ fn assemble(
         let depth = depth_of(&files.depth)?;
         let normals_are_slopes = !files.normal.exists();
         // A map of another size than the camera's is refused before its slopes are taken.
-        same_size(&files.depth, (depth.width, depth.height), &camera.intrinsics)?;
+        same_size(
+            &files.depth,
+            (depth.width, depth.height),
+            &camera.intrinsics,
+        )?;
         let normal = if normals_are_slopes {
             slopes(&depth, &camera.intrinsics)
         } else {
             let normal = normal_of(&files.normal)?;
-            same_size(&files.normal, (normal.width, normal.height), &camera.intrinsics)?;
+            same_size(
+                &files.normal,
+                (normal.width, normal.height),
+                &camera.intrinsics,
+            )?;
             normal
         };
         let confidence = match &files.confidence {
@@ -260,7 +273,10 @@ fn assemble(
         )?);
     }
     if views.is_empty() {
-        let posed = cameras.cameras.iter().filter(|c| c.cam_from_world.is_some());
+        let posed = cameras
+            .cameras
+            .iter()
+            .filter(|c| c.cam_from_world.is_some());
         return Err(Failure::input(
             folder,
             format!(
@@ -278,7 +294,11 @@ fn assemble(
     })
 }
 
-fn same_size(path: &Path, (width, height): (usize, usize), camera: &Intrinsics) -> Result<(), Failure> {
+fn same_size(
+    path: &Path,
+    (width, height): (usize, usize),
+    camera: &Intrinsics,
+) -> Result<(), Failure> {
     if (width, height) == (camera.width, camera.height) {
         return Ok(());
     }
@@ -306,7 +326,9 @@ fn checked(path: &Path, view: View) -> Result<View, Failure> {
             if slope.norm() < 0.5 || !(0.9..1.1).contains(&normal.norm()) {
                 continue;
             }
-            let ray = view.intrinsics.ray(&nalgebra::Point2::new(x as f64, y as f64));
+            let ray = view
+                .intrinsics
+                .ray(&nalgebra::Point2::new(x as f64, y as f64));
             averted += usize::from(normal.map(f64::from).dot(&ray) > 0.0);
             angles.push(normal.angle(&slope).to_degrees());
         }
@@ -342,14 +364,13 @@ fn slopes(depth: &DepthMap, camera: &Intrinsics) -> NormalMap {
         let normal = || -> Option<Vector3<f64>> {
             let here = point(x, y)?;
             // The longest difference that has a value at both ends.
-            let along = |before: Option<Vector3<f64>>, after: Option<Vector3<f64>>| {
-                match (before, after) {
+            let along =
+                |before: Option<Vector3<f64>>, after: Option<Vector3<f64>>| match (before, after) {
                     (Some(a), Some(b)) => Some(b - a),
                     (Some(a), None) => Some(here - a),
                     (None, Some(b)) => Some(b - here),
                     (None, None) => None,
-                }
-            };
+                };
             let at = |x: Option<usize>, y: Option<usize>| {
                 let (x, y) = (x?, y?);
                 (x < depth.width && y < depth.height).then(|| point(x, y))?
@@ -357,7 +378,11 @@ fn slopes(depth: &DepthMap, camera: &Intrinsics) -> NormalMap {
             let across = along(at(x.checked_sub(1), Some(y)), at(Some(x + 1), Some(y)))?;
             let down = along(at(Some(x), y.checked_sub(1)), at(Some(x), Some(y + 1)))?;
             let normal = across.cross(&down).try_normalize(0.0)?;
-            Some(if normal.dot(&here) > 0.0 { -normal } else { normal })
+            Some(if normal.dot(&here) > 0.0 {
+                -normal
+            } else {
+                normal
+            })
         };
         normal().map_or([0.0; 3], |n| n.map(|c| c as f32).into())
     })

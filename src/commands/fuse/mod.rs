@@ -76,14 +76,14 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     let began = Instant::now();
     let started = format!("{} views of {format}", posed.views.len());
     console.stage(StageId::Fusion, &StageNews::Started(started));
-    let (fused, report) =
-        rilievo_fusion::run(&photos, &posed, &shaded, &options.fusion, console).map_err(|error| {
-            let hint = unit_hint(&posed, &shaded);
-            match (from_fusion(error), hint) {
-                (error, None) => error,
-                (error, Some(hint)) => Failure::NoResult(format!("{error}; {hint}")).into(),
-            }
-        })?;
+    let (fused, report) = rilievo_fusion::run(&photos, &posed, &shaded, &options.fusion, console)
+        .map_err(|error| {
+        let hint = unit_hint(&posed, &shaded);
+        match (from_fusion(error), hint) {
+            (error, None) => error,
+            (error, Some(hint)) => Failure::NoResult(format!("{error}; {hint}")).into(),
+        }
+    })?;
     console.warn_all(StageId::Fusion, &report.warnings);
     write_surface(&fused, &posed, &|name| Ok(args.output.join(name)))?;
     let seconds = began.elapsed().as_secs_f64();

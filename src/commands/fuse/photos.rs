@@ -27,7 +27,10 @@ impl PixelSource for File {
             }
         };
         let data = match &photo.samples {
-            Samples::U8(values) => values.iter().map(|&v| linear(f64::from(v) / 255.0)).collect(),
+            Samples::U8(values) => values
+                .iter()
+                .map(|&v| linear(f64::from(v) / 255.0))
+                .collect(),
             Samples::U16(values) => values
                 .iter()
                 .map(|&v| linear(f64::from(v) / 65535.0))
@@ -49,9 +52,8 @@ impl PixelSource for File {
 /// # Errors
 /// When the folder cannot be read, or holds no photo of any view.
 pub fn find(folder: &Path, posed: &mut PosedViews) -> Result<PhotoSet, Failure> {
-    let entries = std::fs::read_dir(folder).map_err(|error| {
-        Failure::input(folder, format!("cannot be read: {error} (--photos)"))
-    })?;
+    let entries = std::fs::read_dir(folder)
+        .map_err(|error| Failure::input(folder, format!("cannot be read: {error} (--photos)")))?;
     let mut files: Vec<PathBuf> = entries
         .flatten()
         .map(|entry| entry.path())
@@ -61,8 +63,11 @@ pub fn find(folder: &Path, posed: &mut PosedViews) -> Result<PhotoSet, Failure> 
     let mut photos = PhotoSet::default();
     for view in &mut posed.views {
         let fits = |path: &&PathBuf| {
-            path.file_name().is_some_and(|n| n.to_string_lossy() == view.file_name)
-                || path.file_stem().is_some_and(|n| n.to_string_lossy() == view.name)
+            path.file_name()
+                .is_some_and(|n| n.to_string_lossy() == view.file_name)
+                || path
+                    .file_stem()
+                    .is_some_and(|n| n.to_string_lossy() == view.name)
         };
         let Some(path) = files.iter().find(fits) else {
             view.photo = PhotoIdx(usize::MAX);

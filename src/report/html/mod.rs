@@ -4,12 +4,16 @@
 //! the stages with their tables and the solver's convergence; then settings, versions and hashes.
 
 mod element;
+mod evaluation;
+mod matches;
 mod overview;
 mod picture;
 mod plot;
 mod stages;
 mod viewer;
 mod views;
+
+pub use evaluation::{ViewErrors, section as evaluation_section};
 
 use crate::pipeline::load_poses;
 use crate::store::RunDir;
@@ -18,6 +22,16 @@ use serde_json::Value;
 const STYLE: &str = include_str!("page.css");
 const PAGE_SCRIPT: &str = include_str!("page.js");
 const VIEWER_SCRIPT: &str = include_str!("viewer.js");
+
+const EVALUATION_BEGIN: &str = "<!-- evaluation -->";
+const EVALUATION_END: &str = "<!-- end of evaluation -->";
+
+/// A page with a section in the place of an earlier evaluation's; `None` where the page has none.
+pub fn with_evaluation(page: &str, section: &str) -> Option<String> {
+    let (before, rest) = page.split_once(EVALUATION_BEGIN)?;
+    let (_, after) = rest.split_once(EVALUATION_END)?;
+    Some([before, EVALUATION_BEGIN, section, EVALUATION_END, after].concat())
+}
 
 /// The page.
 ///
@@ -34,6 +48,9 @@ pub fn page(run: &RunDir, report: &Value) -> anyhow::Result<String> {
         body += &viewer::section(run, posed)?;
         body += &views::section(run, report, posed)?;
     }
+    // `evaluate` puts its section between these marks.
+    body += EVALUATION_BEGIN;
+    body += EVALUATION_END;
     body += &stages::sections(report);
     Ok(format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\

@@ -69,6 +69,19 @@ impl Window {
 /// When it cannot be encoded.
 pub fn photo(image: &LinearImage, window: Window, exposure: f32) -> Result<String, Failure> {
     let step = window.width.max(window.height).div_ceil(MAX_SIDE);
+    photo_at(image, window, exposure, step)
+}
+
+/// A photo, reduced by a factor.
+///
+/// # Errors
+/// When it cannot be encoded.
+pub fn photo_at(
+    image: &LinearImage,
+    window: Window,
+    exposure: f32,
+    step: usize,
+) -> Result<String, Failure> {
     let (width, height) = (window.width / step, window.height / step);
     let mut small = LinearImage::filled(width, height, image.channels, 0.0);
     let scale = exposure / (step * step) as f32;

@@ -62,6 +62,51 @@ pub fn logarithmic(title: &str, curves: &[(&str, Vec<f64>)]) -> String {
     )
 }
 
+/// How many of `errors` lie within a size, up to their 98 % quantile; empty without errors.
+pub fn cumulative(title: &str, unit: &str, mut errors: Vec<f64>) -> String {
+    errors.retain(|e| e.is_finite());
+    errors.sort_by(f64::total_cmp);
+    let Some(&largest) = errors.get(errors.len() * 98 / 100).filter(|e| **e > 0.0) else {
+        return String::new();
+    };
+    let x = |error: f64| MARGIN + (WIDTH - 2.0 * MARGIN) * error / largest;
+    let y = |share: f64| HEIGHT - MARGIN / 2.0 - (HEIGHT - MARGIN) * share;
+    let mut svg = format!(
+        "<figure><svg class=\"plot\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
+        escape(title)
+    );
+    for quarter in 0..=4 {
+        let share = 0.25 * f64::from(quarter);
+        svg += &format!(
+            "<path class=\"grid\" d=\"M{MARGIN} {y:.1}H{:.1}\"/><text x=\"4\" y=\"{:.1}\">{:.0} %</text>\
+             <text x=\"{:.1}\" y=\"{:.1}\">{:.3} {unit}</text>",
+            WIDTH - MARGIN,
+            y(share) + 4.0,
+            100.0 * share,
+            x(share * largest) - 14.0,
+            HEIGHT - 4.0,
+            share * largest,
+            y = y(share)
+        );
+    }
+    const NUM_STEPS: usize = 200;
+    let points: Vec<String> = (0..=NUM_STEPS)
+        .map(|k| {
+            let error = largest * k as f64 / NUM_STEPS as f64;
+            let within = errors.partition_point(|e| *e <= error) as f64 / errors.len() as f64;
+            format!("{:.1},{:.1}", x(error), y(within))
+        })
+        .collect();
+    svg + &format!(
+        "<polyline fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\" points=\"{}\"/></svg>\
+         <figcaption>{}; half lie within {:.3} {unit}</figcaption></figure>",
+        STYLES[0].0,
+        points.join(" "),
+        escape(title),
+        errors[errors.len() / 2]
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,6 +2,7 @@
 //! confidence; and the whole photo with sparse points and the outline of the sphere.
 
 use super::element::{escape, folded, items, number, percent};
+use super::matches::{self, Thumb};
 use super::picture::{self, MAX_SIDE, Window};
 use crate::pipeline::shown_albedo;
 use crate::store::RunDir;
@@ -11,6 +12,8 @@ use rilievo_scene::{LinearImage, LocatedSphere, PosedView, PosedViews, Raster, S
 use serde_json::Value;
 use std::path::Path;
 
+/// Longer side of the photos between which matches are drawn, pixels.
+const THUMB_SIDE: usize = 480;
 /// Relative difference of photo and result that is shown as full brightness.
 const DIFFERENCE_MAX: f32 = 0.25;
 
@@ -20,11 +23,18 @@ const DIFFERENCE_MAX: f32 = 0.25;
 /// When maps cannot be read.
 pub fn section(run: &RunDir, report: &Value, posed: &PosedViews) -> anyhow::Result<String> {
     let mut html = String::from("<section><h2>Views</h2>");
+    let mut thumbs = Vec::new();
     for (index, view) in posed.views.iter().enumerate() {
-        let content = one(run, report, posed, index, view)?;
+        let photo = read_linear(
+            &run.stage_dir(StageId::Photos)
+                .join(format!("linear/{}.exr", view.name)),
+        )?;
+        let content = one(run, report, posed, index, &photo)?;
         html += &folded(&view.file_name, index == 0, &content);
+        thumbs.push(thumb(&photo)?);
     }
-    Ok(html + "</section>")
+    html += "</section>";
+    Ok(html + &matches::section(run, posed, &thumbs)?)
 }
 
 fn one(
@@ -32,20 +42,28 @@ fn one(
     report: &Value,
     posed: &PosedViews,
     index: usize,
-    view: &PosedView,
+    photo: &LinearImage,
 ) -> anyhow::Result<String> {
-    let photo = read_linear(
-        &run.stage_dir(StageId::Photos)
-            .join(format!("linear/{}.exr", view.name)),
-    )?;
+    let view = &posed.views[index];
     let mut html = facts(report, view);
     let maps = run.stage_dir(StageId::Shading);
     if maps.join(format!("depth/{}.exr", view.name)).exists() {
-        html += &dense(&maps, view, &photo)?;
+        html += &dense(&maps, view, photo)?;
     }
-    html += &overlay(posed, index, view, &photo)?;
+    html += &overlay(posed, index, view, photo)?;
     html += &sphere(run, &view.name);
     Ok(html)
+}
+
+/// The photo, small enough to stand in the page a second time.
+fn thumb(photo: &LinearImage) -> anyhow::Result<Thumb> {
+    let step = photo.width.max(photo.height).div_ceil(THUMB_SIDE);
+    Ok(Thumb {
+        picture: picture::photo_at(photo, Window::whole(photo.width, photo.height), 1.0, step)?,
+        width: (photo.width / step) as f64,
+        height: (photo.height / step) as f64,
+        step: step as f64,
+    })
 }
 
 /// Photo, result and maps of the object.
@@ -73,20 +91,32 @@ fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<S
         pictures.push((
             picture::scalar(&difference, window, DIFFERENCE_MAX),
             "Relative difference".to_owned(),
-            format!("bright: {:.0} % and more", 100.0 * DIFFERENCE_MAX),
+            "where photo and result disagree".to_owned(),
+            bar(
+                "inferno",
+                "0",
+                &format!("{:.0} % and more", 100.0 * DIFFERENCE_MAX),
+            ),
         ));
     } else {
-        pictures.push((observed, "Photo".to_owned(), "cut to the object".to_owned()));
+        pictures.push((
+            observed,
+            "Photo".to_owned(),
+            "cut to the object".to_owned(),
+            String::new(),
+        ));
     }
     let normal = read_normal(&file("normal"))?;
     pictures.push((
         picture::normals(&normal, window),
         "Normals".to_owned(),
         "red: to the right, green: up, blue: to the camera".to_owned(),
+        String::new(),
     ));
     pictures.push((
         picture::depth(&depth, window),
         "Depth".to_owned(),
+        "along the optical axis, in the world's unit".to_owned(),
         depth_legend(&depth),
     ));
     if file("albedo").exists() {
@@ -102,14 +132,15 @@ fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<S
         pictures.push((
             picture::scalar(&confidence, window, 1.0),
             "Confidence".to_owned(),
-            "bright: well determined".to_owned(),
+            "how well the photos determine a pixel".to_owned(),
+            bar("inferno", "0", "1: well"),
         ));
     }
     html += "<div class=\"pictures\">";
-    for (picture, what, legend) in pictures {
+    for (picture, what, legend, bar) in pictures {
         html += &format!(
             "<figure><img loading=\"lazy\" src=\"{picture}\" alt=\"{} of {name}\">\
-             <figcaption>{}: {}</figcaption></figure>",
+             <figcaption>{}: {}{bar}</figcaption></figure>",
             escape(&what),
             escape(&what),
             escape(&legend)
@@ -126,7 +157,16 @@ fn depth_legend(depth: &Raster<f32>) -> String {
         .fold((f32::INFINITY, 0.0_f32), |(low, high), &z| {
             (low.min(z), high.max(z))
         });
-    format!("bright is near; {low:.4} to {high:.4} in the world's unit")
+    bar("viridis", &format!("{high:.4}"), &format!("{low:.4}: near"))
+}
+
+/// A colour scale with the values at its ends.
+fn bar(colors: &str, low: &str, high: &str) -> String {
+    format!(
+        "<span class=\"scale\"><span>{}</span><span class=\"bar {colors}\"></span><span>{}</span></span>",
+        escape(low),
+        escape(high)
+    )
 }
 
 /// `|rendered − photo| / photo`, over the mean of the channels; −1 outside the object.
@@ -186,7 +226,7 @@ fn facts(report: &Value, view: &PosedView) -> String {
     ];
     let mut html = String::from("<dl class=\"facts\">");
     for (name, value) in rows {
-        html += &format!("<dt>{name}</dt><dd>{}</dd>", escape(&value));
+        html += &format!("<div><dt>{name}</dt><dd>{}</dd></div>", escape(&value));
     }
     html + "</dl>"
 }

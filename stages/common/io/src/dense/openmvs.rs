@@ -13,7 +13,7 @@
 use super::{floats, num_pixels};
 use crate::cameras::rigid_from_world_pose;
 use crate::error::IoError;
-use nalgebra::{Matrix3, Point3};
+use nalgebra::Matrix3;
 use rilievo_scene::{DepthMap, Distortion, Intrinsics, NormalMap, Raster, RigidTransform};
 use std::path::Path;
 
@@ -113,11 +113,8 @@ pub fn read_dmap(path: &Path) -> Result<DmapFile, IoError> {
             k[0], k[4], k[1]
         )));
     }
-    let pose = rigid_from_world_pose(
-        &Matrix3::from_row_slice(&r).transpose(),
-        Point3::from(c),
-    )
-    .map_err(|reason| refuse(format!("the camera's rotation {reason}")))?;
+    let pose = rigid_from_world_pose(&Matrix3::from_row_slice(&r).transpose(), c)
+        .map_err(|reason| refuse(format!("the camera's rotation {reason}")))?;
     let depth = floats(bytes.take(4 * num)?).collect();
     let normal = if content_bits & 2 == 0 {
         None

@@ -74,12 +74,17 @@ fn a_dmap_brings_its_camera_at_the_maps_size() {
     let path = dir.path().join("depth0000.dmap");
     std::fs::write(&path, dmap()).unwrap();
     let file = read_dmap(&path).unwrap();
-    assert_eq!((file.image.as_str(), &file.depth.data[..]), ("a.jpg", &[1.0, 0.0][..]));
+    assert_eq!(
+        (file.image.as_str(), &file.depth.data[..]),
+        ("a.jpg", &[1.0, 0.0][..])
+    );
     let camera = file.intrinsics;
     // The middle of the image stays the middle of the map.
     assert_eq!((camera.fx, camera.cx, camera.cy), (5.0, 0.5, 0.0));
     assert_eq!(file.normal.unwrap().data[1], [0.0, 0.6, -0.8]);
-    let ahead = file.cam_from_world.apply(&nalgebra::Point3::new(2.0, 2.0, 3.0));
+    let ahead = file
+        .cam_from_world
+        .apply(&nalgebra::Point3::new(2.0, 2.0, 3.0));
     assert!((ahead.coords - Vector3::z()).norm() < 1e-12, "{ahead}");
 }
 

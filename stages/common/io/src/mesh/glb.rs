@@ -12,7 +12,7 @@
 use super::check;
 use crate::error::IoError;
 use nalgebra::{Matrix3, Vector3};
-use rilievo_scene::{Mesh, PosedViews, Unit};
+use rilievo_scene::{Mesh, PosedViews, Unit, srgb};
 use serde_json::{Value, json};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -74,13 +74,7 @@ impl ViewerFrame {
 }
 
 fn linear(byte: u8) -> u16 {
-    let v = f32::from(byte) / 255.0;
-    let linear = if v <= 0.040_45 {
-        v / 12.92
-    } else {
-        ((v + 0.055) / 1.055).powf(2.4)
-    };
-    (linear * 65535.0).round() as u16
+    (srgb::decode(f64::from(byte) / 255.0) * 65535.0).round() as u16
 }
 
 /// Writes a mesh as GLB.
@@ -179,8 +173,7 @@ fn description(mesh: &Mesh, positions: &[[f32; 3]], unit: Unit) -> (String, usiz
         add("COLOR_0", num * COLOR_BYTES, ARRAY, accessor);
     }
     let num_indices = 3 * mesh.triangles.len();
-    let accessor =
-        json!({"componentType": UNSIGNED_INT, "count": num_indices, "type": "SCALAR"});
+    let accessor = json!({"componentType": UNSIGNED_INT, "count": num_indices, "type": "SCALAR"});
     add("", 4 * num_indices, ELEMENTS, accessor);
     let indices = accessors.len() - 1;
     let unit = match unit {

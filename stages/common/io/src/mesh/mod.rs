@@ -27,7 +27,12 @@ fn check(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
             return Err(IoError::write(path, reason));
         }
     }
-    match mesh.triangles.iter().flatten().find(|&&v| v as usize >= num) {
+    match mesh
+        .triangles
+        .iter()
+        .flatten()
+        .find(|&&v| v as usize >= num)
+    {
         Some(v) => Err(IoError::write(
             path,
             format!("a triangle names vertex {v} of {num}"),

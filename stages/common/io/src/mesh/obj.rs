@@ -25,7 +25,10 @@ pub fn write_mesh_obj(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoErro
             Unit::Metre => "metre",
             Unit::Arbitrary => "arbitrary",
         };
-        writeln!(out, "# unit {unit}\n# frame world of cameras.json\no object")?;
+        writeln!(
+            out,
+            "# unit {unit}\n# frame world of cameras.json\no object"
+        )?;
         for (i, [x, y, z]) in mesh.vertices.iter().enumerate() {
             write!(out, "v {x} {y} {z}")?;
             match mesh.colors.get(i) {

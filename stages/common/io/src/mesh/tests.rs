@@ -63,12 +63,18 @@ fn glb_holds_what_its_json_says() {
     assert_eq!(binary + word(20 + length), bytes.len());
     assert_eq!(json["asset"]["extras"]["unit"], "metre");
     let offset = |attribute: usize| {
-        json["bufferViews"][attribute]["byteOffset"].as_u64().unwrap() as usize + binary
+        json["bufferViews"][attribute]["byteOffset"]
+            .as_u64()
+            .unwrap() as usize
+            + binary
     };
     let float = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
     // The third vertex: up in the picture is up in the file.
     let at = offset(0) + 24;
-    assert_eq!([float(at), float(at + 4), float(at + 8)], [0.0, -0.25, -1.0]);
+    assert_eq!(
+        [float(at), float(at + 4), float(at + 8)],
+        [0.0, -0.25, -1.0]
+    );
     assert_eq!(float(offset(1) + 8), 1.0, "the normal towards the viewer");
     let color: Vec<u16> = bytes[offset(2)..offset(2) + 8]
         .chunks(2)
@@ -76,7 +82,10 @@ fn glb_holds_what_its_json_says() {
         .collect();
     // sRGB 128 is linear 0.2159.
     assert_eq!(color, [65535, 0, 14146, 65535]);
-    assert_eq!([word(offset(3)), word(offset(3) + 4), word(offset(3) + 8)], [0, 2, 1]);
+    assert_eq!(
+        [word(offset(3)), word(offset(3) + 4), word(offset(3) + 8)],
+        [0, 2, 1]
+    );
     assert_eq!(json["accessors"][0]["max"][0], 0.5);
 }
 
@@ -87,7 +96,10 @@ fn obj_counts_from_one() {
     write_mesh_obj(&path, &triangle(), Unit::Arbitrary).unwrap();
     let text = std::fs::read_to_string(&path).unwrap();
     assert!(text.starts_with("# unit arbitrary\n"), "{text}");
-    assert!(text.contains("\nv 0.5 0 1 1.0000 0.0000 0.5020\n"), "{text}");
+    assert!(
+        text.contains("\nv 0.5 0 1 1.0000 0.0000 0.5020\n"),
+        "{text}"
+    );
     assert!(text.ends_with("\nf 1//1 3//3 2//2\n"), "{text}");
 }
 

@@ -1,9 +1,12 @@
 //! `rilievo evaluate RUN --truth DIR`: accuracy against ground truth, the alignment said aloud.
 
+mod errors;
+
 use crate::cli::{Align, EvaluateArgs};
 use crate::exit::Failure;
 use crate::pipeline::{from_io, load_poses};
-use crate::store::RunDir;
+use crate::report;
+use crate::store::{RunDir, StoreError};
 use rilievo_io::{
     CameraFile, read_cameras, read_cloud_ply, read_depth, read_mesh_ply, read_normal,
 };
@@ -33,6 +36,52 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
         say!("{}", serde_json::to_string_pretty(&evaluation)?)?;
     } else {
         say!("{}", table(&evaluation).trim_end())?;
+    }
+    show(&args.run, &args.truth, request, &evaluation)
+}
+
+/// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`.
+///
+/// # Errors
+/// When maps cannot be read, or the files cannot be written.
+pub fn show(
+    run: &Path,
+    truth: &Path,
+    request: AlignmentRequest,
+    evaluation: &Evaluation,
+) -> anyhow::Result<()> {
+    let estimate = Estimate::open(run)?;
+    let truth = Truth::open(truth)?;
+    let mut views = Vec::new();
+    for name in &estimate.expected {
+        views.extend(truth.view(name)?);
+    }
+    let maps = errors::maps(&estimate, &views, evaluation.scale)?;
+    let cloud = read_if_there(&estimate.cloud, read_cloud_ply)?;
+    let surface = read_if_there(&truth.folder.join("mesh.ply"), read_mesh_ply)?;
+    let mut deviations = Vec::new();
+    if let (Some(cloud), Some(surface), Some(compared)) = (cloud, surface, &evaluation.cloud) {
+        let poses = truth.poses(&estimate.expected);
+        let similarity = compare::align(&estimate.poses, &poses, request)
+            .map_err(|error| Failure::NoResult(error.to_string()))?;
+        let max = compared.threshold;
+        deviations = errors::deviations(&cloud, &surface, &similarity, max / 3.0);
+        let folder = run.join("evaluation");
+        std::fs::create_dir_all(&folder).map_err(StoreError::files("create", &folder))?;
+        let path = folder.join("deviation.ply");
+        let unit = truth.cameras.unit;
+        errors::write_deviations(&path, &cloud, &deviations, max, unit)?;
+        tell!(
+            "signed distances of the cloud, blue inside to red outside at {:.2} mm, are in {}",
+            1e3 * max,
+            path.display()
+        );
+    }
+    for deviation in &mut deviations {
+        *deviation *= 1e3;
+    }
+    if report::add_evaluation(run, &table(evaluation), &maps, &deviations)? {
+        tell!("error maps are in {}", run.join("report.html").display());
     }
     Ok(())
 }

@@ -1,0 +1,117 @@
+//! Accuracy against the truth: error maps of every view and how the errors are distributed.
+
+use super::element::{escape, folded};
+use super::picture::{self, Window};
+use super::plot;
+use rilievo_scene::Raster;
+
+/// Relative depth error that is shown as full brightness: one per cent.
+const DEPTH_MAX: f32 = 0.01;
+/// Angle between normals that is shown as full brightness, degrees.
+const NORMAL_MAX_DEG: f32 = 30.0;
+
+/// Errors of one view's pixels; negative where there is nothing to compare.
+#[derive(Clone, Debug)]
+pub struct ViewErrors {
+    /// The view.
+    pub name: String,
+    /// Relative errors of depth.
+    pub depth_rel: Raster<f32>,
+    /// Angles between normals, degrees, where the truth has normals.
+    pub normal_deg: Option<Raster<f32>>,
+}
+
+/// Values of all views that exist.
+fn values<'a>(maps: impl Iterator<Item = &'a Raster<f32>>, factor: f64) -> Vec<f64> {
+    maps.flat_map(|map| &map.data)
+        .filter(|v| **v >= 0.0)
+        .map(|&v| factor * f64::from(v))
+        .collect()
+}
+
+/// The section: the table of numbers, distributions, and maps. `deviations` are the cloud's signed
+/// distances in millimetres.
+pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> String {
+    let mut html = format!(
+        "<section id=\"accuracy\"><h2>Accuracy against the truth</h2><pre>{}</pre>",
+        escape(table)
+    );
+    let sizes: Vec<f64> = deviations_mm.iter().map(|d| d.abs()).collect();
+    let depth = values(views.iter().map(|v| &v.depth_rel), 100.0);
+    let normal = values(views.iter().filter_map(|v| v.normal_deg.as_ref()), 1.0);
+    for (title, unit, errors) in [
+        (
+            "Share of the pixels within a relative depth error",
+            "%",
+            depth,
+        ),
+        (
+            "Share of the pixels within an angle between normals",
+            "°",
+            normal,
+        ),
+        (
+            "Share of the cloud's points within a distance from the surface",
+            "mm",
+            sizes,
+        ),
+    ] {
+        html += &plot::cumulative(title, unit, errors);
+    }
+    for (index, view) in views.iter().enumerate() {
+        // Where nothing is compared, nothing is cut out either.
+        let compared = Raster {
+            width: view.depth_rel.width,
+            height: view.depth_rel.height,
+            data: view
+                .depth_rel
+                .data
+                .iter()
+                .map(|&v| if v >= 0.0 { 1.0 } else { 0.0 })
+                .collect(),
+        };
+        let window = Window::around(&compared);
+        let name = escape(&view.name);
+        let mut pictures = format!(
+            "<div class=\"pictures\"><figure><img loading=\"lazy\" src=\"{}\" alt=\"Depth errors of {name}\">\
+             <figcaption>Relative depth error: dark is none, bright {:.0} % and more, grey not compared\
+             </figcaption></figure>",
+            picture::scalar(&view.depth_rel, window, DEPTH_MAX),
+            100.0 * DEPTH_MAX
+        );
+        if let Some(map) = &view.normal_deg {
+            pictures += &format!(
+                "<figure><img loading=\"lazy\" src=\"{}\" alt=\"Normal errors of {name}\">\
+                 <figcaption>Angle between normals: dark is none, bright {NORMAL_MAX_DEG:.0}° and more\
+                 </figcaption></figure>",
+                picture::scalar(map, window, NORMAL_MAX_DEG)
+            );
+        }
+        html += &folded(
+            &format!("Errors of {}", view.name),
+            index == 0,
+            &(pictures + "</div>"),
+        );
+    }
+    html + "</section>"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_map_has_its_picture_and_legend() {
+        let map = Raster::from_fn(30, 20, |x, _| if x < 10 { -1.0 } else { 0.002 });
+        let view = ViewErrors {
+            name: "<a>".into(),
+            depth_rel: map.clone(),
+            normal_deg: Some(map),
+        };
+        let html = section("a < b", &[view], &[0.1, -0.2]);
+        assert_eq!(html.matches("<img").count(), 2);
+        assert_eq!(html.matches("<svg").count(), 3);
+        assert!(html.contains("a &lt; b") && html.contains("Errors of &lt;a&gt;"));
+        assert!(!html.contains("<a>") && !html.contains("NaN"), "{html}");
+    }
+}
