@@ -125,6 +125,7 @@ fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<S
             picture::photo(&albedo, window, 1.0)?,
             "Albedo".to_owned(),
             "relative to the mean, which is a middle grey".to_owned(),
+            String::new(),
         ));
     }
     if file("confidence").exists() {
