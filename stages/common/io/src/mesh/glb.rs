@@ -203,7 +203,7 @@ fn description(mesh: &Mesh, positions: &[[f32; 3]], unit: Unit) -> (String, usiz
     });
     let mut text = document.to_string();
     // Chunks are multiples of four bytes; JSON is filled up with spaces.
-    while text.len() % 4 != 0 {
+    while !text.len().is_multiple_of(4) {
         text.push(' ');
     }
     (text, offset)
