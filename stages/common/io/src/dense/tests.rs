@@ -31,7 +31,7 @@ fn damaged_arrays_are_refused() {
         (b"12", "width&height"),
         (b"a&b&c&", "width&height"),
         (b"0&4&1&", "0 x 4"),
-        (b"4294967296&4294967296&1&", "width&height"),
+        (b"4294967296&4294967296&1&", "pixels"),
         (b"99999999&99999999&1&", "pixels"),
         (b"2&2&1&abcd", "need 16 bytes"),
     ] {
