@@ -1,7 +1,7 @@
 //! `rilievo demo`: a synthetic scene, photographed to JPEG files, reconstructed from those files
 //! alone through all six stages, and measured against the truth.
 
-use super::evaluate;
+use super::evaluate::{self, Comparison};
 use super::finish;
 use super::reconstruct::bring_run_up_to_date;
 use super::synth::{SynthOptions, write_set};
@@ -52,8 +52,9 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
         until: StageId::Fusion,
     };
     bring_run_up_to_date(&request, &run, range, &args.work, console)?;
-    let evaluation = evaluate::measure(&run, &set.join("truth"), AlignmentRequest::Se3)?;
-    evaluate::show(&run, &set.join("truth"), AlignmentRequest::Se3, &evaluation)?;
+    let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
+    let evaluation = comparison.measure()?;
+    comparison.show(&evaluation)?;
     if args.work.json {
         let line = serde_json::json!({"event": "evaluation", "evaluation": evaluation});
         say!("{line}")?;

@@ -4,7 +4,7 @@
 //! A point `p` whose nearest true triangle has the corner `a` and the outward normal `n` deviates by
 //! `±|p − M|`, positive where `n·(p − a) > 0`: material where there is none.
 
-use super::Estimate;
+use super::estimate::Estimate;
 use crate::exit::Failure;
 use crate::pipeline::from_io;
 use crate::report::ViewErrors;

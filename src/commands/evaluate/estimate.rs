@@ -1,0 +1,101 @@
+//! What a run, or a folder of maps, holds to be compared.
+
+use super::read_if_there;
+use crate::exit::Failure;
+use crate::pipeline::load_poses;
+use crate::store::RunDir;
+use rilievo_io::{read_depth, read_normal};
+use rilievo_scene::{DepthMap, NormalMap, StageId};
+use rilievo_synthetic::compare::NamedPose;
+use std::path::{Path, PathBuf};
+
+/// What is to be compared: poses and maps of a run, or the maps of `rilievo shade`.
+pub(super) struct Estimate {
+    /// Poses of the registered photos.
+    pub poses: Vec<NamedPose>,
+    /// Names of all photos that a result could be expected of.
+    pub expected: Vec<String>,
+    maps: PathBuf,
+    /// The cloud's file, there or not.
+    pub cloud: PathBuf,
+}
+
+impl Estimate {
+    /// Opens a run directory, or a folder of `rilievo shade`.
+    ///
+    /// # Errors
+    /// When the run cannot be read.
+    pub fn open(root: &Path) -> anyhow::Result<Self> {
+        if !root.join("run.json").exists() && root.join("depth").is_dir() {
+            return Self::of_shade(root);
+        }
+        let run = RunDir::open_to_read(root)?;
+        if run.manifest(StageId::Poses)?.is_none() {
+            return Self::without_poses(&run);
+        }
+        let views = load_poses(&run)?;
+        let poses = views
+            .views
+            .iter()
+            .map(|view| NamedPose {
+                name: view.name.clone(),
+                cam_from_world: view.cam_from_world,
+            })
+            .collect();
+        let unregistered = views.unregistered.iter().map(|photo| {
+            let name = Path::new(&photo.file_name).file_stem();
+            name.map_or(String::new(), |name| name.to_string_lossy().into_owned())
+        });
+        let posed = views.views.iter().map(|view| view.name.clone());
+        Ok(Self {
+            expected: posed.chain(unregistered).collect(),
+            poses,
+            maps: run.stage_dir(StageId::Shading),
+            cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
+        })
+    }
+
+    /// A run that has not come to poses yet: photos at most, from which a result was expected.
+    fn without_poses(run: &RunDir) -> anyhow::Result<Self> {
+        let photos = run.manifest(StageId::Photos)?;
+        Ok(Self {
+            poses: Vec::new(),
+            expected: photos.map_or_else(Vec::new, |manifest| manifest.items.into_keys().collect()),
+            maps: run.stage_dir(StageId::Shading),
+            cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
+        })
+    }
+
+    /// The output folder of `rilievo shade` has maps, but neither poses nor a cloud.
+    fn of_shade(root: &Path) -> anyhow::Result<Self> {
+        let mut expected: Vec<String> = std::fs::read_dir(root.join("depth"))?
+            .flatten()
+            .map(|entry| entry.path())
+            .filter(|path| path.extension().is_some_and(|ending| ending == "exr"))
+            .filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned()))
+            .collect();
+        expected.sort();
+        Ok(Self {
+            poses: Vec::new(),
+            expected,
+            maps: root.to_path_buf(),
+            cloud: root.join("cloud.ply"),
+        })
+    }
+
+    /// Depth map of a view, if it has one.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn depth(&self, name: &str) -> Result<Option<DepthMap>, Failure> {
+        read_if_there(&self.maps.join(format!("depth/{name}.exr")), read_depth)
+    }
+
+    /// Normal map of a view, if it has one.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn normal(&self, name: &str) -> Result<Option<NormalMap>, Failure> {
+        read_if_there(&self.maps.join(format!("normal/{name}.exr")), read_normal)
+    }
+}

@@ -1,0 +1,72 @@
+//! An evaluation as a table for people.
+
+use rilievo_synthetic::compare::{self, Evaluation, MapComparison};
+
+/// The numbers as a table for people.
+pub fn table(evaluation: &Evaluation) -> String {
+    let mut text = format!(
+        "alignment: {} (scale {:.5}): {}\n",
+        match evaluation.alignment {
+            compare::Alignment::None => "none",
+            compare::Alignment::Se3 => "se3",
+            compare::Alignment::Sim3 => "sim3",
+        },
+        evaluation.scale,
+        evaluation.alignment_reason
+    );
+    if let Some(poses) = &evaluation.poses {
+        text += &format!(
+            "poses: {} of {} cameras; centre error mean {:.3} mm, max {:.3} mm; rotation error mean \
+             {:.4} deg, max {:.4} deg\n",
+            poses.num_cameras,
+            poses.num_cameras + poses.num_missing,
+            1e3 * poses.center_error_mean,
+            1e3 * poses.center_error_max,
+            poses.rotation_error_mean_deg,
+            poses.rotation_error_max_deg
+        );
+    }
+    let width = evaluation
+        .views
+        .keys()
+        .map(|name| name.chars().count())
+        .fold("all".len(), usize::max);
+    text += &format!(
+        "{:<width$}  complete   normals MAE  median   depth median      p90\n",
+        "view"
+    );
+    for (name, view) in &evaluation.views {
+        text += &row(name, view, width);
+    }
+    if let Some(all) = &evaluation.all {
+        text += &row("all", all, width);
+    }
+    if let Some(cloud) = &evaluation.cloud {
+        text += &format!(
+            "cloud: accuracy median {:.3} mm; completeness {:.1} %, F {:.3} at {:.2} mm\n",
+            1e3 * cloud.accuracy_median,
+            100.0 * cloud.completeness,
+            cloud.f_score,
+            1e3 * cloud.threshold
+        );
+    }
+    for (key, reason) in &evaluation.reasons {
+        text += &format!("no {key}: {reason}\n");
+    }
+    text
+}
+
+fn row(name: &str, view: &MapComparison, width: usize) -> String {
+    let cell = |value: Option<f64>, factor: f64, unit: &str, digits: usize| match value {
+        Some(value) => format!("{:.digits$} {unit}", factor * value),
+        None => "-".to_owned(),
+    };
+    format!(
+        "{name:<width$}  {:>8}  {:>12}  {:>9}  {:>9}  {:>9}\n",
+        cell(view.complete, 100.0, "%", 1),
+        cell(view.normal_mae_deg, 1.0, "deg", 2),
+        cell(view.normal_median_deg, 1.0, "deg", 2),
+        cell(view.depth_median_rel, 100.0, "%", 3),
+        cell(view.depth_p90_rel, 100.0, "%", 3),
+    )
+}

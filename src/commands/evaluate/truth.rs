@@ -1,0 +1,102 @@
+//! Ground truth in a folder.
+
+use super::read_if_there;
+use crate::exit::Failure;
+use rilievo_io::{CameraFile, read_cameras, read_depth, read_mesh_ply, read_normal};
+use rilievo_scene::{DepthMap, Intrinsics, Mesh};
+use rilievo_synthetic::compare::{NamedPose, TruthView};
+use std::path::{Path, PathBuf};
+
+/// Ground truth in a folder.
+pub(super) struct Truth {
+    folder: PathBuf,
+    /// True cameras, none where the folder tells none.
+    pub cameras: CameraFile,
+}
+
+impl Truth {
+    /// Opens a folder.
+    ///
+    /// # Errors
+    /// When its cameras cannot be read.
+    pub fn open(folder: &Path) -> Result<Self, Failure> {
+        let cameras = read_if_there(&folder.join("cameras.json"), read_cameras)?;
+        Ok(Self {
+            folder: folder.to_path_buf(),
+            cameras: cameras.unwrap_or_default(),
+        })
+    }
+
+    /// Poses of the photos that a result could be expected of.
+    pub fn poses(&self, expected: &[String]) -> Vec<NamedPose> {
+        expected
+            .iter()
+            .filter_map(|name| {
+                Some(NamedPose {
+                    name: name.clone(),
+                    cam_from_world: self.cameras.find(name)?.cam_from_world?,
+                })
+            })
+            .collect()
+    }
+
+    /// The true surface, if there is one.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn surface(&self) -> Result<Option<Mesh>, Failure> {
+        read_if_there(&self.surface_file(), read_mesh_ply)
+    }
+
+    /// The true surface's file, there or not.
+    pub fn surface_file(&self) -> PathBuf {
+        self.folder.join("mesh.ply")
+    }
+
+    /// True maps of the photos that have any.
+    ///
+    /// # Errors
+    /// When a map cannot be read.
+    pub fn views(&self, expected: &[String]) -> Result<Vec<TruthView>, Failure> {
+        let mut views = Vec::new();
+        for name in expected {
+            views.extend(self.view(name)?);
+        }
+        Ok(views)
+    }
+
+    fn view(&self, name: &str) -> Result<Option<TruthView>, Failure> {
+        // Beside NAME_depth.exr, a folder of its own per view.
+        let beside = self.folder.join(format!("{name}_depth.exr"));
+        let (depth, normal) = if beside.exists() {
+            (beside, self.folder.join(format!("{name}_normal.exr")))
+        } else {
+            let own = self.folder.join(name);
+            (own.join("depth_true.exr"), own.join("normal_true.exr"))
+        };
+        let Some(depth) = read_if_there(&depth, read_depth)? else {
+            return Ok(None);
+        };
+        let intrinsics = match self.cameras.find(name) {
+            Some(camera) => camera.intrinsics,
+            None => own_camera(&self.folder.join(name).join("camera.json"), &depth)?,
+        };
+        Ok(Some(TruthView {
+            name: name.to_owned(),
+            intrinsics,
+            normal: read_if_there(&normal, read_normal)?,
+            depth,
+        }))
+    }
+}
+
+/// The camera beside a view's truth; without one only fitted planes would need it.
+fn own_camera(path: &Path, depth: &DepthMap) -> Result<Intrinsics, Failure> {
+    let file = read_if_there(path, read_cameras)?;
+    let camera = file.and_then(|file| file.cameras.first().map(|camera| camera.intrinsics));
+    let (width, height) = (depth.width, depth.height);
+    Ok(camera.unwrap_or_else(|| {
+        let (cx, cy) = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
+        Intrinsics::pinhole(width, height, 1.2 * width.max(height) as f64, cx, cy)
+    }))
+}
