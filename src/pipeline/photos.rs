@@ -54,9 +54,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     for problem in &inputs.skipped {
         context.console.warn(StageId::Photos, problem.to_string());
     }
-    for warning in &inputs.warnings {
-        context.console.warn(StageId::Photos, warning.clone());
-    }
+    context.console.warn_all(StageId::Photos, &inputs.warnings);
     let options = serde_json::to_value(&context.request.options.photos)?;
     let prepared = map_photos(
         inputs,

@@ -2,9 +2,9 @@
 
 use crate::exit::Failure;
 use rilievo_io::{decode_photo, is_photo_name};
+use rilievo_photos::{Encoding, linearize};
 use rilievo_scene::{
     FocalSource, LinearImage, Photo, PhotoIdx, PhotoSet, PixelError, PixelSource, PosedViews,
-    Samples, srgb,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,30 +19,8 @@ impl PixelSource for File {
             name: self.0.display().to_string(),
             reason: error.reason,
         })?;
-        let linear = |stored: f64| {
-            if photo.linear_by_metadata {
-                stored as f32
-            } else {
-                srgb::decode(stored) as f32
-            }
-        };
-        let data = match &photo.samples {
-            Samples::U8(values) => values
-                .iter()
-                .map(|&v| linear(f64::from(v) / 255.0))
-                .collect(),
-            Samples::U16(values) => values
-                .iter()
-                .map(|&v| linear(f64::from(v) / 65535.0))
-                .collect(),
-            Samples::F32(values) => values.clone(),
-        };
-        Ok(Arc::new(LinearImage {
-            width: photo.width,
-            height: photo.height,
-            channels: photo.channels,
-            data,
-        }))
+        let (image, _) = linearize(&photo, Encoding::Auto);
+        Ok(Arc::new(image))
     }
 }
 
