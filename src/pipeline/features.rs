@@ -64,14 +64,13 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 /// # Errors
 /// When files are missing or damaged.
 pub fn load(context: &Context<'_>, photos: &[Photo]) -> anyhow::Result<FeatureMatches> {
-    let dir = context.run.stage_dir(StageId::Features);
     let keypoints = photos
         .iter()
-        .map(|photo| read_binary::<PhotoKeypoints>(&dir.join(keypoints_file(&photo.name))))
+        .map(|photo| load_keypoints(context.run, &photo.name))
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok(FeatureMatches {
         photos: keypoints,
-        pairs: read_binary::<Vec<PairMatches>>(&dir.join("pairs.bin"))?,
+        pairs: load_pairs(context.run)?,
     })
 }
 
