@@ -1,11 +1,11 @@
 //! `rilievo check PHOTOS`: the preflight alone, in seconds.
 
-use super::finish;
+use super::reporting_found;
 use crate::cli::CheckArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Inputs, LightingInput, Request, Resources, SphereInput, check_photos};
+use crate::pipeline::{Inputs, Request, Resources, check_photos};
 use crate::store::Contents;
 use rilievo_photos::PhotosReport;
 
@@ -14,11 +14,11 @@ use rilievo_photos::PhotosReport;
 /// # Errors
 /// [`Failure::Input`] with every file that cannot be used, after the good ones were reported on.
 pub fn check(args: &CheckArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.work.json);
-    let mut report = None;
-    let outcome = look(args, &console, &mut report);
-    finish(&console, &outcome, serde_json::json!({"report": report}));
-    outcome
+    reporting_found(args.work.json, |console| {
+        let mut report = None;
+        let outcome = look(args, console, &mut report);
+        (outcome, serde_json::json!({"report": report}))
+    })
 }
 
 fn look(
@@ -33,12 +33,9 @@ fn look(
     options.override_with(None, None, args.encoding);
     options.validate()?;
     let request = Request {
-        photos: args.photos.clone(),
         masks: args.masks.clone(),
         cameras: args.cameras.clone(),
-        sphere: SphereInput::None,
-        lighting: LightingInput::Found,
-        options,
+        ..Request::of_photos(args.photos.clone(), options)
     };
     let inputs = Inputs::scan(&request, &mut Contents::without_memory())?;
     for problem in &inputs.skipped {

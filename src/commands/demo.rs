@@ -2,13 +2,13 @@
 //! alone through all six stages, and measured against the truth.
 
 use super::evaluate::{self, Comparison};
-use super::finish;
 use super::reconstruct::bring_run_up_to_date;
+use super::reporting;
 use super::synth::{SynthOptions, write_set};
 use crate::cli::DemoArgs;
 use crate::config::StageOptions;
 use crate::observe::Console;
-use crate::pipeline::{LightingInput, Range, Request, SphereInput};
+use crate::pipeline::{Range, Request, SphereInput};
 use crate::store::{RunDir, StoreError};
 use rilievo_scene::StageId;
 use rilievo_synthetic::compare::AlignmentRequest;
@@ -19,14 +19,8 @@ use std::path::Path;
 /// # Errors
 /// When a stage fails, or the folder cannot be written.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.work.json);
-    let outcome = run(args, &console);
-    finish(
-        &console,
-        &outcome,
-        serde_json::json!({"folder": args.output}),
-    );
-    outcome
+    let facts = serde_json::json!({"folder": args.output});
+    reporting(args.work.json, facts, |console| run(args, console))
 }
 
 fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
@@ -37,15 +31,13 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
     start_afresh(&run)?;
     photograph(&set, args.seed, console)?;
     let request = Request {
-        photos: vec![set.join("photos")],
         masks: Some(set.join("masks")),
         cameras: Some(set.join("intrinsics.json")),
         sphere: SphereInput::File {
             path: set.join("sphere.json"),
             radius: None,
         },
-        lighting: LightingInput::Found,
-        options: StageOptions::default(),
+        ..Request::of_photos(vec![set.join("photos")], StageOptions::default())
     };
     let range = Range {
         redo_from: None,

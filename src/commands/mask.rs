@@ -7,14 +7,12 @@
 //!
 //! A mask that is there already is left alone: it may have been corrected by hand.
 
-use super::finish;
+use super::reporting_found;
 use crate::cli::MaskArgs;
 use crate::config::StageOptions;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
-use crate::pipeline::{
-    Inputs, LightingInput, Request, Resources, SphereInput, from_io, linear_photo, map_photos,
-};
+use crate::pipeline::{Inputs, Request, Resources, from_io, linear_photo, map_photos};
 use crate::store::{Contents, StoreError};
 use rilievo_io::{Preview, write_mask, write_preview_png};
 use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
@@ -39,11 +37,11 @@ const OUTLINE: [f32; 3] = [1.0, 0.05, 0.02];
 /// [`Failure::Input`] with the photos that cannot be read; [`Failure::NoResult`] when no mask could
 /// be proposed for some photo. The others' masks are written first.
 pub fn mask(args: &MaskArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.work.json);
-    let mut told = Vec::new();
-    let outcome = propose(args, &console, &mut told);
-    finish(&console, &outcome, serde_json::json!({"masks": told}));
-    outcome
+    reporting_found(args.work.json, |console| {
+        let mut told = Vec::new();
+        let outcome = propose(args, console, &mut told);
+        (outcome, serde_json::json!({"masks": told}))
+    })
 }
 
 /// What became of a photo.
@@ -59,14 +57,7 @@ fn propose(
 ) -> anyhow::Result<()> {
     let mut options = StageOptions::default();
     options.override_with(None, None, args.encoding);
-    let request = Request {
-        photos: args.photos.clone(),
-        masks: None,
-        cameras: None,
-        sphere: SphereInput::None,
-        lighting: LightingInput::Found,
-        options,
-    };
+    let request = Request::of_photos(args.photos.clone(), options);
     let inputs = Inputs::scan(&request, &mut Contents::without_memory())?;
     for problem in &inputs.skipped {
         console.note(&format!("  {problem}"));

@@ -1,6 +1,6 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
-use super::finish;
+use super::reporting;
 use crate::cli::{ReconstructArgs, WorkArgs};
 use crate::exit::Failure;
 use crate::observe::Console;
@@ -15,22 +15,15 @@ use std::path::Path;
 /// # Errors
 /// The first failure; stages before it stay committed, and the same command goes on from there.
 pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.work.json);
     let range = Range {
         redo_from: args.from,
         until: args.until.unwrap_or(StageId::Fusion),
     };
-    let outcome = Request::from_args(args)
-        .map_err(anyhow::Error::new)
-        .and_then(|request| {
-            bring_run_up_to_date(&request, &args.output, range, &args.work, &console)
-        });
-    finish(
-        &console,
-        &outcome,
-        serde_json::json!({"run": args.output, "until": range.until}),
-    );
-    outcome
+    let facts = serde_json::json!({"run": args.output, "until": range.until});
+    reporting(args.work.json, facts, |console| {
+        let request = Request::from_args(args)?;
+        bring_run_up_to_date(&request, &args.output, range, &args.work, console)
+    })
 }
 
 /// Opens or creates a run directory for a request and brings its stages up to date.

@@ -1,6 +1,6 @@
 //! `rilievo run STAGE RUN`: one stage again, with what the run directory says.
 
-use super::{finish, stored_request};
+use super::{reporting, stored_request};
 use crate::cli::RunArgs;
 use crate::exit::Failure;
 use crate::observe::Console;
@@ -13,14 +13,8 @@ use crate::store::{Contents, RunDir};
 /// # Errors
 /// When a stage that this one reads is missing or stale, or the stage fails.
 pub fn run(args: &RunArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.work.json);
-    let outcome = redo(args, &console);
-    finish(
-        &console,
-        &outcome,
-        serde_json::json!({"run": args.run, "stage": args.stage}),
-    );
-    outcome
+    let facts = serde_json::json!({"run": args.run, "stage": args.stage});
+    reporting(args.work.json, facts, |console| redo(args, console))
 }
 
 fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<()> {

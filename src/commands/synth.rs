@@ -1,7 +1,7 @@
 //! `rilievo synth OUT`: a synthetic photo folder with ground truth.
 //!
 //! ```text
-//! OUT/photos/IMG_0001.jpg …       8-bit sRGB with EXIF-free names, as a camera would write them
+//! OUT/photos/IMG_0001.jpg …       8-bit sRGB, as a camera would write them
 //! OUT/masks/IMG_0001.png …        the object
 //! OUT/sphere_masks/IMG_0001.png … the reference sphere
 //! OUT/intrinsics.json             cameras without poses
@@ -9,7 +9,7 @@
 //! OUT/truth/                      cameras.json, NAME_depth.exr, NAME_normal.exr, lighting.json, mesh.ply
 //! ```
 
-use super::finish;
+use super::reporting;
 use crate::cli::SynthArgs;
 use crate::exit::Failure;
 use crate::observe::Console;
@@ -42,22 +42,16 @@ pub struct SynthOptions {
 /// # Errors
 /// Unusable options, or a folder that cannot be written.
 pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.json);
-    let outcome = options(args)
-        .and_then(|options| write_set(&args.output, &options, args.mesh.as_deref(), &console));
-    if outcome.is_ok() {
+    let facts = serde_json::json!({"folder": args.output});
+    reporting(args.json, facts, |console| {
+        write_set(&args.output, &options(args)?, args.mesh.as_deref(), console)?;
         console.note(&format!(
             "{} photos, masks and ground truth are in {}",
             args.views,
             args.output.display()
         ));
-    }
-    finish(
-        &console,
-        &outcome,
-        serde_json::json!({"folder": args.output}),
-    );
-    outcome
+        Ok(())
+    })
 }
 
 fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {

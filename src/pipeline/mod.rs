@@ -24,7 +24,7 @@ pub use parallel::Resources;
 pub use photos::{check as check_photos, linear_photo, map_photos};
 pub use plan::{Plan, StageState, upstream};
 pub use poses::load as load_poses;
-pub use request::{LightingInput, Request, SphereInput};
+pub use request::{Request, SphereInput};
 pub use shading::{shown_albedo, write_maps};
 
 use crate::exit::Failure;

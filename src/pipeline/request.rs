@@ -66,6 +66,18 @@ pub struct Request {
 }
 
 impl Request {
+    /// A request of photos alone: no masks, no cameras, no sphere.
+    pub fn of_photos(photos: Vec<PathBuf>, options: StageOptions) -> Self {
+        Self {
+            photos,
+            masks: None,
+            cameras: None,
+            sphere: SphereInput::None,
+            lighting: LightingInput::Found,
+            options,
+        }
+    }
+
     /// The request of a command line.
     ///
     /// # Errors

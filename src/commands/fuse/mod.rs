@@ -3,7 +3,7 @@
 mod maps;
 mod photos;
 
-use super::finish;
+use super::reporting;
 use crate::cli::FuseArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
@@ -27,18 +27,12 @@ const MAX_DEPTH_RATIO: f64 = 200.0;
 /// # Errors
 /// When maps or cameras cannot be used, nothing agrees, or the results cannot be written.
 pub fn fuse(args: &FuseArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.work.json);
-    let outcome = run(args, &console);
-    finish(
-        &console,
-        &outcome,
-        serde_json::json!({"folder": args.output}),
-    );
-    outcome
+    let facts = serde_json::json!({"folder": args.output});
+    reporting(args.work.json, facts, |console| run(args, console))
 }
 
 fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
-    // Sets up the number of threads; the memory bounds the mesh's cells.
+    // Sets the number of threads.
     let _resources = Resources::new(&args.work);
     let mut options = match &args.config {
         Some(path) => StageOptions::read(path)?,

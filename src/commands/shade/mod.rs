@@ -7,7 +7,7 @@
 mod depth_order;
 mod problem;
 
-use super::finish;
+use super::reporting;
 use crate::cli::{Projection, ShadeArgs, Splitting};
 use crate::config::StageOptions;
 use crate::exit::Failure;
@@ -24,14 +24,8 @@ use std::time::Instant;
 /// # Errors
 /// Unusable input, or a problem that the solver refuses.
 pub fn shade(args: &ShadeArgs) -> anyhow::Result<()> {
-    let console = Console::new(args.work.json);
-    let outcome = run(args, &console);
-    finish(
-        &console,
-        &outcome,
-        serde_json::json!({"folder": args.output}),
-    );
-    outcome
+    let facts = serde_json::json!({"folder": args.output});
+    reporting(args.work.json, facts, |console| run(args, console))
 }
 
 fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
@@ -46,9 +40,7 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
     console.stage(StageId::Shading, &StageNews::Started(started));
     let solution = rilievo_shading::solve(&problem.problem, &options.shading, console)
         .map_err(from_shading)?;
-    for warning in &solution.report.warnings {
-        console.warn(StageId::Shading, warning.clone());
-    }
+    console.warn_all(StageId::Shading, &solution.report.warnings);
     for (index, view) in solution.views.into_iter().enumerate() {
         write_view(&args.output, index, view)?;
     }
