@@ -31,15 +31,12 @@ pub struct StageOptions {
 }
 
 impl StageOptions {
-    /// Reads a TOML file; every key that it leaves out keeps its default.
+    /// Reads a TOML file; every key that it leaves out keeps its default, all without a file.
     ///
     /// # Errors
     /// When it cannot be read, or a key is unknown or has a wrong value; names file, line and key.
-    pub fn read(path: &Path) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| Failure::input(path, format!("cannot be read: {error}")))?;
-        toml::from_str(&text)
-            .map_err(|error| Failure::Usage(format!("config file {}: {error}", path.display())))
+    pub fn read(path: Option<&Path>) -> Result<Self, Failure> {
+        path.map_or_else(|| Ok(Self::default()), read_toml)
     }
 
     /// Takes over what the command line says.
@@ -86,6 +83,17 @@ impl StageOptions {
     }
 }
 
+/// Reads options from a TOML file.
+///
+/// # Errors
+/// When it cannot be read, or a key is unknown or has a wrong value; names file, line and key.
+pub fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| Failure::input(path, format!("cannot be read: {error}")))?;
+    toml::from_str(&text)
+        .map_err(|error| Failure::Usage(format!("config file {}: {error}", path.display())))
+}
+
 impl From<Encoding> for rilievo_photos::Encoding {
     fn from(encoding: Encoding) -> Self {
         match encoding {
@@ -103,7 +111,7 @@ mod tests {
     fn read(text: &str) -> Result<StageOptions, Failure> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
-        StageOptions::read(file.path())
+        StageOptions::read(Some(file.path()))
     }
 
     #[test]

@@ -267,6 +267,22 @@ fn a_request_that_cannot_be_used_leaves_the_run_as_it_was() {
 }
 
 #[test]
+fn a_damaged_request_is_asked_anew_and_the_results_are_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    two_stages(&photos, &run_dir, &[]);
+    std::fs::write(run_dir.join("run.json"), "{\"program\": \"ril").unwrap();
+    let (code, _, stderr) = run(&["status", arg(&run_dir)]);
+    assert_eq!(code, 5, "{stderr}");
+    let told = stderr.contains("run.json") && stderr.contains("rilievo reconstruct");
+    assert!(told, "{stderr}");
+    assert_eq!(two_stages(&photos, &run_dir, &[]), both(true, true));
+    let (code, _, stderr) = run(&["status", arg(&run_dir)]);
+    assert_eq!(code, 0, "{stderr}");
+}
+
+#[test]
 fn a_photo_that_cannot_be_read_is_left_out() {
     let dir = tempfile::tempdir().unwrap();
     let photos = noise_photos(dir.path(), 2);

@@ -26,10 +26,7 @@ fn look(
     console: &Console,
     told: &mut Option<PhotosReport>,
 ) -> anyhow::Result<()> {
-    let mut options = match &args.config {
-        Some(path) => StageOptions::read(path)?,
-        None => StageOptions::default(),
-    };
+    let mut options = StageOptions::read(args.config.as_deref())?;
     options.override_with(None, None, args.encoding);
     options.validate()?;
     let request = Request {

@@ -47,7 +47,7 @@ fn stored_request(run: &RunDir) -> Result<Request, Failure> {
     let value = run.read_run_file()?;
     let request = value.get("request").cloned().unwrap_or_default();
     serde_json::from_value(request).map_err(|error| {
-        StoreError::Damaged {
+        StoreError::DamagedRequest {
             path: run.root().join("run.json"),
             reason: error.to_string(),
         }

@@ -11,6 +11,7 @@
 
 use super::reporting;
 use crate::cli::SynthArgs;
+use crate::config::read_toml;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::from_io;
@@ -57,13 +58,7 @@ pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
 fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
     let mut options = match &args.config {
         None => SynthOptions::default(),
-        Some(path) => {
-            let text = std::fs::read_to_string(path)
-                .map_err(|error| Failure::input(path, format!("cannot be read: {error}")))?;
-            toml::from_str(&text).map_err(|error| {
-                Failure::Usage(format!("config file {}: {error}", path.display()))
-            })?
-        }
+        Some(path) => read_toml(path)?,
     };
     options.scene.seed = args.seed;
     options.photographs.num_views = args.views;

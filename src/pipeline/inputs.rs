@@ -82,7 +82,7 @@ impl Inputs {
                 Ok(hash) => hash,
                 Err(error) => {
                     let reason = match error {
-                        StoreError::Files { source, .. } => format!("cannot be read: {source}"),
+                        StoreError::Files { reason, .. } => format!("cannot be read: {reason}"),
                         other => other.to_string(),
                     };
                     unreadable.push(Problem { file: path, reason });

@@ -83,10 +83,7 @@ impl Request {
     /// # Errors
     /// Contradictory or invalid options, and paths that do not exist.
     pub fn from_args(args: &ReconstructArgs) -> Result<Self, Failure> {
-        let mut options = match &args.config {
-            Some(path) => StageOptions::read(path)?,
-            None => StageOptions::default(),
-        };
+        let mut options = StageOptions::read(args.config.as_deref())?;
         options.override_with(args.model, args.anchors, args.encoding);
         if let Some(known) = &args.known_distance {
             options.poses.known_distance = Some(known.clone());

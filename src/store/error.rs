@@ -54,15 +54,27 @@ pub enum StoreError {
         /// What is wrong.
         reason: String,
     },
+    /// What was asked for cannot be understood.
+    #[error(
+        "{} is damaged: {reason}; `rilievo reconstruct` with the options of this run writes it anew \
+         and keeps the results",
+        path.display()
+    )]
+    DamagedRequest {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
     /// The disk said no.
-    #[error("cannot {action} {}: {source}", path.display())]
+    #[error("cannot {action} {}: {reason}", path.display())]
     Files {
         /// What was tried ("write").
         action: &'static str,
         /// On which file.
         path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
+        /// The system's reason; part of the message, so no further cause.
+        reason: std::io::Error,
     },
 }
 
@@ -70,10 +82,10 @@ impl StoreError {
     /// Wraps a system error with what was tried.
     pub fn files(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_path_buf();
-        move |source| Self::Files {
+        move |reason| Self::Files {
             action,
             path,
-            source,
+            reason,
         }
     }
 }

@@ -22,17 +22,23 @@ const WRITING: &str = ".writing-";
 #[derive(Debug)]
 pub struct RunDir {
     root: PathBuf,
-    lock: Option<Lock>,
+    /// Held for its `Drop`.
+    _lock: Option<Lock>,
 }
 
 impl RunDir {
-    /// Opens a run directory for work, creating it when the folder is absent or empty.
+    /// Opens a run directory for work, creating it when the folder is absent or empty. One whose
+    /// `run.json` is damaged is opened too if a stage's manifest shows that it is ours: what is
+    /// asked for is written anew.
     ///
     /// # Errors
     /// When it belongs to another program or version, is in use, or cannot be written.
     pub fn create_or_open(root: &Path) -> Result<Self, StoreError> {
         if root.join(RUN_FILE).exists() {
-            return Self::open(root);
+            return match Self::open(root) {
+                Err(StoreError::DamagedRequest { .. }) if holds_results(root) => Self::lock(root),
+                opened => opened,
+            };
         }
         if root.exists() {
             let mut entries = std::fs::read_dir(root).map_err(StoreError::files("read", root))?;
@@ -52,12 +58,7 @@ impl RunDir {
             }
         }
         std::fs::create_dir_all(root).map_err(StoreError::files("create", root))?;
-        let run = Self {
-            root: root.to_path_buf(),
-            lock: Some(Lock::take(root)?),
-        };
-        run.recover()?;
-        Ok(run)
+        Self::lock(root)
     }
 
     /// Whether what was asked for has been written into it yet.
@@ -70,8 +71,15 @@ impl RunDir {
     /// # Errors
     /// When there is none, it is of another version, or in use.
     pub fn open(root: &Path) -> Result<Self, StoreError> {
-        let mut run = Self::open_to_read(root)?;
-        run.lock = Some(Lock::take(root)?);
+        Self::open_to_read(root)?;
+        Self::lock(root)
+    }
+
+    fn lock(root: &Path) -> Result<Self, StoreError> {
+        let run = Self {
+            root: root.to_path_buf(),
+            _lock: Some(Lock::take(root)?),
+        };
         run.recover()?;
         Ok(run)
     }
@@ -83,7 +91,7 @@ impl RunDir {
     pub fn open_to_read(root: &Path) -> Result<Self, StoreError> {
         let run = Self {
             root: root.to_path_buf(),
-            lock: None,
+            _lock: None,
         };
         let value = run.read_run_file()?;
         let found = value
@@ -145,7 +153,7 @@ impl RunDir {
             }
             _ => StoreError::files("read", &path)(error),
         })?;
-        serde_json::from_slice(&text).map_err(|error| StoreError::Damaged {
+        serde_json::from_slice(&text).map_err(|error| StoreError::DamagedRequest {
             path,
             reason: error.to_string(),
         })
@@ -244,6 +252,17 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
         Ok(())
     };
     write().map_err(StoreError::files("write", path))
+}
+
+/// Whether a stage was committed in a folder.
+fn holds_results(root: &Path) -> bool {
+    let run = RunDir {
+        root: root.to_path_buf(),
+        _lock: None,
+    };
+    StageId::ALL
+        .into_iter()
+        .any(|stage| matches!(run.manifest(stage), Ok(Some(_))))
 }
 
 #[cfg(test)]

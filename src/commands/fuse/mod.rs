@@ -34,10 +34,7 @@ pub fn fuse(args: &FuseArgs) -> anyhow::Result<()> {
 fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     // Sets the number of threads.
     let _resources = Resources::new(&args.work);
-    let mut options = match &args.config {
-        Some(path) => StageOptions::read(path)?,
-        None => StageOptions::default(),
-    };
+    let mut options = StageOptions::read(args.config.as_deref())?;
     args.surface.apply(&mut options.fusion);
     options.validate()?;
     let Views {

@@ -68,10 +68,7 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
 }
 
 fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
-    let mut options = match &args.config {
-        Some(path) => StageOptions::read(path)?,
-        None => StageOptions::default(),
-    };
+    let mut options = StageOptions::read(args.config.as_deref())?;
     options.override_with(None, None, args.encoding);
     match args.splitting {
         Some(Splitting::Full) => options.shading.splitting = rilievo_shading::Splitting::Full,
