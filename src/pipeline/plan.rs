@@ -38,7 +38,7 @@ pub(super) fn version(stage: StageId) -> u32 {
     match stage {
         StageId::Photos => 2,
         StageId::Features => 1,
-        StageId::Poses => 2,
+        StageId::Poses => 3,
         StageId::Lighting => 2,
         StageId::Shading => 3,
         StageId::Fusion => 2,

@@ -40,7 +40,8 @@ use incremental::Reconstruction;
 use model::{AdjustmentScope, IntrinsicsScope};
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{
-    Event, FeatureMatches, Flow, Observer, PhotoSet, PosedViews, SphereRequest, StageId,
+    Event, FeatureMatches, Flow, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest,
+    StageId,
 };
 use scene::Scene;
 
@@ -97,6 +98,7 @@ pub fn run(
     if let Some(lens) = &report.lens {
         warnings.push(lens.advice());
     }
+    warnings.extend(contradicted_exif(&scene, &reconstruction));
     warnings.extend(
         posed
             .unregistered
@@ -118,6 +120,35 @@ pub fn run(
     report.anchors = Some(anchor_report);
     report.warnings = warnings;
     Ok((posed, report))
+}
+
+/// Deviations of a focal length from EXIF's beyond which EXIF must be wrong.
+const WRONG_EXIF_SIGMAS: f64 = 4.0;
+
+/// A warning for each camera whose photos contradict the focal length in EXIF.
+fn contradicted_exif(scene: &Scene<'_>, reconstruction: &Reconstruction) -> Vec<String> {
+    let model = &reconstruction.model;
+    (0..scene.cameras.len())
+        .filter_map(|k| {
+            let photo = (0..scene.num_photos())
+                .find(|&p| scene.camera_of[p] == k && model.poses[p].is_some())?;
+            let photo = &scene.photos.photos[photo];
+            let deviation = model.cameras[k].deviation[0];
+            let from_exif = matches!(
+                photo.focal_source,
+                FocalSource::Exif35mm | FocalSource::ExifSensor
+            );
+            (from_exif && deviation.abs() > WRONG_EXIF_SIGMAS * scene::EXIF_FOCAL_SIGMA).then(|| {
+                format!(
+                    "{} and others of its camera: the photos say a focal length of {:.0} px, EXIF {:.0} px ({:+.0} %): cropped photos or another sensor; the photos were believed",
+                    photo.file_name,
+                    model.cameras[k].current().focal_px(),
+                    photo.intrinsics.focal_px(),
+                    100.0 * deviation.exp_m1(),
+                )
+            })
+        })
+        .collect()
 }
 
 /// Reconstructs models until no photo is left that can start one; the largest, and the photos of

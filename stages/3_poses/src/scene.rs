@@ -6,8 +6,9 @@ use crate::tracks::{self, TrackSighting};
 use nalgebra::Point2;
 use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, PhotoSet};
 
-/// Standard deviation of `ln f` where it comes from EXIF: rounding to whole millimetres.
-const EXIF_FOCAL_SIGMA: f64 = 0.05;
+/// Standard deviation of `ln f` where it comes from EXIF: a nominal length, rounded to whole
+/// millimetres or thereabouts, at a focus nearer than infinity.
+pub const EXIF_FOCAL_SIGMA: f64 = 0.02;
 /// Standard deviation of `ln f` where nothing is known.
 const GUESS_FOCAL_SIGMA: f64 = 0.4;
 /// Standard deviation of the principal point, as a share of the image's longer side.

@@ -3,6 +3,12 @@
 //! Matches join keypoints, the pairs with most verified matches first, but never so that a track
 //! would hold two places of one photo: one wrong match would otherwise fuse two true tracks and
 //! lose both. Keypoints at the same place with different orientations count as one.
+//!
+//! A match `a–b` of two photos is tested by every third photo that both are matched with: the loop
+//! closes when `a` and `b` have the same partner there, and breaks otherwise. Matches that more loops
+//! break than close are left out. That is what repeated texture does: a pair of photos may agree on
+//! the twin of every point, but not with the photos between them (loop constraints: Zach, Klopschitz,
+//! Pollefeys, CVPR 2010).
 
 use rilievo_scene::{FeatureMatches, PhotoKeypoints};
 
@@ -71,6 +77,50 @@ impl Forest {
     }
 }
 
+/// One end of a match.
+#[derive(Clone, Copy)]
+struct End {
+    photo: usize,
+    /// Place among all keypoints.
+    node: usize,
+}
+
+/// A match.
+type Link = [End; 2];
+
+/// The links that no more loops break than close, in their order.
+fn believed(links: &[Link], num_nodes: usize) -> Vec<Link> {
+    let mut partners: Vec<Vec<End>> = vec![Vec::new(); num_nodes];
+    for &[a, b] in links {
+        partners[a.node].push(b);
+        partners[b.node].push(a);
+    }
+    let votes = |[a, b]: &Link| {
+        let (mut closed, mut broken) = (0, 0);
+        let (mine, theirs) = (&partners[a.node], &partners[b.node]);
+        for third in mine.iter().filter(|p| p.photo != b.photo) {
+            let mut there = theirs.iter().filter(|p| p.photo == third.photo).peekable();
+            if there.peek().is_none() {
+                continue;
+            }
+            if there.any(|p| p.node == third.node) {
+                closed += 1;
+            } else {
+                broken += 1;
+            }
+        }
+        (closed, broken)
+    };
+    links
+        .iter()
+        .filter(|link| {
+            let (closed, broken) = votes(link);
+            broken <= closed
+        })
+        .copied()
+        .collect()
+}
+
 /// Tracks with at least two sightings, each ordered by photo.
 pub fn build(matches: &FeatureMatches) -> Vec<Vec<TrackSighting>> {
     let places: Vec<Vec<u32>> = matches.photos.iter().map(same_place).collect();
@@ -95,13 +145,23 @@ pub fn build(matches: &FeatureMatches) -> Vec<Vec<TrackSighting>> {
     }
     let mut order: Vec<usize> = (0..matches.pairs.len()).collect();
     order.sort_by_key(|&k| (std::cmp::Reverse(matches.pairs[k].matches.len()), k));
-    for k in order {
-        let pair = &matches.pairs[k];
-        for &[i, j] in &pair.matches {
-            let a = start[pair.first.0] + places[pair.first.0][i as usize] as usize;
-            let b = start[pair.second.0] + places[pair.second.0][j as usize] as usize;
-            forest.join(a, b);
-        }
+    let links: Vec<Link> = order
+        .into_iter()
+        .flat_map(|k| {
+            let pair = &matches.pairs[k];
+            let end = |photo: usize, keypoint: u32| End {
+                photo,
+                node: start[photo] + places[photo][keypoint as usize] as usize,
+            };
+            let (first, second) = (pair.first.0, pair.second.0);
+            pair.matches
+                .iter()
+                .map(move |&[i, j]| [end(first, i), end(second, j)])
+                .collect::<Vec<_>>()
+        })
+        .collect();
+    for [a, b] in believed(&links, total) {
+        forest.join(a.node, b.node);
     }
     forest
         .members

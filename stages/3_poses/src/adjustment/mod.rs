@@ -1,12 +1,11 @@
 //! Bundle adjustment.
 //!
-//! Minimises `E = Σ_k ρ(|π(c_k, P_k, X_k) − x_k| / σ_k) + ½ Σ (q − q₀)²/σ_q²` over poses `P`
-//! (rotation, centre), points `X` and, where asked, intrinsics `q` of each camera group with weak
-//! priors; `ρ` a robust loss, `σ_k` the standard deviation of an observation in pixels. Levenberg-Marquardt
-//! with iterated weights; the step by the Schur complement of the points ([`schur`]).
-//!
-//! Damping and report are those of [`rilievo_numerics::least_squares`]; its driver is not, since it
-//! is for a handful of parameters in one dense block and forms the step itself.
+//! Minimises `E = Σ_k ρ(|π(c_k, P_k, X_k) − x_k| / σ_k) + Σ ρ_q((q − q₀)/σ_q)` over poses `P` (rotation,
+//! centre), points `X` and, where asked, intrinsics `q` of each camera group with priors; `ρ` a robust
+//! loss, `σ_k` the standard deviation of an observation in pixels. `ρ_q` is Cauchy's: what EXIF says of a
+//! focal length is either nearly right or, after cropping or for another sensor, plainly wrong.
+//! Levenberg-Marquardt with iterated weights ([`rilievo_numerics::least_squares`]); the step by the
+//! Schur complement of the points ([`schur`]).
 //!
 //! The gauge is fixed by one view (all six parameters) and one coordinate of the centre farthest
 //! from it, unless enough views are held fixed anyway.
@@ -17,9 +16,15 @@ use crate::error::PosesError;
 use crate::projection::{CenteredPose, NUM_INTRINSICS, retract_intrinsics};
 use nalgebra::{Matrix3, Matrix6, Point2, Point3};
 use rayon::prelude::*;
-use rilievo_numerics::least_squares::{Damping, IterationRecord, SolveReport, Termination};
+use rilievo_numerics::least_squares::{
+    DampedProblem, DampedStep, LeastSquaresError, LeastSquaresOptions, SolveReport,
+    levenberg_marquardt,
+};
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::Intrinsics;
+
+/// Loss of the priors on intrinsics.
+const PRIOR_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
 
 /// A camera shared by the views of its group.
 #[derive(Clone, Debug)]
@@ -166,7 +171,7 @@ impl Bundle {
         self.cameras
             .iter()
             .flat_map(|c| c.deviation.iter().zip(&c.prior_sigma))
-            .filter_map(|(d, sigma)| sigma.map(|s| 0.5 * (d / s).powi(2)))
+            .filter_map(|(d, sigma)| sigma.map(|s| PRIOR_LOSS.cost(d / s)))
             .sum()
     }
 
@@ -244,64 +249,22 @@ impl Bundle {
     /// # Errors
     /// When the start has no finite cost, or the normal matrix is singular however damped.
     pub fn adjust(&mut self, options: &BundleOptions) -> Result<SolveReport, PosesError> {
-        let layout = schur::Layout::new(self);
-        let failed = |reason: String| PosesError::Adjustment {
-            num_views: layout.views.len(),
-            reason,
+        let problem = Problem {
+            layout: schur::Layout::new(self),
+            loss: options.loss,
         };
-        let mut cost = self.cost(options.loss);
-        if !cost.is_finite() {
-            return Err(failed(format!("the cost at the start is {cost}")));
-        }
-        let mut report = SolveReport {
-            termination: Termination::MaxIterations,
-            initial_cost: cost,
-            final_cost: cost,
-            iterations: Vec::new(),
+        let solver_options = LeastSquaresOptions {
+            max_num_iterations: options.max_num_iterations,
+            relative_cost_change: options.relative_cost_change,
+            ..LeastSquaresOptions::default()
         };
-        let mut damping = Damping::new(1e-4);
-        let mut system = schur::System::build(self, &layout, options.loss);
-        'outer: for _ in 0..options.max_num_iterations {
-            loop {
-                let Some(step) = system.solve(damping.lambda) else {
-                    if damping.reject() {
-                        continue;
-                    }
-                    return Err(failed("the normal matrix is singular".to_owned()));
-                };
-                let moved = self.retract(&layout, &step);
-                let moved_cost = moved.cost(options.loss);
-                let accepted = moved_cost < cost;
-                report.iterations.push(IterationRecord {
-                    cost: if accepted { moved_cost } else { cost },
-                    damping: damping.lambda,
-                    step_norm: step.norm(),
-                    accepted,
-                });
-                if accepted {
-                    let change = cost - moved_cost;
-                    damping.accept(change / step.predicted_decrease.max(f64::MIN_POSITIVE));
-                    *self = moved;
-                    cost = moved_cost;
-                    if change <= options.relative_cost_change * cost {
-                        report.termination = Termination::Converged;
-                        break 'outer;
-                    }
-                    system = schur::System::build(self, &layout, options.loss);
-                    break;
-                }
-                // At the minimum rounding decides the sign of the change.
-                if step.predicted_decrease <= options.relative_cost_change * cost {
-                    report.termination = Termination::Converged;
-                    break 'outer;
-                }
-                if !damping.reject() {
-                    report.termination = Termination::NoProgress;
-                    break 'outer;
-                }
-            }
-        }
-        report.final_cost = cost;
+        let solved = levenberg_marquardt(&problem, self.clone(), &solver_options);
+        let (adjusted, report) =
+            solved.map_err(|error: LeastSquaresError| PosesError::Adjustment {
+                num_views: self.views.len(),
+                reason: error.to_string(),
+            })?;
+        *self = adjusted;
         Ok(report)
     }
 
@@ -310,6 +273,39 @@ impl Bundle {
     pub fn covariances(&self, loss: RobustLoss) -> Option<Covariances> {
         let layout = schur::Layout::new(self);
         schur::System::build(self, &layout, loss).covariances(&layout)
+    }
+}
+
+/// A bundle as a problem of the solver.
+struct Problem {
+    layout: schur::Layout,
+    loss: RobustLoss,
+}
+
+impl DampedProblem for Problem {
+    type State = Bundle;
+    type System = schur::System;
+    type Step = schur::Step;
+
+    fn cost(&self, bundle: &Bundle) -> f64 {
+        bundle.cost(self.loss)
+    }
+
+    fn linearize(&self, bundle: &Bundle) -> schur::System {
+        schur::System::build(bundle, &self.layout, self.loss)
+    }
+
+    fn solve(&self, system: &schur::System, damping: f64) -> Option<DampedStep<schur::Step>> {
+        let step = system.solve(damping)?;
+        Some(DampedStep {
+            norm: step.norm(),
+            predicted_decrease: step.predicted_decrease,
+            step,
+        })
+    }
+
+    fn retract(&self, bundle: &Bundle, step: &schur::Step) -> Bundle {
+        bundle.retract(&self.layout, step)
     }
 }
 

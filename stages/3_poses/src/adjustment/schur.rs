@@ -10,7 +10,7 @@
 //! `1 + λ`. The reduced matrix is dense: below some hundred views its factorisation costs less
 //! than its assembly.
 
-use super::{Bundle, Covariances};
+use super::{Bundle, Covariances, PRIOR_LOSS};
 use crate::projection::{NUM_INTRINSICS, project_with_jacobian};
 use faer::linalg::cholesky::llt::{factor, solve};
 use faer::{Mat, Par};
@@ -167,8 +167,9 @@ impl System {
                 .zip(&camera.deviation)
             {
                 if let (Some(c), Some(sigma)) = (column, sigma) {
-                    u[(*c, *c)] += 1.0 / (sigma * sigma);
-                    gradient[*c] += deviation / (sigma * sigma);
+                    let precision = PRIOR_LOSS.weight(deviation / sigma) / (sigma * sigma);
+                    u[(*c, *c)] += precision;
+                    gradient[*c] += precision * deviation;
                 }
             }
         }

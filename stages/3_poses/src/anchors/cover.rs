@@ -27,6 +27,7 @@ pub(super) fn cover(scene: &Scene<'_>, index: usize) -> Vec<Option<Node>> {
     let mut ws = Workspace::default();
     let mut scratch = SweepScratch::default();
     let mut seeds = seeds_of_points(scene, index);
+    let mut searched = vec![false; grid.len()];
     // Searching costs most: what growing has covered from few seeds need not be searched.
     for stride in [4, 2] {
         let reference = Reference {
@@ -37,7 +38,7 @@ pub(super) fn cover(scene: &Scene<'_>, index: usize) -> Vec<Option<Node>> {
             ranges,
         };
         for cell in search_cells(grid, stride) {
-            if nodes[cell].is_none() {
+            if nodes[cell].is_none() && !std::mem::replace(&mut searched[cell], true) {
                 seeds.extend(seed_of_search(&reference, scene, cell, &mut scratch));
             }
         }

@@ -63,7 +63,7 @@ impl Default for AnchorOptions {
             max_source_angle_deg: 60.0,
             spacing_px: 8.0,
             patch_radius_px: 14,
-            gain_sigma: 0.01,
+            gain_sigma: 0.02,
             min_correlation: 0.7,
             seed_correlation: 0.85,
             max_doubt_px: 3.1,

@@ -3,7 +3,8 @@
 //! Samples lie on every second pixel like the dark squares of a chessboard: with the blur and the
 //! noise of real photos residuals of neighbours correlate by 0.6 to 0.7, and half of them tell as
 //! much as all (measured: the same depth errors at 0.7 of the time). They are weighed by a Gaussian
-//! window, which follows curved surfaces better than a disc of the same precision.
+//! window, which follows curved surfaces better than a disc of the same precision. Those in even
+//! columns come first: they alone serve while a patch is still far from its place.
 //!
 //! The plane of the patch maps by the homography `H` of [`super::pair`]. Relative to the image
 //! `(u₀, v₀)` of the centre it is `du = (a_x d_x + a_y d_y)/(1 + w_x d_x + w_y d_y)`, `dv` alike, exactly
@@ -36,6 +37,8 @@ pub(super) struct Workspace {
     radius: usize,
     /// Samples in use, without padding.
     pub len: usize,
+    /// Samples that the template has: of the coarse lattice, and all.
+    lens: [usize; 2],
     /// Offsets of the samples.
     pub dx: Vec<f32>,
     /// Offsets of the samples.
@@ -49,7 +52,7 @@ pub(super) struct Workspace {
     pub slope: Vec<f32>,
     /// Weights of its samples, 0 where not usable.
     pub weight: Vec<f32>,
-    /// Sum of the window over the samples.
+    /// Sum of the window over the samples in use.
     total_weight: f64,
     /// Mean that was taken off the template.
     pub mean: f64,
@@ -68,12 +71,15 @@ impl Workspace {
         self.window.clear();
         let r = radius as i32;
         let sigma = WINDOW_SHARE * radius as f32;
-        for y in -r..=r {
-            for x in -r..=r {
-                if x * x + y * y <= r * r + 1 && (x + y) % 2 == 0 {
-                    self.disc.push((x, y));
-                    let distance2 = (x * x + y * y) as f32;
-                    self.window.push((-0.5 * distance2 / (sigma * sigma)).exp());
+        for odd in [0, 1] {
+            for y in -r..=r {
+                for x in -r..=r {
+                    let distance2 = x * x + y * y;
+                    if distance2 <= r * r + 1 && (x + y) % 2 == 0 && x.rem_euclid(2) == odd {
+                        self.disc.push((x, y));
+                        let window = (-0.5 * distance2 as f32 / (sigma * sigma)).exp();
+                        self.window.push(window);
+                    }
                 }
             }
         }
@@ -99,6 +105,7 @@ impl Workspace {
         let (width, height) = (view.width as i32, view.height as i32);
         let mut n = 0;
         let mut mean = 0.0_f64;
+        let mut num_even = 0;
         for (k, &(dx, dy)) in self.disc.iter().enumerate() {
             let (px, py) = (x as i32 + dx, y as i32 + dy);
             if px < 0 || py < 0 || px >= width || py >= height {
@@ -114,12 +121,15 @@ impl Workspace {
             self.base_weight[n] = self.window[k];
             mean += f64::from(texel[0]);
             n += 1;
+            if dx % 2 == 0 {
+                num_even = n;
+            }
         }
         if (n as f64) < MIN_TEMPLATE_SHARE * self.disc.len() as f64 {
             return None;
         }
-        self.len = n;
-        self.total_weight = self.base_weight[..n].iter().map(|&w| f64::from(w)).sum();
+        // Whole lanes, so that none of the other lattice's samples slip in.
+        self.lens = [(num_even / LANES * LANES).max(LANES).min(n), n];
         mean /= n as f64;
         self.mean = mean;
         for value in &mut self.template[..n] {
@@ -132,7 +142,17 @@ impl Workspace {
             self.template[k] = 0.0;
             self.base_weight[k] = 0.0;
         }
+        self.use_samples(true);
         Some(())
+    }
+
+    /// Takes all samples into use, or those of the coarse lattice alone.
+    pub fn use_samples(&mut self, all: bool) {
+        self.len = self.lens[usize::from(all)];
+        self.total_weight = self.base_weight[..self.len]
+            .iter()
+            .map(|&w| f64::from(w))
+            .sum();
     }
 }
 

@@ -16,6 +16,7 @@ use super::filter::box_sum;
 use super::hull::Grid;
 use super::pair::PairGeometry;
 use super::patch::MAX_SOURCES;
+use super::sampling::LANES;
 use super::working::WorkingView;
 use nalgebra::Vector3;
 use rilievo_scene::Raster;
@@ -110,11 +111,22 @@ pub(super) struct SweepOptions {
     pub ratio: f64,
 }
 
+/// Eight samples of a template: offsets (working pixels), values without their mean, and 1 for each
+/// that counts, 0 for padding.
+#[derive(Clone, Copy, Debug, Default)]
+struct Samples {
+    dx: [f32; LANES],
+    dy: [f32; LANES],
+    value: [f32; LANES],
+    used: [f32; LANES],
+}
+
 /// Buffers of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SweepScratch {
     offsets: Vec<(i32, i32)>,
-    template: Vec<(f32, f32, f32)>,
+    template: Vec<Samples>,
+    num_samples: usize,
     scores: Vec<f32>,
 }
 
@@ -147,7 +159,7 @@ pub(super) fn search(
         let q = range.0 + k as f64 * step;
         let (mut sum, mut count) = (0.0, 0);
         for pair in sources.iter().take(MAX_SOURCES) {
-            let score = correlation(&details[pair.source], pair, x, y, q, &scratch.template);
+            let score = correlation(&details[pair.source], pair, (x, y), q, scratch);
             if let Some(score) = score {
                 sum += score;
                 count += 1;
@@ -186,8 +198,7 @@ pub(super) fn search(
     Some(range.0 + (best as f64 + offset) * step)
 }
 
-/// Offsets (full-size pixels) and values of the usable samples around a reduced pixel, with the
-/// mean removed.
+/// Offsets and values of the usable samples around a reduced pixel.
 fn load_template(
     detail: &DetailImage,
     x: usize,
@@ -205,7 +216,7 @@ fn load_template(
     }
     scratch.template.clear();
     let scale = detail.reduction as f32;
-    let mut mean = 0.0;
+    let (mut sum, mut n) = (0.0, 0);
     for &(dx, dy) in &scratch.offsets {
         let (px, py) = (x as i32 + dx, y as i32 + dy);
         if px < 0 || py < 0 || px >= detail.width as i32 || py >= detail.height as i32 {
@@ -215,19 +226,29 @@ fn load_template(
         if flag < 0.5 {
             continue;
         }
-        scratch
-            .template
-            .push((scale * dx as f32, scale * dy as f32, value));
-        mean += value;
+        let lane = n % LANES;
+        if lane == 0 {
+            scratch.template.push(Samples::default());
+        }
+        if let Some(samples) = scratch.template.last_mut() {
+            samples.dx[lane] = scale * dx as f32;
+            samples.dy[lane] = scale * dy as f32;
+            samples.value[lane] = value;
+            samples.used[lane] = 1.0;
+        }
+        sum += value;
+        n += 1;
     }
-    if (scratch.template.len() as f32) < MIN_SHARE * scratch.offsets.len() as f32 {
+    if (n as f32) < MIN_SHARE * scratch.offsets.len() as f32 {
         return None;
     }
-    mean /= scratch.template.len() as f32;
-    scratch
-        .template
-        .iter_mut()
-        .for_each(|sample| sample.2 -= mean);
+    scratch.num_samples = n;
+    let mean = sum / n as f32;
+    for samples in &mut scratch.template {
+        for l in 0..LANES {
+            samples.value[l] = samples.used[l] * (samples.value[l] - mean);
+        }
+    }
     Some(())
 }
 
@@ -235,13 +256,12 @@ fn load_template(
 fn correlation(
     detail: &DetailImage,
     pair: &PairGeometry,
-    x: usize,
-    y: usize,
+    (x, y): (usize, usize),
     q: f64,
-    template: &[(f32, f32, f32)],
+    scratch: &SweepScratch,
 ) -> Option<f32> {
     let h0 = pair.a * Vector3::new(x as f64, y as f64, 1.0) + pair.b * q;
-    if h0.z.is_nan() || h0.z <= 0.0 {
+    if h0.z.is_nan() || h0.z <= 0.0 || detail.width < 2 || detail.height < 2 {
         return None;
     }
     let (u0, v0) = (h0.x / h0.z, h0.y / h0.z);
@@ -258,36 +278,50 @@ fn correlation(
     // A reduced pixel's centre lies in the middle of its block.
     let middle = 0.5 * (1.0 - shrink);
     let (uh, vh) = ((shrink * u0 - middle) as f32, (shrink * v0 - middle) as f32);
-    let (mut n, mut si, mut sii, mut sit, mut st, mut stt) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
     let (max_x, max_y) = (detail.width as f32 - 1.001, detail.height as f32 - 1.001);
-    for &(dx, dy, t) in template {
-        let (u, v) = (uh + ux * dx + uy * dy, vh + vx * dx + vy * dy);
-        let inside = u >= 0.0 && v >= 0.0 && u < max_x && v < max_y;
-        if !inside {
-            continue;
+    // Σ w, w i, w i², w i t, w t, w t² in lanes, so that positions and sums vectorise.
+    let mut sums = [[0.0_f32; LANES]; 6];
+    for samples in &scratch.template {
+        let (mut u, mut v, mut weight) = ([0.0_f32; LANES], [0.0_f32; LANES], samples.used);
+        for l in 0..LANES {
+            u[l] = uh + ux * samples.dx[l] + uy * samples.dy[l];
+            v[l] = vh + vx * samples.dx[l] + vy * samples.dy[l];
+            let (inside_u, inside_v) = (u[l].clamp(0.0, max_x), v[l].clamp(0.0, max_y));
+            weight[l] = if inside_u == u[l] && inside_v == v[l] {
+                weight[l]
+            } else {
+                0.0
+            };
+            (u[l], v[l]) = (inside_u, inside_v);
         }
-        let (ix, iy) = (u as usize, v as usize);
-        let (tx, ty) = (u - ix as f32, v - iy as f32);
-        let at = iy * detail.width + ix;
-        let top = &detail.data[at..at + 2];
-        let bottom = &detail.data[at + detail.width..at + detail.width + 2];
-        let mix = |c: usize| {
-            let a = top[0][c] + (top[1][c] - top[0][c]) * tx;
-            let b = bottom[0][c] + (bottom[1][c] - bottom[0][c]) * tx;
-            a + (b - a) * ty
-        };
-        if mix(1) < 0.999 {
-            continue;
+        let (mut value, mut flag) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+        for l in 0..LANES {
+            let (ix, iy) = (u[l] as i32, v[l] as i32);
+            let (tx, ty) = (u[l] - ix as f32, v[l] - iy as f32);
+            let at = iy as usize * detail.width + ix as usize;
+            let rows = &detail.data[at..at + detail.width + 2];
+            let mix = |c: usize| {
+                let a = rows[0][c] + (rows[1][c] - rows[0][c]) * tx;
+                let (left, right) = (rows[detail.width][c], rows[detail.width + 1][c]);
+                let b = left + (right - left) * tx;
+                a + (b - a) * ty
+            };
+            value[l] = mix(0);
+            flag[l] = mix(1);
         }
-        let i = mix(0);
-        n += 1.0;
-        si += i;
-        sii += i * i;
-        sit += i * t;
-        st += t;
-        stt += t * t;
+        for l in 0..LANES {
+            let w = if flag[l] >= 0.999 { weight[l] } else { 0.0 };
+            let (i, t) = (value[l], samples.value[l]);
+            sums[0][l] += w;
+            sums[1][l] += w * i;
+            sums[2][l] += w * i * i;
+            sums[3][l] += w * i * t;
+            sums[4][l] += w * t;
+            sums[5][l] += w * t * t;
+        }
     }
-    if n < MIN_SHARE * template.len() as f32 {
+    let [n, si, sii, sit, st, stt] = sums.map(|lanes| lanes.iter().sum::<f32>());
+    if n < MIN_SHARE * scratch.num_samples as f32 {
         return None;
     }
     let covariance = sit - si * st / n;

@@ -1,11 +1,13 @@
-//! Levenberg-Marquardt for small dense problems.
+//! Levenberg-Marquardt, for problems of any structure and for small dense ones.
 //!
-//! Minimises `E(x) = Σ ρ(r_k(x))` over a manifold: the problem hands out the Gauss-Newton matrix
-//! `H = JᵀWJ` and the gradient `g = JᵀWr` at a state and moves the state by a tangent step; the
-//! driver damps, accepts and stops. A step solves `(H + λ diag H) δ = −g`; `λ` shrinks by the
-//! gain ratio `(E − E⁺) / (−gᵀδ − ½ δᵀHδ)` and doubles ever faster on rejection
-//! (Nielsen's rule: Madsen, Nielsen, Tingleff, "Methods for non-linear least squares problems",
-//! 2004, eq. 2.21).
+//! Minimises `E(x) = Σ ρ(r_k(x))` over a manifold with the Gauss-Newton matrix `H = JᵀWJ` and the
+//! gradient `g = JᵀWr`. A step solves `(H + λ diag H) δ = −g`; `λ` shrinks by the gain ratio
+//! `(E − E⁺) / (−gᵀδ − ½ δᵀHδ)` and doubles ever faster on rejection (Nielsen's rule: Madsen, Nielsen,
+//! Tingleff, "Methods for non-linear least squares problems", 2004, eq. 2.21).
+//!
+//! The driver [`levenberg_marquardt`] damps, accepts and stops; a [`DampedProblem`] linearises,
+//! solves for the step in its own way (sparse, by blocks) and moves its state. For a handful of
+//! parameters [`minimize`] does the solving, given `H` and `g`.
 
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -23,6 +25,39 @@ pub trait LeastSquaresProblem<const N: usize> {
 
     /// The state moved by a tangent step.
     fn retract(&self, state: &Self::State, step: &SVector<f64, N>) -> Self::State;
+}
+
+/// A step and what the quadratic model says of it.
+#[derive(Clone, Debug)]
+pub struct DampedStep<S> {
+    /// The step.
+    pub step: S,
+    /// Its length in the tangent space.
+    pub norm: f64,
+    /// Decrease of the cost that the model predicts.
+    pub predicted_decrease: f64,
+}
+
+/// A problem that solves its own damped normal equations.
+pub trait DampedProblem {
+    /// Where the cost is evaluated.
+    type State;
+    /// Normal equations at a state.
+    type System;
+    /// A step of all parameters.
+    type Step;
+
+    /// Cost; infinite where it is undefined.
+    fn cost(&self, state: &Self::State) -> f64;
+
+    /// Normal equations at a state.
+    fn linearize(&self, state: &Self::State) -> Self::System;
+
+    /// The step with the diagonal multiplied by `1 + damping`; `None` when the system is singular.
+    fn solve(&self, system: &Self::System, damping: f64) -> Option<DampedStep<Self::Step>>;
+
+    /// The state moved by a step.
+    fn retract(&self, state: &Self::State, step: &Self::Step) -> Self::State;
 }
 
 /// When to stop.
@@ -105,17 +140,17 @@ pub enum LeastSquaresError {
 /// Damping beyond which a step is too short to change anything.
 const MAX_DAMPING: f64 = 1e12;
 
-/// Nielsen's damping rule, shared by every Levenberg-Marquardt driver of the program.
+/// Nielsen's damping rule.
 #[derive(Clone, Copy, Debug)]
-pub struct Damping {
+struct Damping {
     /// Current damping, relative to the diagonal of the normal matrix.
-    pub lambda: f64,
+    lambda: f64,
     growth: f64,
 }
 
 impl Damping {
     /// Starts at a given damping.
-    pub fn new(lambda: f64) -> Self {
+    fn new(lambda: f64) -> Self {
         Self {
             lambda,
             growth: 2.0,
@@ -123,14 +158,14 @@ impl Damping {
     }
 
     /// After a step that lowered the cost by `gain_ratio` times the predicted amount.
-    pub fn accept(&mut self, gain_ratio: f64) {
+    fn accept(&mut self, gain_ratio: f64) {
         let shrink = 1.0 - (2.0 * gain_ratio - 1.0).powi(3);
         self.lambda = (self.lambda * shrink.clamp(1.0 / 3.0, 2.0)).max(1e-15);
         self.growth = 2.0;
     }
 
     /// After a rejected step; `false` once the damping is past all use.
-    pub fn reject(&mut self) -> bool {
+    fn reject(&mut self) -> bool {
         self.lambda *= self.growth;
         self.growth *= 2.0;
         self.lambda < MAX_DAMPING
@@ -141,13 +176,13 @@ impl Damping {
 ///
 /// # Errors
 /// When the start has no finite cost or the normal matrix is singular however damped.
-pub fn minimize<const N: usize, P: LeastSquaresProblem<N>>(
+pub fn levenberg_marquardt<P: DampedProblem>(
     problem: &P,
     start: P::State,
     options: &LeastSquaresOptions,
 ) -> Result<(P::State, SolveReport), LeastSquaresError> {
     let mut state = start;
-    let (mut cost, mut hessian, mut gradient) = problem.linearize(&state);
+    let mut cost = problem.cost(&state);
     if !cost.is_finite() {
         return Err(LeastSquaresError::InvalidStart { cost });
     }
@@ -158,13 +193,10 @@ pub fn minimize<const N: usize, P: LeastSquaresProblem<N>>(
         iterations: Vec::new(),
     };
     let mut damping = Damping::new(options.initial_damping);
+    let mut system = problem.linearize(&state);
     'outer: for _ in 0..options.max_num_iterations {
         loop {
-            let mut damped = hessian;
-            for k in 0..N {
-                damped[(k, k)] += damping.lambda * hessian[(k, k)].max(1e-300);
-            }
-            let Some(factor) = damped.cholesky() else {
+            let Some(solved) = problem.solve(&system, damping.lambda) else {
                 if damping.reject() {
                     continue;
                 }
@@ -172,26 +204,26 @@ pub fn minimize<const N: usize, P: LeastSquaresProblem<N>>(
                     num_iterations: report.iterations.len(),
                 });
             };
-            let step = -factor.solve(&gradient);
-            let candidate = problem.retract(&state, &step);
+            let candidate = problem.retract(&state, &solved.step);
             let candidate_cost = problem.cost(&candidate);
-            let predicted = -gradient.dot(&step) - 0.5 * step.dot(&(hessian * step));
+            let predicted = solved.predicted_decrease;
             let accepted = candidate_cost < cost;
             report.iterations.push(IterationRecord {
                 cost: if accepted { candidate_cost } else { cost },
                 damping: damping.lambda,
-                step_norm: step.norm(),
+                step_norm: solved.norm,
                 accepted,
             });
             if accepted {
-                damping.accept((cost - candidate_cost) / predicted.max(f64::MIN_POSITIVE));
                 let change = cost - candidate_cost;
+                damping.accept(change / predicted.max(f64::MIN_POSITIVE));
                 state = candidate;
-                (cost, hessian, gradient) = problem.linearize(&state);
+                cost = candidate_cost;
                 if change <= options.relative_cost_change * cost {
                     report.termination = Termination::Converged;
                     break 'outer;
                 }
+                system = problem.linearize(&state);
                 break;
             }
             // At the minimum rounding decides the sign of the change: that is convergence.
@@ -207,6 +239,57 @@ pub fn minimize<const N: usize, P: LeastSquaresProblem<N>>(
     }
     report.final_cost = cost;
     Ok((state, report))
+}
+
+/// A small problem solved by Cholesky's factorisation of its dense matrix.
+struct DenseOf<'a, const N: usize, P>(&'a P);
+
+impl<const N: usize, P: LeastSquaresProblem<N>> DampedProblem for DenseOf<'_, N, P> {
+    type State = P::State;
+    type System = (SMatrix<f64, N, N>, SVector<f64, N>);
+    type Step = SVector<f64, N>;
+
+    fn cost(&self, state: &Self::State) -> f64 {
+        self.0.cost(state)
+    }
+
+    fn linearize(&self, state: &Self::State) -> Self::System {
+        let (_, hessian, gradient) = self.0.linearize(state);
+        (hessian, gradient)
+    }
+
+    fn solve(
+        &self,
+        (hessian, gradient): &Self::System,
+        damping: f64,
+    ) -> Option<DampedStep<Self::Step>> {
+        let mut damped = *hessian;
+        for k in 0..N {
+            damped[(k, k)] += damping * hessian[(k, k)].max(1e-300);
+        }
+        let step = -damped.cholesky()?.solve(gradient);
+        Some(DampedStep {
+            norm: step.norm(),
+            predicted_decrease: -gradient.dot(&step) - 0.5 * step.dot(&(hessian * step)),
+            step,
+        })
+    }
+
+    fn retract(&self, state: &Self::State, step: &Self::Step) -> Self::State {
+        self.0.retract(state, step)
+    }
+}
+
+/// Minimises a small dense problem from a start.
+///
+/// # Errors
+/// As [`levenberg_marquardt`].
+pub fn minimize<const N: usize, P: LeastSquaresProblem<N>>(
+    problem: &P,
+    start: P::State,
+    options: &LeastSquaresOptions,
+) -> Result<(P::State, SolveReport), LeastSquaresError> {
+    levenberg_marquardt(&DenseOf::<N, P>(problem), start, options)
 }
 
 #[cfg(test)]
