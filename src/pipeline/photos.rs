@@ -10,7 +10,10 @@ use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::store::{Item, StageWriter, StoreError, hash_bytes, hash_json};
 use rayon::prelude::*;
-use rilievo_io::{LinearFile, decode_photo_bytes, photo_size, read_mask, write_linear, write_mask};
+use rilievo_io::{
+    LinearFile, decode_photo_bytes, photo_size, read_mask, write_linear, write_linear_half,
+    write_mask,
+};
 use rilievo_photos::{
     GivenCamera, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
 };
@@ -349,7 +352,13 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
     })
 }
 
-fn write(writer: &StageWriter, prepared: PreparedPhoto) -> Result<(Kept, Vec<String>), Trouble> {
+/// Share of a value by which rounding to 16-bit floats may lower it.
+const HALF_ROUNDING: f32 = 1.0 / 2048.0;
+
+fn write(
+    writer: &StageWriter,
+    mut prepared: PreparedPhoto,
+) -> Result<(Kept, Vec<String>), Trouble> {
     let name = prepared.facts.name.clone();
     let image = prepared
         .pixels
@@ -357,7 +366,14 @@ fn write(writer: &StageWriter, prepared: PreparedPhoto) -> Result<(Kept, Vec<Str
         .map_err(|error| Trouble::Fatal(error.into()))?;
     let fatal = |error| Trouble::Fatal(from_io(error).into());
     let linear = linear_file(&name);
-    write_linear(&writer.path(&linear)?, &image).map_err(fatal)?;
+    let write_image = if prepared.facts.bits == 8 {
+        // A clipped value may be stored a little lower; the code below it lies much lower still.
+        prepared.facts.clip_level *= 1.0 - HALF_ROUNDING;
+        write_linear_half
+    } else {
+        write_linear
+    };
+    write_image(&writer.path(&linear)?, &image).map_err(fatal)?;
     let mut files = vec![linear];
     if let Some(mask) = &prepared.mask {
         let file = mask_file(&name);

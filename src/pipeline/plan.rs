@@ -36,7 +36,7 @@ impl std::fmt::Display for StageState {
 /// Raised with every change of a stage that changes its results.
 pub(super) fn version(stage: StageId) -> u32 {
     match stage {
-        StageId::Photos => 2,
+        StageId::Photos => 3,
         StageId::Features => 1,
         StageId::Poses => 3,
         StageId::Lighting => 2,

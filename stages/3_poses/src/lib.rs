@@ -14,6 +14,7 @@ mod incremental;
 mod initial_pair;
 mod known_distance;
 mod lens;
+mod loading;
 mod model;
 pub mod options;
 mod p3p;
@@ -65,13 +66,16 @@ pub fn run(
     if num_photos < 2 {
         return Err(PosesError::TooFewPhotos { num_photos });
     }
-    let scene = Scene::new(photos, matches, options);
+    let mut scene = Scene::new(photos, matches, options);
     let given = given::poses(photos, options);
     let keeps_given = given.is_some() && options.given_poses == GivenPoses::Keep;
     let mut warnings = Vec::new();
     let (mut reconstruction, other_models) = match &given {
         Some(poses) => (given::reconstruct(&scene, poses, options)?, Vec::new()),
-        None => largest_model(&scene, options, observer)?,
+        None => {
+            let first = largest_model(&scene, options, observer)?;
+            larger_from_found_focal(&mut scene, first, options, observer)?
+        }
     };
     if !keeps_given {
         finish(&scene, &mut reconstruction, options)?;
@@ -122,6 +126,40 @@ pub fn run(
     Ok((posed, report))
 }
 
+/// A model with the photos of the others.
+type Found = (Reconstruction, Vec<Vec<usize>>);
+
+/// Reconstructs once more where the focal length turned out far from the first guess and photos were
+/// left out, which the wrong one may have kept from being posed; the larger model.
+fn larger_from_found_focal(
+    scene: &mut Scene<'_>,
+    first: Found,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<Found, PosesError> {
+    let model = &first.0.model;
+    let mut far = false;
+    for (camera, adjusted) in scene.cameras.iter_mut().zip(&model.cameras) {
+        if is_far(adjusted.deviation[0]) {
+            camera.start_ln_focal = adjusted.deviation[0];
+            far = true;
+        }
+    }
+    if !far || model.num_views() == scene.num_photos() {
+        return Ok(first);
+    }
+    match largest_model(scene, options, observer) {
+        Ok(second) if second.0.model.num_views() > model.num_views() => Ok(second),
+        Err(PosesError::Interrupted) => Err(PosesError::Interrupted),
+        _ => Ok(first),
+    }
+}
+
+/// Whether a focal length is farther from its start than EXIF's may be when it is right.
+fn is_far(ln_focal: f64) -> bool {
+    ln_focal.abs() > WRONG_EXIF_SIGMAS * scene::EXIF_FOCAL_SIGMA
+}
+
 /// Deviations of a focal length from EXIF's beyond which EXIF must be wrong.
 const WRONG_EXIF_SIGMAS: f64 = 4.0;
 
@@ -138,7 +176,7 @@ fn contradicted_exif(scene: &Scene<'_>, reconstruction: &Reconstruction) -> Vec<
                 photo.focal_source,
                 FocalSource::Exif35mm | FocalSource::ExifSensor
             );
-            (from_exif && deviation.abs() > WRONG_EXIF_SIGMAS * scene::EXIF_FOCAL_SIGMA).then(|| {
+            (from_exif && is_far(deviation)).then(|| {
                 format!(
                     "{} and others of its camera: the photos say a focal length of {:.0} px, EXIF {:.0} px ({:+.0} %): cropped photos or another sensor; the photos were believed",
                     photo.file_name,
@@ -157,7 +195,7 @@ fn largest_model(
     scene: &Scene<'_>,
     options: &PosesOptions,
     observer: &dyn Observer,
-) -> Result<(Reconstruction, Vec<Vec<usize>>), PosesError> {
+) -> Result<Found, PosesError> {
     let mut available = vec![true; scene.num_photos()];
     let mut models: Vec<Reconstruction> = Vec::new();
     loop {

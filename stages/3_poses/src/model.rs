@@ -75,7 +75,11 @@ impl Model {
             cameras: scene
                 .cameras
                 .iter()
-                .map(|c| AdjustedCamera::fixed(c.initial))
+                .map(|c| {
+                    let mut camera = AdjustedCamera::fixed(c.initial);
+                    camera.deviation[0] = c.start_ln_focal;
+                    camera
+                })
                 .collect(),
             poses: vec![None; scene.num_photos()],
             points: vec![None; scene.tracks.len()],

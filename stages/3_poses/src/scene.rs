@@ -30,6 +30,8 @@ pub struct SceneCamera {
     pub initial: Intrinsics,
     /// Standard deviations of what may be refined.
     pub prior_sigma: [Option<f64>; NUM_INTRINSICS],
+    /// Logarithm of the focal length to start from, over the initial one.
+    pub start_ln_focal: f64,
 }
 
 /// The fixed part of the problem.
@@ -72,6 +74,7 @@ impl<'a> Scene<'a> {
                             photo.focal_source,
                             options.refine_intrinsics,
                         ),
+                        start_ln_focal: 0.0,
                     });
                     cameras.len() - 1
                 })

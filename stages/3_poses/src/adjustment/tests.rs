@@ -84,12 +84,14 @@ fn dense(
                 out.extend([root * (seen.x - o.pixel.x), root * (seen.y - o.pixel.y)]);
             }
         }
-        for (d, sigma) in moved.cameras[0]
+        let before = &bundle.cameras[0];
+        for ((d, start), sigma) in moved.cameras[0]
             .deviation
             .iter()
-            .zip(&moved.cameras[0].prior_sigma)
+            .zip(&before.deviation)
+            .zip(&before.prior_sigma)
         {
-            out.extend(sigma.map(|s| d / s));
+            out.extend(sigma.map(|s| PRIOR_LOSS.weight(start / s).sqrt() * d / s));
         }
         out
     };

@@ -8,6 +8,7 @@ use super::report::Facts;
 use super::sweep::DetailImage;
 use super::working::WorkingView;
 use crate::error::PosesError;
+use crate::loading::map_few_at_once;
 use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_scene::{Mask, PhotoSet, PosedViews, ViewIdx};
@@ -40,20 +41,16 @@ pub(super) fn prepare<'a>(
     options: &'a AnchorOptions,
     facts: &mut Facts,
 ) -> Result<Option<Scene<'a>>, PosesError> {
-    let loaded: Vec<Option<WorkingView>> = posed
-        .views
-        .par_iter()
-        .map(|view| {
-            let photo = &photos.photos[view.photo.0];
-            let image = photo.pixels.load()?;
-            Ok(WorkingView::new(
-                photo,
-                view,
-                &image,
-                options.max_working_mpx,
-            ))
-        })
-        .collect::<Result<_, PosesError>>()?;
+    let loaded = map_few_at_once(&posed.views, |view| {
+        let photo = &photos.photos[view.photo.0];
+        let image = photo.pixels.load()?;
+        Ok::<_, PosesError>(WorkingView::new(
+            photo,
+            view,
+            &image,
+            options.max_working_mpx,
+        ))
+    })?;
     let (mut ids, mut views) = (Vec::new(), Vec::new());
     for (idx, view) in loaded.into_iter().enumerate() {
         if let Some(view) = view {

@@ -11,6 +11,7 @@ mod align;
 mod image;
 
 use crate::error::PosesError;
+use crate::loading::map_few_at_once;
 use crate::model::{Model, RefinedPixel, RefinedPixels};
 use crate::projection::CenteredPose;
 use crate::scene::Scene;
@@ -145,18 +146,15 @@ pub fn refine_tracks(
     model: &Model,
     observer: &dyn Observer,
 ) -> Result<RefinedPixels, PosesError> {
-    let pyramids: Vec<Option<Pyramid>> = scene
-        .photos
-        .photos
-        .par_iter()
-        .zip(&model.poses)
-        .map(|(photo, pose)| -> Result<_, PixelError> {
-            match pose {
-                Some(_) => Ok(Some(Pyramid::new(&*photo.pixels.load()?))),
-                None => Ok(None),
-            }
-        })
-        .collect::<Result<_, _>>()?;
+    let photos: Vec<usize> = (0..scene.num_photos()).collect();
+    let pyramids = map_few_at_once(&photos, |&photo| -> Result<_, PixelError> {
+        match model.poses[photo] {
+            Some(_) => Ok(Some(Pyramid::new(
+                &*scene.photos.photos[photo].pixels.load()?,
+            ))),
+            None => Ok(None),
+        }
+    })?;
     if observer.flow() == Flow::Stop {
         return Err(PosesError::Interrupted);
     }
