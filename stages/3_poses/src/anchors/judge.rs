@@ -16,7 +16,7 @@
 //! deviation `σ`; the largest step `s` to a neighbour, `½ [(q + g·d − q_n) + (q − (q_n − g_n·d))]`, in
 //! which curvature cancels, so that it tells depth edges; the tilt `τ`; the number `m` of the eight
 //! neighbours that failed; and `a` = 1.5, 1.2, 1 for one, two, more views that agree. All this times
-//! `0.9 + 2 (1 − r)`, `r` the mean correlation with the sources: what no plane, offset and gain
+//! `0.92 + 2 (1 − r)`, `r` the mean correlation with the sources: what no plane, offset and gain
 //! explain is relief, an edge, or shading that moved. The factors were fitted to the outliers of
 //! rendered and real objects with known depth.
 
@@ -215,7 +215,7 @@ pub(super) fn judge(
             2 => 1.2,
             _ => 1.0,
         };
-        let unexplained = 0.9 + 2.0 * (1.0 - node.alignment.correlation);
+        let unexplained = 0.92 + 2.0 * (1.0 - node.alignment.correlation);
         let doubt = sigma_px.hypot(0.4 * step) * (1.0 + 0.6 * tilt) * lonely * few * unexplained;
         let supported =
             agreeing.len() > contradicting || (!options.dense && agreeing.len() == contradicting);

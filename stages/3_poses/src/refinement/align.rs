@@ -67,26 +67,43 @@ fn normalize(values: &mut [f32; NUM_SAMPLES]) -> Option<f32> {
     Some(length)
 }
 
+/// Samples a side of a patch with its border.
+const WIDE_SIDE: usize = SIDE + 2;
+
+/// Place of a sample among those of a patch with its border.
+fn wide_index(i: i32, j: i32) -> usize {
+    (j + RADIUS + 1) as usize * WIDE_SIDE + (i + RADIUS + 1) as usize
+}
+
 impl Template {
     /// The patch around `(x, y)` with `step` pixels between samples; `None` at the border or where
     /// the texture does not fix the place.
     pub fn new(image: &Pyramid, x: f32, y: f32, step: f32) -> Option<Self> {
         let level = (step.log2().floor().max(0.0) as usize).min(super::image::NUM_LEVELS - 1);
-        let at = |i: f32, j: f32| image.sample(x + step * i, y + step * j, level);
+        // One sample more on every side, for the differences.
+        let mut samples = [0.0; WIDE_SIDE * WIDE_SIDE];
+        for j in -RADIUS - 1..=RADIUS + 1 {
+            for i in -RADIUS - 1..=RADIUS + 1 {
+                let value = image.sample(x + step * i as f32, y + step * j as f32, level)?;
+                samples[wide_index(i, j)] = value;
+            }
+        }
         let mut values = [0.0; NUM_SAMPLES];
+        let mut index = 0;
         for j in -RADIUS..=RADIUS {
             for i in -RADIUS..=RADIUS {
-                let index = (j + RADIUS) as usize * SIDE + (i + RADIUS) as usize;
-                values[index] = at(i as f32, j as f32)?;
+                values[index] = samples[wide_index(i, j)];
+                index += 1;
             }
         }
         let length = normalize(&mut values)?;
         let mut jacobian = Vec::with_capacity(NUM_SAMPLES);
         for j in -RADIUS..=RADIUS {
             for i in -RADIUS..=RADIUS {
+                let at = |di: i32, dj: i32| samples[wide_index(i + di, j + dj)];
+                let gx = 0.5 * (at(1, 0) - at(-1, 0)) / length;
+                let gy = 0.5 * (at(0, 1) - at(0, -1)) / length;
                 let (i, j) = (i as f32, j as f32);
-                let gx = 0.5 * (at(i + 1.0, j)? - at(i - 1.0, j)?) / length;
-                let gy = 0.5 * (at(i, j + 1.0)? - at(i, j - 1.0)?) / length;
                 jacobian.push(SVector::<f32, 6>::from([
                     gx * i,
                     gx * j,

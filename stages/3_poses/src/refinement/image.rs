@@ -65,16 +65,15 @@ impl Pyramid {
         // Pixel x of a halved level covers 2x and 2x + 1.
         let (x, y) = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5);
         let image = &self.levels[level];
-        let (floor_x, floor_y) = (x.floor(), y.floor());
-        let inside = floor_x >= 1.0
-            && floor_y >= 1.0
-            && floor_x + 3.0 <= image.width as f32
-            && floor_y + 3.0 <= image.height as f32;
+        let inside =
+            x >= 1.0 && y >= 1.0 && x + 2.0 < image.width as f32 && y + 2.0 < image.height as f32;
         if !inside {
             return None;
         }
-        let (wx, wy) = (weights(x - floor_x), weights(y - floor_y));
-        let start = (floor_y as usize - 1) * image.width + floor_x as usize - 1;
+        // Of positive numbers truncation is the floor, without a call.
+        let (column, row) = (x as i32, y as i32);
+        let (wx, wy) = (weights(x - column as f32), weights(y - row as f32));
+        let start = (row as usize - 1) * image.width + column as usize - 1;
         if start + 3 * image.width + 4 > image.data.len() {
             return None;
         }
