@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 /// Photos that are held in memory at once.
-const MAX_NUM_LOADED: usize = 4;
+const MAX_NUM_LOADED: usize = 3;
 
 /// Maps items in parallel, a few at once, in their order.
 pub fn map_few_at_once<T: Sync, R: Send, E: Send>(
