@@ -3,12 +3,14 @@
 //! **Noise factor.** Residuals of neighbouring samples are correlated, so least squares claims a
 //! deviation `σ` that is several times too small. How many times is measured on the photos
 //! themselves: two views' patches of the same surface differ by `q_i − q_j`, and with true
-//! deviations `κ σ` and a correlation `ρ` between the two (they share photos)
-//! `κ = P₆₈(|q_i − q_j| / √(σ_i² + σ_j²)) / √(1 − ρ)`, `P₆₈` the 68th percentile over all pairs.
+//! deviations `κ σ` and a correlation `ρ` between the two
+//! `κ = P₆₈(|q_i − q_j| / √((σ_i² + σ_j²)(1 − ρ)))`, `P₆₈` the 68th percentile over all pairs. Two
+//! estimates correlate because they rest on the same photos, like means with common terms:
+//! `ρ = ρ₁ |S_i ∩ S_j| / √(|S_i| |S_j|)`, `S` a patch's own photo and those it is aligned with.
 //! To this is added a floor for what is not noise (interpolation, curvature inside a patch).
 //!
 //! **Combination.** A patch and the predictions of the views that agree with it are averaged with
-//! weights `1/σ²`; with correlation `ρ` the variance is
+//! weights `1/σ²`; with correlation `ρ`, the mean over these views, the variance is
 //! `ρ (Σ w σ)² + (1 − ρ) Σ w² σ²` for weights that sum to 1.
 //!
 //! **Belief.** More views agree than look through the point, and its doubt is small:
@@ -23,13 +25,14 @@
 use super::check::{Support, supports};
 use super::grow::Node;
 use super::hull::Grid;
+use super::patch::MAX_SOURCES;
 use super::working::WorkingView;
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
 
-/// Correlation between two views' estimates of one depth, which share photos. Raw errors correlate
-/// by 0.76 to 0.9 on rendered objects; with this value predicted and true errors agree there.
-const VIEW_CORRELATION: f64 = 0.64;
+/// Correlation between two views' estimates of one depth that rest on the same photos. Raw errors
+/// correlate by 0.76 to 0.9 on rendered objects; with this value predicted and true errors agree there.
+const SAME_PHOTOS_CORRELATION: f64 = 0.64;
 /// Deviation that remains without noise, working pixels of disparity; set with the correlation, by
 /// the errors of the surest fifth of the anchors.
 const FLOOR_PX: f64 = 0.37;
@@ -117,7 +120,9 @@ pub(super) fn noise_factor(nodes: &[Vec<Option<Node>>], lists: &SupportLists) ->
                         .alignment
                         .sigma_q
                         .hypot(there.alignment.sigma_q * support.gain);
-                    scaled.push((support.q - node.alignment.plane.q).abs() / sigma);
+                    let apart = 1.0 - correlation((view, node), (support.view, there));
+                    scaled
+                        .push((support.q - node.alignment.plane.q).abs() / (sigma * apart.sqrt()));
                 }
             }
         }
@@ -125,8 +130,28 @@ pub(super) fn noise_factor(nodes: &[Vec<Option<Node>>], lists: &SupportLists) ->
     if scaled.len() < MIN_PAIRS {
         return None;
     }
-    let spread = quantile(&mut scaled, 0.6827)?;
-    Some((spread / (1.0 - VIEW_CORRELATION).sqrt()).max(1.0))
+    Some(quantile(&mut scaled, 0.6827)?.max(1.0))
+}
+
+/// Correlation of the estimates of two patches of different views.
+fn correlation((view, node): (usize, &Node), (other_view, other): (usize, &Node)) -> f64 {
+    let photos = |view: usize, node: &Node| {
+        let alignment = &node.alignment;
+        let mut set = [view; 1 + MAX_SOURCES];
+        for (slot, (source, _)) in set[1..]
+            .iter_mut()
+            .zip(&alignment.offsets[..alignment.num_sources])
+        {
+            *slot = *source;
+        }
+        (set, 1 + alignment.num_sources)
+    };
+    let ((mine, num_mine), (theirs, num_theirs)) = (photos(view, node), photos(other_view, other));
+    let shared = mine[..num_mine]
+        .iter()
+        .filter(|photo| theirs[..num_theirs].contains(photo))
+        .count();
+    SAME_PHOTOS_CORRELATION * shared as f64 / ((num_mine * num_theirs) as f64).sqrt()
 }
 
 /// Honest deviation of a patch's own inverse depth.
@@ -181,6 +206,7 @@ pub(super) fn judge(
         let (mut weight, mut sum) = (own.powi(-2), node.alignment.plane.q * own.powi(-2));
         // Σ w σ and Σ w² σ² before normalisation: w σ = 1/σ, w² σ² = 1/σ².
         let mut inverse_sigmas = 1.0 / own;
+        let mut correlations = 0.0;
         let (mut agreeing, mut contradicting) = (Vec::new(), 0);
         for support in &lists[view][cell] {
             if support.difference_px >= CONTRADICT_PX {
@@ -194,12 +220,13 @@ pub(super) fn judge(
             };
             let sigma = own_sigma(there, factor) * support.gain.abs();
             agreeing.push(support.view);
+            correlations += correlation((view, node), (support.view, there));
             weight += sigma.powi(-2);
             sum += support.q * sigma.powi(-2);
             inverse_sigmas += 1.0 / sigma;
         }
-        let variance = VIEW_CORRELATION * (inverse_sigmas / weight).powi(2)
-            + (1.0 - VIEW_CORRELATION) / weight;
+        let rho = correlations / agreeing.len().max(1) as f64;
+        let variance = rho * (inverse_sigmas / weight).powi(2) + (1.0 - rho) / weight;
         let sigma_q = variance.sqrt();
         let sigma_px = sigma_q * node.alignment.px_per_q;
         let plane = &node.alignment.plane;
