@@ -31,18 +31,22 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         .map(|photo| (photo.intrinsics.width * photo.intrinsics.height) as u64)
         .max()
         .unwrap_or(0);
+    let gains = &manifest.report["exposure_gains"];
+    let numbered: Vec<(usize, &Photo)> = photos.photos.iter().enumerate().collect();
     let detected = map_items(
-        &photos.photos,
+        &numbered,
         context.resources.at_once(largest * BYTES_PER_PX),
         StageId::Features,
         "detecting keypoints",
         context.console,
-        |photo| {
+        |&(idx, photo)| {
             let key = hash_json(&(
                 StageId::Features.name(),
                 version(StageId::Features),
                 detection_options(options),
                 manifest.items.get(&photo.name).map(|item| &item.key),
+                // The exposure gain is not the photo's own: it depends on the others.
+                gains.get(idx),
             ));
             one(context, writer, photo, key)
         },

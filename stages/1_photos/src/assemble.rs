@@ -1,10 +1,12 @@
 //! The set: order, camera groups, spreads over the photos, warnings.
 
 use crate::error::PhotosError;
+use crate::exposure::{self, Exposed};
 use crate::options::PhotosOptions;
 use crate::prepare::PreparedPhoto;
 use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
 use rilievo_scene::{FocalSource, Photo, PhotoSet};
+use std::sync::Arc;
 
 /// Ratio of colours between photos from which the user is warned: a tenth is a visible tint.
 const WHITE_BALANCE_WARNING: f64 = 1.1;
@@ -72,6 +74,16 @@ pub fn assemble(
     }
 
     let facts: Vec<PhotoFacts> = photos.into_iter().map(|photo| photo.facts).collect();
+    let gains = exposure::gains(&facts, options).unwrap_or_default();
+    for (photo, &gain) in set.photos.iter_mut().zip(&gains) {
+        let pixels = photo.pixels.clone();
+        let gain = gain as f32;
+        photo.pixels = Arc::new(Exposed { pixels, gain });
+        // Floating-point photos clip nowhere, at any exposure.
+        photo.clip_level = (photo.clip_level * gain).min(f32::MAX);
+    }
+    let level = |(i, f): (usize, &PhotoFacts)| f.median_level * gains.get(i).unwrap_or(&1.0);
+    let levels: Vec<f64> = facts.iter().enumerate().map(level).collect();
     let coverages: Vec<f64> = facts.iter().filter_map(|f| f.mask_coverage).collect();
     let mut report = PhotosReport {
         rejected: Vec::new(),
@@ -85,8 +97,8 @@ pub fn assemble(
             .collect::<Option<Vec<f64>>>()
             .and_then(|values| ratio(&values))
             .map(f64::log2),
-        level_spread_ev: ratio(&facts.iter().map(|f| f.median_level).collect::<Vec<_>>())
-            .map_or(0.0, f64::log2),
+        level_spread_ev: ratio(&levels).map_or(0.0, f64::log2),
+        exposure_gains: gains,
         white_balance_spread: white_balance_spread(&facts),
         corner_falloff: middle(facts.iter().map(|f| f.corner_falloff)),
         warnings: Vec::new(),
@@ -311,7 +323,12 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         && spread > options.exposure_warning_ev
     {
         warnings.push(format!(
-            "exposure varies by {spread:.2} EV between the photos; shoot with fixed exposure"
+            "exposure varies by {spread:.2} EV between the photos{}; shoot with fixed exposure",
+            if report.exposure_gains.is_empty() {
+                ""
+            } else {
+                " and was evened out by EXIF (photos.normalize_exposure)"
+            }
         ));
     }
     if let Some(spread) = report.white_balance_spread

@@ -10,7 +10,8 @@
 //! 2. `mask`: refuse masks that cannot be an object's;
 //! 3. [`focal`]: the camera before poses, from the best source there is;
 //! 4. `measures`: level, clipping, noise, sharpness and colour for the preflight;
-//! 5. `assemble`: order, groups of photos that share a camera, spreads over the set, warnings.
+//! 5. `exposure`: photos brought to one exposure by EXIF;
+//! 6. `assemble`: order, groups of photos that share a camera, spreads over the set, warnings.
 //!
 //! Beside the way: [`backdrop`] proposes masks of objects before a plain backdrop, and [`table`]
 //! writes the preflight for people.
@@ -22,6 +23,7 @@ mod assemble;
 pub mod backdrop;
 pub mod encoding;
 pub mod error;
+mod exposure;
 pub mod focal;
 mod mask;
 mod measures;

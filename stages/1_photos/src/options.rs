@@ -42,8 +42,13 @@ pub struct PhotosOptions {
     pub inverted_border_share: f64,
     /// Clipped share of the object (or of the frame without mask) from which the user is warned.
     pub clipped_warning_share: f64,
-    /// Spread of exposure between photos, in EV, from which the user is warned.
+    /// Spread of exposure between photos, in EV, from which the user is warned and the photos are
+    /// brought to one exposure.
     pub exposure_warning_ev: f64,
+    /// Whether photos are brought to one exposure by what EXIF says of time, aperture and
+    /// sensitivity, where every photo tells them. Switch it off where EXIF is wrong: a grey filter, an
+    /// aperture set at the lens, levels evened out while developing.
+    pub normalize_exposure: bool,
     /// Spread of the photos' median levels, in EV, beyond which photos whose EXIF does not tell
     /// their exposure are refused: automatic exposure of that size leaves no light to solve for.
     /// Walking around an object under one light changes its level by one or two. Larger forces it.
@@ -63,6 +68,7 @@ impl Default for PhotosOptions {
             inverted_border_share: 0.75,
             clipped_warning_share: 0.02,
             exposure_warning_ev: 0.1,
+            normalize_exposure: true,
             max_level_spread_ev: 5.0,
         }
     }

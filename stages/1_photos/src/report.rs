@@ -104,7 +104,10 @@ pub struct PhotosReport {
     pub mean_mask_coverage: Option<f64>,
     /// Largest over smallest exposure by EXIF, in EV; absent unless every photo tells its own.
     pub exposure_spread_ev: Option<f64>,
-    /// Largest over smallest median level over the masks (or frames), in EV.
+    /// Factor that brings every photo, in their order, to one exposure; empty where none was applied.
+    #[serde(default)]
+    pub exposure_gains: Vec<f64>,
+    /// Largest over smallest median level over the masks (or frames), with those factors, in EV.
     pub level_spread_ev: f64,
     /// Largest over smallest ratio of colours over the masks (or frames), of both ratios the worse;
     /// absent unless all photos have colours.

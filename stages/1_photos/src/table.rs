@@ -62,7 +62,12 @@ impl fmt::Display for Table<'_> {
             )?;
         }
         if let Some(spread) = report.exposure_spread_ev {
-            writeln!(f, "exposure by EXIF: spread {spread:.2} EV")?;
+            let evened = if report.exposure_gains.is_empty() {
+                ""
+            } else {
+                ", evened out"
+            };
+            writeln!(f, "exposure by EXIF: spread {spread:.2} EV{evened}")?;
         }
         for photo in &report.rejected {
             writeln!(f, "left out: {}: {}", photo.file, photo.reason)?;

@@ -3,7 +3,9 @@
 // Helpers of the tests may fail as the tests do.
 #![allow(clippy::unwrap_used)]
 
-use rilievo_photos::{GivenCamera, PhotosError, PhotosOptions, PreparedPhoto, assemble, prepare};
+use rilievo_photos::{
+    GivenCamera, PhotosError, PhotosOptions, PhotosReport, PreparedPhoto, assemble, prepare,
+};
 use rilievo_scene::{DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, Raster, Samples};
 
 fn photo(file_name: &str, exif: ExifFacts) -> DecodedPhoto {
@@ -215,6 +217,54 @@ fn exposure_that_varies_is_told() {
         "{:?}",
         report.warnings
     );
+}
+
+/// Photos of one scene at exposures of 1, 2 and 4, and what is left of the difference.
+fn bracketed(options: &PhotosOptions) -> (Vec<f32>, Vec<f32>, PhotosReport) {
+    let photos = [0.01, 0.02, 0.04].into_iter().enumerate();
+    let photos = photos.map(|(i, time)| {
+        let exif = ExifFacts {
+            exposure_time_s: Some(time),
+            f_number: Some(8.0),
+            iso: Some(100.0),
+            ..zoom(20.0)
+        };
+        let mut photo = at_level(&format!("{i}.jpg"), time / 0.01 * 0.2, exif);
+        photo.facts.clip_level = 1.0;
+        photo
+    });
+    let (set, report) = assemble(photos.collect(), options).unwrap();
+    let first = |p: &rilievo_scene::Photo| p.pixels.load().unwrap().data[200];
+    (
+        set.photos.iter().map(first).collect(),
+        set.photos.iter().map(|p| p.clip_level).collect(),
+        report,
+    )
+}
+
+#[test]
+fn exposures_that_exif_tells_are_evened_out() {
+    let (values, clip, report) = bracketed(&PhotosOptions::default());
+    for (i, value) in values.iter().enumerate() {
+        let error = (value / values[1] - 1.0).abs();
+        assert!(error < 1e-5, "{i}: {values:?}");
+    }
+    // A pixel that was clipped at the short exposure is so at its new level.
+    assert!((clip[0] / clip[1] - 2.0).abs() < 1e-5, "{clip:?}");
+    assert_eq!(report.exposure_gains, [2.0, 1.0, 0.5]);
+    assert!(report.level_spread_ev.abs() < 1e-5, "{report:?}");
+    assert!(
+        report.warnings.iter().any(|w| w.contains("evened out")),
+        "{:?}",
+        report.warnings
+    );
+    // Where EXIF is not to be trusted, the photos stay as they are.
+    let (values, _, report) = bracketed(&PhotosOptions {
+        normalize_exposure: false,
+        ..PhotosOptions::default()
+    });
+    assert!((values[2] / values[0] - 4.0).abs() < 1e-4, "{values:?}");
+    assert!(report.exposure_gains.is_empty());
 }
 
 /// A prepared photo of another brightness.

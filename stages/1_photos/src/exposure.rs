@@ -1,0 +1,45 @@
+//! Brings photos to one exposure by their EXIF.
+//!
+//! A pixel's intensity is proportional to `H = t · ISO / N²` (exposure time, sensitivity, f-number), so
+//! that photo `i` of a set with middle exposure `H_m` is multiplied by `g_i = H_m / H_i`. Done only
+//! where every photo tells its exposure and they differ; without EXIF the gains are left to the stages
+//! that compare the photos' contents.
+
+use crate::options::PhotosOptions;
+use crate::report::PhotoFacts;
+use rilievo_scene::{LinearImage, PixelError, PixelSource};
+use std::sync::Arc;
+
+/// Factor of every photo; `None` when nothing is to be done.
+pub(crate) fn gains(facts: &[PhotoFacts], options: &PhotosOptions) -> Option<Vec<f64>> {
+    if !options.normalize_exposure {
+        return None;
+    }
+    let exposures: Vec<f64> = facts
+        .iter()
+        .map(|f| f.exif.relative_exposure())
+        .collect::<Option<_>>()?;
+    let mut sorted = exposures.clone();
+    sorted.sort_by(f64::total_cmp);
+    let (lowest, highest) = (sorted.first()?, sorted.last()?);
+    if (highest / lowest).log2() <= options.exposure_warning_ev {
+        return None;
+    }
+    let middle = sorted[sorted.len() / 2];
+    Some(exposures.iter().map(|h| middle / h).collect())
+}
+
+/// Pixels times a factor.
+#[derive(Debug)]
+pub(crate) struct Exposed {
+    pub pixels: Arc<dyn PixelSource>,
+    pub gain: f32,
+}
+
+impl PixelSource for Exposed {
+    fn load(&self) -> Result<Arc<LinearImage>, PixelError> {
+        let mut image = Arc::unwrap_or_clone(self.pixels.load()?);
+        image.data.iter_mut().for_each(|value| *value *= self.gain);
+        Ok(Arc::new(image))
+    }
+}
