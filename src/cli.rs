@@ -142,19 +142,29 @@ pub enum ExportFormat {
     Lights(LightFormat),
 }
 
-/// How to work, without any effect on results.
+/// How to work, without any effect on results as long as the memory suffices.
 #[derive(Clone, Debug, Args)]
 pub struct WorkArgs {
     /// Number of threads; all cores by default. Results do not depend on it
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
-    /// Bounds how many photos are read or searched for keypoints at once (stages 1 and 2; at least
-    /// one), as 4G or 800M; half of the free memory by default. Later stages need what the photos ask
+    /// Bounds how many photos are read or searched for keypoints at once (at least one; half of the
+    /// free memory by default), and the resolution of cloud and mesh (4G by default), as 4G or 800M;
+    /// stages 3 to 5 need what the photos ask
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub memory: Option<u64>,
     /// One JSON object a line on stdout
     #[arg(long)]
     pub json: bool,
+}
+
+impl WorkArgs {
+    /// Gives fusion the memory that was asked for.
+    pub fn bound(&self, options: &mut FusionOptions) {
+        if let Some(bytes) = self.memory {
+            options.memory_mib = ((bytes >> 20) as usize).max(FusionOptions::MIN_MEMORY_MIB);
+        }
+    }
 }
 
 /// `rilievo reconstruct`
@@ -470,6 +480,9 @@ pub struct SynthArgs {
     /// Another seed is another object
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
+    /// Format of the photos
+    #[arg(long, value_enum, default_value_t = SynthFormat::Jpeg)]
+    pub format: SynthFormat,
     /// A mesh to photograph instead of a made object: z up, front towards -y, of any size
     #[arg(long, value_name = "FILE.ply")]
     pub mesh: Option<PathBuf>,
@@ -479,6 +492,19 @@ pub struct SynthArgs {
     /// One JSON object a line on stdout
     #[arg(long)]
     pub json: bool,
+}
+
+/// `--format` of `rilievo synth`
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum SynthFormat {
+    /// 8 bits with the sRGB curve, as a camera writes them
+    Jpeg,
+    /// Linear, 16 bits
+    Tiff,
+    /// Linear, 16 bits
+    Png,
+    /// Linear, 32-bit floating point, not clipped
+    Exr,
 }
 
 /// `5_shading`, `5` or `shading`.

@@ -187,3 +187,62 @@ fn what_cannot_be_fused_is_told() {
     }
     refused(&given, 4, "none of the 4 views has a depth map with values");
 }
+
+#[test]
+fn one_view_is_fused_with_a_warning_and_views_apart_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let maps = dir.path().join("maps");
+    std::fs::create_dir(&maps).unwrap();
+    let cameras = exr_maps(&maps);
+    let file = dir.path().join("cameras.json");
+    let fuse = |changed: &CameraFile, out: &str| {
+        write_cameras(&file, changed).expect("a file");
+        let out = dir.path().join(out);
+        let (code, _, stderr) = run(&[
+            "fuse",
+            arg(&maps),
+            "--cameras",
+            arg(&file),
+            "-o",
+            arg(&out),
+            "--spacing",
+            "0.002",
+        ]);
+        (code, stderr, out)
+    };
+    let mut alone = cameras.clone();
+    alone.cameras.truncate(1);
+    let (code, stderr, out) = fuse(&alone, "alone");
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains("only 1 view"), "{stderr}");
+    assert!(num_points(&out) > 1000);
+
+    // Every camera looks at a copy of the object a metre farther to the side.
+    let mut apart = cameras.clone();
+    for (i, camera) in apart.cameras.iter_mut().enumerate() {
+        let pose = camera.cam_from_world.as_mut().expect("a pose");
+        let aside = pose.rotation * nalgebra::Vector3::x() * (i + 1) as f64;
+        pose.translation += aside;
+    }
+    let (code, stderr, out) = fuse(&apart, "apart");
+    assert_eq!(code, 4, "{stderr}");
+    assert!(stderr.contains("do not overlap"), "{stderr}");
+    assert!(!out.join("cloud.ply").exists());
+}
+
+#[test]
+fn a_damaged_dmap_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let maps = dir.path().join("maps");
+    std::fs::create_dir(&maps).unwrap();
+    let out = dir.path().join("out");
+    // The magic of OpenMVS, and sizes that the file does not hold.
+    let damaged = [b"DR".as_slice(), &[0xFF; 64]].concat();
+    for bytes in [&b"Dear reader"[..], &damaged] {
+        std::fs::write(maps.join("depth0000.dmap"), bytes).unwrap();
+        let (code, _, stderr) = run(&["fuse", arg(&maps), "-o", arg(&out)]);
+        assert_eq!(code, 3, "{stderr}");
+        assert!(stderr.contains("depth0000.dmap"), "{stderr}");
+        assert!(!out.join("cloud.ply").exists());
+    }
+}

@@ -5,7 +5,7 @@ use super::evaluate::{self, Comparison};
 use super::reconstruct::bring_run_up_to_date;
 use super::reporting;
 use super::synth::{SynthOptions, write_set};
-use crate::cli::DemoArgs;
+use crate::cli::{DemoArgs, SynthFormat};
 use crate::config::StageOptions;
 use crate::observe::Console;
 use crate::pipeline::{Range, Request, SphereInput};
@@ -74,7 +74,7 @@ fn photograph(set: &Path, seed: u64, console: &Console) -> anyhow::Result<()> {
     console.note("photographing a synthetic scene");
     let mut options = SynthOptions::default();
     options.scene.seed = seed;
-    write_set(set, &options, None, console)
+    write_set(set, &options, SynthFormat::Jpeg, None, console)
 }
 
 /// Deletes what an earlier demo left: this one shows what this program does, all of it.

@@ -6,27 +6,32 @@
 //! OUT/sphere_masks/IMG_0001.png … the reference sphere
 //! OUT/intrinsics.json             cameras without poses
 //! OUT/sphere.json                 the sphere's radius and masks
-//! OUT/truth/                      cameras.json, NAME_depth.exr, NAME_normal.exr, lighting.json, mesh.ply
+//! OUT/truth/                      cameras.json, NAME_depth.exr, NAME_normal.exr, NAME_albedo.exr,
+//!                                 lighting.json, mesh.ply, matches/NAME1_NAME2.csv
 //! ```
 
 use super::reporting;
-use crate::cli::SynthArgs;
+use crate::cli::{SynthArgs, SynthFormat};
 use crate::config::read_toml;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::from_io;
 use crate::store::StoreError;
 use rilievo_io::{
-    CameraEntry, CameraFile, read_mesh_ply, write_cameras, write_depth, write_mask, write_mesh_ply,
-    write_normal, write_photo_jpeg,
+    CameraEntry, CameraFile, DeepFormat, read_mesh_ply, write_cameras, write_depth, write_linear,
+    write_mask, write_matches_csv, write_mesh_ply, write_normal, write_photo_deep,
+    write_photo_jpeg,
 };
-use rilievo_scene::{Event, Flow, Observer, StageId, Unit};
-use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions};
+use rilievo_scene::{Event, Flow, LinearImage, NormalMap, Observer, StageId, Unit};
+use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions, true_tracks};
 use serde::Deserialize;
 use std::path::Path;
 
 /// JPEG quality of the photos: a camera's usual "fine".
 const JPEG_QUALITY: u8 = 95;
+
+/// Surface points whose matches are written: some hundred for every two views.
+const NUM_TRACKS: usize = 1000;
 
 /// Options of `--config`.
 #[derive(Clone, Debug, Default, Deserialize)]
@@ -45,7 +50,14 @@ pub struct SynthOptions {
 pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output});
     reporting(args.json, facts, |console| {
-        write_set(&args.output, &options(args)?, args.mesh.as_deref(), console)?;
+        let options = options(args)?;
+        write_set(
+            &args.output,
+            &options,
+            args.format,
+            args.mesh.as_deref(),
+            console,
+        )?;
         console.note(&format!(
             "{} photos, masks and ground truth are in {}",
             args.views,
@@ -73,6 +85,7 @@ fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
 pub fn write_set(
     folder: &Path,
     options: &SynthOptions,
+    format: SynthFormat,
     mesh: Option<&Path>,
     console: &Console,
 ) -> anyhow::Result<()> {
@@ -86,7 +99,7 @@ pub fn write_set(
         }
     };
     let renderer = Renderer::new(&scene, &options.photographs).map_err(usage)?;
-    for name in ["photos", "masks", "sphere_masks", "truth"] {
+    for name in ["photos", "masks", "sphere_masks", "truth", "truth/matches"] {
         let path = folder.join(name);
         std::fs::create_dir_all(&path).map_err(StoreError::files("create", &path))?;
     }
@@ -98,10 +111,11 @@ pub fn write_set(
     let mut sphere_views = serde_json::Map::new();
     let mut lighting = serde_json::Map::new();
     let mut gains = serde_json::Map::new();
+    let mut views = Vec::new();
     for index in 0..total {
         let view = renderer.render(index).map_err(usage)?;
-        write_view(folder, &view)?;
-        let file_name = format!("{}.jpg", view.name);
+        write_view(folder, &view, format)?;
+        let file_name = format!("{}.{}", view.name, ending(format));
         if view.sphere_mask.count() > 0 {
             let mask = serde_json::json!({"mask": format!("sphere_masks/{}.png", view.name)});
             sphere_views.insert(file_name.clone(), mask);
@@ -112,6 +126,13 @@ pub fn write_set(
             image: Some(file_name),
             intrinsics: view.intrinsics,
             cam_from_world: Some(view.cam_from_world),
+        });
+        // Matches need no pixels.
+        views.push(RenderedView {
+            image: LinearImage::filled(0, 0, 3, 0.0),
+            albedo: LinearImage::filled(0, 0, 3, 0.0),
+            normal: NormalMap::filled(0, 0, [0.0; 3]),
+            ..view
         });
         let flow = console.event(Event::Progress {
             stage: StageId::Photos,
@@ -153,13 +174,51 @@ pub fn write_set(
     });
     write_json(&folder.join("truth/lighting.json"), &lighting)?;
     write_mesh_ply(&folder.join("truth/mesh.ply"), &scene.mesh, Unit::Metre).map_err(from_io)?;
+    write_matches(folder, &scene, &views)
+}
+
+/// True matches of every two views, exact to the renderer's arithmetic.
+fn write_matches(folder: &Path, scene: &Scene, views: &[RenderedView]) -> anyhow::Result<()> {
+    let tracks = true_tracks(&scene.mesh, views, NUM_TRACKS, scene.options.seed);
+    for (i, first) in views.iter().enumerate() {
+        for (j, second) in views.iter().enumerate().skip(i + 1) {
+            let matches: Vec<[f64; 4]> = tracks
+                .iter()
+                .filter_map(|track| {
+                    let at = |idx| track.observations.iter().find(|o| o.0 == idx);
+                    let ([x1, y1], [x2, y2]) = (at(i)?.1, at(j)?.1);
+                    Some([x1, y1, x2, y2])
+                })
+                .collect();
+            let file = format!("truth/matches/{}_{}.csv", first.name, second.name);
+            write_matches_csv(&folder.join(file), &matches).map_err(from_io)?;
+        }
+    }
     Ok(())
 }
 
-fn write_view(folder: &Path, view: &RenderedView) -> Result<(), Failure> {
+/// Ending of the photos' names.
+fn ending(format: SynthFormat) -> &'static str {
+    match format {
+        SynthFormat::Jpeg => "jpg",
+        SynthFormat::Tiff => "tif",
+        SynthFormat::Png => "png",
+        SynthFormat::Exr => "exr",
+    }
+}
+
+fn write_view(folder: &Path, view: &RenderedView, format: SynthFormat) -> Result<(), Failure> {
     let name = &view.name;
-    let photo = folder.join(format!("photos/{name}.jpg"));
-    write_photo_jpeg(&photo, &view.image, JPEG_QUALITY).map_err(from_io)?;
+    let photo = folder.join(format!("photos/{name}.{}", ending(format)));
+    match format {
+        SynthFormat::Jpeg => write_photo_jpeg(&photo, &view.image, JPEG_QUALITY),
+        SynthFormat::Tiff => write_photo_deep(&photo, &view.image, DeepFormat::Tiff),
+        SynthFormat::Png => write_photo_deep(&photo, &view.image, DeepFormat::Png),
+        SynthFormat::Exr => write_linear(&photo, &view.image),
+    }
+    .map_err(from_io)?;
+    let albedo = folder.join(format!("truth/{name}_albedo.exr"));
+    write_linear(&albedo, &view.albedo).map_err(from_io)?;
     let mask = folder.join(format!("masks/{name}.png"));
     write_mask(&mask, &view.object_mask).map_err(from_io)?;
     let sphere = folder.join(format!("sphere_masks/{name}.png"));

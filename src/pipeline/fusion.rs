@@ -15,11 +15,11 @@ use std::path::PathBuf;
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
-    let shaded = super::shading::load(context.run)?;
+    let maps = super::shading::MapFiles::open(context.run)?;
     let (fused, report) = rilievo_fusion::run(
         &photos,
         &views,
-        &shaded,
+        &maps,
         &context.request.options.fusion,
         context.console,
     )

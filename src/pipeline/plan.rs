@@ -41,7 +41,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Poses => 3,
         StageId::Lighting => 2,
         StageId::Shading => 3,
-        StageId::Fusion => 2,
+        StageId::Fusion => 3,
     }
 }
 

@@ -89,6 +89,7 @@ impl Request {
             options.poses.known_distance = Some(known.clone());
         }
         args.surface.apply(&mut options.fusion);
+        args.work.bound(&mut options.fusion);
         options.validate()?;
         if let Some(radius) = args.sphere_radius
             && !(radius.is_finite() && radius > 0.0)

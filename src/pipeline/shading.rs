@@ -6,12 +6,12 @@ use super::errors::{from_io, from_lighting, from_shading};
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter, StoreError};
 use rilievo_io::{
-    Preview, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
-    write_linear, write_normal, write_preview_png,
+    IoError, Preview, read_channel, read_depth, read_linear, read_normal, write_channel,
+    write_depth, write_linear, write_normal, write_preview_png,
 };
-use rilievo_scene::{LinearImage, ShadedView, ShadedViews, StageId, ViewIdx};
+use rilievo_scene::{Images, LinearImage, MapSource, PixelError, ShadedView, StageId, ViewIdx};
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Longer side of the pictures, pixels: all detail of usual photos, little space.
 const PREVIEW_SIDE: usize = 1600;
@@ -117,38 +117,54 @@ pub fn shown_albedo(albedo: &LinearImage) -> LinearImage {
     }
 }
 
-/// Maps of a committed stage 5.
-///
-/// # Errors
-/// When they are missing or damaged.
-pub fn load(run: &RunDir) -> anyhow::Result<ShadedViews> {
-    let dir = run.stage_dir(StageId::Shading);
-    let text = std::fs::read(dir.join("views.json"))
-        .map_err(|_| super::poses::not_there(StageId::Shading))?;
-    let files: Vec<ViewFiles> = serde_json::from_slice(&text)?;
-    let views = files.into_iter().map(|file| read_view(&dir, file));
-    Ok(ShadedViews {
-        views: views.collect::<Result<_, _>>()?,
-    })
+/// Maps of a committed stage 5, read when they are asked for.
+pub struct MapFiles {
+    folder: PathBuf,
+    views: Vec<ViewFiles>,
 }
 
-fn read_view(dir: &Path, files: ViewFiles) -> Result<ShadedView, Failure> {
-    let path = |kind: &str| dir.join(kind).join(format!("{}.exr", files.name));
-    let image = |present: bool, kind: &str| {
-        present
-            .then(|| read_linear(&path(kind)).map_err(from_io))
-            .transpose()
-    };
-    Ok(ShadedView {
-        view: files.view,
-        depth: read_depth(&path("depth")).map_err(from_io)?,
-        normal: read_normal(&path("normal")).map_err(from_io)?,
-        confidence: files
-            .confidence
-            .then(|| read_channel(&path("confidence"), "C").map_err(from_io))
-            .transpose()?,
-        rendered: image(files.rendered, "rendered")?,
-        albedo: image(files.albedo, "albedo")?,
-        name: files.name,
-    })
+impl MapFiles {
+    /// The maps of a run.
+    ///
+    /// # Errors
+    /// When stage 5 is not there or damaged.
+    pub fn open(run: &RunDir) -> anyhow::Result<Self> {
+        let folder = run.stage_dir(StageId::Shading);
+        let text = std::fs::read(folder.join("views.json"))
+            .map_err(|_| super::poses::not_there(StageId::Shading))?;
+        let views = serde_json::from_slice(&text)?;
+        Ok(Self { folder, views })
+    }
+}
+
+impl MapSource for MapFiles {
+    fn num_views(&self) -> usize {
+        self.views.len()
+    }
+
+    fn load(&self, idx: usize, images: Images) -> Result<ShadedView, PixelError> {
+        let files = &self.views[idx];
+        let of_view = |error: IoError| PixelError {
+            name: files.name.clone(),
+            reason: error.to_string(),
+        };
+        let path = |kind: &str| self.folder.join(kind).join(format!("{}.exr", files.name));
+        let image = |present: bool, kind: &str| {
+            (present && images == Images::With)
+                .then(|| read_linear(&path(kind)).map_err(of_view))
+                .transpose()
+        };
+        Ok(ShadedView {
+            view: files.view,
+            depth: read_depth(&path("depth")).map_err(of_view)?,
+            normal: read_normal(&path("normal")).map_err(of_view)?,
+            confidence: files
+                .confidence
+                .then(|| read_channel(&path("confidence"), "C").map_err(of_view))
+                .transpose()?,
+            rendered: image(files.rendered, "rendered")?,
+            albedo: image(files.albedo, "albedo")?,
+            name: files.name.clone(),
+        })
+    }
 }

@@ -68,6 +68,18 @@ pub fn write_noise_photo(path: &Path, seed: u64) {
 /// A JPEG file with EXIF: orientation and focal length in 35 mm equivalents (CIPA DC-008: the tags
 /// 0x0112 in the first directory, 0xA405 in the one that 0x8769 points to).
 pub fn with_exif(jpeg: &[u8], orientation: u16, focal_35mm: u16) -> Vec<u8> {
+    with_tags(jpeg, orientation, focal_35mm, None)
+}
+
+/// The same with an exposure time (a fraction, seconds) at f/8 and ISO 100.
+pub fn with_exposure(jpeg: &[u8], time: [u32; 2]) -> Vec<u8> {
+    with_tags(jpeg, 1, 50, Some(time))
+}
+
+fn with_tags(jpeg: &[u8], orientation: u16, focal_35mm: u16, time: Option<[u32; 2]>) -> Vec<u8> {
+    const SHORT: u16 = 3;
+    const LONG: u16 = 4;
+    const RATIONAL: u16 = 5;
     let entry = |tag: u16, kind: u16, value: u32| {
         let mut bytes = Vec::new();
         bytes.extend(tag.to_le_bytes());
@@ -82,14 +94,28 @@ pub fn with_exif(jpeg: &[u8], orientation: u16, focal_35mm: u16) -> Vec<u8> {
         bytes.extend(0u32.to_le_bytes());
         bytes
     };
+    let size_of = |num_entries: u32| 2 + 12 * num_entries + 4;
     let mut tiff = b"II*\0\x08\0\0\0".to_vec();
-    // Header 8, first directory 2 + 2 * 12 + 4.
-    let second = 8 + 2 + 2 * 12 + 4;
+    let second = 8 + size_of(2);
     tiff.extend(directory(&[
-        entry(0x0112, 3, u32::from(orientation)),
-        entry(0x8769, 4, second),
+        entry(0x0112, SHORT, u32::from(orientation)),
+        entry(0x8769, LONG, second),
     ]));
-    tiff.extend(directory(&[entry(0xA405, 3, u32::from(focal_35mm))]));
+    let focal = entry(0xA405, SHORT, u32::from(focal_35mm));
+    match time {
+        None => tiff.extend(directory(&[focal])),
+        Some(time) => {
+            // Rational numbers stand behind the directory.
+            let behind = second + size_of(4);
+            tiff.extend(directory(&[
+                entry(0x829A, RATIONAL, behind),
+                entry(0x829D, RATIONAL, behind + 8),
+                entry(0x8827, SHORT, 100),
+                focal,
+            ]));
+            tiff.extend([time, [8, 1]].concat().iter().flat_map(|n| n.to_le_bytes()));
+        }
+    }
     let mut bytes = jpeg[..2].to_vec();
     bytes.extend([0xFF, 0xE1]);
     bytes.extend(((tiff.len() + 8) as u16).to_be_bytes());
@@ -97,6 +123,44 @@ pub fn with_exif(jpeg: &[u8], orientation: u16, focal_35mm: u16) -> Vec<u8> {
     bytes.extend(&tiff);
     bytes.extend(&jpeg[2..]);
     bytes
+}
+
+/// A file system of so many KiB; `None` where this process may not mount one.
+pub struct SmallDisk {
+    /// Where it is mounted.
+    pub path: PathBuf,
+    _dir: tempfile::TempDir,
+}
+
+impl SmallDisk {
+    pub fn new(size_kib: u32) -> Option<Self> {
+        let dir = tempfile::tempdir().ok()?;
+        let path = dir.path().join("disk");
+        std::fs::create_dir(&path).ok()?;
+        let mounted = std::process::Command::new("mount")
+            .args(["-t", "tmpfs", "-o", &format!("size={size_kib}k"), "tmpfs"])
+            .arg(&path)
+            .output()
+            .is_ok_and(|output| output.status.success());
+        mounted.then_some(Self { path, _dir: dir })
+    }
+
+    /// Makes it larger.
+    pub fn grow(&self, size_kib: u32) {
+        let status = std::process::Command::new("mount")
+            .args(["-o", &format!("remount,size={size_kib}k")])
+            .arg(&self.path)
+            .status();
+        assert!(status.is_ok_and(|status| status.success()));
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = std::process::Command::new("umount")
+            .arg(&self.path)
+            .status();
+    }
 }
 
 /// A folder with `count` photos of noise.

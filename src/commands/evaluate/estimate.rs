@@ -3,10 +3,11 @@
 use super::read_if_there;
 use crate::exit::Failure;
 use crate::pipeline::load_poses;
-use crate::store::RunDir;
-use rilievo_io::{read_depth, read_normal};
-use rilievo_scene::{DepthMap, NormalMap, StageId};
+use crate::store::{Manifest, RunDir};
+use rilievo_io::{LightingFile, read_depth, read_lighting, read_linear, read_normal};
+use rilievo_scene::{DepthMap, LinearImage, NormalMap, StageId};
 use rilievo_synthetic::compare::NamedPose;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// What is to be compared: poses and maps of a run, or the maps of `rilievo shade`.
@@ -18,6 +19,12 @@ pub(super) struct Estimate {
     maps: PathBuf,
     /// The cloud's file, there or not.
     pub cloud: PathBuf,
+    /// The light's file, there or not.
+    light: PathBuf,
+    /// The linear photos' folder, there or not.
+    photos: PathBuf,
+    /// Factors that brought photos to one exposure, by their names.
+    gains: BTreeMap<String, f64>,
 }
 
 impl Estimate {
@@ -52,6 +59,9 @@ impl Estimate {
             poses,
             maps: run.stage_dir(StageId::Shading),
             cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
+            light: run.stage_dir(StageId::Lighting).join("lighting.json"),
+            photos: run.stage_dir(StageId::Photos).join("linear"),
+            gains: exposure_gains(run.manifest(StageId::Photos)?.as_ref()),
         })
     }
 
@@ -63,6 +73,9 @@ impl Estimate {
             expected: photos.map_or_else(Vec::new, |manifest| manifest.items.into_keys().collect()),
             maps: run.stage_dir(StageId::Shading),
             cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
+            light: run.stage_dir(StageId::Lighting).join("lighting.json"),
+            photos: run.stage_dir(StageId::Photos).join("linear"),
+            gains: exposure_gains(run.manifest(StageId::Photos)?.as_ref()),
         })
     }
 
@@ -80,6 +93,9 @@ impl Estimate {
             expected,
             maps: root.to_path_buf(),
             cloud: root.join("cloud.ply"),
+            light: root.join("lighting.json"),
+            photos: root.join("photos"),
+            gains: BTreeMap::new(),
         })
     }
 
@@ -98,4 +114,53 @@ impl Estimate {
     pub fn normal(&self, name: &str) -> Result<Option<NormalMap>, Failure> {
         read_if_there(&self.maps.join(format!("normal/{name}.exr")), read_normal)
     }
+
+    /// Light of the views, if it was found.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn lighting(&self) -> Result<Option<LightingFile>, Failure> {
+        read_if_there(&self.light, |path| read_lighting(path, None))
+    }
+
+    /// Albedo of a view, if it has one.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn albedo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
+        read_if_there(&self.maps.join(format!("albedo/{name}.exr")), read_linear)
+    }
+
+    /// The image that the result explains, if it has one.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn rendered(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
+        read_if_there(&self.maps.join(format!("rendered/{name}.exr")), read_linear)
+    }
+
+    /// The linear photo at the set's exposure, if it is there.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn photo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
+        let mut photo = read_if_there(&self.photos.join(format!("{name}.exr")), read_linear)?;
+        let gain = self.gains.get(name).copied().unwrap_or(1.0) as f32;
+        for value in photo.iter_mut().flat_map(|photo| &mut photo.data) {
+            *value *= gain;
+        }
+        Ok(photo)
+    }
+}
+
+/// Exposure gains in the report of stage 1.
+fn exposure_gains(photos: Option<&Manifest>) -> BTreeMap<String, f64> {
+    let list = |key: &str| {
+        let values = photos.and_then(|photos| photos.report.get(key)?.as_array());
+        values.cloned().unwrap_or_default()
+    };
+    let pairs = list("photos").into_iter().zip(list("exposure_gains"));
+    pairs
+        .filter_map(|(photo, gain)| Some((photo["name"].as_str()?.to_owned(), gain.as_f64()?)))
+        .collect()
 }

@@ -1,5 +1,6 @@
 //! `rilievo evaluate RUN --truth DIR`: accuracy against ground truth, the alignment said aloud.
 
+mod appearance;
 mod errors;
 mod estimate;
 mod table;
@@ -102,7 +103,7 @@ impl Comparison {
         };
         // Reading errors inside the comparison are kept here, since it knows only its own.
         let mut unreadable = None;
-        let evaluation = compare::evaluate(
+        let mut evaluation = compare::evaluate(
             &self.estimate.poses,
             &self.truth.poses(&self.estimate.expected),
             self.request,
@@ -128,10 +129,11 @@ impl Comparison {
             pair,
         )
         .map_err(|error| Failure::NoResult(error.to_string()))?;
-        match unreadable {
-            Some(failure) => Err(failure.into()),
-            None => Ok(evaluation),
+        if let Some(failure) = unreadable {
+            return Err(failure.into());
         }
+        appearance::compare(self, &mut evaluation)?;
+        Ok(evaluation)
     }
 
     /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`.

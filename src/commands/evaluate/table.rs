@@ -50,6 +50,19 @@ pub fn table(evaluation: &Evaluation) -> String {
             1e3 * cloud.threshold
         );
     }
+    let appearance = &evaluation.appearance;
+    if let (Some(angle), Some(rms)) = (appearance.light_direction_deg, appearance.light_rms_rel) {
+        text += &format!(
+            "light: direction {angle:.1} deg, irradiance {:.1} % up to one factor a view\n",
+            100.0 * rms
+        );
+    }
+    if let Some(rms) = appearance.albedo_rms_rel {
+        text += &format!("albedo: {:.1} % up to one factor a channel\n", 100.0 * rms);
+    }
+    if let Some(rms) = appearance.rerender_rms_rel {
+        text += &format!("re-rendered photos: {:.1} %\n", 100.0 * rms);
+    }
     for (key, reason) in &evaluation.reasons {
         text += &format!("no {key}: {reason}\n");
     }

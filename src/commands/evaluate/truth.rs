@@ -2,8 +2,11 @@
 
 use super::read_if_there;
 use crate::exit::Failure;
-use rilievo_io::{CameraFile, read_cameras, read_depth, read_mesh_ply, read_normal};
-use rilievo_scene::{DepthMap, Intrinsics, Mesh};
+use rilievo_io::{
+    CameraFile, LightingFile, read_cameras, read_depth, read_lighting, read_linear, read_mesh_ply,
+    read_normal,
+};
+use rilievo_scene::{DepthMap, Intrinsics, LinearImage, Mesh};
 use rilievo_synthetic::compare::{NamedPose, TruthView};
 use std::path::{Path, PathBuf};
 
@@ -51,6 +54,24 @@ impl Truth {
     /// The true surface's file, there or not.
     pub fn surface_file(&self) -> PathBuf {
         self.folder.join("mesh.ply")
+    }
+
+    /// True light, if it is known.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn lighting(&self) -> Result<Option<LightingFile>, Failure> {
+        read_if_there(&self.folder.join("lighting.json"), |path| {
+            read_lighting(path, None)
+        })
+    }
+
+    /// True albedo of a view, if it is known.
+    ///
+    /// # Errors
+    /// When its file cannot be read.
+    pub fn albedo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
+        read_if_there(&self.folder.join(format!("{name}_albedo.exr")), read_linear)
     }
 
     /// True maps of the photos that have any.

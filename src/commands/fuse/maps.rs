@@ -13,7 +13,10 @@ use rilievo_io::{
     CameraFile, CameraFormat, import_cameras, read_channel, read_colmap_depth, read_colmap_normal,
     read_depth, read_dmap, read_normal,
 };
-use rilievo_scene::{ConfidenceMap, DepthMap, Intrinsics, NormalMap, RigidTransform, Unit};
+use rilievo_scene::{
+    ConfidenceMap, DepthMap, Images, Intrinsics, MapSource, NormalMap, PixelError, RigidTransform,
+    ShadedView, Unit, ViewIdx,
+};
 use std::path::{Path, PathBuf};
 
 /// Share of the normals that may look away from their camera: noise at the rim.
@@ -22,32 +25,86 @@ const MAX_AVERTED: f64 = 0.1;
 /// noise of the slopes alone stays below.
 const MAX_CONTRADICTION_DEG: f64 = 45.0;
 
-/// A view of another program.
+/// A view of another program: its camera, and where its maps are.
 pub struct View {
     /// The photo's name, with its ending where it is known.
     pub image: String,
     /// Its camera.
     pub intrinsics: Intrinsics,
-    /// Its pose.
+    /// Its pose, in the maps' unit.
     pub cam_from_world: RigidTransform,
-    /// Depth.
-    pub depth: DepthMap,
-    /// Normals, camera frame.
-    pub normal: NormalMap,
-    /// Confidence, where there is a map of it.
-    pub confidence: Option<ConfidenceMap>,
     /// Whether the normals are the depths' slopes, since there was no map of them.
     pub normals_are_slopes: bool,
+    /// Middle of the depths, in the maps' unit.
+    pub median_depth: Option<f64>,
+    files: Files,
 }
 
-/// The views of a folder.
+/// Program that wrote the maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    OpenMvs,
+    Colmap,
+    OpenExr,
+}
+
+/// The views of a folder; the maps are read when they are asked for.
 pub struct Views {
-    /// Name of the format.
-    pub format: &'static str,
+    format: Format,
     /// Unit of all lengths.
     pub unit: Unit,
     /// The views, in the cameras' order.
     pub views: Vec<View>,
+    /// Factor of all depths on the way out.
+    pub factor: f64,
+}
+
+impl Views {
+    /// Name of the format.
+    pub fn format(&self) -> &'static str {
+        match self.format {
+            Format::OpenMvs => "OpenMVS",
+            Format::Colmap => "COLMAP",
+            Format::OpenExr => "OpenEXR",
+        }
+    }
+}
+
+impl MapSource for Views {
+    fn num_views(&self) -> usize {
+        self.views.len()
+    }
+
+    fn load(&self, idx: usize, _: Images) -> Result<ShadedView, PixelError> {
+        let view = &self.views[idx];
+        let mut maps =
+            Maps::read(self.format, &view.files, &view.intrinsics).map_err(|failure| {
+                PixelError {
+                    name: view.image.clone(),
+                    reason: failure.to_string(),
+                }
+            })?;
+        for z in &mut maps.depth.data {
+            *z = (f64::from(*z) * self.factor) as f32;
+        }
+        Ok(ShadedView {
+            view: ViewIdx(idx),
+            name: name_of(&view.image),
+            depth: maps.depth,
+            normal: maps.normal,
+            confidence: maps.confidence,
+            rendered: None,
+            albedo: None,
+        })
+    }
+}
+
+/// File name without its ending.
+pub fn name_of(image: &str) -> String {
+    Path::new(image).file_stem().map_or_else(
+        || image.to_owned(),
+        |stem| stem.to_string_lossy().into_owned(),
+    )
 }
 
 /// Files of one view.
@@ -55,6 +112,53 @@ struct Files {
     depth: PathBuf,
     normal: PathBuf,
     confidence: Option<PathBuf>,
+}
+
+/// Maps of one view.
+struct Maps {
+    depth: DepthMap,
+    normal: NormalMap,
+    confidence: Option<ConfidenceMap>,
+    normals_are_slopes: bool,
+}
+
+impl Maps {
+    /// Reads the maps of a camera, all of the camera's size.
+    fn read(format: Format, files: &Files, camera: &Intrinsics) -> Result<Self, Failure> {
+        let (depth, normal) = match format {
+            Format::OpenMvs => {
+                let file = read_dmap(&files.depth).map_err(from_io)?;
+                (file.depth, file.normal)
+            }
+            Format::Colmap => {
+                let depth = read_colmap_depth(&files.depth).map_err(from_io)?;
+                let there = files.normal.exists();
+                let normal = there.then(|| read_colmap_normal(&files.normal));
+                (depth, normal.transpose().map_err(from_io)?)
+            }
+            Format::OpenExr => {
+                let depth = read_depth(&files.depth).map_err(from_io)?;
+                let there = files.normal.exists();
+                let normal = there.then(|| read_normal(&files.normal));
+                (depth, normal.transpose().map_err(from_io)?)
+            }
+        };
+        same_size(&files.depth, (depth.width, depth.height), camera)?;
+        let normals_are_slopes = normal.is_none();
+        let normal = normal.unwrap_or_else(|| slopes(&depth, camera));
+        same_size(&files.normal, (normal.width, normal.height), camera)?;
+        let confidence = files.confidence.as_ref().map(|path| {
+            let map = read_channel(path, "C").map_err(from_io)?;
+            same_size(path, (map.width, map.height), camera)?;
+            Ok::<_, Failure>(map)
+        });
+        Ok(Self {
+            depth,
+            normal,
+            confidence: confidence.transpose()?,
+            normals_are_slopes,
+        })
+    }
 }
 
 /// Reads all views of a folder.
@@ -94,27 +198,19 @@ fn of_openmvs(files: &[PathBuf]) -> Result<Views, Failure> {
     let mut views = Vec::new();
     for path in files {
         let file = read_dmap(path).map_err(from_io)?;
-        let (normal, normals_are_slopes) = match file.normal {
-            Some(normal) => (normal, false),
-            None => (slopes(&file.depth, &file.intrinsics), true),
+        let files = Files {
+            depth: path.clone(),
+            normal: path.clone(),
+            confidence: None,
         };
-        views.push(checked(
-            path,
-            View {
-                image: file.image,
-                intrinsics: file.intrinsics,
-                cam_from_world: file.cam_from_world,
-                depth: file.depth,
-                normal,
-                confidence: None,
-                normals_are_slopes,
-            },
-        )?);
+        let camera = (file.image, file.intrinsics, file.cam_from_world);
+        views.push(View::checked(Format::OpenMvs, files, camera)?);
     }
     Ok(Views {
-        format: "OpenMVS",
+        format: Format::OpenMvs,
         unit: Unit::Arbitrary,
         views,
+        factor: 1.0,
     })
 }
 
@@ -137,17 +233,7 @@ fn of_colmap(folder: &Path, maps: &Path, cameras: Option<&Path>) -> Result<Views
             })
         })
     };
-    assemble(
-        "COLMAP",
-        folder,
-        &cameras,
-        &find,
-        |path| {
-            let depth = read_colmap_depth(path);
-            depth.map_err(from_io)
-        },
-        |path| read_colmap_normal(path).map_err(from_io),
-    )
+    assemble(Format::Colmap, folder, &cameras, &find)
 }
 
 fn of_exr(folder: &Path, cameras: Option<&Path>) -> Result<Views, Failure> {
@@ -179,14 +265,7 @@ fn of_exr(folder: &Path, cameras: Option<&Path>) -> Result<Views, Failure> {
             confidence: confidence.exists().then_some(confidence),
         })
     };
-    assemble(
-        "OpenEXR",
-        folder,
-        &cameras,
-        &find,
-        |path| read_depth(path).map_err(from_io),
-        |path| read_normal(path).map_err(from_io),
-    )
+    assemble(Format::OpenExr, folder, &cameras, &find)
 }
 
 /// Cameras as given, or from the first place beside the maps that has some.
@@ -217,60 +296,20 @@ fn read_cameras_of(
 
 /// Views of all cameras that have a pose and maps.
 fn assemble(
-    format: &'static str,
+    format: Format,
     folder: &Path,
     cameras: &CameraFile,
     find: &dyn Fn(&str) -> Option<Files>,
-    depth_of: impl Fn(&Path) -> Result<DepthMap, Failure>,
-    normal_of: impl Fn(&Path) -> Result<NormalMap, Failure>,
 ) -> Result<Views, Failure> {
     let mut views = Vec::new();
     for camera in &cameras.cameras {
         let (Some(image), Some(cam_from_world)) = (&camera.image, camera.cam_from_world) else {
             continue;
         };
-        let Some(files) = find(image) else {
-            continue;
-        };
-        let depth = depth_of(&files.depth)?;
-        let normals_are_slopes = !files.normal.exists();
-        // A map of another size than the camera's is refused before its slopes are taken.
-        same_size(
-            &files.depth,
-            (depth.width, depth.height),
-            &camera.intrinsics,
-        )?;
-        let normal = if normals_are_slopes {
-            slopes(&depth, &camera.intrinsics)
-        } else {
-            let normal = normal_of(&files.normal)?;
-            same_size(
-                &files.normal,
-                (normal.width, normal.height),
-                &camera.intrinsics,
-            )?;
-            normal
-        };
-        let confidence = match &files.confidence {
-            Some(path) => {
-                let map = read_channel(path, "C").map_err(from_io)?;
-                same_size(path, (map.width, map.height), &camera.intrinsics)?;
-                Some(map)
-            }
-            None => None,
-        };
-        views.push(checked(
-            &files.normal,
-            View {
-                image: image.clone(),
-                intrinsics: camera.intrinsics,
-                cam_from_world,
-                depth,
-                normal,
-                confidence,
-                normals_are_slopes,
-            },
-        )?);
+        if let Some(files) = find(image) {
+            let camera = (image.clone(), camera.intrinsics, cam_from_world);
+            views.push(View::checked(format, files, camera)?);
+        }
     }
     if views.is_empty() {
         let posed = cameras
@@ -291,6 +330,7 @@ fn assemble(
         format,
         unit: cameras.unit,
         views,
+        factor: 1.0,
     })
 }
 
@@ -312,33 +352,59 @@ fn same_size(
     }]))
 }
 
-/// Refuses normals in another frame than the camera's.
-fn checked(path: &Path, view: View) -> Result<View, Failure> {
-    if view.normals_are_slopes {
-        return Ok(view);
+impl View {
+    /// A view whose maps are there, of the camera's size, and in one frame.
+    fn checked(
+        format: Format,
+        files: Files,
+        (image, intrinsics, cam_from_world): (String, Intrinsics, RigidTransform),
+    ) -> Result<Self, Failure> {
+        let maps = Maps::read(format, &files, &intrinsics)?;
+        if !maps.normals_are_slopes {
+            check_frame(&files.normal, &maps, &intrinsics)?;
+        }
+        let depths = maps.depth.data.iter().step_by(17).copied();
+        let mut depths: Vec<f64> = depths
+            .filter(|z| z.is_finite() && *z > 0.0)
+            .map(f64::from)
+            .collect();
+        Ok(Self {
+            image,
+            intrinsics,
+            cam_from_world,
+            normals_are_slopes: maps.normals_are_slopes,
+            median_depth: middle(&mut depths),
+            files,
+        })
     }
-    let own = slopes(&view.depth, &view.intrinsics);
+}
+
+/// The value in the middle, if there is any.
+pub fn middle(values: &mut [f64]) -> Option<f64> {
+    let at = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)
+}
+
+/// Refuses normals in another frame than the camera's.
+fn check_frame(path: &Path, maps: &Maps, camera: &Intrinsics) -> Result<(), Failure> {
+    let own = slopes(&maps.depth, camera);
     let (mut averted, mut angles) = (0_usize, Vec::new());
-    for y in 0..view.depth.height {
-        for x in 0..view.depth.width {
+    for y in 0..maps.depth.height {
+        for x in 0..maps.depth.width {
             let slope = Vector3::from(*own.at(x, y));
-            let normal = Vector3::from(*view.normal.at(x, y));
+            let normal = Vector3::from(*maps.normal.at(x, y));
             if slope.norm() < 0.5 || !(0.9..1.1).contains(&normal.norm()) {
                 continue;
             }
-            let ray = view
-                .intrinsics
-                .ray(&nalgebra::Point2::new(x as f64, y as f64));
+            let ray = camera.ray(&nalgebra::Point2::new(x as f64, y as f64));
             averted += usize::from(normal.map(f64::from).dot(&ray) > 0.0);
-            angles.push(normal.angle(&slope).to_degrees());
+            angles.push(f64::from(normal.angle(&slope).to_degrees()));
         }
     }
-    if angles.is_empty() {
-        return Ok(view);
-    }
     let share = averted as f64 / angles.len() as f64;
-    let middle = angles.len() / 2;
-    let median = f64::from(*angles.select_nth_unstable_by(middle, f32::total_cmp).1);
+    let Some(median) = middle(&mut angles) else {
+        return Ok(());
+    };
     if share > MAX_AVERTED || median > MAX_CONTRADICTION_DEG {
         return Err(Failure::input(
             path,
@@ -350,7 +416,7 @@ fn checked(path: &Path, view: View) -> Result<View, Failure> {
             ),
         ));
     }
-    Ok(view)
+    Ok(())
 }
 
 /// Normals from the depths: the cross product of the central differences of the points.

@@ -11,9 +11,9 @@ use crate::observe::{Console, StageNews};
 use crate::pipeline::{Resources, from_fusion, write_surface};
 use crate::store::{StoreError, write_atomically};
 use maps::Views;
+use rilievo_fusion::FusionError;
 use rilievo_scene::{
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, ShadedView, ShadedViews,
-    StageId, Unit, ViewIdx,
+    MapSource, PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, StageId, Unit,
 };
 use std::path::Path;
 use std::time::Instant;
@@ -36,14 +36,13 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     let _resources = Resources::new(&args.work);
     let mut options = StageOptions::read(args.config.as_deref())?;
     args.surface.apply(&mut options.fusion);
+    args.work.bound(&mut options.fusion);
     options.validate()?;
-    let Views {
-        format,
-        unit,
-        views,
-    } = maps::read(&args.maps, args.cameras.as_deref())?;
-    let slopes = views.iter().filter(|v| v.normals_are_slopes).count();
-    let (unit, factor) = scale(args.scale, unit)?;
+    let mut views = maps::read(&args.maps, args.cameras.as_deref())?;
+    let slopes = views.views.iter().filter(|v| v.normals_are_slopes);
+    let slopes = slopes.count();
+    let unit;
+    (unit, views.factor) = scale(args.scale, views.unit)?;
     if unit == Unit::Arbitrary {
         console.warn(
             StageId::Fusion,
@@ -53,11 +52,11 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     if slopes > 0 {
         let message = format!(
             "{slopes} of {} views have no normal map: the depths' slopes stand in, with less detail",
-            views.len()
+            views.num_views()
         );
         console.warn(StageId::Fusion, message);
     }
-    let (mut posed, shaded) = assemble(views, unit, factor);
+    let mut posed = posed(&views, unit);
     let photos = match &args.photos {
         Some(folder) => photos::find(folder, &mut posed)?,
         None => PhotoSet::default(),
@@ -65,23 +64,33 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     std::fs::create_dir_all(&args.output).map_err(StoreError::files("create", &args.output))?;
 
     let began = Instant::now();
-    let started = format!("{} views of {format}", posed.views.len());
+    let started = format!("{} views of {}", posed.views.len(), views.format());
     console.stage(StageId::Fusion, &StageNews::Started(started));
-    let (fused, report) = rilievo_fusion::run(&photos, &posed, &shaded, &options.fusion, console)
-        .map_err(|error| {
-        let hint = unit_hint(&posed, &shaded);
-        match (from_fusion(error), hint) {
-            (error, None) => error,
-            (error, Some(hint)) => Failure::NoResult(format!("{error}; {hint}")).into(),
-        }
-    })?;
+    let (fused, report) = rilievo_fusion::run(&photos, &posed, &views, &options.fusion, console)
+        .map_err(|error| match (error, unit_hint(&views)) {
+            (error @ FusionError::NothingAgrees { .. }, Some(hint)) => {
+                Failure::NoResult(format!("{error}; {hint}")).into()
+            }
+            (error, _) => from_fusion(error),
+        })?;
     console.warn_all(StageId::Fusion, &report.warnings);
-    write_surface(&fused, &posed, &|name| Ok(args.output.join(name)))?;
+    // All files are written before the first of an earlier surface is replaced.
+    let writing = tempfile::tempdir_in(&args.output)
+        .map_err(StoreError::files("write into", &args.output))?;
+    write_surface(&fused, &posed, &|name| Ok(writing.path().join(name)))?;
+    let written = std::fs::read_dir(writing.path());
+    for file in written
+        .map_err(StoreError::files("list", writing.path()))?
+        .flatten()
+    {
+        let path = args.output.join(file.file_name());
+        std::fs::rename(file.path(), &path).map_err(StoreError::files("replace", &path))?;
+    }
     let seconds = began.elapsed().as_secs_f64();
     let text = serde_json::json!({
         "program": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
         "maps": args.maps,
-        "format": format,
+        "format": views.format(),
         "unit": unit,
         "options": options.fusion,
         "warnings": console.take_warnings(StageId::Fusion),
@@ -116,48 +125,34 @@ fn scale(asked: Option<f64>, unit: Unit) -> Result<(Unit, f64), Failure> {
     }
 }
 
-fn assemble(views: Vec<maps::View>, unit: Unit, factor: f64) -> (PosedViews, ShadedViews) {
-    let mut posed = PosedViews {
-        scale: Scale {
-            unit,
-            source: ScaleSource::GivenPoses,
-            relative_sigma: None,
-        },
-        ..PosedViews::default()
+/// The views' cameras, in the results' unit.
+fn posed(views: &Views, unit: Unit) -> PosedViews {
+    let scale = Scale {
+        unit,
+        source: ScaleSource::GivenPoses,
+        relative_sigma: None,
     };
-    let mut shaded = ShadedViews::default();
-    for (i, mut view) in views.into_iter().enumerate() {
-        let name = Path::new(&view.image).file_stem().map_or_else(
-            || view.image.clone(),
-            |stem| stem.to_string_lossy().into_owned(),
-        );
-        view.cam_from_world.translation *= factor;
-        for z in &mut view.depth.data {
-            *z = (f64::from(*z) * factor) as f32;
-        }
-        posed.views.push(PosedView {
+    let posed = views.views.iter().enumerate().map(|(i, view)| {
+        let mut cam_from_world = view.cam_from_world;
+        cam_from_world.translation *= views.factor;
+        PosedView {
             photo: PhotoIdx(i),
-            name: name.clone(),
-            file_name: view.image,
+            name: maps::name_of(&view.image),
+            file_name: view.image.clone(),
             intrinsics: view.intrinsics,
-            cam_from_world: view.cam_from_world,
-        });
-        shaded.views.push(ShadedView {
-            view: ViewIdx(i),
-            name,
-            depth: view.depth,
-            normal: view.normal,
-            confidence: view.confidence,
-            rendered: None,
-            albedo: None,
-        });
+            cam_from_world,
+        }
+    });
+    PosedViews {
+        scale,
+        views: posed.collect(),
+        ..PosedViews::default()
     }
-    (posed, shaded)
 }
 
 /// Depths and cameras in different units are the usual reason why nothing agrees.
-fn unit_hint(posed: &PosedViews, shaded: &ShadedViews) -> Option<String> {
-    let centers: Vec<_> = posed
+fn unit_hint(views: &Views) -> Option<String> {
+    let centers: Vec<_> = views
         .views
         .iter()
         .map(|v| v.cam_from_world.center_in_source())
@@ -166,19 +161,8 @@ fn unit_hint(posed: &PosedViews, shaded: &ShadedViews) -> Option<String> {
         .iter()
         .flat_map(|a| centers.iter().map(move |b| (a - b).norm()))
         .fold(0.0, f64::max);
-    let mut depths: Vec<f32> = shaded
-        .views
-        .iter()
-        .flat_map(|v| v.depth.data.iter().step_by(17))
-        .copied()
-        .filter(|z| z.is_finite() && *z > 0.0)
-        .collect();
-    if depths.is_empty() || baseline <= 0.0 {
-        return None;
-    }
-    let middle = depths.len() / 2;
-    let depth = f64::from(*depths.select_nth_unstable_by(middle, f32::total_cmp).1);
-    let ratio = depth / baseline;
+    let mut depths: Vec<f64> = views.views.iter().filter_map(|v| v.median_depth).collect();
+    let ratio = maps::middle(&mut depths).filter(|_| baseline > 0.0)? / baseline;
     (!(1.0 / MAX_DEPTH_RATIO..=MAX_DEPTH_RATIO).contains(&ratio)).then(|| {
         format!(
             "the depths are {ratio:.3} times the largest distance between two cameras: are both in \

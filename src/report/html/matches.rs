@@ -94,7 +94,7 @@ fn drawing(
         "<figure><svg class=\"matches\" viewBox=\"0 0 {width:.0} {height:.0}\" role=\"img\" \
          aria-label=\"Matches between {name}\"><image href=\"{}\" width=\"{:.0}\" height=\"{:.0}\"/>\
          <image href=\"{}\" x=\"{shift:.0}\" width=\"{:.0}\" height=\"{:.0}\"/>{marks}</svg>\
-         <figcaption>{} verified of {} matches; every {every}. is drawn; a homography explains {:.0} % \
+         <figcaption>{} verified matches, from {} by likeness alone; every {every}. is drawn; a homography explains {:.0} % \
          of them</figcaption></figure>",
         left.picture,
         left.width,

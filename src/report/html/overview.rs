@@ -24,6 +24,11 @@ const DOUBTFUL_LIGHT: f64 = 0.2;
 /// Distance between overlapping views, in pixel footprints, above which they form layers.
 const DOUBTFUL_LAYERING_PX: f64 = 2.0;
 
+/// What agreement between views cannot tell.
+const SHARED_ERRORS: &str = "<p class=\"hint\">The views are solved together and agree more closely than \
+     they are accurate. Errors that they share show in the standard deviations, and against a known \
+     shape (<code>rilievo evaluate</code>).</p>";
+
 /// The section.
 ///
 /// # Errors
@@ -49,6 +54,10 @@ pub fn section(run: &RunDir, report: &Value, posed: Option<&PosedViews>) -> anyh
         );
     }
     html += &format!("<div><h2>Verdict: <span class=\"{class}\">{words}</span></h2>");
+    if verdict == Verdict::Good {
+        html += "<p>Every photo that was used has a pose, the light explains what they show, and \
+                 their surfaces lie on each other.</p>";
+    }
     if !reasons.is_empty() {
         html += "<ul>";
         for reason in &reasons {
@@ -57,6 +66,7 @@ pub fn section(run: &RunDir, report: &Value, posed: Option<&PosedViews>) -> anyh
         html += "</ul>";
     }
     html += &key_numbers(report, posed);
+    html += SHARED_ERRORS;
     html += "</div></section>";
     html += &warnings(report);
     Ok(html)
@@ -182,6 +192,7 @@ fn key_numbers(report: &Value, posed: Option<&PosedViews>) -> String {
     let views = items(report, "/stages/3_poses/report/views").len();
     let anchors = "/stages/3_poses/report/anchors/num_anchors";
     let rows = [
+        ("asked for", asked(report)),
         ("photos posed", format!("{views} of {photos}")),
         (
             "mean reprojection error",
@@ -194,18 +205,23 @@ fn key_numbers(report: &Value, posed: Option<&PosedViews>) -> String {
                 )
             ),
         ),
+        (
+            "standard deviation of the size",
+            percent(report, "/stages/3_poses/report/scale/relative_sigma", 2),
+        ),
         ("depth anchors", number(report, anchors, 0)),
         (
-            "scale, relative standard deviation",
-            percent(report, "/stages/3_poses/report/scale/relative_sigma", 2),
+            "standard deviation of an anchor's depth",
+            anchor_sigma(report, posed),
+        ),
+        ("surface that several photos confirm", confirmed(report)),
+        (
+            "median distance between overlapping views",
+            length(&format!("{fusion}/layering_after/median")),
         ),
         (
             "points of the cloud",
             number(report, &format!("{fusion}/num_points"), 0),
-        ),
-        (
-            "median distance between overlapping views",
-            length(&format!("{fusion}/layering_after/median")),
         ),
         (
             "mesh triangles",
@@ -217,6 +233,68 @@ fn key_numbers(report: &Value, posed: Option<&PosedViews>) -> String {
         html += &format!("<dt>{}</dt><dd>{}</dd>", escape(name), escape(&value));
     }
     html + "</dl>"
+}
+
+/// What the run was given, in a line.
+fn asked(report: &Value) -> String {
+    let given = |key: &str| report.pointer(&format!("/request/{key}"));
+    let mut parts = Vec::new();
+    if given("masks").is_some_and(|masks| !masks.is_null()) {
+        parts.push("object masks".to_owned());
+    }
+    if given("cameras").is_some_and(|cameras| !cameras.is_null()) {
+        parts.push("given cameras".to_owned());
+    }
+    parts.push(match given("sphere") {
+        Some(sphere) if sphere.get("file").is_some() => "marked sphere".to_owned(),
+        Some(sphere) if sphere.get("auto").is_some() => "sphere to be found".to_owned(),
+        _ => "no sphere".to_owned(),
+    });
+    parts.push(match given("lighting") {
+        Some(light) if light.get("file").is_some() => "given light".to_owned(),
+        Some(light) if light.get("shape").is_some() => "light from a known shape".to_owned(),
+        _ => "light to be found".to_owned(),
+    });
+    if let Some(model) = given("options/shading/model").and_then(Value::as_str) {
+        parts.push(format!("model \u{201c}{model}\u{201d}"));
+    }
+    parts.join(", ")
+}
+
+/// Mean of a number over the items of a list.
+fn mean_of(report: &Value, list: &str, key: &str) -> Option<f64> {
+    let values: Vec<f64> = items(report, list)
+        .iter()
+        .filter_map(|item| item.get(key)?.as_f64())
+        .collect();
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+/// What the matches alone say of the depth at one point.
+fn anchor_sigma(report: &Value, posed: Option<&PosedViews>) -> String {
+    let views = "/stages/3_poses/report/anchors/views";
+    let Some(relative) = mean_of(report, views, "median_sigma_ln_depth") else {
+        return "–".to_owned();
+    };
+    let share = format!("{:.3} % of the depth", 100.0 * relative);
+    // A footprint is a depth over a focal length.
+    let footprint = report
+        .pointer("/stages/6_fusion/report/layering_after/footprint")
+        .and_then(Value::as_f64);
+    match (footprint, posed) {
+        (Some(footprint), Some(posed)) if posed.scale.unit == Unit::Metre => {
+            let focal_px = posed.views.first().map_or(0.0, |v| v.intrinsics.focal_px());
+            format!("{:.2} mm, {share}", 1e3 * relative * footprint * focal_px)
+        }
+        _ => share,
+    }
+}
+
+fn confirmed(report: &Value) -> String {
+    match mean_of(report, "/stages/5_shading/report/photo/views", "confirmed") {
+        Some(share) => format!("{:.0} %", 100.0 * share),
+        None => "–".to_owned(),
+    }
 }
 
 fn warnings(report: &Value) -> String {

@@ -8,7 +8,7 @@ use crate::pipeline::shown_albedo;
 use crate::store::RunDir;
 use nalgebra::{Point3, Vector3};
 use rilievo_io::{read_channel, read_depth, read_linear, read_normal};
-use rilievo_scene::{LinearImage, LocatedSphere, PosedView, PosedViews, Raster, StageId};
+use rilievo_scene::{LinearImage, LocatedSphere, PosedView, PosedViews, Raster, StageId, Unit};
 use serde_json::Value;
 use std::path::Path;
 
@@ -25,16 +25,33 @@ pub fn section(run: &RunDir, report: &Value, posed: &PosedViews) -> anyhow::Resu
     let mut html = String::from("<section><h2>Views</h2>");
     let mut thumbs = Vec::new();
     for (index, view) in posed.views.iter().enumerate() {
-        let photo = read_linear(
+        let mut photo = read_linear(
             &run.stage_dir(StageId::Photos)
                 .join(format!("linear/{}.exr", view.name)),
         )?;
+        // The results explain the photo at the set's exposure.
+        let gain = exposure_gain(report, &view.file_name) as f32;
+        photo.data.iter_mut().for_each(|value| *value *= gain);
         let content = one(run, report, posed, index, &photo)?;
         html += &folded(&view.file_name, index == 0, &content);
         thumbs.push(thumb(&photo)?);
     }
     html += "</section>";
     Ok(html + &matches::section(run, posed, &thumbs)?)
+}
+
+/// Factor that brought a photo to the set's exposure.
+fn exposure_gain(report: &Value, file_name: &str) -> f64 {
+    let is_it = |photo: &Value| photo["file_name"] == file_name;
+    items(report, "/stages/1_photos/report/photos")
+        .iter()
+        .position(is_it)
+        .and_then(|i| {
+            items(report, "/stages/1_photos/report/exposure_gains")
+                .get(i)?
+                .as_f64()
+        })
+        .unwrap_or(1.0)
 }
 
 fn one(
@@ -48,7 +65,7 @@ fn one(
     let mut html = facts(report, view);
     let maps = run.stage_dir(StageId::Shading);
     if maps.join(format!("depth/{}.exr", view.name)).exists() {
-        html += &dense(&maps, view, photo)?;
+        html += &dense(&maps, view, posed.scale.unit, photo)?;
     }
     html += &overlay(posed, index, view, photo)?;
     html += &sphere(run, &view.name);
@@ -67,7 +84,7 @@ fn thumb(photo: &LinearImage) -> anyhow::Result<Thumb> {
 }
 
 /// Photo, result and maps of the object.
-fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<String> {
+fn dense(maps: &Path, view: &PosedView, unit: Unit, photo: &LinearImage) -> anyhow::Result<String> {
     let file = |kind: &str| maps.join(kind).join(format!("{}.exr", view.name));
     let depth = read_depth(&file("depth"))?;
     let window = Window::around(&depth);
@@ -116,8 +133,8 @@ fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<S
     pictures.push((
         picture::depth(&depth, window),
         "Depth".to_owned(),
-        "along the optical axis, in the world's unit".to_owned(),
-        depth_legend(&depth),
+        "along the optical axis".to_owned(),
+        depth_legend(&depth, unit),
     ));
     if file("albedo").exists() {
         let albedo = shown_albedo(&read_linear(&file("albedo"))?);
@@ -150,7 +167,7 @@ fn dense(maps: &Path, view: &PosedView, photo: &LinearImage) -> anyhow::Result<S
     Ok(html + "</div>")
 }
 
-fn depth_legend(depth: &Raster<f32>) -> String {
+fn depth_legend(depth: &Raster<f32>, unit: Unit) -> String {
     let (low, high) = depth
         .data
         .iter()
@@ -158,7 +175,15 @@ fn depth_legend(depth: &Raster<f32>) -> String {
         .fold((f32::INFINITY, 0.0_f32), |(low, high), &z| {
             (low.min(z), high.max(z))
         });
-    bar("viridis", &format!("{high:.4}"), &format!("{low:.4}: near"))
+    let unit = match unit {
+        Unit::Metre => " m",
+        Unit::Arbitrary => "",
+    };
+    bar(
+        "viridis",
+        &format!("far: {high:.4}{unit}"),
+        &format!("near: {low:.4}{unit}"),
+    )
 }
 
 /// A colour scale with the values at its ends.

@@ -1,15 +1,17 @@
 //! Colours of points from the photos.
 //!
 //! A point's colour is the mean of the linear photos that see it: a matte surface looks the same
-//! from everywhere, and the mean evens out noise and the photos' small differences. In albedo mode the photo is divided by the image
-//! that stage 5 explains it with, so that light and shadow leave and the surface's own tone stays.
+//! from everywhere, and the mean evens out noise and the photos' small differences. In albedo mode
+//! the albedo of stage 5 takes the photo's place; without one the photo is divided by the image that
+//! stage 5 explains it with. Light and shadow leave, the surface's own tone stays.
 
 use crate::error::FusionError;
 use crate::options::{ColorMode, FusionOptions};
 use crate::views::View;
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{LinearImage, PhotoSet, PosedViews, ShadedViews, srgb};
+use rilievo_scene::{Images, Intrinsics, LinearImage, MapSource, PhotoSet, PosedViews, srgb};
+use std::sync::Arc;
 
 /// Grey where there is no photo.
 const GREY: [u8; 3] = [180; 3];
@@ -25,12 +27,11 @@ pub(crate) struct ColorSource {
     linear: Vec<f32>,
 }
 
+/// Colours of a view's own pixels.
 struct Image {
     width: usize,
     height: usize,
     data: Vec<[u8; 3]>,
-    /// From the camera's pixels to the photo's.
-    scale: [f64; 2],
 }
 
 impl ColorSource {
@@ -38,29 +39,36 @@ impl ColorSource {
     pub fn new(
         photos: &PhotoSet,
         posed: &PosedViews,
-        shaded: &ShadedViews,
+        maps: &dyn MapSource,
         views: &[View],
         options: &FusionOptions,
     ) -> Result<Self, FusionError> {
         let mut images = Vec::with_capacity(views.len());
-        for (view, maps) in views.iter().zip(&shaded.views) {
-            let photo = posed
-                .views
-                .get(view.posed_idx)
-                .and_then(|p| photos.photos.get(p.photo.0));
-            let Some(photo) = photo else {
+        for view in views {
+            let posed_view = posed.views.get(view.posed_idx);
+            let photo = posed_view.and_then(|p| photos.photos.get(p.photo.0));
+            let (Some(posed_view), Some(photo)) = (posed_view, photo) else {
                 images.push(None);
                 continue;
             };
-            let pixels = photo.pixels.load()?;
-            let fits = |r: &&LinearImage| {
-                options.color == ColorMode::Albedo
-                    && (r.width, r.height, r.channels)
-                        == (pixels.width, pixels.height, pixels.channels)
+            let (rendered, albedo) = match options.color {
+                ColorMode::Photographed => (None, None),
+                ColorMode::Albedo => {
+                    let maps = maps.load(view.maps_idx, Images::With)?;
+                    (maps.rendered, maps.albedo)
+                }
             };
-            let rendered = maps.rendered.as_ref().filter(fits);
-            let albedo = maps.albedo.as_ref().filter(fits);
-            images.push(Some(encode(&pixels, rendered, albedo, view)));
+            let shown = match (albedo, rendered) {
+                (Some(mut albedo), _) => {
+                    albedo.data.iter_mut().for_each(|a| *a *= MEAN_ALBEDO_LEVEL);
+                    Arc::new(albedo)
+                }
+                (None, Some(rendered)) => {
+                    Arc::new(without_shading(&*photo.pixels.load()?, &rendered))
+                }
+                (None, None) => photo.pixels.load()?,
+            };
+            images.push(Some(encode(&shown, &posed_view.intrinsics, view)));
         }
         Ok(Self {
             images,
@@ -116,10 +124,6 @@ impl ColorSource {
 
     /// Bilinear linear value at a camera's pixel.
     fn sample(&self, image: &Image, x: f64, y: f64) -> Option<[f32; 3]> {
-        let (x, y) = (
-            (x + 0.5) * image.scale[0] - 0.5,
-            (y + 0.5) * image.scale[1] - 0.5,
-        );
         if x < 0.0 || y < 0.0 || x > (image.width - 1) as f64 || y > (image.height - 1) as f64 {
             return None;
         }
@@ -136,37 +140,66 @@ impl ColorSource {
     }
 }
 
-/// `albedo` is the one that `rendered` contains; without it, the mean albedo.
-fn encode(
-    pixels: &LinearImage,
-    rendered: Option<&LinearImage>,
-    albedo: Option<&LinearImage>,
-    view: &View,
-) -> Image {
-    let channels = pixels.channels;
-    let data = (0..pixels.width * pixels.height)
+/// A photo divided by the image that explains it, where the latter is not too dark to divide by.
+fn without_shading(pixels: &LinearImage, rendered: &LinearImage) -> LinearImage {
+    let mut shown = pixels.clone();
+    let sizes = [pixels, rendered].map(|i| (i.width, i.height, i.channels));
+    if sizes[0] == sizes[1] {
+        for (value, shading) in shown.data.iter_mut().zip(&rendered.data) {
+            if *shading > MIN_RENDERED {
+                *value *= MEAN_ALBEDO_LEVEL / shading;
+            }
+        }
+    }
+    shown
+}
+
+/// The part of an image that a view covers, at the view's own resolution: a pixel is the mean of as
+/// many places as it has pixels of the image along each side.
+fn encode(image: &LinearImage, camera: &Intrinsics, view: &View) -> Image {
+    let (width, height) = (view.depth.width, view.depth.height);
+    let step = f64::from(1_u32 << view.num_halvings);
+    let scale = [
+        image.width as f64 / camera.width as f64,
+        image.height as f64 / camera.height as f64,
+    ];
+    let num_places = ((step * scale[0]).round() as usize).max(1);
+    let data = (0..width * height)
         .into_par_iter()
         .map(|i| {
-            std::array::from_fn(|c| {
-                let k = i * channels + c.min(channels - 1);
-                let value = match rendered.map(|r| r.data[k]) {
-                    Some(shading) if shading > MIN_RENDERED => {
-                        let own = albedo.map_or(1.0, |a| a.data[k]);
-                        MEAN_ALBEDO_LEVEL * own * pixels.data[k] / shading
-                    }
-                    _ => pixels.data[k],
-                };
-                srgb::encode_byte(value)
-            })
+            let mut sum = [0.0_f32; 3];
+            for k in 0..num_places * num_places {
+                let part = |k: usize| (k as f64 + 0.5) / num_places as f64;
+                let place = [
+                    (i % width) as f64 + part(k % num_places),
+                    (i / width) as f64 + part(k / num_places),
+                ];
+                // Pixel centres at integers: the first pixel's near edge is at -1/2.
+                let [x, y] =
+                    std::array::from_fn(|a| (view.corner_px[a] + step * place[a]) * scale[a] - 0.5);
+                for (c, sum) in sum.iter_mut().enumerate() {
+                    *sum += value_at(image, x, y, c.min(image.channels - 1));
+                }
+            }
+            let count = (num_places * num_places) as f32;
+            sum.map(|s| srgb::encode_byte(s / count))
         })
         .collect();
     Image {
-        width: pixels.width,
-        height: pixels.height,
+        width,
+        height,
         data,
-        scale: [
-            pixels.width as f64 / view.camera.width as f64,
-            pixels.height as f64 / view.camera.height as f64,
-        ],
     }
+}
+
+/// Bilinear value of an image, carried on beyond its border.
+fn value_at(image: &LinearImage, x: f64, y: f64, channel: usize) -> f32 {
+    let x = x.clamp(0.0, (image.width - 1) as f64);
+    let y = y.clamp(0.0, (image.height - 1) as f64);
+    let (i, j) = (x as usize, y as usize);
+    let (i1, j1) = ((i + 1).min(image.width - 1), (j + 1).min(image.height - 1));
+    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
+    let at = |i: usize, j: usize| image.data[(j * image.width + i) * image.channels + channel];
+    (at(i, j) * (1.0 - fx) + at(i1, j) * fx) * (1.0 - fy)
+        + (at(i, j1) * (1.0 - fx) + at(i1, j1) * fx) * fy
 }

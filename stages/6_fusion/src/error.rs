@@ -60,8 +60,8 @@ pub enum FusionError {
         /// Tolerance in pixel footprints.
         tolerance_px: f64,
     },
-    /// Pixels for the colours could not be loaded.
-    #[error("colours cannot be taken from the photos")]
+    /// Pixels of a photo or a map could not be loaded.
+    #[error(transparent)]
     Pixels(#[from] PixelError),
     /// The observer asked to stop.
     #[error("interrupted")]

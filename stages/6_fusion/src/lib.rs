@@ -3,7 +3,8 @@
 //! In: posed views, their depth and normal maps, the photos (for colour). Out: a [`FusedCloud`] and
 //! a [`FusionReport`].
 //!
-//! 1. `views`: maps are checked; borders, depth edges and grazing surface are left out.
+//! 1. `views`, `memory`: maps are loaded one by one, checked, cut to the object and halved where the
+//!    memory does not suffice; borders, depth edges and grazing surface are left out.
 //! 2. `pairs`, `reconcile`: how far the views lie apart, and a joint robust adjustment of the
 //!    smooth part of it.
 //! 3. `points`, `color`: every piece of surface once, from the view that resolves it best, at
@@ -16,6 +17,7 @@
 mod color;
 mod error;
 mod holes;
+mod memory;
 mod options;
 mod pairs;
 mod points;
@@ -32,7 +34,7 @@ pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
 
 use color::ColorSource;
 use rilievo_scene::{
-    Event, Flow, FusedCloud, Mesh, Observer, PhotoSet, PointCloud, PosedViews, ShadedViews, StageId,
+    Event, Flow, FusedCloud, MapSource, Mesh, Observer, PhotoSet, PointCloud, PosedViews, StageId,
 };
 
 /// Views that each view is compared with for offsets: more only repeat what these say.
@@ -41,13 +43,14 @@ const NUM_NEIGHBOURS: usize = 4;
 const VISIBLE_LAYERING_PX: f64 = 1.0;
 
 /// Fuses the views. `photos` may lack some or all photos of the views: their points are grey then.
+/// `maps` are loaded one view at a time; [`rilievo_scene::ShadedViews`] are such maps.
 ///
 /// # Errors
 /// See [`FusionError`].
 pub fn run(
     photos: &PhotoSet,
     posed: &PosedViews,
-    shaded: &ShadedViews,
+    maps: &dyn MapSource,
     options: &FusionOptions,
     observer: &dyn Observer,
 ) -> Result<(FusedCloud, FusionReport), FusionError> {
@@ -65,7 +68,17 @@ pub fn run(
         }
     };
 
-    let (mut views, mut view_reports) = views::prepare(posed, shaded, options)?;
+    let (mut views, mut view_reports) = views::prepare(posed, maps, options)?;
+    let num_halvings = views.first().map_or(0, |v| v.num_halvings);
+    report.maps_reduced_by = 1 << num_halvings;
+    if num_halvings > 0 {
+        let message = format!(
+            "the maps are fused at 1/{} of their resolution, to stay within {} MiB; raise the memory \
+             for more detail",
+            report.maps_reduced_by, options.memory_mib
+        );
+        warn(&mut report, message)?;
+    }
     if views.len() < options.min_num_views {
         let message = format!(
             "only {} view has depth: nothing confirms its points",
@@ -91,7 +104,7 @@ pub fn run(
         warn(&mut report, message)?;
     }
 
-    let colors = ColorSource::new(photos, posed, shaded, &views, options)?;
+    let colors = ColorSource::new(photos, posed, maps, &views, options)?;
     if colors.num_missing() > 0 {
         let message = format!(
             "{} of {} views have no photo: their share of the colours is missing",
@@ -120,13 +133,15 @@ pub fn run(
     } else {
         None
     };
+    // What the mesh takes from here on, the views no longer need.
+    drop(views);
     if let Some(volume) = volume {
         let (extracted, mesh_report) = surface::extract(&volume, &points, options, observer)?;
         mesh = extracted;
         if mesh_report.coarsened_by > 1.0 {
             let message = format!(
                 "the mesh's cells are {:.2} times larger than asked for, to stay within {} MiB; \
-                 raise memory_mib for more detail",
+                 raise the memory for more detail",
                 mesh_report.coarsened_by, options.memory_mib
             );
             warn(&mut report, message)?;

@@ -10,8 +10,8 @@ pub enum ColorMode {
     /// The mean of the photos that see the point, light and shadow included.
     #[default]
     Photographed,
-    /// The photos divided by the shading that the result explains: the surface's own colour. Needs
-    /// the rendered images of stage 5, and falls back to the photos without them.
+    /// The surface's own colour: the albedo of stage 5, or where it made none the photos divided by
+    /// the shading that the result explains; falls back to the photos without either.
     Albedo,
 }
 
@@ -61,8 +61,9 @@ pub struct FusionOptions {
     pub watertight: bool,
     /// What the colours show.
     pub color: ColorMode,
-    /// Memory that the mesh's cells may take, MiB; the cells are made larger where they would need
-    /// more, and the report says so.
+    /// Memory that views, points and mesh may take together, MiB; the maps are fused at half their
+    /// resolution or less, and the mesh's cells made larger, where they would need more, and the
+    /// report says so. `--memory` sets it.
     pub memory_mib: usize,
 }
 
@@ -84,12 +85,15 @@ impl Default for FusionOptions {
             truncation_voxels: 4.0,
             watertight: false,
             color: ColorMode::Photographed,
-            memory_mib: 1024,
+            memory_mib: 4096,
         }
     }
 }
 
 impl FusionOptions {
+    /// Least memory that fusion works with, MiB.
+    pub const MIN_MEMORY_MIB: usize = 16;
+
     /// Refuses values that cannot work.
     ///
     /// # Errors
@@ -154,7 +158,7 @@ impl FusionOptions {
             "1.5 to 50 cells",
         )?;
         check(
-            self.memory_mib >= 16,
+            self.memory_mib >= Self::MIN_MEMORY_MIB,
             "memory_mib",
             self.memory_mib as f64,
             "16 MiB or more",

@@ -31,9 +31,13 @@ const ENOUGH: f64 = 2.0;
 const MAX_SPLIT: usize = 4;
 
 /// Points between pixels are made where depths and normals agree on the surface there to this many
-/// footprints; elsewhere (a rim that turns within a pixel, noise) the pixel's own point is all that
-/// is known.
-const MAX_STRAIN_PX: f64 = 0.1;
+/// footprints; elsewhere the pixel's own point is all that is known. Less leaves gaps of a footprint on
+/// oblique slopes that bend.
+const MAX_STRAIN_PX: f64 = 0.25;
+/// The same at the rim, where the surface turns away within a pixel.
+const MAX_STRAIN_AT_RIM_PX: f64 = 0.1;
+/// Cosine of incidence from which on the rim begins: 72 degrees.
+const RIM_COSINE: f64 = 0.3;
 
 enum Verdict {
     /// Too few views agree, or others see through it.
@@ -145,9 +149,16 @@ impl Judge<'_> {
             let place = Point2::new(x as f64 + offset(k % n), y as f64 + offset(k / n));
             let ray = view.camera.ray(&place);
             let surface = view.along(&Point3::from(ray));
-            let Some(surface) =
-                surface.filter(|s| !s.is_extrapolated && s.strain_px < MAX_STRAIN_PX)
-            else {
+            let is_smooth = |s: &Surface| {
+                let cosine = -s.normal.dot(&ray) / ray.norm();
+                let max = if cosine < RIM_COSINE {
+                    MAX_STRAIN_AT_RIM_PX
+                } else {
+                    MAX_STRAIN_PX
+                };
+                !s.is_extrapolated && s.strain_px < max
+            };
+            let Some(surface) = surface.filter(is_smooth) else {
                 continue;
             };
             if let Verdict::Keep { point, .. } = self.pixel(idx, &ray, &surface) {

@@ -68,6 +68,8 @@ pub struct MeshReport {
 /// Report of [`crate::run`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FusionReport {
+    /// Factor by which the maps' resolution was reduced to stay within the memory; 1: not.
+    pub maps_reduced_by: usize,
     /// Points of the cloud.
     pub num_points: usize,
     /// Mean number of views that agree on a point.

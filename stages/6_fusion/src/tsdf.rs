@@ -13,6 +13,7 @@
 //! views from different directions measure one quantity.
 
 use crate::error::FusionError;
+use crate::memory::max_num_blocks;
 use crate::options::FusionOptions;
 use crate::views::View;
 use nalgebra::{Point3, Vector3};
@@ -26,7 +27,7 @@ pub(crate) const SIDE: usize = 8;
 pub(crate) const VOLUME: usize = SIDE * SIDE * SIDE;
 /// Distance of a voxel that no view says anything about.
 pub(crate) const UNKNOWN: f32 = f32::MAX;
-/// Bytes of a block: distances, and its key.
+/// Bytes of a block's distances and key.
 const BLOCK_BYTES: usize = VOLUME * 4 + 16;
 /// Growth of the voxels when the memory does not suffice.
 const COARSEN: f64 = 1.189_207_115_002_721;
@@ -99,7 +100,7 @@ pub(crate) fn integrate(
             Some(v.point_to_world(&(v.ray(x, y) * f64::from(v.depth.data[i]))))
         })
         .unwrap_or_else(Point3::origin);
-    let max_num_blocks = (options.memory_mib * 1_048_576 / BLOCK_BYTES).max(1);
+    let max_num_blocks = max_num_blocks(views, options);
     let mut coarsened_by = 1.0;
     let keys = loop {
         let voxel = wanted * coarsened_by;

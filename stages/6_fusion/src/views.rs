@@ -7,13 +7,14 @@
 //! Hermite interpolant, exact to third order. Planes are exact in both.
 
 use crate::error::FusionError;
+use crate::memory;
 use crate::options::FusionOptions;
 use crate::report::ViewFusion;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, Intrinsics, Mask, NormalMap, PosedViews, Raster, RigidTransform,
-    ShadedView, ShadedViews,
+    ConfidenceMap, DepthMap, Images, Intrinsics, MapSource, Mask, NormalMap, PosedViews, Raster,
+    RigidTransform, ShadedView,
 };
 
 /// A view with its cleaned maps.
@@ -21,6 +22,12 @@ use rilievo_scene::{
 pub(crate) struct View {
     /// Index into the posed views.
     pub posed_idx: usize,
+    /// Index into the maps.
+    pub maps_idx: usize,
+    /// First pixel of the map in the photo's camera.
+    pub corner_px: [f64; 2],
+    /// Times that the map's resolution was halved.
+    pub num_halvings: u32,
     pub camera: Intrinsics,
     pub pose: RigidTransform,
     pub world_from_cam: Matrix3<f64>,
@@ -80,6 +87,26 @@ impl View {
                 1.0,
             ),
         }
+    }
+
+    /// Makes the rays of a distorting lens anew, for the camera has changed.
+    pub fn trace_rays(&mut self) {
+        let camera = self.camera;
+        self.rays = (!camera.distortion.is_none()).then(|| {
+            let data = (0..camera.width * camera.height)
+                .into_par_iter()
+                .map(|i| {
+                    let pixel = Point2::new((i % camera.width) as f64, (i / camera.width) as f64);
+                    let n = camera.normalized(&pixel);
+                    [n.x as f32, n.y as f32]
+                })
+                .collect();
+            Raster {
+                width: camera.width,
+                height: camera.height,
+                data,
+            }
+        });
     }
 
     /// Size of a pixel on a surface at a depth that faces the camera, world's unit.
@@ -186,30 +213,43 @@ impl View {
     }
 }
 
-/// Checks and cleans the maps of all views.
+/// Loads, checks and cleans the maps of all views, one after the other, and halves the resolution of
+/// all as often as the memory asks for.
 pub(crate) fn prepare(
     posed: &PosedViews,
-    shaded: &ShadedViews,
+    maps: &dyn MapSource,
     options: &FusionOptions,
 ) -> Result<(Vec<View>, Vec<ViewFusion>), FusionError> {
-    let mut views = Vec::new();
+    let mut views: Vec<View> = Vec::new();
     let mut reports = Vec::new();
-    for maps in &shaded.views {
-        let (view, report) = clean(posed, maps, options)?;
+    for maps_idx in 0..maps.num_views() {
+        let loaded = maps.load(maps_idx, Images::Without)?;
+        let (mut view, report) = clean(posed, maps_idx, loaded, options)?;
+        let num_halvings = views.first().map_or(0, |v| v.num_halvings);
+        for _ in 0..num_halvings {
+            memory::halve(&mut view);
+        }
         views.push(view);
         reports.push(report);
+        while memory::is_exceeded(&views, options) {
+            views.iter_mut().for_each(memory::halve);
+        }
     }
     if reports.iter().all(|r| r.num_depths == 0) {
         return Err(FusionError::NoDepth {
             num_views: views.len(),
         });
     }
+    for (view, report) in views.iter_mut().zip(&mut reports) {
+        mark_givers(view, options, report);
+    }
     Ok((views, reports))
 }
 
 fn clean(
     posed: &PosedViews,
-    maps: &ShadedView,
+    maps_idx: usize,
+    maps: ShadedView,
     options: &FusionOptions,
 ) -> Result<(View, ViewFusion), FusionError> {
     let camera_of = posed
@@ -241,35 +281,23 @@ fn clean(
         }
     }
     let pose = camera_of.cam_from_world;
-    let rays = (!camera.distortion.is_none()).then(|| {
-        let data = (0..camera.width * camera.height)
-            .into_par_iter()
-            .map(|i| {
-                let pixel = Point2::new((i % camera.width) as f64, (i / camera.width) as f64);
-                let n = camera.normalized(&pixel);
-                [n.x as f32, n.y as f32]
-            })
-            .collect();
-        Raster {
-            width: camera.width,
-            height: camera.height,
-            data,
-        }
-    });
     let mut view = View {
         posed_idx: maps.view.0,
+        maps_idx,
+        corner_px: [0.0; 2],
+        num_halvings: 0,
         camera,
         pose,
         world_from_cam: pose.rotation.inverse().to_rotation_matrix().into_inner(),
         center: pose.center_in_source(),
-        depth: maps.depth.clone(),
+        depth: maps.depth,
         gives: Mask::filled(camera.width, camera.height, false),
-        normal: maps.normal.clone(),
-        confidence: maps.confidence.clone(),
-        rays,
+        normal: maps.normal,
+        confidence: maps.confidence,
+        rays: None,
     };
     let mut report = ViewFusion {
-        name: maps.name.clone(),
+        name: maps.name,
         ..ViewFusion::default()
     };
     for (z, n) in view.depth.data.iter_mut().zip(&view.normal.data) {
@@ -282,8 +310,8 @@ fn clean(
             *z = 0.0;
         }
     }
+    memory::crop(&mut view);
     drop_edges(&mut view, options, &mut report);
-    mark_givers(&mut view, options, &mut report);
     Ok((view, report))
 }
 

@@ -272,6 +272,37 @@ fn spacing_thins_watertight_closes_and_memory_bounds() {
 }
 
 #[test]
+fn maps_that_exceed_the_memory_are_fused_at_half_their_resolution() {
+    let (posed, shaded) = views(&ARC, 1.0);
+    let options = FusionOptions {
+        memory_mib: 16,
+        ..FusionOptions::default()
+    };
+    let (full, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    assert_eq!(report.maps_reduced_by, 1);
+    // Enough views to exceed the least memory that can be asked for.
+    let repeated: Vec<f64> = ARC.iter().copied().cycle().take(8 * ARC.len()).collect();
+    let (posed, shaded) = views(&repeated, 1.0);
+    let (reduced, report) = fuse(&posed, &shaded, &options).expect("fused");
+    assert_eq!(report.maps_reduced_by, 2, "{:?}", report.warnings);
+    assert!(
+        report.warnings.iter().any(|w| w.contains("1/2")),
+        "{:?}",
+        report.warnings
+    );
+    // Pixels four times as large, on the same surface.
+    assert!(
+        reduced.cloud.points.len() * 2 < full.cloud.points.len(),
+        "{} of {}",
+        reduced.cloud.points.len(),
+        full.cloud.points.len()
+    );
+    let errors = errors(&reduced, 1.0);
+    let median = errors[errors.len() / 2];
+    assert!(median < 0.05 * footprint(), "{median}");
+}
+
+#[test]
 fn colours_come_from_the_photos_and_low_confidence_widens() {
     let (posed, mut shaded) = views(&ARC, 1.0);
     for view in &mut shaded.views {

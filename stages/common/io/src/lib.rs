@@ -63,8 +63,10 @@ pub use mask::{read_mask, write_mask};
 pub use mask_names::{expected_mask_name, find_mask, is_mask_among};
 pub use mesh::{ViewerFrame, write_mesh_glb, write_mesh_obj};
 pub use photo::{decode_photo, decode_photo_bytes, is_photo_name, photo_size};
-pub use photo_writer::{encode_photo_jpeg, write_photo_jpeg};
+pub use photo_writer::{DeepFormat, encode_photo_jpeg, write_photo_deep, write_photo_jpeg};
 pub use ply::{read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};
 pub use preview::{Preview, encode_preview_png, write_preview_png};
-pub use scene_file::{SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene};
+pub use scene_file::{
+    SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene, write_matches_csv,
+};
 pub use sphere_file::{SphereFile, SphereFileCalibration, read_sphere_file};

@@ -1,8 +1,9 @@
-//! Writes photos as a camera would: 8-bit JPEG with the sRGB curve.
+//! Writes photos: 8-bit JPEG with the sRGB curve, as a camera would, and linear 16-bit PNG and TIFF, as a
+//! developed RAW file.
 
 use crate::error::IoError;
-use image::ExtendedColorType;
 use image::codecs::jpeg::JpegEncoder;
+use image::{DynamicImage, ExtendedColorType, ImageBuffer, ImageFormat};
 use rilievo_scene::{LinearImage, srgb};
 use std::path::Path;
 
@@ -40,6 +41,42 @@ pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result
     std::fs::write(path, bytes).map_err(|error| IoError::write(path, error))
 }
 
+/// Formats of 16-bit photos.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DeepFormat {
+    /// PNG.
+    Png,
+    /// TIFF.
+    Tiff,
+}
+
+/// Writes a linear image with 16 bits, proportional to light; values outside 0 to 1 are clipped.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_photo_deep(
+    path: &Path,
+    photo: &LinearImage,
+    format: DeepFormat,
+) -> Result<(), IoError> {
+    let deep = |&linear: &f32| (linear.clamp(0.0, 1.0) * 65535.0).round() as u16;
+    let samples: Vec<u16> = photo.data.iter().map(deep).collect();
+    let (width, height) = (photo.width as u32, photo.height as u32);
+    let image = if photo.channels == 1 {
+        ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageLuma16)
+    } else {
+        ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgb16)
+    };
+    let image = image.ok_or_else(|| IoError::write(path, "pixels and size do not match"))?;
+    let format = match format {
+        DeepFormat::Png => ImageFormat::Png,
+        DeepFormat::Tiff => ImageFormat::Tiff,
+    };
+    image
+        .save_with_format(path, format)
+        .map_err(|error| IoError::write(path, error))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,5 +93,27 @@ mod tests {
         // 18 % grey is 118 in sRGB; JPEG rounds colours by a step.
         let worst = samples.iter().map(|&s| (i32::from(s) - 118).abs()).max();
         assert!(worst.is_some_and(|w| w <= 1), "{worst:?}");
+    }
+
+    #[test]
+    fn deep_photos_are_linear_to_half_a_step() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut photo = LinearImage::filled(40, 30, 3, 0.0);
+        for (i, value) in photo.data.iter_mut().enumerate() {
+            *value = i as f32 / 3600.0;
+        }
+        for (name, format) in [("a.png", DeepFormat::Png), ("a.tif", DeepFormat::Tiff)] {
+            let path = folder.path().join(name);
+            write_photo_deep(&path, &photo, format).unwrap();
+            let decoded = crate::decode_photo(&path).unwrap();
+            assert!(decoded.linear_by_metadata, "{}", decoded.encoding_reason);
+            let rilievo_scene::decoded::Samples::U16(samples) = &decoded.samples else {
+                panic!("{:?}", decoded.samples.bits());
+            };
+            for (sample, value) in samples.iter().zip(&photo.data) {
+                let error = (f32::from(*sample) / 65535.0 - value).abs();
+                assert!(error < 1e-5, "{sample} {value}");
+            }
+        }
     }
 }

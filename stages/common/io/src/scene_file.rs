@@ -176,6 +176,20 @@ pub fn read_matches_csv(path: &Path) -> Result<Vec<[f64; 4]>, IoError> {
     Ok(matches)
 }
 
+/// Writes matches `[x1, y1, x2, y2]` as [`read_matches_csv`] reads them.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_matches_csv(path: &Path, matches: &[[f64; 4]]) -> Result<(), IoError> {
+    let rows = matches
+        .iter()
+        .map(|[x1, y1, x2, y2]| format!("{x1:.6},{y1:.6},{x2:.6},{y2:.6}\n"));
+    let text: String = std::iter::once("x1,y1,x2,y2\n".to_owned())
+        .chain(rows)
+        .collect();
+    std::fs::write(path, text).map_err(|error| IoError::write(path, error))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -43,6 +43,6 @@ pub use poses::{
     SparsePoint, TrackElement, Unit, Unregistered,
 };
 pub use raster::{LinearImage, Mask, Raster};
-pub use shaded::{ShadedView, ShadedViews};
+pub use shaded::{Images, MapSource, ShadedView, ShadedViews};
 pub use sphere::{LightKind, LocatedSphere, SphereCalibration, SphereMark, SphereRequest};
 pub use transform::RigidTransform;

@@ -2,6 +2,7 @@
 
 use crate::ids::ViewIdx;
 use crate::maps::{ConfidenceMap, DepthMap, NormalMap};
+use crate::photos::PixelError;
 use crate::raster::LinearImage;
 
 /// Dense shape of one view.
@@ -28,4 +29,51 @@ pub struct ShadedView {
 pub struct ShadedViews {
     /// One entry per view that was solved, ordered by view.
     pub views: Vec<ShadedView>,
+}
+
+/// Whether the images of a view are wanted beside its maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Images {
+    /// Rendered image and albedo as well, where there are any.
+    With,
+    /// Depth, normals and confidence only.
+    Without,
+}
+
+/// Gives the maps of a view when asked, so that a large set need not be in memory at once.
+pub trait MapSource: Sync {
+    /// Number of views.
+    fn num_views(&self) -> usize;
+
+    /// Loads the maps of a view, with depth 0 where they hold none.
+    ///
+    /// # Errors
+    /// When the backing store cannot be read.
+    fn load(&self, idx: usize, images: Images) -> Result<ShadedView, PixelError>;
+}
+
+impl MapSource for ShadedViews {
+    fn num_views(&self) -> usize {
+        self.views.len()
+    }
+
+    fn load(&self, idx: usize, images: Images) -> Result<ShadedView, PixelError> {
+        let view = self.views.get(idx).ok_or_else(|| PixelError {
+            name: format!("view {idx}"),
+            reason: format!("there are {} views", self.views.len()),
+        })?;
+        let wanted = |image: &Option<LinearImage>| match images {
+            Images::With => image.clone(),
+            Images::Without => None,
+        };
+        Ok(ShadedView {
+            view: view.view,
+            name: view.name.clone(),
+            depth: view.depth.clone(),
+            normal: view.normal.clone(),
+            confidence: view.confidence.clone(),
+            rendered: wanted(&view.rendered),
+            albedo: wanted(&view.albedo),
+        })
+    }
 }

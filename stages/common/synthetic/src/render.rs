@@ -200,6 +200,15 @@ impl<'a> Renderer<'a> {
             data: centers.iter().map(|s| s.kind == kind).collect(),
         };
         let on_object = |s: &&Sample| s.kind == Kind::Object;
+        let mut albedo = LinearImage::filled(width, height, 3, 0.0);
+        let pixels = albedo.data.chunks_exact_mut(3).zip(&centers).enumerate();
+        for (i, (pixel, sample)) in pixels.filter(|(_, (_, s))| on_object(s)) {
+            let ray = camera.ray(&Point2::new((i % width) as f64, (i / width) as f64));
+            let at = shot.center + pose.rotation.inverse() * ray * sample.depth;
+            pixel.copy_from_slice(
+                &<[f64; 3]>::from(self.scene.object_albedo(&at)).map(|a| a as f32),
+            );
+        }
         Ok(RenderedView {
             name: format!("IMG_{:04}", idx + 1),
             object_mask: mask(Kind::Object),
@@ -225,6 +234,7 @@ impl<'a> Renderer<'a> {
                     .collect(),
             },
             image,
+            albedo,
             intrinsics: camera,
             cam_from_world: pose,
             lighting,

@@ -17,6 +17,8 @@ pub struct RenderedView {
     pub depth: DepthMap,
     /// Normals of the object, camera frame; zero elsewhere.
     pub normal: NormalMap,
+    /// Albedo of the object, three channels; 0 elsewhere.
+    pub albedo: LinearImage,
     /// Camera.
     pub intrinsics: Intrinsics,
     /// Pose, metres.

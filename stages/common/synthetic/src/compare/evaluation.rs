@@ -1,6 +1,7 @@
 //! The numbers of `rilievo evaluate`, shaped as its JSON.
 
 use super::align::{AlignmentRequest, NamedPose, PoseComparison, align, compare_poses};
+use super::appearance::AppearanceComparison;
 use super::cloud::{CloudComparison, TrueSurface, compare_cloud};
 use super::maps::{MapComparison, PixelErrors, aggregate};
 use crate::error::SyntheticError;
@@ -39,12 +40,15 @@ pub struct Evaluation {
     pub all: Option<MapComparison>,
     /// The cloud against the true surface.
     pub cloud: Option<CloudComparison>,
+    /// Light, albedo and re-rendered photos, of all views together.
+    pub appearance: AppearanceComparison,
     /// Key of a null value: why it could not be computed.
     pub reasons: BTreeMap<String, String>,
 }
 
 /// Gathers an evaluation from poses, per-view errors (of [`super::compare_maps`] after
-/// [`super::align`] gave the scale) and an optional cloud with the true surface.
+/// [`super::align`] gave the scale) and an optional cloud with the true surface; the appearance is
+/// left to the caller, who knows the images.
 ///
 /// # Errors
 /// Those of the alignment.
@@ -93,6 +97,7 @@ pub fn evaluate(
             .collect(),
         all,
         cloud,
+        appearance: AppearanceComparison::default(),
         reasons,
     })
 }

@@ -5,11 +5,13 @@
 //! of motion it used; the other functions take it and never align again.
 
 mod align;
+mod appearance;
 mod cloud;
 mod evaluation;
 mod maps;
 
 pub use align::{AlignmentRequest, NamedPose, PoseComparison, Similarity, align, compare_poses};
+pub use appearance::{AppearanceComparison, ImageErrors, LightComparison, compare_light};
 pub use cloud::{CloudComparison, MeshDistance, ThresholdShares, TrueSurface, compare_cloud};
 pub use evaluation::{Alignment, Evaluation, evaluate};
 pub use maps::{
