@@ -186,7 +186,7 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "FILE|auto|none", default_value = "none")]
     pub sphere: PathBuf,
     /// Radius of the reference sphere
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     pub sphere_radius: Option<f64>,
     /// Distance between the camera centres of two photos: makes the model metric without a sphere.
     /// Between marked points instead: table `poses.known_distance` of the config file

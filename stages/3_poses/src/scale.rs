@@ -13,8 +13,8 @@
 use crate::error::PosesError;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
-use rilievo_photometry::sphere::{WorldScale, locate_request};
-use rilievo_scene::{PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit};
+use rilievo_photometry::sphere::{SphereError, WorldScale, locate_request};
+use rilievo_scene::{PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit};
 
 /// Sets the scale and locates the sphere; what hinders the sphere becomes a warning.
 ///
@@ -67,6 +67,18 @@ pub fn apply(
         let found = locate_request(photos, &posed.views, request, world_scale, &options.sphere);
         match found {
             Ok(fit) => {
+                for (photo, reason) in &fit.unused_marks {
+                    let found = fit.views.iter().any(|v| v.photo == *photo && v.used);
+                    warnings.push(format!(
+                        "{}: the mark of the sphere is left out: {reason}{}",
+                        photos.photos[photo.0].file_name,
+                        if found {
+                            "; the outline found in the photo itself is used"
+                        } else {
+                            ""
+                        }
+                    ));
+                }
                 posed.sphere = Some(fit.sphere);
                 // Without views the centre was merely stated: it says nothing of the scale.
                 if !is_metric && !fit.views.is_empty() {
@@ -87,13 +99,25 @@ pub fn apply(
                 }
             }
             Err(error) => warnings.push(format!(
-                "the reference sphere was not located, the scale stays {}: {error}",
-                if is_metric { "as it is" } else { "arbitrary" }
+                "the reference sphere was not located, the scale stays {}: {error}{}",
+                if is_metric { "as it is" } else { "arbitrary" },
+                of_photos(photos, request, &error)
             )),
         }
     }
     report.scale = posed.scale;
     Ok(())
+}
+
+/// The photos that an error is about: the one that disagrees most, or all that are marked.
+fn of_photos(photos: &PhotoSet, request: &SphereRequest, error: &SphereError) -> String {
+    let name = |photo: PhotoIdx| photos.photos[photo.0].file_name.as_str();
+    let marked: Vec<&str> = request.marks.iter().map(|(photo, _)| name(*photo)).collect();
+    match error {
+        SphereError::Contradiction { worst, .. } => format!(" (the worst is {})", name(*worst)),
+        _ if marked.is_empty() => String::new(),
+        _ => format!(" (marked in {})", marked.join(", ")),
+    }
 }
 
 /// Multiplies every length of the world.

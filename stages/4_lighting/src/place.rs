@@ -2,7 +2,8 @@
 //!
 //! In a world whose scale comes from the sphere a wrong radius only rescales everything; with given
 //! poses it shows as a sphere far nearer or farther than the scene. Both are compared by distance
-//! from the cameras: the sphere against the median of the sparse points and anchors.
+//! from the cameras that saw it (all, where its centre was stated): the sphere against the median of
+//! the sparse points and anchors. Other cameras would measure their distance from those.
 
 use nalgebra::Point3;
 use rilievo_numerics::robust::median;
@@ -16,7 +17,8 @@ pub(crate) fn warn(posed: &PosedViews) -> Option<String> {
     let sphere = posed.sphere.as_ref()?;
     let center = Point3::from(sphere.center_in_world);
     let mut ratios = Vec::new();
-    for view in &posed.views {
+    let saw = |photo| sphere.seen_in.is_empty() || sphere.seen_in.iter().any(|(p, _)| *p == photo);
+    for view in posed.views.iter().filter(|view| saw(view.photo)) {
         let to_sphere = view.cam_from_world.apply(&center).coords.norm();
         let points = posed.points.iter().map(|p| p.position);
         let anchors = posed.anchors.iter().map(|a| a.position);

@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+#[path = "../../../common/shared_data.rs"]
+mod shared_data;
+
 use super::light::{self, LightScene};
 use super::options::PhotoOptions;
 use super::views::{self, Scene};
@@ -12,7 +15,7 @@ use rilievo_scene::{
     NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform,
 };
 use serde_json::Value;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 fn numbers(value: &Value) -> Vec<f64> {
@@ -238,17 +241,14 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
 
 #[test]
 fn rays_leave_less_than_nine_harmonics() {
-    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let right = ["IMG_0003", "IMG_0004", "IMG_0005", "IMG_0006"];
     for (set, names, limit) in [
         ("studio_stone", &right, [0.062, 0.041]),
         ("studio_smooth", &right, [0.060, 0.031]),
     ] {
-        let folder = data.join(set);
-        if !folder.exists() {
-            println!("{} is absent: skipped", folder.display());
+        let Some(folder) = shared_data::data(set) else {
             continue;
-        }
+        };
         let truth = load(&folder, names);
         let [nine, rays] = residuals(&truth, PhotoOptions::default().num_rays);
         println!("{set}: nine harmonics {nine:.4?}, rays {rays:.4?}, at most {limit:?}");
@@ -262,7 +262,6 @@ fn rays_leave_less_than_nine_harmonics() {
 #[test]
 #[ignore = "a measurement"]
 fn light_at_the_truth() {
-    let data = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let right = ["IMG_0003", "IMG_0004", "IMG_0005", "IMG_0006"];
     let first = ["IMG_0001", "IMG_0002", "IMG_0003", "IMG_0004"];
     for (set, names) in [
@@ -270,7 +269,10 @@ fn light_at_the_truth() {
         ("studio_smooth", &right),
         ("studio_stained", &first),
     ] {
-        let truth = load(&data.join(set), names);
+        let Some(folder) = shared_data::data(set) else {
+            continue;
+        };
+        let truth = load(&folder, names);
         for num_rays in [128, 256] {
             let began = std::time::Instant::now();
             let [nine, rays] = residuals(&truth, num_rays);

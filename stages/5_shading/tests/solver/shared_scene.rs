@@ -1,5 +1,8 @@
 //! The cells of the paper's table on the shared scene, where it lies beside the repository.
 
+#[path = "../../../common/shared_data.rs"]
+mod shared_data;
+
 use crate::solved;
 use crate::table;
 use rilievo_scene::Silent;
@@ -8,12 +11,7 @@ use rilievo_shading::{Coupling, ShadingOptions, solve};
 #[test]
 fn the_literal_coupling_of_two_views_agrees_with_anchors() {
     // Two views of one plane-like relief from cameras side by side, matched by projection.
-    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .nth(3)
-        .map(|root| root.join("shared/data/shading_table"));
-    let Some(data) = data.filter(|data| data.is_dir()) else {
-        eprintln!("skipped: no shared data beside the repository");
+    let Some(data) = shared_data::data("shading_table") else {
         return;
     };
     let problem = table::two_views(&data, "L3");
@@ -33,12 +31,7 @@ fn the_literal_coupling_of_two_views_agrees_with_anchors() {
 
 #[test]
 fn the_papers_cells_are_reached_on_the_shared_scene() {
-    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .nth(3)
-        .map(|root| root.join("shared/data/shading_table"));
-    let Some(data) = data.filter(|data| data.is_dir()) else {
-        eprintln!("skipped: no shared data beside the repository");
+    let Some(data) = shared_data::data("shading_table") else {
         return;
     };
     for (light, start, limit) in [
@@ -57,12 +50,7 @@ fn the_papers_cells_are_reached_on_the_shared_scene() {
 
 #[test]
 fn confidence_ranks_the_true_errors() {
-    let data = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-        .ancestors()
-        .nth(3)
-        .map(|root| root.join("shared/data/shading_table"));
-    let Some(data) = data.filter(|data| data.is_dir()) else {
-        eprintln!("skipped: no shared data beside the repository");
+    let Some(data) = shared_data::data("shading_table") else {
         return;
     };
     for light in ["L3", "L1", "L2"] {

@@ -213,10 +213,11 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
         ));
     }
     if radius.is_none() && (!views.is_empty() || center.is_some()) {
-        return Err(root
-            .get("radius")
-            .err()
-            .unwrap_or_else(|| IoError::input(path, "the key \"radius\" is missing")));
+        return Err(IoError::input(
+            path,
+            "the key \"radius\" is missing: measure the sphere and state its radius, in metres or \
+             with a \"unit\"",
+        ));
     }
     Ok(SphereFile {
         path: path.to_path_buf(),

@@ -65,7 +65,7 @@ pub enum SphereError {
     /// The views do not agree on one sphere.
     #[error(
         "the marks contradict each other: the best centre agrees with {agreeing} of {total} \
-         photos (photo {worst} is off by {worst_px:.1} px); check that all mark the same sphere"
+         photos (the worst is off by {worst_px:.1} px); check that all mark the same sphere"
     )]
     Contradiction {
         /// Views that agree.

@@ -78,6 +78,9 @@ pub struct SphereFit {
     pub radius_ratio: Option<f64>,
     /// Every view that had a mark.
     pub views: Vec<ViewAgreement>,
+    /// Photos whose own mark was left out, with the reason; their outline may have been found on the
+    /// image all the same.
+    pub unused_marks: Vec<(PhotoIdx, String)>,
 }
 
 /// Locates the sphere from outlines in posed views.
@@ -216,6 +219,10 @@ pub fn locate(
             0.0
         },
         radius_ratio,
+        unused_marks: agreements
+            .iter()
+            .filter_map(|view| Some((view.photo, view.reason.clone()?)))
+            .collect(),
         views: agreements,
     })
 }

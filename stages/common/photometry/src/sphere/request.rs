@@ -108,7 +108,12 @@ pub fn locate_request(
             return Ok(fit);
         }
         let images = load_posed_images(photos, views)?;
-        return Ok(refine_in_views(&images, fit, radius, scale, options));
+        let unused_marks = fit.unused_marks.clone();
+        let refined = refine_in_views(&images, fit, radius, scale, options);
+        return Ok(SphereFit {
+            unused_marks,
+            ..refined
+        });
     }
     if request.detect {
         let images = load_posed_images(photos, views)?;
@@ -129,6 +134,7 @@ fn stated(center_in_world: [f64; 3], radius: f64) -> SphereFit {
         relative_sigma: 0.0,
         radius_ratio: None,
         views: Vec::new(),
+        unused_marks: Vec::new(),
     }
 }
 
