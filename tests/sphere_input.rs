@@ -126,7 +126,10 @@ fn a_radius_that_no_sphere_has_is_refused_before_anything_is_computed() {
         (None, "\"radius\" is missing: measure the sphere"),
         (Some(json!(0)), "radius: 0 is not greater than zero"),
         (Some(json!(-0.03)), "radius: -0.03 is not greater than zero"),
-        (Some(json!("3 cm")), "radius: \"3 cm\" is not a finite number"),
+        (
+            Some(json!("3 cm")),
+            "radius: \"3 cm\" is not a finite number",
+        ),
     ] {
         let mut sphere = json!({"views": views});
         if let Some(radius) = radius {
@@ -231,7 +234,9 @@ fn marks_that_fix_nothing_end_with_the_reason_and_a_remedy() {
             ],
         ),
         (
-            only(json!({"IMG_0001.jpg": good["views"]["IMG_0001.jpg"], "IMG_0002.jpg": elsewhere()})),
+            only(
+                json!({"IMG_0001.jpg": good["views"]["IMG_0001.jpg"], "IMG_0002.jpg": elsewhere()}),
+            ),
             vec!["contradict each other", "the worst is IMG_000"],
         ),
         (
@@ -246,7 +251,10 @@ fn marks_that_fix_nothing_end_with_the_reason_and_a_remedy() {
         let (code, stderr) = set.light("intrinsics.json", &sphere);
         assert_eq!(code, 4, "{stderr}");
         told(&stderr, &parts);
-        told(&stderr, &["no reference sphere was located", "--sphere none"]);
+        told(
+            &stderr,
+            &["no reference sphere was located", "--sphere none"],
+        );
     }
 }
 

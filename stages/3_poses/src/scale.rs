@@ -112,7 +112,11 @@ pub fn apply(
 /// The photos that an error is about: the one that disagrees most, or all that are marked.
 fn of_photos(photos: &PhotoSet, request: &SphereRequest, error: &SphereError) -> String {
     let name = |photo: PhotoIdx| photos.photos[photo.0].file_name.as_str();
-    let marked: Vec<&str> = request.marks.iter().map(|(photo, _)| name(*photo)).collect();
+    let marked: Vec<&str> = request
+        .marks
+        .iter()
+        .map(|(photo, _)| name(*photo))
+        .collect();
     match error {
         SphereError::Contradiction { worst, .. } => format!(" (the worst is {})", name(*worst)),
         _ if marked.is_empty() => String::new(),
