@@ -11,7 +11,7 @@ mod shared_data;
 use data::Set;
 use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
-use rilievo_scene::{Silent, SphereRequest};
+use rilievo_scene::{ShadedViews, Silent, SphereRequest};
 
 /// The world's unknown unit: poses without scale.
 const SHRINK: f64 = 0.37;
@@ -101,6 +101,28 @@ fn the_sphere_of_a_smooth_object_is_found_in_all_photos() {
     }
 }
 
+/// The shape with normals tilted at random by `tilt` (radians, root mean square).
+fn roughened(shape: &ShadedViews, tilt: f32) -> ShadedViews {
+    let mut state = 11_u64;
+    // Uniform deviates of unit variance.
+    let mut deviate = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 40) as f32 / (1_u32 << 24) as f32 - 0.5) * 12.0_f32.sqrt()
+    };
+    let mut rough = shape.clone();
+    for view in &mut rough.views {
+        for normal in view.normal.data.iter_mut().filter(|n| n[2] != 0.0) {
+            // Of three random components, the two across the normal tilt it.
+            let tilted =
+                nalgebra::Vector3::from(normal.map(|n| n + tilt / 2.0_f32.sqrt() * deviate()));
+            *normal = tilted.normalize().into();
+        }
+    }
+    rough
+}
+
 #[test]
 fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_of() {
     let Some(mut set) = set("studio_stone") else {
@@ -114,7 +136,7 @@ fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_
         ..LightingOptions::default()
     };
     let shape = set.true_shape().unwrap();
-    let judge = |request: &SphereRequest| {
+    let judge = |request: &SphereRequest, shape: &ShadedViews| {
         let light = LightingRequest::Sphere(request.clone());
         let (calibration, _) = run(&set.photos, &set.posed, &light, &options, &Silent).unwrap();
         let residuals: Vec<f64> = calibration
@@ -126,19 +148,29 @@ fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_
             &set.photos,
             &set.posed,
             &calibration,
-            &shape,
+            shape,
             &options,
             &Silent,
         );
         (residuals, surface.unwrap())
     };
-    let (side, surface) = judge(&request);
+    let (side, surface) = judge(&request, &shape);
     let mean = side.iter().sum::<f64>() / side.len() as f64;
     // What a plain robust fit on the true sphere gives is 20.0 % on average.
     assert!(mean < 0.2005, "{side:?}");
     assert!(!surface.advice.is_empty());
+    // Normals as wrong as those of a reconstruction still tell how wrong the light is.
+    let (_, surface) = judge(&request, &roughened(&shape, 0.12));
+    for (view, truth) in surface.views.iter().zip(&side) {
+        let told = view.used_rms;
+        assert!(
+            (told / truth - 1.0).abs() < 0.33,
+            "{}: {told} told, {truth} true",
+            view.name
+        );
+    }
     request.calibration = set.calibration.clone();
-    let (placed, surface) = judge(&request);
+    let (placed, surface) = judge(&request, &shape);
     for residual in &placed {
         assert!(*residual <= 0.125, "{placed:?}");
     }

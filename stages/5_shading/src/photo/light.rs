@@ -168,7 +168,6 @@ pub(crate) fn visible_on(
     scene: &LightScene,
 ) -> Option<Light> {
     let volume = Volume::carve(&depth_views(level, depths), MAX_VOXELS)?;
-    let offset = 1.25 * volume.voxel;
     let sphere = scene.sphere.and_then(|s| look_at_sphere(s, scene.photos));
     let surroundings = Surroundings {
         volume,
@@ -189,14 +188,9 @@ pub(crate) fn visible_on(
                     let at = view.camera.unproject(x, y, coarse[i][p].exp()).coords;
                     let n = coarse_normals[i][p];
                     let n = view.camera.rotation.tr_mul(&Vector3::new(n[0], n[1], n[2]));
-                    transfer(
-                        &surroundings,
-                        &at.map(|v| v as f32),
-                        &n.map(|v| v as f32),
-                        &rays,
-                        offset,
-                        false,
-                    )
+                    let (at, n) = (at.map(|v| v as f32), n.map(|v| v as f32));
+                    let offset = surroundings.volume.start_height(&at, &n);
+                    transfer(&surroundings, &at, &n, &rays, offset, false)
                 })
                 .collect()
         })

@@ -283,6 +283,80 @@ mod tests {
         }
     }
 
+    /// The scene of [`plate_and_sphere`] by its equations: first what a ray meets of the sphere, then
+    /// the plate z = 2 within the frame of its camera.
+    fn radiance_by_equations(start: &Vector3<f32>, d: &Vector3<f32>, sky: f32) -> f32 {
+        let offset = start - Vector3::new(0.5, 0.0, 1.4);
+        let b = offset.dot(d);
+        let discriminant = b * b - (offset.norm_squared() - 0.3 * 0.3);
+        if discriminant > 0.0 && -b - discriminant.sqrt() > 0.0 {
+            return 0.4;
+        }
+        let t = (2.0 - start.z) / d.z;
+        let meets = start + d * t;
+        if d.z > 0.0 && t > 0.0 && meets.x.abs() < 1.0 && meets.y.abs() < 1.0 {
+            return 0.3;
+        }
+        sky
+    }
+
+    #[test]
+    fn every_points_harmonics_agree_with_sums_over_rays_by_equations() {
+        let surroundings = plate_and_sphere();
+        let sky = |d: &Vector3<f32>| 0.5 + 0.4 * d.x - 0.3 * d.z;
+        let rays = directions(512);
+        let environment: Vec<[f32; 3]> = rays.iter().map(|d| [sky(d); 3]).collect();
+        let dense = directions(4_000);
+        let facing = Vector3::new(0.0, 0.0, -1.0);
+        let (mut worst, mut sum, mut count) = (0.0_f64, 0.0, 0.0);
+        for i in 0..13 {
+            for j in 0..7 {
+                let point = Vector3::new(0.1 * i as f32 - 0.6, 0.1 * j as f32 - 0.3, 2.0);
+                let offset = surroundings.volume.start_height(&point, &facing);
+                let seen = transfer(&surroundings, &point, &facing, &rays, offset, false);
+                let light = seen.harmonics(&rays, &environment, [1.0; 3])[1];
+                for normal in [facing, Vector3::new(0.12, -0.08, -1.0).normalize()] {
+                    let expected: f64 = dense
+                        .iter()
+                        .filter(|d| normal.dot(d) > 0.0)
+                        .map(|d| {
+                            let start = point + facing * 1e-3;
+                            let l = radiance_by_equations(&start, d, sky(d));
+                            f64::from(4.0 / dense.len() as f32 * l * normal.dot(d))
+                        })
+                        .sum();
+                    let h = SphericalHarmonics::basis(&normal.map(f64::from));
+                    let value: f64 = light.iter().zip(&h).map(|(l, b)| f64::from(*l) * b).sum();
+                    let error = (value / expected - 1.0).abs();
+                    worst = worst.max(error);
+                    sum += error;
+                    count += 1.0;
+                }
+            }
+        }
+        // 512 rays resolve a sphere's disc to some of its area, the horizon is smooth by design.
+        let mean = sum / count;
+        println!("harmonics against dense rays: mean {mean:.4}, worst {worst:.4}");
+        assert!(mean < 0.01 && worst < 0.04, "mean {mean}, worst {worst}");
+    }
+
+    #[test]
+    fn a_start_is_low_on_a_plate_and_lifted_out_of_the_solid() {
+        let volume = plate_and_sphere().volume;
+        let facing = Vector3::new(0.0, 0.0, -1.0);
+        let on = volume.start_height(&Vector3::new(0.0, 0.0, 2.0), &facing) / volume.voxel;
+        assert!((0.5..=0.75).contains(&on), "{on} voxels over the plate");
+        let below = Vector3::new(0.0, 0.0, 2.0 + volume.voxel);
+        let lifted = volume.start_height(&below, &facing) / volume.voxel;
+        assert!(
+            (1.25..=1.75).contains(&lifted),
+            "{lifted} voxels from one voxel below"
+        );
+        let outside = Vector3::new(0.0, 0.0, -50.0);
+        let free = volume.start_height(&outside, &facing) / volume.voxel;
+        assert!((free - 0.5).abs() < 1e-6, "{free} voxels in the open");
+    }
+
     #[test]
     fn an_open_sky_of_one_radiance_is_one() {
         let rays = directions(512);

@@ -12,6 +12,11 @@ use rilievo_scene::{DepthMap, Intrinsics, LinearImage, RigidTransform};
 
 /// Voxels behind a surface that still count as seen.
 const TRUNCATION: f32 = 4.0;
+/// Rays start between these heights over the surface, in voxels: below the first its roughness is the
+/// grid's own, beyond the last a fold's far side comes near.
+const START: [f32; 2] = [0.5, 2.5];
+/// Signed distance, in voxels, at which the start is free of the surface that it belongs to.
+const FREE: f32 = 0.4;
 
 /// What one view contributes: its camera (without distortion), depth (0 outside the mask),
 /// incidence weights (cos², 0 outside) and linear image of one size.
@@ -256,6 +261,29 @@ impl Volume {
             t += 0.6;
         }
         None
+    }
+
+    /// Height over a surface point, along its normal and in the world's unit, at which rays start: the
+    /// least at which the grid leaves the point free. A fixed height would either lift the floor of a
+    /// fold into the light, or leave points under the surface where the grid has smoothed it.
+    pub fn start_height(&self, point: &Vector3<f32>, normal: &Vector3<f32>) -> f32 {
+        const STEP: f32 = 0.25;
+        let o = (point - self.origin) / self.voxel;
+        let is_free = |height: f32| {
+            let p = o + normal * height;
+            let inside = (0..3).all(|k| p[k] >= 0.0 && p[k] < (self.size[k] - 1) as f32);
+            if !inside {
+                return true;
+            }
+            let (x, y, z) = (p.x as usize, p.y as usize, p.z as usize);
+            let [a, b, c] = [p.x - x as f32, p.y - y as f32, p.z - z as f32];
+            self.trilinear(x, y, z, a, b, c) >= FREE
+        };
+        let mut height = START[0];
+        while height < START[1] && !is_free(height) {
+            height += STEP;
+        }
+        height * self.voxel
     }
 
     /// Stretch of a ray inside the grid, kept half a voxel off its faces.
