@@ -19,7 +19,7 @@
 
 use crate::levels::Level;
 use crate::model::Facet;
-use crate::theta::{ThetaTerms, theta_step};
+use crate::theta::{ThetaProblem, ThetaTerms, theta_step};
 use rilievo_numerics::robust::quantile;
 
 /// Conflict between shading and surface, as a tangent, at which the surface is taken to break: three
@@ -76,7 +76,13 @@ pub(crate) fn soften_breaks(
             (p[k], q[k]) = (tp[k], tq[k]);
         }
     }
-    theta_step(&level.pixels, (&tp, &tq), &terms, None, &mut p, &mut q);
+    let problem = ThetaProblem {
+        pixels: &level.pixels,
+        target: (&tp, &tq),
+        terms,
+        candidates: None,
+    };
+    theta_step(&problem, &mut p, &mut q);
     // Steep facets may differ by more for the same angle.
     let conflict = |k: usize| {
         let away = (p[k] - sp[k]).powi(2) + (q[k] - sq[k]).powi(2);

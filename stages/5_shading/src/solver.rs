@@ -14,7 +14,7 @@ use crate::schedule::{Informativeness, automatic};
 use crate::solution::{ShadingReport, ShadingSolution, SolvedView, Termination, ViewReport};
 use crate::splitting::{self, Course, Setting, Ties, slopes};
 use crate::start;
-use crate::theta::{ThetaTerms, theta_step};
+use crate::theta::{ThetaProblem, ThetaTerms, theta_step};
 use rilievo_numerics::robust::median;
 use rilievo_scene::{DepthMap, Observer};
 use std::time::Instant;
@@ -236,14 +236,13 @@ fn refine_slopes(
         area: 0.0,
         num_steps: 8,
     };
-    theta_step(
-        &level.pixels,
-        (&target.0, &target.1),
-        &terms,
-        None,
-        &mut p,
-        &mut q,
-    );
+    let problem = ThetaProblem {
+        pixels: &level.pixels,
+        target: (&target.0, &target.1),
+        terms,
+        candidates: None,
+    };
+    theta_step(&problem, &mut p, &mut q);
     (p, q)
 }
 

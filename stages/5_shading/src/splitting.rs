@@ -26,7 +26,7 @@ use crate::levels::{Level, add_change, place_constraint, restrict_nodes};
 use crate::model::Facet;
 use crate::pixels::Pixels;
 use crate::solution::{IterationRecord, StepSeconds};
-use crate::theta::{Candidates, ThetaTerms, theta_step};
+use crate::theta::{Candidates, ThetaProblem, ThetaTerms, theta_step};
 use rayon::prelude::*;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::{CornerPoisson, PointConstraint};
@@ -246,8 +246,13 @@ fn solve_level(
         if let Some(reweighted) = &mut reweighted {
             reweight(&level.pixels, reweighted, (&p, &q), setting);
         }
-        let used = reweighted.as_ref().unwrap_or(pixels);
-        let energy = theta_step(used, (&tp, &tq), &terms, search, &mut p, &mut q);
+        let problem = ThetaProblem {
+            pixels: reweighted.as_ref().unwrap_or(pixels),
+            target: (&tp, &tq),
+            terms,
+            candidates: search,
+        };
+        let energy = theta_step(&problem, &mut p, &mut q);
         outcome.seconds.theta += started.elapsed().as_secs_f64();
 
         let started = Instant::now();

@@ -3,11 +3,11 @@
 // Arrays of lanes are indexed in parallel: zipped iterators would hide the lane.
 #![allow(clippy::needless_range_loop)]
 
-use super::ThetaTerms;
+use super::ThetaProblem;
 use super::pixel::{FIRST_DAMPING, Pixel, Quadratic, next_damping, pick, trial_step};
-use super::search::{Candidates, search};
+use super::search::search;
 use crate::model::Facet;
-use crate::pixels::{Coefficients, LANES, Pixels};
+use crate::pixels::{Coefficients, LANES};
 
 /// Lanes of one block.
 pub(super) struct Block<const C: usize> {
@@ -55,14 +55,17 @@ impl<const C: usize> Block<C> {
 /// The θ-step of the pixels from `first` on, as many as `p` has.
 #[inline(always)]
 pub(super) fn blocks<const C: usize>(
-    pixels: &Pixels,
+    problem: &ThetaProblem<'_>,
     first: usize,
-    target: (&[f32], &[f32]),
-    terms: &ThetaTerms<'_>,
-    candidates: Option<&Candidates>,
     p: &mut [f32],
     q: &mut [f32],
 ) -> f64 {
+    let ThetaProblem {
+        pixels,
+        target,
+        terms,
+        candidates,
+    } = *problem;
     let mut block = Block::<C> {
         light: [[[0.0; LANES]; 9]; C],
         intensity: [[0.0; LANES]; C],

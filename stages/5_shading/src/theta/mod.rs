@@ -45,27 +45,29 @@ pub(crate) struct ThetaTerms<'a> {
     pub(crate) num_steps: usize,
 }
 
-/// Minimises the term of every pixel, starting at and writing to `(p, q)`.
-///
-/// # Shapes
-/// All arrays have the padded length of `pixels`. Returns `Σ w |S(θ) − I|²`.
-pub(crate) fn theta_step(
-    pixels: &Pixels,
-    target: (&[f32], &[f32]),
-    terms: &ThetaTerms<'_>,
-    candidates: Option<&Candidates>,
-    p: &mut [f32],
-    q: &mut [f32],
-) -> f64 {
+/// The θ-step of a whole image. All arrays have the padded length of `pixels`.
+#[derive(Clone, Copy)]
+pub(crate) struct ThetaProblem<'a> {
+    pub(crate) pixels: &'a Pixels,
+    /// `t`, along x and along y.
+    pub(crate) target: (&'a [f32], &'a [f32]),
+    pub(crate) terms: ThetaTerms<'a>,
+    /// Normals that a far start is replaced from.
+    pub(crate) candidates: Option<&'a Candidates>,
+}
+
+/// Minimises the term of every pixel, starting at and writing to `(p, q)` of padded length.
+/// Returns `Σ w |S(θ) − I|²`.
+pub(crate) fn theta_step(problem: &ThetaProblem<'_>, p: &mut [f32], q: &mut [f32]) -> f64 {
     let task = |(task, (p, q)): (usize, (&mut [f32], &mut [f32]))| {
         let first = task * TASK_LEN;
-        if pixels.channels == 1 {
-            dispatch::<1>(pixels, first, target, terms, candidates, p, q)
+        if problem.pixels.channels == 1 {
+            dispatch::<1>(problem, first, p, q)
         } else {
-            dispatch::<3>(pixels, first, target, terms, candidates, p, q)
+            dispatch::<3>(problem, first, p, q)
         }
     };
-    let sums: Vec<f64> = if pixels.padded <= 2 * TASK_LEN {
+    let sums: Vec<f64> = if problem.pixels.padded <= 2 * TASK_LEN {
         p.chunks_mut(TASK_LEN)
             .zip(q.chunks_mut(TASK_LEN))
             .enumerate()
@@ -83,11 +85,8 @@ pub(crate) fn theta_step(
 
 /// The kernel compiled for the widest vectors of this processor.
 fn dispatch<const C: usize>(
-    pixels: &Pixels,
+    problem: &ThetaProblem<'_>,
     first: usize,
-    target: (&[f32], &[f32]),
-    terms: &ThetaTerms<'_>,
-    candidates: Option<&Candidates>,
     p: &mut [f32],
     q: &mut [f32],
 ) -> f64 {
@@ -95,23 +94,20 @@ fn dispatch<const C: usize>(
     {
         #[target_feature(enable = "avx2,fma")]
         fn wide<const C: usize>(
-            pixels: &Pixels,
+            problem: &ThetaProblem<'_>,
             first: usize,
-            target: (&[f32], &[f32]),
-            terms: &ThetaTerms<'_>,
-            candidates: Option<&Candidates>,
             p: &mut [f32],
             q: &mut [f32],
         ) -> f64 {
-            blocks::<C>(pixels, first, target, terms, candidates, p, q)
+            blocks::<C>(problem, first, p, q)
         }
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
             // SAFETY: the processor has the features that the function is compiled for.
             #[allow(unsafe_code)]
-            return unsafe { wide::<C>(pixels, first, target, terms, candidates, p, q) };
+            return unsafe { wide::<C>(problem, first, p, q) };
         }
     }
-    blocks::<C>(pixels, first, target, terms, candidates, p, q)
+    blocks::<C>(problem, first, p, q)
 }
 
 #[cfg(test)]
@@ -187,7 +183,16 @@ mod tests {
                     num_steps: 4,
                 };
                 let (mut p, mut q) = (vec![0.1; pixels.padded], vec![-0.1; pixels.padded]);
-                theta_step(&pixels, (&target, &target), &terms, None, &mut p, &mut q);
+                theta_step(
+                    &ThetaProblem {
+                        pixels: &pixels,
+                        target: (&target, &target),
+                        terms,
+                        candidates: None,
+                    },
+                    &mut p,
+                    &mut q,
+                );
                 for k in 0..pixels.len {
                     let expected = scalar_step(&pixels, k, [target[k]; 2], [0.1, -0.1], &terms);
                     let away = (p[k] - expected[0]).abs().max((q[k] - expected[1]).abs());
@@ -208,7 +213,16 @@ mod tests {
             num_steps: 8,
         };
         let (mut p, mut q) = (vec![0.0; pixels.padded], vec![0.0; pixels.padded]);
-        theta_step(&pixels, (&target, &target), &terms, None, &mut p, &mut q);
+        theta_step(
+            &ThetaProblem {
+                pixels: &pixels,
+                target: (&target, &target),
+                terms,
+                candidates: None,
+            },
+            &mut p,
+            &mut q,
+        );
         assert!(
             (p[7] - 0.4).abs() < 1e-3 && (q[7] - 0.4).abs() < 1e-3,
             "{} {}",
@@ -230,10 +244,12 @@ mod tests {
         let candidates = Candidates::new(&pixels, 8, 3.0);
         let (mut p, mut q) = (vec![2.5; pixels.padded], vec![-2.5; pixels.padded]);
         let energy = theta_step(
-            &pixels,
-            (&target, &target),
-            &terms,
-            Some(&candidates),
+            &ThetaProblem {
+                pixels: &pixels,
+                target: (&target, &target),
+                terms,
+                candidates: Some(&candidates),
+            },
             &mut p,
             &mut q,
         );
