@@ -6,10 +6,28 @@ use crate::photo::rectify::Rectification;
 use crate::problem::{DepthAnchor, ShadingProblem, ShadingView, ViewLight};
 use crate::solution::{ShadingReport, SolvedView};
 use rilievo_scene::{
-    DepthMap, LightingCalibration, LinearImage, Mask, Observer, PhotoSet, PosedViews, Raster,
-    ShadedView, ShadedViews, ViewIdx,
+    DepthMap, LightingCalibration, LinearImage, Mask, Observer, Photo, PhotoSet, PosedView,
+    PosedViews, Raster, ShadedView, ShadedViews, ViewIdx,
 };
 use std::sync::Arc;
+
+/// The photo of a posed view.
+///
+/// # Errors
+/// [`ShadingError::UnknownView`] when there is none of that number.
+pub(crate) fn photo_of<'a>(
+    photos: &'a PhotoSet,
+    posed: &PosedView,
+) -> Result<&'a Photo, ShadingError> {
+    photos
+        .photos
+        .get(posed.photo.0)
+        .ok_or(ShadingError::UnknownView {
+            what: "a posed view's photo",
+            index: posed.photo.0,
+            num_views: photos.photos.len(),
+        })
+}
 
 /// Builds the problem, solves it, and gives the maps back on the photos' own pixels.
 pub(crate) fn run(
@@ -23,14 +41,7 @@ pub(crate) fn run(
     let mut report = ShadingReport::default();
     // One view at a time: anchors carry what the others say, and memory stays that of one view.
     for (index, posed_view) in posed.views.iter().enumerate() {
-        let photo = photos
-            .photos
-            .get(posed_view.photo.0)
-            .ok_or(ShadingError::UnknownView {
-                what: "a posed view's photo",
-                index: posed_view.photo.0,
-                num_views: photos.photos.len(),
-            })?;
+        let photo = photo_of(photos, posed_view)?;
         let light = lighting
             .views
             .iter()

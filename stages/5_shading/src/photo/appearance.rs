@@ -5,11 +5,11 @@
 //! gain is the rendered image, in the photo's own linear units; what it leaves of the photo is what
 //! shape and light do not explain. Clipped and dark pixels take the albedo of their neighbours.
 
-use super::albedo::Albedo;
 use super::level::Level;
 use super::light::Light;
 use super::{plate, sampling, shading};
 use rayon::prelude::*;
+use rilievo_scene::Raster;
 
 /// Standard deviation of the bell, pixels.
 const BELL_PX: f64 = 12.0;
@@ -31,22 +31,26 @@ pub(crate) struct Appearance {
 pub(crate) fn render(
     level: &Level,
     depths: &[Vec<f64>],
+    rasters: &[Raster<f32>],
     light: &Light,
-    albedo: Option<&Albedo>,
 ) -> Vec<Appearance> {
-    let rasters = super::level::depth_rasters(level, depths);
     (0..level.views.len())
         .into_par_iter()
         .with_max_len(1)
         .map(|i| {
             let view = &level.views[i];
             let target =
-                shading::mean_intensities(level, i, &depths[i], &rasters, light.mean_tolerance);
+                shading::mean_intensities(level, i, &depths[i], rasters, light.mean_tolerance);
             let normals = plate::normals(view, &depths[i]);
             let mean = target.iter().flatten().map(|&v| f64::from(v)).sum::<f64>()
                 / (3 * target.len()).max(1) as f64;
             let floor = (0.02 * mean) as f32;
-            let pigment = |p: usize| albedo.map_or([1.0; 3], |a| a.relative[i][p]);
+            let pigment = |p: usize| {
+                light
+                    .pigment
+                    .as_ref()
+                    .map_or([1.0; 3], |a| a.relative[i][p])
+            };
             let light: Vec<[f32; 3]> = (0..target.len())
                 .map(|p| {
                     shading::render(&light.harmonics[i][p], normals[p]).map(|v| (v as f32).max(0.0))

@@ -18,6 +18,7 @@ use super::light::Light;
 use super::matching::{self, MatchOptions};
 use super::{plate, sampling, shading};
 use rayon::prelude::*;
+use rilievo_scene::Raster;
 
 /// Slope by which an undetermined surface errs.
 const START_ERROR: f64 = 0.35;
@@ -35,14 +36,13 @@ const BORDER_REACH_PX: usize = 5;
 pub(crate) fn estimate(
     level: &Level,
     index: usize,
-    depths: &[Vec<f64>],
+    depth: &[f64],
+    rasters: &[Raster<f32>],
     matching: &MatchOptions,
     light: Option<(&Light, f64)>,
 ) -> Vec<f32> {
     let view = &level.views[index];
-    let depth = &depths[index];
-    let rasters = super::level::depth_rasters(level, depths);
-    let terms = matching::terms(level, index, depth, &rasters, matching);
+    let terms = matching::terms(level, index, depth, rasters, matching);
     let n = view.pixels.len();
     let ones = vec![1.0_f32; n];
     let raw: Vec<[f32; 2]> = (0..n)
@@ -99,7 +99,7 @@ pub(crate) fn estimate(
                     k,
                     p,
                     depth[p],
-                    &rasters,
+                    rasters,
                     2.0 * matching.visible_tolerance,
                 ) {
                     // A step of a pixel's footprint over a few pixels.

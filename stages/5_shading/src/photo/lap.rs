@@ -126,13 +126,13 @@ impl Course<'_> {
                     .with_max_len(1)
                     .map(|i| {
                         let term = light.zip(weights.shading).map(|(light, weights)| {
-                            ShadingTerm::new(level, i, depths, &rasters, &light.of(i), &weights)
+                            ShadingTerm::new(level, i, &depths[i], &rasters, &light.of(i), &weights)
                         });
                         let outcome = step::improve(
                             level,
                             i,
                             &solvers[i],
-                            depths,
+                            &depths[i],
                             &rasters,
                             term.as_ref(),
                             &options,

@@ -180,14 +180,16 @@ impl Course<'_> {
         weights: &LapWeights,
     ) -> Vec<Appearance> {
         let level = &self.scene.pyramid[at];
+        let rasters = super::level::depth_rasters(level, depths);
         let mut views = match light {
-            Some(light) => appearance::render(level, depths, light, light.pigment.as_ref()),
+            Some(light) => appearance::render(level, depths, &rasters, light),
             None => vec![Appearance::default(); level.views.len()],
         };
         let matching = self.step_options(at, weights).matching;
         let sigma = weights.shading.map(|s| s.sigma);
         for (i, view) in views.iter_mut().enumerate() {
-            view.confidence = confidence::estimate(level, i, depths, &matching, light.zip(sigma));
+            view.confidence =
+                confidence::estimate(level, i, &depths[i], &rasters, &matching, light.zip(sigma));
         }
         if let Some(light) = light {
             for (view, residual) in self.report.views.iter_mut().zip(&light.residuals) {

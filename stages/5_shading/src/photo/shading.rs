@@ -108,15 +108,14 @@ impl<'a> ShadingTerm<'a> {
     pub fn new(
         level: &Level,
         index: usize,
-        depths: &[Vec<f64>],
+        depth: &[f64],
         rasters: &[Raster<f32>],
         light: &PixelLight<'a>,
         weights: &ShadingWeights,
     ) -> Self {
         let view = &level.views[index];
         let n = view.pixels.len();
-        let mut target =
-            mean_intensities(level, index, &depths[index], rasters, light.mean_tolerance);
+        let mut target = mean_intensities(level, index, depth, rasters, light.mean_tolerance);
         if let Some(albedo) = light.pigment {
             for (t, a) in target.iter_mut().zip(albedo) {
                 for c in 0..3 {
@@ -135,7 +134,7 @@ impl<'a> ShadingTerm<'a> {
             .map(|i| f32::from(u8::from(view.is_usable(i))))
             .collect();
         if weights.correction_px > 0.0 {
-            let normals = plate::normals(view, &depths[index]);
+            let normals = plate::normals(view, depth);
             let limit = weights.max_correction as f32;
             let relative: Vec<[f32; 3]> = (0..n)
                 .map(|i| {

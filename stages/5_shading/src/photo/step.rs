@@ -41,13 +41,12 @@ pub(crate) fn improve(
     level: &Level,
     index: usize,
     solver: &PlateSolver,
-    depths: &[Vec<f64>],
+    depth: &[f64],
     rasters: &[Raster<f32>],
     shading: Option<&ShadingTerm>,
     options: &StepOptions,
 ) -> Result<StepOutcome, PlateError> {
     let view = &level.views[index];
-    let depth = &depths[index];
     let n = view.pixels.len();
     let mut matches = matching::terms(level, index, depth, rasters, &options.matching);
     if options.sigma_consensus > 0.0 {

@@ -78,7 +78,7 @@ pub(crate) fn validate(
             }
             let (left_out, _) = level.sources[i][i % count];
             let solve = |shaded: bool| -> Result<Vec<f64>, PlateError> {
-                let mut trial: Vec<Vec<f64>> = depths.to_vec();
+                let mut trial = depths[i].clone();
                 let mut options = *options;
                 options.matching.left_out = Some(left_out);
                 options.sigma_consensus = 0.0;
@@ -95,9 +95,9 @@ pub(crate) fn validate(
                         term.as_ref(),
                         &options,
                     )?;
-                    trial[i] = outcome.depth;
+                    trial = outcome.depth;
                 }
-                Ok(trial.swap_remove(i))
+                Ok(trial)
             };
             let (plain, shaded) = (solve(false)?, solve(true)?);
             let tolerance = options.matching.visible_tolerance;

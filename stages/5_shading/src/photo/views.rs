@@ -7,6 +7,7 @@ use super::options::PhotoOptions;
 use super::rectify::Rectification;
 use super::surround::SmallPhoto;
 use crate::error::ShadingError;
+use crate::posed::photo_of;
 use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_scene::{Mask, PhotoSet, PosedViews, ViewIdx};
@@ -55,14 +56,7 @@ pub(crate) fn load(
         .par_iter()
         .enumerate()
         .map(|(index, posed_view)| {
-            let photo = photos
-                .photos
-                .get(posed_view.photo.0)
-                .ok_or(ShadingError::UnknownView {
-                    what: "a posed view's photo",
-                    index: posed_view.photo.0,
-                    num_views: photos.photos.len(),
-                })?;
+            let photo = photo_of(photos, posed_view)?;
             let image = photo.pixels.load()?;
             let mask = match &photo.mask {
                 Some(mask) => mask.as_ref().clone(),
