@@ -5,8 +5,8 @@ use super::level;
 use super::options::PhotoOptions;
 use super::output;
 use super::report::PhotoReport;
-use super::start;
 use super::views::Scene;
+use super::{spread, start};
 use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::{PlateError, PlateSolver};
@@ -59,6 +59,7 @@ impl Course<'_> {
             .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
             .collect()
     }
+
     /// All views' surfaces made one.
     pub(crate) fn fused(
         &self,
@@ -84,13 +85,57 @@ impl Course<'_> {
             .map(|i| {
                 let (values, known) = level::upsample(&coarse.views[i], &fine.views[i], &depths[i]);
                 let weight: Vec<f64> = known.iter().map(|&k| f64::from(u8::from(k))).collect();
-                start::fill(&fine.views[i], &solvers[i], &values, &weight, 1.0, 1e-5)
+                start::fill(
+                    &fine.views[i],
+                    &solvers[i],
+                    &values,
+                    &weight,
+                    1.0,
+                    1e-5,
+                    |_| false,
+                )
             })
             .collect();
         filled
             .into_iter()
             .enumerate()
             .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+
+    /// The surface at the next coarser level.
+    pub(crate) fn reduced(&self, at: usize, depths: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        (0..fine.views.len())
+            .into_par_iter()
+            .map(|i| level::reduce(&fine.views[i], &coarse.views[i], &depths[i]))
+            .collect()
+    }
+
+    /// The surface at level `at` moved by what has changed at the next coarser level, from `before`
+    /// to `after`: what only the finer level resolves stays.
+    pub(crate) fn raised(
+        &self,
+        at: usize,
+        depths: &[Vec<f64>],
+        before: &[Vec<f64>],
+        after: &[Vec<f64>],
+    ) -> Vec<Vec<f64>> {
+        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        (0..depths.len())
+            .into_par_iter()
+            .map(|i| {
+                let change: Vec<[f32; 1]> = after[i]
+                    .iter()
+                    .zip(&before[i])
+                    .map(|(a, b)| [(a - b) as f32])
+                    .collect();
+                spread::spread(&coarse.views[i], &fine.views[i], &change)
+                    .iter()
+                    .zip(&depths[i])
+                    .map(|(change, depth)| depth + f64::from(change[0]))
+                    .collect()
+            })
             .collect()
     }
 

@@ -50,7 +50,6 @@ pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
         (0.57, 0.0, 30.0, 0.02, 0.9, 3.5),
         (0.6, 0.0, 30.0, 0.02, 0.9, 3.5),
         (0.5, 8.0, 60.0, 0.05, 0.62, 3.5),
-        (0.4, 6.0, 100.0, 0.1, 0.45, 1.8),
     ];
     let (share, correction_px, plate, plate_knee, consensus_px, visible_px) =
         table[lap.min(table.len() - 1)];

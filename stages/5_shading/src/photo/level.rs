@@ -224,6 +224,23 @@ pub(crate) fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f3
         .collect()
 }
 
+/// Log depth at the next coarser level: mean of the four children (all are masked).
+pub(crate) fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
+    (0..coarse.pixels.len())
+        .map(|p| {
+            let x = 2 * coarse.pixels.xs[p] as usize;
+            let y = 2 * coarse.pixels.ys[p] as usize;
+            [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .iter()
+                .map(|&(dx, dy)| {
+                    let number = fine.pixels.number[(y + dy) * fine.pixels.width + x + dx];
+                    0.25 * depth[number as usize]
+                })
+                .sum()
+        })
+        .collect()
+}
+
 /// Log depth of a finer level from a coarser one: bilinear where all four parents are masked.
 /// Returns the values and where they are known.
 pub(crate) fn upsample(

@@ -11,9 +11,10 @@
 //! Steps: dense search inside the visual hull (`hull`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
-//! and `shading`, first without shading, then in laps of light and shape (`light`, `distant`), with
-//! the pigment divided out (`albedo`) and shading judged by photos that are left out (`validation`);
-//! finer levels; and what shape, light and pigment explain of the photos (`appearance`, `confidence`).
+//! and `shading`, first without shading, then in laps of light and shape (`light`, `distant`) at half
+//! the coarse resolution and at the coarse one, with the pigment divided out (`albedo`) and shading
+//! judged by photos that are left out (`validation`); finer levels; and what shape, light and pigment
+//! explain of the photos (`appearance`, `confidence`).
 
 mod albedo;
 mod appearance;
@@ -22,6 +23,7 @@ mod confidence;
 mod consensus;
 mod course;
 mod distant;
+mod edges;
 mod gains;
 mod hull;
 mod lap;

@@ -22,6 +22,12 @@ pub struct PhotoOptions {
     pub round_tolerance: f64,
     /// Laps of light and shape; 0 leaves shading out.
     pub num_laps: usize,
+    /// Laps in place of the first one, at half the coarse level's resolution, where the searched depths
+    /// are noisy: small false minima of shading are overlooked there. Too many lose the photos' hold on
+    /// fine structure.
+    pub num_half_laps: usize,
+    /// Distance between the views' searched depths, in pixel footprints, from which they count as noisy.
+    pub noisy_search_px: f64,
     /// Masked pixels of a view up to which a finer level is solved; larger photos are interpolated
     /// from the finest such level. Too large costs time and memory (about 1 kB a pixel).
     pub max_fine_pixels: usize,
@@ -44,6 +50,8 @@ impl Default for PhotoOptions {
             max_num_rounds: 6,
             round_tolerance: 0.02,
             num_laps: 3,
+            num_half_laps: 3,
+            noisy_search_px: 0.65,
             max_fine_pixels: 450_000,
             num_fine_rounds: 3,
             visibility: true,
@@ -98,6 +106,12 @@ impl PhotoOptions {
             self.round_tolerance.is_finite() && self.round_tolerance >= 0.0,
             "photo.round_tolerance",
             self.round_tolerance.to_string(),
+            "zero or positive",
+        )?;
+        check(
+            self.noisy_search_px >= 0.0,
+            "photo.noisy_search_px",
+            self.noisy_search_px.to_string(),
             "zero or positive",
         )?;
         check(

@@ -36,7 +36,7 @@ pub(crate) fn slopes(view: &LevelView, pixel: usize) -> (Functional, Functional)
 /// Visits the second differences (times the focal length) that are complete inside the mask:
 /// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block.
 #[inline]
-pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, &Functional)) {
+pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)) {
     let focal = view.camera.focal();
     let mixed = std::f64::consts::SQRT_2 * focal;
     for i in 0..view.pixels.len() {
@@ -49,7 +49,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, &Func
                 f.push(a, focal);
                 f.push(i, -2.0 * focal);
                 f.push(b, focal);
-                visit(i, &f);
+                visit(&f);
             }
         }
         if let (Some(a), Some(b), Some(c)) = (
@@ -62,7 +62,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, &Func
             f.push(a, -mixed);
             f.push(b, -mixed);
             f.push(c, mixed);
-            visit(i, &f);
+            visit(&f);
         }
     }
 }
@@ -75,20 +75,32 @@ pub(crate) struct RobustPlate<'a> {
     pub knee: f64,
 }
 
-/// Adds `weight |bends|²`; around a current surface with the penalty linear beyond the knee.
+/// Adds `weight |bends|²`; cut bends keep a trace of it, so that no pixel is left without a hold.
 pub(crate) fn add_plate(
     view: &LevelView,
     system: &mut PlateSystem,
     weight: f64,
-    robust: Option<&RobustPlate>,
+    is_cut: impl Fn(&Functional) -> bool,
 ) {
-    for_each_bend(view, |_, f| match robust {
-        None => system.add_square(&view.pixels, f, weight, 0.0),
-        Some(robust) => {
-            let bend = f.of(robust.depth);
-            let w = weight / (bend.abs() / robust.knee).max(1.0);
-            system.add_square(&view.pixels, f, w, -bend);
-        }
+    // Far below what any depth weighs, far above the rounding of the factorisation.
+    const TRACE: f64 = 1e-6;
+    for_each_bend(view, |f| {
+        let weight = if is_cut(f) { TRACE * weight } else { weight };
+        system.add_square(&view.pixels, f, weight, 0.0);
+    });
+}
+
+/// Adds `weight |bends|²` for the increment of a surface, linear beyond the knee.
+pub(crate) fn add_robust_plate(
+    view: &LevelView,
+    system: &mut PlateSystem,
+    weight: f64,
+    robust: &RobustPlate,
+) {
+    for_each_bend(view, |f| {
+        let bend = f.of(robust.depth);
+        let w = weight / (bend.abs() / robust.knee).max(1.0);
+        system.add_square(&view.pixels, f, w, -bend);
     });
 }
 

@@ -58,6 +58,8 @@ pub struct PhotoReport {
     pub disagreement: f64,
     /// Standard deviation that follows for the match term.
     pub sigma_match: f64,
+    /// Median distance between the views' searched depths, pixel footprints.
+    pub search_scatter_px: f64,
     /// Whether shading took part, and why not.
     pub shading: String,
     /// What photos that were left out said of shading.

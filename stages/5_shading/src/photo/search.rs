@@ -25,6 +25,7 @@ const MAX_DISAGREEMENT: f64 = 0.2;
 /// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
+
 impl Course<'_> {
     fn dense_search(
         &self,
@@ -163,6 +164,7 @@ impl Course<'_> {
         let level = &self.scene.pyramid[at];
         let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
         let agreement = start::agreement(level, &depths, agreement_tolerance(level));
+        self.report.search_scatter_px = start::scatter(level, &depths);
         let filled: Vec<_> = level
             .views
             .par_iter()
@@ -177,14 +179,7 @@ impl Course<'_> {
                         _ => 1.0,
                     })
                     .collect();
-                start::fill(
-                    view,
-                    &solvers[i],
-                    &depths[i],
-                    &weight,
-                    1.0 / level.focal(),
-                    10.0,
-                )
+                start::continued(view, &solvers[i], &depths[i], &weight, 1.0 / level.focal())
             })
             .collect();
         for (i, agreement) in agreement.iter().enumerate() {

@@ -8,7 +8,11 @@ use super::output;
 use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::ShadingError;
-use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
+use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_scene::{LightKind, LightingCalibration, Observer, PosedViews, ShadedViews};
+
+/// Gauss-Newton rounds under one light.
+const ROUNDS_PER_LAP: usize = 5;
 
 /// Solves a loaded scene.
 pub(crate) fn solve(
@@ -47,71 +51,134 @@ pub(crate) fn solve(
         "photos",
         rounds,
     )?;
-    let ground = course.ground(at, &depths, posed);
-    let mut light = None;
-    let mut last = PHOTOS_ONLY;
-    for lap in 0..options.num_laps {
-        depths = course.fused(at, &depths)?;
-        course.show(at, "fused", &depths);
-        light = course.light(at, &depths, posed, lighting.kind, ground.as_ref())?;
-        let residual = light.as_ref().map_or(1.0, Light::residual);
-        last = lap_weights(lap, residual);
-        if lap + 1 == options.num_laps {
-            course.validate(at, &solvers, &depths, light.as_mut(), &last)?;
-        }
-        course.lap(
-            at,
-            &solvers,
-            &mut depths,
-            &last,
-            light.as_ref(),
-            "light and shape",
-            5,
-        )?;
-    }
-    if options.num_laps == 0 {
-        depths = course.fused(at, &depths)?;
-        course.lap(
-            at,
-            &solvers,
-            &mut depths,
-            &PHOTOS_ONLY,
-            None,
-            "photos, fused",
-            3,
-        )?;
-    }
-    let mut final_weights = last;
-    while at > 0 && course.scene.pyramid[at - 1].mean_pixels() <= options.max_fine_pixels {
-        at -= 1;
-        solvers = course.solvers(at)?;
-        depths = course.descend(at, &solvers, &depths)?;
-        course.show(at, "finer start", &depths);
-        light = light.map(|light| course.finer_light(at, &depths, &light));
-        let mut weights = LapWeights {
-            consensus_px: 0.9,
-            visible_px: 3.5,
-            plate_knee: 0.05,
-            ..last
-        };
-        if let Some(shading) = &mut weights.shading {
-            // Single pixels of the finer level are noisier.
-            shading.sigma *= 1.4;
-            shading.correction_px = 12.0;
-        }
-        let rounds = options.num_fine_rounds;
-        final_weights = weights;
-        course.lap(
-            at,
-            &solvers,
-            &mut depths,
-            &weights,
-            light.as_ref(),
-            "finer",
-            rounds,
-        )?;
-    }
-    let appearances = course.appearance(at, &depths, light.as_ref(), &final_weights);
+    let (light, last) =
+        course.light_laps(&mut at, &mut solvers, &mut depths, posed, lighting.kind)?;
+    let (light, weights) = course.finer_levels(&mut at, &mut depths, light, last)?;
+    let appearances = course.appearance(at, &depths, light.as_ref(), &weights);
     let shaded = output::maps(&course.scene, at, &depths, &appearances);
     Ok((shaded, course.report))
+}
+
+impl Course<'_> {
+    /// Laps of light and shape from the coarse level `at`, which `at` is again afterwards.
+    ///
+    /// Where the searched depths are noisy the first ones run at half the resolution: shading's false
+    /// minima are small dents then, and most are overlooked there. Returns the last light and weights.
+    fn light_laps(
+        &mut self,
+        at: &mut usize,
+        solvers: &mut Vec<PlateSolver>,
+        depths: &mut Vec<Vec<f64>>,
+        posed: &PosedViews,
+        kind: LightKind,
+    ) -> Result<(Option<Light>, LapWeights), ShadingError> {
+        let options = self.options;
+        *depths = self.fused(*at, depths)?;
+        self.show(*at, "fused", depths);
+        if options.num_laps == 0 {
+            self.lap(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused", 3)?;
+            return Ok((None, PHOTOS_ONLY));
+        }
+        let ground = self.ground(*at, depths, posed);
+        let is_noisy = self.report.search_scatter_px > options.noisy_search_px;
+        let num_half = if is_noisy && *at + 1 < self.scene.pyramid.len() {
+            options.num_half_laps
+        } else {
+            0
+        };
+        // After them the surface is no rough start any more.
+        let first_full = usize::from(num_half > 0 && options.num_laps > 1);
+        let num_laps = num_half + options.num_laps - first_full;
+        let mut kept = None;
+        if num_half > 0 {
+            let reduced = self.reduced(*at, depths);
+            kept = Some((std::mem::replace(depths, reduced.clone()), reduced));
+            *at += 1;
+            *solvers = self.solvers(*at)?;
+        }
+        let (mut light, mut weights, mut residual) = (None, PHOTOS_ONLY, 1.0_f64);
+        for lap in 0..num_laps {
+            if lap == num_half
+                && let Some((fine, before)) = kept.take()
+            {
+                *at -= 1;
+                *solvers = self.solvers(*at)?;
+                *depths = self.raised(*at, &fine, &before, depths);
+                self.show(*at, "raised", depths);
+            }
+            if lap > 0 {
+                *depths = self.fused(*at, depths)?;
+                self.show(*at, "fused", depths);
+            }
+            light = self.light(*at, depths, posed, kind, ground.as_ref())?;
+            let found = light.as_ref().map_or(1.0, Light::residual);
+            // What the finer surface adds to the residual at first is its own noise, not the light's.
+            residual = if lap > 0 && lap == num_half {
+                found.min(residual)
+            } else {
+                found
+            };
+            weights = if lap < num_half {
+                lap_weights(lap, residual)
+            } else {
+                lap_weights(lap - num_half + first_full, residual)
+            };
+            if lap + 1 == num_laps {
+                self.validate(*at, solvers, depths, light.as_mut(), &weights)?;
+            }
+            self.lap(
+                *at,
+                solvers,
+                depths,
+                &weights,
+                light.as_ref(),
+                "light and shape",
+                ROUNDS_PER_LAP,
+            )?;
+        }
+        Ok((light, weights))
+    }
+
+    /// From level `at` to the finest that is solved, each with the light and weights of the last lap.
+    /// Returns the finest level's.
+    fn finer_levels(
+        &mut self,
+        at: &mut usize,
+        depths: &mut Vec<Vec<f64>>,
+        mut light: Option<Light>,
+        last: LapWeights,
+    ) -> Result<(Option<Light>, LapWeights), ShadingError> {
+        let mut final_weights = last;
+        while *at > 0 && self.scene.pyramid[*at - 1].mean_pixels() <= self.options.max_fine_pixels {
+            *at -= 1;
+            let solvers = self.solvers(*at)?;
+            let finer = self.descend(*at, &solvers, depths)?;
+            *depths = finer;
+            self.show(*at, "finer start", depths);
+            light = light.map(|light| self.finer_light(*at, depths, &light));
+            let mut weights = LapWeights {
+                consensus_px: 0.9,
+                visible_px: 3.5,
+                plate_knee: 0.05,
+                ..last
+            };
+            if let Some(shading) = &mut weights.shading {
+                // Single pixels of the finer level are noisier.
+                shading.sigma *= 1.4;
+                shading.correction_px = 12.0;
+            }
+            final_weights = weights;
+            let rounds = self.options.num_fine_rounds;
+            self.lap(
+                *at,
+                &solvers,
+                depths,
+                &weights,
+                light.as_ref(),
+                "finer",
+                rounds,
+            )?;
+        }
+        Ok((light, final_weights))
+    }
 }

@@ -1,10 +1,17 @@
 //! Start surface: what the views' dense depths agree on, continued by a robust thin plate.
 
+use super::edges;
 use super::level::{Level, LevelView};
 use super::patchmatch::Planes;
 use super::plate;
 use rayon::prelude::*;
-use rilievo_numerics::plate_system::{OUTSIDE, PlateError, PlateSolver, PlateSystem};
+use rilievo_numerics::plate_system::{
+    Functional, OUTSIDE, PixelNumbering, PlateError, PlateSolver, PlateSystem,
+};
+use rilievo_numerics::robust::median;
+
+/// Difference beyond which two views' depths belong to different surfaces, pixel footprints.
+const MAX_SCATTER_PX: f64 = 10.0;
 
 /// Agreement of every masked pixel of every view with its sources.
 #[derive(Clone, Debug)]
@@ -33,13 +40,10 @@ pub(crate) fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> V
                     let Some(landing) = warp.land(x, y, depth) else {
                         continue;
                     };
-                    let other = &level.views[*j].pixels;
-                    let (u, v) = (landing.u.round(), landing.v.round());
-                    if u < 0.0 || v < 0.0 || u >= other.width as f64 || v >= other.height as f64 {
+                    let Some(q) = nearest(&level.views[*j].pixels, landing.u, landing.v) else {
                         continue;
-                    }
-                    let q = other.number[v as usize * other.width + u as usize];
-                    if q != OUTSIDE && (landing.zeta - depths[*j][q as usize]).abs() < tolerance {
+                    };
+                    if (landing.zeta - depths[*j][q]).abs() < tolerance {
                         out.count[p] += 1;
                         out.which[p] |= 1 << k;
                     }
@@ -48,6 +52,39 @@ pub(crate) fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> V
             out
         })
         .collect()
+}
+
+/// The masked pixel nearest to a position.
+fn nearest(pixels: &PixelNumbering, u: f64, v: f64) -> Option<usize> {
+    let (u, v) = (u.round(), v.round());
+    if u < 0.0 || v < 0.0 || u >= pixels.width as f64 || v >= pixels.height as f64 {
+        return None;
+    }
+    let number = pixels.number[v as usize * pixels.width + u as usize];
+    (number != OUTSIDE).then_some(number as usize)
+}
+
+/// How far the views' searched depths lie apart: the median difference of log depth times the focal
+/// length, in pixel footprints. Differences beyond [`MAX_SCATTER_PX`] are occluders.
+pub(crate) fn scatter(level: &Level, depths: &[Vec<f64>]) -> f64 {
+    let focal = level.focal();
+    let mut all: Vec<f64> = (0..level.views.len())
+        .into_par_iter()
+        .flat_map_iter(|i| {
+            let view = &level.views[i];
+            level.sources[i].iter().flat_map(move |(j, warp)| {
+                let other = &level.views[*j].pixels;
+                (0..view.pixels.len()).filter_map(move |p| {
+                    let (x, y) = view.xy(p);
+                    let landing = warp.land(x, y, depths[i][p])?;
+                    let q = nearest(other, landing.u, landing.v)?;
+                    let apart = (landing.zeta - depths[*j][q]).abs() * focal;
+                    (apart < MAX_SCATTER_PX).then_some(apart)
+                })
+            })
+        })
+        .collect();
+    median(&mut all).unwrap_or(0.0)
 }
 
 /// Log depths of planes.
@@ -59,8 +96,53 @@ pub(crate) fn log_depths(planes: &Planes) -> Vec<f64> {
         .collect()
 }
 
+/// The start surface of one view: a robust plate through the confirmed depths, which breaks where a
+/// nearer surface hides a farther one.
+///
+/// Where other views look past an edge they cannot confirm what lies beside it: such a gap belongs to
+/// the farther side. A plate alone would bridge it with a ramp along their lines of sight.
+/// `footprint` is a pixel's relative footprint, the standard deviation of a confirmed log depth.
+pub(crate) fn continued(
+    view: &LevelView,
+    solver: &PlateSolver,
+    depth: &[f64],
+    weight: &[f64],
+    footprint: f64,
+) -> Result<Vec<f64>, PlateError> {
+    const PLATE_WEIGHT: f64 = 10.0;
+    // A gap's farther rim is known, what lies behind the edge only about.
+    const GAP_WEIGHT: f64 = 0.01;
+    let gaps = edges::hidden_gaps(view, depth, weight, footprint);
+    let (mut depth, mut weight) = (depth.to_vec(), weight.to_vec());
+    for (p, gap) in gaps.iter().enumerate() {
+        if let Some(far) = gap {
+            (depth[p], weight[p]) = (*far, GAP_WEIGHT);
+        }
+    }
+    let plate = |is_cut: &dyn Fn(&Functional) -> bool| {
+        fill(
+            view,
+            solver,
+            &depth,
+            &weight,
+            footprint,
+            PLATE_WEIGHT,
+            is_cut,
+        )
+    };
+    // A plate without breaks tells on which side unconfirmed pixels outside gaps lie.
+    let mut surface = plate(&|_| false)?;
+    for p in 0..surface.len() {
+        if weight[p] > 0.0 {
+            surface[p] = depth[p];
+        }
+    }
+    plate(&|f| edges::is_cut(f, &gaps, &surface, footprint))
+}
+
 /// Robust thin plate through weighted log depths: `Σ w ρ(ζ − ζ₀) + α |D² ζ|²`, slopes in units of
-/// the focal length; points farther than `knee` (log depth) from the plate lose their weight.
+/// the focal length; points farther than `sigma` (log depth) from the plate lose their weight.
+/// Cut bends hardly count.
 pub(crate) fn fill(
     view: &LevelView,
     solver: &PlateSolver,
@@ -68,6 +150,7 @@ pub(crate) fn fill(
     weight: &[f64],
     sigma: f64,
     plate_weight: f64,
+    is_cut: impl Fn(&Functional) -> bool,
 ) -> Result<Vec<f64>, PlateError> {
     // Re-weightings: the plate settles within a few.
     const NUM_ITERATIONS: usize = 4;
@@ -79,7 +162,7 @@ pub(crate) fn fill(
             .filter(|&(_, &w)| w > 0.0)
             .map(|(&d, _)| d)
             .collect();
-        rilievo_numerics::robust::median(&mut known).unwrap_or(0.0)
+        median(&mut known).unwrap_or(0.0)
     };
     let mut system = PlateSystem::new(n);
     let mut current = weight
@@ -89,7 +172,7 @@ pub(crate) fn fill(
     let mut plate = Vec::new();
     for _ in 0..NUM_ITERATIONS {
         system.clear();
-        plate::add_plate(view, &mut system, plate_weight, None);
+        plate::add_plate(view, &mut system, plate_weight, &is_cut);
         for i in 0..n {
             system.add_point(i, current[i] + 1e-9, depth[i] - base);
         }
@@ -104,4 +187,55 @@ pub(crate) fn fill(
         *value += base;
     }
     Ok(plate)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::photo::camera::Camera;
+    use nalgebra::{Matrix3, Point3, Vector3};
+    use rilievo_scene::{LinearImage, Raster};
+
+    /// A near block before a far plane, four pixels of the plane beside it unconfirmed.
+    #[test]
+    fn a_hidden_gap_continues_the_farther_side() {
+        const FOCAL: f64 = 100.0;
+        let camera = Camera {
+            width: 60,
+            height: 24,
+            fx: FOCAL,
+            fy: FOCAL,
+            cx: 29.5,
+            cy: 11.5,
+            rotation: Matrix3::identity(),
+            translation: Vector3::zeros(),
+            center: Point3::origin(),
+        };
+        let image = LinearImage::filled(60, 24, 3, 0.5);
+        let (view, _) = LevelView::from_photo(&camera, &image, &Raster::filled(60, 24, true), 1.0);
+        let truth: Vec<f64> = (0..view.pixels.len())
+            .map(|p| if view.pixels.xs[p] < 30 { 0.0 } else { 0.25 })
+            .collect();
+        let gap = |p: usize| (30..36).contains(&view.pixels.xs[p]);
+        let weight: Vec<f64> = (0..truth.len())
+            .map(|p| f64::from(u8::from(!gap(p))))
+            .collect();
+        let solver = PlateSolver::new(&view.pixels);
+        let Ok(solver) = solver else {
+            panic!("{solver:?}")
+        };
+        let plain = fill(&view, &solver, &truth, &weight, 0.01, 10.0, |_| false);
+        let broken = continued(&view, &solver, &truth, &weight, 1.0 / FOCAL);
+        let (Ok(plain), Ok(broken)) = (plain, broken) else {
+            panic!("the plate has no solution")
+        };
+        let worst = |depth: &[f64]| {
+            (0..truth.len())
+                .filter(|&p| gap(p))
+                .map(|p| (depth[p] - truth[p]).abs())
+                .fold(0.0, f64::max)
+        };
+        assert!(worst(&plain) > 0.05, "a plate bridges: {}", worst(&plain));
+        assert!(worst(&broken) < 0.02, "the gap breaks: {}", worst(&broken));
+    }
 }

@@ -71,14 +71,14 @@ pub(crate) fn improve(
         system.coefficients[i][0] += matches.hessian[i] + 1e-6;
         system.rhs[i] += matches.rhs[i];
     }
-    plate::add_plate(
+    plate::add_robust_plate(
         view,
         &mut system,
         options.plate_weight,
-        Some(&RobustPlate {
+        &RobustPlate {
             depth,
             knee: options.plate_knee,
-        }),
+        },
     );
     if let Some(shading) = shading {
         shading.add(view, depth, &mut system);

@@ -120,8 +120,12 @@ pub(crate) fn load(
     let mut pyramid = vec![Level::new(views, &sources)];
     loop {
         let last = &pyramid[pyramid.len() - 1];
-        // One level more than the coarse one serves the first search.
-        if last.mean_pixels() <= options.coarse_pixels / 3 {
+        // One level more than the coarse one serves the first search and the first laps with shading.
+        let below_coarse = pyramid
+            .iter()
+            .filter(|level| level.mean_pixels() <= options.coarse_pixels)
+            .count();
+        if below_coarse >= 2 {
             break;
         }
         let halved: Vec<LevelView> = last.views.par_iter().map(LevelView::halved).collect();
