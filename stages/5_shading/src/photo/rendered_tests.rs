@@ -12,7 +12,7 @@ use nalgebra::{Point2, Point3};
 use rilievo_numerics::plate_system::PlateSolver;
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Silent,
+    PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
 };
 use rilievo_synthetic::{LightModel, RenderOptions, RenderedView, Renderer, SceneOptions, Subject};
 use std::sync::Arc;
@@ -303,6 +303,95 @@ fn stains_become_albedo_and_no_relief() {
     assert!(correlation > 0.8, "albedo correlates {correlation}");
     assert!(difference < 0.03, "rendered differs by {difference}");
     assert!(worst > 1.5 * best, "least confident {worst}, most {best}");
+}
+
+/// Mean angle of the normals, degrees, and median relative depth error against the truth.
+fn accuracy(world: &World, shaded: &ShadedViews) -> (f64, f64) {
+    let (mut angles, mut ratios) = (Vec::new(), Vec::new());
+    for (truth, view) in world.views.iter().zip(&shaded.views) {
+        for y in 0..truth.depth.height {
+            for x in 0..truth.depth.width {
+                let z = f64::from(*truth.depth.at(x, y));
+                let (Some(a), Some(b)) = (truth.normal.normal(x, y), view.normal.normal(x, y))
+                else {
+                    continue;
+                };
+                angles.push(a.dot(&b).clamp(-1.0, 1.0).acos().to_degrees());
+                ratios.push((f64::from(*view.depth.at(x, y)) / z - 1.0).abs());
+            }
+        }
+    }
+    let mean = angles.iter().sum::<f64>() / angles.len() as f64;
+    (mean, rilievo_numerics::robust::median(&mut ratios).unwrap())
+}
+
+fn solved(world: &World) -> ShadedViews {
+    let lighting = LightingCalibration {
+        source: LightSource::OwnShape,
+        kind: LightKind::World,
+        environment_in_world: None,
+        views: Vec::new(),
+    };
+    let options = PhotoOptions::default();
+    super::run(&world.photos, &world.posed, &lighting, &options, &Silent)
+        .unwrap()
+        .0
+}
+
+#[test]
+fn own_scenes_are_found_and_a_missing_view_changes_little() {
+    let size = (240, 180);
+    let bounce = world(Subject::Stone, LightModel::Bounce, false, size);
+    let all = solved(&bounce);
+    let scenes = [
+        ("stone", LightModel::Shadowed, Subject::Stone, 9.0, 0.001),
+        (
+            "ellipsoid",
+            LightModel::Bounce,
+            Subject::Ellipsoid,
+            6.0,
+            0.001,
+        ),
+        ("bust", LightModel::Harmonics, Subject::Bust, 14.0, 0.0015),
+    ];
+    let (angle, depth) = accuracy(&bounce, &all);
+    println!("stone with bounce: {angle:.2} deg, depth {depth:.5}");
+    assert!(angle < 9.0 && depth < 0.001, "{angle} deg, {depth}");
+    for (name, light, subject, max_angle, max_depth) in scenes {
+        let scene = world(subject, light, false, size);
+        let (angle, depth) = accuracy(&scene, &solved(&scene));
+        println!("{name}: {angle:.2} deg, depth {depth:.5}");
+        assert!(
+            angle < max_angle && depth < max_depth,
+            "{name}: {angle} deg, {depth}"
+        );
+    }
+    // The third view, drawn by lot.
+    let mut fewer = World {
+        views: bounce.views.clone(),
+        photos: bounce.photos.clone(),
+        posed: bounce.posed.clone(),
+    };
+    fewer.views.remove(2);
+    fewer.posed.views.remove(2);
+    let without = solved(&fewer);
+    let mut changes = Vec::new();
+    for (i, view) in without.views.iter().enumerate() {
+        let before = &all.views[if i < 2 { i } else { i + 1 }].depth;
+        for (a, b) in view.depth.data.iter().zip(&before.data) {
+            if *a > 0.0 && *b > 0.0 {
+                changes.push(f64::from((a / b - 1.0).abs()));
+            }
+        }
+    }
+    let change = rilievo_numerics::robust::median(&mut changes).unwrap();
+    let (fewer_angle, _) = accuracy(&fewer, &without);
+    println!("without the third view: depth changes by {change:.5}, {fewer_angle:.2} deg");
+    assert!(change < 0.0005, "depth changes by {change}");
+    assert!(
+        fewer_angle < 1.15 * angle,
+        "{fewer_angle} deg with three views, {angle} with four"
+    );
 }
 
 fn correlation(pairs: &[(f64, f64)]) -> f64 {
