@@ -55,7 +55,7 @@ impl Default for PhotoOptions {
             max_fine_pixels: 450_000,
             num_fine_rounds: 3,
             visibility: true,
-            num_rays: 128,
+            num_rays: 256,
             seed: 0,
         }
     }
