@@ -5,20 +5,9 @@
 //! apart, is such a gap when `f (ζ₂ − ζ₁) / d` is steeper than any surface that those views would
 //! have confirmed; then it continues the farther side.
 
-use super::level::LevelView;
+use super::level::{LevelView, NEIGHBOURS};
 use rilievo_numerics::plate_system::Functional;
 
-/// Steps `(dx, dy)` in which a gap's rims are looked for.
-const DIRECTIONS: [(i32, i32); 8] = [
-    (1, 0),
-    (-1, 0),
-    (0, 1),
-    (0, -1),
-    (1, 1),
-    (-1, -1),
-    (1, -1),
-    (-1, 1),
-];
 /// Widest gap, pixels.
 const MAX_REACH: usize = 60;
 /// Confirmed pixels that make a rim: fewer are stray.
@@ -44,7 +33,7 @@ pub(crate) fn hidden_gaps(
     let kept: Vec<bool> = (0..depth.len())
         .map(|p| {
             confirmed(p)
-                && DIRECTIONS
+                && NEIGHBOURS
                     .iter()
                     .filter_map(|&(dx, dy)| view.pixels.neighbour(p, dx, dy))
                     .filter(|&q| confirmed(q) && (depth[q] - depth[p]).abs() < MAX_STEP * footprint)
@@ -57,7 +46,7 @@ pub(crate) fn hidden_gaps(
             if kept[p] {
                 return None;
             }
-            let rims = DIRECTIONS
+            let rims = NEIGHBOURS
                 .iter()
                 .filter_map(|&step| rim(view, depth, &kept, p, step));
             let (mut near, mut far) = (None::<(f64, usize)>, None::<(f64, usize)>);

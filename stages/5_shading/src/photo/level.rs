@@ -5,6 +5,18 @@ use super::sampling;
 use rilievo_numerics::plate_system::PixelNumbering;
 use rilievo_scene::{LinearImage, Mask, Raster};
 
+/// Steps `(dx, dy)` to a pixel's eight neighbours.
+pub(crate) const NEIGHBOURS: [(i32, i32); 8] = [
+    (1, 0),
+    (-1, 0),
+    (0, 1),
+    (0, -1),
+    (1, 1),
+    (-1, -1),
+    (1, -1),
+    (-1, 1),
+];
+
 /// Pixels kept around the mask's bounding box, so that interpolation never meets the crop.
 const MARGIN_PX: usize = 8;
 

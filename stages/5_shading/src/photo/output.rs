@@ -1,7 +1,7 @@
 //! Maps on the photos' own pixels.
 
 use super::appearance::Appearance;
-use super::level::{self, LevelView};
+use super::level::{self, LevelView, NEIGHBOURS};
 use super::views::Scene;
 use super::{plate, spread};
 use rayon::prelude::*;
@@ -177,16 +177,7 @@ fn extend(view: &LevelView, values: &mut [f64], normals: &mut [[f64; 3]], known:
             .iter()
             .filter_map(|&p| {
                 let (mut depth, mut normal, mut count) = (0.0, [0.0; 3], 0.0);
-                for (dx, dy) in [
-                    (1, 0),
-                    (-1, 0),
-                    (0, 1),
-                    (0, -1),
-                    (1, 1),
-                    (-1, -1),
-                    (1, -1),
-                    (-1, 1),
-                ] {
+                for (dx, dy) in NEIGHBOURS {
                     if let Some(q) = view.pixels.neighbour(p, dx, dy)
                         && known[q]
                     {
