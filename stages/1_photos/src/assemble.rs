@@ -2,6 +2,7 @@
 
 use crate::error::PhotosError;
 use crate::exposure::{self, Exposed};
+use crate::measures::ratio;
 use crate::options::PhotosOptions;
 use crate::prepare::PreparedPhoto;
 use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
@@ -221,13 +222,6 @@ fn describe(facts: &PhotoFacts) -> String {
         facts.focal_note
     ));
     parts.join(", ")
-}
-
-/// Largest over smallest of positive values.
-fn ratio(values: &[f64]) -> Option<f64> {
-    let smallest = values.iter().copied().fold(f64::INFINITY, f64::min);
-    let largest = values.iter().copied().fold(0.0, f64::max);
-    (smallest > 0.0 && smallest.is_finite()).then(|| largest / smallest)
 }
 
 fn white_balance_spread(facts: &[PhotoFacts]) -> Option<f64> {

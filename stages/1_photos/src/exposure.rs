@@ -5,6 +5,7 @@
 //! where every photo tells its exposure and they differ; without EXIF the gains are left to the stages
 //! that compare the photos' contents.
 
+use crate::measures::{median, ratio};
 use crate::options::PhotosOptions;
 use crate::report::PhotoFacts;
 use rilievo_scene::{LinearImage, PixelError, PixelSource};
@@ -19,13 +20,10 @@ pub(crate) fn gains(facts: &[PhotoFacts], options: &PhotosOptions) -> Option<Vec
         .iter()
         .map(|f| f.exif.relative_exposure())
         .collect::<Option<_>>()?;
-    let mut sorted = exposures.clone();
-    sorted.sort_by(f64::total_cmp);
-    let (lowest, highest) = (sorted.first()?, sorted.last()?);
-    if (highest / lowest).log2() <= options.exposure_warning_ev {
+    if ratio(&exposures)?.log2() <= options.exposure_warning_ev {
         return None;
     }
-    let middle = sorted[sorted.len() / 2];
+    let middle = median(&mut exposures.clone());
     Some(exposures.iter().map(|h| middle / h).collect())
 }
 

@@ -46,6 +46,13 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
+/// Largest over smallest of positive values.
+pub(crate) fn ratio(values: &[f64]) -> Option<f64> {
+    let smallest = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let largest = values.iter().copied().fold(0.0, f64::max);
+    (smallest > 0.0 && smallest.is_finite()).then(|| largest / smallest)
+}
+
 pub(crate) fn measure(image: &LinearImage, mask: Option<&Mask>, clip_level: f32) -> Measures {
     let pixels = image.data.chunks_exact(image.channels);
     let is_clipped = |pixel: &[f32]| pixel.iter().any(|&value| value >= clip_level);
