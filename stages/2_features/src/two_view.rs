@@ -183,10 +183,10 @@ impl SampsonProblem<'_> {
 impl LeastSquaresProblem<5> for SampsonProblem<'_> {
     type State = EssentialState;
 
-    fn linearize(&self, state: &EssentialState) -> (f64, SMatrix<f64, 5, 5>, SVector<f64, 5>) {
+    fn linearize(&self, state: &EssentialState) -> (SMatrix<f64, 5, 5>, SVector<f64, 5>) {
         let e = state.matrix();
         let tangents = Self::tangents(state);
-        let (mut cost, mut hessian, mut gradient) = (0.0, SMatrix::zeros(), SVector::zeros());
+        let (mut hessian, mut gradient) = (SMatrix::zeros(), SVector::zeros());
         for &k in self.inliers {
             let (h1, h2) = (self.x1[k].to_homogeneous(), self.x2[k].to_homogeneous());
             let (a, b) = (e * h1, e.tr_mul(&h2));
@@ -201,11 +201,10 @@ impl LeastSquaresProblem<5> for SampsonProblem<'_> {
                 *entry = h2.dot(&da) / root - 0.5 * c * dg / (g * root);
             }
             let weight = self.loss.weight(r);
-            cost += self.loss.cost(r);
             hessian += j * j.transpose() * weight;
             gradient += j * (weight * r);
         }
-        (cost, hessian, gradient)
+        (hessian, gradient)
     }
 
     fn cost(&self, state: &EssentialState) -> f64 {

@@ -111,20 +111,18 @@ struct PoseProblem<'a> {
 impl LeastSquaresProblem<6> for PoseProblem<'_> {
     type State = CenteredPose;
 
-    fn linearize(&self, pose: &CenteredPose) -> (f64, SMatrix<f64, 6, 6>, SVector<f64, 6>) {
-        let (mut cost, mut hessian, mut gradient) = (0.0, SMatrix::zeros(), SVector::zeros());
+    fn linearize(&self, pose: &CenteredPose) -> (SMatrix<f64, 6, 6>, SVector<f64, 6>) {
+        let (mut hessian, mut gradient) = (SMatrix::zeros(), SVector::zeros());
         for &k in self.inliers {
             let Some((pixel, j)) = project_with_jacobian(self.camera, pose, &self.points[k]) else {
-                return (f64::INFINITY, hessian, gradient);
+                continue;
             };
             let residual = pixel - self.pixels[k];
-            let norm = residual.norm();
-            let weight = self.loss.weight(norm);
-            cost += self.loss.cost(norm);
+            let weight = self.loss.weight(residual.norm());
             hessian += j.by_pose.transpose() * j.by_pose * weight;
             gradient += j.by_pose.transpose() * residual * weight;
         }
-        (cost, hessian, gradient)
+        (hessian, gradient)
     }
 
     fn cost(&self, pose: &CenteredPose) -> f64 {

@@ -81,21 +81,19 @@ struct PointProblem<'a> {
 impl LeastSquaresProblem<3> for PointProblem<'_> {
     type State = Point3<f64>;
 
-    fn linearize(&self, point: &Point3<f64>) -> (f64, SMatrix<f64, 3, 3>, SVector<f64, 3>) {
-        let (mut cost, mut hessian, mut gradient) = (0.0, SMatrix::zeros(), SVector::zeros());
+    fn linearize(&self, point: &Point3<f64>) -> (SMatrix<f64, 3, 3>, SVector<f64, 3>) {
+        let (mut hessian, mut gradient) = (SMatrix::zeros(), SVector::zeros());
         for sighting in self.sightings {
             let Some((pixel, j)) = project_with_jacobian(sighting.camera, sighting.pose, point)
             else {
-                return (f64::INFINITY, hessian, gradient);
+                continue;
             };
             let residual = pixel - sighting.pixel;
-            let norm = residual.norm();
-            let weight = self.loss.weight(norm);
-            cost += self.loss.cost(norm);
+            let weight = self.loss.weight(residual.norm());
             hessian += j.by_point.transpose() * j.by_point * weight;
             gradient += j.by_point.transpose() * residual * weight;
         }
-        (cost, hessian, gradient)
+        (hessian, gradient)
     }
 
     fn cost(&self, point: &Point3<f64>) -> f64 {

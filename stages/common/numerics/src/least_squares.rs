@@ -17,10 +17,10 @@ pub trait LeastSquaresProblem<const N: usize> {
     /// Where the cost is evaluated.
     type State: Clone;
 
-    /// Cost, Gauss-Newton matrix and gradient at a state; infinite cost where it is undefined.
-    fn linearize(&self, state: &Self::State) -> (f64, SMatrix<f64, N, N>, SVector<f64, N>);
+    /// Gauss-Newton matrix and gradient at a state of finite cost.
+    fn linearize(&self, state: &Self::State) -> (SMatrix<f64, N, N>, SVector<f64, N>);
 
-    /// Cost alone; infinite where it is undefined.
+    /// Cost; infinite where it is undefined.
     fn cost(&self, state: &Self::State) -> f64;
 
     /// The state moved by a tangent step.
@@ -254,8 +254,7 @@ impl<const N: usize, P: LeastSquaresProblem<N>> DampedProblem for DenseOf<'_, N,
     }
 
     fn linearize(&self, state: &Self::State) -> Self::System {
-        let (_, hessian, gradient) = self.0.linearize(state);
-        (hessian, gradient)
+        self.0.linearize(state)
     }
 
     fn solve(
@@ -298,17 +297,20 @@ mod tests {
 
     struct Rosenbrock;
 
+    fn residuals(x: &SVector<f64, 2>) -> SVector<f64, 2> {
+        SVector::<f64, 2>::new(10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0])
+    }
+
     impl LeastSquaresProblem<2> for Rosenbrock {
         type State = SVector<f64, 2>;
 
-        fn linearize(&self, x: &Self::State) -> (f64, SMatrix<f64, 2, 2>, SVector<f64, 2>) {
-            let r = SVector::<f64, 2>::new(10.0 * (x[1] - x[0] * x[0]), 1.0 - x[0]);
+        fn linearize(&self, x: &Self::State) -> (SMatrix<f64, 2, 2>, SVector<f64, 2>) {
             let j = SMatrix::<f64, 2, 2>::new(-20.0 * x[0], 10.0, -1.0, 0.0);
-            (0.5 * r.norm_squared(), j.transpose() * j, j.transpose() * r)
+            (j.transpose() * j, j.transpose() * residuals(x))
         }
 
         fn cost(&self, x: &Self::State) -> f64 {
-            self.linearize(x).0
+            0.5 * residuals(x).norm_squared()
         }
 
         fn retract(&self, x: &Self::State, step: &SVector<f64, 2>) -> Self::State {
