@@ -29,31 +29,26 @@ const MAX_NUM_HALVINGS: u32 = 6;
 /// before the border of the map.
 const MARGIN: usize = 2;
 
-/// Bytes that the views and their points need.
-fn needed(views: &[View]) -> usize {
-    views
-        .iter()
-        .map(|view| {
-            let pixels = view.depth.data.len();
-            let depths = view.depth.data.iter().filter(|&&z| z > 0.0).count();
-            let rays = if view.camera.distortion.is_none() {
-                0
-            } else {
-                RAY_BYTES
-            };
-            pixels * (PIXEL_BYTES + rays) + depths * DEPTH_BYTES
-        })
-        .sum()
+/// Bytes that a view and its points need.
+pub(crate) fn needed(view: &View) -> usize {
+    let pixels = view.depth.data.len();
+    let depths = view.depth.data.iter().filter(|&&z| z > 0.0).count();
+    let rays = if view.camera.distortion.is_none() {
+        0
+    } else {
+        RAY_BYTES
+    };
+    pixels * (PIXEL_BYTES + rays) + depths * DEPTH_BYTES
 }
 
 fn allowed(options: &FusionOptions) -> usize {
     options.memory_mib.saturating_mul(1 << 20)
 }
 
-/// Whether the views are too many or too large for the memory.
-pub(crate) fn is_exceeded(views: &[View], options: &FusionOptions) -> bool {
+/// Whether the views, which need so many bytes together, are too many or too large for the memory.
+pub(crate) fn is_exceeded(views: &[View], needed: usize, options: &FusionOptions) -> bool {
     let share = 1.0 - MESH_SHARE;
-    needed(views) as f64 > share * allowed(options) as f64
+    needed as f64 > share * allowed(options) as f64
         && views.iter().all(|v| v.num_halvings < MAX_NUM_HALVINGS)
 }
 
@@ -61,7 +56,7 @@ pub(crate) fn is_exceeded(views: &[View], options: &FusionOptions) -> bool {
 pub(crate) fn max_num_blocks(views: &[View], options: &FusionOptions) -> usize {
     let allowed = allowed(options);
     let rest = allowed
-        .saturating_sub(needed(views))
+        .saturating_sub(views.iter().map(needed).sum())
         .max((MESH_SHARE * allowed as f64) as usize);
     (rest / BLOCK_BYTES).max(1)
 }

@@ -222,6 +222,7 @@ pub(crate) fn prepare(
 ) -> Result<(Vec<View>, Vec<ViewFusion>), FusionError> {
     let mut views: Vec<View> = Vec::new();
     let mut reports = Vec::new();
+    let mut needed = 0;
     for maps_idx in 0..maps.num_views() {
         let loaded = maps.load(maps_idx, Images::Without)?;
         let (mut view, report) = clean(posed, maps_idx, loaded, options)?;
@@ -229,10 +230,12 @@ pub(crate) fn prepare(
         for _ in 0..num_halvings {
             memory::halve(&mut view);
         }
+        needed += memory::needed(&view);
         views.push(view);
         reports.push(report);
-        while memory::is_exceeded(&views, options) {
+        while memory::is_exceeded(&views, needed, options) {
             views.iter_mut().for_each(memory::halve);
+            needed = views.iter().map(memory::needed).sum();
         }
     }
     if reports.iter().all(|r| r.num_depths == 0) {
