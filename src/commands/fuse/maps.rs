@@ -13,6 +13,7 @@ use rilievo_io::{
     CameraFile, CameraFormat, import_cameras, read_channel, read_colmap_depth, read_colmap_normal,
     read_depth, read_dmap, read_normal,
 };
+use rilievo_numerics::robust::median;
 use rilievo_scene::{
     ConfidenceMap, DepthMap, Images, Intrinsics, MapSource, NormalMap, PixelError, RigidTransform,
     ShadedView, Unit, ViewIdx,
@@ -373,16 +374,10 @@ impl View {
             intrinsics,
             cam_from_world,
             normals_are_slopes: maps.normals_are_slopes,
-            median_depth: middle(&mut depths),
+            median_depth: median(&mut depths),
             files,
         })
     }
-}
-
-/// The value in the middle, if there is any.
-pub fn middle(values: &mut [f64]) -> Option<f64> {
-    let at = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 /// Refuses normals in another frame than the camera's.
@@ -402,14 +397,14 @@ fn check_frame(path: &Path, maps: &Maps, camera: &Intrinsics) -> Result<(), Fail
         }
     }
     let share = averted as f64 / angles.len() as f64;
-    let Some(median) = middle(&mut angles) else {
+    let Some(contradiction) = median(&mut angles) else {
         return Ok(());
     };
-    if share > MAX_AVERTED || median > MAX_CONTRADICTION_DEG {
+    if share > MAX_AVERTED || contradiction > MAX_CONTRADICTION_DEG {
         return Err(Failure::input(
             path,
             format!(
-                "the normals contradict the depths ({median:.0} degrees at the median, {:.0} % look \
+                "the normals contradict the depths ({contradiction:.0} degrees at the median, {:.0} % look \
                  away from the camera); they must be in the camera's frame, x right, y down, z \
                  forward, towards the camera",
                 100.0 * share

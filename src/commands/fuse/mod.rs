@@ -12,6 +12,7 @@ use crate::pipeline::{Resources, from_fusion, write_surface};
 use crate::store::{StoreError, write_atomically};
 use maps::Views;
 use rilievo_fusion::FusionError;
+use rilievo_numerics::robust::median;
 use rilievo_scene::{
     MapSource, PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, StageId, Unit,
 };
@@ -162,7 +163,7 @@ fn unit_hint(views: &Views) -> Option<String> {
         .flat_map(|a| centers.iter().map(move |b| (a - b).norm()))
         .fold(0.0, f64::max);
     let mut depths: Vec<f64> = views.views.iter().filter_map(|v| v.median_depth).collect();
-    let ratio = maps::middle(&mut depths).filter(|_| baseline > 0.0)? / baseline;
+    let ratio = median(&mut depths).filter(|_| baseline > 0.0)? / baseline;
     (!(1.0 / MAX_DEPTH_RATIO..=MAX_DEPTH_RATIO).contains(&ratio)).then(|| {
         format!(
             "the depths are {ratio:.3} times the largest distance between two cameras: are both in \
