@@ -40,7 +40,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Features => 1,
         StageId::Poses => 3,
         StageId::Lighting => 2,
-        StageId::Shading => 4,
+        StageId::Shading => 5,
         StageId::Fusion => 3,
     }
 }

@@ -41,7 +41,8 @@ pub(crate) const PHOTOS_ONLY: LapWeights = LapWeights {
 ///
 /// `σ_s = share · r (1 + (r/r₀)²)` of the light's median residual `r`: where the light explains the
 /// photos as well as it can (2 to 3 %), shading weighs fully; at a residual of 20 % (pigment, dirt,
-/// gloss) it has lost its say, because what it would explain by relief is not relief.
+/// gloss) it has lost its say, because what it would explain by relief is not relief. Chroma is held
+/// to its own noise by the same factor `σ_s / r`.
 pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
     // Residual at which the model's error outweighs relief.
     const RESIDUAL_KNEE: f64 = 0.08;
@@ -53,13 +54,15 @@ pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
     ];
     let (share, correction_px, plate, plate_knee, consensus_px, visible_px) =
         table[lap.min(table.len() - 1)];
+    let share = share * (1.0 + (residual / RESIDUAL_KNEE).powi(2));
     LapWeights {
         consensus_px,
         visible_px,
         plate,
         plate_knee,
         shading: Some(ShadingWeights {
-            sigma: share * residual * (1.0 + (residual / RESIDUAL_KNEE).powi(2)),
+            sigma: share * residual,
+            chroma_share: share,
             knee: 2.0,
             correction_px,
             max_correction: 0.15,

@@ -19,6 +19,7 @@
 mod albedo;
 mod appearance;
 mod camera;
+mod chroma;
 mod confidence;
 mod consensus;
 mod course;

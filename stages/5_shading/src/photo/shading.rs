@@ -1,11 +1,13 @@
 //! The shading term: intensities explained by the light at the surface's normal.
 //!
-//! Per pixel and channel `r = (l·h(n(∇ζ)) − Ĩ (1 + e)) / (σ_s ‖Ĩ‖)`, with nine coefficients `l` of that
-//! pixel (eq. 1 with the lighting varying over the image), Huber's weight on the channels' RMS.
+//! Per pixel and channel `u = l·h(n(∇ζ)) / (Ĩ (1 + e)) − 1`, with nine coefficients `l` of that pixel
+//! (eq. 1 with the lighting varying over the image); brightness and chroma of `u`, each in units of its
+//! own noise (`chroma`), with Huber's weight of each.
 //! `Ĩ` averages the intensities of all views that see the point: noise and gloss shrink.
 //! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a bell: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
 
+use super::chroma::{self, Whitening};
 use super::level::{Level, LevelView};
 use super::plate;
 use super::sampling;
@@ -82,8 +84,10 @@ pub(crate) struct PixelLight<'a> {
 /// How shading is weighed.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ShadingWeights {
-    /// Standard deviation of the model, relative to the intensity.
+    /// Standard deviation of the model's brightness, relative to the intensity.
     pub sigma: f64,
+    /// Standard deviation of its chroma over the noise that chroma shows.
+    pub chroma_share: f64,
     /// Residual (in σ) beyond which the penalty grows only linearly.
     pub knee: f64,
     /// Standard deviation of the correction's bell, pixels; 0 turns the correction off.
@@ -92,14 +96,20 @@ pub(crate) struct ShadingWeights {
     pub max_correction: f64,
 }
 
+/// Bell over chroma where there is no correction, pixels.
+const CHROMA_BELL_PX: f64 = 8.0;
+
 /// The term of one view, ready to be linearised at any depth near the one it was built at.
 #[derive(Clone, Debug)]
 pub(crate) struct ShadingTerm<'a> {
     pub light: &'a [PixelHarmonics],
     /// `Ĩ (1 + e)`.
     pub target: Vec<[f32; 3]>,
-    /// `1 / (σ_s ‖Ĩ‖)`, 0 where the pixel takes no part.
+    /// Square root of the pixel's weight, 0 where it takes no part.
     pub scale: Vec<f32>,
+    pub whitening: Whitening,
+    /// Intensity under which a pixel is as dark as the photo's noise.
+    pub floor: f32,
     pub knee: f64,
 }
 
@@ -126,25 +136,37 @@ impl<'a> ShadingTerm<'a> {
         let mean =
             target.iter().flatten().map(|&v| f64::from(v)).sum::<f64>() / (3 * n).max(1) as f64;
         let floor = (0.02 * mean) as f32;
-        let grey: Vec<f32> = target
-            .iter()
-            .map(|t| ((t[0] + t[1] + t[2]) / 3.0).max(floor))
-            .collect();
         let usable: Vec<f32> = (0..n)
             .map(|i| f32::from(u8::from(view.is_usable(i))))
             .collect();
+        let normals = plate::normals(view, depth);
+        let relative: Vec<[f32; 3]> = (0..n)
+            .map(|i| {
+                let s = render(&light.harmonics[i], normals[i]);
+                [0, 1, 2].map(|c| s[c] as f32 / target[i][c].max(0.3 * floor) - 1.0)
+            })
+            .collect();
+        let limit = weights.max_correction as f32;
+        let clipped: Vec<[f32; 3]> = relative
+            .iter()
+            .map(|u| u.map(|v| v.clamp(-limit, limit)))
+            .collect();
+        let bell_px = if weights.correction_px > 0.0 {
+            weights.correction_px
+        } else {
+            CHROMA_BELL_PX
+        };
+        let smooth = sampling::smooth(&view.pixels, &clipped, &usable, bell_px);
+        let local: Vec<[f32; 2]> = relative
+            .iter()
+            .zip(&smooth)
+            .map(|(u, e)| {
+                let (u, e) = (chroma::chroma(*u), chroma::chroma(*e));
+                [u[0] - e[0], u[1] - e[1]]
+            })
+            .collect();
+        let whitening = Whitening::measure(view, &local, weights.sigma, weights.chroma_share);
         if weights.correction_px > 0.0 {
-            let normals = plate::normals(view, depth);
-            let limit = weights.max_correction as f32;
-            let relative: Vec<[f32; 3]> = (0..n)
-                .map(|i| {
-                    let s = render(&light.harmonics[i], normals[i]);
-                    [0, 1, 2].map(|c| {
-                        (s[c] as f32 / target[i][c].max(0.3 * floor) - 1.0).clamp(-limit, limit)
-                    })
-                })
-                .collect();
-            let smooth = sampling::smooth(&view.pixels, &relative, &usable, weights.correction_px);
             for (t, e) in target.iter_mut().zip(&smooth) {
                 for c in 0..3 {
                     t[c] *= 1.0 + e[c];
@@ -154,13 +176,15 @@ impl<'a> ShadingTerm<'a> {
         let scale = (0..n)
             .map(|i| {
                 let trust = light.trust.map_or(1.0, |t| t[i].max(0.0).sqrt());
-                usable[i] * trust / (weights.sigma as f32 * grey[i])
+                usable[i] * trust
             })
             .collect();
         Self {
             light: light.harmonics,
             target,
             scale,
+            whitening,
+            floor,
             knee: weights.knee,
         }
     }
@@ -175,35 +199,57 @@ impl<'a> ShadingTerm<'a> {
             let (p, q) = (fp.of(depth), fq.of(depth));
             let (n, dp, dq) = plate::normal_with_derivatives(view, i, p, q);
             let (h, hp, hq) = (basis(n), basis_derivative(n, dp), basis_derivative(n, dq));
-            let scale = f64::from(self.scale[i]);
-            let (mut rr, mut pp, mut qq, mut pq, mut pr, mut qr) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-            for c in 0..3 {
-                let l = &self.light[i][c];
-                let r = (dot(l, &h) - f64::from(self.target[i][c])) * scale;
-                let (a, b) = (dot(l, &hp) * scale, dot(l, &hq) * scale);
-                rr += r * r / 3.0;
-                pp += a * a / 3.0;
-                qq += b * b / 3.0;
-                pq += a * b / 3.0;
-                pr += a * r / 3.0;
-                qr += b * r / 3.0;
-            }
-            let norm = rr.sqrt();
-            let w = if norm < self.knee {
-                1.0
-            } else {
-                self.knee / norm
-            };
-            system.add_product(&view.pixels, &fp, &fp, 0.5 * w * pp);
-            system.add_product(&view.pixels, &fq, &fq, 0.5 * w * qq);
-            system.add_product(&view.pixels, &fp, &fq, w * pq);
-            for &(k, c) in fp.terms() {
-                system.rhs[k as usize] -= w * pr * c;
-            }
-            for &(k, c) in fq.terms() {
-                system.rhs[k as usize] -= w * qr * c;
+            let (r, a, b) = self.residual(i, [&h, &hp, &hq]);
+            for part in [0..1, 1..3] {
+                let (mut rr, mut pp, mut qq, mut pq, mut pr, mut qr) =
+                    (0.0_f64, 0.0, 0.0, 0.0, 0.0, 0.0);
+                for k in part {
+                    rr += r[k] * r[k];
+                    pp += a[k] * a[k];
+                    qq += b[k] * b[k];
+                    pq += a[k] * b[k];
+                    pr += a[k] * r[k];
+                    qr += b[k] * r[k];
+                }
+                let norm = rr.sqrt();
+                let w = if norm < self.knee {
+                    1.0
+                } else {
+                    self.knee / norm
+                };
+                system.add_product(&view.pixels, &fp, &fp, 0.5 * w * pp);
+                system.add_product(&view.pixels, &fq, &fq, 0.5 * w * qq);
+                system.add_product(&view.pixels, &fp, &fq, w * pq);
+                for &(k, c) in fp.terms() {
+                    system.rhs[k as usize] -= w * pr * c;
+                }
+                for &(k, c) in fq.terms() {
+                    system.rhs[k as usize] -= w * qr * c;
+                }
             }
         }
+    }
+
+    /// Brightness and chroma in units of their noise at a basis `h`, and their derivatives where the
+    /// basis moves by `hp` or `hq`.
+    fn residual(
+        &self,
+        pixel: usize,
+        [h, hp, hq]: [&[f64; 9]; 3],
+    ) -> ([f64; 3], [f64; 3], [f64; 3]) {
+        let (mut u, mut up, mut uq) = ([0.0; 3], [0.0; 3], [0.0; 3]);
+        for c in 0..3 {
+            let (l, target) = (&self.light[pixel][c], self.target[pixel][c]);
+            let scale = f64::from(self.scale[pixel] / target.max(self.floor));
+            u[c] = (dot(l, h) - f64::from(target)) * scale;
+            up[c] = dot(l, hp) * scale;
+            uq[c] = dot(l, hq) * scale;
+        }
+        (
+            self.whitening.of(u),
+            self.whitening.of(up),
+            self.whitening.of(uq),
+        )
     }
 }
 
@@ -265,29 +311,54 @@ mod tests {
 
     #[test]
     fn derivatives_along_slopes_agree_with_differences() {
-        let light: [f32; 9] = [0.2, -0.4, -0.7, 0.5, 0.1, -0.2, 0.15, 0.05, 0.08];
+        let light: [PixelHarmonics; 1] = [[
+            [0.2, -0.4, -0.7, 0.5, 0.1, -0.2, 0.15, 0.05, 0.08],
+            [0.1, -0.3, -0.6, 0.6, 0.05, -0.1, 0.2, 0.02, 0.03],
+            [-0.1, -0.3, -0.5, 0.7, 0.0, -0.05, 0.1, -0.06, 0.01],
+        ]];
+        let term = ShadingTerm {
+            light: &light,
+            target: vec![[0.9, 0.8, 0.7]],
+            scale: vec![0.7],
+            whitening: Whitening::new(0.03, [0.01, 0.015], 0.4),
+            floor: 0.01,
+            knee: 2.0,
+        };
         let ray = [0.2, -0.1];
         let normal = |p: f64, q: f64| {
             let m = [p, q, -1.0 - ray[0] * p - ray[1] * q];
             let length = m.iter().map(|v| v * v).sum::<f64>().sqrt();
             (m.map(|v| v / length), length)
         };
-        let shade = |p: f64, q: f64| dot(&light, &basis(normal(p, q).0));
         let (p, q, step) = (0.7, -0.3, 1e-6);
         let (n, length) = normal(p, q);
-        for (axis, e) in [[1.0, 0.0, -ray[0]], [0.0, 1.0, -ray[1]]]
-            .iter()
-            .enumerate()
-        {
-            let along = n.iter().zip(e).map(|(a, b)| a * b).sum::<f64>();
-            let d = [0, 1, 2].map(|k| (e[k] - n[k] * along) / length);
-            let analytic = dot(&light, &basis_derivative(n, d));
-            let (dp, dq) = if axis == 0 { (step, 0.0) } else { (0.0, step) };
-            let numeric = (shade(p + dp, q + dq) - shade(p - dp, q - dq)) / (2.0 * step);
-            assert!(
-                (analytic - numeric).abs() < 1e-8,
-                "axis {axis}: {analytic} against {numeric}"
-            );
+        let [dp, dq] = [[1.0, 0.0, -ray[0]], [0.0, 1.0, -ray[1]]].map(|e| {
+            let along = n.iter().zip(&e).map(|(a, b)| a * b).sum::<f64>();
+            [0, 1, 2].map(|k| (e[k] - n[k] * along) / length)
+        });
+        let at = |p: f64, q: f64| {
+            let n = normal(p, q).0;
+            let flat = basis_derivative(n, [0.0; 3]);
+            term.residual(0, [&basis(n), &flat, &flat]).0
+        };
+        let (_, along_p, along_q) = term.residual(
+            0,
+            [
+                &basis(n),
+                &basis_derivative(n, dp),
+                &basis_derivative(n, dq),
+            ],
+        );
+        for (analytic, dp, dq) in [(along_p, step, 0.0), (along_q, 0.0, step)] {
+            let (ahead, back) = (at(p + dp, q + dq), at(p - dp, q - dq));
+            for k in 0..3 {
+                let numeric = (ahead[k] - back[k]) / (2.0 * step);
+                assert!(
+                    (analytic[k] - numeric).abs() < 1e-6 * analytic[k].abs().max(1.0),
+                    "component {k}: {} against {numeric}",
+                    analytic[k]
+                );
+            }
         }
     }
 }

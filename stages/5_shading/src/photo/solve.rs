@@ -165,6 +165,7 @@ impl Course<'_> {
             if let Some(shading) = &mut weights.shading {
                 // Single pixels of the finer level are noisier.
                 shading.sigma *= 1.4;
+                shading.chroma_share *= 1.4;
                 shading.correction_px = 12.0;
             }
             final_weights = weights;
