@@ -37,7 +37,7 @@ impl std::fmt::Display for StageState {
 pub(super) fn version(stage: StageId) -> u32 {
     match stage {
         StageId::Photos => 3,
-        StageId::Features => 1,
+        StageId::Features => 2,
         StageId::Poses => 3,
         StageId::Lighting => 2,
         StageId::Shading => 5,

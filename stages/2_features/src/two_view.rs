@@ -93,12 +93,26 @@ fn matrix3(mat: &Mat) -> Option<Matrix3<f64>> {
     (values.len() >= 9).then(|| Matrix3::from_row_slice(&values[..9]))
 }
 
+/// Samples after which a pair that would be accepted has been found with [`RANSAC_CONFIDENCE`].
+///
+/// A pair of `n` matches counts from `m` = `min_num_inliers` on, so a share `w ≥ m/n` of them must
+/// agree; `ln(1 − p) / ln(1 − w⁵)` samples of five then hold a clean one with probability `p`
+/// (Fischler and Bolles, 1981). Pairs without overlap, whose few matches all disagree, would
+/// otherwise take every sample that the options allow.
+fn num_useful_samples(num_matches: usize, options: &FeaturesOptions) -> usize {
+    let share = (options.min_num_inliers as f64 / num_matches.max(1) as f64).min(1.0);
+    let all_clean = share.powi(5);
+    let needed = (1.0 - RANSAC_CONFIDENCE).ln() / (-all_clean).ln_1p();
+    (needed.ceil().max(1.0) as usize).min(options.max_num_ransac_samples)
+}
+
 fn ransac_essential(
     x1: &[Point2<f64>],
     x2: &[Point2<f64>],
     threshold: f64,
     options: &FeaturesOptions,
 ) -> Result<Option<Matrix3<f64>>, FeaturesError> {
+    let num_samples = num_useful_samples(x1.len(), options);
     let mut mask = Mat::default();
     let found = calib3d::find_essential_mat_1(
         &to_opencv(x1.iter().copied()),
@@ -108,7 +122,7 @@ fn ransac_essential(
         calib3d::RANSAC,
         RANSAC_CONFIDENCE,
         threshold,
-        i32::try_from(options.max_num_ransac_samples).unwrap_or(i32::MAX),
+        num_samples as i32,
         &mut mask,
     )
     .map_err(|source| FeaturesError::OpenCv {

@@ -162,3 +162,24 @@ fn indistinctive_matches_join_but_do_not_decide() {
     let none = verify(&good.x1, &good.x2, &few, FOCAL_PX, &options).unwrap();
     assert!(none.is_none());
 }
+
+#[test]
+fn a_pair_that_may_count_gets_the_samples_that_find_it() {
+    let options = FeaturesOptions::default();
+    for num_matches in [15, 20, 40, 60] {
+        let samples = num_useful_samples(num_matches, &options);
+        assert!(samples <= options.max_num_ransac_samples);
+        let share = options.min_num_inliers as f64 / num_matches as f64;
+        let missed = (1.0 - share.powi(5)).powi(samples as i32);
+        assert!(
+            missed <= 1.01e-4 || samples == options.max_num_ransac_samples,
+            "{num_matches} matches: {samples} samples miss with probability {missed}"
+        );
+    }
+    assert_eq!(num_useful_samples(15, &options), 1);
+    assert!(num_useful_samples(20, &options) < 50);
+    assert_eq!(
+        num_useful_samples(5000, &options),
+        options.max_num_ransac_samples
+    );
+}
