@@ -38,7 +38,7 @@ pub(super) fn version(stage: StageId) -> u32 {
     match stage {
         StageId::Photos => 3,
         StageId::Features => 2,
-        StageId::Poses => 3,
+        StageId::Poses => 4,
         StageId::Lighting => 2,
         StageId::Shading => 5,
         StageId::Fusion => 3,
