@@ -177,7 +177,6 @@ impl Course<'_> {
         at: usize,
         depths: &[Vec<f64>],
         light: Option<&Light>,
-        weights: &LapWeights,
     ) -> Vec<Appearance> {
         let level = &self.scene.pyramid[at];
         let rasters = super::level::depth_rasters(level, depths);
@@ -185,11 +184,8 @@ impl Course<'_> {
             Some(light) => appearance::render(level, depths, &rasters, light),
             None => vec![Appearance::default(); level.views.len()],
         };
-        let matching = self.step_options(at, weights).matching;
-        let sigma = weights.shading.map(|s| s.sigma);
         for (i, view) in views.iter_mut().enumerate() {
-            view.confidence =
-                confidence::estimate(level, i, &depths[i], &rasters, &matching, light.zip(sigma));
+            view.confidence = confidence::estimate(level, i, &depths[i], &rasters, view);
         }
         if let Some(light) = light {
             for (view, residual) in self.report.views.iter_mut().zip(&light.residuals) {

@@ -53,21 +53,6 @@ pub(crate) fn render(light: &PixelHarmonics, n: [f64; 3]) -> [f64; 3] {
     [0, 1, 2].map(|c| dot(&light[c], &h))
 }
 
-/// Derivatives of [`render`] when the normal moves by `dp` or `dq`.
-#[inline]
-pub(crate) fn render_derivatives(
-    light: &PixelHarmonics,
-    n: [f64; 3],
-    dp: [f64; 3],
-    dq: [f64; 3],
-) -> ([f64; 3], [f64; 3]) {
-    let (hp, hq) = (basis_derivative(n, dp), basis_derivative(n, dq));
-    (
-        [0, 1, 2].map(|c| dot(&light[c], &hp)),
-        [0, 1, 2].map(|c| dot(&light[c], &hq)),
-    )
-}
-
 /// The light of one view's pixels.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PixelLight<'a> {

@@ -53,8 +53,8 @@ pub(crate) fn solve(
     )?;
     let (light, last) =
         course.light_laps(&mut at, &mut solvers, &mut depths, posed, lighting.kind)?;
-    let (light, weights) = course.finer_levels(&mut at, &mut depths, light, last)?;
-    let appearances = course.appearance(at, &depths, light.as_ref(), &weights);
+    let light = course.finer_levels(&mut at, &mut depths, light, last)?;
+    let appearances = course.appearance(at, &depths, light.as_ref());
     let shaded = output::maps(&course.scene, at, &depths, &appearances);
     Ok((shaded, course.report))
 }
@@ -147,8 +147,7 @@ impl Course<'_> {
         depths: &mut Vec<Vec<f64>>,
         mut light: Option<Light>,
         last: LapWeights,
-    ) -> Result<(Option<Light>, LapWeights), ShadingError> {
-        let mut final_weights = last;
+    ) -> Result<Option<Light>, ShadingError> {
         while *at > 0 && self.scene.pyramid[*at - 1].mean_pixels() <= self.options.max_fine_pixels {
             *at -= 1;
             let solvers = self.solvers(*at)?;
@@ -168,7 +167,6 @@ impl Course<'_> {
                 shading.chroma_share *= 1.4;
                 shading.correction_px = 12.0;
             }
-            final_weights = weights;
             let rounds = self.options.num_fine_rounds;
             self.lap(
                 *at,
@@ -180,6 +178,6 @@ impl Course<'_> {
                 rounds,
             )?;
         }
-        Ok((light, final_weights))
+        Ok(light)
     }
 }
