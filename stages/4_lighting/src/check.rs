@@ -214,7 +214,8 @@ fn advice(
     if !shadowed.is_empty() {
         advice.push(format!(
             "no distant light explains more than {:.0} % of the object in {}: its own shadow, \
-             bounce light or stains; softer light from several sides, or the photo model, helps",
+             bounce light or stains. The photo model allows for them, the paper's model does not; \
+             softer light from several sides helps both",
             100.0 * (1.0 - MUCH_UNEXPLAINED),
             shadowed.join(", ")
         ));
