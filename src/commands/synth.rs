@@ -3,9 +3,10 @@
 //! ```text
 //! OUT/photos/IMG_0001.jpg …       8-bit sRGB, as a camera would write them
 //! OUT/masks/IMG_0001.png …        the object
-//! OUT/sphere_masks/IMG_0001.png … the reference sphere
+//! OUT/sphere_masks/IMG_0001.png … the reference sphere; of several the first, the others in
+//!                                 sphere_masks_2, sphere_masks_3 …
 //! OUT/intrinsics.json             cameras without poses
-//! OUT/sphere.json                 the sphere's radius and masks
+//! OUT/sphere.json                 the spheres' radii and masks
 //! OUT/truth/                      cameras.json, NAME_depth.exr, NAME_normal.exr, NAME_albedo.exr,
 //!                                 lighting.json, mesh.ply, matches/NAME1_NAME2.csv
 //! ```
@@ -99,7 +100,11 @@ pub fn write_set(
         }
     };
     let renderer = Renderer::new(&scene, &options.photographs).map_err(usage)?;
-    for name in ["photos", "masks", "sphere_masks", "truth", "truth/matches"] {
+    let kinds = ["photos", "masks", "truth", "truth/matches"].map(str::to_owned);
+    for name in kinds
+        .into_iter()
+        .chain((0..scene.spheres.len().max(1)).map(mask_folder))
+    {
         let path = folder.join(name);
         std::fs::create_dir_all(&path).map_err(StoreError::files("create", &path))?;
     }
@@ -108,7 +113,7 @@ pub fn write_set(
         unit: Unit::Metre,
         ..CameraFile::default()
     };
-    let mut sphere_views = serde_json::Map::new();
+    let mut sphere_views = vec![serde_json::Map::new(); scene.spheres.len()];
     let mut lighting = serde_json::Map::new();
     let mut gains = serde_json::Map::new();
     let mut views = Vec::new();
@@ -116,9 +121,11 @@ pub fn write_set(
         let view = renderer.render(index).map_err(usage)?;
         write_view(folder, &view, format)?;
         let file_name = format!("{}.{}", view.name, ending(format));
-        if view.sphere_mask.count() > 0 {
-            let mask = serde_json::json!({"mask": format!("sphere_masks/{}.png", view.name)});
-            sphere_views.insert(file_name.clone(), mask);
+        for (k, mask) in view.sphere_masks.iter().enumerate() {
+            if mask.count() > 0 {
+                let file = format!("{}/{}.png", mask_folder(k), view.name);
+                sphere_views[k].insert(file_name.clone(), serde_json::json!({"mask": file}));
+            }
         }
         lighting.insert(view.name.clone(), serde_json::to_value(&view.lighting)?);
         gains.insert(file_name.clone(), view.gain.into());
@@ -150,9 +157,16 @@ pub fn write_set(
     cameras
         .extra
         .insert("albedo".to_owned(), serde_json::json!(options.scene.albedo));
-    if let Some(sphere) = &scene.sphere {
-        let sphere = serde_json::json!({"center": sphere.center_in_world, "radius": sphere.radius});
-        cameras.extra.insert("sphere".to_owned(), sphere);
+    let spheres: Vec<serde_json::Value> = scene
+        .spheres
+        .iter()
+        .map(|s| serde_json::json!({"center": s.center_in_world, "radius": s.radius}))
+        .collect();
+    if let Some(first) = spheres.first() {
+        cameras.extra.insert("sphere".to_owned(), first.clone());
+    }
+    if spheres.len() > 1 {
+        cameras.extra.insert("spheres".to_owned(), spheres.into());
     }
     write_cameras(&folder.join("truth/cameras.json"), &cameras).map_err(from_io)?;
     cameras.extra.clear();
@@ -160,11 +174,11 @@ pub fn write_set(
         camera.cam_from_world = None;
     }
     write_cameras(&folder.join("intrinsics.json"), &cameras).map_err(from_io)?;
-    if let Some(sphere) = &scene.sphere {
-        let file = serde_json::json!({
-            "radius": sphere.radius, "unit": "metre", "light": "world", "views": sphere_views
-        });
-        write_json(&folder.join("sphere.json"), &file)?;
+    if !scene.spheres.is_empty() {
+        write_json(
+            &folder.join("sphere.json"),
+            &sphere_file(&scene, sphere_views),
+        )?;
     }
     let lighting = serde_json::json!({
         "basis": rilievo_scene::SphericalHarmonics::BASIS,
@@ -175,6 +189,34 @@ pub fn write_set(
     write_json(&folder.join("truth/lighting.json"), &lighting)?;
     write_mesh_ply(&folder.join("truth/mesh.ply"), &scene.mesh, Unit::Metre).map_err(from_io)?;
     write_matches(folder, &scene, &views)
+}
+
+/// Folder of a sphere's masks.
+fn mask_folder(sphere: usize) -> String {
+    match sphere {
+        0 => "sphere_masks".to_owned(),
+        k => format!("sphere_masks_{}", k + 1),
+    }
+}
+
+/// The sphere file: one sphere at its top, several in a list.
+fn sphere_file(
+    scene: &Scene,
+    views: Vec<serde_json::Map<String, serde_json::Value>>,
+) -> serde_json::Value {
+    let mut entries: Vec<serde_json::Value> = scene
+        .spheres
+        .iter()
+        .zip(views)
+        .map(|(sphere, views)| serde_json::json!({"radius": sphere.radius, "views": views}))
+        .collect();
+    let mut file = match entries.len() {
+        1 => entries.swap_remove(0),
+        _ => serde_json::json!({"spheres": entries}),
+    };
+    file["unit"] = "metre".into();
+    file["light"] = "world".into();
+    file
 }
 
 /// True matches of every two views, exact to the renderer's arithmetic.
@@ -221,8 +263,10 @@ fn write_view(folder: &Path, view: &RenderedView, format: SynthFormat) -> Result
     write_linear(&albedo, &view.albedo).map_err(from_io)?;
     let mask = folder.join(format!("masks/{name}.png"));
     write_mask(&mask, &view.object_mask).map_err(from_io)?;
-    let sphere = folder.join(format!("sphere_masks/{name}.png"));
-    write_mask(&sphere, &view.sphere_mask).map_err(from_io)?;
+    for (k, mask) in view.sphere_masks.iter().enumerate() {
+        let sphere = folder.join(format!("{}/{name}.png", mask_folder(k)));
+        write_mask(&sphere, mask).map_err(from_io)?;
+    }
     let depth = folder.join(format!("truth/{name}_depth.exr"));
     write_depth(&depth, &view.depth).map_err(from_io)?;
     let normal = folder.join(format!("truth/{name}_normal.exr"));

@@ -302,7 +302,8 @@ fn sphere_inputs(
         SphereInput::File { path, radius } => {
             let mut file = read_sphere_file(path).map_err(super::errors::from_io)?;
             if let Some(radius) = radius {
-                file.radius = Some(*radius);
+                file.replace_radius(*radius)
+                    .map_err(super::errors::from_io)?;
                 hashes.insert("sphere radius".into(), hash_json(radius));
             }
             hashes.insert("sphere file".into(), contents.hash(path)?);

@@ -1,5 +1,6 @@
 //! Stage 4: `lighting.json`, `calibration.json` (everything that the stage found), and where there is
-//! a sphere `overlay/NAME.png`: outline, re-rendered sphere and excluded pixels side by side.
+//! a sphere `overlay/NAME.png`: outline, re-rendered sphere and excluded pixels side by side, a row
+//! per sphere.
 
 use super::Context;
 use super::errors::{from_io, from_lighting};

@@ -39,7 +39,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Photos => 3,
         StageId::Features => 2,
         StageId::Poses => 4,
-        StageId::Lighting => 2,
+        StageId::Lighting => 3,
         StageId::Shading => 5,
         StageId::Fusion => 3,
     }

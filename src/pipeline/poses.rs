@@ -88,7 +88,7 @@ pub fn not_there(stage: StageId) -> Failure {
     ))
 }
 
-/// What the user said of the reference sphere, for a set of photos; and the photos that the sphere
+/// What the user said of the reference spheres, for a set of photos; and the photos that the sphere
 /// file names but the set lacks.
 ///
 /// # Errors
@@ -99,9 +99,8 @@ pub fn sphere_request(
 ) -> Result<(Option<SphereRequest>, Vec<String>), Failure> {
     if let SphereInput::Auto { radius } = context.request.sphere {
         let request = SphereRequest {
-            radius: Some(radius),
+            search_radius: Some(radius),
             light: LightKind::World,
-            detect: true,
             ..SphereRequest::default()
         };
         return Ok((Some(request), Vec::new()));

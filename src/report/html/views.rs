@@ -1,5 +1,5 @@
 //! Every view as pictures: photo against re-rendered result, difference, normals, depth,
-//! confidence; and the whole photo with sparse points and the outline of the sphere.
+//! confidence; and the whole photo with sparse points and the outlines of the spheres.
 
 use super::element::{escape, folded, items, number, percent};
 use super::matches::{self, Thumb};
@@ -257,7 +257,7 @@ fn facts(report: &Value, view: &PosedView) -> String {
     html + "</dl>"
 }
 
-/// The whole photo with sparse points and the sphere's outline.
+/// The whole photo with sparse points and the spheres' outlines.
 fn overlay(
     posed: &PosedViews,
     index: usize,
@@ -291,13 +291,22 @@ fn overlay(
     marks = format!("<path d=\"{dots}\"/>{marks}");
     let mut caption =
         format!("{num_anchors} depth anchors (green), {count} sparse points (yellow)");
-    if let Some(outline) = posed.sphere.as_ref().and_then(|s| outline(s, view)) {
+    let outlines: Vec<_> = posed
+        .spheres
+        .iter()
+        .filter_map(|s| outline(s, view))
+        .collect();
+    for outline in &outlines {
         let points: Vec<String> = outline
             .iter()
             .map(|[x, y]| format!("{:.1},{:.1}", x / step, y / step))
             .collect();
         marks += &format!("<polygon points=\"{}\"/>", points.join(" "));
-        caption += "; outline of the reference sphere where it should be";
+    }
+    match outlines.len() {
+        0 => {}
+        1 => caption += "; outline of the reference sphere where it should be",
+        n => caption += &format!("; outlines of {n} reference spheres where they should be"),
     }
     let (width, height) = (photo.width as f64 / step, photo.height as f64 / step);
     Ok(format!(
@@ -368,6 +377,7 @@ mod tests {
             cam_from_world: RigidTransform::identity(),
         };
         let sphere = LocatedSphere {
+            name: String::new(),
             center_in_world: [0.0, 0.0, 2.0],
             radius: 1.0,
             center_sigma: [0.0; 3],

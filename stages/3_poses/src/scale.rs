@@ -1,4 +1,4 @@
-//! Unit of the world: metric from given poses, a known distance or the reference sphere, else
+//! Unit of the world: metric from given poses, a known distance or reference spheres, else
 //! arbitrary.
 //!
 //! A sphere of known radius `R` that measures `r` in the world's unit makes one unit `R/r` metres;
@@ -13,10 +13,15 @@
 use crate::error::PosesError;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
-use rilievo_photometry::sphere::{SphereError, WorldScale, locate_request};
-use rilievo_scene::{PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit};
+use rilievo_photometry::sphere::{
+    LocatedSpheres, ScaleContradiction, SphereError, WorldScale, locate_request,
+};
+use rilievo_scene::{
+    MarkedSphere, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
+};
+use std::collections::BTreeSet;
 
-/// Sets the scale and locates the sphere; what hinders the sphere becomes a warning.
+/// Sets the scale and locates the spheres; what hinders a sphere becomes a warning.
 ///
 /// # Errors
 /// When a known distance cannot be found in the model.
@@ -57,7 +62,7 @@ pub fn apply(
     }
     let is_metric = posed.scale.unit == Unit::Metre;
     if let Some(request) = sphere
-        && request.radius.is_some()
+        && (!request.spheres.is_empty() || request.search_radius.is_some())
     {
         let world_scale = if is_metric {
             WorldScale::Metric
@@ -66,42 +71,23 @@ pub fn apply(
         };
         let found = locate_request(photos, &posed.views, request, world_scale, &options.sphere);
         match found {
-            Ok(fit) => {
-                for (photo, reason) in &fit.unused_marks {
-                    let found = fit.views.iter().any(|v| v.photo == *photo && v.used);
-                    warnings.push(format!(
-                        "{}: the mark of the sphere is left out: {reason}{}",
-                        photos.photos[photo.0].file_name,
-                        if found {
-                            "; the outline found in the photo itself is used"
-                        } else {
-                            ""
-                        }
-                    ));
-                }
-                posed.sphere = Some(fit.sphere);
-                // Without views the centre was merely stated: it says nothing of the scale.
-                if !is_metric && !fit.views.is_empty() {
-                    multiply(posed, report, fit.metres_per_unit);
+            Ok(located) => {
+                warnings.extend(warnings_of(photos, request, &located, is_metric));
+                posed.spheres = located.fits.into_iter().map(|fit| fit.sphere).collect();
+                // Centres that were merely stated say nothing of the scale.
+                if let Some(common) = located.scale.filter(|_| !is_metric) {
+                    multiply(posed, report, common.estimate.metres_per_unit);
                     posed.scale = Scale {
                         unit: Unit::Metre,
                         source: ScaleSource::Sphere,
-                        relative_sigma: Some(fit.relative_sigma),
+                        relative_sigma: Some(common.estimate.relative_sigma),
                     };
-                }
-                if let Some(ratio) = fit.radius_ratio
-                    && (ratio - 1.0).abs() > 0.05
-                {
-                    warnings.push(format!(
-                        "the sphere's outlines give {:.1} % of its stated radius; check the radius, or what gave the unit",
-                        100.0 * ratio
-                    ));
                 }
             }
             Err(error) => warnings.push(format!(
                 "the reference sphere was not located, the scale stays {}: {error}{}",
                 if is_metric { "as it is" } else { "arbitrary" },
-                of_photos(photos, request, &error)
+                of_photos(photos, &request.spheres, &error)
             )),
         }
     }
@@ -109,18 +95,90 @@ pub fn apply(
     Ok(())
 }
 
+/// What the user should know of the spheres that were located, and of those that were not.
+fn warnings_of(
+    photos: &PhotoSet,
+    request: &SphereRequest,
+    located: &LocatedSpheres,
+    is_metric: bool,
+) -> Vec<String> {
+    let mut warnings = Vec::new();
+    for (name, error) in &located.missing {
+        let marked: Vec<MarkedSphere> = request
+            .spheres
+            .iter()
+            .filter(|sphere| sphere.name == *name)
+            .cloned()
+            .collect();
+        warnings.push(format!(
+            "{name} was not located, the others go on: {error}{}",
+            of_photos(photos, &marked, error)
+        ));
+    }
+    for fit in &located.fits {
+        let name = &fit.sphere.name;
+        for (photo, reason) in &fit.unused_marks {
+            let found = fit.views.iter().any(|v| v.photo == *photo && v.used);
+            warnings.push(format!(
+                "{}: the mark of {name} is left out: {reason}{}",
+                photos.photos[photo.0].file_name,
+                if found {
+                    "; the outline found in the photo itself is used"
+                } else {
+                    ""
+                }
+            ));
+        }
+        if let Some(scale) = fit.scale.filter(|_| is_metric)
+            && (1.0 / scale.metres_per_unit - 1.0).abs() > 0.05
+        {
+            warnings.push(format!(
+                "the outlines of {name} give {:.1} % of its stated radius; check the radius, or what gave the unit",
+                100.0 / scale.metres_per_unit
+            ));
+        }
+    }
+    for size in &located.other_sizes {
+        warnings.push(format!(
+            "a further sphere {size:.2} times as large was found and left, the one that is seen best \
+             was taken as that of the stated radius; give a sphere file to use both"
+        ));
+    }
+    let common = located.scale.iter();
+    let contradictions = common.flat_map(|s| &s.contradictions);
+    warnings.extend(contradictions.map(|told| contradiction(told, is_metric)));
+    warnings
+}
+
+fn contradiction(told: &ScaleContradiction, is_metric: bool) -> String {
+    format!(
+        "the scale that {} gives is {:.2} % of that of the other sphere{} (standard deviation {:.2} %): \
+         {}; measure the radii again",
+        told.sphere,
+        100.0 * told.ratio,
+        if told.outvoted { "s" } else { "" },
+        100.0 * told.sigma,
+        match (is_metric, told.outvoted) {
+            (true, _) => "a radius is wrong",
+            (false, true) => "it is left out of the scale",
+            (false, false) => "one of the two radii is wrong, the scale is their mean",
+        }
+    )
+}
+
 /// The photos that an error is about: the one that disagrees most, or all that are marked.
-fn of_photos(photos: &PhotoSet, request: &SphereRequest, error: &SphereError) -> String {
+fn of_photos(photos: &PhotoSet, spheres: &[MarkedSphere], error: &SphereError) -> String {
     let name = |photo: PhotoIdx| photos.photos[photo.0].file_name.as_str();
-    let marked: Vec<&str> = request
-        .marks
+    let marked: BTreeSet<PhotoIdx> = spheres
         .iter()
-        .map(|(photo, _)| name(*photo))
+        .flat_map(|sphere| sphere.marks.iter().map(|(photo, _)| *photo))
         .collect();
+    let names: Vec<&str> = marked.into_iter().map(name).collect();
     match error {
         SphereError::Contradiction { worst, .. } => format!(" (the worst is {})", name(*worst)),
-        _ if marked.is_empty() => String::new(),
-        _ => format!(" (marked in {})", marked.join(", ")),
+        SphereError::ScaleContradiction { .. } => String::new(),
+        _ if names.is_empty() => String::new(),
+        _ => format!(" (marked in {})", names.join(", ")),
     }
 }
 
@@ -134,7 +192,7 @@ fn multiply(posed: &mut PosedViews, report: &mut PosesReport, factor: f64) {
             *v *= factor;
         }
     }
-    if let Some(sphere) = &mut posed.sphere {
+    for sphere in &mut posed.spheres {
         for v in sphere
             .center_in_world
             .iter_mut()

@@ -8,10 +8,10 @@ use common::{World, WorldOptions, from_truth, look_at, options, pose_errors, wor
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rilievo_poses::{GivenPoses, PosesError, RefineIntrinsics, run};
+use rilievo_poses::{GivenPoses, PosesError, PosesReport, RefineIntrinsics, run};
 use rilievo_scene::{
-    Event, Flow, FocalSource, Observer, PhotoIdx, RigidTransform, ScaleSource, Silent, SphereMark,
-    SphereRequest, Unit,
+    Event, Flow, FocalSource, MarkedSphere, Observer, PhotoIdx, PosedViews, RigidTransform,
+    ScaleSource, Silent, SphereMark, SphereRequest, Unit,
 };
 
 /// Keypoints are stored in single precision: 3e-5 px at 1000 px.
@@ -313,29 +313,32 @@ fn given_poses_in_another_convention_are_named() {
     }
 }
 
-#[test]
-fn the_sphere_makes_the_world_metric() {
-    let world = world(&WorldOptions::default());
-    let center = Point3::new(0.3, 0.2, 0.1);
-    let marks = [0, 2, 4]
-        .map(|k| {
-            let sphere = rilievo_photometry::sphere::SphereInCamera {
-                center: world.cam_from_world[k].apply(&center),
-                radius: 0.25,
-            };
-            let ellipse = sphere.ellipse(&common::camera()).unwrap();
-            let mark = SphereMark::Ellipse {
-                center_px: ellipse.center,
-                semi_axes_px: ellipse.semi_axes,
-                angle_rad: ellipse.angle_rad,
-            };
-            (PhotoIdx(k), mark)
-        })
-        .to_vec();
-    // The generator's unit is a metre when the sphere's true radius is stated.
+/// Marks of a ball in every other photo; the generator's unit is a metre when its true radius is
+/// stated.
+fn ball(world: &World, name: &str, center: [f64; 3], stated_radius: f64) -> MarkedSphere {
+    let marks = [0, 2, 4].map(|k| {
+        let sphere = rilievo_photometry::sphere::SphereInCamera {
+            center: world.cam_from_world[k].apply(&Point3::from(center)),
+            radius: 0.25,
+        };
+        let ellipse = sphere.ellipse(&common::camera()).unwrap();
+        let mark = SphereMark::Ellipse {
+            center_px: ellipse.center,
+            semi_axes_px: ellipse.semi_axes,
+            angle_rad: ellipse.angle_rad,
+        };
+        (PhotoIdx(k), mark)
+    });
+    MarkedSphere {
+        name: name.to_owned(),
+        ..MarkedSphere::only(stated_radius, marks.to_vec())
+    }
+}
+
+/// The model under spheres, with the length between two of its cameras over the true one.
+fn with_spheres(world: &World, spheres: Vec<MarkedSphere>) -> (PosedViews, PosesReport, f64) {
     let request = SphereRequest {
-        radius: Some(0.25),
-        marks,
+        spheres,
         ..SphereRequest::default()
     };
     let (posed, report) = run(
@@ -346,6 +349,22 @@ fn the_sphere_makes_the_world_metric() {
         &Silent,
     )
     .unwrap();
+    let distance = |a: &RigidTransform, b: &RigidTransform| {
+        (a.center_in_source() - b.center_in_source()).norm()
+    };
+    let found = distance(
+        &posed.views[0].cam_from_world,
+        &posed.views[5].cam_from_world,
+    );
+    let truth = distance(&world.cam_from_world[0], &world.cam_from_world[5]);
+    (posed, report, found / truth)
+}
+
+#[test]
+fn the_sphere_makes_the_world_metric() {
+    let world = world(&WorldOptions::default());
+    let only = ball(&world, MarkedSphere::ONLY, [0.3, 0.2, 0.1], 0.25);
+    let (posed, report, scale) = with_spheres(&world, vec![only]);
     assert_eq!(
         posed.scale.source,
         ScaleSource::Sphere,
@@ -353,18 +372,80 @@ fn the_sphere_makes_the_world_metric() {
         report.warnings
     );
     assert_eq!(posed.scale.unit, Unit::Metre);
-    let distance = |a: Point3<f64>, b: Point3<f64>| (a - b).norm();
-    let found = distance(
-        posed.views[0].cam_from_world.center_in_source(),
-        posed.views[5].cam_from_world.center_in_source(),
+    assert!((scale - 1.0).abs() < 2e-3, "{scale}");
+    let radius = posed.spheres[0].radius;
+    assert!((radius - 0.25).abs() < 1e-9, "{radius}");
+}
+
+#[test]
+fn two_spheres_share_a_scale_and_a_wrong_radius_is_told() {
+    let world = world(&WorldOptions::default());
+    let a = ball(&world, "a", [0.3, 0.2, 0.1], 0.25);
+    let told = |warnings: &[String], parts: &[&str]| {
+        let told = |w: &String| parts.iter().all(|part| w.contains(part));
+        assert!(warnings.iter().any(told), "{parts:?} not in {warnings:?}");
+    };
+    let b = ball(&world, "b", [-0.4, 0.3, 0.0], 0.25);
+    let (posed, report, scale) = with_spheres(&world, vec![a.clone(), b]);
+    assert!((scale - 1.0).abs() < 2e-3, "{scale}");
+    let names: Vec<&str> = posed.spheres.iter().map(|s| s.name.as_str()).collect();
+    assert_eq!(names, ["a", "b"], "{:?}", report.warnings);
+    for sphere in &posed.spheres {
+        let (radius, sigma) = (sphere.radius, sphere.center_sigma);
+        assert!((radius - 0.25).abs() < 1e-3, "{radius}");
+        assert!(sigma.iter().all(|s| *s > 0.0 && *s < 0.01), "{sigma:?}");
+    }
+    assert!(
+        !report.warnings.iter().any(|w| w.contains("scale")),
+        "{:?}",
+        report.warnings
     );
-    let truth = distance(
-        world.cam_from_world[0].center_in_source(),
-        world.cam_from_world[5].center_in_source(),
+
+    let wrong = ball(&world, "b", [-0.4, 0.3, 0.0], 0.2625);
+    let (posed, report, scale) = with_spheres(&world, vec![a.clone(), wrong.clone()]);
+    told(
+        &report.warnings,
+        &[
+            "% of that of the other sphere",
+            "one of the two radii is wrong",
+        ],
     );
-    assert!((found / truth - 1.0).abs() < 2e-3, "{found} {truth}");
-    let sphere = posed.sphere.unwrap();
-    assert!((sphere.radius - 0.25).abs() < 1e-9, "{}", sphere.radius);
+    assert!((scale - 1.025).abs() < 5e-3, "{scale}");
+    let sigma = posed.scale.relative_sigma.unwrap();
+    assert!((0.02..0.03).contains(&sigma), "{sigma}");
+
+    let c = ball(&world, "c", [0.0, -0.5, 0.0], 0.25);
+    let (_, report, scale) = with_spheres(&world, vec![a.clone(), wrong, c]);
+    told(
+        &report.warnings,
+        &[
+            "the scale that b gives is 10",
+            "it is left out of the scale",
+        ],
+    );
+    assert!((scale - 1.0).abs() < 2e-3, "{scale}");
+
+    // One in a unit of its own, and one that is marked nowhere.
+    let centimetres = ball(&world, "b", [-0.4, 0.3, 0.0], 25.0);
+    let (posed, report, _) = with_spheres(&world, vec![a.clone(), centimetres]);
+    told(
+        &report.warnings,
+        &["b gives 100.0", "check both radii and their unit"],
+    );
+    assert!(posed.spheres.is_empty() && posed.scale.unit == Unit::Arbitrary);
+    let nowhere = MarkedSphere {
+        name: "b".to_owned(),
+        ..MarkedSphere::only(0.25, Vec::new())
+    };
+    let (posed, report, scale) = with_spheres(&world, vec![nowhere, a]);
+    told(
+        &report.warnings,
+        &["b was not located, the others go on: the sphere is marked in no photo"],
+    );
+    assert!(
+        posed.spheres.len() == 1 && (scale - 1.0).abs() < 2e-3,
+        "{scale}"
+    );
 }
 
 #[test]

@@ -2,14 +2,13 @@
 //!
 //! The calibration sphere stands where the object stood, so that nothing of the object's shadow or
 //! bounce light is missing or added. Its photo was taken by the camera of one view; normals need
-//! only the outline, whatever its radius. The sphere beside the object, where there is one, still
-//! gives the gains of the photos.
+//! only the outline, whatever its radius. Spheres beside the object, where there are any, still
+//! give the gains of the photos.
 
 use crate::report::LightingReport;
-use crate::samples::{SphereSamples, of_sphere};
-use crate::sphere_light::{
-    Pool, Side, describe, gains_of, ones, report_gains, views_from_environment,
-};
+use crate::samples::{Shot, SphereSamples};
+use crate::side::Side;
+use crate::sphere_light::{Pool, describe, gains_of, ones, report_gains, views_from_environment};
 use crate::{LightingError, LightingOptions};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::sphere::{cone_from_mark, detect_in_photo};
@@ -22,7 +21,7 @@ pub(crate) fn from_calibration(
     photos: &PhotoSet,
     posed: &PosedViews,
     request: &SphereRequest,
-    (side, rotations): (&Side, &[UnitQuaternion<f64>]),
+    side: &Side,
     options: &LightingOptions,
     mut report: LightingReport,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
@@ -43,7 +42,7 @@ pub(crate) fn from_calibration(
     let (environment_in_world, views) = match request.light {
         LightKind::World => {
             let applied = if side.views.len() > 1 {
-                let gains = gains_of(side, rotations, options)?;
+                let gains = gains_of(side, options)?;
                 report_gains(posed, side, &gains, num_channels, &mut report)
             } else {
                 vec![ones(num_channels); posed.views.len()]
@@ -111,13 +110,12 @@ fn calibration_samples(
         .map_err(of_sphere_error)?,
     };
     // Normals do not depend on the radius: any serves.
-    let samples = of_sphere(
-        &calibration.image,
-        None,
+    let shot = Shot {
+        image: &calibration.image,
+        object: None,
         clip_level,
-        &camera.intrinsics,
-        &cone.sphere(1.0),
-        options,
-    );
+        intrinsics: &camera.intrinsics,
+    };
+    let samples = shot.samples(&cone.sphere(1.0), &[], options);
     Ok((samples, camera.cam_from_world.rotation.inverse()))
 }

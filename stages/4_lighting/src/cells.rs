@@ -1,4 +1,4 @@
-//! Cells of normals: the sphere compared with itself, without a model of the light.
+//! Cells of normals: a sphere compared with itself, without a model of the light.
 //!
 //! A matte sphere under a resting light has one brightness per surface point, whatever the
 //! viewpoint; under a light fixed to the camera, one per normal in the camera's frame. Brightness
@@ -44,9 +44,11 @@ pub(crate) struct CellMean {
     pub value: f64,
 }
 
-/// Cell means of one view: `(normal, positive value)` pairs.
+/// Cell means of one sphere in one view: `(normal, positive value)` pairs. The sphere's cells begin
+/// at `first_cell`.
 pub(crate) fn cell_means(
     view: usize,
+    first_cell: usize,
     samples: impl Iterator<Item = (Vector3<f64>, f64)>,
 ) -> Vec<CellMean> {
     let mut by_cell: Vec<Vec<f64>> = vec![Vec::new(); NUM_CELLS];
@@ -61,7 +63,11 @@ pub(crate) fn cell_means(
         .filter(|(_, values)| values.len() >= MIN_PIXELS)
         .filter_map(|(cell, values)| {
             let value = median(values)?;
-            Some(CellMean { view, cell, value })
+            Some(CellMean {
+                view,
+                cell: first_cell + cell,
+                value,
+            })
         })
         .collect()
 }
@@ -172,7 +178,7 @@ mod tests {
                 (n, (1.0 + 0.5 * n.x) * f64::exp(*gain))
             });
             let visible = samples.filter(|(n, _)| n.y > 0.3 * view as f64 - 0.6);
-            let found = cell_means(view, visible);
+            let found = cell_means(view, 0, visible);
             used.extend(found.iter().map(|m| m.cell));
             means.extend(found);
         }

@@ -1,15 +1,14 @@
-//! Exposure and white balance of the photos, from the sphere.
+//! Exposure and white balance of the photos, from the spheres.
 //!
-//! Under a resting light every point of the sphere has one brightness. What differs between photos
+//! Under a resting light every point of a sphere has one brightness. What differs between photos
 //! at equal normals in the world is a gain per photo and channel; one factor common to all photos
 //! stays undetermined (it is part of the albedo) and is set so that the gains' geometric mean is 1.
 //! Under a light fixed to the camera the light may differ from photo to photo as well, and gain and
 //! light cannot be told apart; nor does it matter, as each photo has its own lighting.
 
-use crate::cells::{CellMean, TwoWay, cell_means, two_way};
+use crate::cells::{CellMean, NUM_CELLS, TwoWay, cell_means, two_way};
 use crate::options::GainMode;
-use crate::samples::SphereSamples;
-use nalgebra::UnitQuaternion;
+use crate::side::Side;
 use rilievo_photometry::harmonics::LightingFit;
 
 /// Gains of all views.
@@ -26,19 +25,11 @@ pub(crate) struct Gains {
 /// Differences of exposure below this are left alone: no photo's light is known better.
 const SMALLEST_GAIN: f64 = 0.01;
 
-/// Finds them. `world_from_cam` per view; `environment` in the world, where one is known already,
-/// takes the light's slope within a cell out of the comparison.
-pub(crate) fn find(
-    samples: &[SphereSamples],
-    world_from_cam: &[UnitQuaternion<f64>],
-    environment: Option<&LightingFit>,
-    mode: GainMode,
-) -> Gains {
-    let num_views = samples.len();
-    let num_channels = samples
-        .iter()
-        .find_map(|s| s.values.first().map(Vec::len))
-        .unwrap_or(1);
+/// Finds them. `environment` in the world, where one is known already, takes the light's slope
+/// within a cell out of the comparison.
+pub(crate) fn find(side: &Side, environment: Option<&LightingFit>, mode: GainMode) -> Gains {
+    let num_views = side.views.len();
+    let num_channels = side.num_channels();
     let mut gains = Gains {
         gain: vec![vec![1.0; num_channels]; num_views],
         sigma: vec![None; num_views],
@@ -49,7 +40,8 @@ pub(crate) fn find(
     }
     for channel in 0..num_channels {
         let mut means: Vec<CellMean> = Vec::new();
-        for (view, (sample, rotation)) in samples.iter().zip(world_from_cam).enumerate() {
+        for patch in &side.patches {
+            let (sample, rotation) = (&patch.samples, &side.world_from_cam[patch.view]);
             let ratios = (0..sample.normals.len())
                 .filter(|&k| sample.usable[k][channel])
                 .map(|k| {
@@ -58,7 +50,9 @@ pub(crate) fn find(
                         .map_or(1.0, |e| e.channels[channel].coefficients.evaluate(&normal));
                     (normal, sample.values[k][channel] / predicted.max(1e-6))
                 });
-            means.extend(cell_means(view, ratios));
+            // A sphere is compared with itself alone.
+            let first_cell = patch.sphere * NUM_CELLS;
+            means.extend(cell_means(patch.view, first_cell, ratios));
         }
         let TwoWay { ln_gain, sigma, .. } = two_way(num_views, &means);
         for view in 0..num_views {

@@ -1,13 +1,13 @@
-//! Whether the sphere in several views agrees with the stated kind of light.
+//! Whether the spheres in several views agree with the stated kind of light.
 //!
 //! With the gains of the photos free, the scatter of `ln I` between views is compared at equal
 //! normals in the world (a resting light leaves none) and at equal normals in the camera (a light
 //! fixed to the camera leaves none). Views that look in nearly the same direction cannot tell.
 
-use crate::cells::{CellMean, cell_means, two_way};
+use crate::cells::{CellMean, NUM_CELLS, cell_means, two_way};
 use crate::report::KindCheck;
-use crate::samples::SphereSamples;
-use nalgebra::{UnitQuaternion, Vector3};
+use crate::side::Side;
+use nalgebra::Vector3;
 use rilievo_scene::LightKind;
 
 /// The better kind must leave this many times less scatter.
@@ -18,17 +18,15 @@ const UNAVOIDABLE: f64 = 0.01;
 const MIN_TURN: f64 = 0.1;
 
 /// Compares both kinds; `None` with fewer than two views of the sphere.
-pub(crate) fn check(
-    samples: &[SphereSamples],
-    world_from_cam: &[UnitQuaternion<f64>],
-    stated: LightKind,
-) -> Option<KindCheck> {
-    if samples.len() < 2 {
+pub(crate) fn check(side: &Side, stated: LightKind) -> Option<KindCheck> {
+    let num_views = side.views.len();
+    if num_views < 2 {
         return None;
     }
     let scatter = |in_world: bool| {
         let mut means: Vec<CellMean> = Vec::new();
-        for (view, (sample, rotation)) in samples.iter().zip(world_from_cam).enumerate() {
+        for patch in &side.patches {
+            let (sample, rotation) = (&patch.samples, &side.world_from_cam[patch.view]);
             let values = (0..sample.normals.len())
                 .filter(|&k| !sample.usable[k].contains(&false))
                 .map(|k| {
@@ -36,15 +34,17 @@ pub(crate) fn check(
                     let normal = if in_world { rotation * normal } else { normal };
                     (normal, sample.values[k].iter().sum::<f64>())
                 });
-            means.extend(cell_means(view, values));
+            let first_cell = patch.sphere * NUM_CELLS;
+            means.extend(cell_means(patch.view, first_cell, values));
         }
-        let fit = two_way(samples.len(), &means);
+        let fit = two_way(num_views, &means);
         (fit.num_shared >= 10).then_some(fit.scatter)
     };
-    let turn = world_from_cam
+    let turn = side
+        .world_from_cam
         .iter()
         .skip(1)
-        .map(|r| r.angle_to(&world_from_cam[0]))
+        .map(|r| r.angle_to(&side.world_from_cam[0]))
         .fold(0.0, f64::max);
     let (world, camera) = (scatter(true)?, scatter(false)?);
     let fits = if turn < MIN_TURN {

@@ -4,7 +4,7 @@
 //! The solver of stage 5 needs, for each view and channel, nine coefficients `l` with
 //! `I = l · h(n)` (eq. 1 of the paper; the mean albedo is contained in `l`). They come from
 //! surfaces with known normals:
-//! * the matte reference sphere, whose place stage 3 found: every pixel has an exact normal;
+//! * matte reference spheres, whose places stage 3 found: every pixel has an exact normal;
 //! * a photo of a sphere in the object's place;
 //! * a known shape, as the paper did for its real data;
 //! * a file;
@@ -14,10 +14,10 @@
 //! light fixed to the camera (turntable, flash) is one per view.
 //!
 //! # Steps
-//! 1. `samples`: usable pixels of the sphere: inside the frame, off the object, off the outline,
-//!    not clipped.
-//! 2. `sphere_light`: robust fits, exposure gains of the photos (`gains`), and the check of
-//!    the stated kind of light (`kind`).
+//! 1. `samples`, `side`: usable pixels of the spheres: inside the frame, off the object, off the
+//!    outline, not clipped.
+//! 2. `sphere_light`: robust fits, exposure gains of the photos (`gains`), the check of the stated
+//!    kind of light (`kind`), and of several spheres those that see one light (`agreement`).
 //! 3. `object_light`: the sphere's light against the object at the depth anchors, and its
 //!    correction.
 //! 4. `shape`, `own_shape`: fits without a sphere.
@@ -27,6 +27,7 @@
 //! [`run`]; [`fit_on_shape`] for a single view; [`check_on_surface`] after stage 5; [`overlays`]
 //! for the eye.
 
+mod agreement;
 mod anchor_normals;
 mod calibration;
 mod cells;
@@ -43,14 +44,15 @@ mod report;
 mod request;
 mod samples;
 mod shape;
+mod side;
 mod sphere_light;
 
 pub use error::LightingError;
 pub use options::{GainMode, LightingOptions, ObjectLight};
 pub use overlay::{SphereOverlay, overlays};
 pub use report::{
-    ChannelReport, KindCheck, LightingReport, ObjectReport, SurfaceReport, ViewLightReport,
-    ViewObjectReport, ViewSurfaceReport,
+    ChannelReport, KindCheck, LightingReport, ObjectReport, SphereLightReport, SurfaceReport,
+    ViewLightReport, ViewObjectReport, ViewSurfaceReport,
 };
 pub use request::LightingRequest;
 pub use shape::{fit_on_normals, fit_on_shape};

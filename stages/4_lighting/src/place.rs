@@ -1,4 +1,4 @@
-//! Whether the sphere stands where a reference sphere can stand.
+//! Whether the spheres stand where a reference sphere can stand.
 //!
 //! In a world whose scale comes from the sphere a wrong radius only rescales everything; with given
 //! poses it shows as a sphere far nearer or farther than the scene. Both are compared by distance
@@ -7,14 +7,17 @@
 
 use nalgebra::Point3;
 use rilievo_numerics::robust::median;
-use rilievo_scene::PosedViews;
+use rilievo_scene::{LocatedSphere, PosedViews};
 
 /// Ratio of distances beyond which the sphere cannot stand beside the object.
 const MAX_RATIO: f64 = 5.0;
 
-/// A warning where it does not stand near the scene.
-pub(crate) fn warn(posed: &PosedViews) -> Option<String> {
-    let sphere = posed.sphere.as_ref()?;
+/// Warnings of the spheres that do not stand near the scene.
+pub(crate) fn warn(posed: &PosedViews) -> impl Iterator<Item = String> {
+    posed.spheres.iter().filter_map(|s| warn_of(posed, s))
+}
+
+fn warn_of(posed: &PosedViews, sphere: &LocatedSphere) -> Option<String> {
     let center = Point3::from(sphere.center_in_world);
     let mut ratios = Vec::new();
     let saw = |photo| sphere.seen_in.is_empty() || sphere.seen_in.iter().any(|(p, _)| *p == photo);
@@ -36,9 +39,9 @@ pub(crate) fn warn(posed: &PosedViews) -> Option<String> {
     let ratio = median(&mut ratios)?;
     (!(1.0 / MAX_RATIO..MAX_RATIO).contains(&ratio)).then(|| {
         format!(
-            "the sphere would stand at {ratio:.2} times the distance of the scene: its radius \
-             ({:.4}) does not fit the cameras' unit, or something else was taken for it",
-            sphere.radius
+            "{} would stand at {ratio:.2} times the distance of the scene: its radius ({:.4}) does \
+             not fit the cameras' unit, or something else was taken for it",
+            sphere.name, sphere.radius
         )
     })
 }

@@ -43,7 +43,7 @@ pub struct ViewLightReport {
     pub num_pixels: usize,
     /// Share of the sphere's (or shape's) pixels that were clipped.
     pub clipped_share: f64,
-    /// Share of the sphere's disc outside the frame or behind the object.
+    /// Share of the spheres' discs outside the frame or behind something.
     pub hidden_share: f64,
     /// Relative residual of the light in this view (root mean square over good pixels).
     pub relative_rms: Option<f64>,
@@ -54,7 +54,7 @@ pub struct ViewLightReport {
     pub gain: Vec<f64>,
     /// Relative standard deviation of the gain.
     pub gain_sigma: Option<f64>,
-    /// Radius of the sphere's outline, pixels.
+    /// Radius of the outline of the largest sphere, pixels.
     pub radius_px: Option<f64>,
     /// Why the view took no part in the fit.
     pub left_out: Option<String>,
@@ -67,6 +67,29 @@ impl ViewLightReport {
             ..Self::default()
         }
     }
+}
+
+/// One sphere's part.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SphereLightReport {
+    /// Its name.
+    pub name: String,
+    /// Its usable pixels in all views.
+    pub num_pixels: usize,
+    /// Views that show enough of it.
+    pub views: Vec<String>,
+    /// The sphere that tells the light, where this is another.
+    pub compared_with: Option<String>,
+    /// Brightness at equal normals over that of the other sphere, per channel.
+    pub brightness_ratio: Vec<f64>,
+    /// Relative residual of its own light on it.
+    pub own_rms: Option<f64>,
+    /// Relative residual of the other sphere's light on it, after the ratio of brightness.
+    pub other_rms: Option<f64>,
+    /// Angle between the dominant directions of both lights, degrees.
+    pub direction_difference_deg: Option<f64>,
+    /// Whether it took no part, because it sees another light.
+    pub left_out: bool,
 }
 
 /// Whether the stated kind of light agrees with the sphere in several views.
@@ -126,6 +149,8 @@ pub struct LightingReport {
     pub dominant_direction: Option<[f64; 3]>,
     /// Every view.
     pub views: Vec<ViewLightReport>,
+    /// Every sphere beside the object.
+    pub spheres: Vec<SphereLightReport>,
     /// Check of the stated kind of light.
     pub kind_check: Option<KindCheck>,
     /// The light against the object at the depth anchors, where there are enough.
@@ -146,6 +171,7 @@ impl Default for LightingReport {
             channels: Vec::new(),
             dominant_direction: None,
             views: Vec::new(),
+            spheres: Vec::new(),
             kind_check: None,
             object: None,
             gains_applied: false,

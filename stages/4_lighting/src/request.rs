@@ -11,7 +11,7 @@ use rilievo_scene::{
 /// Where the lighting comes from.
 #[derive(Clone, Debug)]
 pub enum LightingRequest {
-    /// The reference sphere that stage 3 located ([`PosedViews::sphere`]), or the calibration
+    /// The reference spheres that stage 3 located ([`PosedViews::spheres`]), or the calibration
     /// photos of the request.
     Sphere(SphereRequest),
     /// Known depth of some views: one lighting per view, the shape is used for nothing else.

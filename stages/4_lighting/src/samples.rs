@@ -1,11 +1,11 @@
-//! Usable pixels of the sphere in one view.
+//! Usable pixels of a sphere in one view.
 //!
 //! Left out: pixels outside the frame, on the object's mask (the object stands in front of the
-//! sphere, or beside it within the outline's blur), within `margin_px` of the outline, at grazing
-//! normals, and channels at the clip level.
+//! sphere, or beside it within the outline's blur), behind another sphere, within `margin_px` of the
+//! outline, at grazing normals, and channels at the clip level.
 
 use crate::LightingOptions;
-use nalgebra::Vector3;
+use nalgebra::{Point2, Vector3};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{Intrinsics, LinearImage, Mask};
 
@@ -20,12 +20,44 @@ pub(crate) struct SphereSamples {
     pub usable: Vec<Vec<bool>>,
     /// Column and row of each pixel.
     pub positions: Vec<(usize, usize)>,
-    /// Share of the sphere's pixels that have a clipped channel.
-    pub clipped_share: f64,
-    /// Share of the disc outside the frame or behind the object.
-    pub hidden_share: f64,
+    /// How much of the sphere is seen.
+    pub coverage: Coverage,
     /// Radius of the outline, pixels.
     pub radius_px: f64,
+}
+
+/// How much of the spheres of a view is seen.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Coverage {
+    /// Pixels that are seen.
+    num_seen: usize,
+    /// Those with a clipped channel.
+    num_clipped: usize,
+    /// Area of the whole discs inside their margins, pixels: what the frame and the object hide
+    /// counts.
+    whole_px: f64,
+}
+
+impl Coverage {
+    pub fn add(&mut self, other: Self) {
+        self.num_seen += other.num_seen;
+        self.num_clipped += other.num_clipped;
+        self.whole_px += other.whole_px;
+    }
+
+    /// Share of the spheres' pixels that have a clipped channel.
+    pub fn clipped_share(&self) -> f64 {
+        self.num_clipped as f64 / self.num_seen.max(1) as f64
+    }
+
+    /// Share of the discs outside the frame or behind something.
+    pub fn hidden_share(&self) -> f64 {
+        if self.whole_px > 0.0 {
+            (1.0 - self.num_seen as f64 / self.whole_px).clamp(0.0, 1.0)
+        } else {
+            0.0
+        }
+    }
 }
 
 impl SphereSamples {
@@ -35,56 +67,88 @@ impl SphereSamples {
     }
 }
 
-/// Collects them.
-pub(crate) fn of_sphere(
-    image: &LinearImage,
-    object: Option<&Mask>,
-    clip_level: f32,
-    intrinsics: &Intrinsics,
-    sphere: &SphereInCamera,
-    options: &LightingOptions,
-) -> SphereSamples {
-    let radius_px = sphere.radius_px(intrinsics);
-    let mut samples = SphereSamples {
-        radius_px,
-        ..SphereSamples::default()
-    };
-    // A small sphere needs the pixels near its outline, and its edge is as sharp as a large one's.
-    let margin = options.margin_px.min((0.05 * radius_px).max(1.2));
-    let limit = f64::from(clip_level) * options.clip_share;
-    let mut clipped = 0;
-    let mut seen = 0;
-    for pixel in sphere.pixels(intrinsics, margin) {
-        if pixel.cos_view < options.min_cos_view {
-            continue;
+/// A photo whose spheres are read.
+#[derive(Clone, Copy)]
+pub(crate) struct Shot<'a> {
+    pub image: &'a LinearImage,
+    pub object: Option<&'a Mask>,
+    pub clip_level: f32,
+    pub intrinsics: &'a Intrinsics,
+}
+
+impl Shot<'_> {
+    /// Samples of a sphere that `others` may hide.
+    pub fn samples(
+        &self,
+        sphere: &SphereInCamera,
+        others: &[SphereInCamera],
+        options: &LightingOptions,
+    ) -> SphereSamples {
+        let radius_px = sphere.radius_px(self.intrinsics);
+        let mut samples = SphereSamples {
+            radius_px,
+            ..SphereSamples::default()
+        };
+        // A small sphere needs the pixels near its outline, and its edge is as sharp as a large one's.
+        let margin = options.margin_px.min((0.05 * radius_px).max(1.2));
+        let limit = f64::from(self.clip_level) * options.clip_share;
+        let before = in_front_of(sphere, others, self.intrinsics, margin);
+        let seen = &mut samples.coverage;
+        for pixel in sphere.pixels(self.intrinsics, margin) {
+            if pixel.cos_view < options.min_cos_view {
+                continue;
+            }
+            let (x, y) = (pixel.x as isize, pixel.y as isize);
+            // The mask's own edge is uncertain by a pixel.
+            let near_object = self.object.is_some_and(|mask| {
+                (-1..=1).any(|dy| (-1..=1).any(|dx| mask.contains(x + dx, y + dy)))
+            });
+            if near_object {
+                continue;
+            }
+            if !before.is_empty() {
+                let at = Point2::new(pixel.x as f64, pixel.y as f64);
+                let ray = self.intrinsics.ray(&at).normalize();
+                if before.iter().any(|s| s.distance_along(&ray).is_some()) {
+                    continue;
+                }
+            }
+            seen.num_seen += 1;
+            let values: Vec<f64> = self
+                .image
+                .pixel(pixel.x, pixel.y)
+                .iter()
+                .map(|&v| f64::from(v))
+                .collect();
+            let usable: Vec<bool> = values.iter().map(|&v| v.is_finite() && v < limit).collect();
+            if usable.contains(&false) {
+                seen.num_clipped += 1;
+            }
+            samples.normals.push(pixel.normal_in_cam);
+            samples.values.push(values);
+            samples.usable.push(usable);
+            samples.positions.push((pixel.x, pixel.y));
         }
-        let (x, y) = (pixel.x as isize, pixel.y as isize);
-        // The mask's own edge is uncertain by a pixel.
-        let near_object = object.is_some_and(|mask| {
-            (-1..=1).any(|dy| (-1..=1).any(|dx| mask.contains(x + dx, y + dy)))
-        });
-        if near_object {
-            continue;
-        }
-        seen += 1;
-        let values: Vec<f64> = image
-            .pixel(pixel.x, pixel.y)
-            .iter()
-            .map(|&v| f64::from(v))
-            .collect();
-        let usable: Vec<bool> = values.iter().map(|&v| v.is_finite() && v < limit).collect();
-        if usable.contains(&false) {
-            clipped += 1;
-        }
-        samples.normals.push(pixel.normal_in_cam);
-        samples.values.push(values);
-        samples.usable.push(usable);
-        samples.positions.push((pixel.x, pixel.y));
+        seen.whole_px = std::f64::consts::PI
+            * (radius_px - margin).powi(2)
+            * (1.0 - options.min_cos_view.powi(2));
+        samples
     }
-    samples.clipped_share = f64::from(clipped) / f64::from(seen.max(1));
-    // The whole disc's pixels inside the margin, as an area: what the frame and the object hide.
-    let whole =
-        std::f64::consts::PI * (radius_px - margin).powi(2) * (1.0 - options.min_cos_view.powi(2));
-    samples.hidden_share = (1.0 - f64::from(seen) / whole).clamp(0.0, 1.0);
-    samples
+}
+
+/// The spheres nearer than `sphere`, wider by the margin that blur needs.
+fn in_front_of(
+    sphere: &SphereInCamera,
+    others: &[SphereInCamera],
+    intrinsics: &Intrinsics,
+    margin_px: f64,
+) -> Vec<SphereInCamera> {
+    others
+        .iter()
+        .filter(|other| other.center.coords.norm() < sphere.center.coords.norm())
+        .map(|other| SphereInCamera {
+            radius: other.radius * (1.0 + margin_px / other.radius_px(intrinsics)),
+            ..*other
+        })
+        .collect()
 }

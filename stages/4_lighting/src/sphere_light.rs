@@ -1,26 +1,29 @@
-//! Lighting from the reference sphere beside the object.
+//! Lighting from the reference spheres beside the object.
 //!
 //! # Steps
-//! 1. Usable pixels of the sphere in every view ([`crate::samples`]).
-//! 2. Gains of the photos and the kind of light from the sphere alone ([`crate::gains`],
+//! 1. Usable pixels of the spheres in every view ([`crate::side`]).
+//! 2. Gains of the photos and the kind of light from the spheres alone ([`crate::gains`],
 //!    [`crate::kind`]).
-//! 3. World: one robust fit over all views, normals turned into the world and intensities divided
-//!    by the gains; rotated into each camera and multiplied by its gain. Camera: one fit per view;
-//!    a view without a usable sphere takes the lighting of the nearest one, and says so.
-//! 4. A calibration photo ([`crate::calibration`]) replaces step 3's fit; the sphere beside the object still gives the gains.
+//! 3. Of several spheres, those that see one light ([`crate::agreement`]).
+//! 4. World: one robust fit over all views and spheres, normals turned into the world and
+//!    intensities divided by the gains; rotated into each camera and multiplied by its gain. Camera:
+//!    one fit per view; a view without a usable sphere takes the lighting of the nearest one, and
+//!    says so.
+//! 5. A calibration photo ([`crate::calibration`]) replaces step 4's fit; the spheres beside the
+//!    object still give the gains.
 
 use crate::calibration::from_calibration;
 use crate::gains::{self, Gains};
 use crate::options::GainMode;
-use crate::report::{ChannelReport, LightingReport, ViewLightReport};
-use crate::samples::{SphereSamples, of_sphere};
-use crate::{LightingError, LightingOptions, kind, place};
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use crate::report::{ChannelReport, LightingReport};
+use crate::samples::SphereSamples;
+use crate::side::{Counted, Side, collect};
+use crate::{LightingError, LightingOptions, agreement, kind, place};
+use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, fit_lighting, rotate};
-use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
-    Event, Flow, LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet,
-    PosedViews, SphereRequest, StageId, ViewIdx, ViewLighting,
+    LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet, PosedViews,
+    SphereRequest, ViewIdx, ViewLighting,
 };
 
 pub(crate) fn run(
@@ -30,7 +33,7 @@ pub(crate) fn run(
     options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
-    if posed.sphere.is_none() && request.calibration.is_empty() {
+    if posed.spheres.is_empty() && request.calibration.is_empty() {
         return Err(LightingError::NoSphere);
     }
     let mut report = LightingReport {
@@ -38,13 +41,8 @@ pub(crate) fn run(
         kind: request.light,
         ..LightingReport::default()
     };
-    let side = collect_views(photos, posed, options, observer, &mut report)?;
-    let rotations: Vec<_> = side
-        .views
-        .iter()
-        .map(|&v| posed.views[v].cam_from_world.rotation.inverse())
-        .collect();
-    report.kind_check = kind::check(&side.samples, &rotations, request.light);
+    let side = collect(photos, posed, options, observer, &mut report)?;
+    report.kind_check = kind::check(&side, request.light);
     warn_of_kind(&mut report);
     report.warnings.extend(place::warn(posed));
     if request.calibration.is_empty() {
@@ -54,90 +52,13 @@ pub(crate) fn run(
             });
         }
         match request.light {
-            LightKind::World => from_side_world(posed, &side, &rotations, options, report),
-            LightKind::Camera => from_side_camera(posed, &side, options, report),
+            LightKind::World => from_side_world(posed, side, options, report),
+            LightKind::Camera => from_side_camera(posed, side, options, report),
         }
     } else {
         report.source = LightSource::CalibrationPhoto;
-        from_calibration(photos, posed, request, (&side, &rotations), options, report)
+        from_calibration(photos, posed, request, &side, options, report)
     }
-}
-
-/// The sphere in the views that show enough of it.
-pub(crate) struct Side {
-    /// Indices of those views.
-    pub views: Vec<usize>,
-    /// Their samples.
-    pub samples: Vec<SphereSamples>,
-}
-
-fn collect_views(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    options: &LightingOptions,
-    observer: &dyn Observer,
-    report: &mut LightingReport,
-) -> Result<Side, LightingError> {
-    let mut side = Side {
-        views: Vec::new(),
-        samples: Vec::new(),
-    };
-    for (idx, view) in posed.views.iter().enumerate() {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Lighting,
-            step: "reading the sphere".to_owned(),
-            done: idx,
-            total: posed.views.len(),
-        });
-        if flow == Flow::Stop {
-            return Err(LightingError::Interrupted);
-        }
-        let mut facts = ViewLightReport::named(&view.name);
-        if let Some(sphere) = &posed.sphere {
-            let photo = &photos.photos[view.photo.0];
-            let in_camera = SphereInCamera {
-                center: view
-                    .cam_from_world
-                    .apply(&Point3::from(sphere.center_in_world)),
-                radius: sphere.radius,
-            };
-            // Where the outline was looked for and not found, something hides the sphere.
-            let hidden = !sphere.seen_in.is_empty()
-                && sphere.seen_in.iter().all(|(photo, _)| *photo != view.photo);
-            if in_camera.cone().is_none() {
-                facts.left_out = Some("the sphere lies behind the camera".to_owned());
-            } else if hidden {
-                facts.left_out = Some("the sphere's outline is not seen in it".to_owned());
-            } else {
-                let image = photo.pixels.load()?;
-                let samples = of_sphere(
-                    &image,
-                    photo.mask.as_deref(),
-                    photo.clip_level,
-                    &view.intrinsics,
-                    &in_camera,
-                    options,
-                );
-                facts.num_pixels = samples.num_usable();
-                facts.clipped_share = samples.clipped_share;
-                facts.hidden_share = samples.hidden_share;
-                facts.radius_px = Some(samples.radius_px);
-                if facts.num_pixels >= options.min_num_pixels {
-                    side.views.push(idx);
-                    side.samples.push(samples);
-                } else {
-                    facts.left_out = Some(format!(
-                        "{} usable pixels of the sphere ({:.0} % hidden, {:.0} % clipped)",
-                        facts.num_pixels,
-                        100.0 * facts.hidden_share,
-                        100.0 * facts.clipped_share
-                    ));
-                }
-            }
-        }
-        report.views.push(facts);
-    }
-    Ok(side)
 }
 
 fn reasons(report: &LightingReport) -> Vec<String> {
@@ -209,18 +130,11 @@ pub(crate) fn ones(num_channels: usize) -> Vec<f64> {
     vec![1.0; num_channels]
 }
 
-/// Relative residual of a lighting on samples, over the pixels within three deviations.
-pub(crate) fn residual_of(samples: &SphereSamples, lighting: &Lighting) -> Option<f64> {
-    let (mut errors, mut sizes) = (Vec::new(), Vec::new());
-    for k in 0..samples.normals.len() {
-        for (channel, light) in lighting.channels.iter().enumerate() {
-            if samples.usable[k][channel] {
-                let value = samples.values[k][channel];
-                errors.push((light.evaluate(&samples.normals[k]) - value).abs());
-                sizes.push(value);
-            }
-        }
-    }
+/// Relative residual of `(value, prediction)` pairs, over those within three deviations.
+pub(crate) fn residual_of(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+    let (sizes, errors): (Vec<f64>, Vec<f64>) = pairs
+        .map(|(value, predicted)| (value, (predicted - value).abs()))
+        .unzip();
     let mut sorted = errors.clone();
     let limit = 3.0
         * rilievo_numerics::robust::SIGMA_FROM_MAD
@@ -235,26 +149,46 @@ pub(crate) fn residual_of(samples: &SphereSamples, lighting: &Lighting) -> Optio
     (size > 0.0).then(|| (error / size).sqrt())
 }
 
+/// Relative residual of a view's lighting on the spheres that it shows.
+fn residual_in(view: &[Counted<'_>], lighting: &Lighting) -> Option<f64> {
+    residual_of(view.iter().flat_map(|(patch, paint)| {
+        let samples = &patch.samples;
+        (0..samples.normals.len()).flat_map(move |k| {
+            let channels = lighting.channels.iter().enumerate();
+            let usable = channels.filter(move |(channel, _)| samples.usable[k][*channel]);
+            usable.map(move |(channel, light)| {
+                let predicted = light.evaluate(&samples.normals[k]) * paint[channel];
+                (samples.values[k][channel], predicted)
+            })
+        })
+    }))
+}
+
+/// Samples of all patches that count, in the world, brightness divided by gain and paint.
+fn pool_in_world(side: &Side, gains: &[Vec<f64>], options: &LightingOptions) -> Pool {
+    let mut pool = Pool::default();
+    let share = options.max_num_samples / side.counted().count().max(1);
+    for (patch, paint) in side.counted() {
+        let gain = &gains[patch.view];
+        let scale: Vec<f64> = gain.iter().zip(paint).map(|(g, p)| g * p).collect();
+        let rotation = &side.world_from_cam[patch.view];
+        pool.add(&patch.samples, rotation, &scale, share);
+    }
+    pool
+}
+
 /// Gains of the views in `side`, found in two rounds: the first fit tells the slope of the light
 /// within a cell of normals, the second comparison removes it.
-pub(crate) fn gains_of(
-    side: &Side,
-    rotations: &[UnitQuaternion<f64>],
-    options: &LightingOptions,
-) -> Result<Gains, LightingError> {
-    let mut gains = gains::find(&side.samples, rotations, None, options.gains);
+pub(crate) fn gains_of(side: &Side, options: &LightingOptions) -> Result<Gains, LightingError> {
+    let mut gains = gains::find(side, None, options.gains);
     if options.gains == GainMode::Off || side.views.len() < 2 {
         gains.apply = false;
         return Ok(gains);
     }
     for _ in 0..2 {
-        let mut pool = Pool::default();
-        for ((samples, rotation), gain) in side.samples.iter().zip(rotations).zip(&gains.gain) {
-            let share = options.max_num_samples / side.views.len();
-            pool.add(samples, rotation, gain, share);
-        }
+        let pool = pool_in_world(side, &gains.gain, options);
         let environment = pool.fit("the sphere", options)?;
-        gains = gains::find(&side.samples, rotations, Some(&environment), options.gains);
+        gains = gains::find(side, Some(&environment), options.gains);
     }
     Ok(gains)
 }
@@ -317,11 +251,7 @@ pub(crate) fn views_from_environment(
         .map(|(idx, view)| {
             let in_camera = rotate(environment, &view.cam_from_world.rotation);
             let lighting = scaled(in_camera, &gains[idx]);
-            let residual = side
-                .views
-                .iter()
-                .position(|&v| v == idx)
-                .and_then(|k| residual_of(&side.samples[k], &lighting));
+            let residual = residual_in(&side.counted_in(idx), &lighting);
             if report.source == LightSource::CalibrationPhoto {
                 report.views[idx].side_sphere_rms = residual;
             } else {
@@ -352,23 +282,19 @@ pub(crate) fn describe(fit: &LightingFit, report: &mut LightingReport) {
 
 fn from_side_world(
     posed: &PosedViews,
-    side: &Side,
-    rotations: &[UnitQuaternion<f64>],
+    mut side: Side,
     options: &LightingOptions,
     mut report: LightingReport,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
-    let gains = gains_of(side, rotations, options)?;
+    let gains = gains_of(&side, options)?;
     let num_channels = gains.gain[0].len();
-    let applied = report_gains(posed, side, &gains, num_channels, &mut report);
-    let mut pool = Pool::default();
-    for (k, &view) in side.views.iter().enumerate() {
-        let share = options.max_num_samples / side.views.len();
-        pool.add(&side.samples[k], &rotations[k], &applied[view], share);
-    }
-    let fit = pool.fit("the sphere", options)?;
+    let applied = report_gains(posed, &side, &gains, num_channels, &mut report);
+    let in_side: Vec<Vec<f64>> = side.views.iter().map(|&v| applied[v].clone()).collect();
+    agreement::judge(&mut side, &in_side, LightKind::World, options, &mut report);
+    let fit = pool_in_world(&side, &in_side, options).fit("the sphere", options)?;
     describe(&fit, &mut report);
     let environment = fit.lighting();
-    let views = views_from_environment(posed, &environment, &applied, side, &mut report);
+    let views = views_from_environment(posed, &environment, &applied, &side, &mut report);
     Ok((
         LightingCalibration {
             source: LightSource::Sphere,
@@ -382,23 +308,27 @@ fn from_side_world(
 
 fn from_side_camera(
     posed: &PosedViews,
-    side: &Side,
+    mut side: Side,
     options: &LightingOptions,
     mut report: LightingReport,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
+    let gains = vec![ones(side.num_channels()); side.views.len()];
+    agreement::judge(&mut side, &gains, LightKind::Camera, options, &mut report);
     let mut fits: Vec<(usize, LightingFit)> = Vec::new();
-    for (samples, &view) in side.samples.iter().zip(&side.views) {
+    for &view in &side.views {
+        let patches = side.counted_in(view);
+        if patches.is_empty() {
+            report.views[view].left_out = Some("its spheres see another light".to_owned());
+            continue;
+        }
         let mut pool = Pool::default();
-        let num_channels = samples.values.first().map_or(1, Vec::len);
-        pool.add(
-            samples,
-            &UnitQuaternion::identity(),
-            &ones(num_channels),
-            options.max_num_samples,
-        );
+        let share = options.max_num_samples / patches.len();
+        for (patch, paint) in &patches {
+            pool.add(&patch.samples, &UnitQuaternion::identity(), paint, share);
+        }
         match pool.fit(&posed.views[view].name, options) {
             Ok(fit) => {
-                report.views[view].relative_rms = residual_of(samples, &fit.lighting());
+                report.views[view].relative_rms = residual_in(&patches, &fit.lighting());
                 fits.push((view, fit));
             }
             Err(error) => report.views[view].left_out = Some(error.to_string()),

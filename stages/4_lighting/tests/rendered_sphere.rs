@@ -8,8 +8,8 @@ use rilievo_lighting::{GainMode, LightingError, LightingOptions, LightingRequest
 use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_scene::{
-    FocalSource, InMemoryPixels, Intrinsics, LightKind, Lighting, LinearImage, Photo, PhotoIdx,
-    PhotoSet, PosedView, PosedViews, RigidTransform, Silent, SphereMark, SphereRequest,
+    FocalSource, InMemoryPixels, Intrinsics, LightKind, Lighting, LinearImage, MarkedSphere, Photo,
+    PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform, Silent, SphereMark, SphereRequest,
     SphericalHarmonics,
 };
 use std::sync::Arc;
@@ -133,9 +133,8 @@ fn set_of(shots: &[Shot]) -> (PhotoSet, PosedViews) {
 
 fn request(light: LightKind, marks: Vec<(PhotoIdx, SphereMark)>) -> SphereRequest {
     SphereRequest {
-        radius: Some(RADIUS),
+        spheres: vec![MarkedSphere::only(RADIUS, marks)],
         light,
-        marks,
         ..SphereRequest::default()
     }
 }
@@ -191,7 +190,7 @@ fn single(off_axis_deg: f64, radius_px: f64, shadow: fn(f64, f64) -> f64, cut: f
         WorldScale::Metric,
         &options,
     );
-    posed.sphere = Some(found.unwrap().sphere);
+    posed.spheres = vec![found.unwrap().fits.remove(0).sphere];
     let (calibration, _) = run(
         &photos,
         &posed,
@@ -314,13 +313,15 @@ fn around(kind: LightKind, gains: [f64; 5]) -> (PhotoSet, PosedViews, Lighting) 
         WorldScale::Metric,
         &options,
     )
-    .unwrap();
+    .unwrap()
+    .fits
+    .remove(0);
     assert_eq!(
         fit.sphere.seen_in.len(),
         5,
         "marks in two photos predict the others"
     );
-    posed.sphere = Some(fit.sphere);
+    posed.spheres = vec![fit.sphere];
     (photos, posed, environment)
 }
 
@@ -395,7 +396,7 @@ fn input_without_light_gives_named_errors() {
         run(&photos, posed, request, options, &Silent)
     };
     let without = PosedViews {
-        sphere: None,
+        spheres: Vec::new(),
         ..posed.clone()
     };
     let result = go(&without, &sphere, &options);

@@ -12,8 +12,8 @@ use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, DepthMap, FocalSource, InMemoryPixels, Intrinsics,
-    LightKind, Lighting, LinearImage, LocatedSphere, Photo, PhotoIdx, PhotoSet, PosedView,
-    PosedViews, Raster, RigidTransform, ShadedView, ShadedViews, Silent, SphereRequest,
+    LightKind, Lighting, LinearImage, LocatedSphere, MarkedSphere, Photo, PhotoIdx, PhotoSet,
+    PosedView, PosedViews, Raster, RigidTransform, ShadedView, ShadedViews, Silent, SphereRequest,
     SphericalHarmonics, ViewIdx,
 };
 use std::sync::Arc;
@@ -136,7 +136,8 @@ fn world(on_object: &Lighting, on_ball: &Lighting, albedo: f64) -> World {
         made.depths.push(depth);
         made.normals.push(normals);
     }
-    made.posed.sphere = Some(LocatedSphere {
+    made.posed.spheres.push(LocatedSphere {
+        name: MarkedSphere::ONLY.to_owned(),
         center_in_world: ball_center().coords.into(),
         radius: BALL_RADIUS,
         center_sigma: [0.0; 3],
@@ -220,7 +221,6 @@ fn angle_deg(a: &Lighting, b: &Lighting) -> f64 {
 
 fn sphere_request() -> LightingRequest {
     LightingRequest::Sphere(SphereRequest {
-        radius: Some(BALL_RADIUS),
         light: LightKind::World,
         ..SphereRequest::default()
     })

@@ -22,8 +22,7 @@ fn set(name: &str) -> Option<Set> {
 
 fn find(radius: f64) -> SphereRequest {
     SphereRequest {
-        radius: Some(radius),
-        detect: true,
+        search_radius: Some(radius),
         ..SphereRequest::default()
     }
 }
@@ -69,11 +68,15 @@ fn locate_in(set: &mut Set, num_views: usize) {
     }
     let request = find(set.radius);
     let options = SphereOptions::default();
-    let fit = locate_request(&set.photos, &shrunk, &request, WorldScale::Free, &options).unwrap();
+    let found = locate_request(&set.photos, &shrunk, &request, WorldScale::Free, &options).unwrap();
+    assert!(found.other_sizes.is_empty(), "{:?}", found.other_sizes);
+    let [fit] = &found.fits[..] else {
+        panic!("{:?}", found.fits);
+    };
     assert_eq!(fit.sphere.seen_in.len(), num_views, "{:?}", fit.views);
-    let scale = fit.metres_per_unit * SHRINK;
+    let scale = found.scale.unwrap().estimate.metres_per_unit * SHRINK;
     assert!((scale - 1.0).abs() < 0.003, "scale {scale}");
-    let mut sphere = fit.sphere;
+    let mut sphere = fit.sphere.clone();
     let mut off = 0.0;
     for (found, truth) in sphere.center_in_world.iter_mut().zip(set.center) {
         *found /= SHRINK;
@@ -82,16 +85,11 @@ fn locate_in(set: &mut Set, num_views: usize) {
     sphere.radius /= SHRINK;
     assert!(off.sqrt() < 0.0005, "centre off by {} m", off.sqrt());
     for view in &set.posed.views {
-        let in_camera = SphereInCamera {
-            center: view
-                .cam_from_world
-                .apply(&nalgebra::Point3::from(sphere.center_in_world)),
-            radius: sphere.radius,
-        };
+        let in_camera = SphereInCamera::seen(&sphere, &view.cam_from_world);
         let overlap = set.overlap(view.photo, &in_camera, &view.intrinsics);
         assert!(overlap >= 0.97, "{}: IoU {overlap}", view.name);
     }
-    set.posed.sphere = Some(sphere);
+    set.posed.spheres = vec![sphere];
 }
 
 #[test]

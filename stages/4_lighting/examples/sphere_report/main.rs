@@ -12,7 +12,7 @@ mod data;
 use data::Set;
 use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, overlays, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
-use rilievo_scene::{LightKind, Scale, ScaleSource, Silent, SphereRequest, Unit};
+use rilievo_scene::{LightKind, MarkedSphere, Scale, ScaleSource, Silent, SphereRequest, Unit};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -20,24 +20,22 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let has = |word: &str| arguments.iter().any(|a| a == word);
     let mut set = Set::load(std::path::Path::new(folder), has("linear"))?;
     let request = SphereRequest {
-        radius: Some(set.radius),
+        spheres: if has("marks") {
+            vec![MarkedSphere::only(set.radius, set.marks.clone())]
+        } else {
+            Vec::new()
+        },
+        search_radius: (!has("marks")).then_some(set.radius),
         light: if has("camera") {
             LightKind::Camera
         } else {
             LightKind::World
         },
-        marks: if has("marks") {
-            set.marks.clone()
-        } else {
-            Vec::new()
-        },
-        detect: !has("marks"),
         calibration: if has("calibration") {
             set.calibration.clone()
         } else {
             Vec::new()
         },
-        ..SphereRequest::default()
     };
     // The world shrunk by an arbitrary factor, as poses without scale are.
     let shrink = if has("metric") { 1.0 } else { 0.37 };
@@ -51,13 +49,25 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let options = SphereOptions::default();
     let start = std::time::Instant::now();
-    let fit = locate_request(&set.photos, &set.posed.views, &request, scale, &options)?;
-    println!("located in {:.2} s", start.elapsed().as_secs_f64());
+    let found = locate_request(&set.photos, &set.posed.views, &request, scale, &options)?;
+    println!(
+        "{} located in {:.2} s, of other sizes {:?}, {:?}",
+        found.fits.len(),
+        start.elapsed().as_secs_f64(),
+        found.other_sizes,
+        found.scale
+    );
+    let fit = &found.fits[0];
+    let own_scale = fit.scale.ok_or("one view only")?;
     let mut sphere = fit.sphere.clone();
     for view in &mut set.posed.views {
         view.cam_from_world.translation /= shrink;
     }
-    let to_metres = fit.metres_per_unit;
+    let to_metres = if has("metric") {
+        1.0
+    } else {
+        own_scale.metres_per_unit
+    };
     let error: f64 = (0..3)
         .map(|k| (sphere.center_in_world[k] * to_metres - set.center[k]).powi(2))
         .sum::<f64>()
@@ -69,7 +79,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .sqrt();
     println!(
         "seen in {} of {}; centre off by {:.3} mm ({:.3} mm by its own scale), sigma {:.3} mm; \
-         scale off by {:+.3} %, sigma {:.3} %; radius ratio {:?}",
+         scale off by {:+.3} %, sigma {:.3} %",
         sphere.seen_in.len(),
         set.posed.views.len(),
         1e3 * place,
@@ -81,9 +91,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             .sum::<f64>()
             .sqrt()
             / shrink,
-        100.0 * (to_metres * shrink - 1.0),
-        100.0 * fit.relative_sigma,
-        fit.radius_ratio,
+        100.0 * (own_scale.metres_per_unit * shrink - 1.0),
+        100.0 * own_scale.relative_sigma,
     );
     for k in 0..3 {
         sphere.center_in_world[k] /= shrink;
@@ -96,12 +105,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             .iter()
             .find(|v| v.photo == agreement.photo)
             .ok_or("view")?;
-        let in_camera = SphereInCamera {
-            center: view
-                .cam_from_world
-                .apply(&nalgebra::Point3::from(sphere.center_in_world)),
-            radius: sphere.radius,
-        };
+        let in_camera = SphereInCamera::seen(&sphere, &view.cam_from_world);
         println!(
             "  {} used {} rms {:.2} px bias {:+.2} px inliers {:.2} IoU {:.3} {}",
             view.name,
@@ -113,11 +117,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             agreement.reason.clone().unwrap_or_default()
         );
     }
-    set.posed.sphere = Some(sphere);
+    set.posed.spheres = vec![sphere];
     set.posed.scale = Scale {
         unit: Unit::Metre,
         source: ScaleSource::Sphere,
-        relative_sigma: Some(fit.relative_sigma),
+        relative_sigma: Some(own_scale.relative_sigma),
     };
     if let Some(path) = arguments.iter().find_map(|a| a.strip_prefix("posed=")) {
         set.posed = serde_json::from_reader(std::fs::File::open(path)?)?;

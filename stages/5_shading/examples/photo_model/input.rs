@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_scene::{
-    DepthMap, FocalSource, InMemoryPixels, Intrinsics, LinearImage, LocatedSphere, NormalMap,
-    Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform, SparsePoint,
+    DepthMap, FocalSource, InMemoryPixels, Intrinsics, LinearImage, LocatedSphere, MarkedSphere,
+    NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform, SparsePoint,
 };
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -122,7 +122,8 @@ pub fn load(folder: &Path, photo_folder: &str, names: &[String]) -> Result<Input
     }
     if let Some(radius) = cameras["sphere"]["radius"].as_f64() {
         let c = numbers(&cameras["sphere"]["center"]);
-        input.posed.sphere = Some(LocatedSphere {
+        input.posed.spheres.push(LocatedSphere {
+            name: MarkedSphere::ONLY.to_owned(),
             center_in_world: [c[0], c[1], c[2]],
             radius,
             center_sigma: [0.0; 3],

@@ -1,7 +1,7 @@
 //! The light of a lap: nine coefficients per pixel of every view, fitted on the current shape.
 //!
 //! Rays from the pixels of the next coarser level against the solid that the depth
-//! maps carve, the sphere and the ground; the environment fitted on object and sphere pixels together;
+//! maps carve, the spheres and the ground; the environment fitted on object and sphere pixels together;
 //! coefficients interpolated to the level. Pigment, and an albedo of the sphere that differs from the
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
@@ -10,7 +10,7 @@ use super::level::{Level, LevelView};
 use super::plate;
 use super::shading::{self, PixelHarmonics, PixelLight};
 use super::spread;
-use super::surround::{SmallPhoto, look_at_sphere};
+use super::surround::{SmallPhoto, SpherePoint, look_at_spheres};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
@@ -62,7 +62,7 @@ impl Light {
 /// What the light is fitted with, apart from the shape.
 pub(crate) struct LightScene<'a> {
     pub photos: &'a [SmallPhoto],
-    pub sphere: Option<&'a LocatedSphere>,
+    pub spheres: &'a [LocatedSphere],
     pub ground: Option<&'a Ground>,
     pub num_rays: usize,
 }
@@ -168,12 +168,13 @@ pub(crate) fn visible_on(
     scene: &LightScene,
 ) -> Option<Light> {
     let volume = Volume::carve(&depth_views(level, depths), MAX_VOXELS)?;
-    let sphere = scene.sphere.and_then(|s| look_at_sphere(s, scene.photos));
+    let (points, warm): (Vec<Vec<SpherePoint>>, Vec<WarmSphere>) =
+        look_at_spheres(scene.spheres, scene.photos)
+            .into_iter()
+            .unzip();
     let surroundings = Surroundings {
         volume,
-        sphere: sphere
-            .as_ref()
-            .map(|(_, warm): &(_, WarmSphere)| warm.clone()),
+        spheres: warm,
         ground: scene.ground.cloned(),
     };
     let rays = directions(scene.num_rays);
@@ -190,7 +191,7 @@ pub(crate) fn visible_on(
                     let n = view.camera.rotation.tr_mul(&Vector3::new(n[0], n[1], n[2]));
                     let (at, n) = (at.map(|v| v as f32), n.map(|v| v as f32));
                     let offset = surroundings.volume.start_height(&at, &n);
-                    transfer(&surroundings, &at, &n, &rays, offset, false)
+                    transfer(&surroundings, &at, &n, &rays, offset, None)
                 })
                 .collect()
         })
@@ -213,20 +214,16 @@ pub(crate) fn visible_on(
             owners.push((i, p));
         }
     }
-    if let Some((points, warm)) = &sphere {
-        let weight = SPHERE_SHARE * FIT_PIXELS as f32 / points.len().max(1) as f32;
+    let num_points: usize = points.iter().map(Vec::len).sum();
+    let weight = SPHERE_SHARE * FIT_PIXELS as f32 / num_points.max(1) as f32;
+    let mut of_spheres = Vec::with_capacity(points.len());
+    for (k, (points, warm)) in points.iter().zip(&surroundings.spheres).enumerate() {
         let extra: Vec<EnvironmentSample> = points
             .par_iter()
             .map(|p| {
                 let at = warm.center.coords + p.normal * warm.radius;
-                let t = transfer(
-                    &surroundings,
-                    &at,
-                    &p.normal,
-                    &rays,
-                    0.02 * warm.radius,
-                    true,
-                );
+                let offset = 0.02 * warm.radius;
+                let t = transfer(&surroundings, &at, &p.normal, &rays, offset, Some(k));
                 EnvironmentSample {
                     row: t.row(&rays),
                     nearby: t.nearby_intensity(),
@@ -236,6 +233,7 @@ pub(crate) fn visible_on(
             })
             .filter(|s| s.intensity.iter().sum::<f32>() > 1e-4)
             .collect();
+        of_spheres.push(samples.len()..samples.len() + extra.len());
         samples.extend(extra);
     }
     let mut fit = fit_environment(&samples, &rays, SMOOTHNESS)?;
@@ -259,16 +257,22 @@ pub(crate) fn visible_on(
     };
     let mut light = with_residuals(level, normals, interpolated(&fit), None);
     let pigment = albedo::estimate(level, depths, &light);
-    let ratio = sphere_ratio(&samples[owners.len()..], &fit);
-    if pigment.belief > MIN_BELIEF || ratio.iter().any(|r| (r - 1.0).abs() > MIN_RATIO) {
+    let ratios: Vec<[f32; 3]> = of_spheres
+        .iter()
+        .map(|range| sphere_ratio(&samples[range.clone()], &fit))
+        .collect();
+    let other_paint = ratios.iter().flatten().any(|r| (r - 1.0).abs() > MIN_RATIO);
+    if pigment.belief > MIN_BELIEF || other_paint {
         let relative: Vec<Vec<[f32; 3]>> = (0..level.views.len())
             .map(|i| reduce(&level.views[i], &rays_at.views[i], &pigment.relative[i]))
             .collect();
         for (sample, &(i, p)) in samples.iter_mut().zip(&owners) {
             sample.intensity = divided(sample.intensity, relative[i][p]);
         }
-        for sample in &mut samples[owners.len()..] {
-            sample.intensity = divided(sample.intensity, ratio);
+        for (range, ratio) in of_spheres.into_iter().zip(ratios) {
+            for sample in &mut samples[range] {
+                sample.intensity = divided(sample.intensity, ratio);
+            }
         }
         fit = fit_environment(&samples, &rays, SMOOTHNESS)?;
         light = with_residuals(level, normals, interpolated(&fit), None);
@@ -282,7 +286,7 @@ pub(crate) fn visible_on(
     ))
 }
 
-/// The sphere's albedo over the object's: median ratio between what it shows and what the light gives.
+/// A sphere's albedo over the object's: median ratio between what it shows and what the light gives.
 fn sphere_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] {
     std::array::from_fn(|c| {
         let mut ratios: Vec<f64> = samples

@@ -12,7 +12,7 @@ use super::{distant, shading, surround};
 use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_scene::{
     DepthMap, FocalSource, InMemoryPixels, Intrinsics, LightKind, LinearImage, LocatedSphere,
-    NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform,
+    MarkedSphere, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -108,7 +108,8 @@ fn load(folder: &Path, names: &[&str]) -> Truth {
         });
     }
     let c = numbers(&cameras["sphere"]["center"]);
-    posed.sphere = Some(LocatedSphere {
+    posed.spheres.push(LocatedSphere {
+        name: MarkedSphere::ONLY.to_owned(),
         center_in_world: [c[0], c[1], c[2]],
         radius: cameras["sphere"]["radius"].as_f64().unwrap(),
         center_sigma: [0.0; 3],
@@ -197,7 +198,7 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
     let ground = surround::find_ground(&points, &object, &truth.scene.small);
     let scene = LightScene {
         photos: &truth.scene.small,
-        sphere: truth.posed.sphere.as_ref(),
+        spheres: &truth.posed.spheres,
         ground: ground.as_ref(),
         num_rays,
     };

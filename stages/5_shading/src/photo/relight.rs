@@ -54,7 +54,7 @@ impl Course<'_> {
         let rays_at = self.scene.pyramid.get(at + 1).unwrap_or(level);
         let scene = LightScene {
             photos: &self.scene.small,
-            sphere: posed.sphere.as_ref(),
+            spheres: &posed.spheres,
             ground,
             num_rays: self.options.num_rays,
         };
@@ -77,7 +77,7 @@ impl Course<'_> {
                 "the light moves with the camera: own shadow is not modelled, and photos agree less",
             );
         }
-        if posed.sphere.is_none() && light.is_some() {
+        if posed.spheres.is_empty() && light.is_some() {
             notes.push(
                 "no sphere: the light is read from the object's own surface, so that a light over \
                  the whole object and its albedo cannot be told apart",

@@ -11,8 +11,8 @@ use super::{distant, plate, shading};
 use nalgebra::{Point2, Point3};
 use rilievo_numerics::plate_system::PlateSolver;
 use rilievo_scene::{
-    FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
+    FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
+    MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
 };
 use rilievo_synthetic::{LightModel, RenderOptions, RenderedView, Renderer, SceneOptions, Subject};
 use std::sync::Arc;
@@ -92,8 +92,9 @@ fn world(subject: Subject, light: LightModel, stained: bool, size: (usize, usize
         });
         views.push(view);
     }
-    if let Some(sphere) = scene.sphere {
-        posed.sphere = Some(LocatedSphere {
+    for sphere in &scene.spheres {
+        posed.spheres.push(LocatedSphere {
+            name: MarkedSphere::ONLY.to_owned(),
             center_in_world: sphere.center_in_world,
             radius: sphere.radius,
             center_sigma: [0.0; 3],
@@ -136,7 +137,7 @@ fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
     let rays_at = scene.pyramid.get(1).unwrap_or(level);
     let light_scene = LightScene {
         photos: &scene.small,
-        sphere: world.posed.sphere.as_ref(),
+        spheres: &world.posed.spheres,
         ground: None,
         num_rays: 128,
     };

@@ -1,5 +1,5 @@
 //! What stands around the object, as the photos show it: small whole photos, the ground under the
-//! object with its texture, and the reference sphere's radiance.
+//! object with its texture, and the reference spheres' radiance.
 
 use super::camera::Camera;
 use nalgebra::{Point3, Vector3};
@@ -96,10 +96,34 @@ pub(crate) struct SpherePoint {
     pub radiance: [f32; 3],
 }
 
-/// The sphere's visible points and its smooth radiance.
-pub(crate) fn look_at_sphere(
+/// The spheres' visible points and their smooth radiances.
+pub(crate) fn look_at_spheres(
+    spheres: &[LocatedSphere],
+    photos: &[SmallPhoto],
+) -> Vec<(Vec<SpherePoint>, WarmSphere)> {
+    let bodies: Vec<WarmSphere> = spheres.iter().map(body).collect();
+    (0..spheres.len())
+        .filter_map(|k| look_at_sphere(&spheres[k], photos, &bodies, k))
+        .collect()
+}
+
+/// A sphere that sends nothing yet.
+fn body(sphere: &LocatedSphere) -> WarmSphere {
+    WarmSphere {
+        center: Point3::from(sphere.center_in_world.map(|c| c as f32)),
+        radius: sphere.radius as f32,
+        radiance: Lighting {
+            channels: Vec::new(),
+        },
+    }
+}
+
+/// Sphere `own` of all `bodies`, which may hide it.
+fn look_at_sphere(
     sphere: &LocatedSphere,
     photos: &[SmallPhoto],
+    bodies: &[WarmSphere],
+    own: usize,
 ) -> Option<(Vec<SpherePoint>, WarmSphere)> {
     // Radians of elevation under which a pixel straddles the outline.
     const MIN_COSINE: f64 = 0.25;
@@ -112,7 +136,12 @@ pub(crate) fn look_at_sphere(
         let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
         for photo in photos {
             let view = (photo.camera.center - at).normalize();
-            if view.dot(&normal) < MIN_COSINE {
+            let (start, towards) = (at.coords.map(|v| v as f32), view.map(|v| v as f32));
+            let hidden = bodies
+                .iter()
+                .enumerate()
+                .any(|(k, other)| k != own && other.meet(&start, &towards).is_some());
+            if view.dot(&normal) < MIN_COSINE || hidden {
                 continue;
             }
             if let Some(rgb) = photo.look(&at) {
@@ -140,9 +169,8 @@ pub(crate) fn look_at_sphere(
         channels.push(fit.coefficients);
     }
     let warm = WarmSphere {
-        center: Point3::new(center.x as f32, center.y as f32, center.z as f32),
-        radius: sphere.radius as f32,
         radiance: Lighting { channels },
+        ..bodies[own].clone()
     };
     Some((points, warm))
 }

@@ -11,7 +11,7 @@
 //! | depth, normals, confidence, linear images as OpenEXR | [`exr_maps`] |
 //! | cameras: `cameras.json`, `camera.json`, COLMAP | [`read_cameras`], [`write_cameras`], [`colmap`] |
 //! | cameras of other programs | [`adapters`] |
-//! | the reference sphere | [`read_sphere_file`] |
+//! | the reference spheres | [`read_sphere_file`] |
 //! | lighting | [`read_lighting`], [`write_lighting`] |
 //! | lighting for other programs | [`write_lights`] |
 //! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
@@ -69,4 +69,4 @@ pub use preview::{Preview, encode_preview_png, write_preview_png};
 pub use scene_file::{
     SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene, write_matches_csv,
 };
-pub use sphere_file::{SphereFile, SphereFileCalibration, read_sphere_file};
+pub use sphere_file::{SphereFile, SphereFileCalibration, SphereFileEntry, read_sphere_file};

@@ -1,4 +1,4 @@
-//! The reference sphere as the user describes it: `--sphere FILE.json`.
+//! The reference spheres as the user describes them: `--sphere FILE.json`.
 //!
 //! ```text
 //! {"radius": 0.04, "unit": "metre", "light": "world" | "camera",
@@ -7,6 +7,11 @@
 //!           , "IMG_0005.jpg": {"circle": [cx, cy, r]}, "IMG_0006.jpg": {"points": [[x,y], ... 5 or more]}},
 //!  "center": [x, y, z],
 //!  "calibration": [{"image": "calibration/CAL_0001.jpg", "same_camera_as": "IMG_0004.jpg", "radius": 0.09, "mask": "..."}]}
+//! ```
+//! Several spheres stand in a list instead of `views` and `center`; one without a radius has the
+//! file's:
+//! ```text
+//! {"radius": 0.04, "spheres": [{"views": {...}}, {"name": "left", "radius": 0.03, "views": {...}, "center": [...]}]}
 //! ```
 //! Paths are relative to the file; photos are named with or without ending; marks are in pixels
 //! with centres at integers.
@@ -17,7 +22,8 @@ use crate::json::{self, Node};
 use crate::mask::read_mask;
 use nalgebra::Point3;
 use rilievo_scene::{
-    LightKind, LinearImage, PhotoIdx, PhotoSet, SphereCalibration, SphereMark, SphereRequest, Unit,
+    LightKind, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, SphereCalibration, SphereMark,
+    SphereRequest, Unit,
 };
 use std::path::{Path, PathBuf};
 
@@ -37,21 +43,32 @@ pub struct SphereFileCalibration {
     pub mark: Option<SphereMark>,
 }
 
+/// A sphere beside the object, as the file describes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SphereFileEntry {
+    /// What messages call it.
+    pub name: String,
+    /// Radius in the file's unit.
+    pub radius: f64,
+    /// Outlines by photo (named with or without ending).
+    pub views: Vec<(String, SphereMark)>,
+    /// Centre in the frame of the given cameras.
+    pub center: Option<[f64; 3]>,
+    /// Its place in the file, for messages: `spheres[1].`, or nothing for the only one.
+    pub key: String,
+}
+
 /// A sphere file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SphereFile {
     /// The file.
     pub path: PathBuf,
-    /// Radius; absent only where every calibration photo carries its own.
-    pub radius: Option<f64>,
-    /// Unit of the radius.
+    /// Unit of the radii.
     pub unit: Unit,
     /// What the light is fixed to.
     pub light: LightKind,
-    /// Outlines by photo (named with or without ending).
-    pub views: Vec<(String, SphereMark)>,
-    /// Centre in the frame of the given cameras.
-    pub center: Option<[f64; 3]>,
+    /// The spheres beside the object.
+    pub spheres: Vec<SphereFileEntry>,
     /// Calibration photos.
     pub calibration: Vec<SphereFileCalibration>,
     /// Every further file that was read or is named: masks and calibration photos, in order.
@@ -67,6 +84,25 @@ fn find_photo(photos: &PhotoSet, name: &str) -> Option<PhotoIdx> {
 }
 
 impl SphereFile {
+    /// Puts another radius in the place of the file's.
+    ///
+    /// # Errors
+    /// When the file's spheres differ in radius.
+    pub fn replace_radius(&mut self, radius: f64) -> Result<(), IoError> {
+        let mut radii = self.spheres.iter().map(|sphere| sphere.radius);
+        let first = radii.next();
+        if radii.any(|other| Some(other) != first) {
+            return Err(IoError::input(
+                &self.path,
+                "its spheres differ in radius: none can be stated beside the file",
+            ));
+        }
+        for sphere in &mut self.spheres {
+            sphere.radius = radius;
+        }
+        Ok(())
+    }
+
     /// The request for a set of photos; `calibration_images` are the calibration photos, linear,
     /// in the file's order. Photos that the file names and the set lacks come back by name: a set
     /// may be a part of what the file describes.
@@ -80,23 +116,33 @@ impl SphereFile {
         calibration_images: Vec<LinearImage>,
     ) -> Result<(SphereRequest, Vec<String>), IoError> {
         let mut request = SphereRequest {
-            radius: self.radius,
             light: self.light,
-            center_in_world: self.center.map(Point3::from),
             ..SphereRequest::default()
         };
         let mut absent = Vec::new();
-        for (name, mark) in &self.views {
-            let Some(photo) = find_photo(photos, name) else {
-                absent.push(name.clone());
-                continue;
+        for entry in &self.spheres {
+            let mut sphere = MarkedSphere {
+                name: entry.name.clone(),
+                radius: entry.radius,
+                marks: Vec::new(),
+                center_in_world: entry.center.map(Point3::from),
             };
-            let camera = &photos.photos[photo.0].intrinsics;
-            check_mask_size(mark, camera.width, camera.height)
-                .map_err(|reason| IoError::input(&self.path, format!("views.{name}: {reason}")))?;
-            request.marks.push((photo, mark.clone()));
+            for (name, mark) in &entry.views {
+                let Some(photo) = find_photo(photos, name) else {
+                    if !absent.contains(name) {
+                        absent.push(name.clone());
+                    }
+                    continue;
+                };
+                let camera = &photos.photos[photo.0].intrinsics;
+                check_mask_size(mark, camera.width, camera.height).map_err(|reason| {
+                    IoError::input(&self.path, format!("{}views.{name}: {reason}", entry.key))
+                })?;
+                sphere.marks.push((photo, mark.clone()));
+            }
+            sphere.marks.sort_by_key(|(photo, _)| *photo);
+            request.spheres.push(sphere);
         }
-        request.marks.sort_by_key(|(photo, _)| *photo);
         if calibration_images.len() != self.calibration.len() {
             return Err(IoError::input(
                 &self.path,
@@ -175,19 +221,7 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
         Some(node) => Some(node.positive()?),
         None => None,
     };
-    let mut views = Vec::new();
-    if let Some(node) = root.opt("views")? {
-        for (name, node) in node.members()? {
-            let mark = mark(&node, folder, &mut files)?.ok_or_else(|| {
-                node.refuse("has none of \"mask\", \"ellipse\", \"circle\" and \"points\"")
-            })?;
-            views.push((name.to_owned(), mark));
-        }
-    }
-    let center = match root.opt("center")? {
-        Some(node) => Some(node.numbers()?),
-        None => None,
-    };
+    let spheres = spheres(&root, radius, folder, &mut files)?;
     let mut calibration = Vec::new();
     if let Some(list) = root.opt("calibration")? {
         for node in list.array()? {
@@ -205,30 +239,113 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
             });
         }
     }
-    if views.is_empty() && center.is_none() && calibration.is_empty() {
+    if spheres.is_empty() && calibration.is_empty() {
         return Err(IoError::input(
             path,
-            "has neither \"views\" nor \"center\" nor \"calibration\": nothing says where the \
-             sphere is",
-        ));
-    }
-    if radius.is_none() && (!views.is_empty() || center.is_some()) {
-        return Err(IoError::input(
-            path,
-            "the key \"radius\" is missing: measure the sphere and state its radius, in metres or \
-             with a \"unit\"",
+            "has neither \"views\" nor \"center\" nor \"spheres\" nor \"calibration\": nothing \
+             says where the sphere is",
         ));
     }
     Ok(SphereFile {
         path: path.to_path_buf(),
-        radius,
         unit,
         light,
-        views,
-        center,
+        spheres,
         calibration,
         files,
     })
+}
+
+/// The spheres of a list, or the only one of the top level.
+fn spheres(
+    root: &Node<'_>,
+    common_radius: Option<f64>,
+    folder: &Path,
+    files: &mut Vec<PathBuf>,
+) -> Result<Vec<SphereFileEntry>, IoError> {
+    let Some(list) = root.opt("spheres")? else {
+        let only = entry(
+            root,
+            MarkedSphere::ONLY.to_owned(),
+            common_radius,
+            folder,
+            files,
+        )?;
+        return Ok(only.into_iter().collect());
+    };
+    if root.opt("views")?.is_some() || root.opt("center")?.is_some() {
+        return Err(list.refuse("stands beside \"views\" or \"center\": move those into the list"));
+    }
+    let nodes = list.array()?;
+    if nodes.is_empty() {
+        return Err(list.refuse("names no sphere"));
+    }
+    let mut spheres: Vec<SphereFileEntry> = Vec::with_capacity(nodes.len());
+    for (k, node) in nodes.iter().enumerate() {
+        let name = match node.opt("name")? {
+            Some(name) => format!("sphere \"{}\"", name.text()?),
+            None if nodes.len() == 1 => MarkedSphere::ONLY.to_owned(),
+            None => format!("sphere {}", k + 1),
+        };
+        if spheres.iter().any(|sphere| sphere.name == name) {
+            return Err(node.get("name")?.refuse("names another sphere already"));
+        }
+        let sphere = entry(node, name, common_radius, folder, files)?.ok_or_else(|| {
+            node.refuse("has neither \"views\" nor \"center\": nothing says where it is")
+        })?;
+        spheres.push(sphere);
+    }
+    Ok(spheres)
+}
+
+/// The sphere that an object describes; `None` where it says nothing of its place.
+fn entry(
+    node: &Node<'_>,
+    name: String,
+    common_radius: Option<f64>,
+    folder: &Path,
+    files: &mut Vec<PathBuf>,
+) -> Result<Option<SphereFileEntry>, IoError> {
+    let mut views = Vec::new();
+    if let Some(list) = node.opt("views")? {
+        for (name, node) in list.members()? {
+            let mark = mark(&node, folder, files)?.ok_or_else(|| {
+                node.refuse("has none of \"mask\", \"ellipse\", \"circle\" and \"points\"")
+            })?;
+            views.push((name.to_owned(), mark));
+        }
+    }
+    let center = match node.opt("center")? {
+        Some(node) => Some(node.numbers()?),
+        None => None,
+    };
+    let radius = match node.opt("radius")? {
+        Some(node) => Some(node.positive()?),
+        None => common_radius,
+    };
+    if views.is_empty() && center.is_none() {
+        return Ok(None);
+    }
+    let key = match node.key.as_str() {
+        "" => String::new(),
+        key => format!("{key}."),
+    };
+    let Some(radius) = radius else {
+        return Err(IoError::input(
+            node.file,
+            format!(
+                "the key \"{key}radius\" is missing: measure the sphere and state its radius, in \
+                 metres or with a \"unit\""
+            ),
+        ));
+    };
+    Ok(Some(SphereFileEntry {
+        name,
+        radius,
+        views,
+        center,
+        key,
+    }))
 }
 
 /// The mark of a view, where the object has one; two contradict each other.
@@ -350,9 +467,13 @@ mod tests {
     #[test]
     fn all_forms_are_read_and_found_in_the_set() {
         let file = read(ALL_FORMS).unwrap();
-        assert_eq!((file.radius, file.light), (Some(0.04), LightKind::Camera));
+        let [sphere] = &file.spheres[..] else {
+            panic!("{:?}", file.spheres);
+        };
+        assert_eq!((sphere.radius, file.light), (0.04, LightKind::Camera));
+        assert_eq!(sphere.name, MarkedSphere::ONLY);
         assert_eq!(
-            file.views[0],
+            sphere.views[0],
             ("a.jpg".to_owned(), SphereMark::Mask(disc()))
         );
         assert!(file.files.iter().any(|f| f.ends_with("masks/a.png")));
@@ -361,14 +482,38 @@ mod tests {
         let set = photos(&["a", "b", "c"]);
         let (request, absent) = file.to_request(&set, vec![image]).unwrap();
         assert_eq!(absent, ["gone"]);
-        assert_eq!(request.marks.len(), 3);
+        let sphere = &request.spheres[0];
+        assert_eq!(sphere.marks.len(), 3);
         assert!(matches!(
-            request.marks[1],
+            sphere.marks[1],
             (PhotoIdx(1), SphereMark::Ellipse { angle_rad, .. })
                 if (angle_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-15
         ));
         assert_eq!(request.calibration[0].same_camera_as, PhotoIdx(1));
-        assert_eq!(request.center_in_world, Some(Point3::new(0.1, 0.2, 0.3)));
+        assert_eq!(sphere.center_in_world, Some(Point3::new(0.1, 0.2, 0.3)));
+    }
+
+    const TWO: &str = r#"{"radius": 0.04, "spheres": [
+        {"views": {"a": {"circle": [3, 4, 6]}, "gone": {"circle": [3, 4, 6]}}},
+        {"name": "left", "radius": 0.03, "views": {"b": {"mask": "masks/a.png"}}}]}"#;
+
+    #[test]
+    fn several_spheres_have_names_and_radii_of_their_own() {
+        let mut file = read(TWO).unwrap();
+        let (request, absent) = file.to_request(&photos(&["a", "b"]), Vec::new()).unwrap();
+        let told: Vec<_> = request
+            .spheres
+            .iter()
+            .map(|s| (s.name.as_str(), s.radius, s.marks.len()))
+            .collect();
+        assert_eq!(told, [("sphere 1", 0.04, 1), ("sphere \"left\"", 0.03, 1)]);
+        assert_eq!(absent, ["gone"]);
+        assert!(file.files.iter().any(|f| f.ends_with("masks/a.png")));
+        let message = file.replace_radius(0.05).unwrap_err().to_string();
+        assert!(message.contains("differ in radius"), "{message}");
+        file.spheres[1].radius = 0.04;
+        file.replace_radius(0.05).unwrap();
+        assert!(file.spheres.iter().all(|sphere| sphere.radius == 0.05));
     }
 
     #[test]
@@ -425,6 +570,31 @@ mod tests {
                 r#"{"radius": 1, "light": "sun", "center": [0,0,0]}"#,
                 "light: \"sun\"",
             ),
+            (
+                r#"{"radius": 1, "spheres": [{"center": [0,0,0]}, {"views": {"a": {"circle": [1,2]}}}]}"#,
+                "spheres[1].views.a.circle: [1,2] has 2 numbers",
+            ),
+            (
+                r#"{"spheres": [{"radius": 1, "center": [0,0,0]}, {"center": [1,0,0]}]}"#,
+                "the key \"spheres[1].radius\" is missing",
+            ),
+            (
+                r#"{"radius": 1, "spheres": [{"center": [0,0,0]}, {"radius": -2, "center": [1,0,0]}]}"#,
+                "spheres[1].radius: -2 is not greater than zero",
+            ),
+            (
+                r#"{"radius": 1, "spheres": [{"center": [0,0,0]}, {"radius": 2}]}"#,
+                "spheres[1]: {\"radius\":2} has neither \"views\" nor \"center\"",
+            ),
+            (
+                r#"{"radius": 1, "spheres": [{"name": "a", "center": [0,0,0]}, {"name": "a", "center": [1,0,0]}]}"#,
+                "spheres[1].name: \"a\" names another sphere",
+            ),
+            (
+                r#"{"radius": 1, "center": [0,0,0], "spheres": [{"center": [1,0,0]}]}"#,
+                "move those into the list",
+            ),
+            (r#"{"radius": 1, "spheres": []}"#, "names no sphere"),
             (
                 r#"{"calibration": [{"image": "x"}]}"#,
                 "\"same_camera_as\" is missing",

@@ -34,13 +34,14 @@ fn a_studio_set_is_consistent() {
     );
 
     let sphere = io::read_sphere_file(&folder.join("sphere_calibrated.json")).unwrap();
-    assert_eq!((sphere.radius, sphere.views.len()), (Some(0.04), 8));
+    let beside = &sphere.spheres[0];
+    assert_eq!((beside.radius, beside.views.len()), (0.04, 8));
     assert_eq!(sphere.calibration[0].same_camera_as, "IMG_0004.jpg");
     // The true centre projects into the middle of the mask.
     let center = truth.extra["sphere"]["center"].as_array().unwrap();
     let center: Vec<f64> = center.iter().map(|v| v.as_f64().unwrap()).collect();
     let world = Point3::new(center[0], center[1], center[2]);
-    for (name, mark) in &sphere.views {
+    for (name, mark) in &beside.views {
         let SphereMark::Mask(mask) = mark else {
             panic!("{mark:?}")
         };

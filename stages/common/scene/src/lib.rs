@@ -44,5 +44,7 @@ pub use poses::{
 };
 pub use raster::{LinearImage, Mask, Raster};
 pub use shaded::{Images, MapSource, ShadedView, ShadedViews};
-pub use sphere::{LightKind, LocatedSphere, SphereCalibration, SphereMark, SphereRequest};
+pub use sphere::{
+    LightKind, LocatedSphere, MarkedSphere, SphereCalibration, SphereMark, SphereRequest,
+};
 pub use transform::RigidTransform;

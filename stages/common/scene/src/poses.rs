@@ -144,6 +144,6 @@ pub struct PosedViews {
     pub anchors: Vec<Anchor>,
     /// Unit and origin of the scale.
     pub scale: Scale,
-    /// The reference sphere, when there is one.
-    pub sphere: Option<LocatedSphere>,
+    /// The reference spheres that were located.
+    pub spheres: Vec<LocatedSphere>,
 }

@@ -56,29 +56,56 @@ pub struct SphereCalibration {
     pub mark: Option<SphereMark>,
 }
 
-/// What is known of the reference sphere before poses are.
-#[derive(Clone, Debug, Default)]
-pub struct SphereRequest {
-    /// Radius in metres; `None` only where a calibration photo carries its own.
-    pub radius: Option<f64>,
-    /// What the light is fixed to.
-    pub light: LightKind,
-    /// Marks by photo; empty with `detect` set means: find it.
+/// A matte sphere beside the object, as the user described it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MarkedSphere {
+    /// What messages call it: [`MarkedSphere::ONLY`] where there is no other.
+    pub name: String,
+    /// Radius in metres.
+    pub radius: f64,
+    /// Marks by photo.
     pub marks: Vec<(PhotoIdx, SphereMark)>,
     /// Centre in the frame of the given cameras.
     pub center_in_world: Option<Point3<f64>>,
-    /// Search the photos for it.
-    pub detect: bool,
+}
+
+impl MarkedSphere {
+    /// Name of a sphere that has no fellow.
+    pub const ONLY: &'static str = "the sphere";
+
+    /// The only sphere, marked in photos.
+    pub fn only(radius: f64, marks: Vec<(PhotoIdx, SphereMark)>) -> Self {
+        Self {
+            name: Self::ONLY.to_owned(),
+            radius,
+            marks,
+            center_in_world: None,
+        }
+    }
+}
+
+/// What is known of the reference spheres before poses are.
+#[derive(Clone, Debug, Default)]
+pub struct SphereRequest {
+    /// The spheres beside the object; none where only calibration photos are given, or where they
+    /// are searched for.
+    pub spheres: Vec<MarkedSphere>,
+    /// Search the photos for all matte spheres of this radius, metres.
+    pub search_radius: Option<f64>,
+    /// What the light is fixed to.
+    pub light: LightKind,
     /// Photos of a sphere in the object's place.
     pub calibration: Vec<SphereCalibration>,
 }
 
-/// The sphere in the world, with the views that see it.
+/// A sphere in the world, with the views that see it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocatedSphere {
+    /// What messages call it.
+    pub name: String,
     /// Centre in the world frame.
     pub center_in_world: [f64; 3],
-    /// Radius in the world's unit.
+    /// Radius in the world's unit, as the outlines show it.
     pub radius: f64,
     /// Standard deviation of the centre, world's unit, one per axis.
     pub center_sigma: [f64; 3],

@@ -14,7 +14,7 @@ use crate::bvh::Bvh;
 use crate::environment::{Environment, Rgb};
 use crate::mat::Mat;
 use crate::noise::unit;
-use crate::scene::ReferenceSphere;
+use crate::scene::{ReferenceSphere, Scene};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::Mesh;
@@ -33,7 +33,7 @@ const SMOOTHING: usize = 2;
 #[derive(Clone, Copy, Debug)]
 enum Target {
     Object { triangle: u32 },
-    Sphere { normal: Vector3<f64> },
+    Sphere { idx: usize, normal: Vector3<f64> },
     Mat { x: f64, y: f64 },
 }
 
@@ -50,7 +50,7 @@ struct Site {
 pub(crate) struct Surroundings<'a> {
     pub mesh: &'a Mesh,
     pub bvh: &'a Bvh,
-    pub sphere: Option<ReferenceSphere>,
+    pub spheres: &'a [ReferenceSphere],
     pub environment: &'a Environment,
     pub albedo: Rgb,
     /// Half the side of the square of the mat that may lie in shadow, metres.
@@ -64,7 +64,7 @@ pub(crate) struct Surroundings<'a> {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Bake {
     object: Vec<Deficit>,
-    sphere: Vec<Deficit>,
+    spheres: Vec<Vec<Deficit>>,
     mat: Vec<Deficit>,
     mat_reach: f64,
 }
@@ -72,11 +72,13 @@ pub(crate) struct Bake {
 impl Bake {
     /// Casts the rays and gathers their light; without `bounce`, what hides the light is black.
     pub(crate) fn new(scene: &Surroundings<'_>, num_rays: usize, bounce: bool) -> Self {
-        let groups = [object_sites(scene), sphere_sites(scene), mat_sites(scene)];
+        // Streams of random turns, 0 to 2 for object, first sphere and mat, then the other spheres.
+        let mut groups = vec![(0_u32, object_sites(scene)), (2, mat_sites(scene))];
+        let streams = std::iter::once(1).chain(3..);
+        groups.extend(streams.zip(scene.spheres.iter().map(sphere_sites)));
         let hits: Vec<Vec<Hits>> = groups
             .iter()
-            .zip(0_u32..)
-            .map(|(sites, group)| {
+            .map(|&(group, ref sites)| {
                 sites
                     .par_iter()
                     .enumerate()
@@ -94,8 +96,8 @@ impl Bake {
             let mut next = || parts.next().unwrap_or_default();
             let mut bake = Self {
                 object: next(),
-                sphere: next(),
                 mat: next(),
+                spheres: scene.spheres.iter().map(|_| next()).collect(),
                 mat_reach: scene.mat_reach,
             };
             bake.smooth(scene.mesh);
@@ -116,8 +118,8 @@ impl Bake {
             Target::Mat { x, y } => (unshadowed - first.on_mat(*x, *y) * Vector3::z())
                 .component_mul(&mat_albedo)
                 .sup(&Rgb::zeros()),
-            Target::Sphere { normal } => (scene.environment.irradiance(normal)
-                - first.on_sphere(normal) * normal)
+            Target::Sphere { idx, normal } => (scene.environment.irradiance(normal)
+                - first.on_sphere(*idx, normal) * normal)
                 .component_mul(&scene.albedo)
                 .sup(&Rgb::zeros()),
             Target::Object { triangle } => {
@@ -144,11 +146,11 @@ impl Bake {
         a * (1.0 - uv[0] - uv[1]) + b * uv[0] + c * uv[1]
     }
 
-    /// Deficit on the sphere where its outward normal is `normal`.
-    pub(crate) fn on_sphere(&self, normal: &Vector3<f64>) -> Deficit {
-        if self.sphere.is_empty() {
+    /// Deficit on a sphere where its outward normal is `normal`; zero without a bake.
+    pub(crate) fn on_sphere(&self, idx: usize, normal: &Vector3<f64>) -> Deficit {
+        let Some(sphere) = self.spheres.get(idx) else {
             return Deficit::zeros();
-        }
+        };
         let row = (normal.z.clamp(-1.0, 1.0).acos() / std::f64::consts::PI
             * (SPHERE_ROWS - 1) as f64)
             .min((SPHERE_ROWS - 1) as f64 - 1e-9);
@@ -156,7 +158,7 @@ impl Bake {
         let column = (turn - turn.floor()) * SPHERE_COLUMNS as f64;
         let (r, c) = (row as usize, column as usize % SPHERE_COLUMNS);
         let (fr, fc) = (row - r as f64, column - column.floor());
-        let at = |r: usize, c: usize| self.sphere[r * SPHERE_COLUMNS + c % SPHERE_COLUMNS];
+        let at = |r: usize, c: usize| sphere[r * SPHERE_COLUMNS + c % SPHERE_COLUMNS];
         (at(r, c) * (1.0 - fc) + at(r, c + 1) * fc) * (1.0 - fr)
             + (at(r + 1, c) * (1.0 - fc) + at(r + 1, c + 1) * fc) * fr
     }
@@ -191,7 +193,9 @@ impl Bake {
             for ((value, sum), weight) in self.object.iter_mut().zip(sums).zip(weights) {
                 *value = sum / weight;
             }
-            self.sphere = blur(&self.sphere, SPHERE_COLUMNS, true);
+            for sphere in &mut self.spheres {
+                *sphere = blur(sphere, SPHERE_COLUMNS, true);
+            }
             self.mat = blur(&self.mat, MAT_SIDE, false);
         }
     }
@@ -237,10 +241,7 @@ fn object_sites(scene: &Surroundings<'_>) -> Vec<Site> {
         .collect()
 }
 
-fn sphere_sites(scene: &Surroundings<'_>) -> Vec<Site> {
-    let Some(sphere) = scene.sphere else {
-        return Vec::new();
-    };
+fn sphere_sites(sphere: &ReferenceSphere) -> Vec<Site> {
     (0..SPHERE_ROWS * SPHERE_COLUMNS)
         .map(|i| {
             let polar =
@@ -303,14 +304,13 @@ fn first_target(
         f32::INFINITY,
         false,
     );
-    let sphere = scene
-        .sphere
-        .and_then(|s| s.meet(origin, direction).map(|t| (s, t)))
-        .filter(|(_, t)| *t > scene.clearance);
+    let sphere =
+        Scene::meet_sphere(scene.spheres, origin, direction).filter(|(_, t)| *t > scene.clearance);
     let object_t = object.map_or(f64::INFINITY, |h| f64::from(h.t));
-    if let Some((s, t)) = sphere.filter(|(_, t)| *t < object_t) {
+    if let Some((idx, t)) = sphere.filter(|(_, t)| *t < object_t) {
+        let s = &scene.spheres[idx];
         let normal = (origin + direction * t - Point3::from(s.center_in_world)) / s.radius;
-        return Some(Target::Sphere { normal });
+        return Some(Target::Sphere { idx, normal });
     }
     if let Some(hit) = object {
         return Some(Target::Object {

@@ -1,6 +1,6 @@
 //! Ground-truth scenes, a renderer, and gauge-aligned comparison.
 //!
-//! * [`Scene`] makes a matte object with fine relief, a matte reference sphere and a printed mat
+//! * [`Scene`] makes a matte object with fine relief, matte reference spheres and a printed mat
 //!   under one soft light, all from a seed.
 //! * [`Renderer`] photographs it: linear images with exact depth, normals, masks, poses and light.
 //!   Under [`LightModel::Harmonics`] the images obey eq. 1 exactly; otherwise surfaces shade and
@@ -27,7 +27,7 @@ mod view;
 pub mod compare;
 
 pub use error::SyntheticError;
-pub use options::{LightModel, RenderOptions, SceneOptions, Subject};
+pub use options::{BallOptions, LightModel, RenderOptions, SceneOptions, Subject};
 pub use render::{Renderer, render};
 pub use scene::{ReferenceSphere, Scene};
 pub use sensor::to_srgb8;

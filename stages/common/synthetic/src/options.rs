@@ -16,6 +16,17 @@ pub enum Subject {
     Ellipsoid,
 }
 
+/// A matte sphere that lies on the mat.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BallOptions {
+    /// Where it touches the mat, x and y, metres; the object stands on the origin and looks
+    /// towards −y.
+    pub at_m: [f64; 2],
+    /// Its radius, metres.
+    pub radius_m: f64,
+}
+
 /// The world in front of the camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -41,6 +52,8 @@ pub struct SceneOptions {
     pub gloss: f64,
     /// Radius of the reference sphere, metres; 0 for none.
     pub sphere_radius_m: f64,
+    /// Further matte spheres on the mat.
+    pub more_spheres: Vec<BallOptions>,
     /// Edge of the surface mesh, metres. Finer costs time with its third power, coarser loses relief
     /// in `mesh` (depth and normals are exact either way).
     pub mesh_spacing_m: f64,
@@ -58,6 +71,7 @@ impl Default for SceneOptions {
             stains: 0.0,
             gloss: 0.0,
             sphere_radius_m: 0.03,
+            more_spheres: Vec::new(),
             mesh_spacing_m: 0.0015,
         }
     }
@@ -191,6 +205,20 @@ impl SceneOptions {
             self.sphere_radius_m,
             "0 to half the object's height",
         )?;
+        for ball in &self.more_spheres {
+            check(
+                ball.radius_m > 0.0 && ball.radius_m <= 0.5 * self.height_m,
+                "more_spheres.radius_m",
+                ball.radius_m,
+                "above 0, to half the object's height",
+            )?;
+            check(
+                ball.at_m.iter().all(|c| c.abs() <= 10.0 * self.height_m),
+                "more_spheres.at_m",
+                ball.at_m,
+                "within ten times the object's height",
+            )?;
+        }
         check(
             (self.height_m / 400.0..=self.height_m / 10.0).contains(&self.mesh_spacing_m),
             "mesh_spacing_m",

@@ -37,7 +37,7 @@ const STEP_TOLERANCE: f64 = 1e-9;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     Object,
-    Sphere,
+    Sphere(usize),
     Ground,
     Air,
 }
@@ -75,7 +75,7 @@ impl<'a> Renderer<'a> {
                 &Surroundings {
                     mesh: &scene.mesh,
                     bvh: &scene.bvh,
-                    sphere: scene.sphere,
+                    spheres: &scene.spheres,
                     environment: &scene.environment,
                     albedo: Rgb::from(scene.options.albedo),
                     mat_reach: 1.8 * scene.options.height_m,
@@ -212,7 +212,9 @@ impl<'a> Renderer<'a> {
         Ok(RenderedView {
             name: format!("IMG_{:04}", idx + 1),
             object_mask: mask(Kind::Object),
-            sphere_mask: mask(Kind::Sphere),
+            sphere_masks: (0..self.scene.spheres.len())
+                .map(|k| mask(Kind::Sphere(k)))
+                .collect(),
             depth: DepthMap {
                 width,
                 height,
@@ -308,10 +310,8 @@ impl Shot<'_> {
                 false,
             )
             .map(|hit| (f64::from(hit.t), hit));
-        let sphere = scene.sphere.and_then(|s| {
-            s.meet(&self.center, &(ray / length))
-                .map(|t| (t / length, s))
-        });
+        let sphere = Scene::meet_sphere(&scene.spheres, &self.center, &(ray / length))
+            .map(|(idx, t)| (t / length, idx));
         let ground = (ray.z < 0.0).then(|| -self.center.z / ray.z);
         let depth_of = |t: Option<f64>| t.unwrap_or(f64::INFINITY);
         let (t_object, t_sphere, t_ground) = (
@@ -342,12 +342,13 @@ impl Shot<'_> {
             }
             return sample;
         }
-        if let Some((t, s)) = sphere.filter(|_| t_sphere <= t_ground) {
+        if let Some((t, idx)) = sphere.filter(|_| t_sphere <= t_ground) {
             let at = self.center + ray * t;
+            let s = &scene.spheres[idx];
             let normal = (at - Point3::from(s.center_in_world)) / s.radius;
-            let deficit = self.renderer.bake.on_sphere(&normal);
+            let deficit = self.renderer.bake.on_sphere(idx, &normal);
             let albedo = Rgb::from(scene.options.albedo);
-            return self.lit(Kind::Sphere, t, &normal, &albedo, &deficit);
+            return self.lit(Kind::Sphere(idx), t, &normal, &albedo, &deficit);
         }
         if let Some(t) = ground {
             let at = self.center + ray * t;

@@ -15,7 +15,7 @@ use rilievo_scene::Mesh;
 /// How much of each colour a stain takes, the most first.
 const BROWN: Rgb = Rgb::new(0.75, 0.9, 1.0);
 
-/// The reference sphere, metres, world frame.
+/// A reference sphere, metres, world frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferenceSphere {
     /// Centre.
@@ -25,6 +25,14 @@ pub struct ReferenceSphere {
 }
 
 impl ReferenceSphere {
+    /// A sphere that lies on the mat.
+    fn on_mat([x, y]: [f64; 2], radius: f64) -> Self {
+        Self {
+            center_in_world: [x, y, radius],
+            radius,
+        }
+    }
+
     /// Parameter at which a ray of unit direction enters, from outside.
     pub(crate) fn meet(&self, origin: &Point3<f64>, direction: &Vector3<f64>) -> Option<f64> {
         let to_center = Point3::from(self.center_in_world) - origin;
@@ -35,7 +43,7 @@ impl ReferenceSphere {
     }
 }
 
-/// An object, a reference sphere and a printed mat under one environment; z points up, metres,
+/// An object, reference spheres and a printed mat under one environment; z points up, metres,
 /// the mat lies in `z = 0`, the object stands on the origin and looks towards −y.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -43,8 +51,8 @@ pub struct Scene {
     pub options: SceneOptions,
     /// The object's surface.
     pub mesh: Mesh,
-    /// The reference sphere, where there is one.
-    pub sphere: Option<ReferenceSphere>,
+    /// The reference spheres.
+    pub spheres: Vec<ReferenceSphere>,
     /// The exact surface; absent where a mesh was given, which then is the surface.
     pub(crate) shape: Option<Shape>,
     pub(crate) bvh: Bvh,
@@ -99,23 +107,36 @@ impl Scene {
         let height = options.height_m;
         let bvh = Bvh::new(&mesh);
         // Clear of the object by about its own size, so that it stays out of its shadow.
-        let sphere = (options.sphere_radius_m > 0.0).then(|| ReferenceSphere {
-            center_in_world: [
-                (0.40 + 0.22) * height + options.sphere_radius_m,
-                -0.12 * height,
-                options.sphere_radius_m,
-            ],
-            radius: options.sphere_radius_m,
-        });
+        let beside = [
+            (0.40 + 0.22) * height + options.sphere_radius_m,
+            -0.12 * height,
+        ];
+        let first = (options.sphere_radius_m > 0.0)
+            .then(|| ReferenceSphere::on_mat(beside, options.sphere_radius_m));
+        let more = options.more_spheres.iter();
+        let more = more.map(|ball| ReferenceSphere::on_mat(ball.at_m, ball.radius_m));
+        let spheres = first.into_iter().chain(more).collect();
         Self {
             mat: Mat::new(options.seed, 1.75 * height, 1.35 * height),
             environment: Environment::new(options.seed, Mat::mean_albedo()),
             shape,
             bvh,
             mesh,
-            sphere,
+            spheres,
             options,
         }
+    }
+
+    /// The first sphere that a ray of unit direction enters, from outside: its index and the
+    /// parameter there.
+    pub(crate) fn meet_sphere(
+        spheres: &[ReferenceSphere],
+        origin: &Point3<f64>,
+        direction: &Vector3<f64>,
+    ) -> Option<(usize, f64)> {
+        let met = spheres.iter().enumerate();
+        met.filter_map(|(k, sphere)| Some((k, sphere.meet(origin, direction)?)))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// Albedo of the object at a point of its surface.
@@ -140,7 +161,7 @@ impl Scene {
         albedo
     }
 
-    /// Points around object and sphere: what every photo should show.
+    /// Points around object and spheres: what every photo should show.
     pub(crate) fn outline(&self) -> Vec<Point3<f64>> {
         // A few hundred vertices reach the silhouette to within a hundredth of the object.
         let stride = (self.mesh.vertices.len() / 600).max(1);
@@ -150,11 +171,11 @@ impl Scene {
             .iter()
             .step_by(stride)
             .map(|v| Point3::from(v.map(f64::from)));
-        let sphere = self.sphere.into_iter().flat_map(|sphere| {
+        let spheres = self.spheres.iter().flat_map(|sphere| {
             (0..64).map(move |k| {
                 Point3::from(sphere.center_in_world) + fibonacci(k, 64) * sphere.radius
             })
         });
-        object.chain(sphere).collect()
+        object.chain(spheres).collect()
     }
 }

@@ -11,8 +11,8 @@ pub struct RenderedView {
     pub image: LinearImage,
     /// Pixels whose centre ray meets the object.
     pub object_mask: Mask,
-    /// Pixels whose centre ray meets the reference sphere.
-    pub sphere_mask: Mask,
+    /// Pixels whose centre ray meets a reference sphere, for every sphere of the scene.
+    pub sphere_masks: Vec<Mask>,
     /// Depth of the object, metres; 0 elsewhere.
     pub depth: DepthMap,
     /// Normals of the object, camera frame; zero elsewhere.

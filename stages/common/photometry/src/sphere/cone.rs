@@ -12,7 +12,7 @@
 
 use super::SphereError;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
-use rilievo_scene::Intrinsics;
+use rilievo_scene::{Intrinsics, LocatedSphere, RigidTransform};
 use serde::{Deserialize, Serialize};
 
 /// A sphere in a camera's frame.
@@ -64,6 +64,14 @@ impl EllipsePx {
 }
 
 impl SphereInCamera {
+    /// A sphere of the world in a camera's frame.
+    pub fn seen(located: &LocatedSphere, cam_from_world: &RigidTransform) -> Self {
+        Self {
+            center: cam_from_world.apply(&Point3::from(located.center_in_world)),
+            radius: located.radius,
+        }
+    }
+
     /// The cone of its outline; `None` when the camera is inside or it lies behind.
     pub fn cone(&self) -> Option<OutlineCone> {
         let distance = self.center.coords.norm();

@@ -21,7 +21,7 @@
 use super::mark::distance_px;
 use super::{MarkFit, OutlineCone, SphereError, SphereInCamera, SphereOptions, cone_from_points};
 use nalgebra::{Matrix3, Matrix4, Point2, Point3, Vector3, Vector4};
-use rilievo_scene::{Intrinsics, LocatedSphere, PhotoIdx, RigidTransform};
+use rilievo_scene::{Intrinsics, LocatedSphere, MarkedSphere, PhotoIdx, RigidTransform};
 use serde::{Deserialize, Serialize};
 
 /// Outline of the sphere in one posed view.
@@ -64,18 +64,23 @@ pub struct ViewAgreement {
     pub reason: Option<String>,
 }
 
+/// Metres per unit of the world.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScaleEstimate {
+    /// Stated radius over the radius that the outlines show.
+    pub metres_per_unit: f64,
+    /// Its relative standard deviation.
+    pub relative_sigma: f64,
+}
+
 /// The sphere in the world, and what it says of the scale.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SphereFit {
     /// Centre and radius in the world's unit, as it was given.
     pub sphere: LocatedSphere,
-    /// Metres per world unit; 1 with [`WorldScale::Metric`].
-    pub metres_per_unit: f64,
-    /// Relative standard deviation of `metres_per_unit`.
-    pub relative_sigma: f64,
-    /// With [`WorldScale::Metric`] and two views or more: the radius that the outlines would give
-    /// by themselves over the stated one. Far from 1, the stated radius or the poses' unit is wrong.
-    pub radius_ratio: Option<f64>,
+    /// What its outlines and its stated radius say of the world's unit; `None` with fewer than two
+    /// views. Far from 1 with [`WorldScale::Metric`], the stated radius or the poses' unit is wrong.
+    pub scale: Option<ScaleEstimate>,
     /// Every view that had a mark.
     pub views: Vec<ViewAgreement>,
     /// Photos whose own mark was left out, with the reason; their outline may have been found on the
@@ -86,7 +91,8 @@ pub struct SphereFit {
 /// Locates the sphere from outlines in posed views.
 ///
 /// `radius` in metres. With [`WorldScale::Free`] the result's `sphere.radius` is in world units,
-/// and scaling the world by `metres_per_unit` makes it metric.
+/// and scaling the world by its `scale` makes it metric. The sphere is called
+/// [`MarkedSphere::ONLY`].
 ///
 /// # Errors
 /// [`SphereError::NoView`], [`SphereError::OneView`] (scale needs two),
@@ -153,6 +159,7 @@ pub fn locate(
     let Some(solution) = solution else {
         return Err(SphereError::NoView);
     };
+    let center_sigma = solution.center_sigma;
     let mut agreements = Vec::with_capacity(views.len());
     for (idx, (view, mark)) in views.iter().zip(&marks).enumerate() {
         let entry = match mark {
@@ -191,34 +198,29 @@ pub fn locate(
         .filter(|view| view.used)
         .map(|view| (view.photo, view.rms_px))
         .collect();
-    let free = scale == WorldScale::Free;
-    let radius_ratio = (!free && known.len() > 1)
-        .then(|| {
-            let active: Vec<&Known> = known
-                .iter()
-                .zip(&used)
-                .filter_map(|(k, &u)| u.then_some(k))
-                .collect();
-            (active.len() > 1)
-                .then(|| refine(state, &active, true, options).ok())
-                .flatten()
-                .map(|s| s.state.radius / radius)
-        })
-        .flatten();
+    let active: Vec<&Known> = known
+        .iter()
+        .zip(&used)
+        .filter_map(|(k, &u)| u.then_some(k))
+        .collect();
+    let with_radius = match scale {
+        WorldScale::Free => Some(solution),
+        // The outlines' own radius, whatever was stated.
+        WorldScale::Metric if active.len() > 1 => refine(state, &active, true, options).ok(),
+        WorldScale::Metric => None,
+    };
     Ok(SphereFit {
         sphere: LocatedSphere {
+            name: MarkedSphere::ONLY.to_owned(),
             center_in_world: state.center.coords.into(),
             radius: state.radius,
-            center_sigma: solution.center_sigma,
+            center_sigma,
             seen_in,
         },
-        metres_per_unit: radius / state.radius,
-        relative_sigma: if free {
-            solution.radius_sigma / state.radius
-        } else {
-            0.0
-        },
-        radius_ratio,
+        scale: with_radius.map(|fit| ScaleEstimate {
+            metres_per_unit: radius / fit.state.radius,
+            relative_sigma: fit.radius_sigma / fit.state.radius,
+        }),
         unused_marks: agreements
             .iter()
             .filter_map(|view| Some((view.photo, view.reason.clone()?)))

@@ -64,8 +64,9 @@ fn exact_outlines_give_center_and_scale_exactly() {
         &SphereOptions::default(),
     )
     .unwrap();
-    let scale_error = (fit.metres_per_unit * 0.37 - 1.0).abs();
-    let found = Point3::from(fit.sphere.center_in_world) * fit.metres_per_unit;
+    let metres_per_unit = fit.scale.unwrap().metres_per_unit;
+    let scale_error = (metres_per_unit * 0.37 - 1.0).abs();
+    let found = Point3::from(fit.sphere.center_in_world) * metres_per_unit;
     let error = (found - center()).norm();
     assert!(scale_error < 1e-9, "scale off by {scale_error}");
     assert!(error < 1e-9, "centre off by {error}");
@@ -79,11 +80,12 @@ fn noise_stays_within_the_stated_deviations() {
         ..SphereOptions::default()
     };
     let fit = locate(&views(0.37, 0.3), RADIUS, WorldScale::Free, &options).unwrap();
-    let scale_error = (fit.metres_per_unit * 0.37 - 1.0).abs();
+    let scale = fit.scale.unwrap();
+    let scale_error = (scale.metres_per_unit * 0.37 - 1.0).abs();
     assert!(
-        scale_error < 4.0 * fit.relative_sigma && fit.relative_sigma < 1e-3,
+        scale_error < 4.0 * scale.relative_sigma && scale.relative_sigma < 1e-3,
         "scale off by {scale_error}, stated {}",
-        fit.relative_sigma
+        scale.relative_sigma
     );
     let found = fit.sphere.center_in_world;
     for (axis, found) in found.iter().enumerate() {

@@ -9,9 +9,10 @@
 //! * [`SphereInCamera`]: normals, outline and ellipse of a known sphere.
 //! * [`OutlineCone`]: the cone from outline points, masks, ellipses or circles.
 //! * [`locate`]: one centre, and the world's scale, from marks in many posed views.
-//! * [`locate_request`]: the same from what the user said, refined on the images.
+//! * [`common_scale`]: the world's scale from several spheres.
+//! * [`locate_request`]: all spheres from what the user said, refined on the images.
 //! * [`refine_outline`]: outline points at sub-pixel precision on the image.
-//! * [`detect`]: finding the sphere without marks.
+//! * [`detect`]: finding spheres without marks.
 
 mod cone;
 mod detect;
@@ -23,12 +24,14 @@ mod mark;
 mod options;
 mod refine;
 mod request;
+mod several;
 
 pub use cone::{EllipsePx, OutlineCone, SphereInCamera, SpherePixel};
-pub use detect::{detect, detect_in_photo};
+pub use detect::{Detected, detect, detect_in_photo};
 pub use error::SphereError;
-pub use locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
+pub use locate::{PosedOutline, ScaleEstimate, SphereFit, ViewAgreement, WorldScale, locate};
 pub use mark::{MarkFit, cone_from_mark, cone_from_points, outline_of_mark};
 pub use options::SphereOptions;
 pub use refine::{Effort, RefinedOutline, refine_outline};
-pub use request::{PosedImage, load_posed_images, locate_request, refine_in_views};
+pub use request::{LocatedSpheres, PosedImage, load_posed_images, locate_request, refine_in_views};
+pub use several::{CommonScale, ScaleContradiction, common_scale, overlap};

@@ -16,6 +16,9 @@ pub struct SphereOptions {
     /// depends on blur, gamma and background, alike along the whole outline. It enters the
     /// standard deviations of centre and scale.
     pub outline_bias_px: f64,
+    /// Relative standard deviation of a stated radius, where several spheres are compared: a
+    /// calliper reads a tenth of a millimetre. Too small takes its error for a contradiction.
+    pub radius_sigma: f64,
     /// Whether marks are refined on the image's edge.
     pub refine: bool,
     /// Half width of the search for the edge across a mark, pixels.
@@ -38,6 +41,7 @@ impl Default for SphereOptions {
             inlier_px: 1.5,
             min_inlier_share: 0.4,
             outline_bias_px: 0.1,
+            radius_sigma: 0.003,
             refine: true,
             search_px: 4.0,
             max_view_rms_px: 2.0,
@@ -82,11 +86,16 @@ impl SphereOptions {
                 });
             }
         }
-        if !(self.outline_bias_px >= 0.0 && self.outline_bias_px.is_finite()) {
-            return Err(SphereError::Option {
-                option: "outline_bias_px",
-                why: "must not be negative",
-            });
+        for (option, value) in [
+            ("outline_bias_px", self.outline_bias_px),
+            ("radius_sigma", self.radius_sigma),
+        ] {
+            if !(value >= 0.0 && value.is_finite()) {
+                return Err(SphereError::Option {
+                    option,
+                    why: "must not be negative",
+                });
+            }
         }
         Ok(())
     }

@@ -1,17 +1,19 @@
-//! From what the user said of the sphere to the sphere in the world.
+//! From what the user said of the spheres to the spheres in the world.
 //!
 //! # Steps
-//! 1. Marks locate it ([`super::locate`]); without marks it is searched for ([`super::detect`]),
-//!    or taken from a stated centre.
+//! 1. Marks locate each ([`super::locate`]); without marks they are searched for
+//!    ([`super::detect`]), or taken from a stated centre.
 //! 2. The outline that the common sphere predicts in *every* posed photo is looked for on the
 //!    image, so that marks in two photos suffice for all, and the fit is repeated on these edge
 //!    points, with a narrower search each time.
+//! 3. All together give the world's scale ([`super::common_scale`]).
 
 use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
+use super::several::{CommonScale, common_scale, without_doubles};
 use super::{Effort, SphereError, SphereInCamera, SphereOptions, outline_of_mark, refine_outline};
 use rilievo_scene::{
-    Intrinsics, LinearImage, LocatedSphere, Mask, PhotoIdx, PhotoSet, PosedView, RigidTransform,
-    SphereRequest,
+    Intrinsics, LinearImage, LocatedSphere, MarkedSphere, Mask, PhotoIdx, PhotoSet, PosedView,
+    RigidTransform, SphereRequest,
 };
 use std::sync::Arc;
 
@@ -35,12 +37,7 @@ pub struct PosedImage {
 impl PosedImage {
     /// The sphere in this camera's frame.
     pub fn sphere(&self, located: &LocatedSphere) -> SphereInCamera {
-        SphereInCamera {
-            center: self
-                .cam_from_world
-                .apply(&nalgebra::Point3::from(located.center_in_world)),
-            radius: located.radius,
-        }
+        SphereInCamera::seen(located, &self.cam_from_world)
     }
 }
 
@@ -68,25 +65,76 @@ pub fn load_posed_images(
         .collect()
 }
 
-/// Locates the sphere that a request describes in posed views.
+/// The spheres of a request.
+#[derive(Clone, Debug, Default)]
+pub struct LocatedSpheres {
+    /// Those that were located, each by itself; at least one.
+    pub fits: Vec<SphereFit>,
+    /// Those that were not, by name, and why.
+    pub missing: Vec<(String, SphereError)>,
+    /// Radii over the stated one of further spheres that a search found and left.
+    pub other_sizes: Vec<f64>,
+    /// The world's scale from all of them, where they tell it.
+    pub scale: Option<CommonScale>,
+}
+
+/// Locates the spheres that a request describes in posed views.
 ///
-/// With [`WorldScale::Free`], multiply the world by `metres_per_unit` of the result to make it
-/// metric.
+/// With [`WorldScale::Free`], multiply the world by `scale` of the result to make it metric. A
+/// sphere that cannot be located does not hinder the others.
 ///
 /// # Errors
-/// See [`SphereError`]; [`SphereError::Radius`] when the request has none.
+/// That of the first sphere where none can be located, [`SphereError::ScaleContradiction`],
+/// [`SphereError::Pixels`]; [`SphereError::NoView`] when the request has no sphere.
 pub fn locate_request(
     photos: &PhotoSet,
     views: &[PosedView],
     request: &SphereRequest,
     scale: WorldScale,
     options: &SphereOptions,
-) -> Result<SphereFit, SphereError> {
+) -> Result<LocatedSpheres, SphereError> {
     options.validate()?;
-    let radius = request
-        .radius
-        .ok_or(SphereError::Radius { radius: f64::NAN })?;
-    let outlines: Vec<PosedOutline> = request
+    let refines = options.refine && request.spheres.iter().any(|s| !s.marks.is_empty());
+    let images = if refines || request.search_radius.is_some() {
+        load_posed_images(photos, views)?
+    } else {
+        Vec::new()
+    };
+    let mut located = LocatedSpheres::default();
+    for sphere in &request.spheres {
+        match locate_marked(views, &images, sphere, scale, options) {
+            Ok(mut fit) => {
+                fit.sphere.name.clone_from(&sphere.name);
+                located.fits.push(fit);
+            }
+            Err(error) => located.missing.push((sphere.name.clone(), error)),
+        }
+    }
+    if let Some(radius) = request.search_radius {
+        let found = super::detect(&images, radius, scale, options)?;
+        located.fits.extend(found.fits);
+        located.other_sizes = found.other_sizes;
+    }
+    let doubles = without_doubles(&mut located.fits);
+    located.missing.extend(doubles);
+    if located.fits.is_empty() {
+        let first = located.missing.into_iter().next();
+        return Err(first.map_or(SphereError::NoView, |(_, error)| error));
+    }
+    located.scale = common_scale(&located.fits, options)?;
+    Ok(located)
+}
+
+/// Locates one sphere from its marks or its stated centre.
+fn locate_marked(
+    views: &[PosedView],
+    images: &[PosedImage],
+    sphere: &MarkedSphere,
+    scale: WorldScale,
+    options: &SphereOptions,
+) -> Result<SphereFit, SphereError> {
+    let radius = sphere.radius;
+    let outlines: Vec<PosedOutline> = sphere
         .marks
         .iter()
         .filter_map(|(photo, mark)| {
@@ -99,40 +147,32 @@ pub fn locate_request(
             })
         })
         .collect();
-    if let (Some(center), true) = (request.center_in_world, outlines.is_empty()) {
+    if outlines.is_empty() {
+        let center = sphere.center_in_world.ok_or(SphereError::NoView)?;
         return Ok(stated(center.coords.into(), radius));
     }
-    if !outlines.is_empty() {
-        let fit = locate(&outlines, radius, scale, options)?;
-        if !options.refine {
-            return Ok(fit);
-        }
-        let images = load_posed_images(photos, views)?;
-        let unused_marks = fit.unused_marks.clone();
-        let refined = refine_in_views(&images, fit, radius, scale, options);
-        return Ok(SphereFit {
-            unused_marks,
-            ..refined
-        });
+    let fit = locate(&outlines, radius, scale, options)?;
+    if !options.refine {
+        return Ok(fit);
     }
-    if request.detect {
-        let images = load_posed_images(photos, views)?;
-        return super::detect(&images, radius, scale, options);
-    }
-    Err(SphereError::NoView)
+    let unused_marks = fit.unused_marks.clone();
+    let refined = refine_in_views(images, fit, radius, scale, options);
+    Ok(SphereFit {
+        unused_marks,
+        ..refined
+    })
 }
 
 fn stated(center_in_world: [f64; 3], radius: f64) -> SphereFit {
     SphereFit {
         sphere: LocatedSphere {
+            name: MarkedSphere::ONLY.to_owned(),
             center_in_world,
             radius,
             center_sigma: [0.0; 3],
             seen_in: Vec::new(),
         },
-        metres_per_unit: 1.0,
-        relative_sigma: 0.0,
-        radius_ratio: None,
+        scale: None,
         views: Vec::new(),
         unused_marks: Vec::new(),
     }

@@ -1,9 +1,9 @@
-//! What rays can meet: the carved solid, the reference sphere, the ground.
+//! What rays can meet: the carved solid, the reference spheres, the ground.
 
 use super::volume::Volume;
 use nalgebra::{Point3, Vector3};
 
-/// The reference sphere with the radiance of its surface, as nine harmonics per channel of the world
+/// A reference sphere with the radiance of its surface, as nine harmonics per channel of the world
 /// normal (a matte sphere under a distant light).
 #[derive(Clone, Debug)]
 pub struct WarmSphere {
@@ -61,46 +61,60 @@ impl Ground {
 pub struct Surroundings {
     /// The object.
     pub volume: Volume,
-    /// The reference sphere, where there is one.
-    pub sphere: Option<WarmSphere>,
+    /// The reference spheres.
+    pub spheres: Vec<WarmSphere>,
     /// The ground, where it was found.
     pub ground: Option<Ground>,
 }
 
+impl WarmSphere {
+    /// Distance at which a ray from outside meets it.
+    pub fn meet(&self, start: &Vector3<f32>, direction: &Vector3<f32>) -> Option<f32> {
+        let offset = start - self.center.coords;
+        let b = offset.dot(direction);
+        let discriminant = b * b - (offset.norm_squared() - self.radius * self.radius);
+        if !(discriminant > 0.0 && b < 0.0) {
+            return None;
+        }
+        let t = -b - discriminant.sqrt();
+        (t > 0.0).then_some(t)
+    }
+
+    /// What it sends back along a ray that meets it at distance `t`.
+    fn radiance_along(&self, start: &Vector3<f32>, direction: &Vector3<f32>, t: f32) -> [f32; 3] {
+        let n = (start - self.center.coords + direction * t) / self.radius;
+        let n = Vector3::new(f64::from(n.x), f64::from(n.y), f64::from(n.z)).normalize();
+        let channels = &self.radiance.channels;
+        std::array::from_fn(|c| {
+            let channel = channels.get(c.min(channels.len().saturating_sub(1)));
+            channel.map_or(0.0, |l| l.evaluate(&n).max(0.0) as f32)
+        })
+    }
+}
+
 impl Surroundings {
     /// Radiance that arrives at `start` against `direction` from the surroundings; `None` when the ray
-    /// leaves into the environment. `from_sphere` rays start on the sphere.
+    /// leaves into the environment. `from_sphere`: the sphere on which the ray starts.
     pub fn cast(
         &self,
         start: &Vector3<f32>,
         direction: &Vector3<f32>,
-        from_sphere: bool,
+        from_sphere: Option<usize>,
     ) -> Option<[f32; 3]> {
-        // The object stands nearest; a ray that meets it is not followed behind it. The sphere's side
-        // that faces the object is the one that the object's rays meet.
+        // The object stands nearest; a ray that meets it is not followed behind it. The spheres' sides
+        // that face the object are the ones that the object's rays meet.
         if let Some(radiance) = self.volume.cast(start, direction) {
             return Some(radiance);
         }
-        if !from_sphere && let Some(sphere) = &self.sphere {
-            let offset = start - sphere.center.coords;
-            let b = offset.dot(direction);
-            let discriminant = b * b - (offset.norm_squared() - sphere.radius * sphere.radius);
-            if discriminant > 0.0 && b < 0.0 {
-                let t = -b - discriminant.sqrt();
-                if t > 0.0 {
-                    let n = (offset + direction * t) / sphere.radius;
-                    let n = nalgebra::Vector3::new(f64::from(n.x), f64::from(n.y), f64::from(n.z))
-                        .normalize();
-                    let mut rgb = [0.0; 3];
-                    for (c, value) in rgb.iter_mut().enumerate() {
-                        let channels = &sphere.radiance.channels;
-                        if let Some(l) = channels.get(c.min(channels.len().saturating_sub(1))) {
-                            *value = l.evaluate(&n).max(0.0) as f32;
-                        }
-                    }
-                    return Some(rgb);
-                }
-            }
+        let nearest = self
+            .spheres
+            .iter()
+            .enumerate()
+            .filter(|(k, _)| from_sphere != Some(*k))
+            .filter_map(|(_, sphere)| Some((sphere.meet(start, direction)?, sphere)))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((t, sphere)) = nearest {
+            return Some(sphere.radiance_along(start, direction, t));
         }
         self.ground.as_ref()?.cast(start, direction)
     }

@@ -75,14 +75,15 @@ fn add(harmonics: &mut [f32; 9], d: &Vector3<f32>, c: [f32; 3], scale: f32) {
     }
 }
 
-/// Casts all rays of a point. `offset` lifts the start off the surface (world's unit).
+/// Casts all rays of a point. `offset` lifts the start off the surface (world's unit); `from_sphere`
+/// is the sphere on which the point lies.
 pub fn transfer(
     surroundings: &Surroundings,
     point: &Vector3<f32>,
     normal: &Vector3<f32>,
     directions: &[Vector3<f32>],
     offset: f32,
-    from_sphere: bool,
+    from_sphere: Option<usize>,
 ) -> Transfer {
     let scale = 4.0 / directions.len() as f32;
     let start = point + normal * offset;
@@ -243,13 +244,13 @@ mod tests {
         glow.0[3] = 0.4;
         Surroundings {
             volume: Volume::carve(&[view], 32).unwrap(),
-            sphere: Some(WarmSphere {
+            spheres: vec![WarmSphere {
                 center: nalgebra::Point3::new(0.5, 0.0, 1.4),
                 radius: 0.3,
                 radiance: rilievo_scene::Lighting {
                     channels: vec![glow; 3],
                 },
-            }),
+            }],
             ground: None,
         }
     }
@@ -262,7 +263,7 @@ mod tests {
         let offset = 0.1;
         let rays = directions(512);
         let environment: Vec<[f32; 3]> = rays.iter().map(|d| [sky(d); 3]).collect();
-        let seen = transfer(&surroundings, &point, &normal, &rays, offset, false);
+        let seen = transfer(&surroundings, &point, &normal, &rays, offset, None);
         let light = seen.harmonics(&rays, &environment, [1.0; 3])[1];
         let dense = directions(20_000);
         for moved in [normal, Vector3::new(0.08, -0.05, -1.0).normalize()] {
@@ -271,7 +272,7 @@ mod tests {
                 .filter(|d| moved.dot(d) > 0.0)
                 .map(|d| {
                     let start = point + normal * offset;
-                    let radiance = surroundings.cast(&start, d, false);
+                    let radiance = surroundings.cast(&start, d, None);
                     let l = radiance.map_or(sky(d), |rgb| rgb[1]);
                     4.0 / dense.len() as f32 * l * moved.dot(d)
                 })
@@ -313,7 +314,7 @@ mod tests {
             for j in 0..7 {
                 let point = Vector3::new(0.1 * i as f32 - 0.6, 0.1 * j as f32 - 0.3, 2.0);
                 let offset = surroundings.volume.start_height(&point, &facing);
-                let seen = transfer(&surroundings, &point, &facing, &rays, offset, false);
+                let seen = transfer(&surroundings, &point, &facing, &rays, offset, None);
                 let light = seen.harmonics(&rays, &environment, [1.0; 3])[1];
                 for normal in [facing, Vector3::new(0.12, -0.08, -1.0).normalize()] {
                     let expected: f64 = dense

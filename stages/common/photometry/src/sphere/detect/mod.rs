@@ -1,4 +1,4 @@
-//! Finding the sphere without marks.
+//! Finding spheres without marks.
 //!
 //! # Steps
 //! 1. In each photo: edges, circle votes, and candidates whose outline and shading a sphere
@@ -8,6 +8,8 @@
 //!    round in one photo do not stay a sphere of one size in one place.
 //! 3. The fit of [`super::locate`], refined on the edges of all photos; then support and shading
 //!    are checked once more where the common sphere is predicted.
+//! 4. The same with the candidates that are left, as long as a further sphere is confirmed. Further
+//!    ones of the first one's size have the stated radius too; others are told and left.
 //!
 //! A single photo is searched by step 1 alone, with a stricter threshold.
 
@@ -17,10 +19,11 @@ mod votes;
 
 use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
 use super::request::{PosedImage, refine_in_views};
+use super::several::overlap;
 use super::{Effort, OutlineCone, SphereError, SphereInCamera, SphereOptions, refine_outline};
 use nalgebra::{Matrix3, Point3};
 use rayon::prelude::*;
-use rilievo_scene::{Intrinsics, LinearImage};
+use rilievo_scene::{Intrinsics, LinearImage, LocatedSphere};
 use verify::{Candidate, Photo, shading};
 
 /// Circles that are looked at more closely per photo.
@@ -106,9 +109,26 @@ pub fn detect_in_photo(
     }
 }
 
-/// Finds the sphere in posed photos.
+/// Spheres that a search found.
+#[derive(Clone, Debug, Default)]
+pub struct Detected {
+    /// Those of the stated radius, the best first.
+    pub fits: Vec<SphereFit>,
+    /// Radii of further spheres, over that of the first.
+    pub other_sizes: Vec<f64>,
+}
+
+/// More matte balls than this are no reference spheres.
+const MAX_SPHERES: usize = 6;
+/// Proposals beside a confirmed sphere that may fail before the search ends.
+const MAX_REFUSED: usize = 3;
+/// Balls sold as of one size differ by less.
+const SAME_SIZE: f64 = 0.03;
+
+/// Finds all spheres of a radius in posed photos.
 ///
-/// `radius` in metres; in a metric world the sphere must have it to 10 %.
+/// `radius` in metres; in a metric world a sphere must have it to 10 %, elsewhere the best one is
+/// taken as having it.
 ///
 /// # Errors
 /// [`SphereError::NotFound`], and those of [`locate`].
@@ -117,15 +137,50 @@ pub fn detect(
     radius: f64,
     scale: WorldScale,
     options: &SphereOptions,
-) -> Result<SphereFit, SphereError> {
+) -> Result<Detected, SphereError> {
     options.validate()?;
-    let found: Vec<Vec<Candidate>> = images
+    let mut found: Vec<Vec<Candidate>> = images
         .par_iter()
         .map(|view| candidates(&as_photo(view), options))
         .collect();
     let num_with = found.iter().filter(|list| !list.is_empty()).count();
-    let best = best_proposal(images, &found, radius, scale, options);
-    let Some((_, agreeing)) = best else {
+    let mut known: Vec<SphereFit> = Vec::new();
+    let mut detected = Detected::default();
+    let mut num_refused = 0;
+    while known.len() < MAX_SPHERES && num_refused < MAX_REFUSED {
+        let search = Search {
+            images,
+            found: &found,
+            known: &known,
+            options,
+        };
+        let Some((_, agreeing)) = search.best_proposal(radius, scale) else {
+            break;
+        };
+        match confirmed(images, &found, &agreeing, radius, scale, options) {
+            Ok(fit) if known.iter().all(|k| !overlap(&k.sphere, &fit.sphere)) => known.push(fit),
+            // What is no sphere leaves room for the next best, once there is one to lean on.
+            Err(error) if known.is_empty() => return Err(error),
+            _ => num_refused += 1,
+        }
+        for (view, candidate) in agreeing {
+            found[view][candidate].is_spent = true;
+        }
+    }
+    for fit in known {
+        let size = detected.fits.first().map_or(1.0, |first: &SphereFit| {
+            match (&first.scale, &fit.scale) {
+                (Some(first), Some(own)) => first.metres_per_unit / own.metres_per_unit,
+                _ => 1.0,
+            }
+        });
+        if size.ln().abs() < SAME_SIZE {
+            detected.fits.push(fit);
+        } else {
+            detected.other_sizes.push(size);
+        }
+    }
+    if detected.fits.is_empty() {
         return Err(SphereError::NotFound {
             why: format!(
                 "{num_with} of {} photos have a round outline with the shading of a sphere, but no \
@@ -133,7 +188,24 @@ pub fn detect(
                 images.len()
             ),
         });
-    };
+    }
+    if detected.fits.len() > 1 {
+        for (k, fit) in detected.fits.iter_mut().enumerate() {
+            fit.sphere.name = format!("sphere {}", k + 1);
+        }
+    }
+    Ok(detected)
+}
+
+/// The fit on the outlines of candidates that agree, refined and confirmed.
+fn confirmed(
+    images: &[PosedImage],
+    found: &[Vec<Candidate>],
+    agreeing: &[(usize, usize)],
+    radius: f64,
+    scale: WorldScale,
+    options: &SphereOptions,
+) -> Result<SphereFit, SphereError> {
     let outlines: Vec<PosedOutline> = agreeing
         .iter()
         .map(|&(view, candidate)| PosedOutline {
@@ -163,37 +235,84 @@ type Proposal = ((Point3<f64>, f64), Vec<(usize, usize)>);
 /// Deviation of centre and radius, in radii, within which a candidate agrees with a proposal.
 const AGREEMENT: f64 = 0.12;
 
-fn best_proposal(
-    images: &[PosedImage],
-    found: &[Vec<Candidate>],
-    radius: f64,
-    scale: WorldScale,
-    options: &SphereOptions,
-) -> Option<Proposal> {
-    let mut best: Option<(f64, Proposal)> = None;
-    for first in 0..images.len() {
-        for second in first + 1..images.len() {
-            for a in &found[first] {
-                for b in &found[second] {
-                    let Some(sphere) = pair(&images[first], a, &images[second], b) else {
-                        continue;
-                    };
-                    if scale == WorldScale::Metric && (sphere.1 / radius - 1.0).abs() > 0.1 {
-                        continue;
-                    }
-                    let agreeing = agreeing_candidates(images, found, &sphere, options);
-                    let score: f64 = agreeing
-                        .iter()
-                        .map(|&(view, k)| found[view][k].score(options))
-                        .sum();
-                    if agreeing.len() >= 2 && best.as_ref().is_none_or(|(s, _)| score > *s) {
-                        best = Some((score, (sphere, agreeing)));
+/// What proposals are made from.
+struct Search<'a> {
+    images: &'a [PosedImage],
+    found: &'a [Vec<Candidate>],
+    /// Spheres that stand already.
+    known: &'a [SphereFit],
+    options: &'a SphereOptions,
+}
+
+impl Search<'_> {
+    fn left(&self, view: usize) -> impl Iterator<Item = &Candidate> {
+        self.found[view].iter().filter(|c| !c.is_spent)
+    }
+
+    fn best_proposal(&self, radius: f64, scale: WorldScale) -> Option<Proposal> {
+        let images = self.images;
+        let mut best: Option<(f64, Proposal)> = None;
+        for first in 0..images.len() {
+            for second in first + 1..images.len() {
+                for a in self.left(first) {
+                    for b in self.left(second) {
+                        let Some(sphere) = pair(&images[first], a, &images[second], b) else {
+                            continue;
+                        };
+                        let fits =
+                            scale == WorldScale::Free || (sphere.1 / radius - 1.0).abs() <= 0.1;
+                        if !fits || self.is_known(&sphere) {
+                            continue;
+                        }
+                        let agreeing = self.agreeing_candidates(&sphere);
+                        let score: f64 = agreeing
+                            .iter()
+                            .map(|&(view, k)| self.found[view][k].score(self.options))
+                            .sum();
+                        if agreeing.len() >= 2 && best.as_ref().is_none_or(|(s, _)| score > *s) {
+                            best = Some((score, (sphere, agreeing)));
+                        }
                     }
                 }
             }
         }
+        best.map(|(_, proposal)| proposal)
     }
-    best.map(|(_, proposal)| proposal)
+
+    fn is_known(&self, (center, radius): &(Point3<f64>, f64)) -> bool {
+        let proposed = LocatedSphere {
+            name: String::new(),
+            center_in_world: center.coords.into(),
+            radius: *radius,
+            center_sigma: [0.0; 3],
+            seen_in: Vec::new(),
+        };
+        self.known.iter().any(|fit| overlap(&fit.sphere, &proposed))
+    }
+
+    fn agreeing_candidates(&self, sphere: &(Point3<f64>, f64)) -> Vec<(usize, usize)> {
+        let mut agreeing = Vec::new();
+        for (view, image) in self.images.iter().enumerate() {
+            let in_camera = SphereInCamera {
+                center: image.cam_from_world.apply(&sphere.0),
+                radius: sphere.1,
+            };
+            let Some(cone) = in_camera.cone() else {
+                continue;
+            };
+            let best = self.found[view]
+                .iter()
+                .enumerate()
+                .filter(|(_, candidate)| {
+                    let off = candidate.cone.axis.angle(&cone.axis) / cone.half_angle;
+                    let larger = (candidate.cone.half_angle / cone.half_angle - 1.0).abs();
+                    !candidate.is_spent && off < AGREEMENT && larger < AGREEMENT
+                })
+                .max_by(|a, b| a.1.score(self.options).total_cmp(&b.1.score(self.options)));
+            agreeing.extend(best.map(|(k, _)| (view, k)));
+        }
+        agreeing
+    }
 }
 
 /// Nearest point of two candidates' axes and the radius there; `None` where they disagree.
@@ -226,35 +345,6 @@ fn pair(
         && gap < 2.0 * AGREEMENT * radius
         && (radius_a / radius_b - 1.0).abs() < 2.0 * AGREEMENT)
         .then_some((center, radius))
-}
-
-fn agreeing_candidates(
-    images: &[PosedImage],
-    found: &[Vec<Candidate>],
-    sphere: &(Point3<f64>, f64),
-    options: &SphereOptions,
-) -> Vec<(usize, usize)> {
-    let mut agreeing = Vec::new();
-    for (view, image) in images.iter().enumerate() {
-        let in_camera = SphereInCamera {
-            center: image.cam_from_world.apply(&sphere.0),
-            radius: sphere.1,
-        };
-        let Some(cone) = in_camera.cone() else {
-            continue;
-        };
-        let best = found[view]
-            .iter()
-            .enumerate()
-            .filter(|(_, candidate)| {
-                let off = candidate.cone.axis.angle(&cone.axis) / cone.half_angle;
-                let larger = (candidate.cone.half_angle / cone.half_angle - 1.0).abs();
-                off < AGREEMENT && larger < AGREEMENT
-            })
-            .max_by(|a, b| a.1.score(options).total_cmp(&b.1.score(options)));
-        agreeing.extend(best.map(|(k, _)| (view, k)));
-    }
-    agreeing
 }
 
 /// Half width of the last look at the outline, pixels.

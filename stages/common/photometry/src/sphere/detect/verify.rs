@@ -23,6 +23,8 @@ pub(super) struct Candidate {
     pub visible: f64,
     /// Relative residual of nine harmonics, and what they explain.
     pub shading: Shading,
+    /// Whether a proposal has used it.
+    pub is_spent: bool,
 }
 
 impl Candidate {
@@ -93,6 +95,7 @@ pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) ->
         support,
         visible,
         shading,
+        is_spent: false,
     })
 }
 

@@ -1,0 +1,287 @@
+//! Whether several spheres see one light.
+//!
+//! # Problem
+//! Under a distant light, matte spheres of one paint have one brightness at equal normals, wherever
+//! they stand. A sphere in a shadow, or beside something bright, or under a near lamp, has another;
+//! so has one of another paint, but by one factor per channel.
+//!
+//! # Steps
+//! 1. Each sphere's own light: a robust fit over all views (a light fixed to the world), or one per
+//!    view (fixed to the camera).
+//! 2. For every pair, the light of one applied to the pixels of the other, at normals that both
+//!    show: the median ratio per channel is the paint's, and the residual after it tells whether the
+//!    lights agree.
+//! 3. The sphere with which most others agree tells the light; of equals the brightest, since a
+//!    shadow takes light away and seldom anything adds any.
+//! 4. Spheres that agree with it count, brightness divided by their paint where that is another's;
+//!    the others are left out, and said to be.
+
+use crate::LightingOptions;
+use crate::cells::{NUM_CELLS, cell_of};
+use crate::report::LightingReport;
+use crate::side::{Patch, Side};
+use crate::sphere_light::{Pool, residual_of};
+use nalgebra::{UnitQuaternion, Vector3};
+use rilievo_numerics::robust::median;
+use rilievo_photometry::harmonics::dominant_direction;
+use rilievo_scene::{LightKind, Lighting};
+
+/// Residual on another sphere, beyond its own, from which two lights are not one.
+const SMALLEST_GAP: f64 = 0.04;
+/// Logarithm of a brightness ratio below which two paints are one.
+const SAME_PAINT: f64 = 0.03;
+/// Fewest pixels at common normals that compare two spheres.
+const MIN_COMMON: usize = 100;
+
+/// Views that share one light: all of a light fixed in the world, or one of a light fixed to the
+/// camera.
+struct Group<'a> {
+    /// Patches by sphere.
+    patches: Vec<Vec<&'a Patch>>,
+    /// Own light by sphere.
+    own: Vec<Option<Lighting>>,
+}
+
+/// One sphere's pixels under another's light.
+#[derive(Clone, Debug)]
+struct Comparison {
+    /// Brightness over what the other's light predicts, per channel.
+    ratio: Vec<f64>,
+    /// Residual after that ratio.
+    rms: f64,
+    /// Residual of the sphere's own light at the same pixels.
+    own_rms: f64,
+    /// Angle between the dominant directions of both lights, degrees.
+    direction_deg: Option<f64>,
+}
+
+impl Comparison {
+    fn agrees(&self, options: &LightingOptions) -> bool {
+        self.rms <= (options.advice_ratio * self.own_rms).max(self.own_rms + SMALLEST_GAP)
+    }
+
+    fn mean_ratio(&self) -> f64 {
+        self.ratio.iter().sum::<f64>() / self.ratio.len().max(1) as f64
+    }
+}
+
+/// Compares the spheres, decides which count ([`Side::paint`]), and reports. `gains` per view of
+/// `side`.
+pub(crate) fn judge(
+    side: &mut Side,
+    gains: &[Vec<f64>],
+    kind: LightKind,
+    options: &LightingOptions,
+    report: &mut LightingReport,
+) {
+    let num_spheres = side.paint.len();
+    let seen = |k: usize| side.patches.iter().any(|patch| patch.sphere == k);
+    let spheres: Vec<usize> = (0..num_spheres).filter(|&k| seen(k)).collect();
+    if spheres.len() < 2 {
+        return;
+    }
+    let frames = Frames { side, gains, kind };
+    let groups = frames.groups(options);
+    let compare = |k: usize, by: usize| frames.compare(&groups, k, by);
+    // How many agree with a sphere, and how much brighter it is than they are.
+    let standing = |by: usize| {
+        let others = spheres.iter().filter(|&&k| k != by);
+        let found: Vec<Comparison> = others.filter_map(|&k| compare(k, by)).collect();
+        let agreeing = found.iter().filter(|c| c.agrees(options)).count();
+        let brighter: f64 = found.iter().map(|c| -c.mean_ratio().max(1e-6).ln()).sum();
+        (agreeing, brighter)
+    };
+    let best = spheres
+        .iter()
+        .map(|&k| (standing(k), k))
+        .max_by(|(a, i), (b, j)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(j.cmp(i)));
+    let Some((_, reference)) = best else { return };
+    let mut verdicts = Vec::new();
+    for &k in spheres.iter().filter(|&&k| k != reference) {
+        verdicts.push((k, compare(k, reference)));
+    }
+    let mut paint = side.paint.clone();
+    let by = report.spheres[reference].name.clone();
+    for (k, verdict) in verdicts {
+        let name = report.spheres[k].name.clone();
+        let Some(found) = verdict else {
+            report.warnings.push(format!(
+                "{name} and {by} show no common normals: whether they see one light is not known"
+            ));
+            continue;
+        };
+        let facts = &mut report.spheres[k];
+        facts.compared_with = Some(by.clone());
+        facts.brightness_ratio.clone_from(&found.ratio);
+        facts.own_rms = Some(found.own_rms);
+        facts.other_rms = Some(found.rms);
+        facts.direction_difference_deg = found.direction_deg;
+        if !found.agrees(options) {
+            facts.left_out = true;
+            paint[k] = None;
+            let direction = found.direction_deg.map_or(String::new(), |angle| {
+                format!(", from a direction {angle:.0} degrees away")
+            });
+            report.warnings.push(format!(
+                "{name} does not see the light that {by} sees: it is {:.2} times as bright at equal \
+                 normals{direction}; {by}'s light leaves {:.1} % of it unexplained, its own {:.1} %: \
+                 it stands in a shadow or bounce light, or the light is not distant; it is left out",
+                found.mean_ratio(),
+                100.0 * found.rms,
+                100.0 * found.own_rms,
+            ));
+        } else if found
+            .ratio
+            .iter()
+            .any(|r| r.max(1e-6).ln().abs() > SAME_PAINT)
+        {
+            report.warnings.push(format!(
+                "{name} is {:.2} times as bright as {by} at equal normals: another paint, or less \
+                 light; it counts with that factor",
+                found.mean_ratio()
+            ));
+            paint[k] = Some(found.ratio);
+        }
+    }
+    side.paint = paint;
+}
+
+/// How patches are brought into one frame.
+struct Frames<'a> {
+    side: &'a Side,
+    gains: &'a [Vec<f64>],
+    kind: LightKind,
+}
+
+impl<'a> Frames<'a> {
+    fn rotation(&self, patch: &Patch) -> UnitQuaternion<f64> {
+        match self.kind {
+            LightKind::World => self.side.world_from_cam[patch.view],
+            LightKind::Camera => UnitQuaternion::identity(),
+        }
+    }
+
+    fn groups(&self, options: &LightingOptions) -> Vec<Group<'a>> {
+        let num_groups = match self.kind {
+            LightKind::World => 1,
+            LightKind::Camera => self.side.views.len(),
+        };
+        let num_spheres = self.side.paint.len();
+        (0..num_groups)
+            .map(|group| {
+                let mut patches: Vec<Vec<&Patch>> = vec![Vec::new(); num_spheres];
+                for patch in &self.side.patches {
+                    if self.kind == LightKind::World || patch.view == group {
+                        patches[patch.sphere].push(patch);
+                    }
+                }
+                let own = patches.iter().map(|list| self.own_light(list, options));
+                Group {
+                    own: own.collect(),
+                    patches,
+                }
+            })
+            .collect()
+    }
+
+    fn own_light(&self, patches: &[&Patch], options: &LightingOptions) -> Option<Lighting> {
+        let mut pool = Pool::default();
+        for patch in patches {
+            let share = options.max_num_samples / patches.len();
+            let (rotation, gain) = (self.rotation(patch), &self.gains[patch.view]);
+            pool.add(&patch.samples, &rotation, gain, share);
+        }
+        Some(pool.fit("a sphere", options).ok()?.lighting())
+    }
+
+    /// Cells of normals that a sphere shows.
+    fn shown(&self, patches: &[&Patch]) -> Vec<bool> {
+        let mut shown = vec![false; NUM_CELLS];
+        for patch in patches {
+            let rotation = self.rotation(patch);
+            for normal in &patch.samples.normals {
+                shown[cell_of(&(rotation * normal))] = true;
+            }
+        }
+        shown
+    }
+
+    /// Sphere `k` under the light of sphere `by`; `None` where they share no normals.
+    fn compare(&self, groups: &[Group], k: usize, by: usize) -> Option<Comparison> {
+        let num_channels = self.side.num_channels();
+        let mut common: Vec<Common> = Vec::new();
+        let mut angles = Vec::new();
+        for group in groups {
+            let (Some(own), Some(other)) = (&group.own[k], &group.own[by]) else {
+                continue;
+            };
+            let shown = self.shown(&group.patches[by]);
+            for patch in &group.patches[k] {
+                common.push(self.common(patch, &shown, own, other));
+            }
+            if let (Some(a), Some(b)) = (dominant_direction(own), dominant_direction(other)) {
+                angles.push(a.angle(&b).to_degrees());
+            }
+        }
+        let num_common: usize = common.iter().map(|c| c.values.len()).sum();
+        if num_common < MIN_COMMON {
+            return None;
+        }
+        let ratio: Vec<f64> = (0..num_channels)
+            .map(|channel| {
+                let mut ratios: Vec<f64> = common
+                    .iter()
+                    .flat_map(|c| c.values.iter().zip(&c.other).zip(&c.usable))
+                    .filter(|((_, other), usable)| usable[channel] && other[channel] > 1e-4)
+                    .map(|((value, other), _)| value[channel] / other[channel])
+                    .collect();
+                median(&mut ratios).unwrap_or(1.0)
+            })
+            .collect();
+        let residual = |predicted: &dyn Fn(&Common, usize, usize) -> f64| {
+            residual_of(common.iter().flat_map(|c| {
+                (0..c.values.len()).flat_map(move |i| {
+                    let usable = (0..num_channels).filter(move |&channel| c.usable[i][channel]);
+                    usable.map(move |channel| (c.values[i][channel], predicted(c, i, channel)))
+                })
+            }))
+        };
+        let scaled = |c: &Common, i: usize, channel: usize| ratio[channel] * c.other[i][channel];
+        Some(Comparison {
+            rms: residual(&scaled)?,
+            own_rms: residual(&|c, i, channel| c.own[i][channel])?,
+            direction_deg: median(&mut angles),
+            ratio,
+        })
+    }
+
+    /// A patch's pixels at normals that the other sphere shows.
+    fn common(&self, patch: &Patch, shown: &[bool], own: &Lighting, other: &Lighting) -> Common {
+        let mut common = Common::default();
+        let (rotation, gain) = (self.rotation(patch), &self.gains[patch.view]);
+        let under = |light: &Lighting, normal: &Vector3<f64>| -> Vec<f64> {
+            light.channels.iter().map(|l| l.evaluate(normal)).collect()
+        };
+        let samples = &patch.samples;
+        for k in 0..samples.normals.len() {
+            let normal = rotation * samples.normals[k];
+            if shown[cell_of(&normal)] {
+                let values = samples.values[k].iter().zip(gain).map(|(v, g)| v / g);
+                common.values.push(values.collect());
+                common.usable.push(samples.usable[k].clone());
+                common.own.push(under(own, &normal));
+                common.other.push(under(other, &normal));
+            }
+        }
+        common
+    }
+}
+
+/// Pixels at normals that two spheres show: observed, under the own light, under the other's.
+#[derive(Default)]
+struct Common {
+    values: Vec<Vec<f64>>,
+    usable: Vec<Vec<bool>>,
+    own: Vec<Vec<f64>>,
+    other: Vec<Vec<f64>>,
+}

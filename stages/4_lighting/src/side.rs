@@ -1,0 +1,169 @@
+//! The spheres beside the object, in the views that show enough of them.
+
+use crate::report::{LightingReport, SphereLightReport, ViewLightReport};
+use crate::samples::{Coverage, Shot, SphereSamples};
+use crate::{LightingError, LightingOptions};
+use nalgebra::UnitQuaternion;
+use rilievo_photometry::sphere::SphereInCamera;
+use rilievo_scene::{
+    Event, Flow, LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, StageId,
+};
+
+/// One sphere in one view.
+pub(crate) struct Patch {
+    /// The view, as a position in [`Side::views`].
+    pub view: usize,
+    /// The sphere, as an index into the posed spheres.
+    pub sphere: usize,
+    /// Its pixels.
+    pub samples: SphereSamples,
+}
+
+/// All patches.
+#[derive(Default)]
+pub(crate) struct Side {
+    /// Indices of the views that show a sphere.
+    pub views: Vec<usize>,
+    /// Their rotations.
+    pub world_from_cam: Vec<UnitQuaternion<f64>>,
+    /// Every sphere in every view that shows enough of it.
+    pub patches: Vec<Patch>,
+    /// Per sphere and channel, its albedo over that of the sphere that the light is told by; `None`
+    /// for a sphere that does not count.
+    pub paint: Vec<Option<Vec<f64>>>,
+}
+
+/// A patch that counts, with its sphere's albedo.
+pub(crate) type Counted<'a> = (&'a Patch, &'a [f64]);
+
+impl Side {
+    pub fn num_channels(&self) -> usize {
+        let mut values = self.patches.iter().flat_map(|p| p.samples.values.first());
+        values.next().map_or(1, Vec::len)
+    }
+
+    /// Patches of the spheres that count.
+    pub fn counted(&self) -> impl Iterator<Item = Counted<'_>> {
+        self.patches
+            .iter()
+            .filter_map(|patch| Some((patch, self.paint[patch.sphere].as_deref()?)))
+    }
+
+    /// Those of one view, by its index among all.
+    pub fn counted_in(&self, view: usize) -> Vec<Counted<'_>> {
+        self.counted()
+            .filter(|(patch, _)| self.views[patch.view] == view)
+            .collect()
+    }
+}
+
+/// Reads the spheres in all views, and begins the report.
+pub(crate) fn collect(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    options: &LightingOptions,
+    observer: &dyn Observer,
+    report: &mut LightingReport,
+) -> Result<Side, LightingError> {
+    let mut side = Side::default();
+    report.spheres = posed
+        .spheres
+        .iter()
+        .map(|sphere| SphereLightReport {
+            name: sphere.name.clone(),
+            ..SphereLightReport::default()
+        })
+        .collect();
+    for (idx, view) in posed.views.iter().enumerate() {
+        let flow = observer.event(Event::Progress {
+            stage: StageId::Lighting,
+            step: "reading the sphere".to_owned(),
+            done: idx,
+            total: posed.views.len(),
+        });
+        if flow == Flow::Stop {
+            return Err(LightingError::Interrupted);
+        }
+        let facts = one_view(photos, posed, (idx, view), options, (&mut side, report))?;
+        report.views.push(facts);
+    }
+    side.paint = vec![Some(vec![1.0; side.num_channels()]); posed.spheres.len()];
+    Ok(side)
+}
+
+/// Adds the patches of a view that are large enough; the facts say why others are not.
+fn one_view(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    (idx, view): (usize, &PosedView),
+    options: &LightingOptions,
+    (side, report): (&mut Side, &mut LightingReport),
+) -> Result<ViewLightReport, LightingError> {
+    let mut facts = ViewLightReport::named(&view.name);
+    let mut reasons = Vec::new();
+    let mut coverage = Coverage::default();
+    let in_camera: Vec<SphereInCamera> = posed
+        .spheres
+        .iter()
+        .map(|sphere| SphereInCamera::seen(sphere, &view.cam_from_world))
+        .collect();
+    let mut position = None;
+    for (k, sphere) in posed.spheres.iter().enumerate() {
+        if let Some(reason) = unseen(sphere, &in_camera[k], view) {
+            reasons.push(reason);
+            continue;
+        }
+        let photo = &photos.photos[view.photo.0];
+        let image = photo.pixels.load()?;
+        let shot = Shot {
+            image: &image,
+            object: photo.mask.as_deref(),
+            clip_level: photo.clip_level,
+            intrinsics: &view.intrinsics,
+        };
+        let samples = shot.samples(&in_camera[k], &in_camera, options);
+        let num_pixels = samples.num_usable();
+        facts.num_pixels += num_pixels;
+        facts.radius_px = Some(facts.radius_px.unwrap_or(0.0).max(samples.radius_px));
+        coverage.add(samples.coverage);
+        if num_pixels < options.min_num_pixels {
+            reasons.push(format!(
+                "{num_pixels} usable pixels of {} ({:.0} % hidden, {:.0} % clipped)",
+                sphere.name,
+                100.0 * samples.coverage.hidden_share(),
+                100.0 * samples.coverage.clipped_share()
+            ));
+            continue;
+        }
+        report.spheres[k].num_pixels += num_pixels;
+        report.spheres[k].views.push(view.name.clone());
+        let position = *position.get_or_insert_with(|| {
+            side.views.push(idx);
+            side.world_from_cam
+                .push(view.cam_from_world.rotation.inverse());
+            side.views.len() - 1
+        });
+        side.patches.push(Patch {
+            view: position,
+            sphere: k,
+            samples,
+        });
+    }
+    facts.clipped_share = coverage.clipped_share();
+    facts.hidden_share = coverage.hidden_share();
+    if position.is_none() && !reasons.is_empty() {
+        facts.left_out = Some(reasons.join("; "));
+    }
+    Ok(facts)
+}
+
+/// Why a view says nothing of a sphere.
+fn unseen(sphere: &LocatedSphere, in_camera: &SphereInCamera, view: &PosedView) -> Option<String> {
+    if in_camera.cone().is_none() {
+        return Some(format!("{} lies behind the camera", sphere.name));
+    }
+    // Where the outline was looked for and not found, something hides the sphere.
+    let hidden =
+        !sphere.seen_in.is_empty() && sphere.seen_in.iter().all(|(photo, _)| *photo != view.photo);
+    hidden.then(|| format!("the outline of {} is not seen in it", sphere.name))
+}
