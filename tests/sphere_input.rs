@@ -353,3 +353,68 @@ fn a_sphere_that_is_clipped_hidden_or_cut_in_some_photos_serves_from_the_others(
     let scale = &report["stages"]["3_poses"]["report"]["scale"];
     assert_eq!(scale["source"], "sphere", "{scale}");
 }
+
+#[test]
+fn two_spheres_are_both_used_and_what_is_wrong_with_one_is_told() {
+    let set = Set {
+        folder: tempfile::tempdir().unwrap(),
+    };
+    let config = set.path("two.toml");
+    let scene = "[scene]\nmore_spheres = [{at_m = [-0.2, -0.05], radius_m = 0.025}]\n";
+    std::fs::write(&config, scene).unwrap();
+    let (code, _, stderr) = run(&[
+        "synth",
+        arg(set.folder.path()),
+        "--views",
+        "4",
+        "--size",
+        "560x420",
+        "--config",
+        arg(&config),
+    ]);
+    assert_eq!(code, 0, "{stderr}");
+    let good = json_of(&set.path("sphere.json"));
+    let (code, stderr) = set.light("intrinsics.json", &good);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(!stderr.contains("one of the two radii"), "{stderr}");
+    let report = json_of(&set.path("run/report.json"));
+    let stages = &report["stages"];
+    let scale = &stages["3_poses"]["report"]["scale"];
+    assert_eq!(scale["source"], "sphere", "{scale}");
+    let spheres = stages["4_lighting"]["report"]["spheres"]
+        .as_array()
+        .unwrap();
+    let views: Vec<usize> = spheres
+        .iter()
+        .map(|s| s["views"].as_array().unwrap().len())
+        .collect();
+    assert_eq!(views, [4, 4], "{spheres:?}");
+    assert_eq!(spheres[1]["name"], "sphere 2");
+
+    let mut wrong = good.clone();
+    wrong["spheres"][1]["radius"] = json!(1.05 * 0.025);
+    let (code, stderr) = set.light("intrinsics.json", &wrong);
+    assert_eq!(code, 0, "{stderr}");
+    told(
+        &stderr,
+        &["the scale that sphere", "one of the two radii is wrong"],
+    );
+
+    let mut bad = good.clone();
+    bad["spheres"][1]["views"]["IMG_0002.jpg"] = json!({"circle": [1, 2]});
+    let (code, stderr) = set.light("intrinsics.json", &bad);
+    assert_eq!(code, 3, "{stderr}");
+    told(
+        &stderr,
+        &[
+            "marks.json",
+            "spheres[1].views.IMG_0002.jpg.circle: [1,2] has 2 numbers",
+        ],
+    );
+
+    let mut gone = good;
+    gone["spheres"][1]["views"] = json!({"DSC_0001.jpg": {"circle": [100, 60, 30]}});
+    let (code, stderr) = set.light("intrinsics.json", &gone);
+    assert_eq!(code, 0, "{stderr}");
+    told(&stderr, &["sphere 2 was not located, the others go on"]);
+}

@@ -264,6 +264,43 @@ fn lighting(facts: &Value) -> String {
         escape(&text(facts, "/kind")),
         escape(&text(facts, "/dominant_direction"))
     ) + &table("Lighting", &head, &rows)
+        + &spheres(facts)
+}
+
+/// How several spheres agree on one light.
+fn spheres(facts: &Value) -> String {
+    let spheres = items(facts, "/spheres");
+    if spheres.len() < 2 {
+        return String::new();
+    }
+    let rows: Vec<_> = spheres
+        .iter()
+        .map(|sphere| {
+            vec![
+                text(sphere, "/name"),
+                text(sphere, "/num_pixels"),
+                items(sphere, "/views").len().to_string(),
+                text(sphere, "/compared_with"),
+                text(sphere, "/brightness_ratio"),
+                percent(sphere, "/own_rms", 1),
+                percent(sphere, "/other_rms", 1),
+                number(sphere, "/direction_difference_deg", 1),
+                text(sphere, "/left_out"),
+            ]
+        })
+        .collect();
+    let head = [
+        "sphere",
+        "pixels",
+        "photos",
+        "compared with",
+        "brightness over that one's",
+        "residual of its own light",
+        "of that one's light",
+        "directions apart, degrees",
+        "left out",
+    ];
+    table("Spheres", &head, &rows)
 }
 
 fn shading(facts: &Value) -> String {

@@ -5,10 +5,13 @@
 //! centres, points and the sphere are multiplied by that. Given poses are metres already, and the
 //! sphere is then only located.
 //!
-//! The sphere is located after the adjustment, not in it: its outline gives a view two coordinates
-//! of the centre, as precise as one of the thousand points that the view sees, so that it would move
-//! the poses by less than a twentieth of their standard deviation; and an outline that is biased by
-//! its own shadow cannot bend them.
+//! The spheres are located after the adjustment, not in it. Linearised over poses, points and sphere,
+//! with the residuals' own 0.07 px and 0.1 px for the outline, two sets of eight photos and 7000
+//! points give: in the adjustment, the sphere would lessen the standard deviation of a camera's place
+//! by 0.6 % at most and move it by 0.11 of that, and the scale's would be 0.0560 instead of 0.0556 %
+//! and 0.0495 instead of 0.0493 %. An outline that is biased by its own shadow then cannot bend the
+//! poses. The stated deviation of a centre leaves out what the poses add to it (0.06 mm instead of
+//! 0.08 mm there).
 
 use crate::error::PosesError;
 use crate::options::PosesOptions;
