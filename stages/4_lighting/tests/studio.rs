@@ -70,9 +70,8 @@ fn locate_in(set: &mut Set, num_views: usize) {
     let options = SphereOptions::default();
     let found = locate_request(&set.photos, &shrunk, &request, WorldScale::Free, &options).unwrap();
     assert!(found.other_sizes.is_empty(), "{:?}", found.other_sizes);
-    let [fit] = &found.fits[..] else {
-        panic!("{:?}", found.fits);
-    };
+    assert_eq!(found.fits.len(), 1, "{:?}", found.fits);
+    let fit = &found.fits[0];
     assert_eq!(fit.sphere.seen_in.len(), num_views, "{:?}", fit.views);
     let scale = found.scale.unwrap().estimate.metres_per_unit * SHRINK;
     assert!((scale - 1.0).abs() < 0.003, "scale {scale}");
