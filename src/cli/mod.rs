@@ -4,7 +4,7 @@ mod parse;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use parse::{
-    parse_dimensions, parse_export_format, parse_format, parse_known_distance, parse_size,
+    parse_dimensions, parse_export_format, parse_import_format, parse_known_distance, parse_size,
     parse_stage,
 };
 use rilievo_fusion::{ColorMode, FusionOptions};
@@ -53,7 +53,8 @@ pub enum Command {
     Evaluate(EvaluateArgs),
     /// A synthetic photo folder with ground truth
     Synth(SynthArgs),
-    /// Cameras of another program to cameras.json
+    /// Cameras of another program to cameras.json; an object of DiLiGenT or DiLiGenT-MV to a folder of
+    /// photos, masks and truth
     Import(ImportArgs),
     /// Cameras of a run, or of cameras.json, to another program's format
     Export(ExportArgs),
@@ -116,14 +117,26 @@ pub struct MaskArgs {
 /// `rilievo import`
 #[derive(Debug, Args)]
 pub struct ImportArgs {
-    /// Another program's cameras: a file or a folder
+    /// Another program's cameras: a file or a folder; or an object of DiLiGenT or DiLiGenT-MV
     pub source: PathBuf,
     /// Its format; found out by default
-    #[arg(long, value_name = "FORMAT", value_parser = parse_format)]
-    pub format: Option<CameraFormat>,
-    /// The file to write
-    #[arg(short, long, value_name = "FILE", default_value = "cameras.json")]
-    pub output: PathBuf,
+    #[arg(long, value_name = "FORMAT", value_parser = parse_import_format)]
+    pub format: Option<ImportFormat>,
+    /// The file to write (cameras.json by default), for diligent the folder (diligent by default)
+    #[arg(short, long, value_name = "PATH")]
+    pub output: Option<PathBuf>,
+    /// diligent: the lamp to see the object by, counted from 1; the mean over all lamps by default
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub lamp: Option<u16>,
+}
+
+/// What `rilievo import` reads.
+#[derive(Clone, Copy, Debug)]
+pub enum ImportFormat {
+    /// Cameras.
+    Cameras(CameraFormat),
+    /// An object of DiLiGenT or DiLiGenT-MV.
+    Diligent,
 }
 
 /// `rilievo export`
@@ -511,6 +524,8 @@ pub enum SynthFormat {
     Png,
     /// Linear, 32-bit floating point, not clipped
     Exr,
+    /// Camera RAW: one colour a pixel, 14 bits
+    Dng,
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Values of the command line that are more than a number or a path.
 
-use super::ExportFormat;
+use super::{ExportFormat, ImportFormat};
 use rilievo_io::{CameraFormat, LightFormat};
 use rilievo_poses::KnownDistance;
 use rilievo_scene::StageId;
@@ -28,6 +28,16 @@ pub(super) fn parse_format(text: &str) -> Result<CameraFormat, String> {
             .collect();
         format!("formats are {}", names.join(", "))
     })
+}
+
+/// A camera format, or `diligent`.
+pub(super) fn parse_import_format(text: &str) -> Result<ImportFormat, String> {
+    match text {
+        "diligent" => Ok(ImportFormat::Diligent),
+        _ => parse_format(text)
+            .map(ImportFormat::Cameras)
+            .map_err(|formats| format!("{formats}, diligent")),
+    }
 }
 
 /// A camera format, or `lp` and `alicevision-lights`.

@@ -1,12 +1,13 @@
 //! `rilievo import` and `rilievo export`: cameras of other programs, in and out.
 
-use crate::cli::{ExportArgs, ExportFormat, ImportArgs};
+use super::diligent;
+use crate::cli::{ExportArgs, ExportFormat, ImportArgs, ImportFormat};
 use crate::exit::Failure;
 use crate::pipeline::{from_io, load_poses};
 use crate::store::RunDir;
 use rilievo_io::{
-    CameraFile, CameraFormat, LightFormat, export_cameras, import_cameras, read_lighting,
-    write_cameras, write_lights,
+    CameraFile, CameraFormat, LightFormat, export_cameras, import_cameras, is_diligent,
+    read_lighting, write_cameras, write_lights,
 };
 use rilievo_scene::StageId;
 use std::path::Path;
@@ -16,8 +17,24 @@ use std::path::Path;
 /// # Errors
 /// When the source cannot be read as cameras, or the file cannot be written.
 pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
-    let (cameras, format) = read(&args.source, args.format)?;
-    write_cameras(&args.output, &cameras).map_err(from_io)?;
+    let format = match args.format {
+        None if is_diligent(&args.source) => Some(ImportFormat::Diligent),
+        format => format,
+    };
+    let output = |default: &str| args.output.clone().unwrap_or_else(|| default.into());
+    let format = match format {
+        Some(ImportFormat::Diligent) => {
+            return diligent::import(&args.source, &output("diligent"), args.lamp);
+        }
+        Some(ImportFormat::Cameras(format)) => Some(format),
+        None => None,
+    };
+    if args.lamp.is_some() {
+        return Err(Failure::Usage("--lamp is of the format diligent".to_owned()).into());
+    }
+    let output = output("cameras.json");
+    let (cameras, format) = read(&args.source, format)?;
+    write_cameras(&output, &cameras).map_err(from_io)?;
     let posed = cameras
         .cameras
         .iter()
@@ -28,7 +45,7 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
         cameras.cameras.len(),
         args.source.display(),
         format.name(),
-        args.output.display()
+        output.display()
     )?;
     Ok(())
 }

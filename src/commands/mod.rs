@@ -4,6 +4,7 @@ mod cameras;
 mod check;
 mod clean;
 mod demo;
+mod diligent;
 mod evaluate;
 mod fuse;
 mod mask;

@@ -20,10 +20,10 @@ use crate::pipeline::from_io;
 use crate::store::StoreError;
 use rilievo_io::{
     CameraEntry, CameraFile, DeepFormat, read_mesh_ply, write_cameras, write_depth, write_linear,
-    write_mask, write_matches_csv, write_mesh_ply, write_normal, write_photo_deep,
+    write_mask, write_matches_csv, write_mesh_ply, write_normal, write_photo_deep, write_photo_dng,
     write_photo_jpeg,
 };
-use rilievo_scene::{Event, Flow, LinearImage, NormalMap, Observer, StageId, Unit};
+use rilievo_scene::{Event, ExifFacts, Flow, LinearImage, NormalMap, Observer, StageId, Unit};
 use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions, true_tracks};
 use serde::Deserialize;
 use std::path::Path;
@@ -246,6 +246,7 @@ fn ending(format: SynthFormat) -> &'static str {
         SynthFormat::Tiff => "tif",
         SynthFormat::Png => "png",
         SynthFormat::Exr => "exr",
+        SynthFormat::Dng => "dng",
     }
 }
 
@@ -257,6 +258,7 @@ fn write_view(folder: &Path, view: &RenderedView, format: SynthFormat) -> Result
         SynthFormat::Tiff => write_photo_deep(&photo, &view.image, DeepFormat::Tiff),
         SynthFormat::Png => write_photo_deep(&photo, &view.image, DeepFormat::Png),
         SynthFormat::Exr => write_linear(&photo, &view.image),
+        SynthFormat::Dng => write_photo_dng(&photo, &view.image, [1.0; 3], &ExifFacts::default()),
     }
     .map_err(from_io)?;
     let albedo = folder.join(format!("truth/{name}_albedo.exr"));

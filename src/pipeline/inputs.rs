@@ -235,7 +235,9 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
             };
             return Err(Failure::input(
                 argument,
-                format!("the folder holds no photo (JPEG, PNG, TIFF or OpenEXR){inside}"),
+                format!(
+                    "the folder holds no photo (JPEG, PNG, TIFF, OpenEXR or camera RAW){inside}"
+                ),
             ));
         }
         files.extend(found);

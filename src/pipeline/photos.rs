@@ -387,13 +387,16 @@ fn write(
     Ok((kept, files))
 }
 
-/// Pixels of the largest photo, by the files' headers.
+/// Pixels of the largest photo, by the files' headers; a file whose header does not tell (camera RAW) holds
+/// a byte a pixel and more.
 fn largest_photo_px(inputs: &Inputs) -> u64 {
     inputs
         .photos
         .par_iter()
-        .filter_map(|photo| photo_size(&photo.path))
-        .map(|(width, height)| (width * height) as u64)
+        .filter_map(|photo| match photo_size(&photo.path) {
+            Some((width, height)) => Some((width * height) as u64),
+            None => Some(std::fs::metadata(&photo.path).ok()?.len()),
+        })
         .max()
         .unwrap_or(0)
 }

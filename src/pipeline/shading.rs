@@ -9,9 +9,11 @@ use rilievo_io::{
     IoError, Preview, read_channel, read_depth, read_linear, read_normal, write_channel,
     write_depth, write_linear, write_normal, write_preview_png,
 };
-use rilievo_scene::{Images, LinearImage, MapSource, PixelError, ShadedView, StageId, ViewIdx};
+use rilievo_scene::{
+    LinearImage, MapSource, PixelError, ShadedImages, ShadedView, StageId, ViewIdx,
+};
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Longer side of the pictures, pixels: all detail of usual photos, little space.
 const PREVIEW_SIDE: usize = 1600;
@@ -137,34 +139,52 @@ impl MapFiles {
     }
 }
 
+impl MapFiles {
+    /// A view's file of a kind, read by `read`.
+    fn file<T>(
+        &self,
+        idx: usize,
+        kind: &str,
+        read: impl FnOnce(&Path) -> Result<T, IoError>,
+    ) -> Result<T, PixelError> {
+        let name = &self.views[idx].name;
+        let path = self.folder.join(kind).join(format!("{name}.exr"));
+        read(&path).map_err(|error| PixelError {
+            name: name.clone(),
+            reason: error.to_string(),
+        })
+    }
+}
+
 impl MapSource for MapFiles {
     fn num_views(&self) -> usize {
         self.views.len()
     }
 
-    fn load(&self, idx: usize, images: Images) -> Result<ShadedView, PixelError> {
+    fn load(&self, idx: usize) -> Result<ShadedView, PixelError> {
         let files = &self.views[idx];
-        let of_view = |error: IoError| PixelError {
-            name: files.name.clone(),
-            reason: error.to_string(),
-        };
-        let path = |kind: &str| self.folder.join(kind).join(format!("{}.exr", files.name));
-        let image = |present: bool, kind: &str| {
-            (present && images == Images::With)
-                .then(|| read_linear(&path(kind)).map_err(of_view))
-                .transpose()
-        };
+        let confidence = || self.file(idx, "confidence", |path| read_channel(path, "C"));
         Ok(ShadedView {
             view: files.view,
-            depth: read_depth(&path("depth")).map_err(of_view)?,
-            normal: read_normal(&path("normal")).map_err(of_view)?,
-            confidence: files
-                .confidence
-                .then(|| read_channel(&path("confidence"), "C").map_err(of_view))
-                .transpose()?,
+            name: files.name.clone(),
+            depth: self.file(idx, "depth", read_depth)?,
+            normal: self.file(idx, "normal", read_normal)?,
+            confidence: files.confidence.then(confidence).transpose()?,
+            rendered: None,
+            albedo: None,
+        })
+    }
+
+    fn images(&self, idx: usize) -> Result<ShadedImages, PixelError> {
+        let files = &self.views[idx];
+        let image = |present: bool, kind: &str| {
+            present
+                .then(|| self.file(idx, kind, read_linear))
+                .transpose()
+        };
+        Ok(ShadedImages {
             rendered: image(files.rendered, "rendered")?,
             albedo: image(files.albedo, "albedo")?,
-            name: files.name.clone(),
         })
     }
 }

@@ -15,8 +15,8 @@ use rilievo_io::{
 };
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, Images, Intrinsics, MapSource, NormalMap, PixelError, RigidTransform,
-    ShadedView, Unit, ViewIdx,
+    ConfidenceMap, DepthMap, Intrinsics, MapSource, NormalMap, PixelError, RigidTransform,
+    ShadedImages, ShadedView, Unit, ViewIdx,
 };
 use std::path::{Path, PathBuf};
 
@@ -76,7 +76,7 @@ impl MapSource for Views {
         self.views.len()
     }
 
-    fn load(&self, idx: usize, _: Images) -> Result<ShadedView, PixelError> {
+    fn load(&self, idx: usize) -> Result<ShadedView, PixelError> {
         let view = &self.views[idx];
         let mut maps =
             Maps::read(self.format, &view.files, &view.intrinsics).map_err(|failure| {
@@ -97,6 +97,10 @@ impl MapSource for Views {
             rendered: None,
             albedo: None,
         })
+    }
+
+    fn images(&self, _: usize) -> Result<ShadedImages, PixelError> {
+        Ok(ShadedImages::default())
     }
 }
 

@@ -4,6 +4,7 @@
 //! | photo | `auto` takes it as |
 //! |---|---|
 //! | OpenEXR, Radiance HDR, float TIFF | linear: such files hold scene-referred values |
+//! | camera RAW | linear: the sensor counts light |
 //! | 16-bit TIFF or PNG whose profile or gamma is linear | linear |
 //! | 16-bit TIFF or PNG that says nothing of its colours | linear: display-referred exports carry a profile or an `sRGB` chunk, stored measurements carry none |
 //! | any photo with another profile | by the profile's own tone curve |
@@ -98,13 +99,13 @@ pub fn linearize(decoded: &DecodedPhoto, encoding: Encoding) -> (LinearImage, Ap
 }
 
 /// Linear value at and above which a channel counts as clipped, for a stored value of
-/// `clip_fraction` of white; float photos have no white that could clip.
+/// `clip_fraction` of white; beyond all values where white is no limit.
 pub(crate) fn clip_level(decoded: &DecodedPhoto, encoding: Encoding, clip_fraction: f64) -> f32 {
-    match decoded.samples {
-        Samples::F32(_) => f32::MAX,
-        // A little below, so that rounding of the fraction does not let the step itself through.
-        _ => Curve::of(decoded, encoding).linear(clip_fraction) as f32 * (1.0 - 1e-6),
+    if !decoded.saturates_at_white {
+        return f32::MAX;
     }
+    // A little below, so that rounding of the fraction does not let the step itself through.
+    Curve::of(decoded, encoding).linear(clip_fraction) as f32 * (1.0 - 1e-6)
 }
 
 #[cfg(test)]
@@ -118,6 +119,7 @@ mod tests {
             width: samples.len(),
             height: 1,
             channels: 1,
+            saturates_at_white: samples.bits() < 32,
             samples,
             linear_by_metadata,
             encoding_reason: String::new(),

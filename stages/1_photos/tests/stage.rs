@@ -17,6 +17,7 @@ fn photo(file_name: &str, exif: ExifFacts) -> DecodedPhoto {
         channels: 3,
         samples: Samples::U8((0..width * height * 3).map(|i| (i % 251) as u8).collect()),
         linear_by_metadata: false,
+        saturates_at_white: true,
         encoding_reason: "8 bit".to_owned(),
         profile_curve: None,
         alpha: None,

@@ -10,7 +10,9 @@ use crate::options::{ColorMode, FusionOptions};
 use crate::views::View;
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{Images, Intrinsics, LinearImage, MapSource, PhotoSet, PosedViews, srgb};
+use rilievo_scene::{
+    Intrinsics, LinearImage, MapSource, PhotoSet, PosedViews, ShadedImages, bilinear, srgb,
+};
 use std::sync::Arc;
 
 /// Grey where there is no photo.
@@ -51,14 +53,11 @@ impl ColorSource {
                 images.push(None);
                 continue;
             };
-            let (rendered, albedo) = match options.color {
-                ColorMode::Photographed => (None, None),
-                ColorMode::Albedo => {
-                    let maps = maps.load(view.maps_idx, Images::With)?;
-                    (maps.rendered, maps.albedo)
-                }
+            let images_of_view = match options.color {
+                ColorMode::Photographed => ShadedImages::default(),
+                ColorMode::Albedo => maps.images(view.maps_idx)?,
             };
-            let shown = match (albedo, rendered) {
+            let shown = match (images_of_view.albedo, images_of_view.rendered) {
                 (Some(mut albedo), _) => {
                     albedo.data.iter_mut().for_each(|a| *a *= MEAN_ALBEDO_LEVEL);
                     Arc::new(albedo)
@@ -124,19 +123,12 @@ impl ColorSource {
 
     /// Bilinear linear value at a camera's pixel.
     fn sample(&self, image: &Image, x: f64, y: f64) -> Option<[f32; 3]> {
-        if x < 0.0 || y < 0.0 || x > (image.width - 1) as f64 || y > (image.height - 1) as f64 {
-            return None;
-        }
-        let (i, j) = (x as usize, y as usize);
-        let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-        let (i1, j1) = ((i + 1).min(image.width - 1), (j + 1).min(image.height - 1));
-        let at = |i: usize, j: usize, c: usize| {
-            self.linear[usize::from(image.data[j * image.width + i][c])]
+        let value = |c: usize| {
+            bilinear((image.width, image.height), x, y, |i| {
+                self.linear[usize::from(image.data[i][c])]
+            })
         };
-        Some(std::array::from_fn(|c| {
-            (at(i, j, c) * (1.0 - fx) + at(i1, j, c) * fx) * (1.0 - fy)
-                + (at(i, j1, c) * (1.0 - fx) + at(i1, j1, c) * fx) * fy
-        }))
+        Some([value(0)?, value(1)?, value(2)?])
     }
 }
 
@@ -177,8 +169,12 @@ fn encode(image: &LinearImage, camera: &Intrinsics, view: &View) -> Image {
                 // Pixel centres at integers: the first pixel's near edge is at -1/2.
                 let [x, y] =
                     std::array::from_fn(|a| (view.corner_px[a] + step * place[a]) * scale[a] - 0.5);
+                // Beyond its border the image is carried on.
+                let x = x.clamp(0.0, (image.width - 1) as f64);
+                let y = y.clamp(0.0, (image.height - 1) as f64);
                 for (c, sum) in sum.iter_mut().enumerate() {
-                    *sum += value_at(image, x, y, c.min(image.channels - 1));
+                    let value = image.sample(x, y, c.min(image.channels - 1));
+                    *sum += value.unwrap_or_default();
                 }
             }
             let count = (num_places * num_places) as f32;
@@ -190,16 +186,4 @@ fn encode(image: &LinearImage, camera: &Intrinsics, view: &View) -> Image {
         height,
         data,
     }
-}
-
-/// Bilinear value of an image, carried on beyond its border.
-fn value_at(image: &LinearImage, x: f64, y: f64, channel: usize) -> f32 {
-    let x = x.clamp(0.0, (image.width - 1) as f64);
-    let y = y.clamp(0.0, (image.height - 1) as f64);
-    let (i, j) = (x as usize, y as usize);
-    let (i1, j1) = ((i + 1).min(image.width - 1), (j + 1).min(image.height - 1));
-    let (fx, fy) = ((x - i as f64) as f32, (y - j as f64) as f32);
-    let at = |i: usize, j: usize| image.data[(j * image.width + i) * image.channels + channel];
-    (at(i, j) * (1.0 - fx) + at(i1, j) * fx) * (1.0 - fy)
-        + (at(i, j1) * (1.0 - fx) + at(i1, j1) * fx) * fy
 }

@@ -13,7 +13,7 @@ use crate::report::ViewFusion;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, Images, Intrinsics, MapSource, Mask, NormalMap, PosedViews, Raster,
+    ConfidenceMap, DepthMap, Intrinsics, MapSource, Mask, NormalMap, PosedViews, Raster,
     RigidTransform, ShadedView,
 };
 
@@ -224,7 +224,7 @@ pub(crate) fn prepare(
     let mut reports = Vec::new();
     let mut needed = 0;
     for maps_idx in 0..maps.num_views() {
-        let loaded = maps.load(maps_idx, Images::Without)?;
+        let loaded = maps.load(maps_idx)?;
         let (mut view, report) = clean(posed, maps_idx, loaded, options)?;
         let num_halvings = views.first().map_or(0, |v| v.num_halvings);
         for _ in 0..num_halvings {

@@ -81,6 +81,11 @@ impl<'a> Bytes<'a> {
         self.at = at;
     }
 
+    /// Bytes before the next one.
+    pub(crate) fn position(&self) -> usize {
+        self.at
+    }
+
     /// The next bytes.
     pub(crate) fn piece(&mut self, length: usize) -> Result<&'a [u8], IoError> {
         let end = self.at.checked_add(length);

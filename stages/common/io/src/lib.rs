@@ -6,11 +6,12 @@
 //!
 //! | content | functions |
 //! |---|---|
-//! | photos (JPEG, PNG, TIFF, OpenEXR) with EXIF | [`decode_photo`] |
+//! | photos (JPEG, PNG, TIFF, OpenEXR, camera RAW) with EXIF | [`decode_photo`] |
 //! | masks and their names | [`read_mask`], [`write_mask`], [`mask_names`] |
 //! | depth, normals, confidence, linear images as OpenEXR | [`exr_maps`] |
 //! | cameras: `cameras.json`, `camera.json`, COLMAP | [`read_cameras`], [`write_cameras`], [`colmap`] |
 //! | cameras of other programs | [`adapters`] |
+//! | the data sets DiLiGenT and DiLiGenT-MV, MATLAB's arrays | [`read_diligent`], [`read_mat`] |
 //! | the reference spheres | [`read_sphere_file`] |
 //! | lighting | [`read_lighting`], [`write_lighting`] |
 //! | lighting for other programs | [`write_lights`] |
@@ -30,6 +31,8 @@ mod bytes;
 pub mod cameras;
 pub mod colmap;
 pub mod dense;
+pub mod diligent;
+pub mod dng_writer;
 pub mod error;
 pub mod exr_maps;
 mod json;
@@ -37,6 +40,7 @@ pub mod light_export;
 pub mod lighting_file;
 pub mod mask;
 pub mod mask_names;
+pub mod mat;
 pub mod mesh;
 pub mod pfm;
 pub mod photo;
@@ -52,15 +56,20 @@ pub use adapters::{CameraFormat, export_cameras, import_cameras};
 pub use cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};
 pub use colmap::write_colmap_text;
 pub use dense::{DmapFile, read_colmap_depth, read_colmap_normal, read_dmap};
+pub use diligent::{
+    DiligentObject, DiligentPhoto, DiligentView, is_diligent, read_diligent, read_diligent_photo,
+};
+pub use dng_writer::write_photo_dng;
 pub use error::{IoError, IoErrorKind};
 pub use exr_maps::{
     LinearFile, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
     write_linear, write_linear_half, write_normal,
 };
-pub use light_export::{LightFormat, write_lights};
+pub use light_export::{LightFormat, write_lights, write_lp};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{read_mask, write_mask};
 pub use mask_names::{expected_mask_name, find_mask, is_mask_among};
+pub use mat::{MatArray, read_mat};
 pub use mesh::{ViewerFrame, write_mesh_glb, write_mesh_obj};
 pub use photo::{decode_photo, decode_photo_bytes, is_photo_name, photo_size};
 pub use photo_writer::{DeepFormat, encode_photo_jpeg, write_photo_deep, write_photo_jpeg};

@@ -72,12 +72,10 @@ pub fn write_lights(
     }
     match format {
         LightFormat::Lp => {
-            let mut text = format!("{}\n", lamps.len());
-            for (photo, (s, _)) in lamps {
-                // Writing into a String cannot fail, hence the ignored result.
-                let _ = writeln!(text, "{photo} {} {} {}", s.x, -s.y, -s.z);
-            }
-            std::fs::write(path, text).map_err(|error| IoError::write(path, error))
+            let lamps = lamps
+                .into_iter()
+                .map(|(photo, (s, _))| (photo.as_str(), s.into()));
+            write_lp(path, lamps)
         }
         LightFormat::AliceVision => {
             let lights: Vec<_> = (1..)
@@ -96,6 +94,23 @@ pub fn write_lights(
             json::write(path, &json!({ "lights": lights }))
         }
     }
+}
+
+/// Writes an `.lp` file of photos and unit directions towards their lamps in camera axes (x right, y
+/// down, z forward).
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_lp<'a>(
+    path: &Path,
+    lamps: impl ExactSizeIterator<Item = (&'a str, [f64; 3])>,
+) -> Result<(), IoError> {
+    let mut text = format!("{}\n", lamps.len());
+    for (photo, [x, y, z]) in lamps {
+        // Writing into a String cannot fail, hence the ignored result.
+        let _ = writeln!(text, "{photo} {x} {} {}", -y, -z);
+    }
+    std::fs::write(path, text).map_err(|error| IoError::write(path, error))
 }
 
 #[cfg(test)]

@@ -79,6 +79,26 @@ fn cameras() -> io::CameraFile {
     }
 }
 
+/// A MATLAB file with a row of two doubles.
+fn mat_file() -> Vec<u8> {
+    fn element(kind: u32, data: &[u8]) -> Vec<u8> {
+        let head = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
+        let mut bytes = [head, data.to_vec()].concat();
+        bytes.resize(bytes.len().next_multiple_of(8), 0);
+        bytes
+    }
+    let mut bytes = vec![b' '; 124];
+    bytes.extend([0, 1, b'I', b'M']);
+    let parts = [
+        element(6, &[6, 0, 0, 0, 0, 0, 0, 0]),
+        element(5, &[1, 0, 0, 0, 2, 0, 0, 0]),
+        element(1, b"row"),
+        element(9, &[1.5_f64.to_le_bytes(), 2.5_f64.to_le_bytes()].concat()),
+    ];
+    bytes.extend(element(14, &parts.concat()));
+    bytes
+}
+
 fn targets(folder: &Path) -> Vec<Target> {
     let mut targets = Vec::new();
     let mut add = |name, file: PathBuf, given: PathBuf, read| {
@@ -229,6 +249,21 @@ fn targets(folder: &Path) -> Vec<Target> {
     io::write_mesh_ply(&path, &mesh, Unit::Metre).unwrap();
     add("mesh.ply", path.clone(), path, |p| {
         drop(io::read_mesh_ply(p))
+    });
+    #[cfg(feature = "raw")]
+    {
+        let path = folder.join("photo.dng");
+        let photo = rilievo_scene::LinearImage::filled(16, 12, 3, 0.5);
+        let exif = rilievo_scene::ExifFacts::default();
+        io::write_photo_dng(&path, &photo, [1.0; 3], &exif).unwrap();
+        add("photo.dng", path.clone(), path, |p| {
+            drop(io::decode_photo(p))
+        });
+    }
+    let path = folder.join("arrays.mat");
+    std::fs::write(&path, mat_file()).unwrap();
+    add("arrays.mat", path.clone(), path, |p| {
+        drop(io::read_mat(p, |_| true));
     });
     let path = folder.join("depth.exr");
     io::write_depth(&path, &DepthMap::filled(9, 7, 0.5)).unwrap();

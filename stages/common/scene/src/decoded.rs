@@ -97,6 +97,9 @@ pub struct DecodedPhoto {
     pub samples: Samples,
     /// Whether the file's format and metadata say that samples are proportional to light.
     pub linear_by_metadata: bool,
+    /// Whether white is where the sensor or the file saturates, so that such samples tell nothing;
+    /// floating-point pictures have no such limit, camera RAW has.
+    pub saturates_at_white: bool,
     /// Why, in words ("OpenEXR", "8 bit", "16 bit without colour metadata", "gAMA 1.0").
     pub encoding_reason: String,
     /// Tone curve of the embedded colour profile, where there is one that is neither linear nor

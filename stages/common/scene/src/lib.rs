@@ -42,8 +42,8 @@ pub use poses::{
     Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,
     SparsePoint, TrackElement, Unit, Unregistered,
 };
-pub use raster::{LinearImage, Mask, Raster};
-pub use shaded::{Images, MapSource, ShadedView, ShadedViews};
+pub use raster::{LinearImage, Mask, Raster, bilinear};
+pub use shaded::{MapSource, ShadedImages, ShadedView, ShadedViews};
 pub use sphere::{
     LightKind, LocatedSphere, MarkedSphere, SphereCalibration, SphereMark, SphereRequest,
 };

@@ -169,23 +169,37 @@ impl LinearImage {
     /// four neighbours lies outside the image.
     #[inline]
     pub fn sample(&self, x: f64, y: f64, channel: usize) -> Option<f32> {
-        let (x0, y0) = (x.floor(), y.floor());
-        if x0.is_nan() || y0.is_nan() || x0 < 0.0 || y0 < 0.0 {
-            return None;
-        }
-        let (fx, fy) = ((x - x0) as f32, (y - y0) as f32);
-        let (x0, y0) = (x0 as usize, y0 as usize);
-        // The far neighbour is not needed where its weight is zero.
-        let x1 = if fx > 0.0 { x0 + 1 } else { x0 };
-        let y1 = if fy > 0.0 { y0 + 1 } else { y0 };
-        if x1 >= self.width || y1 >= self.height {
-            return None;
-        }
-        let value = |x: usize, y: usize| self.data[(y * self.width + x) * self.channels + channel];
-        let top = value(x0, y0) * (1.0 - fx) + value(x1, y0) * fx;
-        let bottom = value(x0, y1) * (1.0 - fx) + value(x1, y1) * fx;
-        Some(top * (1.0 - fy) + bottom * fy)
+        bilinear((self.width, self.height), x, y, |i| {
+            self.data[i * self.channels + channel]
+        })
     }
+}
+
+/// Bilinear interpolation at a sub-pixel position between pixels whose values `value` tells by their
+/// index, row by row; `None` where one of the four neighbours lies outside.
+#[inline]
+pub fn bilinear(
+    (width, height): (usize, usize),
+    x: f64,
+    y: f64,
+    value: impl Fn(usize) -> f32,
+) -> Option<f32> {
+    let (x0, y0) = (x.floor(), y.floor());
+    if x0.is_nan() || y0.is_nan() || x0 < 0.0 || y0 < 0.0 {
+        return None;
+    }
+    let (fx, fy) = ((x - x0) as f32, (y - y0) as f32);
+    let (x0, y0) = (x0 as usize, y0 as usize);
+    // The far neighbour is not needed where its weight is zero.
+    let x1 = if fx > 0.0 { x0 + 1 } else { x0 };
+    let y1 = if fy > 0.0 { y0 + 1 } else { y0 };
+    if x1 >= width || y1 >= height {
+        return None;
+    }
+    let at = |x: usize, y: usize| value(y * width + x);
+    let top = at(x0, y0) * (1.0 - fx) + at(x1, y0) * fx;
+    let bottom = at(x0, y1) * (1.0 - fx) + at(x1, y1) * fx;
+    Some(top * (1.0 - fy) + bottom * fy)
 }
 
 #[cfg(test)]

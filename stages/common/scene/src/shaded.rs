@@ -31,13 +31,13 @@ pub struct ShadedViews {
     pub views: Vec<ShadedView>,
 }
 
-/// Whether the images of a view are wanted beside its maps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Images {
-    /// Rendered image and albedo as well, where there are any.
-    With,
-    /// Depth, normals and confidence only.
-    Without,
+/// Images of one view beside its maps, where there are any.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ShadedImages {
+    /// The image that the result explains, linear.
+    pub rendered: Option<LinearImage>,
+    /// Albedo relative to the mean albedo contained in the lighting.
+    pub albedo: Option<LinearImage>,
 }
 
 /// Gives the maps of a view when asked, so that a large set need not be in memory at once.
@@ -45,11 +45,26 @@ pub trait MapSource: Sync {
     /// Number of views.
     fn num_views(&self) -> usize;
 
-    /// Loads the maps of a view, with depth 0 where they hold none.
+    /// Loads the maps of a view, with depth 0 where they hold none, and without its images.
     ///
     /// # Errors
     /// When the backing store cannot be read.
-    fn load(&self, idx: usize, images: Images) -> Result<ShadedView, PixelError>;
+    fn load(&self, idx: usize) -> Result<ShadedView, PixelError>;
+
+    /// Loads the images of a view.
+    ///
+    /// # Errors
+    /// When the backing store cannot be read.
+    fn images(&self, idx: usize) -> Result<ShadedImages, PixelError>;
+}
+
+impl ShadedViews {
+    fn view(&self, idx: usize) -> Result<&ShadedView, PixelError> {
+        self.views.get(idx).ok_or_else(|| PixelError {
+            name: format!("view {idx}"),
+            reason: format!("there are {} views", self.views.len()),
+        })
+    }
 }
 
 impl MapSource for ShadedViews {
@@ -57,23 +72,24 @@ impl MapSource for ShadedViews {
         self.views.len()
     }
 
-    fn load(&self, idx: usize, images: Images) -> Result<ShadedView, PixelError> {
-        let view = self.views.get(idx).ok_or_else(|| PixelError {
-            name: format!("view {idx}"),
-            reason: format!("there are {} views", self.views.len()),
-        })?;
-        let wanted = |image: &Option<LinearImage>| match images {
-            Images::With => image.clone(),
-            Images::Without => None,
-        };
+    fn load(&self, idx: usize) -> Result<ShadedView, PixelError> {
+        let view = self.view(idx)?;
         Ok(ShadedView {
             view: view.view,
             name: view.name.clone(),
             depth: view.depth.clone(),
             normal: view.normal.clone(),
             confidence: view.confidence.clone(),
-            rendered: wanted(&view.rendered),
-            albedo: wanted(&view.albedo),
+            rendered: None,
+            albedo: None,
+        })
+    }
+
+    fn images(&self, idx: usize) -> Result<ShadedImages, PixelError> {
+        let view = self.view(idx)?;
+        Ok(ShadedImages {
+            rendered: view.rendered.clone(),
+            albedo: view.albedo.clone(),
         })
     }
 }

@@ -1,4 +1,4 @@
-//! Photos: JPEG, PNG, TIFF, Radiance HDR and OpenEXR to samples as stored, with their metadata.
+//! Photos: JPEG, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with their metadata.
 //!
 //! Nothing is linearised, rotated or scaled here; what the file says of its encoding is noted
 //! ([`DecodedPhoto::linear_by_metadata`], [`DecodedPhoto::profile_curve`]), and stage 1 decides.
@@ -7,6 +7,7 @@
 //! | file | linear when |
 //! |---|---|
 //! | OpenEXR, Radiance HDR, 32-bit float TIFF | always: their samples are scene-referred |
+//! | camera RAW (with the feature `raw`) | always: the sensor counts light; black and white level are taken out, the missing colours interpolated |
 //! | 8 bit | its colour profile, `gAMA` or `cICP` says so; else not |
 //! | 16 bit | the same; and also when the file says nothing of its colours: programs that encode for a display write the profile or `sRGB`, those that store measurements write none |
 
@@ -15,6 +16,8 @@ mod float_tiff;
 mod icc;
 mod jpeg;
 mod png_color;
+#[cfg(feature = "raw")]
+mod raw;
 
 use crate::error::IoError;
 use crate::exr_maps;
@@ -76,7 +79,7 @@ pub fn is_photo_name(path: &Path) -> bool {
 ///
 /// # Errors
 /// When the file cannot be read, is no image, is damaged or cut off, or is of a kind that is not
-/// supported (CMYK, camera RAW).
+/// supported (CMYK, RAW of unknown cameras).
 pub fn decode_photo(path: &Path) -> Result<DecodedPhoto, IoError> {
     let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
     decode_photo_bytes(path, &bytes)
@@ -92,8 +95,7 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
     }
     let ending = ending(path);
     if RAW_ENDINGS.contains(&ending.as_str()) {
-        let reason = format!("camera RAW files (.{ending}) cannot be decoded");
-        return Err(IoError::input(path, reason).with_hint(RAW_HINT));
+        return guarded(path, || decode_raw(path, bytes));
     }
     if let Some((_, kind)) = FOREIGN_ENDINGS.iter().find(|(name, _)| *name == ending) {
         return Err(
@@ -116,13 +118,19 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
         .ok_or_else(|| {
             IoError::input(path, "not a JPEG, PNG, TIFF, Radiance HDR or OpenEXR image")
         })?;
-    // The decoders' own checks are good, but they read whatever people's disks hold: a defect in
-    // one of them must cost one photo, not the run.
-    std::panic::catch_unwind(|| match format {
+    guarded(path, || match format {
         ImageFormat::OpenExr => decode_exr(path, bytes),
         _ => decode_raster(path, bytes, format),
     })
-    .unwrap_or_else(|_| {
+}
+
+/// The decoders' own checks are good, but they read whatever people's disks hold: a defect in one of
+/// them must cost one photo, not the run.
+fn guarded(
+    path: &Path,
+    decode: impl FnOnce() -> Result<DecodedPhoto, IoError> + std::panic::UnwindSafe,
+) -> Result<DecodedPhoto, IoError> {
+    std::panic::catch_unwind(decode).unwrap_or_else(|_| {
         Err(IoError::input(
             path,
             "the image is damaged (its decoder failed)",
@@ -130,8 +138,21 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
     })
 }
 
-/// Columns and rows of a photo by its header alone; `None` where it has none that can be read.
+#[cfg(feature = "raw")]
+use raw::decode as decode_raw;
+
+#[cfg(not(feature = "raw"))]
+fn decode_raw(path: &Path, _: &[u8]) -> Result<DecodedPhoto, IoError> {
+    let reason = "this program was built without the reader of camera RAW files (feature `raw`)";
+    Err(IoError::input(path, reason).with_hint(RAW_HINT))
+}
+
+/// Columns and rows of a photo by its header alone; `None` where it has none that can be read. Headers
+/// of camera RAW files tell of their previews.
 pub fn photo_size(path: &Path) -> Option<(usize, usize)> {
+    if RAW_ENDINGS.contains(&ending(path).as_str()) {
+        return None;
+    }
     let reader = ImageReader::open(path).ok()?.with_guessed_format().ok()?;
     // As in decoding: a decoder that fails on damaged bytes costs this photo alone.
     let size = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| reader.into_dimensions()));
@@ -162,6 +183,7 @@ fn decode_exr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
         channels: image.channels,
         samples: Samples::F32(image.data),
         linear_by_metadata: true,
+        saturates_at_white: false,
         encoding_reason: "OpenEXR".to_owned(),
         profile_curve: None,
         alpha,
@@ -204,6 +226,7 @@ fn decode_raster(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<Decod
                     channels,
                     samples: Samples::F32(data),
                     linear_by_metadata: true,
+                    saturates_at_white: false,
                     encoding_reason: "floating point".to_owned(),
                     profile_curve: None,
                     alpha: None,
@@ -236,6 +259,7 @@ fn decode_raster(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<Decod
 
     let exif = exif_facts::read(bytes);
     let (samples, channels, alpha) = split(decoded);
+    let saturates_at_white = !matches!(samples, Samples::F32(_));
     let alpha =
         alpha.and_then(|alpha| alpha_mask(width as usize, height as usize, alpha.into_iter()));
     let (linear_by_metadata, encoding_reason, profile_curve) =
@@ -247,6 +271,7 @@ fn decode_raster(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<Decod
         channels,
         samples,
         linear_by_metadata,
+        saturates_at_white,
         encoding_reason,
         profile_curve,
         alpha,
