@@ -70,6 +70,19 @@ fn photos_are_ordered_and_share_cameras_by_body_and_zoom() {
 }
 
 #[test]
+fn photos_of_the_same_second_are_different_photos() {
+    let exif = ExifFacts {
+        date: Some("2024:01:02 03:04:05".to_owned()),
+        serial: Some("77".to_owned()),
+        ..zoom(20.0)
+    };
+    let photos = ["b.jpg", "a.jpg"].map(|name| prepared(name, exif.clone()));
+    let (set, report) = assemble(photos.to_vec(), &PhotosOptions::default()).unwrap();
+    assert_eq!(set.photos.len(), 2, "{:?}", report.warnings);
+    assert_eq!(report.camera_groups.len(), 1);
+}
+
+#[test]
 fn a_given_camera_is_kept_bit_for_bit() {
     let mut intrinsics = Intrinsics::pinhole(64, 48, 71.123_456_789, 31.4, 23.7);
     intrinsics.distortion.k1 = -0.1;

@@ -95,7 +95,8 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
     }
     let ending = ending(path);
     if RAW_ENDINGS.contains(&ending.as_str()) {
-        return guarded(path, || decode_raw(path, bytes));
+        let decoded = guarded(path, || decode_raw(path, bytes));
+        return decoded.map_err(|error| error.with_hint(RAW_HINT));
     }
     if let Some((_, kind)) = FOREIGN_ENDINGS.iter().find(|(name, _)| *name == ending) {
         return Err(
@@ -144,7 +145,7 @@ use raw::decode as decode_raw;
 #[cfg(not(feature = "raw"))]
 fn decode_raw(path: &Path, _: &[u8]) -> Result<DecodedPhoto, IoError> {
     let reason = "this program was built without the reader of camera RAW files (feature `raw`)";
-    Err(IoError::input(path, reason).with_hint(RAW_HINT))
+    Err(IoError::input(path, reason))
 }
 
 /// Columns and rows of a photo by its header alone; `None` where it has none that can be read. Headers

@@ -80,7 +80,6 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError>
 
 fn refused(path: &Path, reason: &str) -> IoError {
     IoError::input(path, format!("the RAW file cannot be decoded: {reason}"))
-        .with_hint(super::RAW_HINT)
 }
 
 /// Columns, rows, channels and values.
