@@ -51,17 +51,35 @@ fn the_result_is_accurate() {
     let _alone = alone();
     let (run_dir, _) = reference();
     let truth = synthetic_set().join("truth");
-    let (code, stdout, stderr) = run(&[
-        "evaluate",
-        arg(run_dir),
-        "--truth",
-        arg(&truth),
-        "--align",
-        "sim3",
-        "--json",
-    ]);
-    assert_eq!(code, 0, "{stderr}");
-    let found: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    let evaluate = |truth: &Path, align: &str| -> (serde_json::Value, String) {
+        let (code, stdout, stderr) = run(&[
+            "evaluate",
+            arg(run_dir),
+            "--truth",
+            arg(truth),
+            "--align",
+            align,
+            "--json",
+        ]);
+        assert_eq!(code, 0, "{stderr}");
+        (serde_json::from_str(&stdout).expect("JSON"), stdout)
+    };
+    // Normals alone, as photometric data sets tell them: no frame to align, no depth.
+    let normals = tempfile::tempdir().expect("a folder");
+    for view in 1..=4 {
+        let name = format!("IMG_{view:04}_normal.exr");
+        std::fs::copy(truth.join(&name), normals.path().join(&name)).expect("a true normal map");
+    }
+    let (of_normals, _) = evaluate(normals.path(), "none");
+    assert!(of_normals["all"]["depth_median_rel"].is_null());
+    assert!(of_normals["all"]["reasons"]["depth_median_rel"].is_string());
+
+    let (found, stdout) = evaluate(&truth, "sim3");
+    let difference = found["all"]["normal_mae_deg"].as_f64().unwrap_or(f64::NAN)
+        - of_normals["all"]["normal_mae_deg"]
+            .as_f64()
+            .unwrap_or(f64::NAN);
+    assert!(difference.abs() < 0.5, "{difference}\n{of_normals}");
     let number = |path: &str| found.pointer(path).and_then(|v| v.as_f64());
     let check = |path: &str, low: f64, high: f64| {
         let value = number(path).unwrap_or(f64::NAN);

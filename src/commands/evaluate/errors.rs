@@ -26,30 +26,31 @@ pub(super) fn maps(
 ) -> Result<Vec<ViewErrors>, Failure> {
     let mut errors = Vec::new();
     for truth in views {
-        let (width, height) = (truth.depth.width, truth.depth.height);
+        let (width, height) = truth.maps.size();
         let Some(depth) = estimate.depth(&truth.name)? else {
             continue;
         };
         if (depth.width, depth.height) != (width, height) {
             continue;
         }
-        let depth_rel = Raster::from_fn(width, height, |x, y| {
-            let (found, z) = (f64::from(*depth.at(x, y)), f64::from(*truth.depth.at(x, y)));
-            if found > 0.0 && z > 0.0 {
-                ((scale * found - z) / z).abs() as f32
-            } else {
-                -1.0
-            }
+        let depth_rel = truth.maps.depth().map(|true_depth| {
+            Raster::from_fn(width, height, |x, y| {
+                let (found, z) = (f64::from(*depth.at(x, y)), f64::from(*true_depth.at(x, y)));
+                if found > 0.0 && z > 0.0 {
+                    ((scale * found - z) / z).abs() as f32
+                } else {
+                    -1.0
+                }
+            })
         });
         let normal = estimate.normal(&truth.name)?;
-        let normal_deg = match (&truth.normal, normal) {
+        let normal_deg = match (truth.maps.normal(), normal) {
             (Some(t), Some(n)) if (n.width, n.height) == (width, height) => {
                 Some(Raster::from_fn(width, height, |x, y| {
-                    let (a, b) = (Vector3::from(*n.at(x, y)), Vector3::from(*t.at(x, y)));
-                    if a.norm() > 0.5 && b.norm() > 0.5 && *depth_rel.at(x, y) >= 0.0 {
-                        a.angle(&b).to_degrees()
-                    } else {
-                        -1.0
+                    let compared = *depth.at(x, y) > 0.0 && truth.maps.is_known(x, y);
+                    match (n.normal(x, y), t.normal(x, y)) {
+                        (Some(a), Some(b)) if compared => a.angle(&b).to_degrees() as f32,
+                        _ => -1.0,
                     }
                 }))
             }

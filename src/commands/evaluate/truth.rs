@@ -6,8 +6,8 @@ use rilievo_io::{
     CameraFile, LightingFile, read_cameras, read_depth, read_lighting, read_linear, read_mesh_ply,
     read_normal,
 };
-use rilievo_scene::{DepthMap, Intrinsics, LinearImage, Mesh};
-use rilievo_synthetic::compare::{NamedPose, TruthView};
+use rilievo_scene::{Intrinsics, LinearImage, Mesh};
+use rilievo_synthetic::compare::{NamedPose, TruthMaps, TruthView};
 use std::path::{Path, PathBuf};
 
 /// Ground truth in a folder.
@@ -87,35 +87,33 @@ impl Truth {
     }
 
     fn view(&self, name: &str) -> Result<Option<TruthView>, Failure> {
-        // Beside NAME_depth.exr, a folder of its own per view.
-        let beside = self.folder.join(format!("{name}_depth.exr"));
-        let (depth, normal) = if beside.exists() {
-            (beside, self.folder.join(format!("{name}_normal.exr")))
+        // Files by the view's name, or a folder of its own per view.
+        let beside = ["depth", "normal"].map(|map| self.folder.join(format!("{name}_{map}.exr")));
+        let [depth, normal] = if beside.iter().any(|file| file.exists()) {
+            beside
         } else {
-            let own = self.folder.join(name);
-            (own.join("depth_true.exr"), own.join("normal_true.exr"))
+            ["depth_true.exr", "normal_true.exr"].map(|map| self.folder.join(name).join(map))
         };
-        let Some(depth) = read_if_there(&depth, read_depth)? else {
+        let depth = read_if_there(&depth, read_depth)?;
+        let Some(maps) = TruthMaps::new(depth, read_if_there(&normal, read_normal)?) else {
             return Ok(None);
         };
         let intrinsics = match self.cameras.find(name) {
             Some(camera) => camera.intrinsics,
-            None => own_camera(&self.folder.join(name).join("camera.json"), &depth)?,
+            None => own_camera(&self.folder.join(name).join("camera.json"), maps.size())?,
         };
         Ok(Some(TruthView {
             name: name.to_owned(),
             intrinsics,
-            normal: read_if_there(&normal, read_normal)?,
-            depth,
+            maps,
         }))
     }
 }
 
 /// The camera beside a view's truth; without one only fitted planes would need it.
-fn own_camera(path: &Path, depth: &DepthMap) -> Result<Intrinsics, Failure> {
+fn own_camera(path: &Path, (width, height): (usize, usize)) -> Result<Intrinsics, Failure> {
     let file = read_if_there(path, read_cameras)?;
     let camera = file.and_then(|file| file.cameras.first().map(|camera| camera.intrinsics));
-    let (width, height) = (depth.width, depth.height);
     Ok(camera.unwrap_or_else(|| {
         let (cx, cy) = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
         Intrinsics::pinhole(width, height, 1.2 * width.max(height) as f64, cx, cy)

@@ -15,8 +15,8 @@ const NORMAL_MAX_DEG: f32 = 30.0;
 pub struct ViewErrors {
     /// The view.
     pub name: String,
-    /// Relative errors of depth.
-    pub depth_rel: Raster<f32>,
+    /// Relative errors of depth, where the truth has depth.
+    pub depth_rel: Option<Raster<f32>>,
     /// Angles between normals, degrees, where the truth has normals.
     pub normal_deg: Option<Raster<f32>>,
 }
@@ -37,7 +37,7 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Stri
         escape(table)
     );
     let sizes: Vec<f64> = deviations_mm.iter().map(|d| d.abs()).collect();
-    let depth = values(views.iter().map(|v| &v.depth_rel), 100.0);
+    let depth = values(views.iter().filter_map(|v| v.depth_rel.as_ref()), 100.0);
     let normal = values(views.iter().filter_map(|v| v.normal_deg.as_ref()), 1.0);
     for (title, unit, errors) in [
         (
@@ -59,32 +59,23 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Stri
         html += &plot::cumulative(title, unit, errors);
     }
     for (index, view) in views.iter().enumerate() {
-        // Where nothing is compared, nothing is cut out either.
-        let compared = Raster {
-            width: view.depth_rel.width,
-            height: view.depth_rel.height,
-            data: view
-                .depth_rel
-                .data
-                .iter()
-                .map(|&v| if v >= 0.0 { 1.0 } else { 0.0 })
-                .collect(),
-        };
-        let window = Window::around(&compared);
         let name = escape(&view.name);
-        let mut pictures = format!(
-            "<div class=\"pictures\"><figure><img loading=\"lazy\" src=\"{}\" alt=\"Depth errors of {name}\">\
-             <figcaption>Relative depth error: dark is none, bright {:.0} % and more, grey not compared\
-             </figcaption></figure>",
-            picture::scalar(&view.depth_rel, window, DEPTH_MAX),
-            100.0 * DEPTH_MAX
-        );
+        let mut pictures = String::from("<div class=\"pictures\">");
+        if let Some(map) = &view.depth_rel {
+            pictures += &format!(
+                "<figure><img loading=\"lazy\" src=\"{}\" alt=\"Depth errors of {name}\">\
+                 <figcaption>Relative depth error: dark is none, bright {:.0} % and more, grey not compared\
+                 </figcaption></figure>",
+                picture::scalar(map, compared(map), DEPTH_MAX),
+                100.0 * DEPTH_MAX
+            );
+        }
         if let Some(map) = &view.normal_deg {
             pictures += &format!(
                 "<figure><img loading=\"lazy\" src=\"{}\" alt=\"Normal errors of {name}\">\
                  <figcaption>Angle between normals: dark is none, bright {NORMAL_MAX_DEG:.0}° and more\
                  </figcaption></figure>",
-                picture::scalar(map, window, NORMAL_MAX_DEG)
+                picture::scalar(map, compared(map), NORMAL_MAX_DEG)
             );
         }
         html += &folded(
@@ -96,6 +87,16 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Stri
     html + "</section>"
 }
 
+/// The part of a map where something is compared; all of it where nothing is.
+fn compared(map: &Raster<f32>) -> Window {
+    let is_compared = |&v: &f32| if v >= 0.0 { 1.0 } else { 0.0 };
+    Window::around(&Raster {
+        width: map.width,
+        height: map.height,
+        data: map.data.iter().map(is_compared).collect(),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -105,7 +106,7 @@ mod tests {
         let map = Raster::from_fn(30, 20, |x, _| if x < 10 { -1.0 } else { 0.002 });
         let view = ViewErrors {
             name: "<a>".into(),
-            depth_rel: map.clone(),
+            depth_rel: Some(map.clone()),
             normal_deg: Some(map),
         };
         let html = section("a < b", &[view], &[0.1, -0.2]);

@@ -11,7 +11,9 @@ use rilievo_scene::{
     Intrinsics, Mesh, NormalMap, PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, RigidTransform,
     ShadedView, ShadedViews, Silent, ViewIdx,
 };
-use rilievo_synthetic::compare::{MeshDistance, Similarity, TrueSurface, TruthView, compare_cloud};
+use rilievo_synthetic::compare::{
+    MeshDistance, Similarity, TrueSurface, TruthMaps, TruthView, compare_cloud,
+};
 use serde_json::Value;
 use std::error::Error;
 use std::path::Path;
@@ -179,8 +181,7 @@ fn main() -> Fallible<()> {
             TruthView {
                 name,
                 intrinsics,
-                depth,
-                normal: Some(normal),
+                maps: TruthMaps::Both(depth, normal),
             },
         ));
     }

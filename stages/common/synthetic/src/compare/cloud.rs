@@ -11,7 +11,7 @@
 //! exact distance to the triangles of the nearest eight samples.
 
 use super::align::Similarity;
-use super::maps::TruthView;
+use super::truth::TruthView;
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
@@ -234,7 +234,8 @@ fn sees(view: &(RigidTransform, &TruthView), p: &Point3<f64>, normal: &Vector3<f
         return false;
     };
     let nearest = Point2::new(pixel.x.round(), pixel.y.round());
-    let depth = truth.depth.get(nearest.x as isize, nearest.y as isize);
+    let depth = truth.maps.depth();
+    let depth = depth.and_then(|map| map.get(nearest.x as isize, nearest.y as isize));
     let Some(z) = depth.map(|&z| f64::from(z)).filter(|&z| z > 0.0) else {
         return false;
     };

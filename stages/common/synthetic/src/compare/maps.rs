@@ -7,8 +7,9 @@
 //!   `1/z = a u + b v + c` is linear in the normalised pixel `(u, v)`, so that each window is a
 //!   3×3 normal system, and `n ∝ −(a, b, c)`.
 //! * Completeness: the share of the truth's pixels that have a depth; pixels without one enter
-//!   nothing else.
+//!   nothing else. The truth's pixels are those with a depth, or with a normal where it tells no depth.
 
+use super::truth::{TruthMaps, TruthView, is_depth};
 use crate::error::SyntheticError;
 use nalgebra::{Matrix3, Point2, Vector3};
 use rilievo_numerics::robust::quantile;
@@ -21,19 +22,6 @@ use std::collections::BTreeMap;
 pub const PLANE_HALF_WINDOW_PX: usize = 10;
 /// Share of a window that must be filled for its plane to count.
 const MIN_WINDOW_SHARE: f64 = 0.3;
-
-/// Truth of one view.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TruthView {
-    /// The photo's name without ending.
-    pub name: String,
-    /// Camera of the maps.
-    pub intrinsics: Intrinsics,
-    /// Depth, truth's unit; its non-zero pixels are the mask.
-    pub depth: DepthMap,
-    /// Normals, where the truth has them.
-    pub normal: Option<NormalMap>,
-}
 
 /// Where compared normals come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -48,9 +36,9 @@ pub enum NormalSource {
 /// Errors of one view's pixels, in the order of the pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PixelErrors {
-    /// Pixels with a true depth.
+    /// Pixels whose truth is known.
     pub num_truth: usize,
-    /// Those of them with an estimate.
+    /// Those of them with an estimated depth.
     pub num_estimated: usize,
     /// Angles between normals, degrees.
     pub normal_deg: Vec<f64>,
@@ -133,7 +121,7 @@ impl PixelErrors {
     pub fn summary(&self) -> MapComparison {
         let mut reasons = BTreeMap::new();
         if self.num_truth == 0 {
-            reasons.insert("complete".into(), "the truth has no depth here".into());
+            reasons.insert("complete".into(), "the truth knows no pixel here".into());
         }
         if self.depth_rel.is_empty() {
             for key in [
@@ -220,13 +208,13 @@ pub fn compare_maps(
     normal: Option<&NormalMap>,
     scale: f64,
 ) -> Result<PixelErrors, SyntheticError> {
-    let expected = (truth.depth.width, truth.depth.height);
+    let expected = truth.maps.size();
     let sizes = [
         ("depth map", depth.map(|m| (m.width, m.height))),
         ("normal map", normal.map(|m| (m.width, m.height))),
         (
             "true normal map",
-            truth.normal.as_ref().map(|m| (m.width, m.height)),
+            truth.maps.normal().map(|m| (m.width, m.height)),
         ),
     ];
     for (what, size) in sizes {
@@ -239,14 +227,16 @@ pub fn compare_maps(
             });
         }
     }
-    let is_depth = |z: f32| z.is_finite() && z > 0.0;
-    let num_truth = truth.depth.data.iter().filter(|&&z| is_depth(z)).count();
-    let normal_source = match truth.normal {
+    let known: Vec<(usize, usize)> = (0..expected.1)
+        .flat_map(|y| (0..expected.0).map(move |x| (x, y)))
+        .filter(|&(x, y)| truth.maps.is_known(x, y))
+        .collect();
+    let normal_source = match truth.maps.normal() {
         Some(_) => NormalSource::Maps,
         None => NormalSource::Planes,
     };
     let mut errors = PixelErrors {
-        num_truth,
+        num_truth: known.len(),
         num_estimated: 0,
         normal_deg: Vec::new(),
         depth_rel: Vec::new(),
@@ -256,10 +246,14 @@ pub fn compare_maps(
     let Some(depth) = depth else {
         return Ok(errors);
     };
-    for (&z, &z_true) in depth.data.iter().zip(&truth.depth.data) {
-        if is_depth(z) && is_depth(z_true) {
-            errors.num_estimated += 1;
-            let z_true = f64::from(z_true);
+    for &(x, y) in &known {
+        let z = *depth.at(x, y);
+        if !is_depth(z) {
+            continue;
+        }
+        errors.num_estimated += 1;
+        if let Some(true_depth) = truth.maps.depth() {
+            let z_true = f64::from(*true_depth.at(x, y));
             errors
                 .depth_rel
                 .push(((scale * f64::from(z) - z_true) / z_true).abs());
@@ -269,28 +263,25 @@ pub fn compare_maps(
         }
     }
     let planes;
-    let (estimated, true_normals) = match (&truth.normal, normal) {
-        (Some(true_normals), Some(normal)) => (normal, true_normals),
-        (Some(_), None) => return Ok(errors),
-        (None, _) => {
+    let (estimated, true_normals) = match (&truth.maps, normal) {
+        (TruthMaps::Normal(true_normals) | TruthMaps::Both(_, true_normals), Some(normal)) => {
+            (normal, true_normals)
+        }
+        (TruthMaps::Normal(_) | TruthMaps::Both(..), None) => return Ok(errors),
+        (TruthMaps::Depth(true_depth), _) => {
             let both = Raster::from_fn(expected.0, expected.1, |x, y| {
-                is_depth(*depth.at(x, y)) && is_depth(*truth.depth.at(x, y))
+                is_depth(*depth.at(x, y)) && is_depth(*true_depth.at(x, y))
             });
-            planes = [depth, &truth.depth]
+            planes = [depth, true_depth]
                 .map(|map| plane_normals(map, &both, &truth.intrinsics, PLANE_HALF_WINDOW_PX));
             (&planes[0], &planes[1])
         }
     };
-    for y in 0..expected.1 {
-        for x in 0..expected.0 {
-            if !is_depth(*truth.depth.at(x, y)) {
-                continue;
-            }
-            if let (Some(e), Some(t)) = (estimated.normal(x, y), true_normals.normal(x, y)) {
-                let angle = angle_deg(&e, &t);
-                if angle.is_finite() {
-                    errors.normal_deg.push(angle);
-                }
+    for (x, y) in known {
+        if let (Some(e), Some(t)) = (estimated.normal(x, y), true_normals.normal(x, y)) {
+            let angle = angle_deg(&e, &t);
+            if angle.is_finite() {
+                errors.normal_deg.push(angle);
             }
         }
     }
@@ -418,8 +409,10 @@ mod tests {
         TruthView {
             name: "IMG_0001".into(),
             intrinsics: camera(),
-            depth: plane(n, -1.0),
-            normal: with_normals.then(|| NormalMap::filled(60, 50, normal.into())),
+            maps: match with_normals {
+                true => TruthMaps::Both(plane(n, -1.0), NormalMap::filled(60, 50, normal.into())),
+                false => TruthMaps::Depth(plane(n, -1.0)),
+            },
         }
     }
 
@@ -427,10 +420,13 @@ mod tests {
     fn planes_are_recovered_up_to_the_border() {
         let truth = truth(true);
         let all = Raster::filled(60, 50, true);
-        let planes = plane_normals(&truth.depth, &all, &camera(), PLANE_HALF_WINDOW_PX);
+        let TruthMaps::Both(depth, normal) = truth.maps else {
+            panic!("both were given");
+        };
+        let planes = plane_normals(&depth, &all, &camera(), PLANE_HALF_WINDOW_PX);
         // Half windows at the frame's sides still hold a third of the pixels, corners do not.
         let (mut worst, mut count) = (0.0_f64, 0);
-        for (p, t) in planes.data.iter().zip(&truth.normal.expect("given").data) {
+        for (p, t) in planes.data.iter().zip(&normal.data) {
             let to = |v: &[f32; 3]| Vector3::new(v[0].into(), v[1].into(), v[2].into());
             if p != &[0.0; 3] {
                 worst = worst.max(angle_deg(&to(p), &to(t)));
@@ -445,7 +441,7 @@ mod tests {
     fn the_scale_and_missing_pixels_are_counted() {
         for with_normals in [true, false] {
             let truth = truth(with_normals);
-            let mut depth = truth.depth.clone();
+            let mut depth = truth.maps.depth().expect("given").clone();
             for z in &mut depth.data {
                 *z *= 0.5;
             }
@@ -454,8 +450,7 @@ mod tests {
                     *depth.at_mut(x, y) = 0.0;
                 }
             }
-            let normal = truth.normal.clone();
-            let errors = compare_maps(&truth, Some(&depth), normal.as_ref(), 2.02);
+            let errors = compare_maps(&truth, Some(&depth), truth.maps.normal(), 2.02);
             let summary = errors.expect("sizes agree").summary();
             assert_eq!(summary.complete, Some(0.5));
             let median = summary.depth_median_rel.expect("pixels in common");
@@ -485,6 +480,35 @@ mod tests {
         let expected = angle_deg(&tilted, &Vector3::new(0.3, -0.2, -1.0));
         let median = summary.normal_median_deg.expect("planes");
         assert!((median - expected).abs() < 1e-2, "{median} {expected}");
+    }
+
+    #[test]
+    fn normals_are_compared_without_a_true_depth() {
+        let both = truth(true);
+        let mut normal = both.maps.normal().expect("given").clone();
+        // Background on the left half.
+        for y in 0..50 {
+            for x in 0..30 {
+                *normal.at_mut(x, y) = [0.0; 3];
+            }
+        }
+        let tilted = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), 3_f64.to_radians())
+            * Vector3::new(0.3, -0.2, -1.0).normalize();
+        let estimate = NormalMap::filled(60, 50, tilted.map(|c| c as f32).into());
+        let depth = DepthMap::filled(60, 50, 2.0);
+        let known = TruthView {
+            maps: TruthMaps::new(None, Some(normal)).expect("normals"),
+            ..both
+        };
+        let errors = compare_maps(&known, Some(&depth), Some(&estimate), 1.0);
+        let summary = errors.expect("sizes agree").summary();
+        let expected = angle_deg(&tilted, &Vector3::new(0.3, -0.2, -1.0));
+        let mean = summary.normal_mae_deg.expect("pixels in common");
+        assert!((mean - expected).abs() < 1e-4, "{mean} {expected}");
+        assert_eq!((summary.num_truth_px, summary.complete), (1500, Some(1.0)));
+        assert_eq!(summary.normals_from, NormalSource::Maps);
+        assert!(summary.depth_median_rel.is_none());
+        assert!(summary.reasons.contains_key("depth_median_rel"));
     }
 
     #[test]
