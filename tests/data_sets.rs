@@ -40,7 +40,7 @@ fn write_mat(path: &Path, arrays: &[(&str, &[usize], Vec<f64>)]) {
     std::fs::write(path, bytes).expect("a file");
 }
 
-/// A flat view of 0.4 and 0.2 under two lamps of strength 2 and 1.
+/// A flat view of 0.4 under each of two lamps of strength 2 and 1.
 fn write_view(folder: &Path) {
     std::fs::create_dir_all(folder).expect("a folder");
     let (width, height) = SIZE;
@@ -51,8 +51,8 @@ fn write_view(folder: &Path) {
     ] {
         std::fs::write(folder.join(name), content).expect("a file");
     }
-    for (name, value) in [("001.png", 0.4), ("002.png", 0.4)] {
-        let image = LinearImage::filled(width, height, 3, value);
+    let image = LinearImage::filled(width, height, 3, 0.4);
+    for name in ["001.png", "002.png"] {
         write_photo_deep(&folder.join(name), &image, DeepFormat::Png).expect("a file");
     }
     let mask = Mask::from_fn(width, height, |x, y| x > 5 && y > 5);

@@ -122,10 +122,13 @@ fn write_view(
 fn summary(object: &DiligentObject, output: &Path) -> String {
     let posed = object.views.iter().all(|view| view.camera.is_some());
     let use_of = if posed {
-        "the lamps stand still relative to the camera (\"light\": \"camera\"); give the true cameras with \
-         --cameras DIR/truth/cameras.json"
+        format!(
+            "the lamps stand still relative to the camera (config: lighting.own_shape_light = \
+             \"camera\"); give the true cameras with --cameras {}",
+            output.join("truth/cameras.json").display()
+        )
     } else {
-        "one view without a camera: nothing to reconstruct from, but normals to compare with"
+        "one view without a camera: nothing to reconstruct from, but normals to compare with".into()
     };
     format!(
         "{} views are in {}: {use_of}",

@@ -152,6 +152,11 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
                 "masks asked for".into(),
                 request.masks.is_some().to_string(),
             );
+            // A build without it leaves those photos out.
+            hashes.insert(
+                "camera RAW decoded".into(),
+                cfg!(feature = "raw").to_string(),
+            );
             hashes
         }
         StageId::Poses => inputs.sphere_hashes.clone(),

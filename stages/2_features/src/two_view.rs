@@ -31,6 +31,9 @@ pub struct TwoViewGeometry {
     pub homography_share: f64,
 }
 
+/// Samples that are drawn of every pair, unless a good one is found before.
+const MIN_NUM_SAMPLES: usize = 100;
+
 /// Confidence at which RANSAC may stop early.
 const RANSAC_CONFIDENCE: f64 = 0.9999;
 
@@ -98,12 +101,15 @@ fn matrix3(mat: &Mat) -> Option<Matrix3<f64>> {
 /// A pair of `n` matches counts from `m` = `min_num_inliers` on, so a share `w ≥ m/n` of them must
 /// agree; `ln(1 − p) / ln(1 − w⁵)` samples of five then hold a clean one with probability `p`
 /// (Fischler and Bolles, 1981). Pairs without overlap, whose few matches all disagree, would
-/// otherwise take every sample that the options allow.
+/// otherwise take every sample that the options allow. A clean sample is not yet a good one:
+/// points close together magnify noise, so that a hundred are drawn at least.
 fn num_useful_samples(num_matches: usize, options: &FeaturesOptions) -> usize {
     let share = (options.min_num_inliers as f64 / num_matches.max(1) as f64).min(1.0);
     let all_clean = share.powi(5);
     let needed = (1.0 - RANSAC_CONFIDENCE).ln() / (-all_clean).ln_1p();
-    (needed.ceil().max(1.0) as usize).min(options.max_num_ransac_samples)
+    (needed.ceil() as usize)
+        .max(MIN_NUM_SAMPLES)
+        .min(options.max_num_ransac_samples)
 }
 
 fn ransac_essential(

@@ -164,6 +164,15 @@ fn indistinctive_matches_join_but_do_not_decide() {
 }
 
 #[test]
+fn few_noisy_matches_are_enough() {
+    for seed in 0..20 {
+        let few = pair(&cloud(16, false), 0.8, 0.5, seed);
+        let found = verified(&few);
+        assert!(found.is_some(), "seed {seed}: nothing was found");
+    }
+}
+
+#[test]
 fn a_pair_that_may_count_gets_the_samples_that_find_it() {
     let options = FeaturesOptions::default();
     for num_matches in [15, 20, 40, 60] {
@@ -176,8 +185,7 @@ fn a_pair_that_may_count_gets_the_samples_that_find_it() {
             "{num_matches} matches: {samples} samples miss with probability {missed}"
         );
     }
-    assert_eq!(num_useful_samples(15, &options), 1);
-    assert!(num_useful_samples(20, &options) < 50);
+    assert_eq!(num_useful_samples(15, &options), MIN_NUM_SAMPLES);
     assert_eq!(
         num_useful_samples(5000, &options),
         options.max_num_ransac_samples

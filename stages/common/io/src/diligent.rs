@@ -33,6 +33,9 @@ use std::path::{Path, PathBuf};
 /// Metres in the unit of DiLiGenT-MV's calibration and mesh.
 pub const METRES_PER_MM: f64 = 1e-3;
 
+/// Numbers of views that are looked for: names have two digits.
+const MAX_VIEWS: usize = 99;
+
 /// Name of the calibration file.
 const CALIBRATION: &str = "Calib_Results.mat";
 
@@ -91,12 +94,11 @@ pub fn read_diligent(folder: &Path) -> Result<DiligentObject, IoError> {
         name == "KK" || name.starts_with("Rc_") || name.starts_with("Tc_")
     })?;
     let mut views = Vec::new();
-    for number in 1.. {
+    for number in 1..=MAX_VIEWS {
         let place = folder.join(format!("view_{number:02}"));
-        if !place.is_dir() {
-            break;
+        if place.is_dir() {
+            views.push(view(&place, Some(&camera(&calibration, &arrays, number)?))?);
         }
-        views.push(view(&place, Some(&camera(&calibration, &arrays, number)?))?);
     }
     if views.is_empty() {
         return Err(IoError::input(folder, "holds no folder view_01"));
@@ -263,24 +265,17 @@ pub fn read_diligent_photo(photo: &DiligentPhoto) -> Result<LinearImage, IoError
         return Err(IoError::input(&photo.path, "is not in colour"));
     }
     // Of whatever depth, the sets' photos are proportional to light.
-    let scaled = |i: usize, value: f64| (value * factors[i % 3]) as f32;
-    let data: Vec<f32> = match &decoded.samples {
-        Samples::U8(v) => v
-            .iter()
-            .enumerate()
-            .map(|(i, &s)| scaled(i, s.into()))
-            .collect(),
-        Samples::U16(v) => v
-            .iter()
-            .enumerate()
-            .map(|(i, &s)| scaled(i, s.into()))
-            .collect(),
-        Samples::F32(v) => v
-            .iter()
-            .enumerate()
-            .map(|(i, &s)| scaled(i, s.into()))
-            .collect(),
+    let sample = |i: usize| -> f64 {
+        match &decoded.samples {
+            Samples::U8(values) => values[i].into(),
+            Samples::U16(values) => values[i].into(),
+            Samples::F32(values) => values[i].into(),
+        }
     };
+    let num_samples = 3 * decoded.width * decoded.height;
+    let data = (0..num_samples)
+        .map(|i| (sample(i) * factors[i % 3]) as f32)
+        .collect();
     Ok(LinearImage {
         width: decoded.width,
         height: decoded.height,

@@ -22,8 +22,12 @@ const WHITE: u16 = 16_383;
 /// Colours (0 red, 1 green, 2 blue) of the filters over 2 x 2 pixels.
 const FILTERS: [u8; 4] = [0, 1, 1, 2];
 
-/// Denominator of written fractions.
-const FRACTION: u32 = 10_000;
+/// Denominator of written fractions: exact to a part in a hundred thousand at 1/8000 s, and up to
+/// four seconds; longer exposures and all else take [`COARSE_FRACTION`].
+const FRACTION: u32 = 1_000_000_000;
+
+/// Denominator of fractions that the finer one cannot hold.
+const COARSE_FRACTION: u32 = 10_000;
 
 /// Writes a photo of three channels as DNG, with what `exif` tells of camera and exposure; the camera's
 /// balance makes `neutral` grey (its response to something white, relative to green).
@@ -76,9 +80,13 @@ fn fields(photo: &LinearImage, neutral: [f64; 3], exif: &ExifFacts) -> Vec<Field
     let short = |values: &[u16]| Value::Short(values.to_vec());
     let long = |value: usize| Value::Long(vec![value as u32]);
     let text = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
-    let fraction = |value: f64| Rational {
-        num: (value * f64::from(FRACTION)).round() as u32,
-        denom: FRACTION,
+    let fraction = |value: f64| {
+        let fits = value * f64::from(FRACTION) < f64::from(u32::MAX);
+        let denom = if fits { FRACTION } else { COARSE_FRACTION };
+        Rational {
+            num: (value * f64::from(denom)).round() as u32,
+            denom,
+        }
     };
     let make = exif.make.as_deref().unwrap_or("rilievo");
     let model = exif.model.as_deref().unwrap_or("synthetic sensor");

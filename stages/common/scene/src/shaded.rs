@@ -16,7 +16,8 @@ pub struct ShadedView {
     pub depth: DepthMap,
     /// Normals, camera frame.
     pub normal: NormalMap,
-    /// How well data determine each pixel, where it was computed.
+    /// How far each normal can be trusted, 0 to 1: one half where an error of five degrees is
+    /// expected. Where it was computed.
     pub confidence: Option<ConfidenceMap>,
     /// The image that the result explains, linear.
     pub rendered: Option<LinearImage>,
