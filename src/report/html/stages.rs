@@ -238,7 +238,7 @@ fn lighting(facts: &Value) -> String {
                 percent(view, "/relative_rms", 1),
                 percent(view, "/clipped_share", 1),
                 text(view, "/gain"),
-                text(view, "/left_out"),
+                left_out(view),
             ]
         })
         .collect();
@@ -267,10 +267,23 @@ fn lighting(facts: &Value) -> String {
         + &spheres(facts)
 }
 
+/// Why a view took no part, or a sphere of several in it.
+fn left_out(view: &Value) -> String {
+    let of_spheres: Vec<&str> = items(view, "/unused_spheres")
+        .iter()
+        .filter_map(Value::as_str)
+        .collect();
+    if of_spheres.is_empty() {
+        return text(view, "/left_out");
+    }
+    of_spheres.join("; ")
+}
+
 /// How several spheres agree on one light.
 fn spheres(facts: &Value) -> String {
     let spheres = items(facts, "/spheres");
-    if spheres.len() < 2 {
+    let is_compared = |sphere: &Value| sphere["compared_with"].is_string();
+    if !spheres.iter().any(is_compared) {
         return String::new();
     }
     let rows: Vec<_> = spheres
@@ -281,11 +294,11 @@ fn spheres(facts: &Value) -> String {
                 text(sphere, "/num_pixels"),
                 items(sphere, "/views").len().to_string(),
                 text(sphere, "/compared_with"),
-                text(sphere, "/brightness_ratio"),
+                ratios(sphere, "/brightness_ratio"),
                 percent(sphere, "/own_rms", 1),
                 percent(sphere, "/other_rms", 1),
                 number(sphere, "/direction_difference_deg", 1),
-                text(sphere, "/left_out"),
+                yes_or_no(sphere, "/left_out"),
             ]
         })
         .collect();
@@ -301,6 +314,22 @@ fn spheres(facts: &Value) -> String {
         "left out",
     ];
     table("Spheres", &head, &rows)
+}
+
+/// Numbers at a path, one per channel.
+fn ratios(facts: &Value, path: &str) -> String {
+    let channels = items(facts, path).iter();
+    let numbers: Vec<String> = channels.map(|ratio| number(ratio, "", 2)).collect();
+    if numbers.is_empty() {
+        return "–".to_owned();
+    }
+    numbers.join(", ")
+}
+
+fn yes_or_no(facts: &Value, path: &str) -> String {
+    let word = facts.pointer(path).and_then(Value::as_bool);
+    word.map_or("–", |is| if is { "yes" } else { "no" })
+        .to_owned()
 }
 
 fn shading(facts: &Value) -> String {

@@ -17,7 +17,7 @@ use crate::error::PosesError;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
 use rilievo_photometry::sphere::{
-    LocatedSpheres, ScaleContradiction, SphereError, WorldScale, locate_request,
+    LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, WorldScale, locate_request,
 };
 use rilievo_scene::{
     MarkedSphere, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
@@ -78,12 +78,12 @@ pub fn apply(
                 warnings.extend(warnings_of(photos, request, &located, is_metric));
                 posed.spheres = located.fits.into_iter().map(|fit| fit.sphere).collect();
                 // Centres that were merely stated say nothing of the scale.
-                if let Some(common) = located.scale.filter(|_| !is_metric) {
-                    multiply(posed, report, common.estimate.metres_per_unit);
+                if let Some(estimate) = located.scale.estimate.filter(|_| !is_metric) {
+                    multiply(posed, report, estimate.metres_per_unit);
                     posed.scale = Scale {
                         unit: Unit::Metre,
                         source: ScaleSource::Sphere,
-                        relative_sigma: Some(common.estimate.relative_sigma),
+                        relative_sigma: Some(estimate.relative_sigma),
                     };
                 }
             }
@@ -147,8 +147,7 @@ fn warnings_of(
              was taken as that of the stated radius; give a sphere file to use both"
         ));
     }
-    let common = located.scale.iter();
-    let contradictions = common.flat_map(|s| &s.contradictions);
+    let contradictions = located.scale.contradictions.iter();
     warnings.extend(contradictions.map(|told| contradiction(told, is_metric)));
     warnings
 }
@@ -159,12 +158,20 @@ fn contradiction(told: &ScaleContradiction, is_metric: bool) -> String {
          {}; measure the radii again",
         told.sphere,
         100.0 * told.ratio,
-        if told.outvoted { "s" } else { "" },
+        if told.outcome == ScaleOutcome::Outvoted {
+            "s"
+        } else {
+            ""
+        },
         100.0 * told.sigma,
-        match (is_metric, told.outvoted) {
+        match (is_metric, told.outcome) {
             (true, _) => "a radius is wrong",
-            (false, true) => "it is left out of the scale",
-            (false, false) => "one of the two radii is wrong, the scale is their mean",
+            (false, ScaleOutcome::Outvoted) => "it is left out of the scale",
+            (false, ScaleOutcome::Averaged) =>
+                "one of the two radii is wrong, the scale is their mean",
+            (false, ScaleOutcome::NoScale) =>
+                "a radius is wrong or in another unit, the scale stays arbitrary, and the light is \
+                 taken from both all the same",
         }
     )
 }
@@ -179,7 +186,6 @@ fn of_photos(photos: &PhotoSet, spheres: &[MarkedSphere], error: &SphereError) -
     let names: Vec<&str> = marked.into_iter().map(name).collect();
     match error {
         SphereError::Contradiction { worst, .. } => format!(" (the worst is {})", name(*worst)),
-        SphereError::ScaleContradiction { .. } => String::new(),
         _ if names.is_empty() => String::new(),
         _ => format!(" (marked in {})", names.join(", ")),
     }

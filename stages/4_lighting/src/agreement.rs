@@ -26,11 +26,14 @@ use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;
 use rilievo_scene::{LightKind, Lighting};
 
-/// Residual on another sphere, beyond its own, from which two lights are not one.
+/// Residual on another sphere, beyond its own, below which two lights are one whatever their ratio:
+/// uneven paint and the mat's bounce light differ by this much between spheres that stand well.
 const SMALLEST_GAP: f64 = 0.04;
-/// Logarithm of a brightness ratio below which two paints are one.
+/// Logarithm of a brightness ratio below which two paints are one. A smaller difference moves their
+/// common light by less than what nine harmonics leave unexplained of a matte sphere.
 const SAME_PAINT: f64 = 0.03;
-/// Fewest pixels at common normals that compare two spheres.
+/// Fewest pixels at common normals that compare two spheres: of fewer, a rim or a stain makes the
+/// median.
 const MIN_COMMON: usize = 100;
 
 /// Views that share one light: all of a light fixed in the world, or one of a light fixed to the
@@ -57,7 +60,7 @@ struct Comparison {
 
 impl Comparison {
     fn agrees(&self, options: &LightingOptions) -> bool {
-        self.rms <= (options.advice_ratio * self.own_rms).max(self.own_rms + SMALLEST_GAP)
+        self.rms <= (options.agreement_ratio * self.own_rms).max(self.own_rms + SMALLEST_GAP)
     }
 
     fn mean_ratio(&self) -> f64 {
@@ -136,14 +139,24 @@ pub(crate) fn judge(
             .any(|r| r.max(1e-6).ln().abs() > SAME_PAINT)
         {
             report.warnings.push(format!(
-                "{name} is {:.2} times as bright as {by} at equal normals: another paint, or less \
+                "{name} is {} times as bright as {by} at equal normals{}: another paint, or less \
                  light; it counts with that factor",
-                found.mean_ratio()
+                listed(&found.ratio),
+                if found.ratio.len() > 1 {
+                    " (per channel)"
+                } else {
+                    ""
+                }
             ));
             paint[k] = Some(found.ratio);
         }
     }
     side.paint = paint;
+}
+
+fn listed(ratios: &[f64]) -> String {
+    let ratios: Vec<String> = ratios.iter().map(|r| format!("{r:.2}")).collect();
+    ratios.join(", ")
 }
 
 /// How patches are brought into one frame.

@@ -67,6 +67,7 @@ pub(crate) fn from_calibration(
             kind: request.light,
             environment_in_world,
             views,
+            spheres: Vec::new(),
         },
         report,
     ))

@@ -18,6 +18,7 @@ use crate::anchor_normals::AnchorSamples;
 use crate::options::ObjectLight;
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
+use crate::sphere_light::scaled;
 use crate::{LightingError, LightingOptions};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::{dominant_direction, rotate};
@@ -123,6 +124,14 @@ pub(crate) fn confront(
             *environment = scaled(environment.clone(), &factors);
         }
     }
+    if replaced || scaled_by_factor {
+        // The lighting contains the object's albedo from here on, not the sphere's.
+        let paints = calibration
+            .spheres
+            .iter_mut()
+            .filter_map(|s| s.paint.as_mut());
+        paints.flatten().for_each(|paint| *paint /= factor);
+    }
     if !suffering.is_empty() && calibration.source == LightSource::Sphere {
         report.warnings.push(format!(
             "the sphere's light does not explain the object in {}: {}{}",
@@ -143,13 +152,6 @@ pub(crate) fn confront(
         light_replaced: replaced,
     });
     Ok(())
-}
-
-fn scaled(mut lighting: Lighting, factors: &[f64]) -> Lighting {
-    for (channel, factor) in lighting.channels.iter_mut().zip(factors) {
-        channel.0.iter_mut().for_each(|l| *l *= factor);
-    }
-    lighting
 }
 
 /// Median over the sightings of brightness over prediction.

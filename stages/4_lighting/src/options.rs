@@ -66,6 +66,10 @@ pub struct LightingOptions {
     /// Advice is given where the light explains the surface worse than the best distant light by
     /// this factor, and by 4 % of the brightness at least.
     pub advice_ratio: f64,
+    /// Two spheres see one light where the light of one leaves at most this times as much of the other
+    /// unexplained as the other's own light does. Larger lets a shadowed sphere count, smaller leaves
+    /// good ones out for their uneven paint.
+    pub agreement_ratio: f64,
 }
 
 impl Default for LightingOptions {
@@ -83,6 +87,7 @@ impl Default for LightingOptions {
             max_num_samples: 20_000,
             max_slope: 8.0,
             advice_ratio: 1.4,
+            agreement_ratio: 1.4,
         }
     }
 }
@@ -118,6 +123,9 @@ impl LightingOptions {
         }
         if !(self.max_slope > 0.0 && self.advice_ratio >= 1.0) {
             return bad("max_slope, advice_ratio", "must be positive, at least 1");
+        }
+        if !(self.agreement_ratio >= 1.0 && self.agreement_ratio.is_finite()) {
+            return bad("agreement_ratio", "must be at least 1");
         }
         Ok(())
     }

@@ -1,11 +1,12 @@
 //! Pictures that show at a glance whether spheres and light are right.
 //!
 //! Per view and sphere, three crops side by side: the photo with the fitted outline; the photo with
-//! the sphere re-rendered under the light; the photo with the pixels that were left out (magenta:
+//! the sphere re-rendered under the light, in its own paint; the photo with the pixels that were left out (magenta:
 //! clipped, blue: far from the light, grey: outline's margin, grazing or hidden). Several spheres
 //! stand below each other. The program writes them as pictures; this stage touches no file.
 
 use crate::samples::Shot;
+use crate::sphere_light::scaled;
 use crate::{LightingError, LightingOptions};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{Lighting, LightingCalibration, LinearImage, PhotoSet, PosedViews};
@@ -53,10 +54,11 @@ pub fn overlays(
             .iter()
             .map(|sphere| SphereInCamera::seen(sphere, &view.cam_from_world))
             .collect();
-        let rows: Vec<LinearImage> = spheres
-            .iter()
-            .filter_map(|sphere| {
-                crops(&shot, sphere, &spheres, light.map(|l| &l.lighting), options)
+        let rows: Vec<LinearImage> = (0..spheres.len())
+            .filter_map(|k| {
+                let paint = calibration.spheres.get(k).and_then(|s| s.paint.as_deref());
+                let lighting = light.map(|l| painted(&l.lighting, paint));
+                crops(&shot, &spheres[k], &spheres, lighting.as_ref(), options)
             })
             .collect();
         if !rows.is_empty() {
@@ -67,6 +69,12 @@ pub fn overlays(
         }
     }
     Ok(overlays)
+}
+
+/// The light times a sphere's albedo over the one that the light contains. One that sees another
+/// light is shown under this one as it is.
+fn painted(lighting: &Lighting, paint: Option<&[f64]>) -> Lighting {
+    paint.map_or_else(|| lighting.clone(), |paint| scaled(lighting.clone(), paint))
 }
 
 /// Pictures of different widths as one, the rest black.

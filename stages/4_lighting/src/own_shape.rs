@@ -155,6 +155,7 @@ pub(crate) fn run(
         kind,
         environment_in_world: (kind == LightKind::World).then_some(environment),
         views,
+        spheres: Vec::new(),
     };
     Ok((calibration, report))
 }

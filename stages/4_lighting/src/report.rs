@@ -58,6 +58,8 @@ pub struct ViewLightReport {
     pub radius_px: Option<f64>,
     /// Why the view took no part in the fit.
     pub left_out: Option<String>,
+    /// Why some of the spheres are not used in this view, where another is.
+    pub unused_spheres: Vec<String>,
 }
 
 impl ViewLightReport {

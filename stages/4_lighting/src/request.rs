@@ -74,6 +74,7 @@ pub(crate) fn given(
             kind,
             environment_in_world,
             views,
+            spheres: Vec::new(),
         },
         report,
     ))

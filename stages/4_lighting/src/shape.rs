@@ -222,6 +222,7 @@ pub(crate) fn run(
         kind: LightKind::Camera,
         environment_in_world: None,
         views,
+        spheres: Vec::new(),
     };
     Ok((calibration, report))
 }

@@ -6,7 +6,7 @@ use crate::{LightingError, LightingOptions};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
-    Event, Flow, LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, StageId,
+    Event, Flow, LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, SphereLight, StageId,
 };
 
 /// One sphere in one view.
@@ -47,6 +47,17 @@ impl Side {
         self.patches
             .iter()
             .filter_map(|patch| Some((patch, self.paint[patch.sphere].as_deref()?)))
+    }
+
+    /// How every sphere stands to the light.
+    pub fn verdicts(&self, posed: &PosedViews) -> Vec<SphereLight> {
+        let spheres = posed.spheres.iter().zip(&self.paint);
+        spheres
+            .map(|(sphere, paint)| SphereLight {
+                name: sphere.name.clone(),
+                paint: paint.clone(),
+            })
+            .collect()
     }
 
     /// Those of one view, by its index among all.
@@ -107,16 +118,20 @@ fn one_view(
         .iter()
         .map(|sphere| SphereInCamera::seen(sphere, &view.cam_from_world))
         .collect();
+    let photo = &photos.photos[view.photo.0];
+    let mut loaded = None;
     let mut position = None;
     for (k, sphere) in posed.spheres.iter().enumerate() {
         if let Some(reason) = unseen(sphere, &in_camera[k], view) {
             reasons.push(reason);
             continue;
         }
-        let photo = &photos.photos[view.photo.0];
-        let image = photo.pixels.load()?;
+        let image = match &mut loaded {
+            Some(image) => image,
+            none => none.insert(photo.pixels.load()?),
+        };
         let shot = Shot {
-            image: &image,
+            image,
             object: photo.mask.as_deref(),
             clip_level: photo.clip_level,
             intrinsics: &view.intrinsics,
@@ -151,7 +166,9 @@ fn one_view(
     }
     facts.clipped_share = coverage.clipped_share();
     facts.hidden_share = coverage.hidden_share();
-    if position.is_none() && !reasons.is_empty() {
+    if position.is_some() {
+        facts.unused_spheres = reasons;
+    } else if !reasons.is_empty() {
         facts.left_out = Some(reasons.join("; "));
     }
     Ok(facts)

@@ -226,8 +226,8 @@ pub(crate) fn report_gains(
     applied
 }
 
-fn scaled(lighting: Lighting, gain: &[f64]) -> Lighting {
-    let mut lighting = lighting;
+/// A lighting times a factor per channel.
+pub(crate) fn scaled(mut lighting: Lighting, gain: &[f64]) -> Lighting {
     for (channel, g) in lighting.channels.iter_mut().zip(gain) {
         for l in &mut channel.0 {
             *l *= g;
@@ -301,6 +301,7 @@ fn from_side_world(
             kind: LightKind::World,
             environment_in_world: Some(environment),
             views,
+            spheres: side.verdicts(posed),
         },
         report,
     ))
@@ -369,6 +370,7 @@ fn from_side_camera(
             kind: LightKind::Camera,
             environment_in_world: None,
             views,
+            spheres: side.verdicts(posed),
         },
         report,
     ))

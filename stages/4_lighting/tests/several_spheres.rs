@@ -6,7 +6,7 @@
 use nalgebra::{Point2, Point3, Vector3};
 use rilievo_lighting::{LightingOptions, LightingReport, LightingRequest, overlays, run};
 use rilievo_photometry::sphere::{
-    LocatedSpheres, SphereInCamera, SphereOptions, WorldScale, locate_request,
+    LocatedSpheres, ScaleOutcome, SphereInCamera, SphereOptions, WorldScale, locate_request,
 };
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, Lighting, LightingCalibration, MarkedSphere, Photo,
@@ -135,7 +135,7 @@ fn located(world: &World, request: &SphereRequest) -> LocatedSpheres {
 
 /// Error of the common scale, and of each centre in metres with its stated deviation.
 fn errors(world: &World, found: &LocatedSpheres) -> (f64, Vec<(f64, f64)>) {
-    let scale = found.scale.as_ref().unwrap().estimate.metres_per_unit;
+    let scale = found.scale.estimate.unwrap().metres_per_unit;
     let centers = found.fits.iter().map(|fit| {
         let at = Point3::from(fit.sphere.center_in_world.map(|c| c / SHRINK));
         let sigma: f64 = fit.sphere.center_sigma.iter().map(|s| s * s).sum();
@@ -188,14 +188,10 @@ fn two_spheres_of_different_size_give_one_scale_and_one_light() {
     let mut world = world(0.02, 0.0, |_| [1.0; 3]);
     let request = marked(&world, [RADIUS, 0.02]);
     let found = located(&world, &request);
-    assert!(
-        found.scale.as_ref().unwrap().contradictions.is_empty(),
-        "{:?}",
-        found.scale
-    );
+    assert!(found.scale.contradictions.is_empty(), "{:?}", found.scale);
     let (scale, centers) = errors(&world, &found);
     // Edges of photographs: a twentieth of a pixel of the smaller sphere's radius of about 30 px.
-    let sigma = found.scale.as_ref().unwrap().estimate.relative_sigma;
+    let sigma = found.scale.estimate.unwrap().relative_sigma;
     assert!(
         scale < 2e-3 && scale < 3.0 * sigma,
         "scale off by {scale}, stated {sigma}"
@@ -238,7 +234,7 @@ fn noise_stays_within_the_stated_deviations() {
     let request = marked(&world, [RADIUS, 0.02]);
     let found = located(&world, &request);
     let (scale, centers) = errors(&world, &found);
-    let sigma = found.scale.as_ref().unwrap().estimate.relative_sigma;
+    let sigma = found.scale.estimate.unwrap().relative_sigma;
     assert!(
         scale < 4.0 * sigma && sigma < 5e-3,
         "scale off by {scale}, stated {sigma}"
@@ -292,6 +288,7 @@ fn a_sphere_in_a_shadow_is_named_and_left_out() {
         ],
     );
     assert!(report.spheres[1].left_out && !report.spheres[0].left_out);
+    assert_eq!(calibration.unlike_spheres(), [1]);
     let own = report.spheres[1].own_rms.unwrap();
     let other = report.spheres[1].other_rms.unwrap();
     assert!(own < 0.03 && other > 0.08, "own {own}, other {other}");
@@ -330,8 +327,24 @@ fn a_sphere_of_another_paint_counts_with_its_factor() {
     let (calibration, report) = lit(&mut world, request);
     told(
         &report,
-        &["right is 0.75 times as bright as left", "another paint"],
+        &[
+            "right is 0.70, 0.75, 0.80 times as bright as left",
+            "per channel",
+            "another paint",
+        ],
     );
+    let paints: Vec<_> = calibration.spheres.iter().map(|s| &s.paint).collect();
+    assert!(
+        paints[0].as_ref().is_some_and(|p| *p == [1.0; 3]),
+        "{paints:?}"
+    );
+    assert!(calibration.unlike_spheres().is_empty(), "{paints:?}");
+    let options = LightingOptions::default();
+    for overlay in overlays(&world.photos, &world.posed, &calibration, &options).unwrap() {
+        let pixels = overlay.picture.data.chunks_exact(3);
+        let far = pixels.filter(|p| *p == [0.05, 0.1, 0.9]).count();
+        assert!(far < 50, "{}: {far} pixels drawn as far", overlay.name);
+    }
     for (found, truth) in report.spheres[1].brightness_ratio.iter().zip(paint) {
         assert!((found / truth - 1.0).abs() < 0.01, "{found} for {truth}");
     }
@@ -343,12 +356,32 @@ fn a_sphere_of_another_paint_counts_with_its_factor() {
 fn a_radius_that_is_wrong_by_a_twentieth_contradicts_the_other() {
     let world = world(0.02, 0.0, |_| [1.0; 3]);
     let found = located(&world, &marked(&world, [RADIUS, 1.05 * 0.02]));
-    let common = found.scale.unwrap();
+    let common = &found.scale;
     let [told] = &common.contradictions[..] else {
         panic!("{:?}", common.contradictions);
     };
     let gap = told.ratio.ln().abs() - 1.05_f64.ln();
-    assert!(gap.abs() < 3e-3 && !told.outvoted, "{told:?}");
-    let scale = common.estimate.metres_per_unit * SHRINK;
+    assert!(gap.abs() < 3e-3, "{told:?}");
+    assert_eq!(told.outcome, ScaleOutcome::Averaged);
+    let scale = common.estimate.unwrap().metres_per_unit * SHRINK;
     assert!((1.0..1.05).contains(&scale), "scale {scale}");
+}
+
+#[test]
+fn a_radius_in_another_unit_costs_the_scale_but_not_the_light() {
+    let mut world = world(0.02, 0.0, |_| [1.0; 3]);
+    let request = marked(&world, [RADIUS, 20.0]);
+    let found = located(&world, &request);
+    assert_eq!(found.fits.len(), 2, "{:?}", found.missing);
+    assert_eq!(found.scale.estimate, None);
+    let outcomes: Vec<_> = found
+        .scale
+        .contradictions
+        .iter()
+        .map(|c| c.outcome)
+        .collect();
+    assert_eq!(outcomes, [ScaleOutcome::NoScale]);
+    let (calibration, _) = lit(&mut world, request);
+    let error = light_error(&world, &calibration);
+    assert!(error < 3e-3, "light off by {error}");
 }

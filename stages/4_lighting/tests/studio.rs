@@ -73,7 +73,7 @@ fn locate_in(set: &mut Set, num_views: usize) {
     assert_eq!(found.fits.len(), 1, "{:?}", found.fits);
     let fit = &found.fits[0];
     assert_eq!(fit.sphere.seen_in.len(), num_views, "{:?}", fit.views);
-    let scale = found.scale.unwrap().estimate.metres_per_unit * SHRINK;
+    let scale = found.scale.estimate.unwrap().metres_per_unit * SHRINK;
     assert!((scale - 1.0).abs() < 0.003, "scale {scale}");
     let mut sphere = fit.sphere.clone();
     let mut off = 0.0;

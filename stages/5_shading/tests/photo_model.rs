@@ -94,6 +94,7 @@ fn no_light() -> LightingCalibration {
         kind: LightKind::World,
         environment_in_world: None,
         views: Vec::new(),
+        spheres: Vec::new(),
     }
 }
 

@@ -59,6 +59,7 @@ fn world() -> World {
             kind: LightKind::Camera,
             environment_in_world: None,
             views: Vec::new(),
+            spheres: Vec::new(),
         },
     };
     for (index, angle) in [0.0, 0.35].into_iter().enumerate() {

@@ -61,6 +61,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         kind: LightKind::World,
         environment_in_world: None,
         views: Vec::new(),
+        spheres: Vec::new(),
     };
     let began = std::time::Instant::now();
     let probe = |step: &str, shaded: &ShadedViews| {

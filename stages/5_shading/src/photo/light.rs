@@ -1,7 +1,8 @@
 //! The light of a lap: nine coefficients per pixel of every view, fitted on the current shape.
 //!
 //! Rays from the pixels of the next coarser level against the solid that the depth
-//! maps carve, the spheres and the ground; the environment fitted on object and sphere pixels together;
+//! maps carve, the spheres and the ground; the environment fitted on object and sphere pixels together
+//! (those of the spheres that see the object's light);
 //! coefficients interpolated to the level. Pigment, and an albedo of the sphere that differs from the
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
@@ -63,6 +64,8 @@ impl Light {
 pub(crate) struct LightScene<'a> {
     pub photos: &'a [SmallPhoto],
     pub spheres: &'a [LocatedSphere],
+    /// Indices of those that see another light: they hide and send light, but tell nothing of it.
+    pub unlike: &'a [usize],
     pub ground: Option<&'a Ground>,
     pub num_rays: usize,
 }
@@ -169,7 +172,7 @@ pub(crate) fn visible_on(
 ) -> Option<Light> {
     let volume = Volume::carve(&depth_views(level, depths), MAX_VOXELS)?;
     let (points, warm): (Vec<Vec<SpherePoint>>, Vec<WarmSphere>) =
-        look_at_spheres(scene.spheres, scene.photos)
+        look_at_spheres(scene.spheres, scene.unlike, scene.photos)
             .into_iter()
             .unzip();
     let surroundings = Surroundings {

@@ -199,6 +199,7 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
     let scene = LightScene {
         photos: &truth.scene.small,
         spheres: &truth.posed.spheres,
+        unlike: &[],
         ground: ground.as_ref(),
         num_rays,
     };

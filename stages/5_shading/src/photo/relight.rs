@@ -12,7 +12,7 @@ use crate::error::ShadingError;
 use nalgebra::Point3;
 use rilievo_numerics::plate_system::PlateSolver;
 use rilievo_photometry::visibility::Ground;
-use rilievo_scene::{LightKind, PosedViews};
+use rilievo_scene::{LightKind, LightingCalibration, PosedViews};
 use std::time::Instant;
 
 impl Course<'_> {
@@ -45,16 +45,19 @@ impl Course<'_> {
         at: usize,
         depths: &[Vec<f64>],
         posed: &PosedViews,
-        kind: LightKind,
+        lighting: &LightingCalibration,
         ground: Option<&Ground>,
     ) -> Result<Option<Light>, ShadingError> {
         let began = Instant::now();
         self.tell("fitting light", 0, 1)?;
         let level = &self.scene.pyramid[at];
         let rays_at = self.scene.pyramid.get(at + 1).unwrap_or(level);
+        let kind = lighting.kind;
+        let unlike = lighting.unlike_spheres();
         let scene = LightScene {
             photos: &self.scene.small,
             spheres: &posed.spheres,
+            unlike: &unlike,
             ground,
             num_rays: self.options.num_rays,
         };

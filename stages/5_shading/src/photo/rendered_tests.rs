@@ -138,6 +138,7 @@ fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
     let light_scene = LightScene {
         photos: &scene.small,
         spheres: &world.posed.spheres,
+        unlike: &[],
         ground: None,
         num_rays: 128,
     };
@@ -240,6 +241,7 @@ fn stains_become_albedo_and_no_relief() {
         kind: LightKind::World,
         environment_in_world: None,
         views: Vec::new(),
+        spheres: Vec::new(),
     };
     let (shaded, report) = super::run(
         &world.photos,
@@ -332,6 +334,7 @@ fn solved(world: &World) -> ShadedViews {
         kind: LightKind::World,
         environment_in_world: None,
         views: Vec::new(),
+        spheres: Vec::new(),
     };
     let options = PhotoOptions::default();
     super::run(&world.photos, &world.posed, &lighting, &options, &Silent)

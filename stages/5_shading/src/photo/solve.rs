@@ -9,7 +9,7 @@ use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_system::PlateSolver;
-use rilievo_scene::{LightKind, LightingCalibration, Observer, PosedViews, ShadedViews};
+use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
 
 /// Gauss-Newton rounds under one light.
 const ROUNDS_PER_LAP: usize = 5;
@@ -51,8 +51,7 @@ pub(crate) fn solve(
         "photos",
         rounds,
     )?;
-    let (light, last) =
-        course.light_laps(&mut at, &mut solvers, &mut depths, posed, lighting.kind)?;
+    let (light, last) = course.light_laps(&mut at, &mut solvers, &mut depths, posed, lighting)?;
     let light = course.finer_levels(&mut at, &mut depths, light, last)?;
     let appearances = course.appearance(at, &depths, light.as_ref());
     let shaded = output::maps(&course.scene, at, &depths, &appearances);
@@ -70,7 +69,7 @@ impl Course<'_> {
         solvers: &mut Vec<PlateSolver>,
         depths: &mut Vec<Vec<f64>>,
         posed: &PosedViews,
-        kind: LightKind,
+        lighting: &LightingCalibration,
     ) -> Result<(Option<Light>, LapWeights), ShadingError> {
         let options = self.options;
         *depths = self.fused(*at, depths)?;
@@ -110,7 +109,7 @@ impl Course<'_> {
                 *depths = self.fused(*at, depths)?;
                 self.show(*at, "fused", depths);
             }
-            light = self.light(*at, depths, posed, kind, ground.as_ref())?;
+            light = self.light(*at, depths, posed, lighting, ground.as_ref())?;
             let found = light.as_ref().map_or(1.0, Light::residual);
             // What the finer surface adds to the residual at first is its own noise, not the light's.
             residual = if lap > 0 && lap == num_half {

@@ -96,14 +96,20 @@ pub(crate) struct SpherePoint {
     pub radiance: [f32; 3],
 }
 
-/// The spheres' visible points and their smooth radiances.
+/// The spheres' visible points and their smooth radiances; no points of those in `unlike`, which see
+/// another light.
 pub(crate) fn look_at_spheres(
     spheres: &[LocatedSphere],
+    unlike: &[usize],
     photos: &[SmallPhoto],
 ) -> Vec<(Vec<SpherePoint>, WarmSphere)> {
     let bodies: Vec<WarmSphere> = spheres.iter().map(body).collect();
     (0..spheres.len())
-        .filter_map(|k| look_at_sphere(&spheres[k], photos, &bodies, k))
+        .filter_map(|k| {
+            let (points, warm) = look_at_sphere(&spheres[k], photos, &bodies, k)?;
+            let tells = !unlike.contains(&k);
+            Some((if tells { points } else { Vec::new() }, warm))
+        })
         .collect()
 }
 

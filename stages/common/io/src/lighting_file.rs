@@ -241,6 +241,7 @@ mod tests {
                     gain: vec![1.0; 3],
                 })
                 .collect(),
+            spheres: Vec::new(),
         };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lighting.json");

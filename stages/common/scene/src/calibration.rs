@@ -35,6 +35,16 @@ pub struct ViewLighting {
     pub gain: Vec<f64>,
 }
 
+/// How a reference sphere stands to the light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SphereLight {
+    /// Its name.
+    pub name: String,
+    /// Its albedo over the one that the lighting contains, per channel; `None` for a sphere that sees
+    /// another light, from which the lighting does not come.
+    pub paint: Option<Vec<f64>>,
+}
+
 /// Lighting of all views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightingCalibration {
@@ -46,4 +56,16 @@ pub struct LightingCalibration {
     pub environment_in_world: Option<Lighting>,
     /// One entry per posed view, in their order.
     pub views: Vec<ViewLighting>,
+    /// One entry per posed sphere, in their order, where the light came from the spheres beside the
+    /// object; else empty.
+    #[serde(default)]
+    pub spheres: Vec<SphereLight>,
+}
+
+impl LightingCalibration {
+    /// Indices of the posed spheres that see another light.
+    pub fn unlike_spheres(&self) -> Vec<usize> {
+        let unlike = |(k, sphere): (usize, &SphereLight)| sphere.paint.is_none().then_some(k);
+        self.spheres.iter().enumerate().filter_map(unlike).collect()
+    }
 }

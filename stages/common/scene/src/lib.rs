@@ -28,7 +28,7 @@ pub mod sphere;
 pub mod srgb;
 pub mod transform;
 
-pub use calibration::{LightSource, LightingCalibration, ViewLighting};
+pub use calibration::{LightSource, LightingCalibration, SphereLight, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
 pub use decoded::{DecodedPhoto, ExifFacts, Samples};

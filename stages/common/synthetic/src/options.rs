@@ -1,6 +1,7 @@
 //! Options of the synthetic scene and of its photographs.
 
 use crate::error::SyntheticError;
+use rilievo_scene::Mesh;
 use serde::{Deserialize, Serialize};
 
 /// What stands on the mat.
@@ -25,6 +26,34 @@ pub struct BallOptions {
     pub at_m: [f64; 2],
     /// Its radius, metres.
     pub radius_m: f64,
+}
+
+impl BallOptions {
+    /// Whether two spheres on one mat do not overlap: `d² ≥ (r₁ + r₂)² − (r₁ − r₂)²`.
+    fn is_apart(&self, other: &Self) -> bool {
+        let between = (0..2).map(|c| self.at_m[c] - other.at_m[c]);
+        between.map(|d| d * d).sum::<f64>() >= 4.0 * self.radius_m * other.radius_m
+    }
+
+    /// Refuses a place in the object, as the rectangle around the vertices below the sphere's top.
+    pub(crate) fn check_beside(&self, object: &Mesh) -> Result<(), SyntheticError> {
+        let top = 2.0 * self.radius_m;
+        let low = object.vertices.iter().filter(|v| f64::from(v[2]) <= top);
+        let (mut from, mut to) = ([f64::MAX; 2], [f64::MIN; 2]);
+        for vertex in low {
+            for c in 0..2 {
+                from[c] = from[c].min(f64::from(vertex[c]));
+                to[c] = to[c].max(f64::from(vertex[c]));
+            }
+        }
+        let outside = |c: usize| (from[c] - self.at_m[c]).max(self.at_m[c] - to[c]).max(0.0);
+        check(
+            outside(0).hypot(outside(1)) >= self.radius_m,
+            "more_spheres.at_m",
+            self.at_m,
+            "beside the object, not in it",
+        )
+    }
 }
 
 /// The world in front of the camera.
@@ -158,6 +187,18 @@ fn check(
 }
 
 impl SceneOptions {
+    /// The reference sphere, clear of the object by about its own size, so that it stays out of its
+    /// shadow.
+    pub(crate) fn first_sphere(&self) -> Option<BallOptions> {
+        (self.sphere_radius_m > 0.0).then(|| BallOptions {
+            at_m: [
+                (0.40 + 0.22) * self.height_m + self.sphere_radius_m,
+                -0.12 * self.height_m,
+            ],
+            radius_m: self.sphere_radius_m,
+        })
+    }
+
     /// Refuses values that describe no scene.
     ///
     /// # Errors
@@ -205,7 +246,7 @@ impl SceneOptions {
             self.sphere_radius_m,
             "0 to half the object's height",
         )?;
-        for ball in &self.more_spheres {
+        for (k, ball) in self.more_spheres.iter().enumerate() {
             check(
                 ball.radius_m > 0.0 && ball.radius_m <= 0.5 * self.height_m,
                 "more_spheres.radius_m",
@@ -217,6 +258,16 @@ impl SceneOptions {
                 "more_spheres.at_m",
                 ball.at_m,
                 "within ten times the object's height",
+            )?;
+            let mut before = self
+                .first_sphere()
+                .into_iter()
+                .chain(self.more_spheres[..k].to_vec());
+            check(
+                before.all(|other| ball.is_apart(&other)),
+                "more_spheres.at_m",
+                ball.at_m,
+                "beside the other spheres, not in one",
             )?;
         }
         check(

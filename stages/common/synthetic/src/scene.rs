@@ -86,7 +86,7 @@ impl Scene {
             height,
             options.seed,
         )?;
-        Ok(Self::around(options, mesh, Some(shape)))
+        Self::around(options, mesh, Some(shape))
     }
 
     /// Builds a scene around a given mesh instead of a made object: moved onto the mat's middle and
@@ -100,23 +100,25 @@ impl Scene {
         options.validate()?;
         let mesh = given::standing(mesh, options.height_m)
             .map_err(|reason| SyntheticError::Mesh { reason })?;
-        Ok(Self::around(options, mesh, None))
+        Self::around(options, mesh, None)
     }
 
-    fn around(options: SceneOptions, mesh: Mesh, shape: Option<Shape>) -> Self {
+    fn around(
+        options: SceneOptions,
+        mesh: Mesh,
+        shape: Option<Shape>,
+    ) -> Result<Self, SyntheticError> {
+        for ball in &options.more_spheres {
+            ball.check_beside(&mesh)?;
+        }
         let height = options.height_m;
         let bvh = Bvh::new(&mesh);
-        // Clear of the object by about its own size, so that it stays out of its shadow.
-        let beside = [
-            (0.40 + 0.22) * height + options.sphere_radius_m,
-            -0.12 * height,
-        ];
-        let first = (options.sphere_radius_m > 0.0)
-            .then(|| ReferenceSphere::on_mat(beside, options.sphere_radius_m));
-        let more = options.more_spheres.iter();
-        let more = more.map(|ball| ReferenceSphere::on_mat(ball.at_m, ball.radius_m));
-        let spheres = first.into_iter().chain(more).collect();
-        Self {
+        let balls = options.first_sphere().into_iter();
+        let balls = balls.chain(options.more_spheres.iter().copied());
+        let spheres = balls
+            .map(|ball| ReferenceSphere::on_mat(ball.at_m, ball.radius_m))
+            .collect();
+        Ok(Self {
             mat: Mat::new(options.seed, 1.75 * height, 1.35 * height),
             environment: Environment::new(options.seed, Mat::mean_albedo()),
             shape,
@@ -124,7 +126,7 @@ impl Scene {
             mesh,
             spheres,
             options,
-        }
+        })
     }
 
     /// The first sphere that a ray of unit direction enters, from outside: its index and the

@@ -5,8 +5,8 @@
 
 use nalgebra::{Point2, Vector3};
 use rilievo_synthetic::{
-    LightModel, RenderOptions, RenderedView, Scene, SceneOptions, Subject, SyntheticError, render,
-    true_tracks,
+    BallOptions, LightModel, RenderOptions, RenderedView, Scene, SceneOptions, Subject,
+    SyntheticError, render, true_tracks,
 };
 
 fn scene(subject: Subject) -> Scene {
@@ -310,4 +310,34 @@ fn unusable_options_and_views_are_named() {
         ),
         "{error:?}"
     );
+}
+
+#[test]
+fn spheres_in_the_object_or_in_each_other_are_refused() {
+    let with = |at_m: [[f64; 2]; 2]| {
+        Scene::new(SceneOptions {
+            subject: Subject::Ellipsoid,
+            mesh_spacing_m: 0.012,
+            more_spheres: at_m
+                .map(|at_m| BallOptions {
+                    at_m,
+                    radius_m: 0.02,
+                })
+                .to_vec(),
+            ..SceneOptions::default()
+        })
+    };
+    assert!(with([[-0.19, -0.05], [-0.19, -0.10]]).is_ok());
+    let first = [0.62 * 0.24 + 0.03, -0.12 * 0.24];
+    for (places, expected) in [
+        ([[-0.19, -0.05], [-0.19, -0.08]], "beside the other spheres"),
+        ([[-0.19, -0.05], first], "beside the other spheres"),
+        ([[-0.19, -0.05], [0.0, 0.0]], "beside the object"),
+    ] {
+        let told = with(places).map(|_| ()).unwrap_err().to_string();
+        assert!(
+            told.contains("more_spheres.at_m") && told.contains(expected),
+            "{told}"
+        );
+    }
 }

@@ -83,19 +83,6 @@ pub enum SphereError {
         /// Name of the sphere that is kept.
         other: String,
     },
-    /// Two spheres give scales that have no mean.
-    #[error(
-        "{second} gives {ratio:.3} times the scale that {first} gives: check both radii and their \
-         unit (metres)"
-    )]
-    ScaleContradiction {
-        /// Name of a sphere.
-        first: String,
-        /// Name of the other.
-        second: String,
-        /// Scale of the second over that of the first.
-        ratio: f64,
-    },
     /// The camera is inside the sphere or it lies behind.
     #[error("the sphere would contain a camera or lie behind all of them: check its radius")]
     Impossible,

@@ -34,4 +34,4 @@ pub use mark::{MarkFit, cone_from_mark, cone_from_points, outline_of_mark};
 pub use options::SphereOptions;
 pub use refine::{Effort, RefinedOutline, refine_outline};
 pub use request::{LocatedSpheres, PosedImage, load_posed_images, locate_request, refine_in_views};
-pub use several::{CommonScale, ScaleContradiction, common_scale, overlap};
+pub use several::{CommonScale, ScaleContradiction, ScaleOutcome, common_scale, overlap};

@@ -74,18 +74,17 @@ pub struct LocatedSpheres {
     pub missing: Vec<(String, SphereError)>,
     /// Radii over the stated one of further spheres that a search found and left.
     pub other_sizes: Vec<f64>,
-    /// The world's scale from all of them, where they tell it.
-    pub scale: Option<CommonScale>,
+    /// The world's scale from all of them.
+    pub scale: CommonScale,
 }
 
 /// Locates the spheres that a request describes in posed views.
 ///
-/// With [`WorldScale::Free`], multiply the world by `scale` of the result to make it metric. A
-/// sphere that cannot be located does not hinder the others.
+/// With [`WorldScale::Free`], multiply the world by `scale` of the result, where there is one, to
+/// make it metric. A sphere that cannot be located does not hinder the others.
 ///
 /// # Errors
-/// That of the first sphere where none can be located, [`SphereError::ScaleContradiction`],
-/// [`SphereError::Pixels`]; [`SphereError::NoView`] when the request has no sphere.
+/// That of the first sphere where none can be located, [`SphereError::Pixels`]; [`SphereError::NoView`] when the request has no sphere.
 pub fn locate_request(
     photos: &PhotoSet,
     views: &[PosedView],
@@ -121,7 +120,7 @@ pub fn locate_request(
         let first = located.missing.into_iter().next();
         return Err(first.map_or(SphereError::NoView, |(_, error)| error));
     }
-    located.scale = common_scale(&located.fits, options)?;
+    located.scale = common_scale(&located.fits, options);
     Ok(located)
 }
 

@@ -12,7 +12,9 @@
 //!    marked twice.
 //! 2. The sphere that differs most from the mean of the others, in standard deviations of the
 //!    difference, contradicts them where these are more than three. Of three or more it is outvoted
-//!    and the rest is compared again; of two neither is known to be wrong, and both count.
+//!    and the rest is compared again; of two neither is known to be wrong, and both count, or there
+//!    is no scale where they are so far apart that a mean would be neither. Where a sphere stands
+//!    depends on no scale, so that each keeps its place in the world's own unit.
 //! 3. The standard deviation of `s` is that of the outlines or that of the scatter between the
 //!    spheres, whichever is larger.
 
@@ -31,42 +33,49 @@ pub struct ScaleContradiction {
     pub ratio: f64,
     /// Relative standard deviation of the ratio.
     pub sigma: f64,
-    /// Whether the others outvoted it; of two spheres both count.
-    pub outvoted: bool,
+    /// What became of it.
+    pub outcome: ScaleOutcome,
+}
+
+/// What becomes of scales that contradict each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ScaleOutcome {
+    /// Most others agree without this one: it does not count.
+    Outvoted,
+    /// Of two, both count.
+    Averaged,
+    /// The two have no mean worth the name: there is no scale.
+    NoScale,
 }
 
 /// The scale of the world from all spheres.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CommonScale {
-    /// The weighted mean.
-    pub estimate: ScaleEstimate,
+    /// The weighted mean; `None` where no sphere tells a scale, or two tell different ones.
+    pub estimate: Option<ScaleEstimate>,
     /// Spheres that contradict the others.
     pub contradictions: Vec<ScaleContradiction>,
 }
 
 /// Standard deviations of a difference beyond which two scales contradict each other.
 const MAX_DEVIATIONS: f64 = 3.0;
-/// Two scales that differ by more than this factor have no mean worth the name.
+/// Two scales that differ by more than this factor have no mean worth the name: another unit, a
+/// diameter for a radius.
 const MAX_RATIO: f64 = 1.25;
 
-/// The common scale of located spheres; `None` where no sphere tells one.
-///
-/// # Errors
-/// [`SphereError::ScaleContradiction`] where two spheres differ so much that a mean would be neither.
-pub fn common_scale(
-    fits: &[SphereFit],
-    options: &SphereOptions,
-) -> Result<Option<CommonScale>, SphereError> {
+/// The common scale of located spheres.
+pub fn common_scale(fits: &[SphereFit], options: &SphereOptions) -> CommonScale {
     let mut active: Vec<(&str, ScaleEstimate)> = fits
         .iter()
         .filter_map(|fit| Some((fit.sphere.name.as_str(), fit.scale?)))
         .collect();
     let mut contradictions = Vec::new();
     if let [(_, only)] = active[..] {
-        return Ok(Some(CommonScale {
-            estimate: only,
+        return CommonScale {
+            estimate: Some(only),
             contradictions,
-        }));
+        };
     }
     let variance = |s: &ScaleEstimate| s.relative_sigma.powi(2) + options.radius_sigma.powi(2);
     while active.len() > 1 {
@@ -85,28 +94,33 @@ pub fn common_scale(
         else {
             break;
         };
-        let outvoted = active.len() > 2;
-        if !outvoted && difference.abs() > MAX_RATIO.ln() {
-            let [first, second] = [active[0], active[1]];
-            return Err(SphereError::ScaleContradiction {
-                first: first.0.to_owned(),
-                second: second.0.to_owned(),
-                ratio: second.1.metres_per_unit / first.1.metres_per_unit,
-            });
-        }
+        let outcome = if active.len() > 2 {
+            ScaleOutcome::Outvoted
+        } else if difference.abs() > MAX_RATIO.ln() {
+            ScaleOutcome::NoScale
+        } else {
+            ScaleOutcome::Averaged
+        };
         contradictions.push(ScaleContradiction {
             sphere: active[k].0.to_owned(),
             ratio: difference.exp(),
             sigma,
-            outvoted,
+            outcome,
         });
-        if !outvoted {
-            break;
-        }
-        active.remove(k);
+        match outcome {
+            ScaleOutcome::Outvoted => active.remove(k),
+            ScaleOutcome::Averaged => break,
+            ScaleOutcome::NoScale => {
+                active.clear();
+                break;
+            }
+        };
     }
     if active.is_empty() {
-        return Ok(None);
+        return CommonScale {
+            estimate: None,
+            contradictions,
+        };
     }
     let weighted = || active.iter().map(|(_, s)| (s, 1.0 / variance(s)));
     let (mean, sum) = weighted_mean(weighted());
@@ -117,13 +131,13 @@ pub fn common_scale(
         .map(|(s, w)| w / sum * (s.metres_per_unit.ln() - mean).powi(2))
         .sum();
     let between = scatter / (active.len() as f64 - 1.0).max(1.0);
-    Ok(Some(CommonScale {
-        estimate: ScaleEstimate {
+    CommonScale {
+        estimate: Some(ScaleEstimate {
             metres_per_unit: mean.exp(),
             relative_sigma: outlines.max(between).sqrt(),
-        },
+        }),
         contradictions,
-    }))
+    }
 }
 
 /// Weighted mean of the logarithms, and the sum of the weights.
@@ -199,24 +213,23 @@ mod tests {
 
     fn scale_of(fits: &[SphereFit]) -> CommonScale {
         common_scale(fits, &SphereOptions::default())
-            .unwrap()
-            .unwrap()
     }
 
     #[test]
     fn one_sphere_is_left_as_it_is() {
         let only = fit("the sphere", 2.7, 3e-4);
         let common = scale_of(std::slice::from_ref(&only));
-        assert_eq!(Some(common.estimate), only.scale);
+        assert_eq!(common.estimate, only.scale);
     }
 
     #[test]
     fn spheres_that_agree_share_one_scale() {
         let common = scale_of(&[fit("a", 2.700, 5e-4), fit("b", 2.702, 5e-4)]);
-        let error = (common.estimate.metres_per_unit / 2.701 - 1.0).abs();
+        let estimate = common.estimate.unwrap();
+        let error = (estimate.metres_per_unit / 2.701 - 1.0).abs();
         assert!(error < 1e-6, "{error}");
         // The two differ by 0.074 %: half of that is the error of their mean.
-        let sigma = common.estimate.relative_sigma;
+        let sigma = estimate.relative_sigma;
         assert!((sigma - 3.7e-4).abs() < 0.1e-4, "{sigma}");
         assert!(common.contradictions.is_empty());
     }
@@ -227,8 +240,9 @@ mod tests {
         let [told] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        assert!((told.ratio.ln().abs() - 1.05_f64.ln()).abs() < 1e-9 && !told.outvoted);
-        let sigma = common.estimate.relative_sigma;
+        assert!((told.ratio.ln().abs() - 1.05_f64.ln()).abs() < 1e-9);
+        assert_eq!(told.outcome, ScaleOutcome::Averaged);
+        let sigma = common.estimate.unwrap().relative_sigma;
         assert!((0.02..0.03).contains(&sigma), "{sigma}");
         let common = scale_of(&[
             fit("a", 1.0, 5e-4),
@@ -238,23 +252,27 @@ mod tests {
         let [told] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        assert!(told.sphere == "b" && told.outvoted, "{told:?}");
-        let error = (common.estimate.metres_per_unit - 1.0).abs();
+        let outvoted = told.outcome == ScaleOutcome::Outvoted;
+        assert!(told.sphere == "b" && outvoted, "{told:?}");
+        let error = (common.estimate.unwrap().metres_per_unit - 1.0).abs();
         assert!(error < 1e-3, "{error}");
     }
 
     #[test]
-    fn two_units_in_one_file_are_an_error() {
-        let fits = [fit("a", 1.0, 5e-4), fit("b", 10.0, 5e-4)];
-        let result = common_scale(&fits, &SphereOptions::default());
+    fn two_units_in_one_file_give_no_scale_and_are_told() {
+        let common = scale_of(&[fit("a", 1.0, 5e-4), fit("b", 10.0, 5e-4)]);
+        assert_eq!(common.estimate, None);
+        let [told] = &common.contradictions[..] else {
+            panic!("{:?}", common.contradictions);
+        };
+        assert_eq!(told.outcome, ScaleOutcome::NoScale);
         assert!(
-            matches!(result, Err(SphereError::ScaleContradiction { .. })),
-            "{result:?}"
+            (told.ratio.ln().abs() - 10_f64.ln()).abs() < 1e-9,
+            "{told:?}"
         );
         let mut none = fit("a", 1.0, 5e-4);
         none.scale = None;
-        let result = common_scale(&[none], &SphereOptions::default());
-        assert_eq!(result, Ok(None));
+        assert_eq!(scale_of(&[none]), CommonScale::default());
     }
 
     #[test]

@@ -119,3 +119,88 @@ impl Surroundings {
         self.ground.as_ref()?.cast(start, direction)
     }
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::super::DepthView;
+    use super::*;
+    use rilievo_scene::{
+        Intrinsics, Lighting, LinearImage, Raster, RigidTransform, SphericalHarmonics,
+    };
+
+    fn ball(x: f32, radius: f32, radiance: f64) -> WarmSphere {
+        let constant = SphericalHarmonics([0.0, 0.0, 0.0, radiance, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        WarmSphere {
+            center: Point3::new(x, 0.0, 0.0),
+            radius,
+            radiance: Lighting {
+                channels: vec![constant; 3],
+            },
+        }
+    }
+
+    /// Two spheres on the x axis, the object far below them.
+    fn two_spheres() -> Surroundings {
+        let view = DepthView {
+            intrinsics: Intrinsics::pinhole(16, 16, 16.0, 7.5, 7.5),
+            cam_from_world: RigidTransform {
+                translation: [0.0, 0.0, -50.0].into(),
+                ..RigidTransform::identity()
+            },
+            depth: Raster::filled(16, 16, 2.0),
+            weight: Raster::filled(16, 16, 1.0),
+            image: LinearImage::filled(16, 16, 3, 0.3),
+            cut_by_frame: false,
+        };
+        Surroundings {
+            volume: Volume::carve(&[view], 32).unwrap(),
+            spheres: vec![ball(2.0, 0.5, 0.2), ball(5.0, 1.0, 0.7)],
+            ground: None,
+        }
+    }
+
+    #[test]
+    fn a_ray_meets_the_nearer_of_two_spheres_and_not_the_one_it_starts_on() {
+        let surroundings = two_spheres();
+        let cast = |x: f32, y: f32, towards: f32, on: Option<usize>| {
+            let start = Vector3::new(x, y, 0.0);
+            let radiance = surroundings.cast(&start, &Vector3::new(towards, 0.0, 0.0), on);
+            radiance.map(|rgb| (100.0 * rgb[1]).round())
+        };
+        // From both sides the nearer one, and past the smaller one the one behind it.
+        assert_eq!(cast(0.0, 0.0, 1.0, None), Some(20.0));
+        assert_eq!(cast(9.0, 0.0, -1.0, None), Some(70.0));
+        assert_eq!(cast(0.0, 0.8, 1.0, None), Some(70.0));
+        assert_eq!(cast(0.0, 1.2, 1.0, None), None);
+        // From one sphere's surface, which rounding may put inside it, the other.
+        assert_eq!(cast(2.499, 0.0, 1.0, Some(0)), Some(70.0));
+        assert_eq!(cast(4.001, 0.0, -1.0, Some(1)), Some(20.0));
+        assert_eq!(cast(1.501, 0.0, -1.0, Some(0)), None);
+    }
+
+    #[test]
+    fn two_spheres_hide_a_part_of_the_sky_from_each_other() {
+        use super::super::{directions, transfer};
+        let surroundings = two_spheres();
+        let rays = directions(2048);
+        // Facing each other, on the smaller sphere and on the larger one.
+        for (on, x, normal) in [(0, 2.5, 1.0), (1, 4.0, -1.0)] {
+            let normal = Vector3::new(normal, 0.0, 0.0);
+            let at = Vector3::new(x, 0.0, 0.0);
+            let seen = transfer(&surroundings, &at, &normal, &rays, 0.0, Some(on));
+            let other = &surroundings.spheres[1 - on];
+            // A sphere overhead takes sin² of its angular radius from the irradiance.
+            let sine = other.radius / (other.center.x - x);
+            let sky: f32 = seen.row(&rays).iter().sum();
+            assert!(
+                (sky - (1.0 - sine * sine)).abs() < 0.02,
+                "{sky} for sphere {on}"
+            );
+            let radiance = other.radiance.channels[0].0[3] as f32;
+            let sent = seen.nearby_intensity()[0];
+            let expected = radiance * sine * sine;
+            assert!((sent - expected).abs() < 0.02, "{sent} for {expected}");
+        }
+    }
+}
