@@ -41,7 +41,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Poses => 4,
         StageId::Lighting => 3,
         StageId::Shading => 5,
-        StageId::Fusion => 3,
+        StageId::Fusion => 4,
     }
 }
 

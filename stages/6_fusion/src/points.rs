@@ -35,7 +35,7 @@ const MAX_SPLIT: usize = 4;
 /// oblique slopes that bend.
 const MAX_STRAIN_PX: f64 = 0.25;
 /// The same at the rim, where the surface turns away within a pixel.
-const MAX_STRAIN_AT_RIM_PX: f64 = 0.1;
+const MAX_STRAIN_AT_RIM_PX: f64 = 0.15;
 /// Cosine of incidence from which on the rim begins: 72 degrees.
 const RIM_COSINE: f64 = 0.3;
 
