@@ -10,6 +10,7 @@
 use crate::descriptors::root_sift;
 use crate::error::FeaturesError;
 use crate::options::{FeaturesOptions, KeypointRegion};
+use crate::polarity::{BlobPolarity, halve};
 use crate::retention::spread_over_grid;
 use opencv::core::{self, KeyPoint, Mat, Vector};
 use opencv::features2d::SIFT;
@@ -45,6 +46,8 @@ pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints
                 size_px: k.size() * scale,
                 angle_rad: k.angle().to_radians(),
                 response: k.response(),
+                // Looked at below, for those that are kept.
+                bright: false,
                 on_object: photo
                     .mask
                     .as_ref()
@@ -63,12 +66,23 @@ pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints
         longer as f32 / options.num_grid_cells as f32,
         options.max_num_keypoints,
     );
+    let mut polarity = BlobPolarity::new(&encoded);
+    let mut is_bright = |found: &KeyPoint| {
+        let at = |v: f32| v - OPENCV_SIFT_OFFSET_PX;
+        polarity.is_bright(at(found.pt().x), at(found.pt().y), 0.5 * found.size())
+    };
     Ok(PhotoKeypoints {
         descriptors: kept
             .iter()
             .flat_map(|&k| root_sift(&descriptors[rows[k] * 128..(rows[k] + 1) * 128]))
             .collect(),
-        keypoints: kept.iter().map(|&k| keypoints[k]).collect(),
+        keypoints: kept
+            .iter()
+            .map(|&k| Keypoint {
+                bright: is_bright(&found[rows[k]]),
+                ..keypoints[k]
+            })
+            .collect(),
     })
 }
 
@@ -91,16 +105,6 @@ fn encode(image: &LinearImage, max_mpx: f64) -> (Raster<u8>, f32) {
             .collect(),
     };
     (encoded, scale)
-}
-
-/// Mean of 2×2 pixels.
-fn halve(image: &Raster<f32>) -> Raster<f32> {
-    Raster::from_fn(image.width / 2, image.height / 2, |x, y| {
-        0.25 * (image.at(2 * x, 2 * y)
-            + image.at(2 * x + 1, 2 * y)
-            + image.at(2 * x, 2 * y + 1)
-            + image.at(2 * x + 1, 2 * y + 1))
-    })
 }
 
 /// OpenCV's SIFT; the only place that holds its matrices.
@@ -204,6 +208,7 @@ mod tests {
             let (distance, keypoint) = nearest(&found, x, y);
             assert!(distance < 0.1, "blob at ({x}, {y}): {distance} px off");
             assert_eq!(keypoint.on_object, x < 75.0);
+            assert!(keypoint.bright, "blob at ({x}, {y})");
         }
         assert_eq!(found.descriptors.len(), 128 * found.keypoints.len());
     }

@@ -1,10 +1,10 @@
 //! Stage 2: linear photos to keypoints and verified matches.
 //!
 //! Per photo: SIFT keypoints over the whole frame with a low contrast threshold, spread over a
-//! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours that pass
-//! the ratio test find an essential matrix; those, and less distinctive ones, that agree with it
-//! are kept ([`match_photos`]). Pairs are
-//! all pairs of small sets, candidates of large ones.
+//! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours, among
+//! bright blobs and among dark ones, that pass the ratio test find an essential matrix; those, and
+//! less distinctive ones, that agree with it are kept ([`match_photos`]). Pairs are all pairs of
+//! small sets, candidates of large ones.
 
 mod candidates;
 mod descriptors;
@@ -12,6 +12,7 @@ mod detect;
 pub mod error;
 mod matching;
 pub mod options;
+mod polarity;
 pub mod report;
 mod retention;
 mod two_view;
@@ -21,7 +22,7 @@ pub use error::FeaturesError;
 pub use options::{FeaturesOptions, KeypointRegion};
 pub use report::{FeaturesReport, PairReport, PhotoFeatures};
 
-use matching::{DescriptorMatrix, match_descriptors};
+use matching::{PhotoDescriptors, match_descriptors};
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_scene::{
@@ -49,10 +50,8 @@ pub fn match_photos(
             num_keypoint_lists: keypoints.len(),
         });
     }
-    let descriptors: Vec<DescriptorMatrix> = keypoints
-        .par_iter()
-        .map(|k| DescriptorMatrix::new(&k.descriptors))
-        .collect();
+    let descriptors: Vec<PhotoDescriptors> =
+        keypoints.par_iter().map(PhotoDescriptors::new).collect();
     let normalized: Vec<Vec<Point2<f64>>> = keypoints
         .par_iter()
         .zip(&photos.photos)

@@ -2,37 +2,58 @@
 //!
 //! For descriptors `a_i`, `b_j` the squared distance is `|a_i|² + |b_j|² − 2 a_i·b_j`. A match is
 //! a pair of mutual nearest neighbours whose distance is below `max_ratio` times the second
-//! nearest, both ways.
+//! nearest, both ways. Bright blobs are compared with bright ones, dark with dark.
 //!
 //! The dot products are a matrix product in tiles. Bytes in `f32` keep it exact: sums stay below
 //! `128 · 255² < 2²⁴`, so no order of summation rounds, and every machine finds the same matches.
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatRef, Par};
+use rilievo_scene::PhotoKeypoints;
+
+/// Descriptors of one photo's bright and of its dark blobs.
+pub struct PhotoDescriptors([DescriptorMatrix; 2]);
+
+impl PhotoDescriptors {
+    /// Sorts a photo's descriptors by polarity.
+    pub fn new(photo: &PhotoKeypoints) -> Self {
+        Self([true, false].map(|bright| {
+            let keypoints = (0_u32..)
+                .zip(&photo.keypoints)
+                .filter(|(_, k)| k.bright == bright)
+                .map(|(index, _)| index)
+                .collect();
+            DescriptorMatrix::new(&photo.descriptors, keypoints)
+        }))
+    }
+}
 
 /// Descriptors as a matrix, one column each, with their squared norms.
-pub struct DescriptorMatrix {
+struct DescriptorMatrix {
+    /// Indices in the photo, ascending.
+    keypoints: Vec<u32>,
     columns: Mat<f32>,
     squared_norms: Vec<f32>,
 }
 
 impl DescriptorMatrix {
-    /// Wraps `128 n` bytes.
-    pub fn new(descriptors: &[u8]) -> Self {
-        let num = descriptors.len() / 128;
+    /// Takes those of some keypoints from `128 n` bytes.
+    fn new(descriptors: &[u8], keypoints: Vec<u32>) -> Self {
+        let of = |k: u32| &descriptors[k as usize * 128..(k as usize + 1) * 128];
         Self {
-            columns: Mat::from_fn(128, num, |row, column| {
-                f32::from(descriptors[column * 128 + row])
+            columns: Mat::from_fn(128, keypoints.len(), |row, column| {
+                f32::from(of(keypoints[column])[row])
             }),
-            squared_norms: descriptors
-                .chunks_exact(128)
-                .map(|d| d.iter().map(|&v| f32::from(v) * f32::from(v)).sum())
+            squared_norms: keypoints
+                .iter()
+                .map(|&k| of(k).iter().map(|&v| f32::from(v) * f32::from(v)).sum())
                 .collect(),
+            keypoints,
         }
     }
 
     fn len(&self) -> usize {
-        self.squared_norms.len()
+        self.keypoints.len()
     }
 }
 
@@ -87,8 +108,25 @@ pub struct DescriptorMatch {
     pub ratio: f64,
 }
 
-/// Mutual nearest neighbours that pass the ratio test both ways, ordered by the first index.
+/// Mutual nearest neighbours of like polarity that pass the ratio test both ways, ordered by the
+/// first index.
 pub fn match_descriptors(
+    first: &PhotoDescriptors,
+    second: &PhotoDescriptors,
+    max_ratio: f64,
+) -> Vec<DescriptorMatch> {
+    let mut matches: Vec<DescriptorMatch> = first
+        .0
+        .iter()
+        .zip(&second.0)
+        .flat_map(|(a, b)| match_matrices(a, b, max_ratio))
+        .collect();
+    matches.sort_unstable_by_key(|m| m.pair);
+    matches
+}
+
+/// Mutual nearest neighbours of two sets of descriptors.
+fn match_matrices(
     first: &DescriptorMatrix,
     second: &DescriptorMatrix,
     max_ratio: f64,
@@ -135,7 +173,7 @@ pub fn match_descriptors(
             }
             let ratio = of_first.ratio(i).max(of_second.ratio(j as usize));
             (ratio < max_ratio).then_some(DescriptorMatch {
-                pair: [i as u32, j],
+                pair: [first.keypoints[i], second.keypoints[j as usize]],
                 ratio,
             })
         })
@@ -187,10 +225,32 @@ fn scan_column(
 mod tests {
     use super::*;
     use rand::{Rng, SeedableRng};
+    use rilievo_scene::Keypoint;
 
     fn random_descriptors(num: usize, seed: u64) -> Vec<u8> {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         (0..num * 128).map(|_| rng.random_range(0..90)).collect()
+    }
+
+    /// A photo with these descriptors; every third keypoint is bright.
+    fn photo(descriptors: &[u8]) -> PhotoDescriptors {
+        let keypoints = (0..descriptors.len() / 128).map(|k| Keypoint {
+            x: 0.0,
+            y: 0.0,
+            size_px: 2.0,
+            angle_rad: 0.0,
+            response: 1.0,
+            bright: is_bright(k),
+            on_object: true,
+        });
+        PhotoDescriptors::new(&PhotoKeypoints {
+            keypoints: keypoints.collect(),
+            descriptors: descriptors.to_vec(),
+        })
+    }
+
+    fn is_bright(k: usize) -> bool {
+        k.is_multiple_of(3)
     }
 
     /// The definition, in integers.
@@ -201,7 +261,12 @@ mod tests {
                 .sum()
         };
         let (n, m) = (a.len() / 128, b.len() / 128);
-        let two_best = |mut d: Vec<(i64, usize)>| {
+        // Distances of one descriptor to the others of its polarity.
+        let two_best = |k: usize, num: usize, to: &dyn Fn(usize) -> i64| {
+            let mut d: Vec<(i64, usize)> = (0..num)
+                .filter(|&other| is_bright(other) == is_bright(k))
+                .map(|other| (to(other), other))
+                .collect();
             d.sort_unstable();
             (
                 d[0].1,
@@ -211,8 +276,8 @@ mod tests {
         };
         (0..n)
             .filter_map(|i| {
-                let (j, d1, d2) = two_best((0..m).map(|j| (distance(i, j), j)).collect());
-                let (back, e1, e2) = two_best((0..n).map(|k| (distance(k, j), k)).collect());
+                let (j, d1, d2) = two_best(i, m, &|j| distance(i, j));
+                let (back, e1, e2) = two_best(j, n, &|k| distance(k, j));
                 (back == i && d1 < max_ratio.powi(2) * d2 && e1 < max_ratio.powi(2) * e2)
                     .then_some([i as u32, j as u32])
             })
@@ -226,22 +291,21 @@ mod tests {
         // Every second descriptor of `a` recurs in `b`, disturbed.
         for i in (0..300).step_by(2) {
             for k in 0..128 {
-                b[(i + 137) * 128 + k] = a[i * 128 + k].saturating_add((k % 7) as u8);
+                b[(i + 138) * 128 + k] = a[i * 128 + k].saturating_add((k % 7) as u8);
             }
         }
-        let found: Vec<[u32; 2]> =
-            match_descriptors(&DescriptorMatrix::new(&a), &DescriptorMatrix::new(&b), 0.8)
-                .iter()
-                .map(|m| m.pair)
-                .collect();
+        let found: Vec<[u32; 2]> = match_descriptors(&photo(&a), &photo(&b), 0.8)
+            .iter()
+            .map(|m| m.pair)
+            .collect();
         assert_eq!(found, by_definition(&a, &b, 0.8));
         assert_eq!(found.len(), 150);
     }
 
     #[test]
     fn empty_photos_match_nothing() {
-        let some = DescriptorMatrix::new(&random_descriptors(3, 1));
-        let none = DescriptorMatrix::new(&[]);
+        let some = photo(&random_descriptors(3, 1));
+        let none = photo(&[]);
         assert!(match_descriptors(&some, &none, 0.8).is_empty());
         assert!(match_descriptors(&none, &some, 0.8).is_empty());
     }

@@ -51,6 +51,7 @@ mod tests {
             size_px: 2.0,
             angle_rad: 0.0,
             response,
+            bright: true,
             on_object: false,
         };
         let mut keypoints: Vec<Keypoint> = (0..100)

@@ -191,6 +191,7 @@ mod tests {
                     size_px: 2.0,
                     angle_rad: 0.0,
                     response: 1.0,
+                    bright: true,
                     on_object: true,
                 })
                 .collect(),

@@ -140,6 +140,7 @@ pub fn from_truth(
                         size_px: 3.0,
                         angle_rad: 0.0,
                         response: 1.0,
+                        bright: true,
                         on_object: true,
                     }
                 })

@@ -17,6 +17,8 @@ pub struct Keypoint {
     pub angle_rad: f32,
     /// Detector response.
     pub response: f32,
+    /// Whether the blob is brighter than its surroundings.
+    pub bright: bool,
     /// Whether it lies on the object's mask.
     pub on_object: bool,
 }
