@@ -37,8 +37,8 @@ impl std::fmt::Display for StageState {
 pub(super) fn version(stage: StageId) -> u32 {
     match stage {
         StageId::Photos => 3,
-        StageId::Features => 2,
-        StageId::Poses => 4,
+        StageId::Features => 3,
+        StageId::Poses => 5,
         StageId::Lighting => 3,
         StageId::Shading => 5,
         StageId::Fusion => 4,

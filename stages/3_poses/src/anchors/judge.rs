@@ -14,11 +14,12 @@
 //! `ρ (Σ w σ)² + (1 − ρ) Σ w² σ²` for weights that sum to 1.
 //!
 //! **Belief.** More views agree than look through the point, and its doubt is small:
-//! `√(σ² + (0.4 s)²) · (1 + 0.6 tan τ) · (1 + 0.1 m) · a`, in pixels of disparity, with the combined
-//! deviation `σ`; the largest step `s` to a neighbour, `½ [(q + g·d − q_n) + (q − (q_n − g_n·d))]`, in
-//! which curvature cancels, so that it tells depth edges; the tilt `τ`; the number `m` of the eight
+//! `√((¼σ + ¾σ₁)² + (½ s)²) · (1 + 0.6 tan τ) · (1 + 0.08 m) · a`, in pixels of disparity, with the
+//! combined deviation `σ`; the patch's own `σ₁`, since a view that rests on the same photos agrees with
+//! their errors too; the largest step `s` to a neighbour, `½ [(q + g·d − q_n) + (q − (q_n − g_n·d))]`,
+//! in which curvature cancels, so that it tells depth edges; the tilt `τ`; the number `m` of the eight
 //! neighbours that failed; and `a` = 1.5, 1.2, 1 for one, two, more views that agree. All this times
-//! `0.92 + 2 (1 − r)`, `r` the mean correlation with the sources: what no plane, offset and gain
+//! `0.92 + 1.5 (1 − r)`, `r` the mean correlation with the sources: what no plane, offset and gain
 //! explain is relief, an edge, or shading that moved. The factors were fitted to the outliers of
 //! rendered and real objects with known depth.
 
@@ -233,7 +234,7 @@ pub(super) fn judge(
         let tilt = plane.qx.hypot(plane.qy) / plane.q * focal_px;
         let (step, neighbours) = neighbourhood(grid, &nodes[view], cell, node);
         let lonely = if options.dense {
-            1.0 + 0.1 * (8 - neighbours) as f64
+            1.0 + 0.08 * (8 - neighbours) as f64
         } else {
             1.0
         };
@@ -242,8 +243,11 @@ pub(super) fn judge(
             2 => 1.2,
             _ => 1.0,
         };
-        let unexplained = 0.92 + 2.0 * (1.0 - node.alignment.correlation);
-        let doubt = sigma_px.hypot(0.4 * step) * (1.0 + 0.6 * tilt) * lonely * few * unexplained;
+        let unexplained = 0.92 + 1.5 * (1.0 - node.alignment.correlation);
+        let own_px = own * node.alignment.px_per_q;
+        let deviation_px = 0.25 * sigma_px + 0.75 * own_px;
+        let doubt =
+            deviation_px.hypot(0.5 * step) * (1.0 + 0.6 * tilt) * lonely * few * unexplained;
         let supported =
             agreeing.len() > contradicting || (!options.dense && agreeing.len() == contradicting);
         if supported && doubt <= options.max_doubt_px {

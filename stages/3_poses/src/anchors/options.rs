@@ -66,7 +66,7 @@ impl Default for AnchorOptions {
             gain_sigma: 0.02,
             min_correlation: 0.7,
             seed_correlation: 0.85,
-            max_doubt_px: 3.05,
+            max_doubt_px: 3.35,
             max_working_mpx: 4.0,
         }
     }
