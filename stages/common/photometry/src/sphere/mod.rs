@@ -14,6 +14,7 @@
 //! * [`refine_outline`]: outline points at sub-pixel precision on the image.
 //! * [`detect`]: finding spheres without marks.
 
+mod around;
 mod cone;
 mod detect;
 mod error;

@@ -8,6 +8,7 @@
 //!    points, with a narrower search each time.
 //! 3. All together give the world's scale ([`super::common_scale`]).
 
+use super::around::load_around;
 use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
 use super::several::{CommonScale, common_scale, without_doubles};
 use super::{Effort, SphereError, SphereInCamera, SphereOptions, outline_of_mark, refine_outline};
@@ -41,7 +42,7 @@ impl PosedImage {
     }
 }
 
-/// Loads the pixels of posed views.
+/// The whole photos of posed views.
 ///
 /// # Errors
 /// [`SphereError::Pixels`].
@@ -93,23 +94,32 @@ pub fn locate_request(
     options: &SphereOptions,
 ) -> Result<LocatedSpheres, SphereError> {
     options.validate()?;
-    let refines = options.refine && request.spheres.iter().any(|s| !s.marks.is_empty());
-    let images = if refines || request.search_radius.is_some() {
-        load_posed_images(photos, views)?
-    } else {
-        Vec::new()
-    };
     let mut located = LocatedSpheres::default();
+    let mut radii = Vec::new();
     for sphere in &request.spheres {
-        match locate_marked(views, &images, sphere, scale, options) {
-            Ok(mut fit) => {
-                fit.sphere.name.clone_from(&sphere.name);
+        match locate_marked(views, sphere, scale, options) {
+            Ok(fit) => {
                 located.fits.push(fit);
+                radii.push((&sphere.name, sphere.radius));
             }
             Err(error) => located.missing.push((sphere.name.clone(), error)),
         }
     }
+    if options.refine {
+        let around = load_around(photos, views, &located.fits, options.search_px)?;
+        for ((fit, images), (_, radius)) in located.fits.iter_mut().zip(&around).zip(&radii) {
+            let unused_marks = fit.unused_marks.clone();
+            *fit = SphereFit {
+                unused_marks,
+                ..refine_in_views(images, fit.clone(), *radius, scale, options)
+            };
+        }
+    }
+    for (fit, (name, _)) in located.fits.iter_mut().zip(&radii) {
+        fit.sphere.name.clone_from(name);
+    }
     if let Some(radius) = request.search_radius {
+        let images = load_posed_images(photos, views)?;
         let found = super::detect(&images, radius, scale, options)?;
         located.fits.extend(found.fits);
         located.other_sizes = found.other_sizes;
@@ -127,7 +137,6 @@ pub fn locate_request(
 /// Locates one sphere from its marks or its stated centre.
 fn locate_marked(
     views: &[PosedView],
-    images: &[PosedImage],
     sphere: &MarkedSphere,
     scale: WorldScale,
     options: &SphereOptions,
@@ -150,16 +159,7 @@ fn locate_marked(
         let center = sphere.center_in_world.ok_or(SphereError::NoView)?;
         return Ok(stated(center.coords.into(), radius));
     }
-    let fit = locate(&outlines, radius, scale, options)?;
-    if !options.refine {
-        return Ok(fit);
-    }
-    let unused_marks = fit.unused_marks.clone();
-    let refined = refine_in_views(images, fit, radius, scale, options);
-    Ok(SphereFit {
-        unused_marks,
-        ..refined
-    })
+    locate(&outlines, radius, scale, options)
 }
 
 fn stated(center_in_world: [f64; 3], radius: f64) -> SphereFit {

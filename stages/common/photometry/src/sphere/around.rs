@@ -1,0 +1,164 @@
+//! What the photos show around located spheres.
+//!
+//! An outline is looked for within a few pixels of where it is predicted. A part of the photo around it
+//! is all that this takes, with the camera that would have taken the part: the photo's own with the
+//! principal point `c − (x₀, y₀)`, `(x₀, y₀)` the part's first pixel.
+
+use super::locate::SphereFit;
+use super::request::PosedImage;
+use super::{SphereError, SphereInCamera};
+use nalgebra::Point2;
+use rilievo_scene::{Intrinsics, LinearImage, Mask, PhotoSet, PosedView};
+use std::sync::Arc;
+
+/// What the photos show around the spheres that outlines located, one list per fit: parts of the
+/// photos, each with the camera that would have taken it. One photo at a time is in memory: many
+/// large ones take gigabytes.
+pub(super) fn load_around(
+    photos: &PhotoSet,
+    views: &[PosedView],
+    fits: &[SphereFit],
+    search_px: f64,
+) -> Result<Vec<Vec<PosedImage>>, SphereError> {
+    let mut around = vec![Vec::new(); fits.len()];
+    // A stated centre has no outline to follow.
+    if fits.iter().all(|fit| fit.views.is_empty()) {
+        return Ok(around);
+    }
+    for view in views {
+        let photo = &photos.photos[view.photo.0];
+        let image = photo.pixels.load()?;
+        for (list, fit) in around.iter_mut().zip(fits) {
+            if fit.views.is_empty() {
+                continue;
+            }
+            let seen = SphereInCamera::seen(&fit.sphere, &view.cam_from_world);
+            let Some(part) = part_around(&seen, &view.intrinsics, search_px) else {
+                continue;
+            };
+            list.push(PosedImage {
+                photo: view.photo,
+                image: Arc::new(part.of_image(&image)),
+                intrinsics: part.camera(&view.intrinsics),
+                cam_from_world: view.cam_from_world,
+                object: photo
+                    .mask
+                    .as_deref()
+                    .map(|mask| Arc::new(part.of_mask(mask))),
+                clip_level: photo.clip_level,
+            });
+        }
+    }
+    Ok(around)
+}
+
+/// Points of an outline that tell its extent.
+const NUM_EXTENT_POINTS: usize = 64;
+/// Room around a sphere for what the fit may still move, in its radius.
+const ROOM_IN_RADII: f64 = 0.5;
+
+/// A rectangle of a photo.
+struct Part {
+    x0: usize,
+    y0: usize,
+    width: usize,
+    height: usize,
+}
+
+/// The part of a photo in which a sphere's outline is looked for; `None` outside the frame.
+fn part_around(sphere: &SphereInCamera, intrinsics: &Intrinsics, search_px: f64) -> Option<Part> {
+    let outline = sphere.outline(intrinsics, NUM_EXTENT_POINTS);
+    // Samples reach two pixels beyond the search, and interpolation one more.
+    let room = ROOM_IN_RADII * sphere.radius_px(intrinsics) + search_px + 3.0;
+    let extent = |pick: fn(&Point2<f64>) -> f64, size: usize| {
+        let low = outline.iter().map(pick).fold(f64::INFINITY, f64::min) - room;
+        let high = outline.iter().map(pick).fold(f64::NEG_INFINITY, f64::max) + room;
+        let (low, high) = (low.floor().max(0.0), high.ceil().min(size as f64 - 1.0));
+        (low <= high).then(|| (low as usize, (high - low) as usize + 1))
+    };
+    let (x0, width) = extent(|p| p.x, intrinsics.width)?;
+    let (y0, height) = extent(|p| p.y, intrinsics.height)?;
+    Some(Part {
+        x0,
+        y0,
+        width,
+        height,
+    })
+}
+
+impl Part {
+    fn camera(&self, whole: &Intrinsics) -> Intrinsics {
+        Intrinsics {
+            width: self.width,
+            height: self.height,
+            cx: whole.cx - self.x0 as f64,
+            cy: whole.cy - self.y0 as f64,
+            ..*whole
+        }
+    }
+
+    fn of_image(&self, whole: &LinearImage) -> LinearImage {
+        let mut data = Vec::with_capacity(self.width * self.height * whole.channels);
+        for y in self.y0..self.y0 + self.height {
+            let start = (y * whole.width + self.x0) * whole.channels;
+            data.extend_from_slice(&whole.data[start..start + self.width * whole.channels]);
+        }
+        LinearImage {
+            width: self.width,
+            height: self.height,
+            channels: whole.channels,
+            data,
+        }
+    }
+
+    fn of_mask(&self, whole: &Mask) -> Mask {
+        Mask::from_fn(self.width, self.height, |x, y| {
+            whole.contains((x + self.x0) as isize, (y + self.y0) as isize)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Point3;
+
+    #[test]
+    fn a_part_shows_what_the_photo_shows_and_ends_at_its_frame() {
+        let whole = Intrinsics::pinhole(200, 150, 180.0, 99.5, 74.5);
+        let image = LinearImage {
+            width: 200,
+            height: 150,
+            channels: 1,
+            data: (0..200 * 150).map(|k| k as f32).collect(),
+        };
+        // In the middle, cut by the left edge, and beyond it.
+        for (x, inside) in [(0.1, true), (-1.05, true), (-2.0, false)] {
+            let sphere = SphereInCamera {
+                center: Point3::new(x, 0.05, 2.0),
+                radius: 0.2,
+            };
+            let Some(part) = part_around(&sphere, &whole, 6.0) else {
+                assert!(!inside, "sphere at {x}");
+                continue;
+            };
+            assert!(inside, "sphere at {x}");
+            let camera = part.camera(&whole);
+            let cut = part.of_image(&image);
+            assert_eq!((cut.width, cut.height), (camera.width, camera.height));
+            for point in sphere.outline(&whole, 24) {
+                let (dx, dy) = (part.x0 as f64, part.y0 as f64);
+                let moved = Point2::new(point.x - dx, point.y - dy);
+                assert!((camera.ray(&moved) - whole.ray(&point)).norm() < 1e-12);
+                let shown = |i: &LinearImage, p: &Point2<f64>| i.sample(p.x, p.y, 0);
+                assert_eq!(
+                    shown(&cut, &moved).is_some(),
+                    shown(&image, &point).is_some()
+                );
+                if let (Some(a), Some(b)) = (shown(&cut, &moved), shown(&image, &point)) {
+                    assert!((f64::from(a) - f64::from(b)).abs() < 0.02, "{a} {b}");
+                }
+            }
+        }
+    }
+}
