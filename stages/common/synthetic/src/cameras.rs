@@ -6,9 +6,6 @@ use crate::scene::Scene;
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, RigidTransform};
 
-/// Share of the frame, from its centre, that object and sphere fill.
-const FILL: f64 = 0.90;
-
 /// Pose of a camera at `center` that looks at `target`, the horizon turned by `roll`.
 pub(crate) fn look_at(center: &Point3<f64>, target: &Point3<f64>, roll: f64) -> RigidTransform {
     let forward = (target - center).normalize();
@@ -48,8 +45,12 @@ pub(crate) fn place(scene: &Scene, options: &RenderOptions) -> Vec<RigidTransfor
     let poses = |distance: f64| -> Vec<RigidTransform> {
         (0..options.num_views)
             .map(|i| {
-                let jitter =
-                    |item: u32| 2.0 * unit([scene.options.seed as u32, i as u32, item, 11]) - 1.0;
+                let jitter = |item: u32| {
+                    if options.turntable {
+                        return 0.0;
+                    }
+                    2.0 * unit([scene.options.seed as u32, i as u32, item, 11]) - 1.0
+                };
                 let first = -0.5 * step * (options.num_views - 1) as f64;
                 let azimuth = (first + step * i as f64 + 0.12 * step * jitter(0)).to_radians();
                 let elevation = (options.elevation_deg + 4.0 * jitter(1)).to_radians();
@@ -58,9 +59,15 @@ pub(crate) fn place(scene: &Scene, options: &RenderOptions) -> Vec<RigidTransfor
                     -azimuth.cos() * elevation.cos(),
                     elevation.sin(),
                 );
-                let standing = middle(outline.iter().copied());
+                let mut standing = middle(outline.iter().copied());
+                if options.turntable {
+                    (standing.x, standing.y) = (0.0, 0.0);
+                }
                 let center = standing + direction * (distance * (1.0 + 0.03 * jitter(2)));
                 let roll = 0.02 * jitter(6);
+                if options.turntable {
+                    return look_at(&center, &standing, roll);
+                }
                 // The middle of what the camera sees comes to the middle of the frame.
                 let first_look = look_at(&center, &standing, roll);
                 let rays = outline.iter().map(|p| {
@@ -79,8 +86,8 @@ pub(crate) fn place(scene: &Scene, options: &RenderOptions) -> Vec<RigidTransfor
                 camera
                     .project(&pose.apply(point))
                     .is_some_and(|p: Point2<f64>| {
-                        (p.x - camera.cx).abs() < 0.5 * FILL * camera.width as f64
-                            && (p.y - camera.cy).abs() < 0.5 * FILL * camera.height as f64
+                        (p.x - camera.cx).abs() < 0.5 * options.fill * camera.width as f64
+                            && (p.y - camera.cy).abs() < 0.5 * options.fill * camera.height as f64
                     })
             })
         })

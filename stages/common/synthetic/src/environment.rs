@@ -1,7 +1,7 @@
 //! The light: a soft environment, its irradiance, and its nine harmonics.
 //!
-//! Radiance `L(ω) = g(ω_z) + Σ_k c_k exp(κ_k (ω·d_k − 1))` per channel from above (a wall lit
-//! evenly, and windows as lobes), and from below the radiance of the mat,
+//! Radiance `L(ω) = g(ω_z) + Σ_k c_k exp(κ_k (ω·d_k − 1))` per channel from above (a room or sky `g`
+//! that brightens towards the zenith, windows and lamps as lobes), and from below the radiance of the mat,
 //! `L = ρ_mat E(ẑ)`. Irradiance over π on an unshadowed surface, `E(n) = 1/π ∫ L(ω) max(0, n·ω) dω`,
 //! is tabulated; a surface of albedo ρ then shines with `ρ E(n)`.
 //!
@@ -9,6 +9,7 @@
 //! (PAMI 2003) bound what it leaves at 2 % for distant light.
 
 use crate::noise::unit;
+use crate::options::Illumination;
 use nalgebra::{Rotation3, SMatrix, SVector, Vector3};
 use rilievo_scene::SphericalHarmonics;
 
@@ -71,9 +72,8 @@ fn from_octahedral(x: f64, y: f64) -> Vector3<f64> {
 }
 
 impl Environment {
-    /// A window from one side of the front, a weaker one from the other, light from behind and
-    /// above, and a grey room. The front is −y.
-    pub(crate) fn new(seed: u64, mat_albedo: Rgb) -> Self {
+    /// Light of a kind and seed, turned about the vertical by `turn` radians. The front is −y.
+    pub(crate) fn new(seed: u64, kind: Illumination, turn: f64, mat_albedo: Rgb) -> Self {
         let seed = seed as u32 ^ (seed >> 32) as u32;
         let between =
             |item: u32, low: f64, high: f64| low + (high - low) * unit([seed, item, 2, 0]);
@@ -82,35 +82,76 @@ impl Environment {
         } else {
             1.0
         };
-        let towards = |azimuth_deg: f64, elevation_deg: f64| {
-            let (a, e) = (azimuth_deg.to_radians(), elevation_deg.to_radians());
-            // Azimuth from the front, positive to the right.
-            Vector3::new(a.sin() * e.cos(), -a.cos() * e.cos(), e.sin())
+        // Azimuth from the front, positive to the right.
+        let lobe = |azimuth_deg: f64, elevation_deg: f64, concentration: f64, color: Rgb| {
+            let (a, e) = (azimuth_deg.to_radians() + turn, elevation_deg.to_radians());
+            Lobe {
+                direction: Vector3::new(a.sin() * e.cos(), -a.cos() * e.cos(), e.sin()),
+                concentration,
+                color,
+            }
         };
-        let lobes = vec![
-            Lobe {
-                direction: towards(side * between(1, 48.0, 68.0), between(2, 34.0, 48.0)),
-                concentration: between(3, 9.0, 13.0),
-                color: Rgb::new(1.0, 0.95, 0.86) * 4.6,
-            },
-            Lobe {
-                direction: towards(-side * between(4, 55.0, 85.0), between(5, 22.0, 40.0)),
-                concentration: between(6, 5.0, 8.0),
-                color: Rgb::new(0.74, 0.86, 1.0) * between(7, 0.35, 0.55),
-            },
-            Lobe {
-                direction: towards(
-                    180.0 + side * between(8, -40.0, 40.0),
-                    between(9, 45.0, 60.0),
-                ),
-                concentration: 6.0,
-                color: Rgb::new(0.85, 0.92, 1.0) * between(10, 0.4, 0.7),
-            },
-        ];
+        let room = (Rgb::new(0.12, 0.125, 0.13), Rgb::new(0.06, 0.06, 0.065));
+        let (lobes, (zenith, horizon)) = match kind {
+            Illumination::Windows => (
+                vec![
+                    lobe(
+                        side * between(1, 48.0, 68.0),
+                        between(2, 34.0, 48.0),
+                        between(3, 9.0, 13.0),
+                        Rgb::new(1.0, 0.95, 0.86) * 4.6,
+                    ),
+                    lobe(
+                        -side * between(4, 55.0, 85.0),
+                        between(5, 22.0, 40.0),
+                        between(6, 5.0, 8.0),
+                        Rgb::new(0.74, 0.86, 1.0) * between(7, 0.35, 0.55),
+                    ),
+                    lobe(
+                        180.0 + side * between(8, -40.0, 40.0),
+                        between(9, 45.0, 60.0),
+                        6.0,
+                        Rgb::new(0.85, 0.92, 1.0) * between(10, 0.4, 0.7),
+                    ),
+                ],
+                room,
+            ),
+            Illumination::Lamp => (
+                vec![lobe(
+                    side * between(1, 30.0, 60.0),
+                    between(2, 35.0, 50.0),
+                    60.0,
+                    Rgb::new(1.0, 0.92, 0.8) * 22.0,
+                )],
+                room,
+            ),
+            // The overcast sky of Moon and Spencer (1942): (1 + 2 sin e)/3.
+            Illumination::Overcast => (
+                Vec::new(),
+                (Rgb::new(0.95, 0.98, 1.0), Rgb::new(0.317, 0.327, 0.333)),
+            ),
+            Illumination::TwoColors => (
+                vec![
+                    lobe(
+                        between(1, 40.0, 70.0),
+                        between(2, 30.0, 45.0),
+                        12.0,
+                        Rgb::new(1.0, 0.45, 0.2) * 4.0,
+                    ),
+                    lobe(
+                        -between(4, 40.0, 70.0),
+                        between(5, 30.0, 45.0),
+                        12.0,
+                        Rgb::new(0.2, 0.45, 1.0) * 4.0,
+                    ),
+                ],
+                room,
+            ),
+        };
         let mut environment = Self {
             lobes,
-            zenith: Rgb::new(0.12, 0.125, 0.13),
-            horizon: Rgb::new(0.06, 0.06, 0.065),
+            zenith,
+            horizon,
             ground: Rgb::zeros(),
             table: Vec::new(),
         };
@@ -198,7 +239,7 @@ mod tests {
 
     #[test]
     fn nine_harmonics_leave_little_and_turn_with_the_camera() {
-        let environment = Environment::new(3, Rgb::repeat(0.4));
+        let environment = Environment::new(3, Illumination::Windows, 0.0, Rgb::repeat(0.4));
         let rotation = Rotation3::from_euler_angles(0.4, -1.0, 2.0);
         let harmonics = environment.harmonics(&rotation);
         let (mut square, mut total) = (0.0, 0.0);
@@ -216,12 +257,35 @@ mod tests {
 
     #[test]
     fn the_table_agrees_with_the_integral() {
-        let environment = Environment::new(4, Rgb::repeat(0.4));
-        for k in 0..200 {
-            let n = fibonacci(k, 200);
-            let (table, exact) = (environment.irradiance(&n), environment.integrate(&n));
-            let error = (table - exact).norm() / exact.norm();
-            assert!(error < 3e-3, "{n:?}: {error}");
+        for (kind, most) in [
+            (Illumination::Windows, 3e-3),
+            (Illumination::Lamp, 6e-3),
+            // The mat beyond the horizon is brighter than the sky there.
+            (Illumination::Overcast, 6e-3),
+            (Illumination::TwoColors, 3e-3),
+        ] {
+            let environment = Environment::new(4, kind, 0.0, Rgb::repeat(0.4));
+            for k in 0..200 {
+                let n = fibonacci(k, 200);
+                let (table, exact) = (environment.irradiance(&n), environment.integrate(&n));
+                let error = (table - exact).norm() / exact.norm();
+                assert!(error < most, "{kind:?}, {n:?}: {error}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_turn_of_the_light_turns_its_irradiance() {
+        let light =
+            |turn: f64| Environment::new(5, Illumination::TwoColors, turn, Rgb::repeat(0.4));
+        let (still, turned) = (light(0.0), light(0.7));
+        // From the front (−y) to the right (+x) is a positive turn about +z.
+        let rotation = Rotation3::from_axis_angle(&Vector3::z_axis(), 0.7);
+        for k in 0..100 {
+            let n = fibonacci(k, 100);
+            let (a, b) = (still.irradiance(&n), turned.irradiance(&(rotation * n)));
+            let error = (a - b).norm() / a.norm();
+            assert!(error < 1e-2, "{n:?}: {error}");
         }
     }
 }

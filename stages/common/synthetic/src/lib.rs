@@ -27,7 +27,7 @@ mod view;
 pub mod compare;
 
 pub use error::SyntheticError;
-pub use options::{BallOptions, LightModel, RenderOptions, SceneOptions, Subject};
+pub use options::{BallOptions, Illumination, LightModel, RenderOptions, SceneOptions, Subject};
 pub use render::{Renderer, render};
 pub use scene::{ReferenceSphere, Scene};
 pub use sensor::to_srgb8;

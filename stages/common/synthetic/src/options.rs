@@ -17,6 +17,23 @@ pub enum Subject {
     Ellipsoid,
 }
 
+/// What shines on the scene.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Illumination {
+    /// A window from one side of the front, a weaker one from the other, light from behind and
+    /// above, and a grey room.
+    #[default]
+    Windows,
+    /// One lamp of some ten degrees' half-width in a grey room: hard shadows, which want several
+    /// hundred [`RenderOptions::shadow_rays`].
+    Lamp,
+    /// An overcast sky.
+    Overcast,
+    /// An orange and a blue window from either side of the front.
+    TwoColors,
+}
+
 /// A matte sphere that lies on the mat.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -64,6 +81,8 @@ pub struct SceneOptions {
     pub seed: u64,
     /// What stands on the mat.
     pub subject: Subject,
+    /// What shines on it.
+    pub illumination: Illumination,
     /// Height of the object, metres.
     pub height_m: f64,
     /// Amplitude of the carved relief relative to the shape's own design, 0 for none. Above 2 the
@@ -93,6 +112,7 @@ impl Default for SceneOptions {
         Self {
             seed: 1,
             subject: Subject::Bust,
+            illumination: Illumination::Windows,
             height_m: 0.24,
             relief: 1.0,
             albedo: [0.56, 0.53, 0.48],
@@ -136,6 +156,12 @@ pub struct RenderOptions {
     pub arc_deg: f64,
     /// Mean height of the cameras over the horizon, degrees.
     pub elevation_deg: f64,
+    /// Share of the frame, from its centre, that object and spheres fill in every view; above 1 the
+    /// frame cuts them.
+    pub fill: f64,
+    /// The object stands on a turntable: camera and light keep still, the object and its mat turn,
+    /// without a photographer's unsteadiness. The light has its own direction in the middle view.
+    pub turntable: bool,
     /// OpenCV distortion k1, k2, p1, p2, k3.
     pub distortion: [f64; 5],
     /// How light reaches the surface.
@@ -160,6 +186,8 @@ impl Default for RenderOptions {
             focal_in_widths: 1.35,
             arc_deg: 75.0,
             elevation_deg: 24.0,
+            fill: 0.9,
+            turntable: false,
             distortion: [0.0; 5],
             light: LightModel::Bounce,
             noise: 0.004,
@@ -316,6 +344,12 @@ impl RenderOptions {
             "elevation_deg",
             self.elevation_deg,
             "5 to 80 degrees",
+        )?;
+        check(
+            (0.1..=4.0).contains(&self.fill),
+            "fill",
+            self.fill,
+            "0.1 to 4",
         )?;
         check(
             self.distortion.iter().all(|d| d.abs() <= 0.5),

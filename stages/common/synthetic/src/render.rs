@@ -10,7 +10,7 @@
 
 use crate::bake::{Bake, Deficit, Surroundings};
 use crate::cameras::{intrinsics, place};
-use crate::environment::Rgb;
+use crate::environment::{Environment, Rgb};
 use crate::error::SyntheticError;
 use crate::mat::Mat;
 use crate::options::{LightModel, RenderOptions};
@@ -50,6 +50,37 @@ struct Sample {
     normal_in_cam: Vector3<f64>,
 }
 
+/// An environment and what the scene hides of it.
+#[derive(Debug)]
+struct Lit {
+    environment: Environment,
+    bake: Bake,
+}
+
+impl Lit {
+    fn new(scene: &Scene, environment: Environment, options: &RenderOptions) -> Self {
+        let bake = if options.light == LightModel::Harmonics {
+            Bake::default()
+        } else {
+            Bake::new(
+                &Surroundings {
+                    mesh: &scene.mesh,
+                    bvh: &scene.bvh,
+                    spheres: &scene.spheres,
+                    environment: &environment,
+                    albedo: Rgb::from(scene.options.albedo),
+                    mat_reach: 1.8 * scene.options.height_m,
+                    clearance: 0.2 * scene.options.mesh_spacing_m,
+                    seed: scene.options.seed,
+                },
+                options.shadow_rays,
+                options.light == LightModel::Bounce,
+            )
+        };
+        Self { environment, bake }
+    }
+}
+
 /// A scene that is lit and posed, ready to be photographed view by view.
 #[derive(Debug)]
 pub struct Renderer<'a> {
@@ -57,7 +88,8 @@ pub struct Renderer<'a> {
     options: RenderOptions,
     cameras: Vec<RigidTransform>,
     intrinsics: Intrinsics,
-    bake: Bake,
+    /// One for all photos, or on a turntable one for each.
+    lights: Vec<Lit>,
     exposure: f64,
 }
 
@@ -68,30 +100,25 @@ impl<'a> Renderer<'a> {
     /// Unusable options.
     pub fn new(scene: &'a Scene, options: &RenderOptions) -> Result<Self, SyntheticError> {
         options.validate()?;
-        let bake = if options.light == LightModel::Harmonics {
-            Bake::default()
+        let cameras = place(scene, options);
+        let lights = if options.turntable {
+            let azimuth = |pose: &RigidTransform| {
+                let center = pose.center_in_source();
+                center.x.atan2(-center.y)
+            };
+            cameras
+                .iter()
+                .map(|pose| Lit::new(scene, scene.turned_light(azimuth(pose)), options))
+                .collect()
         } else {
-            Bake::new(
-                &Surroundings {
-                    mesh: &scene.mesh,
-                    bvh: &scene.bvh,
-                    spheres: &scene.spheres,
-                    environment: &scene.environment,
-                    albedo: Rgb::from(scene.options.albedo),
-                    mat_reach: 1.8 * scene.options.height_m,
-                    clearance: 0.2 * scene.options.mesh_spacing_m,
-                    seed: scene.options.seed,
-                },
-                options.shadow_rays,
-                options.light == LightModel::Bounce,
-            )
+            vec![Lit::new(scene, scene.environment.clone(), options)]
         };
         let mut renderer = Self {
             scene,
             options: options.clone(),
-            cameras: place(scene, options),
+            cameras,
             intrinsics: intrinsics(options),
-            bake,
+            lights,
             exposure: 1.0,
         };
         renderer.exposure = WHITE / renderer.brightest();
@@ -115,10 +142,16 @@ impl<'a> Renderer<'a> {
         Ok((self.intrinsics, *pose))
     }
 
+    /// Light of photo `idx`.
+    fn lit(&self, idx: usize) -> &Lit {
+        &self.lights[idx.min(self.lights.len() - 1)]
+    }
+
     /// Linear intensity of the brightest surface before exposure.
     fn brightest(&self) -> f64 {
         let scene = self.scene;
-        let paper = scene
+        let lit = self.lit(0);
+        let paper = lit
             .environment
             .irradiance(&Vector3::z())
             .component_mul(&Mat::paper())
@@ -131,8 +164,8 @@ impl<'a> Renderer<'a> {
             .enumerate()
             .map(|(v, (n, _))| {
                 let normal = Vector3::from(n.map(f64::from));
-                let deficit = self.bake.on_object([v as u32; 3], [0.0; 2]);
-                (scene.environment.irradiance(&normal) - deficit * normal)
+                let deficit = lit.bake.on_object([v as u32; 3], [0.0; 2]);
+                (lit.environment.irradiance(&normal) - deficit * normal)
                     .component_mul(&Rgb::from(scene.options.albedo))
                     .max()
             })
@@ -153,7 +186,7 @@ impl<'a> Renderer<'a> {
         let rotation = pose.rotation.to_rotation_matrix();
         let scale = self.exposure * gain;
         let lighting = {
-            let rows = self.scene.environment.harmonics(&rotation);
+            let rows = self.lit(idx).environment.harmonics(&rotation);
             let albedo = self.scene.options.albedo;
             Lighting {
                 channels: (0..3)
@@ -163,6 +196,7 @@ impl<'a> Renderer<'a> {
         };
         let shot = Shot {
             renderer: self,
+            lit: self.lit(idx),
             camera,
             pose,
             center: pose.center_in_source(),
@@ -269,6 +303,7 @@ fn between(normals: [[f32; 3]; 3], [u, v]: [f64; 2]) -> Vector3<f64> {
 /// One camera at work.
 struct Shot<'a> {
     renderer: &'a Renderer<'a>,
+    lit: &'a Lit,
     camera: Intrinsics,
     pose: RigidTransform,
     center: Point3<f64>,
@@ -334,7 +369,7 @@ impl Shot<'_> {
                 ),
             };
             let at = self.center + ray * depth;
-            let deficit = self.renderer.bake.on_object(corners, uv);
+            let deficit = self.lit.bake.on_object(corners, uv);
             let albedo = scene.object_albedo(&at);
             let mut sample = self.lit(Kind::Object, depth, &normal, &albedo, &deficit);
             if scene.options.gloss > 0.0 {
@@ -346,7 +381,7 @@ impl Shot<'_> {
             let at = self.center + ray * t;
             let s = &scene.spheres[idx];
             let normal = (at - Point3::from(s.center_in_world)) / s.radius;
-            let deficit = self.renderer.bake.on_sphere(idx, &normal);
+            let deficit = self.lit.bake.on_sphere(idx, &normal);
             let albedo = Rgb::from(scene.options.albedo);
             return self.lit(Kind::Sphere(idx), t, &normal, &albedo, &deficit);
         }
@@ -355,11 +390,11 @@ impl Shot<'_> {
             let cosine = (-ray.z / length).max(0.05);
             let footprint = t * length / self.camera.focal_px() / cosine.sqrt();
             let albedo = scene.mat.albedo(at.x, at.y, footprint);
-            let deficit = self.renderer.bake.on_mat(at.x, at.y);
+            let deficit = self.lit.bake.on_mat(at.x, at.y);
             return self.lit(Kind::Ground, t, &Vector3::z(), &albedo, &deficit);
         }
         Sample {
-            color: scene.environment.radiance(&(ray / length)) * self.scale,
+            color: self.lit.environment.radiance(&(ray / length)) * self.scale,
             kind: Kind::Air,
             depth: 0.0,
             normal_in_cam: Vector3::zeros(),
@@ -382,7 +417,7 @@ impl Shot<'_> {
                 albedo[c] / mean[c] * self.lighting.channels[c].evaluate(&normal_in_cam)
             })
         } else {
-            let light = scene.environment.irradiance(normal) - deficit * normal;
+            let light = self.lit.environment.irradiance(normal) - deficit * normal;
             light.sup(&Rgb::zeros()).component_mul(albedo) * self.scale
         };
         Sample {
@@ -414,7 +449,7 @@ impl Shot<'_> {
             return Rgb::zeros();
         }
         let share = AT_NORMAL_INCIDENCE + (1.0 - AT_NORMAL_INCIDENCE) * (1.0 - cosine).powi(5);
-        scene.environment.radiance(&mirrored) * (scene.options.gloss * share * self.scale)
+        self.lit.environment.radiance(&mirrored) * (scene.options.gloss * share * self.scale)
     }
 
     /// Moves a hit of the mesh along its ray onto the implicit surface.

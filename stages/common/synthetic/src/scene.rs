@@ -120,13 +120,24 @@ impl Scene {
             .collect();
         Ok(Self {
             mat: Mat::new(options.seed, 1.75 * height, 1.35 * height),
-            environment: Environment::new(options.seed, Mat::mean_albedo()),
+            environment: Self::light(&options, 0.0),
             shape,
             bvh,
             mesh,
             spheres,
             options,
         })
+    }
+
+    /// The environment of the options, turned about the vertical by `turn` radians.
+    fn light(options: &SceneOptions, turn: f64) -> Environment {
+        let mat = Mat::mean_albedo();
+        Environment::new(options.seed, options.illumination, turn, mat)
+    }
+
+    /// The scene's environment, turned about the vertical by `turn` radians.
+    pub(crate) fn turned_light(&self, turn: f64) -> Environment {
+        Self::light(&self.options, turn)
     }
 
     /// The first sphere that a ray of unit direction enters, from outside: its index and the

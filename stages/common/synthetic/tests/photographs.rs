@@ -341,3 +341,36 @@ fn spheres_in_the_object_or_in_each_other_are_refused() {
         );
     }
 }
+
+#[test]
+fn a_turntable_keeps_the_light_with_the_camera_and_fill_cuts_the_object() {
+    let scene = scene(Subject::Ellipsoid);
+    let photos = |turntable: bool, fill: f64| {
+        let options = RenderOptions {
+            turntable,
+            fill,
+            ..small(LightModel::Shadowed)
+        };
+        render(&scene, &options).expect("photos")
+    };
+    // Largest difference between the views' light in the camera's frame, over its mean.
+    let spread = |views: &[RenderedView]| {
+        let row = |v: &RenderedView| v.lighting.channels[1].0;
+        let first = row(&views[0]);
+        let others = views.iter().flat_map(|v| {
+            let own = row(v);
+            (0..9).map(move |k| ((own[k] - first[k]) / first[3]).abs())
+        });
+        others.fold(0.0, f64::max)
+    };
+    let (still, turned) = (photos(false, 0.9), photos(true, 0.9));
+    let (moving, fixed) = (spread(&still), spread(&turned));
+    assert!(fixed < 0.02 && moving > 0.2, "{fixed} {moving}");
+    let touches = |view: &RenderedView| {
+        let mask = &view.object_mask;
+        (0..mask.height).any(|y| *mask.at(0, y) || *mask.at(mask.width - 1, y))
+            || (0..mask.width).any(|x| *mask.at(x, 0) || *mask.at(x, mask.height - 1))
+    };
+    assert!(!still.iter().any(touches));
+    assert!(photos(false, 2.5).iter().all(touches));
+}
