@@ -20,7 +20,7 @@
 //! Stereo, PAMI 41(2), 2019; Li et al., Multi-view Photometric Stereo: A Robust Solution and Benchmark
 //! Dataset for Spatially Varying Isotropic Materials, TIP 29, 2020.
 
-use crate::cameras::{CameraEntry, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::mat::{MatArray, read_mat};
 use crate::words::{lines, read_text};
@@ -130,10 +130,9 @@ fn camera(
             format!("KK is {k:?}, no camera without skew"),
         ));
     }
-    let world_from_camera = Matrix3::from_fn(|row, column| rotation[column][row]);
+    let rotation = Matrix3::from_fn(|row, column| rotation[row][column]);
     let metres = Vector3::from(translation.map(|[t]| t * METRES_PER_MM));
-    let center = -(world_from_camera * metres);
-    let pose = rigid_from_world_pose(&world_from_camera, center.into())
+    let pose = rigid_from_camera_pose(&rotation, &metres)
         .map_err(|reason| IoError::input(path, format!("Rc_{number} {reason}")))?;
     Ok(CameraEntry {
         image: None,

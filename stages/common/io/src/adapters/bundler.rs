@@ -6,7 +6,7 @@
 //! "Output format and scene representation".
 
 use super::{find_image, flip, image_size};
-use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::words::{Line, lines, read_text};
 use nalgebra::{Matrix3, Vector3};
@@ -93,9 +93,7 @@ fn camera(
         return Err(line.refuse(format!("the focal length is {f}")));
     }
     let (width, height) = size()?;
-    let center = -(rotation.transpose() * translation);
-    let world_from_camera = (flip() * rotation).transpose();
-    let pose = rigid_from_world_pose(&world_from_camera, center.into())
+    let pose = rigid_from_camera_pose(&(flip() * rotation), &(flip() * translation))
         .map_err(|reason| line.refuse(format!("the rotation {reason}")))?;
     Ok(CameraEntry {
         image: None,

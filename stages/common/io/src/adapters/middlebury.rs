@@ -4,7 +4,7 @@
 //! `pixel ~ K (R X + t)`, the first pixel's centre at 0. Source: vision.middlebury.edu/mview/data.
 
 use super::{find_image, image_size, refuse_distortion};
-use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, CameraFile, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::words::{lines, read_text};
 use nalgebra::{Matrix3, Vector3};
@@ -37,8 +37,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
             ))
         })?;
         let (width, height) = image_size(&image)?;
-        let center = -(rotation.transpose() * translation);
-        let pose = rigid_from_world_pose(&rotation.transpose(), center.into())
+        let pose = rigid_from_camera_pose(&rotation, &translation)
             .map_err(|reason| line.refuse(format!("R of {name} {reason}")))?;
         file.cameras.push(CameraEntry {
             image: Some(name),

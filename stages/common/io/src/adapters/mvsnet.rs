@@ -11,7 +11,7 @@
 //! ```
 
 use super::{find_image, image_size, refuse_distortion};
-use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, CameraFile, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::words::{Line, lines, read_text};
 use nalgebra::{Matrix3, Vector3};
@@ -111,8 +111,7 @@ fn read_camera(path: &Path, (width, height): (usize, usize)) -> Result<CameraEnt
             "K has the focal lengths {fx}, {fy} and skew {skew}"
         )));
     }
-    let center = -(rotation.transpose() * translation);
-    let pose = rigid_from_world_pose(&rotation.transpose(), center.into())
+    let pose = rigid_from_camera_pose(&rotation, &translation)
         .map_err(|reason| IoError::input(path, format!("the extrinsic {reason}")))?;
     Ok(CameraEntry {
         image: None,

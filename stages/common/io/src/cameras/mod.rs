@@ -14,7 +14,7 @@ mod write;
 use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit};
 
 pub use read::read_cameras;
-pub(crate) use read::{rigid_from_world_pose, unit};
+pub(crate) use read::{rigid_from_camera_pose, rigid_from_world_pose, unit};
 pub use write::write_cameras;
 
 /// One camera of a file.

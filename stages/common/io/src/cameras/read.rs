@@ -4,7 +4,7 @@ use super::{CameraEntry, CameraFile};
 use crate::colmap;
 use crate::error::IoError;
 use crate::json::{self, Node};
-use nalgebra::{Matrix3, Point3, Rotation3};
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, RigidTransform, Unit};
 use std::path::Path;
 
@@ -159,6 +159,16 @@ fn distortion(node: &Node<'_>) -> Result<Distortion, IoError> {
     }
     let [k1, k2, p1, p2, k3] = values;
     Ok(Distortion { k1, k2, p1, p2, k3 })
+}
+
+/// [`rigid_from_world_pose`] of a camera that is given by `x_cam = R x_world + t`.
+pub(crate) fn rigid_from_camera_pose(
+    rotation: &Matrix3<f64>,
+    translation: &Vector3<f64>,
+) -> Result<RigidTransform, String> {
+    let world_from_camera = rotation.transpose();
+    let center = -(world_from_camera * translation);
+    rigid_from_world_pose(&world_from_camera, center.into())
 }
 
 /// `cam_from_world` of a rotation matrix and a centre in the world; the reason where the matrix is
