@@ -3,6 +3,8 @@
 #![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
 
 mod common;
+#[path = "../stages/common/mat_writer.rs"]
+mod mat_writer;
 
 use common::{arg, run};
 use rilievo_io::{
@@ -14,30 +16,14 @@ use std::path::Path;
 const SIZE: (usize, usize) = (40, 30);
 
 /// A MATLAB file of arrays of doubles by columns.
-fn write_mat(path: &Path, arrays: &[(&str, &[usize], Vec<f64>)]) {
-    fn element(kind: u32, data: &[u8]) -> Vec<u8> {
-        let head = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
-        let mut bytes = [head, data.to_vec()].concat();
-        bytes.resize(bytes.len().next_multiple_of(8), 0);
-        bytes
-    }
-    let mut bytes = vec![b' '; 124];
-    bytes.extend([0, 1, b'I', b'M']);
-    for (name, dims, values) in arrays {
-        let dims: Vec<u8> = dims
-            .iter()
-            .flat_map(|&d| (d as i32).to_le_bytes())
-            .collect();
-        let values: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let parts = [
-            element(6, &[6, 0, 0, 0, 0, 0, 0, 0]),
-            element(5, &dims),
-            element(1, name.as_bytes()),
-            element(9, &values),
-        ];
-        bytes.extend(element(14, &parts.concat()));
-    }
-    std::fs::write(path, bytes).expect("a file");
+fn write_mat(path: &Path, arrays: &[(&str, &[i32], Vec<f64>)]) {
+    let arrays = arrays
+        .iter()
+        .map(|(name, dims, values)| mat_writer::array(name, dims, values));
+    let parts: Vec<Vec<u8>> = std::iter::once(mat_writer::header())
+        .chain(arrays)
+        .collect();
+    std::fs::write(path, parts.concat()).expect("a file");
 }
 
 /// A flat view of 0.4 under each of two lamps of strength 2 and 1.
@@ -61,7 +47,7 @@ fn write_view(folder: &Path) {
     let normals = [plane(0.0), plane(0.6), plane(0.8)].concat();
     write_mat(
         &folder.join("Normal_gt.mat"),
-        &[("Normal_gt", &[height, width, 3], normals)],
+        &[("Normal_gt", &[height as i32, width as i32, 3], normals)],
     );
 }
 
@@ -73,7 +59,7 @@ fn diligent_mv_becomes_photos_masks_cameras_and_normals() {
     write_view(&object.join("view_02"));
     let k = vec![100.0, 0.0, 0.0, 0.0, 100.0, 0.0, 19.5, 14.5, 1.0];
     let rotation = vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let mut arrays: Vec<(&str, &[usize], Vec<f64>)> = vec![("KK", &[3, 3], k)];
+    let mut arrays: Vec<(&str, &[i32], Vec<f64>)> = vec![("KK", &[3, 3], k)];
     for (r, t) in [("Rc_1", "Tc_1"), ("Rc_2", "Tc_2")] {
         arrays.push((r, &[3, 3], rotation.clone()));
         arrays.push((t, &[3, 1], vec![10.0, 0.0, 1500.0]));

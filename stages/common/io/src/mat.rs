@@ -184,39 +184,16 @@ fn numbers(kind: u32, stored: &[u8]) -> Option<Vec<f64>> {
     })
 }
 
+#[cfg(test)]
+#[path = "../../mat_writer.rs"]
+mod mat_writer;
+
 /// MAT files for tests, as MATLAB writes them.
 #[cfg(test)]
 pub(crate) mod sample {
+    pub(crate) use super::mat_writer::{array, element, header};
     use flate2::{Compression, write::ZlibEncoder};
     use std::io::Write;
-
-    pub(crate) fn header() -> Vec<u8> {
-        let mut bytes = b"MATLAB 5.0 MAT-file, Platform: GLNXA64".to_vec();
-        bytes.resize(124, b' ');
-        bytes.extend([0, 1, b'I', b'M']);
-        bytes
-    }
-
-    pub(crate) fn element(kind: u32, data: &[u8]) -> Vec<u8> {
-        let mut bytes = kind.to_le_bytes().to_vec();
-        bytes.extend((data.len() as u32).to_le_bytes());
-        bytes.extend(data);
-        bytes.resize(bytes.len().next_multiple_of(8), 0);
-        bytes
-    }
-
-    /// An array of doubles.
-    pub(crate) fn array(name: &str, dims: &[i32], values: &[f64]) -> Vec<u8> {
-        let dims: Vec<u8> = dims.iter().flat_map(|d| d.to_le_bytes()).collect();
-        let values: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-        let parts = [
-            element(super::UINT32, &[6, 0, 0, 0, 0, 0, 0, 0]),
-            element(super::INT32, &dims),
-            element(super::INT8, name.as_bytes()),
-            element(9, &values),
-        ];
-        element(super::MATRIX, &parts.concat())
-    }
 
     pub(crate) fn compressed(whole: &[u8]) -> Vec<u8> {
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());

@@ -7,6 +7,9 @@
 // Helpers of the tests may fail as the tests do.
 #![allow(clippy::unwrap_used)]
 
+#[path = "../../mat_writer.rs"]
+mod mat_writer;
+
 use rilievo_io::{self as io, CameraFormat};
 use rilievo_scene::{CloudPoint, DepthMap, Intrinsics, Mesh, PointCloud, RigidTransform, Unit};
 use std::path::{Path, PathBuf};
@@ -80,25 +83,6 @@ fn cameras() -> io::CameraFile {
 }
 
 /// A MATLAB file with a row of two doubles.
-fn mat_file() -> Vec<u8> {
-    fn element(kind: u32, data: &[u8]) -> Vec<u8> {
-        let head = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
-        let mut bytes = [head, data.to_vec()].concat();
-        bytes.resize(bytes.len().next_multiple_of(8), 0);
-        bytes
-    }
-    let mut bytes = vec![b' '; 124];
-    bytes.extend([0, 1, b'I', b'M']);
-    let parts = [
-        element(6, &[6, 0, 0, 0, 0, 0, 0, 0]),
-        element(5, &[1, 0, 0, 0, 2, 0, 0, 0]),
-        element(1, b"row"),
-        element(9, &[1.5_f64.to_le_bytes(), 2.5_f64.to_le_bytes()].concat()),
-    ];
-    bytes.extend(element(14, &parts.concat()));
-    bytes
-}
-
 fn targets(folder: &Path) -> Vec<Target> {
     let mut targets = Vec::new();
     let mut add = |name, file: PathBuf, given: PathBuf, read| {
@@ -261,7 +245,8 @@ fn targets(folder: &Path) -> Vec<Target> {
         });
     }
     let path = folder.join("arrays.mat");
-    std::fs::write(&path, mat_file()).unwrap();
+    let row = mat_writer::array("row", &[1, 2], &[1.5, 2.5]);
+    std::fs::write(&path, [mat_writer::header(), row].concat()).unwrap();
     add("arrays.mat", path.clone(), path, |p| {
         drop(io::read_mat(p, |_| true));
     });
