@@ -13,7 +13,8 @@
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
 //! and `shading`, first without shading, then in laps of light and shape (`light`, `distant`) at half
 //! the coarse resolution and at the coarse one, with the pigment divided out (`albedo`) and shading
-//! judged by photos that are left out (`validation`); finer levels; and what shape, light and pigment
+//! judged by photos that are left out (`validation`); finer levels, searched once more where photos
+//! disagree (`searched`); and what shape, light and pigment
 //! explain of the photos (`appearance`, `confidence`).
 
 mod albedo;
@@ -44,6 +45,7 @@ mod rendered_tests;
 mod report;
 mod sampling;
 mod search;
+mod searched;
 mod shading;
 mod solve;
 mod spread;

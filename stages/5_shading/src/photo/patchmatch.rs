@@ -10,6 +10,7 @@
 
 use super::hull::InverseDepthRange;
 use super::level::{Level, LevelView};
+use super::plate;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::{Mask, Raster};
 
@@ -47,6 +48,25 @@ pub(crate) struct Planes {
     pub inverse_depth: Vec<f32>,
     pub slope_x: Vec<f32>,
     pub slope_y: Vec<f32>,
+}
+
+impl Planes {
+    /// Tangent planes of a surface of log depths.
+    pub fn tangent(view: &LevelView, depth: &[f64]) -> Self {
+        let slopes = |p: usize| {
+            let (x, y) = plate::slopes(view, p);
+            (
+                (x.of(depth) / view.camera.fx) as f32,
+                (y.of(depth) / view.camera.fy) as f32,
+            )
+        };
+        let (slope_x, slope_y) = (0..depth.len()).map(slopes).unzip();
+        Self {
+            inverse_depth: depth.iter().map(|&zeta| (-zeta).exp() as f32).collect(),
+            slope_x,
+            slope_y,
+        }
+    }
 }
 
 /// A reproducible stream of random numbers (SplitMix64), one per view, sweep and pixel.

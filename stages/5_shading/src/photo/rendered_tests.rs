@@ -5,6 +5,7 @@
 use super::level::Level;
 use super::light::{self, Light, LightScene};
 use super::options::PhotoOptions;
+use super::report::PhotoReport;
 use super::validation::validate;
 use super::views::{self, Scene};
 use super::{distant, plate, shading};
@@ -32,7 +33,15 @@ struct World {
     posed: PosedViews,
 }
 
-fn world(subject: Subject, light: LightModel, stained: bool, size: (usize, usize)) -> World {
+/// Relative albedo of a world point.
+type Pigment = fn(&Point3<f64>) -> [f64; 3];
+
+fn world(
+    subject: Subject,
+    light: LightModel,
+    pigment: Option<Pigment>,
+    size: (usize, usize),
+) -> World {
     let scene = rilievo_synthetic::Scene::new(SceneOptions {
         seed: 5,
         subject,
@@ -56,14 +65,15 @@ fn world(subject: Subject, light: LightModel, stained: bool, size: (usize, usize
     let mut views = Vec::new();
     for i in 0..renderer.num_views() {
         let mut view = renderer.render(i).unwrap();
-        if stained {
+        if let Some(pigment) = pigment {
             let world_from_cam = view.cam_from_world.inverse();
             for y in 0..view.depth.height {
                 for x in 0..view.depth.width {
                     let z = f64::from(*view.depth.at(x, y));
                     if z > 0.0 {
                         let pixel = Point2::new(x as f64, y as f64);
-                        let a = stain(&world_from_cam.apply(&view.intrinsics.unproject(&pixel, z)));
+                        let a =
+                            pigment(&world_from_cam.apply(&view.intrinsics.unproject(&pixel, z)));
                         for (v, a) in view.image.pixel_mut(x, y).iter_mut().zip(a) {
                             *v *= a as f32;
                         }
@@ -105,6 +115,31 @@ fn world(subject: Subject, light: LightModel, stained: bool, size: (usize, usize
         views,
         photos,
         posed,
+    }
+}
+
+/// Grain of about a centimetre.
+fn grain(p: &Point3<f64>) -> [f64; 3] {
+    let wave = |a: f64, b: f64, c: f64| (600.0 * (a * p.x + b * p.y + c * p.z)).sin();
+    let s = wave(1.0, 0.4, 0.6) + wave(-0.5, 0.8, 0.7) + wave(0.3, -0.7, 0.9);
+    [(0.04 * s).exp(); 3]
+}
+
+/// Brightens and darkens every photo in a pattern of its own, as gloss and bounce do.
+fn disturb(world: &mut World) {
+    for (i, photo) in world.photos.photos.iter_mut().enumerate() {
+        let mut image = world.views[i].image.clone();
+        let phase = i as f64;
+        for y in 0..image.height {
+            for x in 0..image.width {
+                let (along, down) = (0.2 * x as f64 + 1.7 * phase, 0.17 * y as f64 + 2.3 * phase);
+                let factor = (0.12 * (along.sin() + down.sin())).exp() as f32;
+                for value in image.pixel_mut(x, y) {
+                    *value *= factor;
+                }
+            }
+        }
+        photo.pixels = Arc::new(InMemoryPixels(Arc::new(image)));
     }
 }
 
@@ -167,12 +202,12 @@ fn miss(level: &Level, depths: &[Vec<f64>], light: &Light) -> f64 {
 #[test]
 fn light_is_recovered_with_and_without_shadow() {
     let size = (320, 240);
-    let open = world(Subject::Bust, LightModel::Harmonics, false, size);
+    let open = world(Subject::Bust, LightModel::Harmonics, None, size);
     let scene = loaded(&open);
     let truth = depths(&open, &scene);
     let nine = distant::fit(&scene.pyramid[0], &truth, LightKind::World).unwrap();
     let open_miss = miss(&scene.pyramid[0], &truth, &nine);
-    let shadowed = world(Subject::Bust, LightModel::Bounce, false, size);
+    let shadowed = world(Subject::Bust, LightModel::Bounce, None, size);
     let scene = loaded(&shadowed);
     let truth = depths(&shadowed, &scene);
     let level = &scene.pyramid[0];
@@ -192,7 +227,7 @@ fn light_is_recovered_with_and_without_shadow() {
 
 #[test]
 fn photos_left_out_end_shading_under_a_wrong_light() {
-    let world = world(Subject::Stone, LightModel::Bounce, false, (320, 240));
+    let world = world(Subject::Stone, LightModel::Bounce, None, (320, 240));
     let scene = loaded(&world);
     let level = &scene.pyramid[0];
     let truth = depths(&world, &scene);
@@ -235,7 +270,7 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
 
 #[test]
 fn stains_become_albedo_and_no_relief() {
-    let world = world(Subject::Stone, LightModel::Bounce, true, (400, 300));
+    let world = world(Subject::Stone, LightModel::Bounce, Some(stain), (400, 300));
     let lighting = LightingCalibration {
         source: LightSource::OwnShape,
         kind: LightKind::World,
@@ -329,6 +364,10 @@ fn accuracy(world: &World, shaded: &ShadedViews) -> (f64, f64) {
 }
 
 fn solved(world: &World) -> ShadedViews {
+    solved_by(world, &PhotoOptions::default()).0
+}
+
+fn solved_by(world: &World, options: &PhotoOptions) -> (ShadedViews, PhotoReport) {
     let lighting = LightingCalibration {
         source: LightSource::OwnShape,
         kind: LightKind::World,
@@ -336,16 +375,13 @@ fn solved(world: &World) -> ShadedViews {
         views: Vec::new(),
         spheres: Vec::new(),
     };
-    let options = PhotoOptions::default();
-    super::run(&world.photos, &world.posed, &lighting, &options, &Silent)
-        .unwrap()
-        .0
+    super::run(&world.photos, &world.posed, &lighting, options, &Silent).unwrap()
 }
 
 #[test]
 fn own_scenes_are_found_and_a_missing_view_changes_little() {
     let size = (240, 180);
-    let bounce = world(Subject::Stone, LightModel::Bounce, false, size);
+    let bounce = world(Subject::Stone, LightModel::Bounce, None, size);
     let all = solved(&bounce);
     let scenes = [
         ("stone", LightModel::Shadowed, Subject::Stone, 9.0, 0.001),
@@ -362,7 +398,7 @@ fn own_scenes_are_found_and_a_missing_view_changes_little() {
     println!("stone with bounce: {angle:.2} deg, depth {depth:.5}");
     assert!(angle < 9.0 && depth < 0.001, "{angle} deg, {depth}");
     for (name, light, subject, max_angle, max_depth) in scenes {
-        let scene = world(subject, light, false, size);
+        let scene = world(subject, light, None, size);
         let (angle, depth) = accuracy(&scene, &solved(&scene));
         println!("{name}: {angle:.2} deg, depth {depth:.5}");
         assert!(
@@ -396,6 +432,47 @@ fn own_scenes_are_found_and_a_missing_view_changes_little() {
         fewer_angle < 1.15 * angle,
         "{fewer_angle} deg with three views, {angle} with four"
     );
+}
+
+#[test]
+fn a_finer_search_holds_photos_that_disagree() {
+    let mut scene = world(
+        Subject::Stone,
+        LightModel::Shadowed,
+        Some(grain),
+        (240, 180),
+    );
+    let with = PhotoOptions {
+        coarse_pixels: 4000,
+        num_laps: 0,
+        ..PhotoOptions::default()
+    };
+    let without = PhotoOptions {
+        finer_search: false,
+        ..with.clone()
+    };
+    let (_, report) = solved_by(&scene, &with);
+    assert_eq!(
+        report.finer_search_scatter_px, None,
+        "{}",
+        report.disagreement
+    );
+    disturb(&mut scene);
+    let (found, report) = solved_by(&scene, &with);
+    let (plain, plain_report) = solved_by(&scene, &without);
+    assert!(report.disagreement > 0.055, "{}", report.disagreement);
+    assert_eq!(plain_report.finer_search_scatter_px, None);
+    let scatter = report.finer_search_scatter_px.unwrap();
+    assert!(scatter > 0.0 && scatter < 1.0, "{scatter} px");
+    let ((angle, depth), (plain_angle, plain_depth)) =
+        (accuracy(&scene, &found), accuracy(&scene, &plain));
+    println!(
+        "{angle:.2} deg, depth {depth:.5}; without {plain_angle:.2} deg, {plain_depth:.5}; \
+         disagreement {:.3}, scatter {scatter:.2} px",
+        report.disagreement
+    );
+    assert!(depth < 0.8 * plain_depth, "{depth}, without {plain_depth}");
+    assert!(angle < plain_angle, "{angle} deg, without {plain_angle}");
 }
 
 fn correlation(pairs: &[(f64, f64)]) -> f64 {

@@ -60,6 +60,8 @@ pub struct PhotoReport {
     pub sigma_match: f64,
     /// Median distance between the views' searched depths, pixel footprints.
     pub search_scatter_px: f64,
+    /// The same of the last search at a finer level, where there was one.
+    pub finer_search_scatter_px: Option<f64>,
     /// Whether shading took part, and why not.
     pub shading: String,
     /// What photos that were left out said of shading.

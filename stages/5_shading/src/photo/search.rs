@@ -6,15 +6,16 @@
 //! is as good as constant.
 
 use super::course::Course;
-use super::gains::{self, Exposure};
+use super::gains;
 use super::hull;
 use super::level::Level;
 use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
 use super::report::{LapReport, PhotoViewReport};
-use super::start;
+use super::start::{self, Agreement};
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rayon::prelude::*;
+use rilievo_numerics::plate_system::PlateSolver;
 use rilievo_scene::{Mask, PosedViews};
 use std::time::Instant;
 
@@ -22,12 +23,45 @@ use std::time::Instant;
 const MIN_DISAGREEMENT: f64 = 0.012;
 /// Beyond this the photos hardly show the same object.
 const MAX_DISAGREEMENT: f64 = 0.2;
+/// Disagreement from which patches are compared by correlation.
+const LARGE_DISAGREEMENT: f64 = 0.055;
 /// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
 
 impl Course<'_> {
-    fn dense_search(
+    /// Size of a search; one with a start needs its planes spread and polished only.
+    pub(crate) fn patch_options(&self, cost: PatchCost, is_started: bool) -> PatchMatchOptions {
+        let num_sweeps = self.options.num_sweeps;
+        let num_sources = self.scene.sources.iter().map(Vec::len).max().unwrap_or(1);
+        PatchMatchOptions {
+            cost,
+            radius_px: 6,
+            stride_px: 2,
+            num_sweeps: if is_started {
+                num_sweeps.div_ceil(2)
+            } else {
+                num_sweeps
+            },
+            num_trials: 6,
+            // Beside an edge some sources see another surface: the better half tells depth (Kang, Szeliski,
+            // Chai, CVPR 2001). Differences need more, and so does a search without a start.
+            num_best: if is_started && cost == PatchCost::Correlation {
+                num_sources.div_ceil(2)
+            } else {
+                3
+            },
+            seed: self.options.seed,
+        }
+    }
+
+    /// Whether brightness is far enough from constant for correlation to tell more than differences.
+    pub(crate) fn photos_disagree(&self) -> bool {
+        self.report.disagreement >= LARGE_DISAGREEMENT
+    }
+
+    /// Planes of every view at a level, compared with its sources.
+    pub(crate) fn dense_search(
         &self,
         at: usize,
         posed: &PosedViews,
@@ -53,20 +87,7 @@ impl Course<'_> {
             .iter()
             .map(|v| hull::dilate(&v.mask, 1))
             .collect();
-        let options = PatchMatchOptions {
-            cost,
-            radius_px: 6,
-            stride_px: 2,
-            // A start needs its planes spread and polished only.
-            num_sweeps: if start.is_some() {
-                self.options.num_sweeps.div_ceil(2)
-            } else {
-                self.options.num_sweeps
-            },
-            num_trials: 6,
-            num_best: 3,
-            seed: self.options.seed,
-        };
+        let options = self.patch_options(cost, start.is_some());
         Ok((0..level.views.len())
             .into_par_iter()
             .with_max_len(1)
@@ -77,11 +98,12 @@ impl Course<'_> {
             .collect())
     }
 
-    /// Gains of the photos, divided out of every level, and the weight of the match term.
+    /// Gains of the photos, divided out of every level, and the weight of the match term. Returns the
+    /// planes of the first search.
     pub(crate) fn find_exposure(
         &mut self,
         posed: &PosedViews,
-    ) -> Result<(Exposure, Vec<Planes>), ShadingError> {
+    ) -> Result<Vec<Planes>, ShadingError> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.pyramid.len() - 1);
         self.tell("comparing exposures", 0, 1)?;
@@ -130,25 +152,24 @@ impl Course<'_> {
                 ..PhotoViewReport::default()
             })
             .collect();
-        Ok((exposure, planes))
+        Ok(planes)
     }
 
     /// The surface that the views agree on, continued over their masks.
     pub(crate) fn find_surface(
         &mut self,
         posed: &PosedViews,
-        (exposure, planes): &(Exposure, Vec<Planes>),
+        planes: &[Planes],
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let began = Instant::now();
         let at = self.scene.coarse;
         self.tell("searching depth", 0, 1)?;
-        // Where brightness is as good as constant, differences tell more than correlation.
-        let cost = if exposure.disagreement < 0.055 {
+        let cost = if self.photos_disagree() {
+            PatchCost::Correlation
+        } else {
             PatchCost::SquaredDifferences {
                 sigma: (2.7 * self.sigma_match) as f32,
             }
-        } else {
-            PatchCost::Correlation
         };
         let start: Option<Vec<Planes>> = self.scene.pyramid.get(at + 1).map(|coarse| {
             coarse
@@ -165,23 +186,7 @@ impl Course<'_> {
         let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
         let agreement = start::agreement(level, &depths, agreement_tolerance(level));
         self.report.search_scatter_px = start::scatter(level, &depths);
-        let filled: Vec<_> = level
-            .views
-            .par_iter()
-            .enumerate()
-            .map(|(i, view)| {
-                let weight: Vec<f64> = agreement[i]
-                    .count
-                    .iter()
-                    .map(|&c| match c {
-                        0 => 0.0,
-                        1 => 0.5,
-                        _ => 1.0,
-                    })
-                    .collect();
-                start::continued(view, &solvers[i], &depths[i], &weight, 1.0 / level.focal())
-            })
-            .collect();
+        let surface = self.continued(at, &solvers, &depths, &agreement)?;
         for (i, agreement) in agreement.iter().enumerate() {
             let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
             self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
@@ -192,7 +197,29 @@ impl Course<'_> {
             seconds: began.elapsed().as_secs_f64(),
             ..LapReport::default()
         });
-        filled
+        Ok(surface)
+    }
+
+    /// Every view's surface through its confirmed depths.
+    pub(crate) fn continued(
+        &self,
+        at: usize,
+        solvers: &[PlateSolver],
+        depths: &[Vec<f64>],
+        agreement: &[Agreement],
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let level = &self.scene.pyramid[at];
+        let footprint = 1.0 / level.focal();
+        let surfaces: Vec<_> = level
+            .views
+            .par_iter()
+            .enumerate()
+            .map(|(i, view)| {
+                let weight = agreement[i].weights();
+                start::continued(view, &solvers[i], &depths[i], &weight, footprint)
+            })
+            .collect();
+        surfaces
             .into_iter()
             .enumerate()
             .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
@@ -201,6 +228,6 @@ impl Course<'_> {
 }
 
 /// Relative depth within which two views' dense depths agree: a few pixels of the level.
-fn agreement_tolerance(level: &Level) -> f64 {
+pub(crate) fn agreement_tolerance(level: &Level) -> f64 {
     2.7 / level.focal()
 }

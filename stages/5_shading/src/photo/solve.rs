@@ -36,8 +36,8 @@ pub(crate) fn solve(
             view: course.scene.frames[0].name.clone(),
         });
     }
-    let exposure = course.find_exposure(posed)?;
-    let mut depths = course.find_surface(posed, &exposure)?;
+    let planes = course.find_exposure(posed)?;
+    let mut depths = course.find_surface(posed, &planes)?;
     let mut at = course.scene.coarse;
     course.show(at, "start", &depths);
     let mut solvers = course.solvers(at)?;
@@ -52,7 +52,7 @@ pub(crate) fn solve(
         rounds,
     )?;
     let (light, last) = course.light_laps(&mut at, &mut solvers, &mut depths, posed, lighting)?;
-    let light = course.finer_levels(&mut at, &mut depths, light, last)?;
+    let light = course.finer_levels(&mut at, &mut depths, light, last, posed)?;
     let appearances = course.appearance(at, &depths, light.as_ref());
     let shaded = output::maps(&course.scene, at, &depths, &appearances);
     Ok((shaded, course.report))
@@ -146,6 +146,7 @@ impl Course<'_> {
         depths: &mut Vec<Vec<f64>>,
         mut light: Option<Light>,
         last: LapWeights,
+        posed: &PosedViews,
     ) -> Result<Option<Light>, ShadingError> {
         while *at > 0 && self.scene.pyramid[*at - 1].mean_pixels() <= self.options.max_fine_pixels {
             *at -= 1;
@@ -153,6 +154,9 @@ impl Course<'_> {
             let finer = self.descend(*at, &solvers, depths)?;
             *depths = finer;
             self.show(*at, "finer start", depths);
+            if self.options.finer_search && self.photos_disagree() {
+                *depths = self.search_again(*at, &solvers, depths, posed)?;
+            }
             light = light.map(|light| self.finer_light(*at, depths, &light));
             let mut weights = LapWeights {
                 consensus_px: 0.9,

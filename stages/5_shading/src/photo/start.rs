@@ -22,6 +22,20 @@ pub(crate) struct Agreement {
     pub which: Vec<u8>,
 }
 
+impl Agreement {
+    /// Weight of every pixel's depth: 1 where two sources agree, ½ where one does, else 0.
+    pub fn weights(&self) -> Vec<f64> {
+        self.count
+            .iter()
+            .map(|&count| match count {
+                0 => 0.0,
+                1 => 0.5,
+                _ => 1.0,
+            })
+            .collect()
+    }
+}
+
 /// Compares log depths between the views; `tolerance` is relative depth.
 pub(crate) fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Agreement> {
     level

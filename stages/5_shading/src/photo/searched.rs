@@ -1,0 +1,55 @@
+//! Dense search at a finer level, where photos disagree too much to be compared pixel by pixel.
+//!
+//! Gloss, bounce and dirt make two photos of one point differ; the match term's σ_m grows with that
+//! disagreement, and single pixels lose their hold on the surface. The correlation of patches cancels
+//! gain and offset and still tells depth to a fraction of a pixel. So the tangent planes of the solved
+//! surface are searched around once more, and the surface starts again from the depths that another view
+//! confirms.
+//!
+//! The search knows no smoothness, and so finds the breaks that a plate bridges; gaps behind nearer
+//! surfaces are continued (`edges`).
+
+use super::course::Course;
+use super::patchmatch::{PatchCost, Planes};
+use super::report::LapReport;
+use super::search::agreement_tolerance;
+use super::start;
+use crate::error::ShadingError;
+use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_scene::PosedViews;
+use std::time::Instant;
+
+impl Course<'_> {
+    /// The surface at level `at`, searched around `depths`.
+    pub(crate) fn search_again(
+        &mut self,
+        at: usize,
+        solvers: &[PlateSolver],
+        depths: &[Vec<f64>],
+        posed: &PosedViews,
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let began = Instant::now();
+        self.tell("searching depth again", 0, 1)?;
+        let level = &self.scene.pyramid[at];
+        let planes: Vec<Planes> = level
+            .views
+            .iter()
+            .zip(depths)
+            .map(|(view, depth)| Planes::tangent(view, depth))
+            .collect();
+        let planes = self.dense_search(at, posed, PatchCost::Correlation, Some(&planes))?;
+        let found: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let agreement = start::agreement(level, &found, agreement_tolerance(level));
+        let scatter_px = start::scatter(level, &found);
+        let surface = self.continued(at, solvers, &found, &agreement)?;
+        self.report.finer_search_scatter_px = Some(scatter_px);
+        self.report.laps.push(LapReport {
+            level: at,
+            kind: "finer search".to_owned(),
+            seconds: began.elapsed().as_secs_f64(),
+            ..LapReport::default()
+        });
+        self.show(at, "searched", &surface);
+        Ok(surface)
+    }
+}
