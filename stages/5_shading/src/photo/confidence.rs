@@ -53,10 +53,7 @@ pub(crate) fn estimate(
         .into_par_iter()
         .with_min_len(1024)
         .map(|p| {
-            let (x, y) = view.xy(p);
-            let ray = view.camera.ray(x, y).normalize();
-            let n = normals[p];
-            let cosine = -(n[0] * ray.x + n[1] * ray.y + n[2] * ray.z);
+            let cosine = view.incidence_cosine(p, normals[p]);
             let tan = if cosine > 0.0 {
                 ((1.0 - cosine * cosine).max(0.0).sqrt() / cosine).min(MAX_TAN)
             } else {

@@ -22,10 +22,7 @@ pub(crate) fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raste
             let normals = plate::normals(view, depth);
             let weights: Vec<f64> = (0..view.pixels.len())
                 .map(|i| {
-                    let (x, y) = view.xy(i);
-                    let ray = view.camera.ray(x, y).normalize();
-                    let n = normals[i];
-                    let cos = -(n[0] * ray.x + n[1] * ray.y + n[2] * ray.z);
+                    let cos = view.incidence_cosine(i, normals[i]);
                     let rim = if is_rim(view, i) { 0.1 } else { 1.0 };
                     rim * cos.clamp(0.05, 1.0).powi(2)
                 })

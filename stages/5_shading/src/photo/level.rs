@@ -2,6 +2,7 @@
 
 use super::camera::{Camera, Warp};
 use super::sampling;
+use nalgebra::Vector3;
 use rilievo_numerics::plate_system::PixelNumbering;
 use rilievo_scene::{LinearImage, Mask, Raster};
 
@@ -157,6 +158,18 @@ impl LevelView {
             f64::from(self.pixels.xs[index]),
             f64::from(self.pixels.ys[index]),
         )
+    }
+
+    /// Cosine of the angle between a masked pixel's line of sight and its normal, camera frame; negative
+    /// where the surface turns away.
+    #[inline]
+    pub fn incidence_cosine(&self, index: usize, normal: [f64; 3]) -> f64 {
+        let (x, y) = self.xy(index);
+        -self
+            .camera
+            .ray(x, y)
+            .normalize()
+            .dot(&Vector3::from(normal))
     }
 
     /// Intensities of a masked pixel.
