@@ -25,6 +25,10 @@
 //!
 //! Source: Quéau, Mélou, Durou, Cremers, ICCV 2017 (`queau2017`).
 
+#[cfg(test)]
+// Tests in the sources share scenes with those outside.
+extern crate self as rilievo_shading;
+
 mod breaks;
 mod confidence;
 mod error;

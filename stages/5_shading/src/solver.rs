@@ -6,7 +6,9 @@ use crate::levels::{Level, ladder};
 use crate::linearized;
 use crate::matches;
 use crate::model::Facet;
-use crate::options::{Coupling, PenaltySchedule, ShadingOptions, Splitting, StartShape};
+use crate::options::{
+    Coupling, PenaltySchedule, Projection, ShadingOptions, Splitting, StartShape,
+};
 use crate::prepare::{Geometry, PreparedView, prepare};
 use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use crate::result::{maps, rms_residual};
@@ -54,6 +56,13 @@ pub(crate) fn solve(
     for (view, from_matches) in problem.views.iter().zip(&tied.by_view) {
         let anchors: Vec<DepthAnchor> = view.anchors.iter().chain(from_matches).copied().collect();
         let (solved, facts) = solve_view(view, &anchors, options, observer)?;
+        if known_depth(view, &anchors).is_none() {
+            report.warnings.push(format!(
+                "{}: nothing tells its depth: shape is known up to one factor, and the middle of the \
+                 object is put at depth 1",
+                view.name
+            ));
+        }
         views.push(solved);
         report.views.push(facts);
     }
@@ -93,8 +102,19 @@ fn take_turns(
     Ok(())
 }
 
-/// Depth that fixes the unknown's zero: the median of what is known.
-fn reference_depth(view: &ShadingView, anchors: &[DepthAnchor]) -> Option<f64> {
+/// Depth that fixes the unknown's zero: the median of what is known, or 1 where a plane is asked for
+/// and shape up to a factor is all that one photo tells.
+fn reference_depth(
+    view: &ShadingView,
+    anchors: &[DepthAnchor],
+    options: &ShadingOptions,
+) -> Option<f64> {
+    let free = options.start == StartShape::Plane && options.projection == Projection::Perspective;
+    known_depth(view, anchors).or(free.then_some(1.0))
+}
+
+/// Median of what is known of a view's depth.
+fn known_depth(view: &ShadingView, anchors: &[DepthAnchor]) -> Option<f64> {
     let mut known: Vec<f64> = anchors.iter().map(|a| a.depth).collect();
     if known.is_empty() {
         let map = view
@@ -293,9 +313,10 @@ fn solve_view(
             advice: "check the mask: white is the object",
         });
     }
-    let reference = reference_depth(view, anchors).ok_or_else(|| ShadingError::NoDepth {
-        view: view.name.clone(),
-    })?;
+    let reference =
+        reference_depth(view, anchors, options).ok_or_else(|| ShadingError::NoDepth {
+            view: view.name.clone(),
+        })?;
     let prepared = prepare(view, options, reference)?;
     let geometry = prepared.geometry;
     let mut report = prepared.report.clone();

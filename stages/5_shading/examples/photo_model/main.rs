@@ -78,11 +78,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     let wall = began.elapsed().as_secs_f64();
     for lap in &report.laps {
         println!(
-            "  level {} {:28} rounds {} change {:.3} sigma_s {:.4} match {:.4}  {:.1} s",
+            "  level {} {:28} rounds {} moved {:.3} px, turned {:.2} deg, in all {:.2}, sigma_s {:.4} match {:.4}  {:.1} s",
             lap.level,
             lap.kind,
             lap.num_rounds,
-            lap.last_change,
+            lap.moved_px,
+            lap.turned_deg,
+            lap.lap_turned_deg,
             lap.sigma_shading,
             lap.match_residual,
             lap.seconds

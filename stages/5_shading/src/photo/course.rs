@@ -39,6 +39,13 @@ impl Course<'_> {
         }
     }
 
+    /// Notes once what the data could not tell.
+    pub(crate) fn note(&mut self, note: &str) {
+        if !self.report.notes.iter().any(|n| n == note) {
+            self.report.notes.push(note.to_owned());
+        }
+    }
+
     pub(crate) fn failed(&self, view: usize, error: &PlateError) -> ShadingError {
         ShadingError::Numerics {
             view: self.scene.frames[view].name.clone(),

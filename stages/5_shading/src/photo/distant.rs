@@ -59,13 +59,13 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
             harmonics[i] = vec![pixel; level.views[i].pixels.len()];
         }
     }
-    let mut light = with_residuals(level, &normals, harmonics, None);
-    if kind == LightKind::Camera {
-        light.mean_tolerance = 0.0;
-    }
+    let light = with_residuals(level, &normals, harmonics, None, kind);
     let pigment = albedo::estimate(level, depths, &light);
-    let tolerance = light.mean_tolerance;
-    let mut light = with_residuals(level, &normals, light.harmonics, Some(pigment));
-    light.mean_tolerance = tolerance;
-    Some(light)
+    Some(with_residuals(
+        level,
+        &normals,
+        light.harmonics,
+        Some(pigment),
+        kind,
+    ))
 }

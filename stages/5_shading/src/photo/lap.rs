@@ -4,6 +4,7 @@ use super::course::Course;
 use super::level::{self, Level};
 use super::light::Light;
 use super::matching::MatchOptions;
+use super::plate;
 use super::report::LapReport;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
@@ -94,9 +95,10 @@ impl Course<'_> {
         step_weights(&self.scene.pyramid[at], self.sigma_match, weights)
     }
 
-    /// Gauss-Newton rounds over all views. Views of even and odd number take turns, so that two
-    /// views never swap their surfaces.
-    #[allow(clippy::too_many_arguments)] // what a lap works on, its weights, and its name in the report
+    /// Gauss-Newton rounds over all views, until one changes the surface by less than the options'
+    /// tolerances: depth, and where shading takes part normals (without it they follow the photos'
+    /// noise for as long as they are let). Views of even and odd number take turns, so that two views
+    /// never swap their surfaces. Returns the mean turn of the normals in the lap, degrees.
     pub(crate) fn lap(
         &mut self,
         at: usize,
@@ -105,8 +107,7 @@ impl Course<'_> {
         weights: &LapWeights,
         light: Option<&Light>,
         kind: &str,
-        num_rounds: usize,
-    ) -> Result<(), ShadingError> {
+    ) -> Result<f64, ShadingError> {
         let began = Instant::now();
         let options = self.step_options(at, weights);
         let mut record = LapReport {
@@ -115,10 +116,12 @@ impl Course<'_> {
             sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
             ..LapReport::default()
         };
-        for round in 0..num_rounds {
-            self.tell(kind, round, num_rounds)?;
+        let start = depths.to_vec();
+        let max_num_rounds = self.options.max_num_rounds;
+        for round in 0..max_num_rounds {
+            self.tell(kind, round, max_num_rounds)?;
             let level = &self.scene.pyramid[at];
-            let (mut change, mut residuals) = (0.0, Vec::new());
+            let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
             for parity in 0..2 {
                 let rasters = level::depth_rasters(level, depths);
                 let outcomes: Vec<_> = (parity..level.views.len())
@@ -145,7 +148,8 @@ impl Course<'_> {
                 for (i, outcome) in outcomes {
                     let outcome = outcome.map_err(|e| self.failed(i, &e))?;
                     depths[i] = outcome.depth;
-                    change += outcome.change.powi(2);
+                    moved += outcome.moved;
+                    turned += outcome.turned;
                     residuals.extend(
                         outcome
                             .matches
@@ -167,16 +171,27 @@ impl Course<'_> {
                 }
             }
             let level = &self.scene.pyramid[at];
-            record.last_change = (change / level.views.len() as f64).sqrt() * level.focal();
+            let per_view = 1.0 / level.views.len() as f64;
+            record.moved_px = moved * per_view * level.focal();
+            record.turned_deg = (turned * per_view).to_degrees();
             record.match_residual = median(&mut residuals).unwrap_or(f64::NAN);
             record.num_rounds = round + 1;
-            if record.last_change < self.options.round_tolerance {
+            let is_still = record.moved_px < self.options.round_move_px;
+            let keeps_normals = light.is_none() || record.turned_deg < self.options.round_turn_deg;
+            if is_still && keeps_normals {
                 break;
             }
         }
+        let level = &self.scene.pyramid[at];
+        let turns: Vec<f64> = (0..level.views.len())
+            .into_par_iter()
+            .map(|i| plate::mean_turn(&level.views[i], &start[i], &depths[i]))
+            .collect();
+        let turned = (turns.iter().sum::<f64>() / turns.len().max(1) as f64).to_degrees();
+        record.lap_turned_deg = turned;
         record.seconds = began.elapsed().as_secs_f64();
         self.report.laps.push(record);
         self.show(at, kind, depths);
-        Ok(())
+        Ok(turned)
     }
 }

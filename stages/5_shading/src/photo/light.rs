@@ -2,7 +2,8 @@
 //!
 //! Rays from the pixels of the next coarser level against the solid that the depth
 //! maps carve, the spheres and the ground; the environment fitted on object and sphere pixels together
-//! (those of the spheres that see the object's light);
+//! (those of the spheres that see the object's light), still in the world or, for a light fixed to the
+//! camera, still in the camera's frame, where every view casts the same rays in directions of its own;
 //! coefficients interpolated to the level. Pigment, and an albedo of the sphere that differs from the
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
@@ -20,7 +21,7 @@ use rilievo_photometry::visibility::{
     DepthView, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Volume, WarmSphere,
     directions, fit_environment, transfer,
 };
-use rilievo_scene::{Intrinsics, LocatedSphere, RigidTransform, SphericalHarmonics};
+use rilievo_scene::{Intrinsics, LightKind, LocatedSphere, RigidTransform, SphericalHarmonics};
 
 /// The light of all views at one level.
 #[derive(Clone, Debug)]
@@ -68,6 +69,37 @@ pub(crate) struct LightScene<'a> {
     pub unlike: &'a [usize],
     pub ground: Option<&'a Ground>,
     pub num_rays: usize,
+    /// What the environment is fixed to.
+    pub kind: LightKind,
+}
+
+/// The environment's directions in the world: the same for all views where the light is fixed in the
+/// world, turned with each view where it is fixed to the camera.
+struct Rays {
+    by_frame: Vec<Vec<Vector3<f32>>>,
+}
+
+impl Rays {
+    fn new(num_rays: usize, kind: LightKind, level: &Level) -> Self {
+        let rays = directions(num_rays);
+        let by_frame = match kind {
+            LightKind::World => vec![rays],
+            LightKind::Camera => level
+                .views
+                .iter()
+                .map(|view| {
+                    let world_from_cam = view.camera.rotation.transpose().map(|v| v as f32);
+                    rays.iter().map(|d| world_from_cam * d).collect()
+                })
+                .collect(),
+        };
+        Self { by_frame }
+    }
+
+    /// Those of a view.
+    fn of(&self, view: usize) -> &[Vector3<f32>] {
+        &self.by_frame[view.min(self.by_frame.len() - 1)]
+    }
 }
 
 /// Voxels along the object's longest side.
@@ -88,12 +120,14 @@ pub(crate) fn rotation(view: &LevelView) -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(view.camera.rotation))
 }
 
-/// The light with its residuals on a shape's normals.
+/// The light with its residuals on a shape's normals. Where it is fixed to the camera, the views see
+/// a point under different light, and their mean says nothing.
 pub(crate) fn with_residuals(
     level: &Level,
     normals: &[Vec<[f64; 3]>],
     harmonics: Vec<Vec<PixelHarmonics>>,
     pigment: Option<Albedo>,
+    kind: LightKind,
 ) -> Light {
     let residuals = level
         .views
@@ -119,7 +153,10 @@ pub(crate) fn with_residuals(
         residuals,
         pigment,
         trust: Vec::new(),
-        mean_tolerance: MEAN_TOLERANCE_PX / level.focal(),
+        mean_tolerance: match kind {
+            LightKind::World => MEAN_TOLERANCE_PX / level.focal(),
+            LightKind::Camera => 0.0,
+        },
     }
 }
 
@@ -172,7 +209,7 @@ pub(crate) fn visible_on(
 ) -> Option<Light> {
     let volume = Volume::carve(&depth_views(level, depths), MAX_VOXELS)?;
     let (points, warm): (Vec<Vec<SpherePoint>>, Vec<WarmSphere>) =
-        look_at_spheres(scene.spheres, scene.unlike, scene.photos)
+        look_at_spheres(scene.spheres, scene.unlike, scene.photos, scene.kind)
             .into_iter()
             .unzip();
     let surroundings = Surroundings {
@@ -180,7 +217,7 @@ pub(crate) fn visible_on(
         spheres: warm,
         ground: scene.ground.cloned(),
     };
-    let rays = directions(scene.num_rays);
+    let rays = Rays::new(scene.num_rays, scene.kind, level);
     let transfers: Vec<Vec<_>> = (0..rays_at.views.len())
         .map(|i| {
             let view = &rays_at.views[i];
@@ -194,7 +231,7 @@ pub(crate) fn visible_on(
                     let n = view.camera.rotation.tr_mul(&Vector3::new(n[0], n[1], n[2]));
                     let (at, n) = (at.map(|v| v as f32), n.map(|v| v as f32));
                     let offset = surroundings.volume.start_height(&at, &n);
-                    transfer(&surroundings, &at, &n, &rays, offset, None)
+                    transfer(&surroundings, &at, &n, rays.of(i), offset, None)
                 })
                 .collect()
         })
@@ -209,7 +246,7 @@ pub(crate) fn visible_on(
             }
             let t: &rilievo_photometry::visibility::Transfer = &transfers[i][p];
             samples.push(EnvironmentSample {
-                row: t.row(&rays),
+                row: t.row(rays.of(i)),
                 nearby: t.nearby_intensity(),
                 intensity,
                 weight: 1.0,
@@ -226,9 +263,10 @@ pub(crate) fn visible_on(
             .map(|p| {
                 let at = warm.center.coords + p.normal * warm.radius;
                 let offset = 0.02 * warm.radius;
-                let t = transfer(&surroundings, &at, &p.normal, &rays, offset, Some(k));
+                let rays = rays.of(p.view);
+                let t = transfer(&surroundings, &at, &p.normal, rays, offset, Some(k));
                 EnvironmentSample {
-                    row: t.row(&rays),
+                    row: t.row(rays),
                     nearby: t.nearby_intensity(),
                     intensity: p.radiance,
                     weight,
@@ -239,7 +277,7 @@ pub(crate) fn visible_on(
         of_spheres.push(samples.len()..samples.len() + extra.len());
         samples.extend(extra);
     }
-    let mut fit = fit_environment(&samples, &rays, SMOOTHNESS)?;
+    let mut fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
     let interpolated = |fit: &EnvironmentFit| -> Vec<Vec<PixelHarmonics>> {
         (0..level.views.len())
             .map(|i| {
@@ -248,7 +286,7 @@ pub(crate) fn visible_on(
                     .par_iter()
                     .with_min_len(256)
                     .map(|t| {
-                        t.harmonics(&rays, &fit.radiance, fit.bounce).map(|l| {
+                        t.harmonics(rays.of(i), &fit.radiance, fit.bounce).map(|l| {
                             let world = SphericalHarmonics(l.map(f64::from));
                             rotate_harmonics(&world, &turn).0.map(|v| v as f32)
                         })
@@ -258,7 +296,7 @@ pub(crate) fn visible_on(
             })
             .collect()
     };
-    let mut light = with_residuals(level, normals, interpolated(&fit), None);
+    let mut light = with_residuals(level, normals, interpolated(&fit), None, scene.kind);
     let pigment = albedo::estimate(level, depths, &light);
     let ratios: Vec<[f32; 3]> = of_spheres
         .iter()
@@ -277,8 +315,8 @@ pub(crate) fn visible_on(
                 sample.intensity = divided(sample.intensity, ratio);
             }
         }
-        fit = fit_environment(&samples, &rays, SMOOTHNESS)?;
-        light = with_residuals(level, normals, interpolated(&fit), None);
+        fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
+        light = with_residuals(level, normals, interpolated(&fit), None, scene.kind);
     }
     let pigment = albedo::estimate(level, depths, &light);
     Some(with_residuals(
@@ -286,6 +324,7 @@ pub(crate) fn visible_on(
         normals,
         light.harmonics,
         Some(pigment),
+        scene.kind,
     ))
 }
 

@@ -202,6 +202,7 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
         unlike: &[],
         ground: ground.as_ref(),
         num_rays,
+        kind: LightKind::World,
     };
     let nine = distant::fit(level, &depths, LightKind::World).unwrap();
     let rays = light::visible_on(

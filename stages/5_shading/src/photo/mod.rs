@@ -24,6 +24,8 @@ mod chroma;
 mod confidence;
 mod consensus;
 mod course;
+#[cfg(test)]
+mod derivative_tests;
 mod distant;
 mod edges;
 mod gains;
@@ -48,6 +50,10 @@ mod search;
 mod searched;
 mod shading;
 mod solve;
+#[cfg(test)]
+mod solvers_tests;
+#[cfg(test)]
+mod sphere_tests;
 mod spread;
 mod start;
 mod step;

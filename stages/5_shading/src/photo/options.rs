@@ -16,12 +16,22 @@ pub struct PhotoOptions {
     pub coarse_pixels: usize,
     /// Sweeps of the dense search. Too few leave false depths in plain regions.
     pub num_sweeps: usize,
-    /// Largest number of Gauss-Newton rounds over all views per lap.
+    /// Mean change of depth in a Gauss-Newton round over all views, in pixel footprints, below which
+    /// the lap may end. Too large leaves the surface on its way, too small costs rounds that change
+    /// nothing that the photos tell.
+    pub round_move_px: f64,
+    /// Mean turn of the normals in a round, degrees, below which a lap with shading may end; a tenth of
+    /// what normals err in the end.
+    pub round_turn_deg: f64,
+    /// Largest number of rounds of a lap.
     pub max_num_rounds: usize,
-    /// A round that moves the surface by less (RMS, in pixel footprints) ends its lap.
-    pub round_tolerance: f64,
-    /// Laps of light and shape; 0 leaves shading out.
+    /// Laps of light and shape, from weak shading to its full weight; 0 leaves shading out.
     pub num_laps: usize,
+    /// Mean turn of the normals in the last of these laps, degrees, above which another one follows at
+    /// full weight: light and shape still change each other. Too small repeats laps for nothing.
+    pub lap_turn_deg: f64,
+    /// Largest number of such further laps.
+    pub max_more_laps: usize,
     /// Laps in place of the first one, at half the coarse level's resolution, where the searched depths
     /// are noisy: small false minima of shading are overlooked there. Too many lose the photos' hold on
     /// fine structure.
@@ -35,8 +45,6 @@ pub struct PhotoOptions {
     /// surface of such photos keeps no more than the coarse level resolves; it takes about a third more
     /// time.
     pub finer_search: bool,
-    /// Rounds at each finer level.
-    pub num_fine_rounds: usize,
     /// Light every pixel by what it sees of the environment, instead of nine distant harmonics for all.
     pub visibility: bool,
     /// Rays per pixel of the visibility light.
@@ -51,14 +59,16 @@ impl Default for PhotoOptions {
             max_num_sources: 4,
             coarse_pixels: 90_000,
             num_sweeps: 4,
-            max_num_rounds: 6,
-            round_tolerance: 0.02,
+            round_move_px: 0.1,
+            round_turn_deg: 0.4,
+            max_num_rounds: 10,
             num_laps: 3,
+            lap_turn_deg: 2.0,
+            max_more_laps: 3,
             num_half_laps: 3,
             noisy_search_px: 0.65,
             max_fine_pixels: 450_000,
             finer_search: true,
-            num_fine_rounds: 3,
             visibility: true,
             num_rays: 256,
             seed: 0,
@@ -107,12 +117,18 @@ impl PhotoOptions {
             self.max_num_rounds.to_string(),
             "positive",
         )?;
-        check(
-            self.round_tolerance.is_finite() && self.round_tolerance >= 0.0,
-            "photo.round_tolerance",
-            self.round_tolerance.to_string(),
-            "zero or positive",
-        )?;
+        for (option, value) in [
+            ("photo.round_move_px", self.round_move_px),
+            ("photo.round_turn_deg", self.round_turn_deg),
+            ("photo.lap_turn_deg", self.lap_turn_deg),
+        ] {
+            check(
+                value.is_finite() && value >= 0.0,
+                option,
+                value.to_string(),
+                "zero or positive",
+            )?;
+        }
         check(
             self.noisy_search_px >= 0.0,
             "photo.noisy_search_px",

@@ -128,6 +128,20 @@ pub(crate) fn normal_with_derivatives(
     (n, along([1.0, 0.0, -x]), along([0.0, 1.0, -y]))
 }
 
+/// Mean angle between the normals of two surfaces of a view, radians.
+pub(crate) fn mean_turn(view: &LevelView, from: &[f64], to: &[f64]) -> f64 {
+    let sum: f64 = normals(view, from)
+        .iter()
+        .zip(normals(view, to))
+        .map(|(a, b)| {
+            // By half the chord, which is exact for small angles.
+            let chord2: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
+            2.0 * (0.5 * chord2.sqrt()).min(1.0).asin()
+        })
+        .sum();
+    sum / view.pixels.len().max(1) as f64
+}
+
 /// Normals of a whole view.
 pub(crate) fn normals(view: &LevelView, depth: &[f64]) -> Vec<[f64; 3]> {
     (0..view.pixels.len())

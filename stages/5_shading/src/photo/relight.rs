@@ -60,9 +60,9 @@ impl Course<'_> {
             unlike: &unlike,
             ground,
             num_rays: self.options.num_rays,
+            kind,
         };
-        // A light fixed to the camera moves over the object: rays into one environment do not hold.
-        let seen = if kind == LightKind::World && self.options.visibility {
+        let seen = if self.options.visibility {
             light::visible(level, depths, rays_at, &scene)
         } else {
             None
@@ -77,7 +77,8 @@ impl Course<'_> {
         let mut notes = Vec::new();
         if kind == LightKind::Camera {
             notes.push(
-                "the light moves with the camera: own shadow is not modelled, and photos agree less",
+                "the light moves with the camera: the photos show a point under different light, agree \
+                 less, and tell nothing of their exposures, which are taken for equal",
             );
         }
         if posed.spheres.is_empty() && light.is_some() {
@@ -87,9 +88,7 @@ impl Course<'_> {
             );
         }
         for note in notes {
-            if !self.report.notes.iter().any(|n| n == note) {
-                self.report.notes.push(note.to_owned());
-            }
+            self.note(note);
         }
         self.report.laps.push(LapReport {
             level: at,
@@ -123,9 +122,8 @@ impl Course<'_> {
         let judged = validation::validate(level, solvers, depths, light, &shading, &options)
             .map_err(|(i, e)| self.failed(i, &e))?;
         let Some(judged) = judged else {
-            self.report.notes.push(
-                "no photo could be left out, so that shading is judged by the light's residual alone"
-                    .to_owned(),
+            self.note(
+                "no photo could be left out, so that shading is judged by the light's residual alone",
             );
             return Ok(());
         };

@@ -27,10 +27,10 @@ fn stain(p: &Point3<f64>) -> [f64; 3] {
     [0.6, 1.0, 1.4].map(|k| (1.0_f64 - depth).powf(k))
 }
 
-struct World {
-    views: Vec<RenderedView>,
-    photos: PhotoSet,
-    posed: PosedViews,
+pub(super) struct World {
+    pub views: Vec<RenderedView>,
+    pub photos: PhotoSet,
+    pub posed: PosedViews,
 }
 
 /// Relative albedo of a world point.
@@ -42,25 +42,43 @@ fn world(
     pigment: Option<Pigment>,
     size: (usize, usize),
 ) -> World {
-    let scene = rilievo_synthetic::Scene::new(SceneOptions {
+    let (scene, options) = options(subject, light, size);
+    photographed(scene, &options, pigment)
+}
+
+/// Options of scene and photographs: four views, fifty degrees.
+pub(super) fn options(
+    subject: Subject,
+    light: LightModel,
+    (width, height): (usize, usize),
+) -> (SceneOptions, RenderOptions) {
+    let scene = SceneOptions {
         seed: 5,
         subject,
         speckle: 0.01,
         mesh_spacing_m: 0.003,
         ..SceneOptions::default()
-    })
-    .unwrap();
-    let options = RenderOptions {
+    };
+    let photographs = RenderOptions {
         num_views: 4,
-        width: size.0,
-        height: size.1,
+        width,
+        height,
         arc_deg: 50.0,
         light,
         noise: 0.003,
         edge_samples: 2,
         ..RenderOptions::default()
     };
-    let renderer = Renderer::new(&scene, &options).unwrap();
+    (scene, photographs)
+}
+
+pub(super) fn photographed(
+    scene: SceneOptions,
+    options: &RenderOptions,
+    pigment: Option<Pigment>,
+) -> World {
+    let scene = rilievo_synthetic::Scene::new(scene).unwrap();
+    let renderer = Renderer::new(&scene, options).unwrap();
     let (mut photos, mut posed) = (PhotoSet::default(), PosedViews::default());
     let mut views = Vec::new();
     for i in 0..renderer.num_views() {
@@ -143,12 +161,12 @@ fn disturb(world: &mut World) {
     }
 }
 
-fn loaded(world: &World) -> Scene {
+pub(super) fn loaded(world: &World) -> Scene {
     views::load(&world.photos, &world.posed, &PhotoOptions::default()).unwrap()
 }
 
 /// True log depths at full resolution.
-fn depths(world: &World, scene: &Scene) -> Vec<Vec<f64>> {
+pub(super) fn depths(world: &World, scene: &Scene) -> Vec<Vec<f64>> {
     let level = &scene.pyramid[0];
     level
         .views
@@ -176,12 +194,13 @@ fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
         unlike: &[],
         ground: None,
         num_rays: 128,
+        kind: LightKind::World,
     };
     light::visible(level, depths, rays_at, &light_scene).unwrap()
 }
 
 /// Median relative difference between light times pigment and the photos, away from the border.
-fn miss(level: &Level, depths: &[Vec<f64>], light: &Light) -> f64 {
+pub(super) fn miss(level: &Level, depths: &[Vec<f64>], light: &Light) -> f64 {
     let mut all = Vec::new();
     for (i, view) in level.views.iter().enumerate() {
         let normals = plate::normals(view, &depths[i]);

@@ -35,8 +35,12 @@ pub struct LapReport {
     pub level: usize,
     /// What took part.
     pub kind: String,
-    /// RMS change of log depth in the last round, pixel footprints.
-    pub last_change: f64,
+    /// Mean change of depth in the last round, pixel footprints.
+    pub moved_px: f64,
+    /// Mean turn of the normals in the last round, degrees.
+    pub turned_deg: f64,
+    /// Mean turn of the normals in the whole lap, degrees.
+    pub lap_turned_deg: f64,
     /// Rounds.
     pub num_rounds: usize,
     /// Relative standard deviation that shading was given; 0 where it took no part.

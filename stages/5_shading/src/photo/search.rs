@@ -16,7 +16,7 @@ use crate::error::ShadingError;
 use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::PlateSolver;
-use rilievo_scene::{Mask, PosedViews};
+use rilievo_scene::{LightKind, Mask, PosedViews};
 use std::time::Instant;
 
 /// Relative noise of 8-bit photographs: no photos agree better than this.
@@ -100,9 +100,13 @@ impl Course<'_> {
 
     /// Gains of the photos, divided out of every level, and the weight of the match term. Returns the
     /// planes of the first search.
+    ///
+    /// Under a light fixed to the camera a point's brightness differs between the views for the light's
+    /// sake, and says nothing of exposures: they are taken as they stand.
     pub(crate) fn find_exposure(
         &mut self,
         posed: &PosedViews,
+        kind: LightKind,
     ) -> Result<Vec<Planes>, ShadingError> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.pyramid.len() - 1);
@@ -111,7 +115,10 @@ impl Course<'_> {
         let level = &self.scene.pyramid[at];
         let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
         let agreement = start::agreement(level, &depths, agreement_tolerance(level));
-        let exposure = gains::estimate(level, &depths, &agreement);
+        let mut exposure = gains::estimate(level, &depths, &agreement);
+        if kind == LightKind::Camera {
+            exposure.gains.fill([1.0; 3]);
+        }
         for level in &mut self.scene.pyramid {
             for (view, gain) in level.views.iter_mut().zip(&exposure.gains) {
                 view.divide_by_gain(*gain);

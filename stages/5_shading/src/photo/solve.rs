@@ -11,9 +11,6 @@ use crate::error::ShadingError;
 use rilievo_numerics::plate_system::PlateSolver;
 use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
 
-/// Gauss-Newton rounds under one light.
-const ROUNDS_PER_LAP: usize = 5;
-
 /// Solves a loaded scene.
 pub(crate) fn solve(
     scene: Scene,
@@ -36,21 +33,12 @@ pub(crate) fn solve(
             view: course.scene.frames[0].name.clone(),
         });
     }
-    let planes = course.find_exposure(posed)?;
+    let planes = course.find_exposure(posed, lighting.kind)?;
     let mut depths = course.find_surface(posed, &planes)?;
     let mut at = course.scene.coarse;
     course.show(at, "start", &depths);
     let mut solvers = course.solvers(at)?;
-    let rounds = options.max_num_rounds;
-    course.lap(
-        at,
-        &solvers,
-        &mut depths,
-        &PHOTOS_ONLY,
-        None,
-        "photos",
-        rounds,
-    )?;
+    course.lap(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
     let (light, last) = course.light_laps(&mut at, &mut solvers, &mut depths, posed, lighting)?;
     let light = course.finer_levels(&mut at, &mut depths, light, last, posed)?;
     let appearances = course.appearance(at, &depths, light.as_ref());
@@ -75,7 +63,7 @@ impl Course<'_> {
         *depths = self.fused(*at, depths)?;
         self.show(*at, "fused", depths);
         if options.num_laps == 0 {
-            self.lap(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused", 3)?;
+            self.lap(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused")?;
             return Ok((None, PHOTOS_ONLY));
         }
         let ground = self.ground(*at, depths, posed);
@@ -95,8 +83,9 @@ impl Course<'_> {
             *at += 1;
             *solvers = self.solvers(*at)?;
         }
-        let (mut light, mut weights, mut residual) = (None, PHOTOS_ONLY, 1.0_f64);
-        for lap in 0..num_laps {
+        let mut residual = 1.0_f64;
+        let mut lap = 0;
+        loop {
             if lap == num_half
                 && let Some((fine, before)) = kept.take()
             {
@@ -109,7 +98,7 @@ impl Course<'_> {
                 *depths = self.fused(*at, depths)?;
                 self.show(*at, "fused", depths);
             }
-            light = self.light(*at, depths, posed, lighting, ground.as_ref())?;
+            let mut light = self.light(*at, depths, posed, lighting, ground.as_ref())?;
             let found = light.as_ref().map_or(1.0, Light::residual);
             // What the finer surface adds to the residual at first is its own noise, not the light's.
             residual = if lap > 0 && lap == num_half {
@@ -117,25 +106,28 @@ impl Course<'_> {
             } else {
                 found
             };
-            weights = if lap < num_half {
+            let weights = if lap < num_half {
                 lap_weights(lap, residual)
             } else {
                 lap_weights(lap - num_half + first_full, residual)
             };
-            if lap + 1 == num_laps {
+            if lap + 1 >= num_laps {
                 self.validate(*at, solvers, depths, light.as_mut(), &weights)?;
             }
-            self.lap(
+            let turned_deg = self.lap(
                 *at,
                 solvers,
                 depths,
                 &weights,
                 light.as_ref(),
                 "light and shape",
-                ROUNDS_PER_LAP,
             )?;
+            lap += 1;
+            let is_still = turned_deg < options.lap_turn_deg;
+            if lap >= num_laps && (is_still || lap >= num_laps + options.max_more_laps) {
+                return Ok((light, weights));
+            }
         }
-        Ok((light, weights))
     }
 
     /// From level `at` to the finest that is solved, each with the light and weights of the last lap.
@@ -170,16 +162,7 @@ impl Course<'_> {
                 shading.chroma_share *= 1.4;
                 shading.correction_px = 12.0;
             }
-            let rounds = self.options.num_fine_rounds;
-            self.lap(
-                *at,
-                &solvers,
-                depths,
-                &weights,
-                light.as_ref(),
-                "finer",
-                rounds,
-            )?;
+            self.lap(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
         }
         Ok(light)
     }

@@ -30,8 +30,10 @@ pub(crate) struct StepOptions {
 pub(crate) struct StepOutcome {
     /// New log depths.
     pub depth: Vec<f64>,
-    /// RMS change of log depth.
-    pub change: f64,
+    /// Mean change of log depth.
+    pub moved: f64,
+    /// Mean turn of the normals, radians.
+    pub turned: f64,
     /// Terms of the photos' agreement before the step.
     pub matches: MatchTerms,
 }
@@ -84,18 +86,16 @@ pub(crate) fn improve(
         shading.add(view, depth, &mut system);
     }
     let increment = solver.solve(&system)?;
-    let mut squares = 0.0;
-    let depth = depth
+    let new: Vec<f64> = depth
         .iter()
         .zip(&increment)
-        .map(|(z, d)| {
-            squares += d * d;
-            z + d.clamp(-options.max_step, options.max_step)
-        })
+        .map(|(z, d)| z + d.clamp(-options.max_step, options.max_step))
         .collect();
+    let moved: f64 = new.iter().zip(depth).map(|(a, b)| (a - b).abs()).sum();
     Ok(StepOutcome {
-        depth,
-        change: (squares / n.max(1) as f64).sqrt(),
+        moved: moved / n.max(1) as f64,
+        turned: plate::mean_turn(view, depth, &new),
+        depth: new,
         matches,
     })
 }

@@ -5,7 +5,7 @@ use super::camera::Camera;
 use nalgebra::{Point3, Vector3};
 use rilievo_photometry::harmonics::{FitOptions, fit_robust};
 use rilievo_photometry::visibility::{Ground, WarmSphere, directions};
-use rilievo_scene::{Lighting, LinearImage, LocatedSphere, Mask};
+use rilievo_scene::{LightKind, Lighting, LinearImage, LocatedSphere, Mask};
 
 /// Longest side of the small photos: the surroundings are needed at a few millimetres only.
 const MAX_SIDE: usize = 480;
@@ -94,6 +94,8 @@ impl SmallPhoto {
 pub(crate) struct SpherePoint {
     pub normal: Vector3<f32>,
     pub radiance: [f32; 3],
+    /// The view in whose light it was seen; under a light fixed in the world, the first stands for all.
+    pub view: usize,
 }
 
 /// The spheres' visible points and their smooth radiances; no points of those in `unlike`, which see
@@ -102,11 +104,21 @@ pub(crate) fn look_at_spheres(
     spheres: &[LocatedSphere],
     unlike: &[usize],
     photos: &[SmallPhoto],
+    kind: LightKind,
 ) -> Vec<(Vec<SpherePoint>, WarmSphere)> {
     let bodies: Vec<WarmSphere> = spheres.iter().map(body).collect();
     (0..spheres.len())
         .filter_map(|k| {
-            let (points, warm) = look_at_sphere(&spheres[k], photos, &bodies, k)?;
+            let mut points = seen_points(&spheres[k], photos, &bodies, k);
+            let warm = warm(&bodies[k], &points)?;
+            if kind == LightKind::Camera {
+                points = (0..photos.len())
+                    .flat_map(|i| {
+                        let seen = seen_points(&spheres[k], &photos[i..=i], &bodies, k);
+                        seen.into_iter().map(move |p| SpherePoint { view: i, ..p })
+                    })
+                    .collect();
+            }
             let tells = !unlike.contains(&k);
             Some((if tells { points } else { Vec::new() }, warm))
         })
@@ -124,13 +136,13 @@ fn body(sphere: &LocatedSphere) -> WarmSphere {
     }
 }
 
-/// Sphere `own` of all `bodies`, which may hide it.
-fn look_at_sphere(
+/// Points of sphere `own` of all `bodies`, which may hide it, with their mean radiance in the photos.
+fn seen_points(
     sphere: &LocatedSphere,
     photos: &[SmallPhoto],
     bodies: &[WarmSphere],
     own: usize,
-) -> Option<(Vec<SpherePoint>, WarmSphere)> {
+) -> Vec<SpherePoint> {
     // Radians of elevation under which a pixel straddles the outline.
     const MIN_COSINE: f64 = 0.25;
     const NUM_POINTS: usize = 800;
@@ -161,9 +173,15 @@ fn look_at_sphere(
             points.push(SpherePoint {
                 normal: d,
                 radiance: sum.map(|s| s / total),
+                view: 0,
             });
         }
     }
+    points
+}
+
+/// A sphere that sends what the photos show of it.
+fn warm(body: &WarmSphere, points: &[SpherePoint]) -> Option<WarmSphere> {
     let normals: Vec<Vector3<f64>> = points
         .iter()
         .map(|p| p.normal.map(f64::from).normalize())
@@ -174,11 +192,10 @@ fn look_at_sphere(
         let fit = fit_robust(&normals, &values, None, &FitOptions::default()).ok()?;
         channels.push(fit.coefficients);
     }
-    let warm = WarmSphere {
+    Some(WarmSphere {
         radiance: Lighting { channels },
-        ..bodies[own].clone()
-    };
-    Some((points, warm))
+        ..body.clone()
+    })
 }
 
 /// The plane on which the object stands, from sparse points off the object, with its texture.

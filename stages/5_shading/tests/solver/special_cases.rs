@@ -3,7 +3,9 @@
 use crate::solved;
 use crate::surface::Surface;
 use rilievo_scene::{DepthMap, Lighting, LinearImage, Raster, SphericalHarmonics};
-use rilievo_shading::{DepthPrior, HarmonicOrder, ShadingOptions, ShadingView, ViewLight};
+use rilievo_shading::{
+    DepthPrior, HarmonicOrder, ShadingOptions, ShadingView, StartShape, ViewLight,
+};
 use std::sync::Arc;
 
 /// A chequered albedo.
@@ -65,6 +67,25 @@ fn under(surface: &Surface, rows: &[[f64; 9]]) -> ShadingView {
     );
     view.initial_depth = Some(surface.rough());
     view
+}
+
+#[test]
+fn a_view_without_any_depth_is_shaped_from_a_plane_up_to_one_factor() {
+    let surface = Surface::new(128);
+    let mut view = surface.view(3);
+    view.initial_depth = None;
+    let options = ShadingOptions {
+        start: StartShape::Plane,
+        ..ShadingOptions::default()
+    };
+    let solution = solved(view, &options);
+    let angle = surface.mean_angle(&solution);
+    let warnings = &solution.report.warnings;
+    assert!(angle < 0.5, "{angle}");
+    assert!(
+        warnings.len() == 1 && warnings[0].contains("up to one factor"),
+        "{warnings:?}"
+    );
 }
 
 #[test]

@@ -1,0 +1,132 @@
+//! Reference spheres in the photo model: one that sees another light, and a light fixed to the camera.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use super::distant;
+use super::light::{self, Light, LightScene};
+use super::rendered_tests::{World, depths, loaded, miss, options, photographed};
+use super::surround::look_at_spheres;
+use super::views::Scene;
+use rilievo_scene::{LightKind, LocatedSphere};
+use rilievo_synthetic::{BallOptions, LightModel, Subject};
+
+/// The light at the true shape, by 128 rays.
+fn light(
+    scene: &Scene,
+    truth: &[Vec<f64>],
+    spheres: &[LocatedSphere],
+    unlike: &[usize],
+    kind: LightKind,
+) -> Light {
+    let level = &scene.pyramid[0];
+    let light_scene = LightScene {
+        photos: &scene.small,
+        spheres,
+        unlike,
+        ground: None,
+        num_rays: 128,
+        kind,
+    };
+    light::visible(level, truth, &scene.pyramid[1], &light_scene).unwrap()
+}
+
+/// An ellipsoid with two spheres, the second one lit as by a lamp of its own.
+fn lamp_on_the_second() -> (World, World) {
+    let (mut scene, render) = options(Subject::Ellipsoid, LightModel::Bounce, (200, 150));
+    scene.mesh_spacing_m = 0.005;
+    // To the left and before the object, near enough to hide a part of its environment.
+    scene.more_spheres = vec![BallOptions {
+        at_m: [-0.13, -0.10],
+        radius_m: 0.04,
+    }];
+    let as_seen = photographed(scene.clone(), &render, None);
+    let mut lamp = photographed(scene, &render, None);
+    for (view, photo) in lamp.views.iter_mut().zip(&mut lamp.photos.photos) {
+        for y in 0..view.image.height {
+            for x in 0..view.image.width {
+                if *view.sphere_masks[1].at(x, y) {
+                    // Bright where the others are dark.
+                    for value in view.image.pixel_mut(x, y) {
+                        *value = 0.1 + 0.8 * (0.6 - *value).max(0.0);
+                    }
+                }
+            }
+        }
+        photo.pixels = std::sync::Arc::new(rilievo_scene::InMemoryPixels(std::sync::Arc::new(
+            view.image.clone(),
+        )));
+    }
+    (as_seen, lamp)
+}
+
+#[test]
+fn a_sphere_of_another_light_hides_and_tells_nothing() {
+    let (as_seen, lamp) = lamp_on_the_second();
+    let world = LightKind::World;
+    let scene = loaded(&as_seen);
+    let truth = depths(&as_seen, &scene);
+    let level = &scene.pyramid[0];
+    let spheres = &as_seen.posed.spheres;
+    assert_eq!(spheres.len(), 2);
+    let known = miss(level, &truth, &light(&scene, &truth, spheres, &[], world));
+
+    let scene = loaded(&lamp);
+    let looks = look_at_spheres(spheres, &[1], &scene.small, world);
+    assert!(!looks[0].0.is_empty() && looks[1].0.is_empty());
+    let left_out = light(&scene, &truth, spheres, &[1], world);
+    let believed = light(&scene, &truth, spheres, &[], world);
+    let level = &scene.pyramid[0];
+    let (left_out_miss, believed_miss) = (
+        miss(level, &truth, &left_out),
+        miss(level, &truth, &believed),
+    );
+    println!(
+        "light misses {known:.4} with the sphere in one light, {left_out_miss:.4} left out, {believed_miss:.4} believed"
+    );
+    assert!(
+        left_out_miss < 1.15 * known,
+        "left out {left_out_miss}, in one light {known}"
+    );
+    assert!(
+        left_out_miss < 0.9 * believed_miss,
+        "left out {left_out_miss}, believed {believed_miss}"
+    );
+
+    // It still hides: without it the pixels next to it get another light than with it, others do not.
+    let absent = light(&scene, &truth, &spheres[..1], &[], world);
+    let mut changes: Vec<f64> = (0..level.views.len())
+        .flat_map(|i| {
+            let pairs = left_out.harmonics[i].iter().zip(&absent.harmonics[i]);
+            pairs.map(|(a, b)| f64::from((a[1][3] / b[1][3] - 1.0).abs()))
+        })
+        .collect();
+    let median = rilievo_numerics::robust::median(&mut changes).unwrap();
+    let most = rilievo_numerics::robust::quantile(&mut changes, 0.99).unwrap();
+    println!("without it the light changes by {median:.4}, at most {most:.4}");
+    assert!(most > 0.03 && most > 3.0 * median, "{most}, {median}");
+}
+
+#[test]
+fn a_light_fixed_to_the_camera_is_found_with_its_shadows() {
+    let (mut scene, mut render) = options(Subject::Bust, LightModel::Bounce, (240, 180));
+    scene.mesh_spacing_m = 0.004;
+    render.num_views = 3;
+    render.turntable = true;
+    let turned = photographed(scene, &render, None);
+    let scene = loaded(&turned);
+    let truth = depths(&turned, &scene);
+    let level = &scene.pyramid[0];
+    let nine = distant::fit(level, &truth, LightKind::Camera).unwrap();
+    let nine = miss(level, &truth, &nine);
+    let spheres = &turned.posed.spheres;
+    let [camera, world] = [LightKind::Camera, LightKind::World]
+        .map(|kind| miss(level, &truth, &light(&scene, &truth, spheres, &[], kind)));
+    println!(
+        "nine harmonics a view {nine:.4}; rays {camera:.4}, with a light fixed in the world {world:.4}"
+    );
+    assert!(
+        camera < 0.75 * nine && camera < 0.045,
+        "{camera}, nine {nine}"
+    );
+    assert!(world > 1.5 * camera, "world {world}, camera {camera}");
+}
