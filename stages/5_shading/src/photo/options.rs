@@ -42,8 +42,8 @@ pub struct PhotoOptions {
     /// from the finest such level. Too large costs time and memory (about 1 kB a pixel).
     pub max_fine_pixels: usize,
     /// Search depth again at each finer level where the photos' brightness disagrees. Without it the
-    /// surface of such photos keeps no more than the coarse level resolves; it takes about a third more
-    /// time.
+    /// surface of such photos keeps no more than the coarse level resolves; it takes as long as the
+    /// first search at four times the pixels.
     pub finer_search: bool,
     /// Light every pixel by what it sees of the environment, instead of nine distant harmonics for all.
     pub visibility: bool,

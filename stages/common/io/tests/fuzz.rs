@@ -82,7 +82,6 @@ fn cameras() -> io::CameraFile {
     }
 }
 
-/// A MATLAB file with a row of two doubles.
 fn targets(folder: &Path) -> Vec<Target> {
     let mut targets = Vec::new();
     let mut add = |name, file: PathBuf, given: PathBuf, read| {
