@@ -142,14 +142,20 @@ impl Course<'_> {
                             term.as_ref(),
                             &options,
                         );
-                        (i, outcome)
+                        outcome.map_err(|e| (i, e)).map(|outcome| {
+                            let (before, after) = (&depths[i], &outcome.depth);
+                            let moved = plate::mean_move(before, after);
+                            let turned = plate::mean_turn(&level.views[i], before, after);
+                            (i, outcome, moved, turned)
+                        })
                     })
                     .collect();
-                for (i, outcome) in outcomes {
-                    let outcome = outcome.map_err(|e| self.failed(i, &e))?;
+                for outcome in outcomes {
+                    let (i, outcome, moved_by, turned_by) =
+                        outcome.map_err(|(i, e)| self.failed(i, &e))?;
                     depths[i] = outcome.depth;
-                    moved += outcome.moved;
-                    turned += outcome.turned;
+                    moved += moved_by;
+                    turned += turned_by;
                     residuals.extend(
                         outcome
                             .matches

@@ -128,6 +128,12 @@ pub(crate) fn normal_with_derivatives(
     (n, along([1.0, 0.0, -x]), along([0.0, 1.0, -y]))
 }
 
+/// Mean distance between two surfaces of a view, log depth.
+pub(crate) fn mean_move(from: &[f64], to: &[f64]) -> f64 {
+    let sum: f64 = to.iter().zip(from).map(|(a, b)| (a - b).abs()).sum();
+    sum / from.len().max(1) as f64
+}
+
 /// Mean angle between the normals of two surfaces of a view, radians.
 pub(crate) fn mean_turn(view: &LevelView, from: &[f64], to: &[f64]) -> f64 {
     let sum: f64 = normals(view, from)

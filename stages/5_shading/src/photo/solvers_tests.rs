@@ -187,9 +187,10 @@ impl Case {
             let rasters = depth_rasters(&level, &depths);
             let outcome =
                 step::improve(&level, 0, &solver, &depth, &rasters, Some(&term), &options).unwrap();
+            let turned = super::plate::mean_turn(&level.views[0], &depth, &outcome.depth);
             depth = outcome.depth;
             num_steps += 1;
-            if outcome.turned.to_degrees() < still_deg {
+            if turned.to_degrees() < still_deg {
                 break;
             }
         }

@@ -30,10 +30,6 @@ pub(crate) struct StepOptions {
 pub(crate) struct StepOutcome {
     /// New log depths.
     pub depth: Vec<f64>,
-    /// Mean change of log depth.
-    pub moved: f64,
-    /// Mean turn of the normals, radians.
-    pub turned: f64,
     /// Terms of the photos' agreement before the step.
     pub matches: MatchTerms,
 }
@@ -86,16 +82,10 @@ pub(crate) fn improve(
         shading.add(view, depth, &mut system);
     }
     let increment = solver.solve(&system)?;
-    let new: Vec<f64> = depth
+    let depth = depth
         .iter()
         .zip(&increment)
         .map(|(z, d)| z + d.clamp(-options.max_step, options.max_step))
         .collect();
-    let moved: f64 = new.iter().zip(depth).map(|(a, b)| (a - b).abs()).sum();
-    Ok(StepOutcome {
-        moved: moved / n.max(1) as f64,
-        turned: plate::mean_turn(view, depth, &new),
-        depth: new,
-        matches,
-    })
+    Ok(StepOutcome { depth, matches })
 }
