@@ -29,9 +29,19 @@ const LARGE_DISAGREEMENT: f64 = 0.055;
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
 
+/// What a search found.
+pub(crate) struct Found {
+    /// Log depths of every view, continued over its mask.
+    pub surface: Vec<Vec<f64>>,
+    /// Which depths the views confirmed.
+    pub agreement: Vec<Agreement>,
+    /// Distance between the views' searched depths, pixel footprints.
+    pub scatter_px: f64,
+}
+
 impl Course<'_> {
     /// Size of a search; one with a start needs its planes spread and polished only.
-    pub(crate) fn patch_options(&self, cost: PatchCost, is_started: bool) -> PatchMatchOptions {
+    fn patch_options(&self, cost: PatchCost, is_started: bool) -> PatchMatchOptions {
         let num_sweeps = self.options.num_sweeps;
         let num_sources = self.scene.sources.iter().map(Vec::len).max().unwrap_or(1);
         PatchMatchOptions {
@@ -189,12 +199,9 @@ impl Course<'_> {
         });
         let planes = self.dense_search(at, posed, cost, start.as_deref())?;
         let solvers = self.solvers(at)?;
-        let level = &self.scene.pyramid[at];
-        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
-        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
-        self.report.search_scatter_px = start::scatter(level, &depths);
-        let surface = self.continued(at, &solvers, &depths, &agreement)?;
-        for (i, agreement) in agreement.iter().enumerate() {
+        let found = self.found(at, &solvers, &planes)?;
+        self.report.search_scatter_px = found.scatter_px;
+        for (i, agreement) in found.agreement.iter().enumerate() {
             let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
             self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
         }
@@ -204,18 +211,19 @@ impl Course<'_> {
             seconds: began.elapsed().as_secs_f64(),
             ..LapReport::default()
         });
-        Ok(surface)
+        Ok(found.surface)
     }
 
-    /// Every view's surface through its confirmed depths.
-    pub(crate) fn continued(
+    /// The surface through those depths of searched planes that views confirm.
+    pub(crate) fn found(
         &self,
         at: usize,
         solvers: &[PlateSolver],
-        depths: &[Vec<f64>],
-        agreement: &[Agreement],
-    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        planes: &[Planes],
+    ) -> Result<Found, ShadingError> {
         let level = &self.scene.pyramid[at];
+        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
         let footprint = 1.0 / level.focal();
         let surfaces: Vec<_> = level
             .views
@@ -226,15 +234,20 @@ impl Course<'_> {
                 start::continued(view, &solvers[i], &depths[i], &weight, footprint)
             })
             .collect();
-        surfaces
+        let surface = surfaces
             .into_iter()
             .enumerate()
             .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
-            .collect()
+            .collect::<Result<_, _>>()?;
+        Ok(Found {
+            surface,
+            scatter_px: start::scatter(level, &depths),
+            agreement,
+        })
     }
 }
 
 /// Relative depth within which two views' dense depths agree: a few pixels of the level.
-pub(crate) fn agreement_tolerance(level: &Level) -> f64 {
+fn agreement_tolerance(level: &Level) -> f64 {
     2.7 / level.focal()
 }

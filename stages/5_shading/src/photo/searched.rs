@@ -12,8 +12,6 @@
 use super::course::Course;
 use super::patchmatch::{PatchCost, Planes};
 use super::report::LapReport;
-use super::search::agreement_tolerance;
-use super::start;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_system::PlateSolver;
 use rilievo_scene::PosedViews;
@@ -38,18 +36,15 @@ impl Course<'_> {
             .map(|(view, depth)| Planes::tangent(view, depth))
             .collect();
         let planes = self.dense_search(at, posed, PatchCost::Correlation, Some(&planes))?;
-        let found: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
-        let agreement = start::agreement(level, &found, agreement_tolerance(level));
-        let scatter_px = start::scatter(level, &found);
-        let surface = self.continued(at, solvers, &found, &agreement)?;
-        self.report.finer_search_scatter_px = Some(scatter_px);
+        let found = self.found(at, solvers, &planes)?;
+        self.report.finer_search_scatter_px = Some(found.scatter_px);
         self.report.laps.push(LapReport {
             level: at,
             kind: "finer search".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
             ..LapReport::default()
         });
-        self.show(at, "searched", &surface);
-        Ok(surface)
+        self.show(at, "searched", &found.surface);
+        Ok(found.surface)
     }
 }
