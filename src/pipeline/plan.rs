@@ -36,7 +36,7 @@ impl std::fmt::Display for StageState {
 /// Raised with every change of a stage that changes its results.
 pub(super) fn version(stage: StageId) -> u32 {
     match stage {
-        StageId::Photos => 3,
+        StageId::Photos => 4,
         StageId::Features => 3,
         StageId::Poses => 5,
         StageId::Lighting => 3,

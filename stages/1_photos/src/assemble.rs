@@ -308,7 +308,7 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
     }
     if set && report.corner_falloff < FALLOFF_WARNING {
         warnings.push(format!(
-            "corners have {:.0} % of the brightness of the sides over the whole set: if the lens \
+            "brightness falls towards the corners over the whole set, to {:.0} % of the sides': if the lens \
              darkens them, use a smaller aperture or correct vignetting while developing",
             100.0 * report.corner_falloff
         ));

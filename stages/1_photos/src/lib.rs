@@ -31,6 +31,7 @@ pub mod options;
 mod prepare;
 pub mod report;
 pub mod table;
+mod vignetting;
 
 pub use assemble::assemble;
 pub use backdrop::{Backdrop, MaskProposal, propose_mask};

@@ -6,9 +6,7 @@
 //! noise variance estimation", CVIU 1996, with the median instead of the mean: texture then counts
 //! less).
 //!
-//! Black level: the darkest thousandth of the frame. Fall-off: the median of the four corners over
-//! that of the four sides' middles, channels averaged; one photo's says little, that of a whole set
-//! hints at vignetting, since what stands in the corners changes and the lens does not.
+//! Black level: the darkest thousandth of the frame. Fall-off: [`crate::vignetting`].
 
 use rilievo_scene::{LinearImage, Mask, Raster};
 
@@ -30,9 +28,6 @@ pub(crate) struct Measures {
     pub black_level: f64,
     pub corner_falloff: f64,
 }
-
-/// Side of the patches in corners and at the sides' middles, share of the frame's side.
-const PATCH_SHARE: f64 = 0.08;
 
 /// Share of the frame's pixels that are darker than the black level.
 const BLACK_SHARE: f64 = 1e-3;
@@ -108,7 +103,7 @@ pub(crate) fn measure(image: &LinearImage, mask: Option<&Mask>, clip_level: f32)
         sharpness: mean_square.sqrt() / median_level.max(1e-6),
         color_ratios,
         black_level: black_level(&grey),
-        corner_falloff: corner_falloff(&grey),
+        corner_falloff: crate::vignetting::corner_falloff(&grey, mask, clip_level),
     }
 }
 
@@ -125,28 +120,6 @@ fn black_level(grey: &Raster<f32>) -> f64 {
     }
     let rank = (values.len() as f64 * BLACK_SHARE) as usize;
     *values.select_nth_unstable_by(rank, f64::total_cmp).1
-}
-
-fn corner_falloff(grey: &Raster<f32>) -> f64 {
-    let side = |length: usize| ((length as f64 * PATCH_SHARE) as usize).max(1).min(length);
-    let (w, h) = (side(grey.width), side(grey.height));
-    let (right, low) = (grey.width - w, grey.height - h);
-    let level = |places: [(usize, usize); 4]| {
-        let mut values: Vec<f64> = places
-            .iter()
-            .flat_map(|&(x0, y0)| (y0..y0 + h).flat_map(move |y| (x0..x0 + w).map(move |x| (x, y))))
-            .map(|(x, y)| f64::from(*grey.at(x, y)))
-            .collect();
-        median(&mut values)
-    };
-    let corners = level([(0, 0), (right, 0), (0, low), (right, low)]);
-    let sides = level([
-        (right / 2, 0),
-        (right / 2, low),
-        (0, low / 2),
-        (right, low / 2),
-    ]);
-    if sides > 0.0 { corners / sides } else { 1.0 }
 }
 
 /// `L ∗ I` at a pixel of the inside.

@@ -65,7 +65,8 @@ pub struct PhotoFacts {
     pub color_ratios: Option<[f64; 2]>,
     /// Darkest thousandth of the frame, linear.
     pub black_level: f64,
-    /// Level of the corners over that of the sides' middles; hints at vignetting over a whole set.
+    /// Brightness of the corners over that of the sides' middles that the lens alone would cause, as
+    /// far as one photo tells; hints at vignetting over a whole set.
     pub corner_falloff: f64,
     /// What EXIF says.
     pub exif: ExifFacts,
@@ -112,7 +113,7 @@ pub struct PhotosReport {
     /// Largest over smallest ratio of colours over the masks (or frames), of both ratios the worse;
     /// absent unless all photos have colours.
     pub white_balance_spread: Option<f64>,
-    /// Median over the photos of the corners' level over that of the sides' middles.
+    /// Median over the photos of the lens' fall-off.
     pub corner_falloff: f64,
     /// What the user should know, each with the photo and what to try.
     pub warnings: Vec<String>,
