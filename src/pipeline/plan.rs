@@ -40,7 +40,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Features => 3,
         StageId::Poses => 5,
         StageId::Lighting => 3,
-        StageId::Shading => 6,
+        StageId::Shading => 7,
         StageId::Fusion => 4,
     }
 }

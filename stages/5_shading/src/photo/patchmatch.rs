@@ -5,7 +5,9 @@
 //! `(w₀, sx, sy)` compares a bell-weighted patch with its image in each source:
 //! bounded squared differences `2 s/(1+s)`, `s = mean (I_i − I_j)² / (σ Ī)²`, where brightness is
 //! constant, or `1 − correlation` where it is not; plus the share of the patch that leaves the
-//! source's mask. Hypotheses spread from neighbours in alternating raster sweeps and are perturbed
+//! source's mask. Samples that differ from the pixel in brightness may lie beyond an edge of the object, on
+//! another plane, and count less: `bell · exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
+//! Hypotheses spread from neighbours in alternating raster sweeps and are perturbed
 //! with shrinking normal steps (Bleyer, Rhemann, Rother, BMVC 2011).
 
 use super::hull::InverseDepthRange;
@@ -30,10 +32,6 @@ pub(crate) enum PatchCost {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PatchMatchOptions {
     pub cost: PatchCost,
-    /// Half-width of a patch, pixels.
-    pub radius_px: i32,
-    /// Distance between samples of a patch, pixels.
-    pub stride_px: i32,
     pub num_sweeps: usize,
     /// Random trials per pixel and sweep.
     pub num_trials: usize,
@@ -50,7 +48,29 @@ pub(crate) struct Planes {
     pub slope_y: Vec<f32>,
 }
 
+/// A plane about a pixel.
+#[derive(Clone, Copy, Debug)]
+struct Plane {
+    inverse_depth: f32,
+    slope_x: f32,
+    slope_y: f32,
+}
+
 impl Planes {
+    fn at(&self, pixel: usize) -> Plane {
+        Plane {
+            inverse_depth: self.inverse_depth[pixel],
+            slope_x: self.slope_x[pixel],
+            slope_y: self.slope_y[pixel],
+        }
+    }
+
+    fn set(&mut self, pixel: usize, plane: Plane) {
+        self.inverse_depth[pixel] = plane.inverse_depth;
+        self.slope_x[pixel] = plane.slope_x;
+        self.slope_y[pixel] = plane.slope_y;
+    }
+
     /// Tangent planes of a surface of log depths.
     pub fn tangent(view: &LevelView, depth: &[f64]) -> Self {
         let slopes = |p: usize| {
@@ -102,6 +122,14 @@ impl Stream {
     }
 }
 
+/// Half-width of a patch, pixels. A wider one reaches over edges and rounds them off, a narrower one
+/// holds too little of a plain surface.
+const RADIUS_PX: i32 = 4;
+/// `γ` of the module's text.
+const CONTRAST: f32 = 0.15;
+/// Samples below this weight tell nothing; the centre has 1.
+const MIN_WEIGHT: f32 = 0.01;
+
 struct Source<'a> {
     grey: &'a Raster<f32>,
     mask: &'a Mask,
@@ -109,24 +137,75 @@ struct Source<'a> {
     b: [f32; 3],
 }
 
+/// A pixel of a patch.
+#[derive(Clone, Copy)]
+struct Sample {
+    dx: f32,
+    dy: f32,
+    weight: f32,
+    intensity: f32,
+}
+
+/// The masked pixels about one.
+#[derive(Default)]
+struct Patch {
+    x: f32,
+    y: f32,
+    samples: Vec<Sample>,
+    /// Sum of the weights.
+    total: f32,
+}
+
+/// A patch's pixels about its centre, row by row.
+fn offsets() -> impl Iterator<Item = (i32, i32)> {
+    (-RADIUS_PX..=RADIUS_PX).flat_map(|dy| (-RADIUS_PX..=RADIUS_PX).map(move |dx| (dx, dy)))
+}
+
 struct Search<'a> {
     view: &'a LevelView,
     sources: Vec<Source<'a>>,
     bell: Vec<f32>,
+    /// Log brightness of the view.
+    log_grey: Raster<f32>,
     options: PatchMatchOptions,
     /// Variance below which a patch counts as flat.
     noise_variance: f32,
 }
 
 impl Search<'_> {
-    /// Cost of a hypothesis at pixel `(x, y)`; gives up once it exceeds `limit`.
-    fn cost(&self, x: i32, y: i32, w: f32, sx: f32, sy: f32, limit: f32) -> f32 {
+    /// Takes the patch about `(x, y)`, in place of an earlier one.
+    fn take(&self, x: i32, y: i32, patch: &mut Patch) {
+        let (grey, mask) = (&self.view.grey, &self.view.mask);
+        let here = *self.log_grey.at(x as usize, y as usize);
+        (patch.x, patch.y) = (x as f32, y as f32);
+        patch.samples.clear();
+        for ((dx, dy), bell) in offsets().zip(&self.bell) {
+            let (x, y) = (x + dx, y + dy);
+            if x < 0 || y < 0 || x >= grey.width as i32 || y >= grey.height as i32 {
+                continue;
+            }
+            let (x, y) = (x as usize, y as usize);
+            let weight = bell * (-(self.log_grey.at(x, y) - here).abs() / CONTRAST).exp();
+            if *mask.at(x, y) && weight > MIN_WEIGHT {
+                patch.samples.push(Sample {
+                    dx: dx as f32,
+                    dy: dy as f32,
+                    weight,
+                    intensity: *grey.at(x, y),
+                });
+            }
+        }
+        patch.total = patch.samples.iter().map(|s| s.weight).sum();
+    }
+
+    /// Cost of a hypothesis; gives up once it exceeds `limit`.
+    fn cost(&self, patch: &Patch, plane: Plane, limit: f32) -> f32 {
         let num_best = self.options.num_best.min(self.sources.len());
         let all = num_best == self.sources.len();
         let mut costs = [2.0_f32; MAX_SOURCES];
         let mut sum = 0.0;
         for (k, source) in self.sources.iter().enumerate() {
-            let cost = self.cost_in(source, x, y, w, sx, sy);
+            let cost = self.cost_in(source, patch, plane);
             costs[k] = cost;
             sum += cost;
             if all && sum > limit * num_best as f32 {
@@ -141,77 +220,56 @@ impl Search<'_> {
         sum / num_best as f32
     }
 
-    fn cost_in(&self, s: &Source, x: i32, y: i32, w: f32, sx: f32, sy: f32) -> f32 {
-        let o = &self.options;
-        let (grey, mask) = (&self.view.grey, &self.view.mask);
-        let (xf, yf) = (x as f32, y as f32);
-        let centre = [0, 1, 2].map(|r| s.a[r][0] * xf + s.a[r][1] * yf + s.a[r][2] + w * s.b[r]);
+    fn cost_in(&self, s: &Source, patch: &Patch, plane: Plane) -> f32 {
+        let (w, sx, sy) = (plane.inverse_depth, plane.slope_x, plane.slope_y);
+        let centre =
+            [0, 1, 2].map(|r| s.a[r][0] * patch.x + s.a[r][1] * patch.y + s.a[r][2] + w * s.b[r]);
         let along_x = [0, 1, 2].map(|r| s.a[r][0] - w * sx * s.b[r]);
         let along_y = [0, 1, 2].map(|r| s.a[r][1] - w * sy * s.b[r]);
-        let (max_u, max_v) = ((s.grey.width - 1) as f32, (s.grey.height - 1) as f32);
-        let (mut total, mut out, mut sw) = (0.0_f32, 0.0_f32, 0.0_f32);
-        let (mut s1, mut s2, mut s11, mut s22, mut s12) = (0.0_f32, 0.0_f32, 0.0, 0.0, 0.0);
-        let mut k = 0;
-        let mut dy = -o.radius_px;
-        while dy <= o.radius_px {
-            let yy = y + dy;
-            let row_ok = yy >= 0 && yy < grey.height as i32;
-            let row = yy.max(0) as usize * grey.width;
-            let dyf = dy as f32;
-            let start = [0, 1, 2].map(|r| centre[r] + dyf * along_y[r]);
-            let mut dx = -o.radius_px;
-            while dx <= o.radius_px {
-                let g = self.bell[k];
-                k += 1;
-                let xx = x + dx;
-                if row_ok && xx >= 0 && xx < grey.width as i32 && mask.data[row + xx as usize] {
-                    total += g;
-                    let dxf = dx as f32;
-                    let pz = start[2] + dxf * along_x[2];
-                    let inv = 1.0 / pz;
-                    let u = (start[0] + dxf * along_x[0]) * inv;
-                    let v = (start[1] + dxf * along_x[1]) * inv;
-                    let within = pz > 0.0 && u >= 0.0 && v >= 0.0 && u < max_u && v < max_v;
-                    if within && s.mask.data[(v + 0.5) as usize * s.grey.width + (u + 0.5) as usize]
-                    {
-                        let (u0, v0) = (u as usize, v as usize);
-                        let (a, b) = (u - u0 as f32, v - v0 as f32);
-                        let base = v0 * s.grey.width + u0;
-                        let d = &s.grey.data;
-                        let top = d[base] + a * (d[base + 1] - d[base]);
-                        let below = base + s.grey.width;
-                        let bottom = d[below] + a * (d[below + 1] - d[below]);
-                        let q = top + b * (bottom - top);
-                        let p = grey.data[row + xx as usize];
-                        sw += g;
-                        s1 += g * p;
-                        s2 += g * q;
-                        s11 += g * p * p;
-                        s22 += g * q * q;
-                        s12 += g * p * q;
-                    } else {
-                        out += g;
-                    }
-                }
-                dx += o.stride_px;
+        let width = s.grey.width;
+        let (max_u, max_v) = ((width - 1) as f32, (s.grey.height - 1) as f32);
+        let (mut sw, mut s1, mut s2) = (0.0_f32, 0.0_f32, 0.0_f32);
+        let (mut s11, mut s22, mut s12) = (0.0_f32, 0.0_f32, 0.0_f32);
+        for sample in &patch.samples {
+            let [pu, pv, pz] =
+                [0, 1, 2].map(|r| centre[r] + sample.dx * along_x[r] + sample.dy * along_y[r]);
+            let inverse = 1.0 / pz;
+            let (u, v) = (pu * inverse, pv * inverse);
+            let within = pz > 0.0 && u >= 0.0 && v >= 0.0 && u < max_u && v < max_v;
+            if !within || !s.mask.data[(v + 0.5) as usize * width + (u + 0.5) as usize] {
+                continue;
             }
-            dy += o.stride_px;
+            let (u0, v0) = (u as usize, v as usize);
+            let (a, b) = (u - u0 as f32, v - v0 as f32);
+            let above = v0 * width + u0;
+            let below = above + width;
+            let d = &s.grey.data;
+            let top = d[above] + a * (d[above + 1] - d[above]);
+            let bottom = d[below] + a * (d[below + 1] - d[below]);
+            let (g, p, q) = (sample.weight, sample.intensity, top + b * (bottom - top));
+            sw += g;
+            s1 += g * p;
+            s2 += g * q;
+            s11 += g * p * p;
+            s22 += g * q * q;
+            s12 += g * p * q;
         }
-        if total <= 0.0 || sw < 0.3 * total {
+        if sw < 0.3 * patch.total {
             return 2.0;
         }
+        let out = 1.0 - sw / patch.total;
         let (m1, m2) = (s1 / sw, s2 / sw);
-        match o.cost {
+        match self.options.cost {
             PatchCost::SquaredDifferences { sigma } => {
                 let scale = (sigma * 0.5 * (m1 + m2)).max(1e-9);
                 let ssd = ((s11 + s22 - 2.0 * s12) / sw).max(0.0) / (scale * scale);
-                2.0 * ssd / (1.0 + ssd) + out / total
+                2.0 * ssd / (1.0 + ssd) + out
             }
             PatchCost::Correlation => {
                 let v1 = (s11 / sw - m1 * m1).max(0.0) + self.noise_variance;
                 let v2 = (s22 / sw - m2 * m2).max(0.0) + self.noise_variance;
                 let correlation = (s12 / sw - m1 * m2) / (v1 * v2).sqrt();
-                (1.0 - correlation).min(1.0) + out / total
+                (1.0 - correlation).min(1.0) + out
             }
         }
     }
@@ -233,14 +291,10 @@ pub(crate) fn search(
     let view = &level.views[index];
     let pixels = &view.pixels;
     let n = pixels.len();
-    let r = options.radius_px;
-    let spread = 2.0 * (0.6 * r as f32).powi(2);
-    let mut bell = Vec::new();
-    for dy in (-r..=r).step_by(options.stride_px as usize) {
-        for dx in (-r..=r).step_by(options.stride_px as usize) {
-            bell.push((-((dx * dx + dy * dy) as f32) / spread).exp());
-        }
-    }
+    let spread = 2.0 * (0.6 * RADIUS_PX as f32).powi(2);
+    let bell = offsets()
+        .map(|(dx, dy)| (-((dx * dx + dy * dy) as f32) / spread).exp())
+        .collect();
     let sources = level.sources[index]
         .iter()
         .take(MAX_SOURCES)
@@ -255,14 +309,19 @@ pub(crate) fn search(
         .map(|i| f64::from(*view.grey.at(pixels.xs[i] as usize, pixels.ys[i] as usize)))
         .sum::<f64>()
         / n.max(1) as f64;
+    // Contrast of a third of a per cent is noise.
+    let noise = 0.003 * mean;
     let search = Search {
         view,
         sources,
         bell,
+        log_grey: Raster::from_fn(view.grey.width, view.grey.height, |x, y| {
+            view.grey.at(x, y).max(noise as f32).ln()
+        }),
         options: *options,
-        // Contrast of a third of a per cent is noise.
-        noise_variance: (0.003 * mean).powi(2) as f32,
+        noise_variance: noise.powi(2) as f32,
     };
+    let mut patch = Patch::default();
     let focal = view.camera.focal() as f32;
     let mut planes = match start {
         Some(planes) => planes.clone(),
@@ -285,14 +344,8 @@ pub(crate) fn search(
     };
     let mut costs: Vec<f32> = (0..n)
         .map(|i| {
-            search.cost(
-                pixels.xs[i] as i32,
-                pixels.ys[i] as i32,
-                planes.inverse_depth[i],
-                planes.slope_x[i],
-                planes.slope_y[i],
-                f32::INFINITY,
-            )
+            search.take(pixels.xs[i] as i32, pixels.ys[i] as i32, &mut patch);
+            search.cost(&patch, planes.at(i), f32::INFINITY)
         })
         .collect();
     // First steps: four per cent of depth (less after a start), 0.6 in slope.
@@ -305,12 +358,8 @@ pub(crate) fn search(
             let i = if forward { k } else { n - 1 - k };
             let (x, y) = (pixels.xs[i] as i32, pixels.ys[i] as i32);
             let range = ranges[i];
-            let mut best = (
-                costs[i],
-                planes.inverse_depth[i],
-                planes.slope_x[i],
-                planes.slope_y[i],
-            );
+            search.take(x, y, &mut patch);
+            let mut best = (costs[i], planes.at(i));
             let back = if forward { -1 } else { 1 };
             for (dx, dy) in [(back, 0), (0, back), (4 * back, 0), (0, 4 * back)] {
                 let (ax, ay) = (x + dx, y + dy);
@@ -322,48 +371,53 @@ pub(crate) fn search(
                     continue;
                 }
                 let a = a as usize;
-                let (sx, sy) = (planes.slope_x[a], planes.slope_y[a]);
+                let neighbour = planes.at(a);
                 // The neighbour's plane, written about this pixel.
-                let shrink = 1.0 + sx * dx as f32 + sy * dy as f32;
+                let shrink = 1.0 + neighbour.slope_x * dx as f32 + neighbour.slope_y * dy as f32;
                 if shrink <= 0.2 {
                     continue;
                 }
-                let w = planes.inverse_depth[a] * shrink;
-                if w < range.low || w > range.high {
+                let plane = Plane {
+                    inverse_depth: neighbour.inverse_depth * shrink,
+                    slope_x: neighbour.slope_x / shrink,
+                    slope_y: neighbour.slope_y / shrink,
+                };
+                if plane.inverse_depth < range.low || plane.inverse_depth > range.high {
                     continue;
                 }
-                let (sx, sy) = (sx / shrink, sy / shrink);
-                let cost = search.cost(x, y, w, sx, sy, best.0);
+                let cost = search.cost(&patch, plane, best.0);
                 if cost < best.0 {
-                    best = (cost, w, sx, sy);
+                    best = (cost, plane);
                 }
             }
             let mut random = Stream::new(options.seed, index, sweep, i);
             let (mut a, mut b) = (depth_step, slope_step);
             for trial in 0..options.num_trials {
-                let mut w = best.1 * (1.0 + a * random.normal());
-                let mut sx = best.2 + b * random.normal();
-                let mut sy = best.3 + b * random.normal();
+                let from = best.1;
+                let mut normal = || random.normal();
+                let mut plane = Plane {
+                    inverse_depth: from.inverse_depth * (1.0 + a * normal()),
+                    slope_x: from.slope_x + b * normal(),
+                    slope_y: from.slope_y + b * normal(),
+                };
                 if trial % 3 == 1 {
-                    (sx, sy) = (best.2, best.3);
+                    (plane.slope_x, plane.slope_y) = (from.slope_x, from.slope_y);
                 } else if trial % 3 == 2 {
-                    w = best.1;
+                    plane.inverse_depth = from.inverse_depth;
                 }
                 a *= 0.5;
                 b *= 0.6;
-                w = w.clamp(range.low, range.high);
-                if sx * sx + sy * sy > max_slope * max_slope {
+                plane.inverse_depth = plane.inverse_depth.clamp(range.low, range.high);
+                if plane.slope_x.powi(2) + plane.slope_y.powi(2) > max_slope * max_slope {
                     continue;
                 }
-                let cost = search.cost(x, y, w, sx, sy, best.0);
+                let cost = search.cost(&patch, plane, best.0);
                 if cost < best.0 {
-                    best = (cost, w, sx, sy);
+                    best = (cost, plane);
                 }
             }
             costs[i] = best.0;
-            planes.inverse_depth[i] = best.1;
-            planes.slope_x[i] = best.2;
-            planes.slope_y[i] = best.3;
+            planes.set(i, best.1);
         }
         depth_step *= 0.35;
         slope_step *= 0.7;
@@ -423,4 +477,102 @@ pub(crate) fn refine_start(coarse: &LevelView, fine: &LevelView, planes: &Planes
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::photo::camera::Camera;
+    use nalgebra::{Matrix3, Point3, Vector3};
+    use rilievo_scene::LinearImage;
+
+    const SIZE: (usize, usize) = (112, 40);
+    const FOCAL: f64 = 200.0;
+    const NEAR: f64 = 1.0;
+    const FAR: f64 = 1.3;
+
+    fn camera(x: f64) -> Camera {
+        Camera {
+            width: SIZE.0,
+            height: SIZE.1,
+            fx: FOCAL,
+            fy: FOCAL,
+            cx: 55.5,
+            cy: 19.5,
+            rotation: Matrix3::identity(),
+            translation: Vector3::new(-x, 0.0, 0.0),
+            center: Point3::new(x, 0.0, 0.0),
+        }
+    }
+
+    /// Depth that a ray meets: a bright near plate on the left, a darker far one behind it.
+    fn hit(camera: &Camera, x: f64, y: f64) -> f64 {
+        let near = camera.center.x + NEAR * camera.ray(x, y).x;
+        if near < 0.0 { NEAR } else { FAR }
+    }
+
+    /// A view of both plates, whose pattern is a tenth of their brightness; 4×4 rays a pixel.
+    fn view(camera: &Camera) -> LevelView {
+        let mut image = LinearImage::filled(SIZE.0, SIZE.1, 3, 0.0);
+        for py in 0..SIZE.1 {
+            for px in 0..SIZE.0 {
+                let sum: f64 = (0..16)
+                    .map(|k| {
+                        let x = px as f64 + 0.25 * f64::from(k % 4) - 0.375;
+                        let y = py as f64 + 0.25 * f64::from(k / 4) - 0.375;
+                        let z = hit(camera, x, y);
+                        let ray = z * camera.ray(x, y);
+                        let (u, v) = (FOCAL * (camera.center.x + ray.x), FOCAL * ray.y);
+                        let pattern = (0.9 * u + 0.4 * v).sin()
+                            + (0.53 * u - 1.1 * v + z).cos()
+                            + (0.31 * u + 0.7 * v).sin();
+                        let albedo = if z < FAR { 0.6 } else { 0.3 };
+                        albedo * (1.0 + 0.05 * pattern)
+                    })
+                    .sum();
+                image.pixel_mut(px, py).fill((sum / 16.0) as f32);
+            }
+        }
+        LevelView::from_photo(camera, &image, &Raster::filled(SIZE.0, SIZE.1, true), 1.0).0
+    }
+
+    #[test]
+    fn depth_breaks_where_brightness_does() {
+        let cameras = [-0.1, 0.0, 0.1].map(camera);
+        let level = Level::new(
+            cameras.iter().map(view).collect(),
+            &[vec![1], vec![0, 2], vec![1]],
+        );
+        let middle = &level.views[1];
+        let masks: Vec<Mask> = level.views.iter().map(|v| v.mask.clone()).collect();
+        let range = InverseDepthRange {
+            low: 0.7,
+            high: 1.1,
+        };
+        let options = PatchMatchOptions {
+            cost: PatchCost::Correlation,
+            num_sweeps: 4,
+            num_trials: 6,
+            num_best: 1,
+            seed: 0,
+        };
+        let ranges = vec![range; middle.pixels.len()];
+        let planes = search(&level, 1, &masks, &ranges, None, &options);
+        // Pixels within four of the edge, and away from the frame.
+        let (mut right, mut all) = (0, 0);
+        for p in 0..middle.pixels.len() {
+            let (x, y) = middle.xy(p);
+            let from_edge = (x - 55.5).abs();
+            if (0.6..4.0).contains(&from_edge) && (6.0..34.0).contains(&y) {
+                let truth = hit(&cameras[1], x, y);
+                all += 1;
+                right += usize::from((planes.inverse_depth[p] * truth as f32 - 1.0).abs() < 0.02);
+            }
+        }
+        let share = f64::from(right as u32) / f64::from(all);
+        assert!(
+            share > 0.9,
+            "{share} of {all} pixels beside the edge are right"
+        );
+    }
 }

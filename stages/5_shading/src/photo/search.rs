@@ -46,8 +46,6 @@ impl Course<'_> {
         let num_sources = self.scene.sources.iter().map(Vec::len).max().unwrap_or(1);
         PatchMatchOptions {
             cost,
-            radius_px: 6,
-            stride_px: 2,
             num_sweeps: if is_started {
                 num_sweeps.div_ceil(2)
             } else {
