@@ -38,7 +38,7 @@ pub(super) fn version(stage: StageId) -> u32 {
     match stage {
         StageId::Photos => 4,
         StageId::Features => 3,
-        StageId::Poses => 5,
+        StageId::Poses => 6,
         StageId::Lighting => 3,
         StageId::Shading => 7,
         StageId::Fusion => 4,

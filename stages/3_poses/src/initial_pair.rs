@@ -2,7 +2,7 @@
 //!
 //! Each match in front of both cameras counts `min(1, angle / 16°)`; the sum is multiplied by
 //! `1 − ½ h` with `h` the share that a homography explains, so that many, well-conditioned points
-//! off a plane win.
+//! off a plane win. Pairs under `min_initial_angle_deg` take part only where there is no wider one.
 
 use crate::error::PosesError;
 use crate::options::PosesOptions;
@@ -16,6 +16,9 @@ use rilievo_numerics::robust::median;
 const SATURATION_ANGLE_DEG: f64 = 16.0;
 /// Homography share from which a pair counts as a pure rotation or a flat scene.
 const MAX_HOMOGRAPHY_SHARE: f64 = 0.97;
+/// Median angle of a pair over the smallest angle of a point, below which the pair is no start even
+/// where there is no wider one: most of its points would be dropped.
+const LEAST_ANGLE_OVER_POINTS: f64 = 2.0;
 
 /// A pair to start from.
 pub struct InitialPair {
@@ -107,12 +110,23 @@ pub fn candidates(
         .map(|(p, angle)| (p.pose.angles_rad.len(), *angle))
         .max_by(|a, b| a.1.total_cmp(&b.1))
         .unwrap_or((0, 0.0));
+    // Poses hold under much smaller angles than depth would like; only where no pair is wide
+    // enough may a narrow one begin.
+    let enough_points =
+        |p: &InitialPair| p.pose.angles_rad.len() >= options.min_num_initial_inliers;
+    let least_angle_deg = (LEAST_ANGLE_OVER_POINTS * options.min_triangulation_angle_deg)
+        .min(options.min_initial_angle_deg);
+    let is_wide = |(p, angle): &(InitialPair, f64)| {
+        enough_points(p) && *angle >= options.min_initial_angle_deg
+    };
+    let needed_angle_deg = if posed.iter().any(is_wide) {
+        options.min_initial_angle_deg
+    } else {
+        least_angle_deg
+    };
     let mut good: Vec<InitialPair> = posed
         .into_iter()
-        .filter(|(p, angle)| {
-            p.pose.angles_rad.len() >= options.min_num_initial_inliers
-                && *angle >= options.min_initial_angle_deg
-        })
+        .filter(|(p, angle)| enough_points(p) && *angle >= needed_angle_deg)
         .map(|(p, _)| p)
         .collect();
     if good.is_empty() {
@@ -121,7 +135,7 @@ pub fn candidates(
             best_points,
             best_angle_deg,
             needed_points: options.min_num_initial_inliers,
-            needed_angle_deg: options.min_initial_angle_deg,
+            needed_angle_deg,
         });
     }
     good.sort_by(|a, b| {

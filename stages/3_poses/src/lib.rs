@@ -16,6 +16,7 @@ mod known_distance;
 mod lens;
 mod loading;
 mod model;
+mod narrow;
 pub mod options;
 mod p3p;
 mod projection;
@@ -103,6 +104,7 @@ pub fn run(
         warnings.push(lens.advice());
     }
     warnings.extend(contradicted_exif(&scene, &reconstruction));
+    warnings.extend(narrow::warning(&posed, options));
     warnings.extend(
         posed
             .unregistered

@@ -49,7 +49,9 @@ pub struct PosesOptions {
     pub max_reprojection_error_px: f64,
     /// Smallest angle between two rays of a triangulated point, degrees.
     pub min_triangulation_angle_deg: f64,
-    /// Smallest median triangulation angle of the first pair, degrees.
+    /// Median triangulation angle that the first pair should have, degrees. Where no pair has it, the
+    /// model begins with a narrower one, down to twice the smallest angle of a point, and a warning
+    /// tells what that costs depth.
     pub min_initial_angle_deg: f64,
     /// Points that a photo must see to be registered.
     pub min_num_visible_points: usize,

@@ -221,6 +221,33 @@ fn what_cannot_be_reconstructed_has_a_name() {
 }
 
 #[test]
+fn photos_within_a_few_degrees_are_posed_and_what_it_costs_is_told() {
+    let near = world(&WorldOptions {
+        span_deg: 6.0,
+        num_views: 3,
+        ..WorldOptions::default()
+    });
+    let (posed, report) = run(&near.photos, &near.matches, None, &options(), &Silent).unwrap();
+    assert_eq!(posed.views.len(), 3);
+    assert!(
+        report.warnings.iter().any(|w| w.contains("from within")),
+        "{:?}",
+        report.warnings
+    );
+    let wide = world(&WorldOptions {
+        span_deg: 30.0,
+        num_views: 3,
+        ..WorldOptions::default()
+    });
+    let (_, report) = run(&wide.photos, &wide.matches, None, &options(), &Silent).unwrap();
+    assert!(
+        !report.warnings.iter().any(|w| w.contains("from within")),
+        "{:?}",
+        report.warnings
+    );
+}
+
+#[test]
 fn photos_of_something_else_stay_out_with_a_reason() {
     let mut world = world(&WorldOptions {
         num_views: 8,

@@ -29,7 +29,8 @@ pub struct AnchorOptions {
     /// Smallest angle between two rays of an anchor in `sift` mode, degrees.
     pub min_angle_deg: f64,
     /// Smallest angle between the rays of a patch and a source, degrees: below it a pixel of noise
-    /// moves the depth too far.
+    /// moves the depth too far. Where the widest rays of most points meet at less than four times
+    /// this, a quarter of their angle takes its place.
     pub min_source_angle_deg: f64,
     /// Largest such angle, degrees: beyond it patches look too different.
     pub max_source_angle_deg: f64,

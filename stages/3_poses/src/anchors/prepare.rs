@@ -102,7 +102,7 @@ pub(super) fn prepare<'a>(
         .collect();
     Ok(Some(Scene {
         options,
-        grow: grow_options(options, views.len()),
+        grow: grow_options(options, views.len(), crate::narrow::widest_angle(posed)),
         views,
         ids,
         details,
@@ -113,7 +113,12 @@ pub(super) fn prepare<'a>(
 }
 
 /// Criteria of seeds and growing.
-fn grow_options(options: &AnchorOptions, num_views: usize) -> GrowOptions {
+fn grow_options(
+    options: &AnchorOptions,
+    num_views: usize,
+    widest_angle_rad: Option<f64>,
+) -> GrowOptions {
+    let smallest = options.min_source_angle_deg.to_radians();
     GrowOptions {
         patch: PatchOptions {
             radius_px: options.patch_radius_px,
@@ -133,7 +138,7 @@ fn grow_options(options: &AnchorOptions, num_views: usize) -> GrowOptions {
         max_sigma_px: 0.3,
         max_tilt: 4.0,
         angles_rad: (
-            options.min_source_angle_deg.to_radians(),
+            widest_angle_rad.map_or(smallest, |widest| smallest.min(0.25 * widest)),
             options.max_source_angle_deg.to_radians(),
         ),
     }
