@@ -25,6 +25,17 @@ fn an_empty_folder_is_input_that_cannot_be_used() {
 }
 
 #[test]
+fn one_photo_is_told_the_command_for_single_views() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 1);
+    let (code, _, stderr) = reconstruct_until("3_poses", &photos, &dir.path().join("run"), &[]);
+    assert_eq!(code, 4, "{stderr}");
+    for part in ["rilievo shade --image", "--camera", "--lighting", "--init"] {
+        assert!(stderr.contains(part), "{part} is not told in: {stderr}");
+    }
+}
+
+#[test]
 fn bad_files_among_good_photos_are_named_and_the_good_ones_go_on() {
     let dir = tempfile::tempdir().unwrap();
     let photos = noise_photos(dir.path(), 3);

@@ -45,9 +45,18 @@ pub fn from_poses(error: PosesError) -> anyhow::Error {
         PosesError::InvalidOption { .. } | PosesError::Sphere { .. } => {
             Failure::Usage(error.to_string()).into()
         }
+        PosesError::TooFewPhotos { num_photos: 1 } => {
+            Failure::NoResult(ONE_PHOTO.to_owned()).into()
+        }
         other => Failure::NoResult(other.to_string()).into(),
     }
 }
+
+/// One photo has no pose, but a command of its own.
+const ONE_PHOTO: &str = "1 usable photo, poses need at least 2: add photos from other directions, \
+     or shade this one view by itself: rilievo shade --image PHOTO --mask MASK --camera CAMERA.json \
+     --lighting FILE -o DIR (in place of --lighting a shape on which the light is fitted: --init or \
+     --prior DEPTH.exr)";
 
 /// Stage 4.
 pub fn from_lighting(error: LightingError) -> anyhow::Error {
