@@ -37,45 +37,24 @@ impl Estimate {
             return Self::of_shade(root);
         }
         let run = RunDir::open_to_read(root)?;
-        if run.manifest(StageId::Poses)?.is_none() {
-            return Self::without_poses(&run);
-        }
-        let views = load_poses(&run)?;
-        let poses = views
-            .views
-            .iter()
-            .map(|view| NamedPose {
-                name: view.name.clone(),
-                cam_from_world: view.cam_from_world,
-            })
-            .collect();
-        let unregistered = views.unregistered.iter().map(|photo| {
-            let name = Path::new(&photo.file_name).file_stem();
-            name.map_or(String::new(), |name| name.to_string_lossy().into_owned())
-        });
-        let posed = views.views.iter().map(|view| view.name.clone());
-        Ok(Self {
-            expected: posed.chain(unregistered).collect(),
-            poses,
-            maps: run.stage_dir(StageId::Shading),
-            cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
-            light: run.stage_dir(StageId::Lighting).join("lighting.json"),
-            photos: run.stage_dir(StageId::Photos).join("linear"),
-            gains: exposure_gains(run.manifest(StageId::Photos)?.as_ref()),
-        })
-    }
-
-    /// A run that has not come to poses yet: photos at most, from which a result was expected.
-    fn without_poses(run: &RunDir) -> anyhow::Result<Self> {
         let photos = run.manifest(StageId::Photos)?;
+        let gains = exposure_gains(photos.as_ref());
+        let (poses, expected) = match run.manifest(StageId::Poses)? {
+            Some(_) => posed(&run)?,
+            // Photos at most, from which a result was expected.
+            None => {
+                let names = photos.map(|manifest| manifest.items.into_keys().collect());
+                (Vec::new(), names.unwrap_or_default())
+            }
+        };
         Ok(Self {
-            poses: Vec::new(),
-            expected: photos.map_or_else(Vec::new, |manifest| manifest.items.into_keys().collect()),
+            poses,
+            expected,
             maps: run.stage_dir(StageId::Shading),
             cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
             light: run.stage_dir(StageId::Lighting).join("lighting.json"),
             photos: run.stage_dir(StageId::Photos).join("linear"),
-            gains: exposure_gains(run.manifest(StageId::Photos)?.as_ref()),
+            gains,
         })
     }
 
@@ -151,6 +130,22 @@ impl Estimate {
         }
         Ok(photo)
     }
+}
+
+/// Poses of the registered photos, and the names of all.
+fn posed(run: &RunDir) -> anyhow::Result<(Vec<NamedPose>, Vec<String>)> {
+    let views = load_poses(run)?;
+    let unregistered = views.unregistered.iter().map(|photo| {
+        let name = Path::new(&photo.file_name).file_stem();
+        name.map_or(String::new(), |name| name.to_string_lossy().into_owned())
+    });
+    let names = views.views.iter().map(|view| view.name.clone());
+    let expected = names.chain(unregistered).collect();
+    let poses = views.views.iter().map(|view| NamedPose {
+        name: view.name.clone(),
+        cam_from_world: view.cam_from_world,
+    });
+    Ok((poses.collect(), expected))
 }
 
 /// Exposure gains in the report of stage 1.
