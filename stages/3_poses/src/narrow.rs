@@ -5,6 +5,7 @@
 //! error `δ / (f tan θ)` for an error of `δ` pixels between the photos.
 
 use crate::options::PosesOptions;
+use crate::triangulation;
 use nalgebra::Point3;
 use rilievo_numerics::robust::median;
 use rilievo_scene::PosedViews;
@@ -27,16 +28,12 @@ pub fn widest_angle(posed: &PosedViews) -> Option<f64> {
         .iter()
         .step_by(stride)
         .map(|point| {
-            let position = Point3::from(point.position);
-            let rays: Vec<_> = point
+            let seen_from: Vec<Point3<f64>> = point
                 .track
                 .iter()
-                .map(|sighting| position - centers[sighting.view.0])
+                .map(|sighting| centers[sighting.view.0])
                 .collect();
-            rays.iter()
-                .enumerate()
-                .flat_map(|(k, ray)| rays[..k].iter().map(|other| ray.angle(other)))
-                .fold(0.0, f64::max)
+            triangulation::widest_angle(&Point3::from(point.position), &seen_from)
         })
         .collect();
     median(&mut widest)

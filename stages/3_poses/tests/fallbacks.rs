@@ -4,40 +4,17 @@
 
 mod common;
 
-use common::{World, WorldOptions, camera, from_truth, look_at, options, pose_errors, world};
+use common::{World, WorldOptions, arc, camera, from_truth, options, pose_errors, world};
 use nalgebra::{Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rilievo_poses::{
     KnownDistance, MarkedPoints, PosesError, PosesOptions, PosesReport, VerticalSource, run,
 };
-use rilievo_scene::{FocalSource, PosedViews, RigidTransform, ScaleSource, Silent, Unit};
+use rilievo_scene::{FocalSource, PosedViews, ScaleSource, Silent, Unit};
 
 fn solve_with(world: &World, options: &PosesOptions) -> (PosedViews, PosesReport) {
     run(&world.photos, &world.matches, None, options, &Silent).unwrap()
-}
-
-/// Poses on an arc, and points in a ball.
-fn arc(angles_deg: &[f64], num_points: usize) -> (Vec<RigidTransform>, Vec<Point3<f64>>) {
-    let poses = angles_deg
-        .iter()
-        .map(|deg| {
-            let a = deg.to_radians();
-            let center = Point3::new(3.0 * a.cos(), 3.0 * a.sin(), 0.9);
-            look_at(center, Point3::origin())
-        })
-        .collect();
-    let points = (0..num_points)
-        .map(|k| {
-            let k = k as f64;
-            Point3::new(
-                0.7 * (k * 1.31).sin(),
-                0.7 * (k * 0.71).cos(),
-                0.5 * (k * 2.13).sin(),
-            )
-        })
-        .collect();
-    (poses, points)
 }
 
 #[test]

@@ -4,9 +4,9 @@
 
 mod common;
 
-use common::{World, WorldOptions, from_truth, look_at, options, pose_errors, world};
+use common::{World, WorldOptions, arc, from_truth, look_at, options, pose_errors, world};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
-use rand::{Rng, SeedableRng};
+use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rilievo_poses::{GivenPoses, PosesError, PosesReport, RefineIntrinsics, run};
 use rilievo_scene::{
@@ -208,31 +208,9 @@ fn what_cannot_be_reconstructed_has_a_name() {
         "{error:?}"
     );
     // Cameras a hair's breadth apart: rays too nearly parallel.
-    let poses = [0.0f64, 1.0, 2.0]
-        .map(|degrees| {
-            let (y, x) = degrees.to_radians().sin_cos();
-            look_at(Point3::new(3.0 * x, 3.0 * y, 0.8), Point3::origin())
-        })
-        .to_vec();
+    let (poses, points) = arc(&[0.0, 1.0, 2.0], 400);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let points: Vec<Point3<f64>> = (0..400)
-        .map(|_| {
-            Point3::new(
-                rng.random_range(-0.8..0.8),
-                rng.random_range(-0.8..0.8),
-                rng.random_range(-0.6..0.6),
-            )
-        })
-        .collect();
-    let near = from_truth(
-        &WorldOptions {
-            num_views: 3,
-            ..WorldOptions::default()
-        },
-        poses,
-        &points,
-        &mut rng,
-    );
+    let near = from_truth(&WorldOptions::default(), poses, &points, &mut rng);
     let error = run(&near.photos, &near.matches, None, &options(), &Silent);
     assert!(
         matches!(error, Err(PosesError::NoInitialPair { .. })),

@@ -249,3 +249,26 @@ pub fn pose_errors(posed: &PosedViews, truth: &[RigidTransform]) -> (f64, f64) {
     }
     worst
 }
+
+/// Poses on an arc, and points in a ball.
+pub fn arc(angles_deg: &[f64], num_points: usize) -> (Vec<RigidTransform>, Vec<Point3<f64>>) {
+    let poses = angles_deg
+        .iter()
+        .map(|deg| {
+            let a = deg.to_radians();
+            let center = Point3::new(3.0 * a.cos(), 3.0 * a.sin(), 0.9);
+            look_at(center, Point3::origin())
+        })
+        .collect();
+    let points = (0..num_points)
+        .map(|k| {
+            let k = k as f64;
+            Point3::new(
+                0.7 * (k * 1.31).sin(),
+                0.7 * (k * 0.71).cos(),
+                0.5 * (k * 2.13).sin(),
+            )
+        })
+        .collect();
+    (poses, points)
+}
