@@ -12,9 +12,7 @@ use rilievo_io::{
     LightingFile, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
 };
 use rilievo_lighting::LightingRequest;
-use rilievo_scene::{
-    LightKind, LightingCalibration, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx,
-};
+use rilievo_scene::{LightingCalibration, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx};
 
 const CALIBRATION: &str = "calibration.json";
 
@@ -81,7 +79,7 @@ fn lighting_request(
                     .map(|view| (view.name.clone(), lighting.clone()))
                     .collect(),
             };
-            Ok(LightingRequest::Given(given, LightKind::Camera))
+            Ok(LightingRequest::Given(given))
         }
         LightingInput::Shape { folder } => {
             let mut shapes = Vec::new();

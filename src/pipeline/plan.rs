@@ -39,7 +39,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Photos => 4,
         StageId::Features => 3,
         StageId::Poses => 6,
-        StageId::Lighting => 3,
+        StageId::Lighting => 4,
         StageId::Shading => 7,
         StageId::Fusion => 4,
     }

@@ -1,4 +1,4 @@
-//! Whether the spheres in several views agree with the stated kind of light.
+//! What the light is fixed to, told from the spheres, or a known shape, in several views.
 //!
 //! With the gains of the photos free, the scatter of `ln I` between views is compared at equal
 //! normals in the world (a resting light leaves none) and at equal normals in the camera (a light
@@ -7,25 +7,25 @@
 use crate::cells::{CellMean, NUM_CELLS, cell_means, two_way};
 use crate::report::KindCheck;
 use crate::side::Side;
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_scene::LightKind;
 
 /// The better kind must leave this many times less scatter.
 const CLEAR: f64 = 1.5;
 /// Scatter that any kind may leave: noise, compression, cells of finite size.
 const UNAVOIDABLE: f64 = 0.01;
+/// Cells that two views must share.
+const MIN_SHARED_CELLS: usize = 10;
 /// Directions of view must differ by this much, radians (6°).
 const MIN_TURN: f64 = 0.1;
 
-/// Compares both kinds; `None` with fewer than two views of the sphere.
+/// Compares both kinds on the spheres; `None` with fewer than two views of them.
 pub(crate) fn check(side: &Side, stated: LightKind) -> Option<KindCheck> {
-    let num_views = side.views.len();
-    if num_views < 2 {
+    if side.views.len() < 2 {
         return None;
     }
-    let scatter = |in_world: bool| {
-        let mut means: Vec<CellMean> = Vec::new();
-        for patch in &side.patches {
+    let means = |in_world: bool| {
+        let of_patch = side.patches.iter().map(|patch| {
             let (sample, rotation) = (&patch.samples, &side.world_from_cam[patch.view]);
             let values = (0..sample.normals.len())
                 .filter(|&k| !sample.usable[k].contains(&false))
@@ -34,24 +34,56 @@ pub(crate) fn check(side: &Side, stated: LightKind) -> Option<KindCheck> {
                     let normal = if in_world { rotation * normal } else { normal };
                     (normal, sample.values[k].iter().sum::<f64>())
                 });
-            let first_cell = patch.sphere * NUM_CELLS;
-            means.extend(cell_means(patch.view, first_cell, values));
-        }
-        let fit = two_way(num_views, &means);
-        (fit.num_shared >= 10).then_some(fit.scatter)
+            cell_means(patch.view, patch.sphere * NUM_CELLS, values)
+        });
+        of_patch.flatten().collect()
     };
-    let turn = side
-        .world_from_cam
+    compare(&side.world_from_cam, Some(stated), CLEAR, means)
+}
+
+/// Compares both kinds on a known shape, of which nothing is stated: normals (camera frame) and
+/// brightness of every view. The surface shades itself, which scatters both ways, so that the
+/// smaller scatter decides; `None` where too few normals are seen twice.
+pub(crate) fn check_on_shape(
+    world_from_cam: &[UnitQuaternion<f64>],
+    brightness: &[Vec<(Vector3<f64>, f64)>],
+) -> Option<KindCheck> {
+    let means = |in_world: bool| {
+        let of_view = brightness.iter().enumerate().map(|(view, samples)| {
+            let values = samples.iter().map(|&(normal, value)| {
+                let turned = world_from_cam[view] * normal;
+                (if in_world { turned } else { normal }, value)
+            });
+            cell_means(view, 0, values)
+        });
+        of_view.flatten().collect()
+    };
+    compare(world_from_cam, None, 1.0, means)
+}
+
+/// `means(true)` are the cells of normals in the world, `means(false)` those in the camera; the better
+/// kind must leave `clear` times less scatter.
+fn compare(
+    world_from_cam: &[UnitQuaternion<f64>],
+    stated: Option<LightKind>,
+    clear: f64,
+    means: impl Fn(bool) -> Vec<CellMean>,
+) -> Option<KindCheck> {
+    let scatter = |in_world: bool| {
+        let fit = two_way(world_from_cam.len(), &means(in_world));
+        (fit.num_shared >= MIN_SHARED_CELLS).then_some(fit.scatter)
+    };
+    let turn = world_from_cam
         .iter()
         .skip(1)
-        .map(|r| r.angle_to(&side.world_from_cam[0]))
+        .map(|r| r.angle_to(&world_from_cam[0]))
         .fold(0.0, f64::max);
     let (world, camera) = (scatter(true)?, scatter(false)?);
     let fits = if turn < MIN_TURN {
         None
-    } else if camera > CLEAR * world.max(UNAVOIDABLE) {
+    } else if camera > clear * world.max(UNAVOIDABLE) {
         Some(LightKind::World)
-    } else if world > CLEAR * camera.max(UNAVOIDABLE) {
+    } else if world > clear * camera.max(UNAVOIDABLE) {
         Some(LightKind::Camera)
     } else {
         None
@@ -61,6 +93,6 @@ pub(crate) fn check(side: &Side, stated: LightKind) -> Option<KindCheck> {
         scatter_world: world,
         scatter_camera: camera,
         fits,
-        contradicts: fits.is_some_and(|kind| kind != stated),
+        contradicts: stated.is_some() && fits.is_some() && fits != stated,
     })
 }

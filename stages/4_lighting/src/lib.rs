@@ -75,7 +75,7 @@ pub fn run(
         return Err(LightingError::NoView);
     }
     match request {
-        LightingRequest::Given(lightings, kind) => request::given(posed, lightings, *kind),
+        LightingRequest::Given(lightings) => request::given(posed, lightings),
         LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, options, observer),
         LightingRequest::Sphere(sphere) => {
             let (mut calibration, mut report) =

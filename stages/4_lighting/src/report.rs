@@ -94,12 +94,12 @@ pub struct SphereLightReport {
     pub left_out: bool,
 }
 
-/// Whether the stated kind of light agrees with the sphere in several views.
+/// What the light is fixed to by the brightness of the spheres, or of a known shape, in several views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindCheck {
-    /// What was stated.
-    pub stated: LightKind,
-    /// Relative scatter of the sphere's brightness between views at equal normals in the world.
+    /// What was stated, where anything was.
+    pub stated: Option<LightKind>,
+    /// Relative scatter of brightness between views at equal normals in the world.
     pub scatter_world: f64,
     /// The same at equal normals in the camera.
     pub scatter_camera: f64,

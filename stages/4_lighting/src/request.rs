@@ -17,8 +17,8 @@ pub enum LightingRequest {
     /// Known depth of some views: one lighting per view, the shape is used for nothing else.
     Shape(Vec<(ViewIdx, DepthMap)>),
     /// Coefficients in each view's camera frame by the view's name, with or without ending; a
-    /// single entry named `*` serves every view.
-    Given(Vec<(String, Lighting)>, LightKind),
+    /// single entry named `*` serves every view. What the light is fixed to follows from them.
+    Given(Vec<(String, Lighting)>),
     /// The depth anchors that stage 3 found: uncalibrated.
     OwnShape,
 }
@@ -29,7 +29,6 @@ const EVERY_VIEW: &str = "*";
 pub(crate) fn given(
     posed: &PosedViews,
     lightings: &[(String, Lighting)],
-    kind: LightKind,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let mut views = Vec::with_capacity(posed.views.len());
     let mut missing = Vec::new();
@@ -51,6 +50,7 @@ pub(crate) fn given(
     if !missing.is_empty() {
         return Err(LightingError::GivenMissing { views: missing });
     }
+    let kind = fixed_to(posed, &views);
     let environment_in_world = (kind == LightKind::World)
         .then(|| {
             let first = &posed.views.first()?;
@@ -78,4 +78,41 @@ pub(crate) fn given(
         },
         report,
     ))
+}
+
+/// What a light is fixed to whose lightings are given view by view: to the world if they agree better
+/// there, up to a gain each, than in the cameras' frames.
+fn fixed_to(posed: &PosedViews, views: &[ViewLighting]) -> LightKind {
+    let scatter = |in_world: bool| -> f64 {
+        let rows: Vec<Vec<f64>> = views
+            .iter()
+            .map(|entry| {
+                let world_from_cam = posed.views[entry.view.0].cam_from_world.rotation.inverse();
+                let lighting = if in_world {
+                    rotate(&entry.lighting, &world_from_cam)
+                } else {
+                    entry.lighting.clone()
+                };
+                let row: Vec<f64> = lighting.channels.iter().flat_map(|l| l.0).collect();
+                let length = row.iter().map(|v| v * v).sum::<f64>().sqrt();
+                row.iter()
+                    .map(|v| v / length.max(f64::MIN_POSITIVE))
+                    .collect()
+            })
+            .collect();
+        let num_rows = rows.len().max(1) as f64;
+        let num_columns = rows.iter().map(Vec::len).min().unwrap_or(0);
+        (0..num_columns)
+            .map(|k| {
+                let mean = rows.iter().map(|row| row[k]).sum::<f64>() / num_rows;
+                rows.iter().map(|row| (row[k] - mean).powi(2)).sum::<f64>()
+            })
+            .sum()
+    };
+    // One light for every view's own frame leaves no scatter there, but for rounding.
+    if scatter(true) < scatter(false) {
+        LightKind::World
+    } else {
+        LightKind::Camera
+    }
 }

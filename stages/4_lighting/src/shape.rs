@@ -7,6 +7,7 @@
 //! `max_slope` (relative change of depth per pixel times the focal length) are depth edges: no
 //! tangent crosses them.
 
+use crate::kind;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
 use crate::{LightingError, LightingOptions};
 use nalgebra::{Point2, Vector3};
@@ -31,6 +32,17 @@ pub fn fit_on_shape(
     clip_level: f32,
     options: &LightingOptions,
 ) -> Result<(Lighting, LightingFit), LightingError> {
+    let normals = normals_on(image, intrinsics, depth, options)?;
+    fit_on_normals(image, mask, &normals, clip_level, options)
+}
+
+/// Normals of a depth map that must have the image's size.
+fn normals_on(
+    image: &LinearImage,
+    intrinsics: &Intrinsics,
+    depth: &DepthMap,
+    options: &LightingOptions,
+) -> Result<NormalMap, LightingError> {
     if (depth.width, depth.height) != (image.width, image.height) {
         return Err(LightingError::ShapeSize {
             name: "the image".to_owned(),
@@ -40,8 +52,7 @@ pub fn fit_on_shape(
             photo_height: image.height,
         });
     }
-    let normals = normals_of_depth(depth, intrinsics, options.max_slope);
-    fit_on_normals(image, mask, &normals, clip_level, options)
+    Ok(normals_of_depth(depth, intrinsics, options.max_slope))
 }
 
 /// Fits the lighting of one image on known normals (for orthographic cameras, or normals of the
@@ -56,22 +67,54 @@ pub fn fit_on_normals(
     clip_level: f32,
     options: &LightingOptions,
 ) -> Result<(Lighting, LightingFit), LightingError> {
-    let pixels = surface_pixels(image, mask, normals, options.max_num_samples);
-    let limit = f64::from(clip_level) * options.clip_share;
-    let (mut known, mut values, mut usable) = (Vec::new(), Vec::new(), Vec::new());
-    for &(x, y, normal) in &pixels {
-        let pixel: Vec<f64> = image.pixel(x, y).iter().map(|&v| f64::from(v)).collect();
-        usable.push(pixel.iter().map(|&v| v < limit).collect());
-        values.push(pixel);
-        known.push(normal);
-    }
-    let fit = fit_lighting(&known, &values, &usable, &options.fit).map_err(|source| {
-        LightingError::Fit {
-            of: "a shape".to_owned(),
-            source,
+    Samples::of(image, mask, normals, clip_level, options).fit(options)
+}
+
+/// Normals (camera frame) and intensities of a surface's pixels.
+#[derive(Default)]
+struct Samples {
+    normals: Vec<Vector3<f64>>,
+    values: Vec<Vec<f64>>,
+    usable: Vec<Vec<bool>>,
+}
+
+impl Samples {
+    fn of(
+        image: &LinearImage,
+        mask: Option<&Mask>,
+        normals: &NormalMap,
+        clip_level: f32,
+        options: &LightingOptions,
+    ) -> Self {
+        let limit = f64::from(clip_level) * options.clip_share;
+        let mut samples = Self::default();
+        for (x, y, normal) in surface_pixels(image, mask, normals, options.max_num_samples) {
+            let pixel: Vec<f64> = image.pixel(x, y).iter().map(|&v| f64::from(v)).collect();
+            let usable = pixel.iter().map(|&v| v < limit).collect();
+            samples.usable.push(usable);
+            samples.values.push(pixel);
+            samples.normals.push(normal);
         }
-    })?;
-    Ok((fit.lighting(), fit))
+        samples
+    }
+
+    fn fit(&self, options: &LightingOptions) -> Result<(Lighting, LightingFit), LightingError> {
+        let fit = fit_lighting(&self.normals, &self.values, &self.usable, &options.fit).map_err(
+            |source| LightingError::Fit {
+                of: "a shape".to_owned(),
+                source,
+            },
+        )?;
+        Ok((fit.lighting(), fit))
+    }
+
+    /// Normals and brightness of the pixels that are not clipped.
+    fn brightness(&self) -> Vec<(Vector3<f64>, f64)> {
+        (0..self.normals.len())
+            .filter(|&k| !self.usable[k].contains(&false))
+            .map(|k| (self.normals[k], self.values[k].iter().sum()))
+            .collect()
+    }
 }
 
 /// Pixels with a normal, at most `max_num` of them, evenly spread.
@@ -136,6 +179,9 @@ pub(crate) fn normals_of_depth(
 }
 
 /// One lighting per view with a shape; a view without takes the lighting of none.
+///
+/// What the light is fixed to is nowhere stated: the shape tells ([`kind::check_on_shape`]), and where
+/// it cannot, the light is taken to rest, as it does when a camera is walked around an object.
 pub(crate) fn run(
     photos: &PhotoSet,
     posed: &PosedViews,
@@ -146,10 +192,10 @@ pub(crate) fn run(
     let mut views = Vec::new();
     let mut report = LightingReport {
         source: LightSource::Shape,
-        kind: LightKind::Camera,
         ..LightingReport::default()
     };
     let mut worst: Option<LightingFit> = None;
+    let mut brightness = vec![Vec::new(); posed.views.len()];
     for (idx, view) in posed.views.iter().enumerate() {
         let flow = observer.event(Event::Progress {
             stage: StageId::Lighting,
@@ -172,15 +218,14 @@ pub(crate) fn run(
         };
         let photo = &photos.photos[view.photo.0];
         let image = photo.pixels.load()?;
-        let fitted = fit_on_shape(
-            &image,
-            photo.mask.as_deref(),
-            &view.intrinsics,
-            depth,
-            photo.clip_level,
-            options,
-        )
-        .map_err(|error| named(error, &view.name));
+        let normals = normals_on(&image, &view.intrinsics, depth, options)
+            .map_err(|error| named(error, &view.name))?;
+        let mask = photo.mask.as_deref();
+        let samples = Samples::of(&image, mask, &normals, photo.clip_level, options);
+        brightness[idx] = samples.brightness();
+        let fitted = samples
+            .fit(options)
+            .map_err(|error| named(error, &view.name));
         let (lighting, fit) = match fitted {
             Ok(found) => found,
             Err(LightingError::Fit { source, .. }) => {
@@ -217,9 +262,20 @@ pub(crate) fn run(
         return Err(LightingError::NoShape);
     };
     report.channels = worst.channels.iter().map(ChannelReport::from).collect();
+    let world_from_cam: Vec<_> = posed
+        .views
+        .iter()
+        .map(|view| view.cam_from_world.rotation.inverse())
+        .collect();
+    report.kind_check = kind::check_on_shape(&world_from_cam, &brightness);
+    report.kind = report
+        .kind_check
+        .as_ref()
+        .and_then(|check| check.fits)
+        .unwrap_or(LightKind::World);
     let calibration = LightingCalibration {
         source: LightSource::Shape,
-        kind: LightKind::Camera,
+        kind: report.kind,
         environment_in_world: None,
         views,
         spheres: Vec::new(),

@@ -73,18 +73,17 @@ fn warn_of_kind(report: &mut LightingReport) {
     let Some(check) = report.kind_check.as_ref().filter(|c| c.contradicts) else {
         return;
     };
+    let (Some(stated), Some(fits)) = (check.stated, check.fits) else {
+        return;
+    };
     let word = |kind| match kind {
         LightKind::World => "fixed in the world (\"world\")",
         LightKind::Camera => "fixed to the camera (\"camera\")",
     };
-    let fits = match check.stated {
-        LightKind::World => LightKind::Camera,
-        LightKind::Camera => LightKind::World,
-    };
     report.warnings.push(format!(
         "the light is stated as {}, but the sphere's brightness scatters by {:.1} % at equal \
          normals in the world and by {:.1} % at equal normals in the camera: it is {}",
-        word(check.stated),
+        word(stated),
         100.0 * check.scatter_world,
         100.0 * check.scatter_camera,
         word(fits)

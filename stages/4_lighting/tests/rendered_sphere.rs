@@ -409,11 +409,7 @@ fn input_without_light_gives_named_errors() {
         "{result:?}"
     );
     let named = vec![("view0".to_owned(), light())];
-    let result = go(
-        &posed,
-        &LightingRequest::Given(named, LightKind::World),
-        &options,
-    );
+    let result = go(&posed, &LightingRequest::Given(named), &options);
     assert!(
         matches!(result, Err(LightingError::GivenMissing { .. })),
         "{result:?}"

@@ -67,8 +67,13 @@ struct World {
     normals: Vec<Raster<[f32; 3]>>,
 }
 
-/// The object under one light, a sphere beside it under another.
+/// The object under one light, a sphere beside it under another, both at rest.
 fn world(on_object: &Lighting, on_ball: &Lighting, albedo: f64) -> World {
+    lit(on_object, on_ball, albedo, LightKind::World)
+}
+
+/// [`world`], with the lights fixed to the world or the camera.
+fn lit(on_object: &Lighting, on_ball: &Lighting, albedo: f64, kind: LightKind) -> World {
     let intrinsics = Intrinsics::pinhole(260, 200, 420.0, 129.5, 99.5);
     let mut made = World {
         photos: PhotoSet::default(),
@@ -98,6 +103,10 @@ fn world(on_object: &Lighting, on_ball: &Lighting, albedo: f64) -> World {
                 let ray_in_cam = intrinsics.ray(&pixel).normalize();
                 let ray = pose.rotation.inverse() * ray_in_cam;
                 let mut paint = |light: &Lighting, n: &Vector3<f64>, factor: f64| {
+                    let n = &match kind {
+                        LightKind::World => *n,
+                        LightKind::Camera => pose.rotation * n,
+                    };
                     for (value, l) in image.pixel_mut(x, y).iter_mut().zip(&light.channels) {
                         *value = (factor * l.evaluate(n)).max(0.0) as f32;
                     }
@@ -262,6 +271,41 @@ fn a_known_shape_gives_its_light_and_other_sizes_are_refused() {
         "{:?}",
         report.warnings
     );
+}
+
+#[test]
+fn a_known_shape_and_given_lightings_tell_what_the_light_is_fixed_to() {
+    for kind in [LightKind::World, LightKind::Camera] {
+        let light = environment(0.0);
+        let mut made = lit(&light, &light, 1.0, kind);
+        // Exposures of two photos differ, and noise.
+        for (k, photo) in made.photos.photos.iter_mut().enumerate() {
+            let mut image = photo.pixels.load().unwrap().as_ref().clone();
+            let gain = [1.0, 0.8, 1.1, 1.0][k];
+            for (j, value) in image.data.iter_mut().enumerate() {
+                *value *= gain * (1.0 + 0.05 * (12.9 * j as f32).sin());
+            }
+            photo.pixels = Arc::new(InMemoryPixels(Arc::new(image)));
+        }
+        let run = |request: &LightingRequest| {
+            let options = LightingOptions::default();
+            run(&made.photos, &made.posed, request, &options, &Silent).unwrap()
+        };
+        let shapes = (0..NUM_VIEWS)
+            .map(|k| (ViewIdx(k), made.depths[k].clone()))
+            .collect();
+        let (of_shape, report) = run(&LightingRequest::Shape(shapes));
+        assert_eq!(of_shape.kind, kind, "{:?}", report.kind_check);
+        let given = of_shape
+            .views
+            .iter()
+            .map(|v| (made.posed.views[v.view.0].name.clone(), v.lighting.clone()))
+            .collect();
+        let (of_file, _) = run(&LightingRequest::Given(given));
+        assert_eq!(of_file.kind, kind);
+        let one = vec![("*".to_owned(), of_shape.views[0].lighting.clone())];
+        assert_eq!(run(&LightingRequest::Given(one)).0.kind, LightKind::Camera);
+    }
 }
 
 #[test]
