@@ -129,23 +129,21 @@ pub(crate) fn pixel_ranges(
                 .iter()
                 .map(|(warp, _)| warp.a * Vector3::new(x, y, 1.0))
                 .collect();
-            let (mut first, mut last) = (None, None);
-            for k in 0..NUM_SAMPLES {
-                let w = range.low + step * k as f32;
-                let seen = others.iter().zip(&bases).all(|((warp, mask), base)| {
-                    let p = base + warp.b * f64::from(w);
-                    p.z > 0.0
-                        && mask.contains((p.x / p.z).round() as isize, (p.y / p.z).round() as isize)
-                });
-                if seen {
-                    first = first.or(Some(w));
-                    last = Some(w);
-                }
-            }
+            let inverse_depth = |k: usize| range.low + step * k as f32;
+            let is_seen = |&k: &usize| {
+                let w = f64::from(inverse_depth(k));
+                others.iter().zip(&bases).all(|((warp, mask), base)| {
+                    let p = base + warp.b * w;
+                    let (u, v) = (p.x / p.z + 0.5, p.y / p.z + 0.5);
+                    p.z > 0.0 && u >= 0.0 && v >= 0.0 && mask.contains(u as isize, v as isize)
+                })
+            };
+            let first = (0..NUM_SAMPLES).find(is_seen);
+            let last = first.and_then(|first| (first..NUM_SAMPLES).rev().find(is_seen));
             match (first, last) {
                 (Some(low), Some(high)) => InverseDepthRange {
-                    low: low - 2.0 * step,
-                    high: high + 2.0 * step,
+                    low: inverse_depth(low) - 2.0 * step,
+                    high: inverse_depth(high) + 2.0 * step,
                 },
                 _ => range,
             }

@@ -33,25 +33,22 @@ pub(crate) fn maps(
                     &scene.pyramid[finer + 1].views[i],
                 );
                 let (up, up_known) = level::upsample(parent, child, &values);
-                (normals, known) = (0..child.pixels.len())
-                    .map(|p| {
-                        let (x, y) = (child.pixels.xs[p] / 2, child.pixels.ys[p] / 2);
-                        let inside =
-                            x < parent.pixels.width as u32 && y < parent.pixels.height as u32;
-                        let number = if inside {
-                            parent.pixels.number[y as usize * parent.pixels.width + x as usize]
-                        } else {
-                            OUTSIDE
-                        };
-                        if number == OUTSIDE || !up_known[p] || !known[number as usize] {
-                            ([0.0; 3], false)
-                        } else {
-                            (normals[number as usize], true)
-                        }
-                    })
-                    .unzip();
-                values = up;
-                extend(child, &mut values, &mut normals, &mut known);
+                let parent_known = |p: usize| {
+                    let (x, y) = (child.pixels.xs[p] / 2, child.pixels.ys[p] / 2);
+                    let (x, y, width) = (x as usize, y as usize, parent.pixels.width);
+                    let number = (x < width && y < parent.pixels.height)
+                        .then(|| parent.pixels.number[y * width + x])
+                        .filter(|&number| number != OUTSIDE)?;
+                    known[number as usize].then_some(())
+                };
+                let up_known = up_known
+                    .iter()
+                    .enumerate()
+                    .map(|(p, &is_known)| is_known && parent_known(p).is_some())
+                    .collect();
+                normals = spread_normals(parent, child, &normals);
+                (values, known) = (up, up_known);
+                extend(child, &mut values, &mut known);
             }
             let (width, height) = (frame.mask.width, frame.mask.height);
             let mut depth = DepthMap::filled(width, height, 0.0);
@@ -167,38 +164,45 @@ fn image(values: &Raster<[f32; 6]>, channels: [usize; 3], gain: [f64; 3]) -> Lin
     }
 }
 
+/// Unit normals at the next finer level.
+fn spread_normals(coarse: &LevelView, fine: &LevelView, normals: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let single: Vec<[f32; 3]> = normals.iter().map(|n| n.map(|v| v as f32)).collect();
+    spread::spread(coarse, fine, &single)
+        .iter()
+        .map(|n| {
+            let n = n.map(f64::from);
+            let length = n.iter().map(|v| v * v).sum::<f64>().sqrt();
+            n.map(|v| v / length.max(f64::MIN_POSITIVE))
+        })
+        .collect()
+}
+
 /// Gives pixels without a value the mean of their known neighbours, ring by ring.
-fn extend(view: &LevelView, values: &mut [f64], normals: &mut [[f64; 3]], known: &mut [bool]) {
+fn extend(view: &LevelView, values: &mut [f64], known: &mut [bool]) {
     // The rim is two pixels wide; specks without any parent take a few rings more.
     const NUM_RINGS: usize = 12;
     let mut missing: Vec<usize> = (0..values.len()).filter(|&p| !known[p]).collect();
     for _ in 0..NUM_RINGS {
-        let found: Vec<(usize, f64, [f64; 3])> = missing
+        let found: Vec<(usize, f64)> = missing
             .iter()
             .filter_map(|&p| {
-                let (mut depth, mut normal, mut count) = (0.0, [0.0; 3], 0.0);
+                let (mut depth, mut count) = (0.0, 0.0);
                 for (dx, dy) in NEIGHBOURS {
                     if let Some(q) = view.pixels.neighbour(p, dx, dy)
                         && known[q]
                     {
                         depth += values[q];
                         count += 1.0;
-                        for k in 0..3 {
-                            normal[k] += normals[q][k];
-                        }
                     }
                 }
-                let length = normal.iter().map(|v| v * v).sum::<f64>().sqrt();
-                (count > 0.0 && length > 0.0)
-                    .then(|| (p, depth / count, normal.map(|v| v / length)))
+                (count > 0.0).then(|| (p, depth / count))
             })
             .collect();
         if found.is_empty() {
             break;
         }
-        for (p, depth, normal) in found {
+        for (p, depth) in found {
             values[p] = depth;
-            normals[p] = normal;
             known[p] = true;
         }
         missing.retain(|&p| !known[p]);

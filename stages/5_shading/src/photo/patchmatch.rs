@@ -10,6 +10,7 @@
 //! Hypotheses spread from neighbours in alternating raster sweeps and are perturbed
 //! with shrinking normal steps (Bleyer, Rhemann, Rother, BMVC 2011).
 
+use super::camera::Warp;
 use super::hull::InverseDepthRange;
 use super::level::{Level, LevelView};
 use super::plate;
@@ -130,20 +131,49 @@ const CONTRAST: f32 = 0.15;
 /// Samples below this weight tell nothing; the centre has 1.
 const MIN_WEIGHT: f32 = 0.01;
 
-struct Source<'a> {
-    grey: &'a Raster<f32>,
-    mask: &'a Mask,
+/// Samples that are worked on together.
+const LANES: usize = 8;
+type Lanes = [f32; LANES];
+
+struct Source {
+    width: usize,
+    height: usize,
+    /// Intensities at `(x, y)`, `(x + 1, y)`, `(x, y + 1)`, `(x + 1, y + 1)` side by side, so that one
+    /// access serves an interpolation; not a number where one of them lies outside the mask.
+    quads: Vec<[f32; 4]>,
     a: [[f32; 3]; 3],
     b: [f32; 3],
 }
 
-/// A pixel of a patch.
-#[derive(Clone, Copy)]
-struct Sample {
-    dx: f32,
-    dy: f32,
-    weight: f32,
-    intensity: f32,
+impl Source {
+    fn new(grey: &Raster<f32>, mask: &Mask, warp: &Warp) -> Self {
+        let (width, height) = (grey.width, grey.height);
+        let mut quads = vec![[f32::NAN; 4]; width * height];
+        for y in 0..height.saturating_sub(1) {
+            for x in 0..width.saturating_sub(1) {
+                let corners = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)];
+                if corners.iter().all(|&(x, y)| *mask.at(x, y)) {
+                    quads[y * width + x] = corners.map(|(x, y)| *grey.at(x, y));
+                }
+            }
+        }
+        Self {
+            width,
+            height,
+            quads,
+            a: [0, 1, 2].map(|r| [0, 1, 2].map(|c| warp.a[(r, c)] as f32)),
+            b: [0, 1, 2].map(|r| warp.b[r] as f32),
+        }
+    }
+}
+
+/// Pixels of a patch; the last ones may be padding of weight 0.
+#[derive(Clone, Copy, Default)]
+struct Samples {
+    dx: Lanes,
+    dy: Lanes,
+    weight: Lanes,
+    intensity: Lanes,
 }
 
 /// The masked pixels about one.
@@ -151,7 +181,7 @@ struct Sample {
 struct Patch {
     x: f32,
     y: f32,
-    samples: Vec<Sample>,
+    samples: Vec<Samples>,
     /// Sum of the weights.
     total: f32,
 }
@@ -163,7 +193,7 @@ fn offsets() -> impl Iterator<Item = (i32, i32)> {
 
 struct Search<'a> {
     view: &'a LevelView,
-    sources: Vec<Source<'a>>,
+    sources: Vec<Source>,
     bell: Vec<f32>,
     /// Log brightness of the view.
     log_grey: Raster<f32>,
@@ -179,6 +209,8 @@ impl Search<'_> {
         let here = *self.log_grey.at(x as usize, y as usize);
         (patch.x, patch.y) = (x as f32, y as f32);
         patch.samples.clear();
+        patch.total = 0.0;
+        let mut count = 0;
         for ((dx, dy), bell) in offsets().zip(&self.bell) {
             let (x, y) = (x + dx, y + dy);
             if x < 0 || y < 0 || x >= grey.width as i32 || y >= grey.height as i32 {
@@ -186,38 +218,40 @@ impl Search<'_> {
             }
             let (x, y) = (x as usize, y as usize);
             let weight = bell * (-(self.log_grey.at(x, y) - here).abs() / CONTRAST).exp();
-            if *mask.at(x, y) && weight > MIN_WEIGHT {
-                patch.samples.push(Sample {
-                    dx: dx as f32,
-                    dy: dy as f32,
-                    weight,
-                    intensity: *grey.at(x, y),
-                });
+            if !*mask.at(x, y) || weight <= MIN_WEIGHT {
+                continue;
             }
+            let lane = count % LANES;
+            if lane == 0 {
+                patch.samples.push(Samples::default());
+            }
+            if let Some(samples) = patch.samples.last_mut() {
+                samples.dx[lane] = dx as f32;
+                samples.dy[lane] = dy as f32;
+                samples.weight[lane] = weight;
+                samples.intensity[lane] = *grey.at(x, y);
+            }
+            patch.total += weight;
+            count += 1;
         }
-        patch.total = patch.samples.iter().map(|s| s.weight).sum();
     }
 
     /// Cost of a hypothesis; gives up once it exceeds `limit`.
     fn cost(&self, patch: &Patch, plane: Plane, limit: f32) -> f32 {
-        let num_best = self.options.num_best.min(self.sources.len());
-        let all = num_best == self.sources.len();
+        let num_sources = self.sources.len();
+        let num_best = self.options.num_best.min(num_sources);
         let mut costs = [2.0_f32; MAX_SOURCES];
-        let mut sum = 0.0;
         for (k, source) in self.sources.iter().enumerate() {
-            let cost = self.cost_in(source, patch, plane);
-            costs[k] = cost;
-            sum += cost;
-            if all && sum > limit * num_best as f32 {
+            costs[k] = self.cost_in(source, patch, plane);
+            // So many of those that are known will count, whatever the others cost.
+            let certain = (k + 1 + num_best).saturating_sub(num_sources);
+            let known = &mut costs[..=k];
+            known.sort_unstable_by(f32::total_cmp);
+            if known[..certain].iter().sum::<f32>() > limit * num_best as f32 {
                 return f32::INFINITY;
             }
         }
-        let costs = &mut costs[..self.sources.len()];
-        if !all {
-            costs.sort_unstable_by(f32::total_cmp);
-            sum = costs[..num_best].iter().sum();
-        }
-        sum / num_best as f32
+        costs[..num_best].iter().sum::<f32>() / num_best as f32
     }
 
     fn cost_in(&self, s: &Source, patch: &Patch, plane: Plane) -> f32 {
@@ -226,34 +260,17 @@ impl Search<'_> {
             [0, 1, 2].map(|r| s.a[r][0] * patch.x + s.a[r][1] * patch.y + s.a[r][2] + w * s.b[r]);
         let along_x = [0, 1, 2].map(|r| s.a[r][0] - w * sx * s.b[r]);
         let along_y = [0, 1, 2].map(|r| s.a[r][1] - w * sy * s.b[r]);
-        let width = s.grey.width;
-        let (max_u, max_v) = ((width - 1) as f32, (s.grey.height - 1) as f32);
-        let (mut sw, mut s1, mut s2) = (0.0_f32, 0.0_f32, 0.0_f32);
-        let (mut s11, mut s22, mut s12) = (0.0_f32, 0.0_f32, 0.0_f32);
-        for sample in &patch.samples {
-            let [pu, pv, pz] =
-                [0, 1, 2].map(|r| centre[r] + sample.dx * along_x[r] + sample.dy * along_y[r]);
-            let inverse = 1.0 / pz;
-            let (u, v) = (pu * inverse, pv * inverse);
-            let within = pz > 0.0 && u >= 0.0 && v >= 0.0 && u < max_u && v < max_v;
-            if !within || !s.mask.data[(v + 0.5) as usize * width + (u + 0.5) as usize] {
-                continue;
-            }
-            let (u0, v0) = (u as usize, v as usize);
-            let (a, b) = (u - u0 as f32, v - v0 as f32);
-            let above = v0 * width + u0;
-            let below = above + width;
-            let d = &s.grey.data;
-            let top = d[above] + a * (d[above + 1] - d[above]);
-            let bottom = d[below] + a * (d[below + 1] - d[below]);
-            let (g, p, q) = (sample.weight, sample.intensity, top + b * (bottom - top));
-            sw += g;
-            s1 += g * p;
-            s2 += g * q;
-            s11 += g * p * p;
-            s22 += g * q * q;
-            s12 += g * p * q;
+        let map = Map {
+            centre,
+            along_x,
+            along_y,
+        };
+        // Seen whole by the source, as nearly every patch is, it needs no checks.
+        let mut sums = map.is_inside(s).then(|| map.sums::<false>(s, patch));
+        if sums.is_none_or(|sums| sums[2].is_nan()) {
+            sums = Some(map.sums::<true>(s, patch));
         }
+        let [sw, s1, s2, s11, s22, s12] = sums.unwrap_or_default();
         if sw < 0.3 * patch.total {
             return 2.0;
         }
@@ -272,6 +289,77 @@ impl Search<'_> {
                 (1.0 - correlation).min(1.0) + out
             }
         }
+    }
+}
+
+/// Image of a patch under a plane, homogeneous pixels of the source.
+struct Map {
+    centre: [f32; 3],
+    /// Its change per column and per row of the patch.
+    along_x: [f32; 3],
+    along_y: [f32; 3],
+}
+
+impl Map {
+    #[inline]
+    fn at(&self, dx: f32, dy: f32) -> [f32; 3] {
+        [0, 1, 2].map(|r| self.centre[r] + dx * self.along_x[r] + dy * self.along_y[r])
+    }
+
+    #[inline]
+    fn is_within([u, v, z]: [f32; 3], source: &Source) -> bool {
+        let (max_u, max_v) = ((source.width - 1) as f32, (source.height - 1) as f32);
+        z > 0.0 && u >= 0.0 && v >= 0.0 && u < max_u * z && v < max_v * z
+    }
+
+    /// Whether a patch's corners, and so all of it, lie in the source.
+    fn is_inside(&self, source: &Source) -> bool {
+        let r = RADIUS_PX as f32;
+        [(-r, -r), (r, -r), (-r, r), (r, r)]
+            .iter()
+            .all(|&(dx, dy)| Self::is_within(self.at(dx, dy), source))
+    }
+
+    /// Sums of the weights, of both intensities, of their squares and of their product; `CHECKED` leaves
+    /// out what lies outside the source or its mask, else such samples make the sums not a number.
+    #[inline]
+    fn sums<const CHECKED: bool>(&self, source: &Source, patch: &Patch) -> [f32; 6] {
+        let mut sums = [[0.0_f32; LANES]; 6];
+        for samples in &patch.samples {
+            let (mut u, mut v) = ([0.0; LANES], [0.0; LANES]);
+            let mut weight = samples.weight;
+            for k in 0..LANES {
+                let [x, y, z] = self.at(samples.dx[k], samples.dy[k]);
+                let inverse = 1.0 / z;
+                (u[k], v[k]) = (x * inverse, y * inverse);
+                if CHECKED && !Self::is_within([x, y, z], source) {
+                    (u[k], v[k], weight[k]) = (0.0, 0.0, 0.0);
+                }
+            }
+            let mut seen = [0.0; LANES];
+            for k in 0..LANES {
+                // Conversions of 32 bits are a single instruction each.
+                let (u0, v0) = (u[k] as i32, v[k] as i32);
+                let (a, b) = (u[k] - u0 as f32, v[k] - v0 as f32);
+                let quad = source.quads[(v0 * source.width as i32 + u0) as usize];
+                let top = quad[0] + a * (quad[1] - quad[0]);
+                let bottom = quad[2] + a * (quad[3] - quad[2]);
+                seen[k] = top + b * (bottom - top);
+                if CHECKED && seen[k].is_nan() {
+                    (seen[k], weight[k]) = (0.0, 0.0);
+                }
+            }
+            for k in 0..LANES {
+                let (g, p, q) = (weight[k], samples.intensity[k], seen[k]);
+                sums[0][k] += g;
+                sums[1][k] += g * p;
+                sums[2][k] += g * q;
+                sums[3][k] += g * p * p;
+                sums[4][k] += g * q * q;
+                sums[5][k] += g * p * q;
+            }
+        }
+        sums.map(|lanes| lanes.iter().sum::<f32>())
     }
 }
 
@@ -298,12 +386,7 @@ pub(crate) fn search(
     let sources = level.sources[index]
         .iter()
         .take(MAX_SOURCES)
-        .map(|(j, warp)| Source {
-            grey: &level.views[*j].grey,
-            mask: &masks[*j],
-            a: [0, 1, 2].map(|r| [0, 1, 2].map(|c| warp.a[(r, c)] as f32)),
-            b: [0, 1, 2].map(|r| warp.b[r] as f32),
-        })
+        .map(|(j, warp)| Source::new(&level.views[*j].grey, &masks[*j], warp))
         .collect();
     let mean = (0..n)
         .map(|i| f64::from(*view.grey.at(pixels.xs[i] as usize, pixels.ys[i] as usize)))

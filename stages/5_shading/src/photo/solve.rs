@@ -163,6 +163,8 @@ impl Course<'_> {
                 shading.correction_px = 12.0;
             }
             self.lap(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
+            *depths = self.fused(*at, depths)?;
+            self.show(*at, "fused", depths);
         }
         Ok(light)
     }
