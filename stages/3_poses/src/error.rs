@@ -48,12 +48,13 @@ pub enum PosesError {
     },
     /// No pair gives enough well-conditioned points to start from.
     #[error(
-        "none of {num_pairs} matching pairs gives a start: best has {best_points} points at {best_angle_deg:.1} degrees, needed are {needed_points} at {needed_angle_deg:.1}; move further between photos"
+        "none of {num_pairs} matching pairs gives a start: best has {best_points} points at {best_angle_deg:.1} degrees, needed are {needed_points} at {needed_angle_deg:.1}; {}",
+        pair_advice(*.best_points >= *.needed_points, *.best_angle_deg >= *.needed_angle_deg)
     )]
     NoInitialPair {
         /// Pairs tried.
         num_pairs: usize,
-        /// Points of the best pair.
+        /// Points of the best pair: the widest of those with enough points, else that with the most.
         best_points: usize,
         /// Its median triangulation angle, degrees.
         best_angle_deg: f64,
@@ -61,6 +62,18 @@ pub enum PosesError {
         needed_points: usize,
         /// Angle needed, degrees.
         needed_angle_deg: f64,
+    },
+    /// Pairs began well, but their points do not hold.
+    #[error(
+        "none of {num_pairs} pairs to start from holds: at most {best_points} of their points agree with the cameras' poses, {needed_points} are needed; take photos closer together, 10 to 20 degrees apart, with more texture in the picture, and check the focal length"
+    )]
+    NoStableStart {
+        /// Pairs tried.
+        num_pairs: usize,
+        /// Most points that stayed.
+        best_points: usize,
+        /// Points needed.
+        needed_points: usize,
     },
     /// Given poses contradict the photos.
     #[error("the given cameras do not explain the matches ({share_consistent:.0} % agree); {hint}")]
@@ -96,4 +109,48 @@ pub enum PosesError {
     /// The observer asked to stop.
     #[error("interrupted")]
     Interrupted,
+}
+
+/// What to do where the best pair is no start: which condition failed decides it, for photos too far
+/// apart and photos too close together fail alike.
+fn pair_advice(enough_points: bool, wide_enough: bool) -> &'static str {
+    match (enough_points, wide_enough) {
+        (true, _) => "move further between photos, 10 to 20 degrees",
+        (false, true) => {
+            "too few points are in both photos: take photos closer together, 10 to 20 degrees apart, \
+             or put a printed mat under the object"
+        }
+        (false, false) => {
+            "the match is poor, so that neither its points nor their angle can be trusted: take photos \
+             10 to 20 degrees apart, with more texture in the picture (a printed mat)"
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(best_points: usize, best_angle_deg: f64) -> String {
+        let error = PosesError::NoInitialPair {
+            num_pairs: 3,
+            best_points,
+            best_angle_deg,
+            needed_points: 30,
+            needed_angle_deg: 3.0,
+        };
+        error.to_string()
+    }
+
+    #[test]
+    fn the_advice_follows_from_the_condition_that_failed() {
+        assert!(told(200, 0.4).contains("move further"));
+        assert!(told(27, 20.0).contains("closer together"));
+        // Under so few points an angle is a guess: which way to go cannot be said.
+        let poor = told(27, 1.7);
+        assert!(
+            poor.contains("match is poor") && !poor.contains("further"),
+            "{poor}"
+        );
+    }
 }

@@ -83,6 +83,7 @@ pub fn reconstruct(
     let pairs = initial_pair::candidates(scene, available, options)?;
     let wanted = available.iter().filter(|&&a| a).count();
     let mut best: Option<Reconstruction> = None;
+    let (mut num_tried, mut most_points) = (0, 0);
     for pair in pairs.iter().take(MAX_NUM_INITIAL_PAIRS) {
         // A pair that is part of a good model already would lead to the same one.
         let covered = |m: &Reconstruction| {
@@ -91,8 +92,13 @@ pub fn reconstruct(
         if best.as_ref().is_some_and(covered) {
             continue;
         }
-        let Some(grown) = grow(scene, pair, available, options, observer)? else {
-            continue;
+        num_tried += 1;
+        let grown = match grow(scene, pair, available, options, observer)? {
+            Grown::Model(grown) => *grown,
+            Grown::Collapsed { num_points } => {
+                most_points = most_points.max(num_points);
+                continue;
+            }
         };
         let size = grown.model.num_views();
         if best.as_ref().is_none_or(|b| b.model.num_views() < size) {
@@ -102,41 +108,48 @@ pub fn reconstruct(
             break;
         }
     }
-    best.ok_or_else(|| PosesError::NoInitialPair {
-        num_pairs: pairs.len(),
-        best_points: pairs
-            .iter()
-            .map(|p| p.pose.angles_rad.len())
-            .max()
-            .unwrap_or(0),
-        best_angle_deg: options.min_initial_angle_deg,
-        needed_points: options.min_num_initial_inliers,
-        needed_angle_deg: options.min_initial_angle_deg,
+    best.ok_or(PosesError::NoStableStart {
+        num_pairs: num_tried,
+        best_points: most_points,
+        needed_points: options.min_num_visible_points,
     })
 }
 
-/// Grows a model from a pair; `None` when the pair itself does not hold.
+/// What became of a pair.
+enum Grown {
+    /// A model.
+    Model(Box<Reconstruction>),
+    /// Too few points stayed.
+    Collapsed {
+        /// How many.
+        num_points: usize,
+    },
+}
+
+/// Grows a model from a pair, where the pair itself holds.
 fn grow(
     scene: &Scene<'_>,
     pair: &InitialPair,
     available: &[bool],
     options: &PosesOptions,
     observer: &dyn Observer,
-) -> Result<Option<Reconstruction>, PosesError> {
+) -> Result<Grown, PosesError> {
     let limits = limits(options);
     let mut model = Model::empty(scene);
     model.poses[pair.first] = Some(CenteredPose::from(RigidTransform::identity()));
     model.poses[pair.second] = Some(CenteredPose::from(pair.pose.second_from_first));
     let mut adjustments = Vec::new();
-    if model.triangulate_all(scene, &limits) < options.min_num_visible_points {
-        return Ok(None);
+    let num_points = model.triangulate_all(scene, &limits);
+    if num_points < options.min_num_visible_points {
+        return Ok(Grown::Collapsed { num_points });
     }
     for _ in 0..2 {
         adjustments.push(adjust_all(&mut model, scene)?);
         model.triangulate_all(scene, &limits);
     }
-    if model.num_points() < options.min_num_visible_points {
-        return Ok(None);
+    let num_points = model.num_points();
+    if num_points < options.min_num_visible_points {
+        return Ok(Grown::Collapsed { num_points });
     }
     let mut grown = Reconstruction {
         model,
@@ -154,13 +167,13 @@ fn grow(
         && let Some(photo) = consistency::contradicting(scene, &grown.model, max_error_px)
     {
         if !consistency::expel(scene, &mut grown.model, photo, &limits) {
-            return Ok(None);
+            return Ok(Grown::Collapsed { num_points: 0 });
         }
         available[photo] = !grown.contradicting.contains(&photo);
         grown.contradicting.push(photo);
         extend(scene, &mut grown, &available, options, observer)?;
     }
-    Ok(Some(grown))
+    Ok(Grown::Model(Box::new(grown)))
 }
 
 /// Registers photos one after the other, the best seen first, until none is left that can be.

@@ -105,11 +105,6 @@ pub fn candidates(
             Some((candidate, angle.to_degrees()))
         })
         .collect();
-    let (best_points, best_angle_deg) = posed
-        .iter()
-        .map(|(p, angle)| (p.pose.angles_rad.len(), *angle))
-        .max_by(|a, b| a.1.total_cmp(&b.1))
-        .unwrap_or((0, 0.0));
     // Poses hold under much smaller angles than depth would like; only where no pair is wide
     // enough may a narrow one begin.
     let enough_points =
@@ -124,6 +119,7 @@ pub fn candidates(
     } else {
         least_angle_deg
     };
+    let (best_points, best_angle_deg) = best_of(&posed, options.min_num_initial_inliers);
     let mut good: Vec<InitialPair> = posed
         .into_iter()
         .filter(|(p, angle)| enough_points(p) && *angle >= needed_angle_deg)
@@ -144,4 +140,17 @@ pub fn candidates(
             .then((a.first, a.second).cmp(&(b.first, b.second)))
     });
     Ok(good)
+}
+
+/// Points and angle of the pair that is told when there is no start: the widest of those with enough
+/// points, else that with the most points, since the angle of a few says little.
+fn best_of(posed: &[(InitialPair, f64)], enough: usize) -> (usize, f64) {
+    posed
+        .iter()
+        .map(|(pair, angle)| (pair.pose.angles_rad.len(), *angle))
+        .max_by(|a, b| {
+            let points = a.0.min(enough).cmp(&b.0.min(enough));
+            points.then(a.1.total_cmp(&b.1))
+        })
+        .unwrap_or((0, 0.0))
 }
