@@ -114,6 +114,7 @@ fn maps_of_two_programs_give_one_surface() {
     assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("--scale"), "{stderr}");
     assert!(num_points(&colmap) * 4 < num_points(&exr));
+    assert!(!stderr.contains("a spacing of"), "{stderr}");
     let ply = std::fs::read(colmap.join("cloud.ply")).unwrap();
     let header = String::from_utf8_lossy(&ply[..200]).into_owned();
     assert!(header.contains("comment unit arbitrary"), "{header}");

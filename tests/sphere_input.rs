@@ -245,16 +245,19 @@ fn marks_that_fix_nothing_end_with_the_reason_and_a_remedy() {
         ),
         (
             only(json!({"DSC_0001.jpg": elsewhere(), "DSC_0002.jpg": elsewhere()})),
-            vec!["marked in photos that are not used: DSC_0001.jpg, DSC_0002.jpg"],
+            vec!["photos that are not used: DSC_0001.jpg, DSC_0002.jpg"],
         ),
     ] {
         let (code, stderr) = set.light("intrinsics.json", &sphere);
         assert_eq!(code, 4, "{stderr}");
-        told(&stderr, &parts);
-        told(
-            &stderr,
-            &["no reference sphere was located", "--sphere none"],
-        );
+        let warning = [&["3_poses: warning:"], &parts[..]].concat();
+        told(&stderr, &warning);
+        // What the run ends with names the cause too.
+        let end = ["error: no reference sphere was located", "--sphere none"];
+        told(&stderr, &[&end, &parts[..]].concat());
+        let report = json_of(&set.path("run/report.json"));
+        let verdict = report["outcome"]["error"].as_str().unwrap();
+        assert!(parts.iter().all(|part| verdict.contains(part)), "{verdict}");
     }
 }
 
@@ -265,10 +268,9 @@ fn a_radius_that_contradicts_given_poses_is_told() {
     sphere["radius"] = json!(0.003);
     let (code, stderr) = set.light("truth/cameras.json", &sphere);
     assert_eq!(code, 4, "{stderr}");
-    told(
-        &stderr,
-        &["stated as 0.0030 m", "give 0.0300 m", "check the radius"],
-    );
+    let cause = ["stated as 0.0030 m", "give 0.0300 m", "check the radius"];
+    told(&stderr, &cause);
+    told(&stderr, &[&["error:"], &cause[..]].concat());
     // One mark cannot tell its radius, but where the sphere would stand.
     sphere["views"] = json!({"IMG_0001.jpg": sphere["views"]["IMG_0001.jpg"]});
     let (code, stderr) = set.light("truth/cameras.json", &sphere);
@@ -276,6 +278,39 @@ fn a_radius_that_contradicts_given_poses_is_told() {
     told(
         &stderr,
         &["times the distance of the scene", "its radius (0.0030)"],
+    );
+}
+
+#[test]
+fn a_radius_that_is_likely_in_another_unit_and_one_that_is_not_used_are_told() {
+    let set = Set::new();
+    let file = set.path("marks.json");
+    std::fs::write(&file, set.circles().to_string()).unwrap();
+    let (code, _, stderr) = reconstruct_until(
+        "3_poses",
+        &set.path("photos"),
+        &set.path("run"),
+        &[
+            "--masks",
+            arg(&set.path("masks")),
+            "--cameras",
+            arg(&set.path("intrinsics.json")),
+            "--sphere",
+            arg(&file),
+            "--sphere-radius",
+            "30",
+            "--anchors",
+            "sift",
+        ],
+    );
+    assert_eq!(code, 0, "{stderr}");
+    told(&stderr, &["the sphere is stated as 30 m", "in metres?"]);
+    told(
+        &stderr,
+        &[
+            "--sphere-radius 30 is used, not the radius 0.03",
+            "marks.json",
+        ],
     );
 }
 
@@ -359,7 +394,8 @@ fn two_spheres_are_both_used_and_what_is_wrong_with_one_is_told() {
     let set = Set {
         folder: tempfile::tempdir().unwrap(),
     };
-    let config = set.path("two.toml");
+    let beside = tempfile::tempdir().unwrap();
+    let config = beside.path().join("two.toml");
     let scene = "[scene]\nmore_spheres = [{at_m = [-0.2, -0.05], radius_m = 0.025}]\n";
     std::fs::write(&config, scene).unwrap();
     let (code, _, stderr) = run(&[

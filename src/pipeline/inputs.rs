@@ -1,13 +1,15 @@
 //! The files that a request names, found and checked before anything is computed.
 
-use super::request::{LightingInput, Request, SphereInput};
+use super::request::{LightingInput, Request};
+use super::spheres::SphereInputs;
 use crate::exit::{Failure, Problem};
 use crate::store::{Contents, StoreError, hash_json};
 use rilievo_io::{
     CameraEntry, CameraFile, CameraFormat, IoError, SphereFile, find_mask, import_cameras,
-    is_mask_among, read_cameras, read_lighting, read_sphere_file,
+    is_mask_among, read_cameras, read_lighting,
 };
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
 /// One photo file with what belongs to it.
@@ -40,6 +42,8 @@ pub struct Inputs {
     pub warnings: Vec<String>,
     /// The sphere file.
     pub sphere: Option<SphereFile>,
+    /// What is odd about what was said of the spheres.
+    pub sphere_warnings: Vec<String>,
     /// Content hashes of the sphere's files, by role.
     pub sphere_hashes: BTreeMap<String, String>,
     /// Content hashes of the lighting's files, by role.
@@ -147,15 +151,17 @@ impl Inputs {
                 ));
             }
         }
-        let (sphere, sphere_hashes) = sphere_inputs(&request.sphere, contents)?;
+        warnings.extend(twins(&photos));
+        let spheres = SphereInputs::scan(&request.sphere, contents)?;
         let lighting_hashes = lighting_inputs(&request.lighting, &photos, contents)?;
         Ok(Self {
             photos,
             unreadable,
             skipped,
             warnings,
-            sphere,
-            sphere_hashes,
+            sphere: spheres.file,
+            sphere_warnings: spheres.warnings,
+            sphere_hashes: spheres.hashes,
             lighting_hashes,
         })
     }
@@ -186,7 +192,7 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
     for argument in arguments {
         if !argument.is_dir() {
             if !argument.exists() {
-                return Err(Failure::input(argument, "there is no such file any more"));
+                return Err(Failure::input(argument, "there is no such file or folder"));
             }
             files.push(argument.clone());
             continue;
@@ -290,32 +296,23 @@ impl MaskFolder {
     }
 }
 
-fn sphere_inputs(
-    sphere: &SphereInput,
-    contents: &mut Contents,
-) -> Result<(Option<SphereFile>, BTreeMap<String, String>), Failure> {
-    let mut hashes = BTreeMap::new();
-    match sphere {
-        SphereInput::None => Ok((None, hashes)),
-        SphereInput::Auto { radius } => {
-            hashes.insert("sphere search".into(), hash_json(radius));
-            Ok((None, hashes))
-        }
-        SphereInput::File { path, radius } => {
-            let mut file = read_sphere_file(path).map_err(super::errors::from_io)?;
-            if let Some(radius) = radius {
-                file.replace_radius(*radius)
-                    .map_err(super::errors::from_io)?;
-                hashes.insert("sphere radius".into(), hash_json(radius));
+/// Photos of one content: they add nothing, and tell of a file that was copied by mistake.
+fn twins(photos: &[PhotoInput]) -> Vec<String> {
+    let mut by_content = BTreeMap::<&str, &str>::new();
+    let mut warnings = Vec::new();
+    for photo in photos {
+        match by_content.entry(&photo.hash) {
+            Entry::Vacant(slot) => {
+                slot.insert(&photo.file_name);
             }
-            hashes.insert("sphere file".into(), contents.hash(path)?);
-            for named in &file.files {
-                let role = format!("sphere's {}", named.display());
-                hashes.insert(role, contents.hash(named)?);
-            }
-            Ok((Some(file), hashes))
+            Entry::Occupied(first) => warnings.push(format!(
+                "{} has the same content as {}: one of them is a copy and adds nothing",
+                photo.file_name,
+                first.get()
+            )),
         }
     }
+    warnings
 }
 
 fn lighting_inputs(

@@ -15,6 +15,7 @@ mod plan;
 mod poses;
 mod request;
 mod shading;
+mod spheres;
 
 pub use errors::{from_fusion, from_io, from_lighting, from_shading};
 pub use features::{load_keypoints, load_pairs};

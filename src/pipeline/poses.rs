@@ -20,6 +20,8 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let photos = super::photos::load(context)?;
     let matches = super::features::load(context, &photos.photos)?;
     let (sphere, unused) = sphere_request(context, &photos)?;
+    let odd = &context.inputs.sphere_warnings;
+    context.console.warn_all(StageId::Poses, odd);
     if !unused.is_empty() {
         context.console.warn(
             StageId::Poses,
@@ -29,7 +31,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             ),
         );
     }
-    let (views, report) = rilievo_poses::run(
+    let (mut views, report) = rilievo_poses::run(
         &photos,
         &matches,
         sphere.as_ref(),
@@ -38,6 +40,14 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     )
     .map_err(from_poses)?;
     context.console.warn_all(StageId::Poses, &report.warnings);
+    if let Some(why) = &mut views.no_sphere
+        && !unused.is_empty()
+    {
+        *why += &format!(
+            " (the sphere file names photos that are not used: {})",
+            unused.join(", ")
+        );
+    }
     context.console.note(&format!(
         "  {} of {} photos posed, {} points, reprojection error {:.2} px, {} anchors",
         views.views.len(),

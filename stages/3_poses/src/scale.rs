@@ -87,11 +87,15 @@ pub fn apply(
                     };
                 }
             }
-            Err(error) => warnings.push(format!(
-                "the reference sphere was not located, the scale stays {}: {error}{}",
-                if is_metric { "as it is" } else { "arbitrary" },
-                of_photos(photos, &request.spheres, &error)
-            )),
+            Err(error) => {
+                let why = format!("{error}{}", of_photos(photos, &request.spheres, &error));
+                warnings.push(format!(
+                    "the reference sphere was not located, the scale stays {}: {why}",
+                    if is_metric { "as it is" } else { "arbitrary" },
+                ));
+                // Whoever needs the sphere later ends for this reason.
+                posed.no_sphere = Some(why);
+            }
         }
     }
     report.scale = posed.scale;

@@ -20,10 +20,14 @@ pub enum LightingError {
     NoView,
     /// Lighting was to come from a sphere, but none was located.
     #[error(
-        "no reference sphere was located: mark it in two photos (--sphere FILE.json), or give the \
-         lighting (--lighting), a shape (--lighting-shape), or do without (--sphere none)"
+        "no reference sphere was located: {}; or give the lighting (--lighting), a shape \
+         (--lighting-shape), or do without (--sphere none)",
+        why.as_deref().unwrap_or("mark it in two photos (--sphere FILE.json)")
     )]
-    NoSphere,
+    NoSphere {
+        /// What hindered it, and what to try, where that is known.
+        why: Option<String>,
+    },
     /// The sphere is known, but no photo shows enough of it.
     #[error("no photo shows enough of the sphere: {}", reasons.join("; "))]
     SphereUnusable {

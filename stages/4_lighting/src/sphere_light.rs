@@ -34,7 +34,9 @@ pub(crate) fn run(
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     if posed.spheres.is_empty() && request.calibration.is_empty() {
-        return Err(LightingError::NoSphere);
+        return Err(LightingError::NoSphere {
+            why: posed.no_sphere.clone(),
+        });
     }
     let mut report = LightingReport {
         source: LightSource::Sphere,

@@ -400,7 +400,10 @@ fn input_without_light_gives_named_errors() {
         ..posed.clone()
     };
     let result = go(&without, &sphere, &options);
-    assert!(matches!(result, Err(LightingError::NoSphere)), "{result:?}");
+    assert!(
+        matches!(result, Err(LightingError::NoSphere { .. })),
+        "{result:?}"
+    );
     let result = go(&PosedViews::default(), &sphere, &options);
     assert!(matches!(result, Err(LightingError::NoView)), "{result:?}");
     let result = go(&posed, &LightingRequest::OwnShape, &options);

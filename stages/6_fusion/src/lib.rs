@@ -34,7 +34,8 @@ pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
 
 use color::ColorSource;
 use rilievo_scene::{
-    Event, Flow, FusedCloud, MapSource, Mesh, Observer, PhotoSet, PointCloud, PosedViews, StageId,
+    CloudPoint, Event, Flow, FusedCloud, MapSource, Mesh, Observer, PhotoSet, PointCloud,
+    PosedViews, StageId, Unit,
 };
 
 /// Views that each view is compared with for offsets: more only repeat what these say.
@@ -122,6 +123,9 @@ pub fn run(
         observer,
     )?;
     drop(colors);
+    if let Some(message) = coarse(&points, posed.scale.unit, options) {
+        warn(&mut report, message)?;
+    }
     report.num_points = points.len();
     report.mean_num_views =
         points.iter().map(|p| f64::from(p.num_views)).sum::<f64>() / points.len() as f64;
@@ -153,4 +157,37 @@ pub fn run(
         mesh,
     };
     Ok((fused, report))
+}
+
+/// Share of the cloud's extent from which the asked spacing is likely in another unit: some hundred
+/// points are left then.
+const COARSE_SPACING_SHARE: f64 = 0.1;
+
+/// What to say of a spacing that leaves next to nothing of the surface.
+fn coarse(points: &[CloudPoint], unit: Unit, options: &FusionOptions) -> Option<String> {
+    let side = |axis: usize| {
+        let values = points.iter().map(|p| f64::from(p.position[axis]));
+        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+            (low.min(v), high.max(v))
+        });
+        (high - low).max(0.0)
+    };
+    let extent = side(0).hypot(side(1)).hypot(side(2));
+    let unit = match unit {
+        Unit::Metre => "m",
+        Unit::Arbitrary => "units",
+    };
+    (options.spacing > COARSE_SPACING_SHARE * extent).then(|| {
+        format!(
+            "a spacing of {} {unit} leaves {} points of a cloud that is {extent:.3} {unit} across: it \
+             is stated in {}",
+            options.spacing,
+            points.len(),
+            if unit == "m" {
+                "metres"
+            } else {
+                "the cameras' unit"
+            }
+        )
+    })
 }

@@ -272,6 +272,23 @@ fn spacing_thins_watertight_closes_and_memory_bounds() {
 }
 
 #[test]
+fn a_spacing_that_leaves_nothing_is_told() {
+    let (posed, shaded) = views(&ARC, 1.0);
+    let told = |spacing: f64| {
+        let options = FusionOptions {
+            spacing,
+            mesh: false,
+            ..FusionOptions::default()
+        };
+        let (_, report) = fuse(&posed, &shaded, &options).expect("fused");
+        report.warnings.iter().any(|w| w.contains("a spacing of"))
+    };
+    assert!(!told(4.0 * footprint()));
+    // Millimetres where metres are meant.
+    assert!(told(4.0e3 * footprint()));
+}
+
+#[test]
 fn maps_that_exceed_the_memory_are_fused_at_half_their_resolution() {
     let (posed, shaded) = views(&ARC, 1.0);
     let options = FusionOptions {

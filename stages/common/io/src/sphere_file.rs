@@ -84,11 +84,11 @@ fn find_photo(photos: &PhotoSet, name: &str) -> Option<PhotoIdx> {
 }
 
 impl SphereFile {
-    /// Puts another radius in the place of the file's.
+    /// Puts another radius in the place of the file's, which comes back, where the file has one.
     ///
     /// # Errors
     /// When the file's spheres differ in radius.
-    pub fn replace_radius(&mut self, radius: f64) -> Result<(), IoError> {
+    pub fn replace_radius(&mut self, radius: f64) -> Result<Option<f64>, IoError> {
         let mut radii = self.spheres.iter().map(|sphere| sphere.radius);
         let first = radii.next();
         if radii.any(|other| Some(other) != first) {
@@ -100,7 +100,7 @@ impl SphereFile {
         for sphere in &mut self.spheres {
             sphere.radius = radius;
         }
-        Ok(())
+        Ok(first)
     }
 
     /// The request for a set of photos; `calibration_images` are the calibration photos, linear,

@@ -146,4 +146,7 @@ pub struct PosedViews {
     pub scale: Scale,
     /// The reference spheres that were located.
     pub spheres: Vec<LocatedSphere>,
+    /// Why none of the reference spheres that were asked for was located.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub no_sphere: Option<String>,
 }

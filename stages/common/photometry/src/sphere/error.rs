@@ -21,8 +21,9 @@ pub enum SphereError {
     },
     /// The outlines in metric cameras give another radius.
     #[error(
-        "sphere radius stated as {stated:.4} m, but its outlines in {views} photos with known \
-         poses give {observed:.4} m: check the radius, its unit (metres), and the cameras' unit"
+        "sphere radius stated as {stated:.4} m, but its outlines in {views} photos give \
+         {observed:.4} m where the given cameras or the known distance set the scale: check the \
+         radius, its unit (metres), and what set the scale"
     )]
     RadiusMismatch {
         /// Stated radius, metres.
@@ -54,7 +55,7 @@ pub enum SphereError {
         rms_px: f64,
     },
     /// No view sees the sphere.
-    #[error("the sphere is marked in no photo with a pose")]
+    #[error("the sphere is marked in no photo that got a pose: mark it in two that did")]
     NoView,
     /// The sphere in one view alone does not fix the scale of several views.
     #[error(
