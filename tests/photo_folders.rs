@@ -62,6 +62,27 @@ fn a_focal_length_that_cannot_be_is_a_guess_and_told() {
 }
 
 #[test]
+fn copies_and_missing_masks_are_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    std::fs::copy(photos.join("p0.jpg"), photos.join("p7.jpg")).unwrap();
+    let run_dir = dir.path().join("run");
+    for (code, _, stderr) in [
+        run(&["check", arg(&photos)]),
+        reconstruct_until("1_photos", &photos, &run_dir, &[]),
+    ] {
+        assert_eq!(code, 0, "{stderr}");
+        for part in [
+            "p7.jpg has the same content as p0.jpg",
+            "the whole frame is taken for the object",
+        ] {
+            assert!(stderr.contains(part), "{part} is not told in: {stderr}");
+        }
+        assert!(!stderr.contains("p1.jpg has"), "{stderr}");
+    }
+}
+
+#[test]
 fn spaces_and_any_script_are_names_like_others() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path().join("Büste à la fenêtre 石膏像");
@@ -222,6 +243,13 @@ fn masks_are_proposed_shown_and_never_written_over() {
         "{stderr}"
     );
     assert_eq!(read_mask(&masks.join("dark.png")).unwrap(), object());
+
+    // Where no photo allows one, nothing is left.
+    let none = dir.path().join("none");
+    let (code, _, stderr) = run(&["mask", arg(&photos.join("noise.jpg")), "-o", arg(&none)]);
+    assert_eq!(code, 4, "{stderr}");
+    assert!(stderr.contains("mask: proposing masks 1/1"), "{stderr}");
+    assert!(!none.exists() && !dir.path().join("none-overlays").exists());
 }
 
 /// Long: some three gigabytes and half a minute.

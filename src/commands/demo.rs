@@ -4,7 +4,7 @@
 use super::evaluate::{self, Comparison};
 use super::reconstruct::bring_run_up_to_date;
 use super::reporting;
-use super::synth::{SynthOptions, write_set};
+use super::synth::{SynthOptions, is_set_or_new, not_ours, write_set};
 use crate::cli::{DemoArgs, SynthFormat};
 use crate::config::StageOptions;
 use crate::observe::Console;
@@ -28,6 +28,10 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
         std::path::absolute(&args.output).map_err(StoreError::files("find", &args.output))?;
     let set = folder.join("photographed");
     let run = folder.join("run");
+    let is_ours = is_set_or_new(&folder)? || (set.is_dir() && is_set_or_new(&set)?);
+    if !is_ours {
+        return Err(not_ours(&args.output, "demo").into());
+    }
     start_afresh(&run)?;
     photograph(&set, args.seed, console)?;
     let request = Request {
@@ -74,7 +78,13 @@ fn photograph(set: &Path, seed: u64, console: &Console) -> anyhow::Result<()> {
     console.note("photographing a synthetic scene");
     let mut options = SynthOptions::default();
     options.scene.seed = seed;
-    write_set(set, &options, SynthFormat::Jpeg, None, console)
+    write_set(
+        set,
+        &options,
+        SynthFormat::Jpeg,
+        None,
+        &console.of_command("demo"),
+    )
 }
 
 /// Deletes what an earlier demo left: this one shows what this program does, all of it.

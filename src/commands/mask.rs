@@ -63,15 +63,12 @@ fn propose(
         console.note(&format!("  {problem}"));
     }
     let overlays = overlay_folder(&args.output);
-    for folder in [&args.output, &overlays] {
-        std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
-    }
     let resources = Resources::new(&args.work);
     let outcomes = map_photos(
         &inputs,
         resources,
         "proposing masks",
-        console,
+        &console.of_command("mask"),
         |photo| -> anyhow::Result<Proposed> {
             let target = args.output.join(format!("{}.png", photo.name));
             if target.exists() && !args.overwrite {
@@ -80,6 +77,10 @@ fn propose(
             let image = linear_photo(&request, photo)?;
             let proposal = propose_mask(&photo.file_name, &image)
                 .map_err(|error| Failure::NoResult(error.to_string()))?;
+            // Made only now, so that nothing is left where no mask is found.
+            for folder in [&args.output, &overlays] {
+                std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+            }
             write_mask(&target, &proposal.mask).map_err(from_io)?;
             let overlay = overlay(&image, &proposal.mask);
             let picture = overlays.join(format!("{}.png", photo.name));

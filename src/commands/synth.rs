@@ -5,6 +5,7 @@
 //! OUT/masks/IMG_0001.png …        the object
 //! OUT/sphere_masks/IMG_0001.png … the reference sphere; of several the first, the others in
 //!                                 sphere_masks_2, sphere_masks_3 …
+//! OUT/synth.json                  the options that it was made with, written first
 //! OUT/intrinsics.json             cameras without poses
 //! OUT/sphere.json                 the spheres' radii and masks
 //! OUT/truth/                      cameras.json, NAME_depth.exr, NAME_normal.exr, NAME_albedo.exr,
@@ -15,7 +16,6 @@ use super::reporting;
 use crate::cli::{SynthArgs, SynthFormat};
 use crate::config::read_toml;
 use crate::exit::Failure;
-use crate::observe::Console;
 use crate::pipeline::from_io;
 use crate::store::StoreError;
 use rilievo_io::{
@@ -25,7 +25,7 @@ use rilievo_io::{
 };
 use rilievo_scene::{Event, ExifFacts, Flow, LinearImage, NormalMap, Observer, StageId, Unit};
 use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions, true_tracks};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// JPEG quality of the photos: a camera's usual "fine".
@@ -35,7 +35,7 @@ const JPEG_QUALITY: u8 = 95;
 const NUM_TRACKS: usize = 1000;
 
 /// Options of `--config`.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SynthOptions {
     /// The world in front of the camera.
@@ -47,17 +47,20 @@ pub struct SynthOptions {
 /// Runs the command.
 ///
 /// # Errors
-/// Unusable options, or a folder that cannot be written.
+/// Unusable options, or a folder that holds something else or cannot be written.
 pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output});
     reporting(args.json, facts, |console| {
         let options = options(args)?;
+        if !is_set_or_new(&args.output)? {
+            return Err(not_ours(&args.output, "synth").into());
+        }
         write_set(
             &args.output,
             &options,
             args.format,
             args.mesh.as_deref(),
-            console,
+            &console.of_command("synth"),
         )?;
         console.note(&format!(
             "{} photos, masks and ground truth are in {}",
@@ -79,6 +82,34 @@ fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
     Ok(options)
 }
 
+/// File that marks a set, whatever became of the rest of it.
+const SET_FILE: &str = "synth.json";
+
+/// Whether a folder is absent or empty, or an earlier set, which a new one may replace.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn is_set_or_new(folder: &Path) -> Result<bool, StoreError> {
+    let has = |file: &str| folder.join(file).exists();
+    // Sets of earlier versions have no mark, but cameras without and with poses.
+    if has(SET_FILE) || (has("intrinsics.json") && has("truth/cameras.json")) {
+        return Ok(true);
+    }
+    match std::fs::read_dir(folder) {
+        Ok(mut entries) => Ok(entries.next().is_none()),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(true),
+        Err(error) => Err(StoreError::files("read", folder)(error)),
+    }
+}
+
+/// The folder holds what no earlier call of the command wrote.
+pub fn not_ours(folder: &Path, command: &str) -> Failure {
+    Failure::RunDirectory(format!(
+        "{} is not empty and was not made by `rilievo {command}`; choose another folder",
+        folder.display()
+    ))
+}
+
 /// Makes a scene, photographs it, and writes photos and truth.
 ///
 /// # Errors
@@ -88,7 +119,7 @@ pub fn write_set(
     options: &SynthOptions,
     format: SynthFormat,
     mesh: Option<&Path>,
-    console: &Console,
+    observer: &dyn Observer,
 ) -> anyhow::Result<()> {
     let usage = |error: rilievo_synthetic::SyntheticError| Failure::Usage(error.to_string());
     let scene = match mesh {
@@ -100,6 +131,8 @@ pub fn write_set(
         }
     };
     let renderer = Renderer::new(&scene, &options.photographs).map_err(usage)?;
+    std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+    write_json(&folder.join(SET_FILE), &serde_json::to_value(options)?)?;
     let kinds = ["photos", "masks", "truth", "truth/matches"].map(str::to_owned);
     for name in kinds
         .into_iter()
@@ -141,7 +174,7 @@ pub fn write_set(
             normal: NormalMap::filled(0, 0, [0.0; 3]),
             ..view
         });
-        let flow = console.event(Event::Progress {
+        let flow = observer.event(Event::Progress {
             stage: StageId::Photos,
             step: "photographing the scene".to_owned(),
             done: index + 1,

@@ -19,7 +19,7 @@ impl Bars {
         Self { bar: None }
     }
 
-    fn bar(&mut self, stage: StageId, step: &str, done: usize, total: usize) -> &ProgressBar {
+    fn bar(&mut self, of: &str, step: &str, done: usize, total: usize) -> &ProgressBar {
         let same = matches!(&self.bar, Some((current, _)) if current == step);
         if !same {
             self.clear();
@@ -32,7 +32,7 @@ impl Bars {
                 .with_position(done as u64);
             // What was done before says nothing of the rate.
             bar.reset_eta();
-            bar.set_prefix(stage.name());
+            bar.set_prefix(of.to_owned());
             bar.set_message(step.to_owned());
             bar.enable_steady_tick(Duration::from_millis(500));
             (step.to_owned(), bar)
@@ -77,9 +77,7 @@ impl Display for Bars {
                 step,
                 done,
                 total,
-            } => self
-                .bar(*stage, step, *done, *total)
-                .set_position(*done as u64),
+            } => self.progress(stage.name(), step, *done, *total),
             Event::Iteration {
                 stage,
                 iteration,
@@ -87,7 +85,7 @@ impl Display for Bars {
                 energy,
                 ..
             } => {
-                let bar = self.bar(*stage, "iterating", *iteration, *max_num_iterations);
+                let bar = self.bar(stage.name(), "iterating", *iteration, *max_num_iterations);
                 bar.set_position(*iteration as u64 + 1);
                 bar.set_message(format!("iterating, energy {energy:.3e}"));
             }
@@ -96,6 +94,10 @@ impl Display for Bars {
                 self.line(&text);
             }
         }
+    }
+
+    fn progress(&mut self, of: &str, step: &str, done: usize, total: usize) {
+        self.bar(of, step, done, total).set_position(done as u64);
     }
 
     fn note(&mut self, message: &str) {

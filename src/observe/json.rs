@@ -36,6 +36,12 @@ impl Display for JsonLines {
         }
     }
 
+    fn progress(&mut self, command: &str, step: &str, done: usize, total: usize) {
+        Self::print(&serde_json::json!({
+            "event": "progress", "command": command, "step": step, "done": done, "total": total
+        }));
+    }
+
     fn note(&mut self, message: &str) {
         tell!("{message}");
     }

@@ -31,17 +31,7 @@ impl Display for Lines {
                 step,
                 done,
                 total,
-            } => {
-                let pace = match &mut self.pace {
-                    Some(pace) if pace.is_of(step) => pace,
-                    slot => slot.insert(Pace::new(step, *done)),
-                };
-                if pace.due(INTERVAL) || done == total {
-                    let left = pace.left(*done, *total).filter(|_| done < total);
-                    let left = left.map_or(String::new(), |d| format!(", {} left", in_words(d)));
-                    tell!("{stage}: {step} {done}/{total}{left}");
-                }
-            }
+            } => self.progress(stage.name(), step, *done, *total),
             Event::Iteration {
                 stage,
                 iteration,
@@ -61,6 +51,18 @@ impl Display for Lines {
                 }
             }
             Event::Warning { stage, message } => tell!("{stage}: warning: {message}"),
+        }
+    }
+
+    fn progress(&mut self, of: &str, step: &str, done: usize, total: usize) {
+        let pace = match &mut self.pace {
+            Some(pace) if pace.is_of(step) => pace,
+            slot => slot.insert(Pace::new(step, done)),
+        };
+        if pace.due(INTERVAL) || done == total {
+            let left = pace.left(done, total).filter(|_| done < total);
+            let left = left.map_or(String::new(), |d| format!(", {} left", in_words(d)));
+            tell!("{of}: {step} {done}/{total}{left}");
         }
     }
 

@@ -28,6 +28,8 @@ pub enum StageNews {
 trait Display: Send {
     fn stage(&mut self, stage: StageId, news: &StageNews);
     fn event(&mut self, event: &Event);
+    /// Progress of a step of a command that belongs to no stage.
+    fn progress(&mut self, command: &str, step: &str, done: usize, total: usize);
     fn note(&mut self, message: &str);
     fn finished(&mut self, summary: &serde_json::Value);
 }
@@ -57,6 +59,14 @@ impl Console {
     /// Tells where a stage stands.
     pub fn stage(&self, stage: StageId, news: &StageNews) {
         self.with(|display| display.stage(stage, news));
+    }
+
+    /// An observer whose progress is shown as the command's own, and not as a stage's.
+    pub fn of_command(&self, command: &'static str) -> OfCommand<'_> {
+        OfCommand {
+            console: self,
+            command,
+        }
     }
 
     /// A sentence for people.
@@ -130,5 +140,29 @@ impl Observer for Console {
         } else {
             Flow::Continue
         }
+    }
+}
+
+/// The console for work that is no stage's, though it may be done by the same functions.
+pub struct OfCommand<'a> {
+    console: &'a Console,
+    command: &'static str,
+}
+
+impl Observer for OfCommand<'_> {
+    fn event(&self, event: Event) -> Flow {
+        let Event::Progress {
+            step, done, total, ..
+        } = &event
+        else {
+            return self.console.event(event);
+        };
+        self.console
+            .with(|display| display.progress(self.command, step, *done, *total));
+        self.flow()
+    }
+
+    fn flow(&self) -> Flow {
+        self.console.flow()
     }
 }

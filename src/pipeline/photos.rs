@@ -17,7 +17,7 @@ use rilievo_io::{
 use rilievo_photos::{
     GivenCamera, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
 };
-use rilievo_scene::{LinearImage, PhotoSet, StageId};
+use rilievo_scene::{LinearImage, Observer, PhotoSet, StageId};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
@@ -122,7 +122,7 @@ pub fn map_photos<R: Send>(
     inputs: &Inputs,
     resources: Resources,
     step: &str,
-    console: &Console,
+    observer: &dyn Observer,
     work: impl Fn(&PhotoInput) -> R + Sync,
 ) -> Option<Vec<R>> {
     let at_once = resources.at_once(largest_photo_px(inputs) * BYTES_PER_PX);
@@ -131,7 +131,7 @@ pub fn map_photos<R: Send>(
         at_once,
         StageId::Photos,
         step,
-        console,
+        observer,
         work,
     )
 }

@@ -36,9 +36,9 @@ pub fn build(
         (Some(path), _, _) => read_scene(path).map_err(from_io)?,
         (None, Some(image), Some(camera)) => single(args, image.clone(), camera.clone()),
         _ => {
-            return Err(
-                Failure::Usage("give SCENE.json, or --image and --camera".to_owned()).into(),
-            );
+            let usage = "give SCENE.json for several views, or --image PHOTO with --camera CAMERA.json \
+                         for one";
+            return Err(Failure::Usage(usage.to_owned()).into());
         }
     };
     refuse_one_file_for_all(args, scene.views.len())?;

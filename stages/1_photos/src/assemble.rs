@@ -294,6 +294,14 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         which(&|f| f.noise_sigma > NOISE_WARNING * f.median_level.max(1e-4)),
         "noisy; shoot at the lowest ISO, from a tripod, or with more light",
     );
+    if report.num_masks == 0 {
+        warnings.push(
+            "no photo has a mask (--masks, or an alpha channel): the whole frame is taken for the \
+             object, which is slower and lets what stands around it into the model; `rilievo mask` \
+             proposes masks before an even backdrop, elsewhere any image editor makes them"
+                .to_owned(),
+        );
+    }
     let black = report
         .photos
         .iter()
