@@ -4,8 +4,7 @@ mod parse;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use parse::{
-    parse_dimensions, parse_export_format, parse_import_format, parse_known_distance, parse_size,
-    parse_stage,
+    export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
 };
 use rilievo_fusion::{ColorMode, FusionOptions};
 use rilievo_io::{CameraFormat, LightFormat};
@@ -119,8 +118,9 @@ pub struct MaskArgs {
 pub struct ImportArgs {
     /// Another program's cameras: a file or a folder; or an object of DiLiGenT or DiLiGenT-MV
     pub source: PathBuf,
-    /// Its format; found out by default
-    #[arg(long, value_name = "FORMAT", value_parser = parse_import_format)]
+    /// Its format; found out by default. npz is that of IDR and NeuS, transforms of nerfstudio and
+    /// instant-ngp, sfmdata of AliceVision
+    #[arg(long, value_name = "FORMAT", value_parser = import_formats())]
     pub format: Option<ImportFormat>,
     /// The file to write (cameras.json by default), for diligent the folder (diligent by default)
     #[arg(short, long, value_name = "PATH")]
@@ -144,8 +144,9 @@ pub enum ImportFormat {
 pub struct ExportArgs {
     /// A run directory, or a camera file
     pub source: PathBuf,
-    /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras
-    #[arg(long, value_name = "FORMAT", value_parser = parse_export_format)]
+    /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras. npz
+    /// is that of IDR and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of AliceVision
+    #[arg(long, value_name = "FORMAT", value_parser = export_formats())]
     pub format: ExportFormat,
     /// The file or folder to write
     #[arg(short, long, value_name = "PATH")]
@@ -375,7 +376,7 @@ pub struct StageArgs {
 #[derive(Debug, Args)]
 pub struct ShadeArgs {
     /// Several views to be solved together
-    #[arg(value_name = "SCENE.json", required_unless_present = "image")]
+    #[arg(value_name = "SCENE.json")]
     pub scene: Option<PathBuf>,
     /// Image of a single view
     #[arg(long, value_name = "F", conflicts_with = "scene", requires = "camera")]

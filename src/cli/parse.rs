@@ -1,6 +1,7 @@
 //! Values of the command line that are more than a number or a path.
 
 use super::{ExportFormat, ImportFormat};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rilievo_io::{CameraFormat, LightFormat};
 use rilievo_poses::KnownDistance;
 use rilievo_scene::StageId;
@@ -19,35 +20,43 @@ pub(super) fn parse_stage(text: &str) -> Result<StageId, String> {
         })
 }
 
-/// `colmap`, `transforms`, …
-pub(super) fn parse_format(text: &str) -> Result<CameraFormat, String> {
-    CameraFormat::from_name(text).ok_or_else(|| {
-        let names: Vec<_> = CameraFormat::ALL
-            .iter()
-            .map(|format| format.name())
-            .collect();
-        format!("formats are {}", names.join(", "))
-    })
-}
-
 /// A camera format, or `diligent`.
-pub(super) fn parse_import_format(text: &str) -> Result<ImportFormat, String> {
-    match text {
-        "diligent" => Ok(ImportFormat::Diligent),
-        _ => parse_format(text)
-            .map(ImportFormat::Cameras)
-            .map_err(|formats| format!("{formats}, diligent")),
-    }
+pub(super) fn import_formats() -> impl TypedValueParser<Value = ImportFormat> {
+    let formats = cameras(ImportFormat::Cameras)
+        .into_iter()
+        .chain([("diligent", ImportFormat::Diligent)]);
+    one_of(formats.collect())
 }
 
-/// A camera format, or `lp` and `alicevision-lights`.
-pub(super) fn parse_export_format(text: &str) -> Result<ExportFormat, String> {
-    match LightFormat::from_name(text) {
-        Some(format) => Ok(ExportFormat::Lights(format)),
-        None => parse_format(text)
-            .map(ExportFormat::Cameras)
-            .map_err(|formats| format!("{formats}, lp, alicevision-lights")),
-    }
+/// A camera format, or one of lights.
+pub(super) fn export_formats() -> impl TypedValueParser<Value = ExportFormat> {
+    let lights = LightFormat::ALL.map(|format| (format.name(), ExportFormat::Lights(format)));
+    one_of(
+        cameras(ExportFormat::Cameras)
+            .into_iter()
+            .chain(lights)
+            .collect(),
+    )
+}
+
+fn cameras<T>(wrap: fn(CameraFormat) -> T) -> Vec<(&'static str, T)> {
+    CameraFormat::ALL
+        .map(|format| (format.name(), wrap(format)))
+        .into()
+}
+
+/// Values by their names, which the help lists.
+fn one_of<T: Clone + Send + Sync + 'static>(
+    values: Vec<(&'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let names: Vec<_> = values.iter().map(|(name, _)| *name).collect();
+    PossibleValuesParser::new(names).try_map(move |text| {
+        let found = values.iter().find(|(name, _)| *name == text);
+        found.map_or_else(
+            || Err(format!("{text} is no format")),
+            |(_, value)| Ok(value.clone()),
+        )
+    })
 }
 
 /// `800M`, `4G`, or a number of bytes.

@@ -4,7 +4,7 @@ use super::diligent;
 use crate::cli::{ExportArgs, ExportFormat, ImportArgs, ImportFormat};
 use crate::exit::Failure;
 use crate::pipeline::{from_io, load_poses};
-use crate::store::RunDir;
+use crate::store::{RunDir, StoreError};
 use rilievo_io::{
     CameraFile, CameraFormat, LightFormat, export_cameras, import_cameras, is_diligent,
     read_lighting, write_cameras, write_lights,
@@ -34,6 +34,7 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
     }
     let output = output("cameras.json");
     let (cameras, format) = read(&args.source, format)?;
+    make_parent(&output)?;
     write_cameras(&output, &cameras).map_err(from_io)?;
     let posed = cameras
         .cameras
@@ -69,6 +70,7 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         Some(run) => CameraFile::from_posed_views(&load_poses(run)?),
         None => read(&args.source, None)?.0,
     };
+    make_parent(&args.output)?;
     export_cameras(&args.output, format, &cameras).map_err(from_io)?;
     say!(
         "{} cameras are in {} ({})",
@@ -96,6 +98,7 @@ fn export_lights(
             Some((view.file_name.clone(), light.clone()))
         })
         .collect();
+    make_parent(&args.output)?;
     write_lights(&args.output, format, &lights).map_err(from_io)?;
     say!(
         "{} lights are in {} ({})",
@@ -104,6 +107,16 @@ fn export_lights(
         format.name()
     )?;
     Ok(())
+}
+
+/// Makes the folder that a file or folder is written into.
+fn make_parent(path: &Path) -> Result<(), StoreError> {
+    match path.parent() {
+        Some(folder) => {
+            std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))
+        }
+        None => Ok(()),
+    }
 }
 
 fn read(

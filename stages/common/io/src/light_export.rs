@@ -28,19 +28,15 @@ pub enum LightFormat {
 }
 
 impl LightFormat {
+    /// All formats.
+    pub const ALL: [Self; 2] = [Self::Lp, Self::AliceVision];
+
     /// Name, as on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lp => "lp",
             Self::AliceVision => "alicevision-lights",
         }
-    }
-
-    /// The format of a name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        [Self::Lp, Self::AliceVision]
-            .into_iter()
-            .find(|format| format.name() == name)
     }
 }
 
