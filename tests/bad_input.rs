@@ -2,9 +2,9 @@
 
 mod common;
 
-use common::{arg, noise_photos, reconstruct_until, run, write_noise_photo};
-use rilievo_io::{write_linear, write_mask};
-use rilievo_scene::{LinearImage, Mask};
+use common::{arg, noise_photos, reconstruct_until, run, synthetic_set, write_noise_photo};
+use rilievo_io::{write_depth, write_linear, write_mask};
+use rilievo_scene::{DepthMap, LinearImage, Mask};
 use std::path::Path;
 
 /// Reads photos only: enough for everything that is wrong with files.
@@ -273,6 +273,11 @@ fn wrong_usage_is_told_apart_from_wrong_input() {
         let (code, _, stderr) = run(&arguments);
         assert_eq!(code, 2, "{arguments:?}: {stderr}");
     }
+    let (_, _, stderr) = run(&["shade", "-o", "out"]);
+    assert!(stderr.contains("--image PHOTO with --camera"), "{stderr}");
+    let (code, _, stderr) = run(&["check", "no-such-folder"]);
+    assert_eq!(code, 3);
+    assert!(stderr.contains("no such file or folder"), "{stderr}");
     let (code, _, _) = run(&["reconstruct", "no-such-folder", "-o", "never-made"]);
     assert_eq!(code, 3);
     assert!(!Path::new("never-made").exists());
@@ -303,21 +308,95 @@ fn two_photos_of_one_name_are_refused() {
 }
 
 #[test]
-fn a_run_without_poses_is_evaluated_to_nulls_with_reasons() {
+fn an_evaluation_of_nothing_is_a_failure_with_its_reason() {
     let dir = tempfile::tempdir().unwrap();
     let photos = noise_photos(dir.path(), 2);
     let run_dir = dir.path().join("run");
     let (code, _, stderr) = first_stage(&photos, &run_dir, &[]);
     assert_eq!(code, 0, "{stderr}");
+    let page = std::fs::read(run_dir.join("report.html")).unwrap();
     let truth = dir.path().join("truth");
     std::fs::create_dir(&truth).unwrap();
-    let (code, stdout, stderr) =
-        run(&["evaluate", arg(&run_dir), "--truth", arg(&truth), "--json"]);
-    assert_eq!(code, 0, "{stderr}");
+    let evaluate = |more: &[&str]| {
+        let arguments = ["evaluate", arg(&run_dir), "--truth", arg(&truth)];
+        run(&[&arguments[..], more].concat())
+    };
+    // A truth without anything; programs get the nulls with their reasons.
+    let (code, stdout, stderr) = evaluate(&["--json"]);
+    assert_eq!(code, 3, "{stderr}");
+    for part in ["cameras.json", "NAME_depth.exr", "mesh.ply", "p0"] {
+        assert!(stderr.contains(part), "{part} is not told in: {stderr}");
+    }
     let found: serde_json::Value = serde_json::from_str(&stdout).unwrap();
     for key in ["poses", "all", "cloud"] {
         assert!(found[key].is_null(), "{key}: {found}");
         assert!(found["reasons"][key].is_string(), "{key}: {found}");
     }
     assert_eq!(found["alignment"], "none");
+    // A truth of other photos is as good as none.
+    let plane = DepthMap::filled(160, 120, 1.0);
+    write_depth(&truth.join("IMG_0001_depth.exr"), &plane).unwrap();
+    let (code, stdout, _) = evaluate(&[]);
+    assert_eq!((code, stdout.as_str()), (3, ""));
+    // A truth of these photos, of which the run has no result yet.
+    write_depth(&truth.join("p1_depth.exr"), &plane).unwrap();
+    let (code, stdout, stderr) = evaluate(&[]);
+    assert_eq!((code, stdout.as_str()), (4, ""), "{stderr}");
+    assert!(stderr.contains("5_shading"), "{stderr}");
+    assert!(std::fs::read(run_dir.join("report.html")).unwrap() == page);
+
+    let held = std::fs::File::open(run_dir.join(".lock")).unwrap();
+    held.lock().unwrap();
+    let (code, _, stderr) = evaluate(&[]);
+    assert_eq!(code, 5, "{stderr}");
+}
+
+#[test]
+fn synth_and_demo_leave_other_peoples_folders_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let foreign = dir.path().join("letters");
+    std::fs::create_dir(&foreign).unwrap();
+    std::fs::write(foreign.join("letter.txt"), "x").unwrap();
+    let small = ["--views", "2", "--size", "64x48"];
+    let synth = |folder: &Path| run(&[&["synth", arg(folder)][..], &small].concat());
+    for (code, _, stderr) in [synth(&foreign), run(&["demo", "-o", arg(&foreign)])] {
+        assert_eq!(code, 5, "{stderr}");
+        assert!(stderr.contains("letters"), "{stderr}");
+    }
+    assert_eq!(std::fs::read_dir(&foreign).unwrap().count(), 1);
+    // Its own set it makes again.
+    for _ in 0..2 {
+        let (code, _, stderr) = synth(&dir.path().join("set"));
+        assert_eq!(code, 0, "{stderr}");
+        assert!(
+            stderr.contains("synth: photographing the scene 2/2"),
+            "{stderr}"
+        );
+    }
+}
+
+#[test]
+fn cameras_are_exported_into_folders_that_are_made() {
+    let dir = tempfile::tempdir().unwrap();
+    let cameras = synthetic_set().join("truth/cameras.json");
+    for (format, name) in [
+        ("middlebury", "par.txt"),
+        ("colmap", "model"),
+        ("cameras", "c.json"),
+    ] {
+        let to = dir.path().join(format!("not/there/{format}/{name}"));
+        let (code, _, stderr) = run(&["export", arg(&cameras), "--format", format, "-o", arg(&to)]);
+        assert_eq!(code, 0, "{stderr}");
+        assert!(to.exists());
+    }
+    for (command, format) in [("import", "diligent"), ("export", "alicevision-lights")] {
+        let (code, stdout, _) = run(&["help", command]);
+        assert_eq!(code, 0);
+        for name in ["npz", "transforms", format] {
+            assert!(stdout.contains(name), "{name} is not told in: {stdout}");
+        }
+        let (code, _, stderr) = run(&[command, "x", "--format", "neus", "-o", "y"]);
+        assert_eq!(code, 2, "{stderr}");
+        assert!(stderr.contains("npz"), "{stderr}");
+    }
 }

@@ -161,6 +161,65 @@ fn clean_and_damage_are_repaired() {
 }
 
 #[test]
+fn a_stage_without_its_input_is_told_and_a_damaged_one_hides_no_other() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    two_stages(&photos, &run_dir, &[]);
+    let (code, stdout, _) = run(&["clean", arg(&run_dir), "1_photos"]);
+    assert_eq!(code, 0);
+    assert!(stdout.contains("rilievo reconstruct"), "{stdout}");
+    let (code, stdout, _) = run(&["status", arg(&run_dir)]);
+    assert_eq!(code, 0);
+    let told =
+        "2_features   valid, but 1_photos that it was made from is gone: `rilievo reconstruct`";
+    assert!(stdout.contains(told), "{stdout}");
+    let (_, stdout, _) = run(&["status", arg(&run_dir), "--json"]);
+    let status: serde_json::Value = serde_json::from_str(&stdout).unwrap();
+    let expected = serde_json::json!({"state": "valid", "lacks": ["1_photos"]});
+    assert_eq!(status["stages"]["2_features"], expected);
+    assert_eq!(two_stages(&photos, &run_dir, &[]), both(false, true));
+
+    std::fs::write(run_dir.join("1_photos/manifest.json"), "{").unwrap();
+    let (code, stdout, stderr) = run(&["status", arg(&run_dir)]);
+    assert_eq!(code, 5, "{stderr}");
+    assert!(stdout.contains("2_features   valid"), "{stdout}");
+    assert!(stdout.contains("6_fusion     missing"), "{stdout}");
+    assert!(stdout.contains("manifest.json is damaged"), "{stdout}");
+}
+
+#[test]
+fn an_evaluation_goes_with_the_results_that_it_judged() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    two_stages(&photos, &run_dir, &[]);
+    let cloud = run_dir.join("evaluation/deviation.ply");
+    let evaluated = || {
+        std::fs::create_dir_all(cloud.parent().unwrap()).unwrap();
+        std::fs::write(&cloud, "ply").unwrap();
+        let page = run_dir.join("report.html");
+        let text = std::fs::read_to_string(&page).unwrap();
+        let text = text.replace("<!-- evaluation -->", "<!-- evaluation -->judged");
+        std::fs::write(&page, text).unwrap();
+    };
+    let stands = || {
+        let page = std::fs::read_to_string(run_dir.join("report.html")).unwrap();
+        (cloud.exists(), page.contains("-->judged"))
+    };
+    evaluated();
+    two_stages(&photos, &run_dir, &[]);
+    assert_eq!(stands(), (true, true), "nothing was redone");
+    let (code, _, stderr) = run(&["run", "2_features", arg(&run_dir)]);
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(stands(), (false, false));
+    evaluated();
+    let (code, _, stderr) = run(&["clean", arg(&run_dir), "2_features"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(stands(), (false, false));
+}
+
+#[test]
 fn from_redoes_valid_stages_and_run_needs_what_it_reads() {
     let dir = tempfile::tempdir().unwrap();
     let photos = noise_photos(dir.path(), 2);

@@ -74,6 +74,21 @@ fn the_result_is_accurate() {
     assert!(of_normals["all"]["depth_median_rel"].is_null());
     assert!(of_normals["all"]["reasons"]["depth_median_rel"].is_string());
 
+    // Poses alone, and a surface alone in the run's own frame.
+    for (file, known, unknown) in [
+        ("cameras.json", "poses", "cloud"),
+        ("mesh.ply", "cloud", "poses"),
+    ] {
+        let part = tempfile::tempdir().expect("a folder");
+        std::fs::copy(truth.join(file), part.path().join(file)).expect("a file of the truth");
+        let (found, stdout) = evaluate(part.path(), "auto");
+        assert!(
+            found[known].is_object() && found[unknown].is_null(),
+            "{stdout}"
+        );
+        assert!(found["all"].is_null(), "{stdout}");
+    }
+
     let (found, stdout) = evaluate(&truth, "sim3");
     let difference = found["all"]["normal_mae_deg"].as_f64().unwrap_or(f64::NAN)
         - of_normals["all"]["normal_mae_deg"]

@@ -2,31 +2,72 @@
 
 use super::stored_request;
 use crate::cli::{StageArgs, StatusArgs};
+use crate::exit::Failure;
 use crate::pipeline::{Inputs, Plan, StageState, upstream};
 use crate::store::{Contents, RunDir};
 use rilievo_scene::StageId;
 use serde_json::json;
+use std::collections::BTreeMap;
 
 /// `rilievo status`
 ///
 /// # Errors
-/// When the run directory or its inputs cannot be read.
+/// When the run directory or its inputs cannot be read; a stage whose manifest cannot, after the state
+/// of all stages was told.
 pub fn status(args: &StatusArgs) -> anyhow::Result<()> {
     let run = RunDir::open_to_read(&args.run)?;
     let plan = plan(&run)?;
+    let states: BTreeMap<StageId, Result<StageState, Failure>> = StageId::ALL
+        .into_iter()
+        .map(|stage| (stage, plan.state(&run, stage)))
+        .collect();
     let mut lines = serde_json::Map::new();
-    for stage in StageId::ALL {
-        let state = plan.state(&run, stage)?;
+    for (stage, state) in &states {
+        let lacks = lacking(*stage, &states);
         if args.json {
-            lines.insert(stage.name().to_owned(), serde_json::to_value(&state)?);
+            let mut line = match state {
+                Ok(state) => serde_json::to_value(state)?,
+                Err(failure) => json!({"state": "damaged", "reason": failure.to_string()}),
+            };
+            if !lacks.is_empty() {
+                line["lacks"] = json!(lacks);
+            }
+            lines.insert(stage.name().to_owned(), line);
         } else {
-            say!("{:<12} {state}", stage.name())?;
+            match state {
+                Ok(state) if lacks.is_empty() => say!("{:<12} {state}", stage.name())?,
+                Ok(state) => say!(
+                    "{:<12} {state}, but {} that it was made from is gone: `rilievo reconstruct` makes \
+                     it again",
+                    stage.name(),
+                    lacks.join(", ")
+                )?,
+                Err(failure) => say!("{:<12} {failure}", stage.name())?,
+            }
         }
     }
     if args.json {
         say!("{}", json!({"run": args.run, "stages": lines}))?;
     }
-    Ok(())
+    states
+        .into_values()
+        .find_map(Result::err)
+        .map_or(Ok(()), |failure| Err(failure.into()))
+}
+
+/// What a valid stage was made from and is not there any more: its result stands, but cannot be redone.
+fn lacking(
+    stage: StageId,
+    states: &BTreeMap<StageId, Result<StageState, Failure>>,
+) -> Vec<&'static str> {
+    if !matches!(states.get(&stage), Some(Ok(StageState::Valid))) {
+        return Vec::new();
+    }
+    upstream(stage)
+        .iter()
+        .filter(|of| matches!(states.get(of), Some(Ok(StageState::Missing))))
+        .map(|of| of.name())
+        .collect()
 }
 
 /// `rilievo why`

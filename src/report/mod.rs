@@ -45,7 +45,7 @@ impl Outcome {
 }
 
 /// Puts an evaluation into the report of a run, in the place of an earlier one; tells whether there is
-/// a report. The next `reconstruct` that changes anything drops it again, for it is of older results.
+/// a report. Whatever redoes or deletes results drops it again.
 ///
 /// # Errors
 /// When the report cannot be read or written.
@@ -55,13 +55,24 @@ pub fn add_evaluation(
     views: &[ViewErrors],
     deviations_mm: &[f64],
 ) -> anyhow::Result<bool> {
+    put_evaluation(root, &html::evaluation_section(table, views, deviations_mm))
+}
+
+/// Takes an evaluation out of the report of a run, since the results that it judged are gone.
+///
+/// # Errors
+/// When the report cannot be read or written.
+pub fn drop_evaluation(root: &Path) -> anyhow::Result<()> {
+    put_evaluation(root, "").map(|_| ())
+}
+
+fn put_evaluation(root: &Path, section: &str) -> anyhow::Result<bool> {
     let path = root.join("report.html");
     if !path.exists() {
         return Ok(false);
     }
     let page = std::fs::read_to_string(&path)?;
-    let section = html::evaluation_section(table, views, deviations_mm);
-    let Some(page) = html::with_evaluation(&page, &section) else {
+    let Some(page) = html::with_evaluation(&page, section) else {
         return Ok(false);
     };
     write_atomically(&path, page.as_bytes())?;

@@ -3,6 +3,7 @@
 //! ```text
 //! RUN/run.json            what was asked (photos, masks, options) and the format version
 //! RUN/1_photos … 6_fusion artifacts of each stage; manifest.json says what they were made from
+//! RUN/evaluation          where the errors of the results lie; goes with them
 //! RUN/.work/STAGE         a stage in progress; renamed to RUN/STAGE when it is complete
 //! RUN/.contents.json      content hashes by size and date, so that unchanged files are not read again
 //! RUN/.lock               the process that works here
@@ -22,5 +23,5 @@ pub use contents::Contents;
 pub use error::StoreError;
 pub use fingerprint::{Ingredients, hash_bytes, hash_json};
 pub use manifest::{Item, Manifest};
-pub use run_dir::{FORMAT_VERSION, RunDir, write_atomically};
+pub use run_dir::{FORMAT_VERSION, RunDir, deviation_file, drop_evaluation, write_atomically};
 pub use writer::StageWriter;

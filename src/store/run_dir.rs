@@ -184,7 +184,7 @@ impl RunDir {
         StageWriter::begin(&self.root, stage)
     }
 
-    /// Deletes a stage's results.
+    /// Deletes a stage's results, and an evaluation of them.
     ///
     /// # Errors
     /// When they cannot be deleted.
@@ -202,6 +202,9 @@ impl RunDir {
                 found = true;
                 std::fs::remove_dir_all(&folder).map_err(StoreError::files("delete", &folder))?;
             }
+        }
+        if found {
+            drop_evaluation(&self.root)?;
         }
         Ok(found)
     }
@@ -231,6 +234,30 @@ impl RunDir {
         }
         Ok(())
     }
+}
+
+/// Where `rilievo evaluate` writes the cloud coloured by its errors.
+pub fn deviation_file(root: &Path) -> PathBuf {
+    root.join("evaluation").join("deviation.ply")
+}
+
+/// Deletes an evaluation, since the results that it judged go.
+///
+/// # Errors
+/// When it cannot be deleted.
+pub fn drop_evaluation(root: &Path) -> Result<(), StoreError> {
+    let file = deviation_file(root);
+    match std::fs::remove_file(&file) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            return Err(StoreError::files("delete", &file)(error));
+        }
+        _ => {}
+    }
+    if let Some(folder) = file.parent() {
+        // Fails when somebody else has something there, as it should.
+        let _ = std::fs::remove_dir(folder);
+    }
+    Ok(())
 }
 
 /// Writes a file so that it is either the old one or the complete new one.

@@ -159,6 +159,7 @@ impl StageWriter {
         super::run_dir::write_atomically(&self.work.join(MANIFEST), &text)?;
         sync(&self.work)?;
 
+        super::run_dir::drop_evaluation(&self.root)?;
         let place = self.root.join(self.stage.name());
         let old = self.root.join(".old").join(self.stage.name());
         if place.exists() {

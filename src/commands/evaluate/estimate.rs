@@ -25,18 +25,20 @@ pub(super) struct Estimate {
     photos: PathBuf,
     /// Factors that brought photos to one exposure, by their names.
     gains: BTreeMap<String, f64>,
+    /// Held, since the evaluation is written into the run, and must be of one state of it.
+    _run: Option<RunDir>,
 }
 
 impl Estimate {
-    /// Opens a run directory, or a folder of `rilievo shade`.
+    /// Opens a run directory for work, or a folder of `rilievo shade`.
     ///
     /// # Errors
-    /// When the run cannot be read.
+    /// When the run cannot be read, or is in use.
     pub fn open(root: &Path) -> anyhow::Result<Self> {
         if !root.join("run.json").exists() && root.join("depth").is_dir() {
             return Self::of_shade(root);
         }
-        let run = RunDir::open_to_read(root)?;
+        let run = RunDir::open(root)?;
         let photos = run.manifest(StageId::Photos)?;
         let gains = exposure_gains(photos.as_ref());
         let (poses, expected) = match run.manifest(StageId::Poses)? {
@@ -55,6 +57,7 @@ impl Estimate {
             light: run.stage_dir(StageId::Lighting).join("lighting.json"),
             photos: run.stage_dir(StageId::Photos).join("linear"),
             gains,
+            _run: Some(run),
         })
     }
 
@@ -75,7 +78,15 @@ impl Estimate {
             light: root.join("lighting.json"),
             photos: root.join("photos"),
             gains: BTreeMap::new(),
+            _run: None,
         })
+    }
+
+    /// Whether a view has depth or normals.
+    pub fn has_map(&self, name: &str) -> bool {
+        ["depth", "normal"]
+            .iter()
+            .any(|kind| self.maps.join(kind).join(format!("{name}.exr")).exists())
     }
 
     /// Depth map of a view, if it has one.
@@ -107,7 +118,12 @@ impl Estimate {
     /// # Errors
     /// When its file cannot be read.
     pub fn albedo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
-        read_if_there(&self.maps.join(format!("albedo/{name}.exr")), read_linear)
+        read_if_there(&self.albedo_file(name), read_linear)
+    }
+
+    /// The file of a view's albedo, there or not.
+    pub fn albedo_file(&self, name: &str) -> PathBuf {
+        self.maps.join(format!("albedo/{name}.exr"))
     }
 
     /// The image that the result explains, if it has one.

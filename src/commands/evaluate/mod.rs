@@ -3,6 +3,7 @@
 mod appearance;
 mod errors;
 mod estimate;
+mod parts;
 mod table;
 mod truth;
 
@@ -10,7 +11,7 @@ use crate::cli::{Align, EvaluateArgs};
 use crate::exit::Failure;
 use crate::pipeline::from_io;
 use crate::report;
-use crate::store::StoreError;
+use crate::store::{StoreError, deviation_file, drop_evaluation};
 use estimate::Estimate;
 use rilievo_io::read_cloud_ply;
 use rilievo_scene::{Mesh, PointCloud, RigidTransform};
@@ -24,7 +25,7 @@ use truth::Truth;
 /// Runs the command.
 ///
 /// # Errors
-/// When run or truth cannot be read, or what was asked for cannot be aligned.
+/// When run or truth cannot be read, have nothing in common, or cannot be aligned as asked.
 pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
     if !args.truth.is_dir() {
         return Err(Failure::input(&args.truth, "there is no such folder (--truth)").into());
@@ -36,6 +37,15 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
         Align::Sim3 => AlignmentRequest::Sim3,
     };
     let comparison = Comparison::open(&args.run, &args.truth, request)?;
+    if let Some(failure) = comparison.nothing_in_common()? {
+        // Programs get their nulls with the reasons all the same.
+        if args.json
+            && let Ok(evaluation) = comparison.measure()
+        {
+            say!("{}", serde_json::to_string_pretty(&evaluation)?)?;
+        }
+        return Err(failure.into());
+    }
     let evaluation = comparison.measure()?;
     if args.json {
         say!("{}", serde_json::to_string_pretty(&evaluation)?)?;
@@ -101,6 +111,9 @@ impl Comparison {
                 self.truth.surface_file().display()
             )),
         };
+        // Without any map, a row of nothing for every view would tell nothing.
+        let has_maps = self.views.iter().any(|v| self.estimate.has_map(&v.name));
+        let compared = if has_maps { &self.views[..] } else { &[] };
         // Reading errors inside the comparison are kept here, since it knows only its own.
         let mut unreadable = None;
         let mut evaluation = compare::evaluate(
@@ -109,7 +122,7 @@ impl Comparison {
             self.request,
             |scale| {
                 let mut errors: Vec<(String, PixelErrors)> = Vec::new();
-                for view in &self.views {
+                for view in compared {
                     let maps = self
                         .estimate
                         .depth(&view.name)
@@ -132,6 +145,12 @@ impl Comparison {
         if let Some(failure) = unreadable {
             return Err(failure.into());
         }
+        if !has_maps && !self.views.is_empty() {
+            let reason = "the result has neither depth nor normals of a view that the truth knows";
+            evaluation
+                .reasons
+                .insert("all".to_owned(), reason.to_owned());
+        }
         appearance::compare(self, &mut evaluation)?;
         Ok(evaluation)
     }
@@ -141,11 +160,17 @@ impl Comparison {
     /// # Errors
     /// When maps cannot be read, or the files cannot be written.
     pub fn show(&self, evaluation: &Evaluation) -> anyhow::Result<()> {
+        drop_evaluation(&self.run)?;
         let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;
         let deviations_mm = self.write_deviations(evaluation)?;
         if report::add_evaluation(&self.run, &table(evaluation), &maps, &deviations_mm)? {
             tell!(
-                "error maps are in {}",
+                "{} are in {}",
+                if maps.is_empty() {
+                    "these numbers"
+                } else {
+                    "error maps"
+                },
                 self.run.join("report.html").display()
             );
         }
@@ -165,9 +190,9 @@ impl Comparison {
             .map_err(|error| Failure::NoResult(error.to_string()))?;
         let max = compared.threshold;
         let deviations = errors::deviations(cloud, surface, &similarity, max / 3.0);
-        let folder = self.run.join("evaluation");
-        std::fs::create_dir_all(&folder).map_err(StoreError::files("create", &folder))?;
-        let path = folder.join("deviation.ply");
+        let path = deviation_file(&self.run);
+        let folder = path.parent().unwrap_or(&self.run);
+        std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
         errors::write_deviations(&path, cloud, &deviations, max, self.truth.cameras.unit)?;
         tell!(
             "signed distances of the cloud, blue inside to red outside at {:.2} mm, are in {}",

@@ -31,10 +31,12 @@ pub fn table(evaluation: &Evaluation) -> String {
         .keys()
         .map(|name| name.chars().count())
         .fold("all".len(), usize::max);
-    text += &format!(
-        "{:<width$}  complete   normals MAE  median   depth median      p90\n",
-        "view"
-    );
+    if !evaluation.views.is_empty() {
+        text += &format!(
+            "{:<width$}  complete   normals MAE  median   depth median      p90\n",
+            "view"
+        );
+    }
     for (name, view) in &evaluation.views {
         text += &row(name, view, width);
     }

@@ -12,7 +12,8 @@ use std::path::{Path, PathBuf};
 
 /// Ground truth in a folder.
 pub(super) struct Truth {
-    folder: PathBuf,
+    /// The folder.
+    pub folder: PathBuf,
     /// True cameras, none where the folder tells none.
     pub cameras: CameraFile,
 }
@@ -71,7 +72,12 @@ impl Truth {
     /// # Errors
     /// When its file cannot be read.
     pub fn albedo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
-        read_if_there(&self.folder.join(format!("{name}_albedo.exr")), read_linear)
+        read_if_there(&self.albedo_file(name), read_linear)
+    }
+
+    /// The file of a view's true albedo, there or not.
+    pub fn albedo_file(&self, name: &str) -> PathBuf {
+        self.folder.join(format!("{name}_albedo.exr"))
     }
 
     /// True maps of the photos that have any.
