@@ -368,6 +368,9 @@ fn synth_and_demo_leave_other_peoples_folders_alone() {
     for _ in 0..2 {
         let (code, _, stderr) = synth(&dir.path().join("set"));
         assert_eq!(code, 0, "{stderr}");
+        // A set is no demo.
+        let (code, _, stderr_of_demo) = run(&["demo", "-o", arg(&dir.path().join("set"))]);
+        assert_eq!(code, 5, "{stderr_of_demo}");
         assert!(
             stderr.contains("synth: photographing the scene 2/2"),
             "{stderr}"

@@ -4,7 +4,7 @@
 use super::evaluate::{self, Comparison};
 use super::reconstruct::bring_run_up_to_date;
 use super::reporting;
-use super::synth::{SynthOptions, is_set_or_new, not_ours, write_set};
+use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
 use crate::cli::{DemoArgs, SynthFormat};
 use crate::config::StageOptions;
 use crate::observe::Console;
@@ -28,8 +28,7 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
         std::path::absolute(&args.output).map_err(StoreError::files("find", &args.output))?;
     let set = folder.join("photographed");
     let run = folder.join("run");
-    let is_ours = is_set_or_new(&folder)? || (set.is_dir() && is_set_or_new(&set)?);
-    if !is_ours {
+    if !is_set(&set) && !is_new(&folder)? {
         return Err(not_ours(&args.output, "demo").into());
     }
     start_afresh(&run)?;

@@ -52,7 +52,7 @@ pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output});
     reporting(args.json, facts, |console| {
         let options = options(args)?;
-        if !is_set_or_new(&args.output)? {
+        if !is_set(&args.output) && !is_new(&args.output)? {
             return Err(not_ours(&args.output, "synth").into());
         }
         write_set(
@@ -85,16 +85,18 @@ fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
 /// File that marks a set, whatever became of the rest of it.
 const SET_FILE: &str = "synth.json";
 
-/// Whether a folder is absent or empty, or an earlier set, which a new one may replace.
+/// Whether a folder is an earlier set, which a new one may replace.
+pub fn is_set(folder: &Path) -> bool {
+    let has = |file: &str| folder.join(file).exists();
+    // Sets of earlier versions have no mark, but cameras without and with poses.
+    has(SET_FILE) || (has("intrinsics.json") && has("truth/cameras.json"))
+}
+
+/// Whether a folder is absent or empty.
 ///
 /// # Errors
 /// When it cannot be read.
-pub fn is_set_or_new(folder: &Path) -> Result<bool, StoreError> {
-    let has = |file: &str| folder.join(file).exists();
-    // Sets of earlier versions have no mark, but cameras without and with poses.
-    if has(SET_FILE) || (has("intrinsics.json") && has("truth/cameras.json")) {
-        return Ok(true);
-    }
+pub fn is_new(folder: &Path) -> Result<bool, StoreError> {
     match std::fs::read_dir(folder) {
         Ok(mut entries) => Ok(entries.next().is_none()),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(true),
