@@ -212,7 +212,7 @@ pub fn write_set(
     if !scene.spheres.is_empty() {
         write_json(
             &folder.join("sphere.json"),
-            &sphere_file(&scene, sphere_views),
+            &sphere_file(&scene, sphere_views, options.photographs.turntable),
         )?;
     }
     let lighting = serde_json::json!({
@@ -234,10 +234,11 @@ fn mask_folder(sphere: usize) -> String {
     }
 }
 
-/// The sphere file: one sphere at its top, several in a list.
+/// The sphere file: one sphere at its top, several in a list; `turns` for an object on a turntable.
 fn sphere_file(
     scene: &Scene,
     views: Vec<serde_json::Map<String, serde_json::Value>>,
+    turns: bool,
 ) -> serde_json::Value {
     let mut entries: Vec<serde_json::Value> = scene
         .spheres
@@ -250,7 +251,7 @@ fn sphere_file(
         _ => serde_json::json!({"spheres": entries}),
     };
     file["unit"] = "metre".into();
-    file["light"] = "world".into();
+    file["light"] = if turns { "camera" } else { "world" }.into();
     file
 }
 

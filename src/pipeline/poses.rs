@@ -7,7 +7,7 @@ use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter, StoreError};
 use rilievo_io::{CameraFile, decode_photo, write_cameras, write_colmap_text};
-use rilievo_scene::{LightKind, LinearImage, PhotoSet, PosedViews, SphereRequest, StageId};
+use rilievo_scene::{LinearImage, PhotoSet, PosedViews, SphereRequest, StageId};
 use std::io::{BufReader, BufWriter, Write};
 
 const POSED_VIEWS: &str = "posed_views.json";
@@ -110,7 +110,7 @@ pub fn sphere_request(
     if let SphereInput::Auto { radius } = context.request.sphere {
         let request = SphereRequest {
             search_radius: Some(radius),
-            light: LightKind::World,
+            light: None,
             ..SphereRequest::default()
         };
         return Ok((Some(request), Vec::new()));

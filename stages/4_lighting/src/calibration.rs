@@ -30,7 +30,7 @@ pub(crate) fn from_calibration(
     for calibration in &request.calibration {
         let (samples, world_from_cam) = calibration_samples(photos, posed, calibration, options)?;
         num_channels = calibration.image.channels;
-        let frame = match request.light {
+        let frame = match report.kind {
             LightKind::World => world_from_cam,
             LightKind::Camera => UnitQuaternion::identity(),
         };
@@ -39,7 +39,7 @@ pub(crate) fn from_calibration(
     }
     let fit = pool.fit("the calibration photo", options)?;
     describe(&fit, &mut report);
-    let (environment_in_world, views) = match request.light {
+    let (environment_in_world, views) = match report.kind {
         LightKind::World => {
             let applied = if side.views.len() > 1 {
                 let gains = gains_of(side, options)?;
@@ -64,7 +64,7 @@ pub(crate) fn from_calibration(
     Ok((
         LightingCalibration {
             source: LightSource::CalibrationPhoto,
-            kind: request.light,
+            kind: report.kind,
             environment_in_world,
             views,
             spheres: Vec::new(),

@@ -20,7 +20,7 @@ const MIN_SHARED_CELLS: usize = 10;
 const MIN_TURN: f64 = 0.1;
 
 /// Compares both kinds on the spheres; `None` with fewer than two views of them.
-pub(crate) fn check(side: &Side, stated: LightKind) -> Option<KindCheck> {
+pub(crate) fn check(side: &Side, stated: Option<LightKind>) -> Option<KindCheck> {
     if side.views.len() < 2 {
         return None;
     }
@@ -38,7 +38,7 @@ pub(crate) fn check(side: &Side, stated: LightKind) -> Option<KindCheck> {
         });
         of_patch.flatten().collect()
     };
-    compare(&side.world_from_cam, Some(stated), CLEAR, means)
+    compare(&side.world_from_cam, stated, CLEAR, means)
 }
 
 /// Compares both kinds on a known shape, of which nothing is stated: normals (camera frame) and

@@ -40,11 +40,12 @@ pub(crate) fn run(
     }
     let mut report = LightingReport {
         source: LightSource::Sphere,
-        kind: request.light,
         ..LightingReport::default()
     };
     let side = collect(photos, posed, options, observer, &mut report)?;
     report.kind_check = kind::check(&side, request.light);
+    let told = report.kind_check.as_ref().and_then(|check| check.fits);
+    report.kind = request.light.or(told).unwrap_or(LightKind::World);
     warn_of_kind(&mut report);
     report.warnings.extend(place::warn(posed));
     if request.calibration.is_empty() {
@@ -53,7 +54,7 @@ pub(crate) fn run(
                 reasons: reasons(&report),
             });
         }
-        match request.light {
+        match report.kind {
             LightKind::World => from_side_world(posed, side, options, report),
             LightKind::Camera => from_side_camera(posed, side, options, report),
         }

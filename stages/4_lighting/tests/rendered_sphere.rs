@@ -134,7 +134,7 @@ fn set_of(shots: &[Shot]) -> (PhotoSet, PosedViews) {
 fn request(light: LightKind, marks: Vec<(PhotoIdx, SphereMark)>) -> SphereRequest {
     SphereRequest {
         spheres: vec![MarkedSphere::only(RADIUS, marks)],
-        light,
+        light: Some(light),
         ..SphereRequest::default()
     }
 }
@@ -377,12 +377,20 @@ fn equal_exposures_are_left_alone_and_wrongly_stated_kinds_are_named() {
             "{:?}",
             report.warnings
         );
-        let right = LightingRequest::Sphere(request(true_kind, Vec::new()));
-        let (calibration, report) = run(&photos, &posed, &right, &options, &Silent).unwrap();
-        assert!(!report.kind_check.unwrap().contradicts && !report.gains_applied);
-        for view in &calibration.views {
-            let residual = view.residual.unwrap();
-            assert!(residual < 0.012, "residual {residual}");
+        let stated = request(true_kind, Vec::new());
+        let unstated = SphereRequest {
+            light: None,
+            ..stated.clone()
+        };
+        for right in [stated, unstated] {
+            let right = LightingRequest::Sphere(right);
+            let (calibration, report) = run(&photos, &posed, &right, &options, &Silent).unwrap();
+            assert_eq!((calibration.kind, report.kind), (true_kind, true_kind));
+            assert!(!report.kind_check.unwrap().contradicts && !report.gains_applied);
+            for view in &calibration.views {
+                let residual = view.residual.unwrap();
+                assert!(residual < 0.012, "residual {residual}");
+            }
         }
     }
 }

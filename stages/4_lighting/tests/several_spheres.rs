@@ -297,7 +297,7 @@ fn a_sphere_in_a_shadow_is_named_and_left_out() {
     let (_, report) = lit(
         &mut world,
         SphereRequest {
-            light: LightKind::Camera,
+            light: Some(LightKind::Camera),
             ..request
         },
     );

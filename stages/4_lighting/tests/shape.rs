@@ -230,7 +230,7 @@ fn angle_deg(a: &Lighting, b: &Lighting) -> f64 {
 
 fn sphere_request() -> LightingRequest {
     LightingRequest::Sphere(SphereRequest {
-        light: LightKind::World,
+        light: Some(LightKind::World),
         ..SphereRequest::default()
     })
 }

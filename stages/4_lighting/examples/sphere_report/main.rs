@@ -26,11 +26,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Vec::new()
         },
         search_radius: (!has("marks")).then_some(set.radius),
-        light: if has("camera") {
-            LightKind::Camera
-        } else {
-            LightKind::World
-        },
+        light: has("camera").then_some(LightKind::Camera),
         calibration: if has("calibration") {
             set.calibration.clone()
         } else {

@@ -65,8 +65,8 @@ pub struct SphereFile {
     pub path: PathBuf,
     /// Unit of the radii.
     pub unit: Unit,
-    /// What the light is fixed to.
-    pub light: LightKind,
+    /// What the light is fixed to, where the file says so.
+    pub light: Option<LightKind>,
     /// The spheres beside the object.
     pub spheres: Vec<SphereFileEntry>,
     /// Calibration photos.
@@ -210,10 +210,10 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
         None => Unit::Metre,
     };
     let light = match root.opt("light")? {
-        None => LightKind::World,
+        None => None,
         Some(node) => match node.text()? {
-            "world" => LightKind::World,
-            "camera" => LightKind::Camera,
+            "world" => Some(LightKind::World),
+            "camera" => Some(LightKind::Camera),
             _ => return Err(node.refuse("is neither \"world\" nor \"camera\"")),
         },
     };

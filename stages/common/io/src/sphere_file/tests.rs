@@ -54,7 +54,7 @@ fn all_forms_are_read_and_found_in_the_set() {
     let [sphere] = &file.spheres[..] else {
         panic!("{:?}", file.spheres);
     };
-    assert_eq!((sphere.radius, file.light), (0.04, LightKind::Camera));
+    assert_eq!((sphere.radius, file.light), (0.04, Some(LightKind::Camera)));
     assert_eq!(sphere.name, MarkedSphere::ONLY);
     assert_eq!(
         sphere.views[0],
