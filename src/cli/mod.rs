@@ -28,7 +28,7 @@ be used, 4 the data do not allow a result, 5 run directory in use, damaged or of
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// A synthetic scene, photographed, reconstructed and measured: about a minute
+    /// A synthetic scene, photographed, reconstructed and measured: one to two minutes
     Demo(DemoArgs),
     /// Looks at photos and masks before anything is computed: what is good, what is not, what to do
     Check(CheckArgs),

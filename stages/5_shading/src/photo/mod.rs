@@ -14,7 +14,7 @@
 //! and `shading`, first without shading, then in laps of light and shape (`light`, `distant`) at half
 //! the coarse resolution and at the coarse one, with the pigment divided out (`albedo`) and shading
 //! judged by photos that are left out (`validation`); finer levels, searched once more where photos
-//! disagree (`searched`); and what shape, light and pigment
+//! disagree (`searched`) and fused at the end (`consensus`); and what shape, light and pigment
 //! explain of the photos (`appearance`, `confidence`).
 
 mod albedo;
