@@ -38,7 +38,7 @@ impl Display for JsonLines {
 
     fn progress(&mut self, command: &str, step: &str, done: usize, total: usize) {
         Self::print(&serde_json::json!({
-            "event": "progress", "command": command, "step": step, "done": done, "total": total
+            "event": "progress", "stage": command, "step": step, "done": done, "total": total
         }));
     }
 
