@@ -39,7 +39,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Photos => 4,
         StageId::Features => 3,
         StageId::Poses => 6,
-        StageId::Lighting => 4,
+        StageId::Lighting => 5,
         StageId::Shading => 8,
         StageId::Fusion => 4,
     }

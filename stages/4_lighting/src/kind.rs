@@ -1,4 +1,5 @@
-//! What the light is fixed to, told from the spheres, or a known shape, in several views.
+//! What the light is fixed to, told from the spheres, a known shape or the anchors in several
+//! views.
 //!
 //! With the gains of the photos free, the scatter of `ln I` between views is compared at equal
 //! normals in the world (a resting light leaves none) and at equal normals in the camera (a light
@@ -8,7 +9,7 @@ use crate::cells::{CellMean, NUM_CELLS, cell_means, two_way};
 use crate::report::KindCheck;
 use crate::side::Side;
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_scene::LightKind;
+use rilievo_scene::{LightKind, PosedViews};
 
 /// The better kind must leave this many times less scatter.
 const CLEAR: f64 = 1.5;
@@ -73,12 +74,23 @@ fn compare(
         let fit = two_way(world_from_cam.len(), &means(in_world));
         (fit.num_shared >= MIN_SHARED_CELLS).then_some(fit.scatter)
     };
+    let scatters = (scatter(true)?, scatter(false)?);
+    Some(judge(world_from_cam, stated, clear, scatters))
+}
+
+/// The kind that leaves clearly less scatter, of that under a light at rest and that under one on the
+/// camera.
+pub(crate) fn judge(
+    world_from_cam: &[UnitQuaternion<f64>],
+    stated: Option<LightKind>,
+    clear: f64,
+    (world, camera): (f64, f64),
+) -> KindCheck {
     let turn = world_from_cam
         .iter()
         .skip(1)
         .map(|r| r.angle_to(&world_from_cam[0]))
         .fold(0.0, f64::max);
-    let (world, camera) = (scatter(true)?, scatter(false)?);
     let fits = if turn < MIN_TURN {
         None
     } else if camera > clear * world.max(UNAVOIDABLE) {
@@ -88,11 +100,17 @@ fn compare(
     } else {
         None
     };
-    Some(KindCheck {
+    KindCheck {
         stated,
         scatter_world: world,
         scatter_camera: camera,
         fits,
         contradicts: stated.is_some() && fits.is_some() && fits != stated,
-    })
+    }
+}
+
+/// Rotations of all views.
+pub(crate) fn world_from_cam(posed: &PosedViews) -> Vec<UnitQuaternion<f64>> {
+    let views = posed.views.iter();
+    views.map(|v| v.cam_from_world.rotation.inverse()).collect()
 }

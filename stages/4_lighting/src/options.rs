@@ -41,9 +41,9 @@ pub struct LightingOptions {
     pub fit: FitOptions,
     /// Outlines of calibration spheres.
     pub sphere: SphereOptions,
-    /// What the light is fixed to where it is fitted on the program's own shape; a sphere request
-    /// and a file say it themselves.
-    pub own_shape_light: LightKind,
+    /// What the light is fixed to where it is fitted on the program's own shape; absent, the anchors'
+    /// brightness tells.
+    pub own_shape_light: Option<LightKind>,
     /// Pixels nearer to the sphere's outline than this are left out: they mix with what is behind.
     pub margin_px: f64,
     /// Smallest cosine between normal and viewing direction. Grazing normals change quickly within
@@ -77,7 +77,7 @@ impl Default for LightingOptions {
         Self {
             fit: FitOptions::default(),
             sphere: SphereOptions::default(),
-            own_shape_light: LightKind::World,
+            own_shape_light: None,
             margin_px: 2.0,
             min_cos_view: 0.12,
             clip_share: 0.97,

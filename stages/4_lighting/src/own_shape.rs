@@ -13,10 +13,11 @@
 
 use crate::anchor_normals::{AnchorSamples, orient, seen_by};
 use crate::cells::{CellMean, two_way};
+use crate::kind;
 use crate::options::GainMode;
-use crate::report::{ChannelReport, LightingReport, ViewLightReport};
+use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
 use crate::{LightingError, LightingOptions};
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, fit_lighting, rotate};
 use rilievo_scene::{
     Event, Flow, LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet,
@@ -25,6 +26,10 @@ use rilievo_scene::{
 
 /// Fewest anchors with a normal.
 const MIN_ANCHORS: usize = 60;
+/// How many times less scatter tells the kind of light. Less than on spheres: the object shades itself,
+/// which scatters brightness under a light on the camera, and anchors under a light at rest leave noise
+/// alone.
+const CLEAR: f64 = 1.2;
 
 /// Anchors of every view with normals and intensities.
 pub(crate) fn anchor_samples(
@@ -97,10 +102,13 @@ pub(crate) fn run(
         .iter()
         .find_map(|s| s.values.first().map(Vec::len))
         .unwrap_or(1);
-    let kind = options.own_shape_light;
+    let kind_check = check_kind(posed, &samples, options);
+    let told = kind_check.as_ref().and_then(|check| check.fits);
+    let kind = options.own_shape_light.or(told).unwrap_or(LightKind::World);
     let mut report = LightingReport {
         source: LightSource::OwnShape,
         kind,
+        kind_check,
         uncalibrated: true,
         ..LightingReport::default()
     };
@@ -160,6 +168,55 @@ pub(crate) fn run(
     Ok((calibration, report))
 }
 
+/// What the light is fixed to: under a light at rest a matte anchor has one brightness in all photos,
+/// under one on the camera what one lighting in the camera's frame gives its normal there. Either may
+/// differ by a gain a photo.
+fn check_kind(
+    posed: &PosedViews,
+    samples: &[AnchorSamples],
+    options: &LightingOptions,
+) -> Option<KindCheck> {
+    let num_channels = samples
+        .iter()
+        .find_map(|s| s.values.first().map(Vec::len))?;
+    let everything: Vec<usize> = (0..samples.len()).collect();
+    let gains = vec![vec![1.0; num_channels]; samples.len()];
+    let as_seen = |_: usize| UnitQuaternion::identity();
+    let on_camera = pool_in(samples, &gains, &everything, options, as_seen)
+        .ok()?
+        .lighting();
+    let scatter = |predicted: &dyn Fn(&Vector3<f64>) -> f64| {
+        let means: Vec<CellMean> = samples
+            .iter()
+            .enumerate()
+            .flat_map(|(view, sample)| {
+                (0..sample.values.len()).filter_map(move |k| {
+                    let ratio =
+                        sample.values[k].iter().sum::<f64>() / predicted(&sample.normals[k]);
+                    let is_usable = !sample.usable[k].contains(&false) && ratio > 0.0;
+                    (is_usable && ratio.is_finite()).then(|| CellMean {
+                        view,
+                        cell: sample.anchors[k],
+                        value: ratio.ln(),
+                    })
+                })
+            })
+            .collect();
+        two_way(samples.len(), &means)
+    };
+    let at_rest = scatter(&|_| 1.0);
+    let moving = scatter(&|n| on_camera.channels.iter().map(|l| l.evaluate(n)).sum());
+    if at_rest.num_shared < MIN_ANCHORS || moving.num_shared < MIN_ANCHORS {
+        return None;
+    }
+    Some(kind::judge(
+        &kind::world_from_cam(posed),
+        options.own_shape_light,
+        CLEAR,
+        (at_rest.scatter, moving.scatter),
+    ))
+}
+
 /// Robust fit over the anchors of some views, in the world frame.
 pub(crate) fn pool(
     posed: &PosedViews,
@@ -168,13 +225,26 @@ pub(crate) fn pool(
     views: &[usize],
     options: &LightingOptions,
 ) -> Result<LightingFit, LightingError> {
+    pool_in(samples, gains, views, options, |view| {
+        posed.views[view].cam_from_world.rotation.inverse()
+    })
+}
+
+/// [`pool`], in the frame to which `turn` takes each view's normals.
+fn pool_in(
+    samples: &[AnchorSamples],
+    gains: &[Vec<f64>],
+    views: &[usize],
+    options: &LightingOptions,
+    turn: impl Fn(usize) -> UnitQuaternion<f64>,
+) -> Result<LightingFit, LightingError> {
     let mut normals: Vec<Vector3<f64>> = Vec::new();
     let (mut values, mut usable) = (Vec::new(), Vec::new());
     for &view in views {
-        let world_from_cam = posed.views[view].cam_from_world.rotation.inverse();
+        let turn = turn(view);
         let sample = &samples[view];
         for k in 0..sample.normals.len() {
-            normals.push(world_from_cam * sample.normals[k]);
+            normals.push(turn * sample.normals[k]);
             values.push(
                 sample.values[k]
                     .iter()

@@ -94,7 +94,8 @@ pub struct SphereLightReport {
     pub left_out: bool,
 }
 
-/// What the light is fixed to by the brightness of the spheres, or of a known shape, in several views.
+/// What the light is fixed to by the brightness of the spheres, of a known shape or of the anchors in several
+/// views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KindCheck {
     /// What was stated, where anything was.

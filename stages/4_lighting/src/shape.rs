@@ -262,12 +262,7 @@ pub(crate) fn run(
         return Err(LightingError::NoShape);
     };
     report.channels = worst.channels.iter().map(ChannelReport::from).collect();
-    let world_from_cam: Vec<_> = posed
-        .views
-        .iter()
-        .map(|view| view.cam_from_world.rotation.inverse())
-        .collect();
-    report.kind_check = kind::check_on_shape(&world_from_cam, &brightness);
+    report.kind_check = kind::check_on_shape(&kind::world_from_cam(posed), &brightness);
     report.kind = report
         .kind_check
         .as_ref()

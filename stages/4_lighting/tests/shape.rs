@@ -303,6 +303,8 @@ fn a_known_shape_and_given_lightings_tell_what_the_light_is_fixed_to() {
             .collect();
         let (of_file, _) = run(&LightingRequest::Given(given));
         assert_eq!(of_file.kind, kind);
+        let (of_anchors, report) = run(&LightingRequest::OwnShape);
+        assert_eq!(of_anchors.kind, kind, "{:?}", report.kind_check);
         let one = vec![("*".to_owned(), of_shape.views[0].lighting.clone())];
         assert_eq!(run(&LightingRequest::Given(one)).0.kind, LightKind::Camera);
     }
