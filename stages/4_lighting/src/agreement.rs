@@ -18,9 +18,10 @@
 
 use crate::LightingOptions;
 use crate::cells::{NUM_CELLS, cell_of};
+use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::side::{Patch, Side};
-use crate::sphere_light::{Pool, residual_of};
+use crate::sphere_light::residual_of;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;

@@ -5,10 +5,11 @@
 //! only the outline, whatever its radius. Spheres beside the object, where there are any, still
 //! give the gains of the photos.
 
+use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::samples::{Shot, SphereSamples};
 use crate::side::Side;
-use crate::sphere_light::{Pool, describe, gains_of, ones, report_gains, views_from_environment};
+use crate::sphere_light::{describe, gains_of, ones, report_gains, views_from_environment};
 use crate::{LightingError, LightingOptions};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::sphere::{cone_from_mark, detect_in_photo};

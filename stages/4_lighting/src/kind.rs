@@ -109,6 +109,12 @@ pub(crate) fn judge(
     }
 }
 
+/// The kind that is stated, else the one that the data tell, else a light at rest, as it is where a
+/// camera is walked around an object.
+pub(crate) fn settled(stated: Option<LightKind>, check: Option<&KindCheck>) -> LightKind {
+    stated.or_else(|| check?.fits).unwrap_or(LightKind::World)
+}
+
 /// Rotations of all views.
 pub(crate) fn world_from_cam(posed: &PosedViews) -> Vec<UnitQuaternion<f64>> {
     let views = posed.views.iter();

@@ -40,6 +40,7 @@ mod options;
 mod overlay;
 mod own_shape;
 mod place;
+mod pool;
 mod report;
 mod request;
 mod samples;

@@ -15,10 +15,11 @@ use crate::anchor_normals::{AnchorSamples, orient, seen_by};
 use crate::cells::{CellMean, two_way};
 use crate::kind;
 use crate::options::GainMode;
+use crate::pool::Pool;
 use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
 use crate::{LightingError, LightingOptions};
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::harmonics::{LightingFit, dominant_direction, fit_lighting, rotate};
+use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_scene::{
     Event, Flow, LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet,
     PosedViews, StageId, ViewIdx, ViewLighting,
@@ -103,8 +104,7 @@ pub(crate) fn run(
         .find_map(|s| s.values.first().map(Vec::len))
         .unwrap_or(1);
     let kind_check = check_kind(posed, &samples, options);
-    let told = kind_check.as_ref().and_then(|check| check.fits);
-    let kind = options.own_shape_light.or(told).unwrap_or(LightKind::World);
+    let kind = kind::settled(options.own_shape_light, kind_check.as_ref());
     let mut report = LightingReport {
         source: LightSource::OwnShape,
         kind,
@@ -238,25 +238,18 @@ fn pool_in(
     options: &LightingOptions,
     turn: impl Fn(usize) -> UnitQuaternion<f64>,
 ) -> Result<LightingFit, LightingError> {
-    let mut normals: Vec<Vector3<f64>> = Vec::new();
-    let (mut values, mut usable) = (Vec::new(), Vec::new());
+    let mut pool = Pool::default();
     for &view in views {
         let turn = turn(view);
         let sample = &samples[view];
         for k in 0..sample.normals.len() {
-            normals.push(turn * sample.normals[k]);
-            values.push(
-                sample.values[k]
-                    .iter()
-                    .zip(&gains[view])
-                    .map(|(v, g)| v / g)
-                    .collect(),
+            let values = sample.values[k].iter().zip(&gains[view]);
+            pool.push(
+                turn * sample.normals[k],
+                values.map(|(v, g)| v / g).collect(),
+                sample.usable[k].clone(),
             );
-            usable.push(sample.usable[k].clone());
         }
     }
-    fit_lighting(&normals, &values, &usable, &options.fit).map_err(|source| LightingError::Fit {
-        of: "the program's own shape".to_owned(),
-        source,
-    })
+    pool.fit("the program's own shape", options)
 }

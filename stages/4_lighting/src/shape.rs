@@ -8,14 +8,14 @@
 //! tangent crosses them.
 
 use crate::kind;
+use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
 use crate::{LightingError, LightingOptions};
 use nalgebra::{Point2, Vector3};
-use rilievo_photometry::harmonics::{LightingFit, fit_lighting};
+use rilievo_photometry::harmonics::LightingFit;
 use rilievo_scene::{
-    DepthMap, Event, Flow, Intrinsics, LightKind, LightSource, Lighting, LightingCalibration,
-    LinearImage, Mask, NormalMap, Observer, PhotoSet, PosedViews, Raster, StageId, ViewIdx,
-    ViewLighting,
+    DepthMap, Event, Flow, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage,
+    Mask, NormalMap, Observer, PhotoSet, PosedViews, Raster, StageId, ViewIdx, ViewLighting,
 };
 
 /// Fits the lighting of one image on a known depth.
@@ -32,20 +32,21 @@ pub fn fit_on_shape(
     clip_level: f32,
     options: &LightingOptions,
 ) -> Result<(Lighting, LightingFit), LightingError> {
-    let normals = normals_on(image, intrinsics, depth, options)?;
+    let normals = normals_on(image, "the image", intrinsics, depth, options)?;
     fit_on_normals(image, mask, &normals, clip_level, options)
 }
 
-/// Normals of a depth map that must have the image's size.
+/// Normals of a depth map that must have the image's size; `name` is what messages call the image.
 fn normals_on(
     image: &LinearImage,
+    name: &str,
     intrinsics: &Intrinsics,
     depth: &DepthMap,
     options: &LightingOptions,
 ) -> Result<NormalMap, LightingError> {
     if (depth.width, depth.height) != (image.width, image.height) {
         return Err(LightingError::ShapeSize {
-            name: "the image".to_owned(),
+            name: name.to_owned(),
             width: depth.width,
             height: depth.height,
             photo_width: image.width,
@@ -67,54 +68,26 @@ pub fn fit_on_normals(
     clip_level: f32,
     options: &LightingOptions,
 ) -> Result<(Lighting, LightingFit), LightingError> {
-    Samples::of(image, mask, normals, clip_level, options).fit(options)
+    let fit = pool(image, mask, normals, clip_level, options).fit("a shape", options)?;
+    Ok((fit.lighting(), fit))
 }
 
 /// Normals (camera frame) and intensities of a surface's pixels.
-#[derive(Default)]
-struct Samples {
-    normals: Vec<Vector3<f64>>,
-    values: Vec<Vec<f64>>,
-    usable: Vec<Vec<bool>>,
-}
-
-impl Samples {
-    fn of(
-        image: &LinearImage,
-        mask: Option<&Mask>,
-        normals: &NormalMap,
-        clip_level: f32,
-        options: &LightingOptions,
-    ) -> Self {
-        let limit = f64::from(clip_level) * options.clip_share;
-        let mut samples = Self::default();
-        for (x, y, normal) in surface_pixels(image, mask, normals, options.max_num_samples) {
-            let pixel: Vec<f64> = image.pixel(x, y).iter().map(|&v| f64::from(v)).collect();
-            let usable = pixel.iter().map(|&v| v < limit).collect();
-            samples.usable.push(usable);
-            samples.values.push(pixel);
-            samples.normals.push(normal);
-        }
-        samples
+fn pool(
+    image: &LinearImage,
+    mask: Option<&Mask>,
+    normals: &NormalMap,
+    clip_level: f32,
+    options: &LightingOptions,
+) -> Pool {
+    let limit = f64::from(clip_level) * options.clip_share;
+    let mut pool = Pool::default();
+    for (x, y, normal) in surface_pixels(image, mask, normals, options.max_num_samples) {
+        let pixel: Vec<f64> = image.pixel(x, y).iter().map(|&v| f64::from(v)).collect();
+        let usable = pixel.iter().map(|&v| v < limit).collect();
+        pool.push(normal, pixel, usable);
     }
-
-    fn fit(&self, options: &LightingOptions) -> Result<(Lighting, LightingFit), LightingError> {
-        let fit = fit_lighting(&self.normals, &self.values, &self.usable, &options.fit).map_err(
-            |source| LightingError::Fit {
-                of: "a shape".to_owned(),
-                source,
-            },
-        )?;
-        Ok((fit.lighting(), fit))
-    }
-
-    /// Normals and brightness of the pixels that are not clipped.
-    fn brightness(&self) -> Vec<(Vector3<f64>, f64)> {
-        (0..self.normals.len())
-            .filter(|&k| !self.usable[k].contains(&false))
-            .map(|k| (self.normals[k], self.values[k].iter().sum()))
-            .collect()
-    }
+    pool
 }
 
 /// Pixels with a normal, at most `max_num` of them, evenly spread.
@@ -218,16 +191,12 @@ pub(crate) fn run(
         };
         let photo = &photos.photos[view.photo.0];
         let image = photo.pixels.load()?;
-        let normals = normals_on(&image, &view.intrinsics, depth, options)
-            .map_err(|error| named(error, &view.name))?;
+        let normals = normals_on(&image, &view.name, &view.intrinsics, depth, options)?;
         let mask = photo.mask.as_deref();
-        let samples = Samples::of(&image, mask, &normals, photo.clip_level, options);
-        brightness[idx] = samples.brightness();
-        let fitted = samples
-            .fit(options)
-            .map_err(|error| named(error, &view.name));
-        let (lighting, fit) = match fitted {
-            Ok(found) => found,
+        let pool = pool(&image, mask, &normals, photo.clip_level, options);
+        brightness[idx] = pool.brightness();
+        let fit = match pool.fit(&view.name, options) {
+            Ok(fit) => fit,
             Err(LightingError::Fit { source, .. }) => {
                 facts.left_out = Some(source.to_string());
                 report.warnings.push(format!("{}: {source}", view.name));
@@ -243,6 +212,7 @@ pub(crate) fn run(
             .max()
             .unwrap_or(0);
         facts.relative_rms = Some(fit.relative_rms());
+        let lighting = fit.lighting();
         facts.gain = vec![1.0; lighting.channels.len()];
         views.push(ViewLighting {
             view: ViewIdx(idx),
@@ -263,11 +233,7 @@ pub(crate) fn run(
     };
     report.channels = worst.channels.iter().map(ChannelReport::from).collect();
     report.kind_check = kind::check_on_shape(&kind::world_from_cam(posed), &brightness);
-    report.kind = report
-        .kind_check
-        .as_ref()
-        .and_then(|check| check.fits)
-        .unwrap_or(LightKind::World);
+    report.kind = kind::settled(None, report.kind_check.as_ref());
     let calibration = LightingCalibration {
         source: LightSource::Shape,
         kind: report.kind,
@@ -276,27 +242,4 @@ pub(crate) fn run(
         spheres: Vec::new(),
     };
     Ok((calibration, report))
-}
-
-fn named(error: LightingError, view: &str) -> LightingError {
-    match error {
-        LightingError::Fit { source, .. } => LightingError::Fit {
-            of: view.to_owned(),
-            source,
-        },
-        LightingError::ShapeSize {
-            width,
-            height,
-            photo_width,
-            photo_height,
-            ..
-        } => LightingError::ShapeSize {
-            name: view.to_owned(),
-            width,
-            height,
-            photo_width,
-            photo_height,
-        },
-        other => other,
-    }
 }

@@ -15,12 +15,12 @@
 use crate::calibration::from_calibration;
 use crate::gains::{self, Gains};
 use crate::options::GainMode;
+use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport};
-use crate::samples::SphereSamples;
 use crate::side::{Counted, Side, collect};
 use crate::{LightingError, LightingOptions, agreement, kind, place};
-use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::harmonics::{LightingFit, dominant_direction, fit_lighting, rotate};
+use nalgebra::UnitQuaternion;
+use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_scene::{
     LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet, PosedViews,
     SphereRequest, ViewIdx, ViewLighting,
@@ -44,8 +44,7 @@ pub(crate) fn run(
     };
     let side = collect(photos, posed, options, observer, &mut report)?;
     report.kind_check = kind::check(&side, request.light);
-    let told = report.kind_check.as_ref().and_then(|check| check.fits);
-    report.kind = request.light.or(told).unwrap_or(LightKind::World);
+    report.kind = kind::settled(request.light, report.kind_check.as_ref());
     warn_of_kind(&mut report);
     report.warnings.extend(place::warn(posed));
     if request.calibration.is_empty() {
@@ -91,41 +90,6 @@ fn warn_of_kind(report: &mut LightingReport) {
         100.0 * check.scatter_camera,
         word(fits)
     ));
-}
-
-/// Samples of several views in one frame, intensities divided by the gains where they apply.
-#[derive(Default)]
-pub(crate) struct Pool {
-    normals: Vec<Vector3<f64>>,
-    values: Vec<Vec<f64>>,
-    usable: Vec<Vec<bool>>,
-}
-
-impl Pool {
-    pub fn add(
-        &mut self,
-        samples: &SphereSamples,
-        rotation: &UnitQuaternion<f64>,
-        gain: &[f64],
-        max_num: usize,
-    ) {
-        let stride = samples.normals.len().div_ceil(max_num.max(1)).max(1);
-        for k in (0..samples.normals.len()).step_by(stride) {
-            self.normals.push(rotation * samples.normals[k]);
-            let values = samples.values[k].iter().zip(gain).map(|(v, g)| v / g);
-            self.values.push(values.collect());
-            self.usable.push(samples.usable[k].clone());
-        }
-    }
-
-    pub fn fit(&self, of: &str, options: &LightingOptions) -> Result<LightingFit, LightingError> {
-        fit_lighting(&self.normals, &self.values, &self.usable, &options.fit).map_err(|source| {
-            LightingError::Fit {
-                of: of.to_owned(),
-                source,
-            }
-        })
-    }
 }
 
 pub(crate) fn ones(num_channels: usize) -> Vec<f64> {

@@ -5,7 +5,6 @@ use super::level::{self, LevelView, NEIGHBOURS};
 use super::views::Scene;
 use super::{plate, spread};
 use rayon::prelude::*;
-use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::{
     ConfidenceMap, DepthMap, LinearImage, NormalMap, Raster, ShadedView, ShadedViews,
 };
@@ -33,18 +32,13 @@ pub(crate) fn maps(
                     &scene.pyramid[finer + 1].views[i],
                 );
                 let (up, up_known) = level::upsample(parent, child, &values);
-                let parent_known = |p: usize| {
-                    let (x, y) = (child.pixels.xs[p] / 2, child.pixels.ys[p] / 2);
-                    let (x, y, width) = (x as usize, y as usize, parent.pixels.width);
-                    let number = (x < width && y < parent.pixels.height)
-                        .then(|| parent.pixels.number[y * width + x])
-                        .filter(|&number| number != OUTSIDE)?;
-                    known[number as usize].then_some(())
-                };
-                let up_known = up_known
-                    .iter()
-                    .enumerate()
-                    .map(|(p, &is_known)| is_known && parent_known(p).is_some())
+                let up_known = (0..child.pixels.len())
+                    .map(|p| {
+                        // Where all four parents are masked, the nearest is one of them.
+                        let (x, y) = (child.pixels.xs[p] / 2, child.pixels.ys[p] / 2);
+                        let nearest = y as usize * parent.pixels.width + x as usize;
+                        up_known[p] && known[parent.pixels.number[nearest] as usize]
+                    })
                     .collect();
                 normals = spread_normals(parent, child, &normals);
                 (values, known) = (up, up_known);

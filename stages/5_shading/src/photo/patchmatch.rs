@@ -266,11 +266,11 @@ impl Search<'_> {
             along_y,
         };
         // Seen whole by the source, as nearly every patch is, it needs no checks.
-        let mut sums = map.is_inside(s).then(|| map.sums::<false>(s, patch));
-        if sums.is_none_or(|sums| sums[2].is_nan()) {
-            sums = Some(map.sums::<true>(s, patch));
-        }
-        let [sw, s1, s2, s11, s22, s12] = sums.unwrap_or_default();
+        let unchecked = map
+            .is_inside(s)
+            .then(|| map.sums::<false>(s, patch))
+            .filter(|sums| !sums[2].is_nan());
+        let [sw, s1, s2, s11, s22, s12] = unchecked.unwrap_or_else(|| map.sums::<true>(s, patch));
         if sw < 0.3 * patch.total {
             return 2.0;
         }
