@@ -75,7 +75,7 @@ impl Planes {
     /// Tangent planes of a surface of log depths.
     pub fn tangent(view: &LevelView, depth: &[f64]) -> Self {
         let slopes = |p: usize| {
-            let (x, y) = plate::slopes(view, p);
+            let (x, y) = plate::slopes(view, p, depth);
             (
                 (x.of(depth) / view.camera.fx) as f32,
                 (y.of(depth) / view.camera.fy) as f32,

@@ -29,6 +29,16 @@ pub(crate) fn bilinear(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
     top + b * (bottom - top)
 }
 
+/// Largest less smallest of the four values around a position, which must be [`inside`].
+#[inline]
+pub(crate) fn range_around(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
+    let base = y as usize * raster.width + x as usize;
+    let d = &raster.data;
+    let below = base + raster.width;
+    let four = [d[base], d[base + 1], d[below], d[below + 1]];
+    four.iter().fold(f32::MIN, |m, &v| m.max(v)) - four.iter().fold(f32::MAX, |m, &v| m.min(v))
+}
+
 /// Bilinear value and its derivatives along x and y; the position must be [`inside`].
 #[inline]
 pub(crate) fn bilinear_with_slope(raster: &Raster<f32>, x: f64, y: f64) -> (f64, f64, f64) {

@@ -180,7 +180,7 @@ impl<'a> ShadingTerm<'a> {
             if self.scale[i] <= 0.0 {
                 continue;
             }
-            let (fp, fq) = plate::slopes(view, i);
+            let (fp, fq) = plate::slopes(view, i, depth);
             let (p, q) = (fp.of(depth), fq.of(depth));
             let (n, dp, dq) = plate::normal_with_derivatives(view, i, p, q);
             let (h, hp, hq) = (basis(n), basis_derivative(n, dp), basis_derivative(n, dq));
