@@ -9,7 +9,8 @@ use super::views::Scene;
 use super::{spread, start};
 use crate::error::ShadingError;
 use rayon::prelude::*;
-use rilievo_numerics::plate_system::{PlateError, PlateSolver};
+use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::{Event, Flow, Observer, ShadedViews, StageId};
 
 /// Receives the shape after each step, for measurement.
@@ -53,17 +54,26 @@ impl Course<'_> {
         }
     }
 
-    /// Factorisations of a level, one per view.
+    /// Exact solvers of a level, one per view: where values have to reach across what no view knows.
     pub(crate) fn solvers(&self, at: usize) -> Result<Vec<PlateSolver>, ShadingError> {
         let results: Vec<_> = self.scene.pyramid[at]
             .views
             .par_iter()
-            .map(|view| PlateSolver::new(&view.pixels))
+            .map(|view| PlateSolver::direct(&view.pixels))
             .collect();
         results
             .into_iter()
             .enumerate()
             .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
+            .collect()
+    }
+
+    /// Solvers of a finer level, one per view: its surface is about right from the start.
+    pub(crate) fn finer_solvers(&self, at: usize) -> Vec<PlateSolver> {
+        self.scene.pyramid[at]
+            .views
+            .par_iter()
+            .map(|view| PlateSolver::iterative(&view.pixels))
             .collect()
     }
 

@@ -10,7 +10,7 @@ use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
 use crate::error::ShadingError;
 use rayon::prelude::*;
-use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
 use std::time::Instant;
 

@@ -10,7 +10,7 @@ use super::surround;
 use super::{albedo, appearance, confidence, spread, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
-use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LightKind, LightingCalibration, PosedViews};
 use std::time::Instant;

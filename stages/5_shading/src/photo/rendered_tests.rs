@@ -10,7 +10,7 @@ use super::validation::validate;
 use super::views::{self, Scene};
 use super::{distant, plate, shading};
 use nalgebra::{Point2, Point3};
-use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
     MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
@@ -262,7 +262,7 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
     let solvers: Vec<PlateSolver> = level
         .views
         .iter()
-        .map(|view| PlateSolver::new(&view.pixels).unwrap())
+        .map(|view| PlateSolver::direct(&view.pixels).unwrap())
         .collect();
     let weights = super::lap::lap_weights(2, 0.03);
     let options = super::lap::step_weights(level, 0.01, &weights);

@@ -15,7 +15,7 @@ use super::start::{self, Agreement};
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::{LightKind, Mask, PosedViews};
 use std::time::Instant;
 

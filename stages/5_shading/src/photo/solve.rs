@@ -8,7 +8,7 @@ use super::output;
 use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::ShadingError;
-use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
 
 /// Solves a loaded scene.
@@ -142,12 +142,12 @@ impl Course<'_> {
     ) -> Result<Option<Light>, ShadingError> {
         while *at > 0 && self.scene.pyramid[*at - 1].mean_pixels() <= self.options.max_fine_pixels {
             *at -= 1;
-            let solvers = self.solvers(*at)?;
+            let solvers = self.finer_solvers(*at);
             let finer = self.descend(*at, &solvers, depths)?;
             *depths = finer;
             self.show(*at, "finer start", depths);
             if self.options.finer_search && self.photos_disagree() {
-                *depths = self.search_again(*at, &solvers, depths, posed)?;
+                *depths = self.search_again(*at, depths, posed)?;
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
             let mut weights = LapWeights {

@@ -21,7 +21,7 @@ use crate::{
     DepthPrior, PixelLighting, ShadingOptions, ShadingProblem, ShadingView, ViewLight, solve,
 };
 use nalgebra::Vector3;
-use rilievo_numerics::plate_system::PlateSolver;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, RigidTransform, Silent};
 use std::sync::Arc;
 use std::time::Instant;
@@ -155,7 +155,7 @@ impl Case {
             floor: 1e-3,
             knee: f64::INFINITY,
         };
-        let solver = PlateSolver::new(&view.pixels).unwrap();
+        let solver = PlateSolver::direct(&view.pixels).unwrap();
         // A second view in the same place holds the depth that is known; its photo says nothing.
         let known = self.view.prior.as_ref().map(|prior| &prior.depth);
         let known = known.map(|map| {

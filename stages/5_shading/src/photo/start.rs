@@ -5,8 +5,9 @@ use super::level::{Level, LevelView};
 use super::patchmatch::Planes;
 use super::plate;
 use rayon::prelude::*;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{
-    Functional, OUTSIDE, PixelNumbering, PlateError, PlateSolver, PlateSystem,
+    Functional, OUTSIDE, PixelNumbering, PlateError, PlateSystem,
 };
 use rilievo_numerics::robust::median;
 
@@ -206,27 +207,13 @@ pub(crate) fn fill(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photo::camera::Camera;
-    use nalgebra::{Matrix3, Point3, Vector3};
-    use rilievo_scene::{LinearImage, Raster};
+    use crate::photo::level::flat_view;
 
     /// A near block before a far plane, four pixels of the plane beside it unconfirmed.
     #[test]
     fn a_hidden_gap_continues_the_farther_side() {
         const FOCAL: f64 = 100.0;
-        let camera = Camera {
-            width: 60,
-            height: 24,
-            fx: FOCAL,
-            fy: FOCAL,
-            cx: 29.5,
-            cy: 11.5,
-            rotation: Matrix3::identity(),
-            translation: Vector3::zeros(),
-            center: Point3::origin(),
-        };
-        let image = LinearImage::filled(60, 24, 3, 0.5);
-        let (view, _) = LevelView::from_photo(&camera, &image, &Raster::filled(60, 24, true), 1.0);
+        let view = flat_view(60, 24, FOCAL);
         let truth: Vec<f64> = (0..view.pixels.len())
             .map(|p| if view.pixels.xs[p] < 30 { 0.0 } else { 0.25 })
             .collect();
@@ -234,7 +221,7 @@ mod tests {
         let weight: Vec<f64> = (0..truth.len())
             .map(|p| f64::from(u8::from(!gap(p))))
             .collect();
-        let solver = PlateSolver::new(&view.pixels);
+        let solver = PlateSolver::direct(&view.pixels);
         let Ok(solver) = solver else {
             panic!("{solver:?}")
         };

@@ -8,7 +8,8 @@ use super::level::Level;
 use super::matching::{self, MatchOptions, MatchTerms};
 use super::plate::{self, RobustPlate};
 use super::shading::ShadingTerm;
-use rilievo_numerics::plate_system::{PlateError, PlateSolver, PlateSystem};
+use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_system::{PlateError, PlateSystem};
 use rilievo_scene::Raster;
 
 /// Weights of a step.

@@ -17,7 +17,8 @@
 //!
 //! Source: Duchon 1977 (`duchon1977`), the biharmonic spline.
 
-use crate::plate_system::{Functional, PixelNumbering, PlateError, PlateSolver, PlateSystem};
+use crate::plate_solver::PlateSolver;
+use crate::plate_system::{Functional, PixelNumbering, PlateError, PlateSystem};
 use crate::robust::{SIGMA_FROM_MAD, median};
 use rilievo_scene::Mask;
 
@@ -82,7 +83,7 @@ impl ThinPlate {
         // One node beyond the rectangle on every side, for the cubic interpolation.
         let origin = [low[0] - spacing, low[1] - spacing];
         let numbering = PixelNumbering::new(&Mask::filled(width, height, true));
-        let solver = PlateSolver::new(&numbering)?;
+        let solver = PlateSolver::direct(&numbering)?;
         let mut sigmas: Vec<f64> = points
             .iter()
             .zip(&inliers)
