@@ -30,7 +30,7 @@ pub struct PhotoOptions {
     /// Mean turn of the normals in the last of these laps, degrees, above which another one follows at
     /// full weight: light and shape still change each other. Too small repeats laps for nothing.
     pub lap_turn_deg: f64,
-    /// Largest number of such further laps.
+    /// Largest number of such further laps; they end earlier where they do not settle.
     pub max_more_laps: usize,
     /// Laps in place of the first one, at half the coarse level's resolution, where the searched depths
     /// are noisy: small false minima of shading are overlooked there. Too many lose the photos' hold on

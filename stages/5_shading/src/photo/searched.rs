@@ -13,6 +13,7 @@ use super::course::Course;
 use super::patchmatch::{PatchCost, Planes};
 use super::report::LapReport;
 use crate::error::ShadingError;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::PosedViews;
 use std::time::Instant;
 
@@ -21,6 +22,7 @@ impl Course<'_> {
     pub(crate) fn search_again(
         &mut self,
         at: usize,
+        solvers: &[PlateSolver],
         depths: &[Vec<f64>],
         posed: &PosedViews,
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
@@ -34,7 +36,7 @@ impl Course<'_> {
             .map(|(view, depth)| Planes::tangent(view, depth))
             .collect();
         let planes = self.dense_search(at, posed, PatchCost::Correlation, Some(&planes))?;
-        let found = self.found(at, &self.solvers(at)?, &planes)?;
+        let found = self.found(at, solvers, &planes)?;
         self.report.finer_search_scatter_px = Some(found.scatter_px);
         self.report.laps.push(LapReport {
             level: at,

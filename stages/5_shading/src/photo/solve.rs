@@ -11,6 +11,10 @@ use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
 
+/// A lap that turns normals by more than this share of what the lap before it did under the same weights
+/// is followed by none: light and shape swing, or pixels beside edges change sides.
+const SETTLING: f64 = 0.8;
+
 /// Solves a loaded scene.
 pub(crate) fn solve(
     scene: Scene,
@@ -85,6 +89,7 @@ impl Course<'_> {
         }
         let mut residual = 1.0_f64;
         let mut lap = 0;
+        let mut turned_before = f64::INFINITY;
         loop {
             if lap == num_half
                 && let Some((fine, before)) = kept.take()
@@ -123,9 +128,13 @@ impl Course<'_> {
                 "light and shape",
             )?;
             lap += 1;
-            let is_still = turned_deg < options.lap_turn_deg;
-            if lap >= num_laps && (is_still || lap >= num_laps + options.max_more_laps) {
-                return Ok((light, weights));
+            if lap >= num_laps {
+                let is_still = turned_deg < options.lap_turn_deg;
+                let keeps_turning = turned_deg > SETTLING * turned_before;
+                if is_still || keeps_turning || lap >= num_laps + options.max_more_laps {
+                    return Ok((light, weights));
+                }
+                turned_before = turned_deg;
             }
         }
     }
@@ -142,12 +151,18 @@ impl Course<'_> {
     ) -> Result<Option<Light>, ShadingError> {
         while *at > 0 && self.scene.pyramid[*at - 1].mean_pixels() <= self.options.max_fine_pixels {
             *at -= 1;
-            let solvers = self.finer_solvers(*at);
+            let searches = self.options.finer_search && self.photos_disagree();
+            // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.
+            let solvers = if searches {
+                self.solvers(*at)?
+            } else {
+                self.finer_solvers(*at)
+            };
             let finer = self.descend(*at, &solvers, depths)?;
             *depths = finer;
             self.show(*at, "finer start", depths);
-            if self.options.finer_search && self.photos_disagree() {
-                *depths = self.search_again(*at, depths, posed)?;
+            if searches {
+                *depths = self.search_again(*at, &solvers, depths, posed)?;
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
             let mut weights = LapWeights {
