@@ -13,7 +13,7 @@ pub struct PlateSolver(Kind);
 
 #[derive(Debug)]
 enum Kind {
-    Direct(Cholesky),
+    Direct(Box<Cholesky>),
     Iterative(ConjugateGradients),
 }
 
@@ -24,7 +24,7 @@ impl PlateSolver {
     /// # Errors
     /// When the factorisation does not fit its index type or memory.
     pub fn direct(numbering: &PixelNumbering) -> Result<Self, PlateError> {
-        Cholesky::new(numbering).map(|solver| Self(Kind::Direct(solver)))
+        Cholesky::new(numbering).map(|solver| Self(Kind::Direct(Box::new(solver))))
     }
 
     /// To two digits, by conjugate gradients from zero: for increments of a surface that is about
