@@ -15,7 +15,7 @@ const BREAK: f64 = 1.0;
 /// With differences `u` to the pixel before and `v` to the one behind, the slope is `a u + (1 − a) v`,
 /// `a = ½` on a smooth surface, `a = v⁴/(u⁴ + v⁴)` where it breaks: beside an edge of depth the
 /// difference on the pixel's own side counts (Harten, Engquist, Osher, Chakravarthy 1987, with smooth
-/// weights, so that no pixel swaps sides for ever).
+/// weights, so that no pixel swaps sides for ever). The shares are those of `depth`: a step holds them fixed.
 #[inline]
 pub(crate) fn slopes(view: &LevelView, pixel: usize, depth: &[f64]) -> (Functional, Functional) {
     let one = |dx: i32, dy: i32, focal: f64| {
