@@ -2,7 +2,7 @@
 //!
 //! With `H = L + D + Lᵀ` the preconditioner is `M = (D + L) D⁻¹ (D + Lᵀ)`: positive definite with `H`,
 //! no parameter, no memory of its own. Where every pixel's value is measured a plate couples over a few
-//! pixels only, and the error falls by a digit in about ten iterations, whatever the image's size.
+//! pixels only, so that the number of iterations does not grow with the image.
 
 use crate::plate_system::{OFFSETS, OUTSIDE, PixelNumbering, PlateError, PlateSystem};
 
