@@ -2,6 +2,9 @@
 //!
 //! `cargo run --release -p rilievo-shading --example photo_model -- FOLDER [--views A,B,...]
 //! [--photos SUBFOLDER] [--options JSON] [--pictures OUT] [--steps] [--save OUT]`
+//!
+//! With `--steps` the accuracy after every step is printed too, and `--save` keeps its maps in
+//! `OUT/NN_STEP`.
 
 mod accuracy;
 mod input;
@@ -10,8 +13,9 @@ mod planes;
 
 use rilievo_scene::{LightKind, LightSource, LightingCalibration, ShadedViews, Silent};
 use rilievo_shading::photo::{self, PhotoOptions};
+use std::cell::Cell;
 use std::error::Error;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 #[derive(Default)]
 struct Arguments {
@@ -64,10 +68,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         spheres: Vec::new(),
     };
     let began = std::time::Instant::now();
+    let num_steps = Cell::new(0);
     let probe = |step: &str, shaded: &ShadedViews| {
         if let Ok(summary) = accuracy::evaluate(&input, &regions, shaded, None) {
             println!("    {step:24} {summary}");
         }
+        if let Some(out) = &arguments.save {
+            let folder = format!("{:02}_{}", num_steps.get(), step.replace(' ', "_"));
+            if let Err(error) = save(shaded, &out.join(folder)) {
+                eprintln!("step {step} was not saved: {error}");
+            }
+        }
+        num_steps.set(num_steps.get() + 1);
     };
     let (photos, posed, options) = (&input.photos, &input.posed, &arguments.options);
     let (shaded, report) = if arguments.steps {
@@ -108,13 +120,25 @@ fn main() -> Result<(), Box<dyn Error>> {
         );
     }
     if let Some(out) = &arguments.save {
-        std::fs::create_dir_all(out)?;
-        for view in &shaded.views {
-            rilievo_io::write_depth(&out.join(format!("{}_depth.exr", view.name)), &view.depth)?;
-            rilievo_io::write_normal(&out.join(format!("{}_normal.exr", view.name)), &view.normal)?;
-        }
+        save(&shaded, out)?;
     }
     let summary = accuracy::evaluate(&input, &regions, &shaded, arguments.pictures.as_deref())?;
     println!("ALL {summary}  wall {wall:.1} s");
+    Ok(())
+}
+
+/// Writes depth and normals of all views.
+fn save(shaded: &ShadedViews, folder: &Path) -> Result<(), Box<dyn Error>> {
+    std::fs::create_dir_all(folder)?;
+    for view in &shaded.views {
+        rilievo_io::write_depth(
+            &folder.join(format!("{}_depth.exr", view.name)),
+            &view.depth,
+        )?;
+        rilievo_io::write_normal(
+            &folder.join(format!("{}_normal.exr", view.name)),
+            &view.normal,
+        )?;
+    }
     Ok(())
 }

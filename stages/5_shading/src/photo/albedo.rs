@@ -241,7 +241,7 @@ fn common(
                 let Some(l) = warp.land(x, y, depth[p]) else {
                     continue;
                 };
-                if !sampling::inside(&level.views[*j].mask, l.u, l.v)
+                if !level.views[*j].has_surface_at(&rasters[*j], l.u, l.v)
                     || sampling::bilinear(&level.views[*j].usable, l.u, l.v) < 0.999
                 {
                     continue;

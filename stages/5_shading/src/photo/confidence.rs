@@ -83,7 +83,7 @@ fn num_agreeing(
         .filter(|(j, warp)| {
             warp.land(x, y, zeta).is_some_and(|l| {
                 let px_per_log_depth = l.du.hypot(l.dv);
-                sampling::inside(&level.views[*j].mask, l.u, l.v)
+                level.views[*j].has_surface_at(&rasters[*j], l.u, l.v)
                     && (l.zeta - f64::from(sampling::bilinear(&rasters[*j], l.u, l.v))).abs()
                         * px_per_log_depth
                         < AGREE_PX

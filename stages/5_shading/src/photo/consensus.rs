@@ -62,7 +62,7 @@ pub(crate) fn propose(
     let (j, warp) = &level.sources[index][k];
     let (x, y) = level.views[index].xy(pixel);
     let landing = warp.land(x, y, zeta)?;
-    if !sampling::inside(&level.views[*j].mask, landing.u, landing.v) {
+    if !level.views[*j].has_surface_at(&rasters[*j], landing.u, landing.v) {
         return None;
     }
     let (other, gx, gy) = sampling::bilinear_with_slope(&rasters[*j], landing.u, landing.v);

@@ -191,6 +191,19 @@ impl LevelView {
         ) > 0.5
     }
 
+    /// Whether the surface `raster` (log depths of this view) has a value at a position: four masked pixels
+    /// around it, of one surface. Between the two sides of an edge of depth there is none; a mean of both
+    /// would confirm any surface that bridges the edge along a line of sight of this view.
+    #[inline]
+    pub fn has_surface_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+        sampling::inside(&self.mask, x, y) && self.is_one_surface(raster, x, y)
+    }
+
+    #[inline]
+    fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+        f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX
+    }
+
     /// Spreads values of the masked pixels over the raster.
     pub fn spread(&self, values: &[f64], outside: f32) -> Raster<f32> {
         let mut raster = Raster::filled(self.mask.width, self.mask.height, outside);
@@ -267,8 +280,8 @@ pub(crate) fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec
 }
 
 /// Difference of log depth between neighbours beyond which they belong to different surfaces, pixel
-/// footprints.
-const MAX_STEP_PX: f64 = 4.0;
+/// footprints: no view tells much of a surface that it sees at 80° and more.
+const MAX_STEP_PX: f64 = 8.0;
 
 /// Log depth of a finer level from a coarser one: bilinear where all four parents are masked; between
 /// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
@@ -281,7 +294,6 @@ pub(crate) fn upsample(
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();
     let raster = coarse.spread(&centred, 0.0);
-    let max_step = MAX_STEP_PX / coarse.camera.focal();
     let mut out = Vec::with_capacity(fine.pixels.len());
     let mut known = Vec::with_capacity(fine.pixels.len());
     for i in 0..fine.pixels.len() {
@@ -291,7 +303,7 @@ pub(crate) fn upsample(
         known.push(is_known);
         out.push(if !is_known {
             mean
-        } else if f64::from(sampling::range_around(&raster, x, y)) > max_step {
+        } else if !coarse.is_one_surface(&raster, x, y) {
             on_nearest_plane(coarse, values, x, y)
         } else {
             f64::from(sampling::bilinear(&raster, x, y)) + mean
@@ -358,5 +370,26 @@ mod tests {
             num_known += 1;
         }
         assert!(num_known > 1500, "{num_known}");
+    }
+
+    /// On both sides of a step there is a surface, on a steep slope too, across the step there is none.
+    #[test]
+    fn between_two_surfaces_there_is_none() {
+        let view = flat_view(40, 20, 100.0);
+        let height = |x: f64| if x < 20.0 { 0.0 } else { 30.0 + 3.0 * x };
+        let values: Vec<f64> = (0..view.pixels.len())
+            .map(|p| height(view.xy(p).0) / view.camera.focal())
+            .collect();
+        let raster = view.spread(&values, 0.0);
+        for (x, expected) in [
+            (10.3, true),
+            (18.7, true),
+            (19.5, false),
+            (20.2, true),
+            (30.9, true),
+        ] {
+            assert_eq!(view.has_surface_at(&raster, x, 8.4), expected, "at {x}");
+        }
+        assert!(!view.has_surface_at(&raster, 39.5, 8.4), "outside the mask");
     }
 }

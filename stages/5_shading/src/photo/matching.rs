@@ -80,7 +80,7 @@ pub(crate) fn terms(
                     return Sample::default();
                 };
                 if !view.is_usable(p)
-                    || !sampling::inside(&other.mask, l.u, l.v)
+                    || !other.has_surface_at(raster, l.u, l.v)
                     || sampling::bilinear(&other.usable, l.u, l.v) < 0.999
                     || (f64::from(sampling::bilinear(raster, l.u, l.v)) - l.zeta).abs()
                         > options.visible_tolerance

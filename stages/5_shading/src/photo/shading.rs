@@ -263,7 +263,7 @@ pub(crate) fn mean_intensities(
                 let Some(l) = warp.land(x, y, depth[p]) else {
                     continue;
                 };
-                if !sampling::inside(&other.mask, l.u, l.v)
+                if !other.has_surface_at(&rasters[*j], l.u, l.v)
                     || sampling::bilinear(&other.usable, l.u, l.v) < 0.999
                 {
                     continue;
