@@ -14,12 +14,15 @@ pub(crate) struct Pool {
 }
 
 impl Pool {
+    /// One sample; values and their usability per channel.
     pub fn push(&mut self, normal: Vector3<f64>, values: Vec<f64>, usable: Vec<bool>) {
         self.normals.push(normal);
         self.values.push(values);
         self.usable.push(usable);
     }
 
+    /// At most `max_num` of a view's samples, evenly taken: normals rotated into the pool's frame, values
+    /// divided by the view's gain per channel.
     pub fn add(
         &mut self,
         samples: &SphereSamples,
@@ -38,6 +41,7 @@ impl Pool {
         }
     }
 
+    /// Harmonics of the whole pool; `of` names it in the error.
     pub fn fit(&self, of: &str, options: &LightingOptions) -> Result<LightingFit, LightingError> {
         fit_lighting(&self.normals, &self.values, &self.usable, &options.fit).map_err(|source| {
             LightingError::Fit {
