@@ -241,13 +241,11 @@ fn common(
                 let Some(l) = warp.land(x, y, depth[p]) else {
                     continue;
                 };
-                if !level.views[*j].has_surface_at(&rasters[*j], l.u, l.v)
-                    || sampling::bilinear(&level.views[*j].usable, l.u, l.v) < 0.999
-                {
+                let other = &level.views[*j];
+                let Some(zeta) = other.unclipped_depth_at(&rasters[*j], l.u, l.v) else {
                     continue;
-                }
-                let miss =
-                    (l.zeta - f64::from(sampling::bilinear(&rasters[*j], l.u, l.v))) / tolerance;
+                };
+                let miss = (l.zeta - zeta) / tolerance;
                 let weight = (-0.5 * (miss * miss).min(100.0) as f32).exp();
                 sum += weight * sampling::bilinear(raster, l.u, l.v);
                 total += weight;

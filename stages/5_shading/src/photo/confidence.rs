@@ -83,10 +83,9 @@ fn num_agreeing(
         .filter(|(j, warp)| {
             warp.land(x, y, zeta).is_some_and(|l| {
                 let px_per_log_depth = l.du.hypot(l.dv);
-                level.views[*j].has_surface_at(&rasters[*j], l.u, l.v)
-                    && (l.zeta - f64::from(sampling::bilinear(&rasters[*j], l.u, l.v))).abs()
-                        * px_per_log_depth
-                        < AGREE_PX
+                level.views[*j]
+                    .depth_at(&rasters[*j], l.u, l.v)
+                    .is_some_and(|other| (l.zeta - other).abs() * px_per_log_depth < AGREE_PX)
             })
         })
         .count()

@@ -199,6 +199,20 @@ impl LevelView {
         sampling::inside(&self.mask, x, y) && self.is_one_surface(raster, x, y)
     }
 
+    /// Log depth of the surface `raster` at a position, where it [has one](Self::has_surface_at).
+    #[inline]
+    pub fn depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
+        self.has_surface_at(raster, x, y)
+            .then(|| f64::from(sampling::bilinear(raster, x, y)))
+    }
+
+    /// [`Self::depth_at`] where the photo is unclipped too: its intensities may be compared.
+    #[inline]
+    pub fn unclipped_depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
+        self.depth_at(raster, x, y)
+            .filter(|_| sampling::bilinear(&self.usable, x, y) > 0.999)
+    }
+
     #[inline]
     fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
         f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX

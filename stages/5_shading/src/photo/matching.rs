@@ -79,12 +79,11 @@ pub(crate) fn terms(
                 let Some(l) = warp.land(x, y, depth[p]) else {
                     return Sample::default();
                 };
-                if !view.is_usable(p)
-                    || !other.has_surface_at(raster, l.u, l.v)
-                    || sampling::bilinear(&other.usable, l.u, l.v) < 0.999
-                    || (f64::from(sampling::bilinear(raster, l.u, l.v)) - l.zeta).abs()
-                        > options.visible_tolerance
-                {
+                let is_visible = view.is_usable(p)
+                    && other
+                        .unclipped_depth_at(raster, l.u, l.v)
+                        .is_some_and(|zeta| (zeta - l.zeta).abs() <= options.visible_tolerance);
+                if !is_visible {
                     return Sample::default();
                 }
                 let (value, gx, gy) = sampling::bicubic(&other.image, l.u, l.v);

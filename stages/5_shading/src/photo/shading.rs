@@ -263,13 +263,10 @@ pub(crate) fn mean_intensities(
                 let Some(l) = warp.land(x, y, depth[p]) else {
                     continue;
                 };
-                if !other.has_surface_at(&rasters[*j], l.u, l.v)
-                    || sampling::bilinear(&other.usable, l.u, l.v) < 0.999
-                {
+                let Some(zeta) = other.unclipped_depth_at(&rasters[*j], l.u, l.v) else {
                     continue;
-                }
-                let miss =
-                    (l.zeta - f64::from(sampling::bilinear(&rasters[*j], l.u, l.v))) / tolerance;
+                };
+                let miss = (l.zeta - zeta) / tolerance;
                 if miss.abs() > 4.0 {
                     continue;
                 }

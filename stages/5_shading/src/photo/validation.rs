@@ -170,12 +170,8 @@ impl Evidence {
                 let mut ratio = [0.0; 2];
                 for (r, depth) in ratio.iter_mut().zip(depths) {
                     let l = warp.land(x, y, depth[p])?;
-                    let visible = other.has_surface_at(&rasters[left_out], l.u, l.v)
-                        && sampling::bilinear(&other.usable, l.u, l.v) > 0.999
-                        && (f64::from(sampling::bilinear(&rasters[left_out], l.u, l.v)) - l.zeta)
-                            .abs()
-                            < 2.0 * tolerance;
-                    if !visible {
+                    let zeta = other.unclipped_depth_at(&rasters[left_out], l.u, l.v)?;
+                    if (zeta - l.zeta).abs() >= 2.0 * tolerance {
                         return None;
                     }
                     let (value, _, _) = sampling::bicubic(&other.image, l.u, l.v);
