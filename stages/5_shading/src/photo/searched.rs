@@ -17,6 +17,9 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::PosedViews;
 use std::time::Instant;
 
+/// Fusions of the searched surfaces: every view's search errs by itself, their mean errs less.
+const NUM_FUSIONS: usize = 2;
+
 impl Course<'_> {
     /// The surface at level `at`, searched around `depths`.
     pub(crate) fn search_again(
@@ -37,6 +40,11 @@ impl Course<'_> {
             .collect();
         let planes = self.dense_search(at, posed, PatchCost::Correlation, Some(&planes))?;
         let found = self.found(at, solvers, &planes)?;
+        self.show(at, "searched", &found.surface);
+        let mut surface = found.surface;
+        for _ in 0..NUM_FUSIONS {
+            surface = self.fused(at, &surface)?;
+        }
         self.report.finer_search_scatter_px = Some(found.scatter_px);
         self.report.laps.push(LapReport {
             level: at,
@@ -44,7 +52,7 @@ impl Course<'_> {
             seconds: began.elapsed().as_secs_f64(),
             ..LapReport::default()
         });
-        self.show(at, "searched", &found.surface);
-        Ok(found.surface)
+        self.show(at, "searched, fused", &surface);
+        Ok(surface)
     }
 }

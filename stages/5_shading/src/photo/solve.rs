@@ -15,6 +15,10 @@ use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
 /// is followed by none: light and shape swing, or pixels beside edges change sides.
 const SETTLING: f64 = 0.8;
 
+/// Factor of σ_m, and σ_c in footprints, around a searched surface: patches have told what the photos
+/// agree on, single pixels add their disagreement, and the views' surfaces hold each other.
+const SEARCHED_WEIGHTS: (f64, f64) = (3.0, 0.3);
+
 /// Solves a loaded scene.
 pub(crate) fn solve(
     scene: Scene,
@@ -165,8 +169,14 @@ impl Course<'_> {
                 *depths = self.search_again(*at, &solvers, depths, posed)?;
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
+            let (match_factor, consensus_px) = if searches {
+                SEARCHED_WEIGHTS
+            } else {
+                (1.0, 0.9)
+            };
             let mut weights = LapWeights {
-                consensus_px: 0.9,
+                match_factor,
+                consensus_px,
                 visible_px: 3.5,
                 plate_knee: 0.05,
                 ..last
