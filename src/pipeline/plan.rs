@@ -40,7 +40,7 @@ pub(super) fn version(stage: StageId) -> u32 {
         StageId::Features => 3,
         StageId::Poses => 6,
         StageId::Lighting => 5,
-        StageId::Shading => 11,
+        StageId::Shading => 12,
         StageId::Fusion => 4,
     }
 }

@@ -5,6 +5,7 @@ use super::level;
 use super::options::PhotoOptions;
 use super::output;
 use super::report::PhotoReport;
+use super::surfaces::Reading;
 use super::views::Scene;
 use super::{spread, start};
 use crate::error::ShadingError;
@@ -77,15 +78,26 @@ impl Course<'_> {
             .collect()
     }
 
-    /// All views' surfaces made one.
+    /// How the views' surfaces are read: where photos disagree depth is noisy down to single pixels.
+    pub(crate) fn reading(&self) -> Reading {
+        if self.photos_disagree() {
+            Reading::Bilinear
+        } else {
+            Reading::Cubic
+        }
+    }
+
+    /// All views' surfaces made one, from depths up to `truncation_px` footprints apart.
     pub(crate) fn fused(
         &self,
         at: usize,
         depths: &[Vec<f64>],
+        truncation_px: f64,
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let level = &self.scene.pyramid[at];
         self.tell("fusing views", 0, 1)?;
-        Ok(consensus::fuse(level, depths, 4.0 / level.focal()))
+        let truncation = truncation_px / level.focal();
+        Ok(consensus::fuse(level, depths, truncation, self.reading()))
     }
 
     /// The surface at the next finer level.

@@ -4,11 +4,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::consensus::propose;
 use super::level::{Level, depth_rasters};
 use super::matching::{self, MatchOptions};
 use super::plate;
 use super::rendered_tests::{depths, loaded, options, photographed};
+use super::surfaces::{Reading, Surfaces};
 use rilievo_numerics::robust::{median, quantile};
 use rilievo_synthetic::{LightModel, Subject};
 
@@ -77,26 +77,32 @@ fn slope_of_the_photos_disagreement_agrees_with_differences() {
 #[test]
 fn slope_of_the_distance_to_another_view_agrees_with_differences() {
     let (level, depths) = two_views();
-    let rasters = depth_rasters(&level, &depths);
     let step = 0.01 / level.focal();
-    let at = |p: usize, shift: f64| {
-        propose(&level, 0, 0, p, depths[0][p] + shift, &rasters, 0.1).map(|o| (o.0, o.1))
-    };
-    let mut errors: Vec<f64> = (0..depths[0].len())
-        .filter_map(|p| {
-            let (back, here, ahead) = (at(p, -step)?, at(p, 0.0)?, at(p, step)?);
-            Some(((ahead.0 - back.0) / (2.0 * step) - here.1).abs())
-        })
-        .collect();
-    let count = errors.len();
-    // Depth between pixels is bilinear: where a difference crosses a pixel's edge its slope jumps.
-    let (middle, most) = (
-        median(&mut errors).unwrap(),
-        quantile(&mut errors, 0.9).unwrap(),
-    );
-    println!("{count} pixels: {middle:.5}, nine of ten within {most:.5}");
-    assert!(count > 3000, "{count} pixels");
-    assert!(middle < 2e-3 && most < 0.02, "{middle}, {most}");
+    for (reading, bounds) in [
+        // Where a difference crosses a pixel's edge the slope of a bilinear depth jumps.
+        (Reading::Bilinear, (2e-3, 0.02)),
+        (Reading::Cubic, (2e-3, 0.01)),
+    ] {
+        let surfaces = Surfaces::new(&level, &depths, reading);
+        let at = |p: usize, shift: f64| {
+            let proposal = surfaces.propose(0, 0, p, depths[0][p] + shift, 0.1)?;
+            Some((proposal.r, proposal.slope))
+        };
+        let mut errors: Vec<f64> = (0..depths[0].len())
+            .filter_map(|p| {
+                let (back, here, ahead) = (at(p, -step)?, at(p, 0.0)?, at(p, step)?);
+                Some(((ahead.0 - back.0) / (2.0 * step) - here.1).abs())
+            })
+            .collect();
+        let count = errors.len();
+        let (middle, most) = (
+            median(&mut errors).unwrap(),
+            quantile(&mut errors, 0.9).unwrap(),
+        );
+        println!("{reading:?}, {count} pixels: {middle:.5}, nine of ten within {most:.5}");
+        assert!(count > 3000, "{count} pixels");
+        assert!(middle < bounds.0 && most < bounds.1, "{middle}, {most}");
+    }
 }
 
 #[test]

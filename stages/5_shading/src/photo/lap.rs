@@ -1,13 +1,14 @@
 //! One lap: Gauss-Newton rounds over all views under fixed weights and a fixed light.
 
 use super::course::Course;
-use super::level::{self, Level};
+use super::level::Level;
 use super::light::Light;
 use super::matching::MatchOptions;
 use super::plate;
 use super::report::LapReport;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
+use super::surfaces::Surfaces;
 use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
@@ -34,7 +35,7 @@ pub(crate) struct LapWeights {
 /// Agreement alone.
 pub(crate) const PHOTOS_ONLY: LapWeights = LapWeights {
     match_factor: 1.0,
-    consensus_px: 0.9,
+    consensus_px: 0.6,
     visible_px: 3.5,
     plate: 30.0,
     plate_knee: 0.05,
@@ -52,9 +53,9 @@ pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
     const RESIDUAL_KNEE: f64 = 0.08;
     // Share, correction's bell in pixels, plate, its knee, consensus and visibility in footprints.
     let table = [
-        (0.57, 0.0, 30.0, 0.02, 0.9, 3.5),
-        (0.6, 0.0, 30.0, 0.02, 0.9, 3.5),
-        (0.5, 8.0, 60.0, 0.05, 0.62, 3.5),
+        (0.57, 0.0, 30.0, 0.02, 0.6, 3.5),
+        (0.6, 0.0, 30.0, 0.02, 0.6, 3.5),
+        (0.5, 8.0, 60.0, 0.05, 0.45, 3.5),
     ];
     let (share, correction_px, plate, plate_knee, consensus_px, visible_px) =
         table[lap.min(table.len() - 1)];
@@ -127,7 +128,7 @@ impl Course<'_> {
             let level = &self.scene.pyramid[at];
             let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
             for parity in 0..2 {
-                let rasters = level::depth_rasters(level, depths);
+                let surfaces = Surfaces::new(level, depths, self.reading());
                 let outcomes: Vec<_> = (parity..level.views.len())
                     .step_by(2)
                     .collect::<Vec<_>>()
@@ -135,14 +136,20 @@ impl Course<'_> {
                     .with_max_len(1)
                     .map(|i| {
                         let term = light.zip(weights.shading).map(|(light, weights)| {
-                            ShadingTerm::new(level, i, &depths[i], &rasters, &light.of(i), &weights)
+                            ShadingTerm::new(
+                                level,
+                                i,
+                                &depths[i],
+                                &surfaces.rasters,
+                                &light.of(i),
+                                &weights,
+                            )
                         });
                         let outcome = step::improve(
-                            level,
+                            &surfaces,
                             i,
                             &solvers[i],
                             &depths[i],
-                            &rasters,
                             term.as_ref(),
                             &options,
                         );

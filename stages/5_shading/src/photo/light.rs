@@ -344,7 +344,7 @@ fn sphere_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3]
 }
 
 fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
-    let weights = super::consensus::incidence_weights(level, depths);
+    let weights = super::surfaces::incidence_weights(level, depths);
     level
         .views
         .iter()

@@ -57,6 +57,7 @@ mod sphere_tests;
 mod spread;
 mod start;
 mod step;
+mod surfaces;
 mod surround;
 mod validation;
 mod views;

@@ -205,7 +205,7 @@ pub(super) fn miss(level: &Level, depths: &[Vec<f64>], light: &Light) -> f64 {
     for (i, view) in level.views.iter().enumerate() {
         let normals = plate::normals(view, &depths[i]);
         for p in (0..view.pixels.len()).step_by(3) {
-            if super::consensus::is_rim(view, p) {
+            if super::surfaces::is_rim(view, p) {
                 continue;
             }
             let s = shading::render(&light.harmonics[i][p], normals[p]);

@@ -77,6 +77,54 @@ fn catmull_rom(t: f32) -> ([f32; 4], [f32; 4]) {
     )
 }
 
+/// Catmull-Rom value and its derivatives along x and y, where all sixteen pixels are masked and their
+/// values within `max_range`.
+#[inline]
+pub(crate) fn cubic_with_slope(
+    raster: &Raster<f32>,
+    mask: &Mask,
+    x: f64,
+    y: f64,
+    max_range: f64,
+) -> Option<(f64, f64, f64)> {
+    let (x0, y0) = (x.floor(), y.floor());
+    let fits = |low: f64, count: usize| low >= 1.0 && low + 2.0 < count as f64;
+    if !fits(x0, raster.width) || !fits(y0, raster.height) {
+        return None;
+    }
+    let (wx, gx) = catmull_rom((x - x0) as f32);
+    let (wy, gy) = catmull_rom((y - y0) as f32);
+    let base = (y0 as usize - 1) * raster.width + x0 as usize - 1;
+    // Differences from one of them: single precision would round sums of the values themselves.
+    let origin = raster.data[base + raster.width + 1];
+    let (mut value, mut along_x, mut along_y) = (0.0_f32, 0.0_f32, 0.0_f32);
+    let (mut low, mut high) = (f32::MAX, f32::MIN);
+    for k in 0..4 {
+        let (mut v, mut d) = (0.0_f32, 0.0_f32);
+        for l in 0..4 {
+            let i = base + k * raster.width + l;
+            if !mask.data[i] {
+                return None;
+            }
+            let z = raster.data[i] - origin;
+            low = low.min(z);
+            high = high.max(z);
+            v += wx[l] * z;
+            d += gx[l] * z;
+        }
+        value += wy[k] * v;
+        along_x += wy[k] * d;
+        along_y += gy[k] * v;
+    }
+    (f64::from(high - low) <= max_range).then(|| {
+        (
+            f64::from(origin) + f64::from(value),
+            f64::from(along_x),
+            f64::from(along_y),
+        )
+    })
+}
+
 /// Three channels at a position, with their derivatives along x and y (Catmull-Rom).
 /// Positions closer than a pixel to the raster's edge repeat the edge.
 #[inline]

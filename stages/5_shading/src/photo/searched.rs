@@ -19,6 +19,8 @@ use std::time::Instant;
 
 /// Fusions of the searched surfaces: every view's search errs by itself, their mean errs less.
 const NUM_FUSIONS: usize = 2;
+/// Distance within which they are fused, footprints: twice that of solved surfaces.
+const FUSION_PX: f64 = 8.0;
 
 impl Course<'_> {
     /// The surface at level `at`, searched around `depths`.
@@ -43,7 +45,7 @@ impl Course<'_> {
         self.show(at, "searched", &found.surface);
         let mut surface = found.surface;
         for _ in 0..NUM_FUSIONS {
-            surface = self.fused(at, &surface)?;
+            surface = self.fused(at, &surface, FUSION_PX)?;
         }
         self.report.finer_search_scatter_px = Some(found.scatter_px);
         self.report.laps.push(LapReport {

@@ -15,9 +15,16 @@ use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
 /// is followed by none: light and shape swing, or pixels beside edges change sides.
 const SETTLING: f64 = 0.8;
 
-/// Factor of σ_m, and σ_c in footprints, around a searched surface: patches have told what the photos
-/// agree on, single pixels add their disagreement, and the views' surfaces hold each other.
-const SEARCHED_WEIGHTS: (f64, f64) = (3.0, 0.3);
+/// Distance within which solved surfaces are fused, footprints.
+const FUSION_PX: f64 = 4.0;
+
+/// σ_c of the last laps at the finest level, footprints: the views' noise is to be averaged, and no
+/// coarser error is left that one view would have to leave the others for.
+const FINEST_CONSENSUS_PX: f64 = 0.3;
+
+/// Factor of σ_m around a searched surface: patches have told what the photos agree on, single pixels
+/// add their disagreement.
+const SEARCHED_MATCH_FACTOR: f64 = 3.0;
 
 /// Solves a loaded scene.
 pub(crate) fn solve(
@@ -68,7 +75,7 @@ impl Course<'_> {
         lighting: &LightingCalibration,
     ) -> Result<(Option<Light>, LapWeights), ShadingError> {
         let options = self.options;
-        *depths = self.fused(*at, depths)?;
+        *depths = self.fused(*at, depths, FUSION_PX)?;
         self.show(*at, "fused", depths);
         if options.num_laps == 0 {
             self.lap(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused")?;
@@ -104,7 +111,7 @@ impl Course<'_> {
                 self.show(*at, "raised", depths);
             }
             if lap > 0 {
-                *depths = self.fused(*at, depths)?;
+                *depths = self.fused(*at, depths, FUSION_PX)?;
                 self.show(*at, "fused", depths);
             }
             let mut light = self.light(*at, depths, posed, lighting, ground.as_ref())?;
@@ -115,12 +122,15 @@ impl Course<'_> {
             } else {
                 found
             };
-            let weights = if lap < num_half {
+            let mut weights = if lap < num_half {
                 lap_weights(lap, residual)
             } else {
                 lap_weights(lap - num_half + first_full, residual)
             };
             if lap + 1 >= num_laps {
+                if self.is_finest(*at) {
+                    weights.consensus_px = FINEST_CONSENSUS_PX;
+                }
                 self.validate(*at, solvers, depths, light.as_mut(), &weights)?;
             }
             let turned_deg = self.lap(
@@ -143,6 +153,11 @@ impl Course<'_> {
         }
     }
 
+    /// Whether no finer level than `at` is solved.
+    fn is_finest(&self, at: usize) -> bool {
+        at == 0 || self.scene.pyramid[at - 1].mean_pixels() > self.options.max_fine_pixels
+    }
+
     /// From level `at` to the finest that is solved, each with the light and weights of the last lap.
     /// Returns the finest level's.
     fn finer_levels(
@@ -153,7 +168,7 @@ impl Course<'_> {
         last: LapWeights,
         posed: &PosedViews,
     ) -> Result<Option<Light>, ShadingError> {
-        while *at > 0 && self.scene.pyramid[*at - 1].mean_pixels() <= self.options.max_fine_pixels {
+        while !self.is_finest(*at) {
             *at -= 1;
             let searches = self.options.finer_search && self.photos_disagree();
             // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.
@@ -169,14 +184,9 @@ impl Course<'_> {
                 *depths = self.search_again(*at, &solvers, depths, posed)?;
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
-            let (match_factor, consensus_px) = if searches {
-                SEARCHED_WEIGHTS
-            } else {
-                (1.0, 0.9)
-            };
             let mut weights = LapWeights {
-                match_factor,
-                consensus_px,
+                match_factor: if searches { SEARCHED_MATCH_FACTOR } else { 1.0 },
+                consensus_px: FINEST_CONSENSUS_PX,
                 visible_px: 3.5,
                 plate_knee: 0.05,
                 ..last
@@ -188,7 +198,7 @@ impl Course<'_> {
                 shading.correction_px = 12.0;
             }
             self.lap(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
-            *depths = self.fused(*at, depths)?;
+            *depths = self.fused(*at, depths, FUSION_PX)?;
             self.show(*at, "fused", depths);
         }
         Ok(light)

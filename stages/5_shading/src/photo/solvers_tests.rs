@@ -13,10 +13,11 @@ mod surface;
 
 use super::camera::Camera;
 use super::chroma::Whitening;
-use super::level::{Level, LevelView, depth_rasters};
+use super::level::{Level, LevelView};
 use super::matching::MatchOptions;
 use super::shading::{PixelHarmonics, ShadingTerm};
 use super::step::{self, StepOptions};
+use super::surfaces::{Reading, Surfaces};
 use crate::{
     DepthPrior, PixelLighting, ShadingOptions, ShadingProblem, ShadingView, ViewLight, solve,
 };
@@ -184,9 +185,9 @@ impl Case {
         let mut num_steps = 0;
         for _ in 0..30 {
             let depths = vec![depth.clone(), known.clone()];
-            let rasters = depth_rasters(&level, &depths);
+            let surfaces = Surfaces::new(&level, &depths, Reading::Bilinear);
             let outcome =
-                step::improve(&level, 0, &solver, &depth, &rasters, Some(&term), &options).unwrap();
+                step::improve(&surfaces, 0, &solver, &depth, Some(&term), &options).unwrap();
             let turned = super::plate::mean_turn(&level.views[0], &depth, &outcome.depth);
             depth = outcome.depth;
             num_steps += 1;

@@ -4,13 +4,12 @@
 //! around the current depth and the increment solves the thirteen-point normal equations.
 
 use super::consensus;
-use super::level::Level;
 use super::matching::{self, MatchOptions, MatchTerms};
 use super::plate::{self, RobustPlate};
 use super::shading::ShadingTerm;
+use super::surfaces::Surfaces;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PlateError, PlateSystem};
-use rilievo_scene::Raster;
 
 /// Weights of a step.
 #[derive(Clone, Copy, Debug)]
@@ -35,26 +34,25 @@ pub(crate) struct StepOutcome {
     pub matches: MatchTerms,
 }
 
-/// Improves view `index`.
+/// Improves view `index` from its log depths `depth`, against the `surfaces` of all views.
 pub(crate) fn improve(
-    level: &Level,
+    surfaces: &Surfaces,
     index: usize,
     solver: &PlateSolver,
     depth: &[f64],
-    rasters: &[Raster<f32>],
     shading: Option<&ShadingTerm>,
     options: &StepOptions,
 ) -> Result<StepOutcome, PlateError> {
+    let level = surfaces.level;
     let view = &level.views[index];
     let n = view.pixels.len();
-    let mut matches = matching::terms(level, index, depth, rasters, &options.matching);
+    let mut matches = matching::terms(level, index, depth, &surfaces.rasters, &options.matching);
     if options.sigma_consensus > 0.0 {
         let (mut h, mut b) = (vec![0.0; n], vec![0.0; n]);
         consensus::add_terms(
-            level,
+            surfaces,
             index,
             depth,
-            rasters,
             options.sigma_consensus,
             2.0 * options.matching.visible_tolerance,
             (&mut h, &mut b),

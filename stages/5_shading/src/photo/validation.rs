@@ -17,6 +17,7 @@ use super::level::Level;
 use super::light::Light;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
+use super::surfaces::{Reading, Surfaces};
 use super::{plate, sampling, shading};
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
@@ -67,7 +68,9 @@ pub(crate) fn validate(
     weights: &ShadingWeights,
     options: &StepOptions,
 ) -> Result<Option<Validation>, (usize, PlateError)> {
-    let rasters = super::level::depth_rasters(level, depths);
+    // The views' surfaces take no part, however they are read.
+    let surfaces = Surfaces::new(level, depths, Reading::Bilinear);
+    let rasters = &surfaces.rasters;
     let judged: Vec<Result<Evidence, PlateError>> = (0..level.views.len())
         .into_par_iter()
         .with_max_len(1)
@@ -85,17 +88,10 @@ pub(crate) fn validate(
                 options.sigma_consensus = 0.0;
                 for _ in 0..NUM_STEPS {
                     let term = shaded.then(|| {
-                        ShadingTerm::new(level, i, &trial, &rasters, &light.of(i), weights)
+                        ShadingTerm::new(level, i, &trial, rasters, &light.of(i), weights)
                     });
-                    let outcome = step::improve(
-                        level,
-                        i,
-                        &solvers[i],
-                        &trial,
-                        &rasters,
-                        term.as_ref(),
-                        &options,
-                    )?;
+                    let outcome =
+                        step::improve(&surfaces, i, &solvers[i], &trial, term.as_ref(), &options)?;
                     trial = outcome.depth;
                 }
                 Ok(trial)
@@ -107,7 +103,7 @@ pub(crate) fn validate(
                 i,
                 left_out,
                 [&plain, &shaded],
-                &rasters,
+                rasters,
                 tolerance,
             ))
         })

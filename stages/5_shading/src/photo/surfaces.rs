@@ -1,0 +1,141 @@
+//! The surfaces of all views, and what each says about another's pixels.
+//!
+//! Seen along the ray of pixel `x`, view j's surface is where `r(ζ) = ζ_j(x'(ζ)) − ln z_j(ζ)`
+//! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∇ζ_j · ∂x'/∂ζ − ∂ ln z_j/∂ζ`. One Newton step
+//! gives the depth that view j proposes.
+
+use super::level::{self, Level, LevelView};
+use super::{plate, sampling};
+use rayon::prelude::*;
+use rilievo_scene::Raster;
+
+/// How a surface is read between its pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reading {
+    /// Averages neighbours: flattens detail, and noise.
+    Bilinear,
+    /// Keeps detail. Bilinear beside borders and breaks, over which the spline would swing.
+    Cubic,
+}
+
+/// Range of the sixteen values that a cubic reading may span, in pixels' footprints.
+const CUBIC_RANGE_PX: f64 = 16.0;
+
+/// Depths that views see a surface in, and how surely.
+pub(crate) struct Surfaces<'a> {
+    pub level: &'a Level,
+    /// Log depth of every view.
+    pub rasters: Vec<Raster<f32>>,
+    /// [`incidence_weights`] of every view.
+    weights: Vec<Raster<f32>>,
+    reading: Reading,
+}
+
+/// What view j says about a pixel of another.
+pub(crate) struct Proposal {
+    /// `r`, log depth.
+    pub r: f64,
+    /// `∂r/∂ζ`.
+    pub slope: f64,
+    /// [`incidence_weights`] there.
+    pub weight: f64,
+}
+
+impl<'a> Surfaces<'a> {
+    /// Of log depths `depths`.
+    pub fn new(level: &'a Level, depths: &[Vec<f64>], reading: Reading) -> Self {
+        Self {
+            level,
+            rasters: level::depth_rasters(level, depths),
+            weights: incidence_weights(level, depths),
+            reading,
+        }
+    }
+
+    /// Log depth of view `j`'s surface at a position, with its derivatives along x and y.
+    #[inline]
+    fn depth_with_slope(&self, j: usize, x: f64, y: f64) -> Option<(f64, f64, f64)> {
+        let (view, raster) = (&self.level.views[j], &self.rasters[j]);
+        if !view.has_surface_at(raster, x, y) {
+            return None;
+        }
+        let cubic = match self.reading {
+            Reading::Cubic => {
+                let max_range = CUBIC_RANGE_PX / view.camera.focal();
+                sampling::cubic_with_slope(raster, &view.mask, x, y, max_range)
+            }
+            Reading::Bilinear => None,
+        };
+        Some(cubic.unwrap_or_else(|| sampling::bilinear_with_slope(raster, x, y)))
+    }
+
+    /// Weight of a pixel of view `index`.
+    #[inline]
+    pub fn weight(&self, index: usize, pixel: usize) -> f64 {
+        let pixels = &self.level.views[index].pixels;
+        f64::from(*self.weights[index].at(pixels.xs[pixel] as usize, pixels.ys[pixel] as usize))
+    }
+
+    /// What source `k` of view `index` says about a pixel at log depth `zeta`, when `|r|` is within
+    /// `reach`.
+    #[inline]
+    pub fn propose(
+        &self,
+        index: usize,
+        k: usize,
+        pixel: usize,
+        zeta: f64,
+        reach: f64,
+    ) -> Option<Proposal> {
+        let (j, warp) = &self.level.sources[index][k];
+        let (x, y) = self.level.views[index].xy(pixel);
+        let landing = warp.land(x, y, zeta)?;
+        let (other, gx, gy) = self.depth_with_slope(*j, landing.u, landing.v)?;
+        let r = landing.zeta - other;
+        if r.abs() > reach {
+            return None;
+        }
+        let slope = (landing.dzeta - gx * landing.du - gy * landing.dv).clamp(-3.0, 3.0);
+        Some(Proposal {
+            r,
+            slope,
+            weight: f64::from(sampling::bilinear(&self.weights[*j], landing.u, landing.v)),
+        })
+    }
+}
+
+/// Weight of every view's own pixels: cos² of the angle of incidence, small at the mask's rim.
+pub(crate) fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
+    level
+        .views
+        .par_iter()
+        .zip(depths)
+        .map(|(view, depth)| {
+            let normals = plate::normals(view, depth);
+            let weights: Vec<f64> = (0..view.pixels.len())
+                .map(|i| {
+                    let cos = view.incidence_cosine(i, normals[i]);
+                    let rim = if is_rim(view, i) { 0.1 } else { 1.0 };
+                    rim * cos.clamp(0.05, 1.0).powi(2)
+                })
+                .collect();
+            view.spread(&weights, 0.0)
+        })
+        .collect()
+}
+
+/// Whether the mask ends within two pixels.
+pub(crate) fn is_rim(view: &LevelView, pixel: usize) -> bool {
+    [
+        (2, 0),
+        (-2, 0),
+        (0, 2),
+        (0, -2),
+        (1, 1),
+        (-1, 1),
+        (1, -1),
+        (-1, -1),
+    ]
+    .iter()
+    .any(|&(dx, dy)| view.pixels.neighbour(pixel, dx, dy).is_none())
+}
