@@ -239,6 +239,8 @@ fn box_line<const N: usize>(
 
 #[cfg(test)]
 mod tests {
+    #![allow(clippy::unwrap_used)]
+
     use super::*;
 
     #[test]
@@ -269,6 +271,27 @@ mod tests {
                 "{gy:?}"
             );
         }
+    }
+
+    #[test]
+    fn cubic_depth_reproduces_a_quadratic_and_keeps_off_borders_and_breaks() {
+        // About a log depth's size, where single precision is coarse.
+        let f = |x: f64, y: f64| 6.0 + 1e-3 * (0.3 * x * x - 0.2 * x * y + y);
+        let smooth = Raster::from_fn(16, 12, |x, y| f(x as f64, y as f64) as f32);
+        let mask = Raster::from_fn(16, 12, |x, _| x > 2);
+        let (x, y) = (7.3, 4.6);
+        let (value, gx, gy) = cubic_with_slope(&smooth, &mask, x, y, 0.1).unwrap();
+        assert!((value - f(x, y)).abs() < 1e-6, "{value}");
+        assert!((gx - 1e-3 * (0.6 * x - 0.2 * y)).abs() < 2e-6, "{gx}");
+        assert!((gy - 1e-3 * (-0.2 * x + 1.0)).abs() < 2e-6, "{gy}");
+
+        assert!(cubic_with_slope(&smooth, &mask, 3.5, y, 0.1).is_none());
+        assert!(cubic_with_slope(&smooth, &mask, x, 0.5, 0.1).is_none());
+        assert!(cubic_with_slope(&smooth, &mask, 13.5, y, 0.1).is_some());
+        assert!(cubic_with_slope(&smooth, &mask, 14.5, y, 0.1).is_none());
+        let broken = Raster::from_fn(16, 12, |x, _| if x < 9 { 6.0 } else { 6.5 });
+        assert!(cubic_with_slope(&broken, &mask, x, y, 0.1).is_none());
+        assert!(cubic_with_slope(&broken, &mask, 6.9, y, 0.1).is_some());
     }
 
     #[test]
