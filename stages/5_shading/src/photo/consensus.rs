@@ -10,7 +10,7 @@ use super::surfaces::{Proposal, Reading, Surfaces};
 use rayon::prelude::*;
 
 /// Largest weight of another view's surface against a pixel's own.
-const MAX_RELATIVE_WEIGHT: f64 = 4.0;
+const MAX_RELATIVE_WEIGHT: f64 = 2.0;
 
 /// Adds nearness to the sources' surfaces: residual `r / σ`, redescending beyond σ, weighed with how
 /// much better or worse than the view itself a source sees the point.

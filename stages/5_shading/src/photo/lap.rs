@@ -35,7 +35,7 @@ pub(crate) struct LapWeights {
 /// Agreement alone.
 pub(crate) const PHOTOS_ONLY: LapWeights = LapWeights {
     match_factor: 1.0,
-    consensus_px: 0.6,
+    consensus_px: 0.9,
     visible_px: 3.5,
     plate: 30.0,
     plate_knee: 0.05,
@@ -53,9 +53,9 @@ pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
     const RESIDUAL_KNEE: f64 = 0.08;
     // Share, correction's bell in pixels, plate, its knee, consensus and visibility in footprints.
     let table = [
-        (0.57, 0.0, 30.0, 0.02, 0.6, 3.5),
-        (0.6, 0.0, 30.0, 0.02, 0.6, 3.5),
-        (0.5, 8.0, 60.0, 0.05, 0.45, 3.5),
+        (0.57, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.6, 0.0, 30.0, 0.02, 0.9, 3.5),
+        (0.5, 8.0, 60.0, 0.05, 0.62, 3.5),
     ];
     let (share, correction_px, plate, plate_knee, consensus_px, visible_px) =
         table[lap.min(table.len() - 1)];
