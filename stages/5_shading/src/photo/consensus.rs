@@ -1,7 +1,8 @@
 //! One surface for all views: nearness of a view's depth to the others', and their fusion.
 //!
-//! Views see a point at different angles; the one that faces it tells its depth best. Both weigh with
-//! cos² of the angle between a view's ray and its surface. In the fusion, proposals within the
+//! Views see a point at different angles; the one that faces it tells its depth best. With `c` the cos² of
+//! the angle between a view's ray and its surface (`surfaces::incidence_weights`), nearness of view i to
+//! view j weighs `w_ij = min(c_j / c_i, 2)`, the fusion `c_j`. In the fusion, proposals within the
 //! truncation are averaged: the zero of the weighted signed distances (Curless, Levoy, SIGGRAPH 1996)
 //! without a volume.
 
@@ -9,7 +10,8 @@ use super::level::Level;
 use super::surfaces::{Proposal, Reading, Surfaces};
 use rayon::prelude::*;
 
-/// Largest weight of another view's surface against a pixel's own.
+/// Largest weight of another view's surface against a pixel's own: at a grazing angle the ratio would
+/// give all to the other view, whose depth errs as well.
 const MAX_RELATIVE_WEIGHT: f64 = 2.0;
 
 /// Adds nearness to the sources' surfaces: residual `r / σ`, redescending beyond σ, weighed with how
@@ -116,7 +118,7 @@ mod tests {
         let (here, other) = (&world.views[0], &world.views[1]);
         let world_from_here = here.cam_from_world.inverse();
         let corner = scene.frames[0].corner;
-        let (mut better, mut worse) = (Vec::new(), Vec::new());
+        let (mut bounded, mut better, mut worse) = (Vec::new(), Vec::new(), Vec::new());
         for p in 0..n {
             let Some(proposal) = surfaces.propose(0, 0, p, truth[0][p], 0.1) else {
                 continue;
@@ -137,20 +139,22 @@ mod tests {
             if facing.min(facing_other) < 0.5 {
                 continue;
             }
-            let expected = (facing_other / facing).powi(2).min(MAX_RELATIVE_WEIGHT);
+            let expected = (facing_other / facing).powi(2);
             let found = hessian[p] / proposal.slope.powi(2);
-            let deviation = (found / expected - 1.0).abs();
-            if expected > 1.5 {
-                better.push(deviation);
+            let deviation = |expected: f64| (found / expected - 1.0).abs();
+            if expected > 1.4 * MAX_RELATIVE_WEIGHT {
+                bounded.push(deviation(MAX_RELATIVE_WEIGHT));
+            } else if (1.2..0.95 * MAX_RELATIVE_WEIGHT).contains(&expected) {
+                better.push(deviation(expected));
             } else if expected < 0.67 {
-                worse.push(deviation);
+                worse.push(deviation(expected));
             }
         }
         // The mesh's facets turn their normals by a degree or two.
-        for mut deviations in [better, worse] {
+        for mut deviations in [bounded, better, worse] {
             let count = deviations.len();
             let middle = median(&mut deviations).unwrap();
-            assert!(count > 500 && middle < 0.1, "{count} pixels: {middle}");
+            assert!(count > 100 && middle < 0.1, "{count} pixels: {middle}");
         }
     }
 }

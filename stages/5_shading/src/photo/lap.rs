@@ -19,8 +19,9 @@ use std::time::Instant;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LapWeights {
     /// Factor of the match term's σ_m.
-    pub match_factor: f64,
-    /// Standard deviation of the depth against the other views, pixel footprints.
+    pub sigma_match_factor: f64,
+    /// Standard deviation of the depth against another view that faces the surface as well, pixel
+    /// footprints.
     pub consensus_px: f64,
     /// Depth difference to a view that sees the point, pixel footprints.
     pub visible_px: f64,
@@ -34,7 +35,7 @@ pub(crate) struct LapWeights {
 
 /// Agreement alone.
 pub(crate) const PHOTOS_ONLY: LapWeights = LapWeights {
-    match_factor: 1.0,
+    sigma_match_factor: 1.0,
     consensus_px: 0.9,
     visible_px: 3.5,
     plate: 30.0,
@@ -61,7 +62,7 @@ pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
         table[lap.min(table.len() - 1)];
     let share = share * (1.0 + (residual / RESIDUAL_KNEE).powi(2));
     LapWeights {
-        match_factor: 1.0,
+        sigma_match_factor: 1.0,
         consensus_px,
         visible_px,
         plate,
@@ -81,7 +82,7 @@ pub(crate) fn step_weights(level: &Level, sigma_match: f64, weights: &LapWeights
     let footprint = 1.0 / level.focal();
     StepOptions {
         matching: MatchOptions {
-            sigma: weights.match_factor * sigma_match,
+            sigma: weights.sigma_match_factor * sigma_match,
             knee: 2.0,
             visible_tolerance: weights.visible_px * footprint,
             gain_field_px: 8.0,

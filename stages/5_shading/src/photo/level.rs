@@ -295,7 +295,7 @@ pub(crate) fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec
 
 /// Difference of log depth between neighbours beyond which they belong to different surfaces, pixel
 /// footprints: no view tells much of a surface that it sees at 80° and more.
-const MAX_STEP_PX: f64 = 8.0;
+pub(crate) const MAX_STEP_PX: f64 = 8.0;
 
 /// Log depth of a finer level from a coarser one: bilinear where all four parents are masked; between
 /// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.

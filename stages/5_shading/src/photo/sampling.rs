@@ -78,7 +78,7 @@ fn catmull_rom(t: f32) -> ([f32; 4], [f32; 4]) {
 }
 
 /// Catmull-Rom value and its derivatives along x and y, where all sixteen pixels are masked and their
-/// values within `max_range`.
+/// values span at most `max_range`.
 #[inline]
 pub(crate) fn cubic_with_slope(
     raster: &Raster<f32>,

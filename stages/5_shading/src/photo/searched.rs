@@ -4,7 +4,7 @@
 //! disagreement, and single pixels lose their hold on the surface. The correlation of patches cancels
 //! gain and offset and still tells depth to a fraction of a pixel. So the tangent planes of the solved
 //! surface are searched around once more, and the surface starts again from the depths that another view
-//! confirms.
+//! confirms, fused over all views.
 //!
 //! The search knows no smoothness, and so finds the breaks that a plate bridges; gaps behind nearer
 //! surfaces are continued (`edges`).
@@ -12,15 +12,17 @@
 use super::course::Course;
 use super::patchmatch::{PatchCost, Planes};
 use super::report::LapReport;
+use super::solve::FUSION_PX;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::PosedViews;
 use std::time::Instant;
 
-/// Fusions of the searched surfaces: every view's search errs by itself, their mean errs less.
+/// Fusions of the searched surfaces: every view's search errs by itself, their mean errs less. The second
+/// takes in what the first brought near.
 const NUM_FUSIONS: usize = 2;
-/// Distance within which they are fused, footprints: twice that of solved surfaces.
-const FUSION_PX: f64 = 8.0;
+/// Distance within which they are fused, footprints: searched depths scatter more than solved ones.
+const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
 
 impl Course<'_> {
     /// The surface at level `at`, searched around `depths`.
@@ -45,7 +47,7 @@ impl Course<'_> {
         self.show(at, "searched", &found.surface);
         let mut surface = found.surface;
         for _ in 0..NUM_FUSIONS {
-            surface = self.fused(at, &surface, FUSION_PX)?;
+            surface = self.fused(at, &surface, SEARCHED_FUSION_PX)?;
         }
         self.report.finer_search_scatter_px = Some(found.scatter_px);
         self.report.laps.push(LapReport {

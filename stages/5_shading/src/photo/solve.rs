@@ -15,16 +15,16 @@ use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
 /// is followed by none: light and shape swing, or pixels beside edges change sides.
 const SETTLING: f64 = 0.8;
 
-/// Distance within which solved surfaces are fused, footprints.
-const FUSION_PX: f64 = 4.0;
+/// Distance within which solved surfaces are fused, footprints: a few times what they lie apart.
+pub(crate) const FUSION_PX: f64 = 4.0;
 
 /// σ_c of the last laps at the finest level, footprints: the views' noise is to be averaged, and no
-/// coarser error is left that one view would have to leave the others for.
+/// coarser error is left that one view would have to leave the others for. Less flattens fine detail.
 const FINEST_CONSENSUS_PX: f64 = 0.3;
 
-/// Factor of σ_m around a searched surface: patches have told what the photos agree on, single pixels
+/// Factor of σ_m around a searched surface, a ninth of the weight: patches have told what the photos agree on, single pixels
 /// add their disagreement.
-const SEARCHED_MATCH_FACTOR: f64 = 3.0;
+const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 
 /// Solves a loaded scene.
 pub(crate) fn solve(
@@ -185,8 +185,16 @@ impl Course<'_> {
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
             let mut weights = LapWeights {
-                match_factor: if searches { SEARCHED_MATCH_FACTOR } else { 1.0 },
-                consensus_px: FINEST_CONSENSUS_PX,
+                sigma_match_factor: if searches {
+                    SEARCHED_SIGMA_MATCH_FACTOR
+                } else {
+                    1.0
+                },
+                consensus_px: if self.is_finest(*at) {
+                    FINEST_CONSENSUS_PX
+                } else {
+                    PHOTOS_ONLY.consensus_px
+                },
                 visible_px: 3.5,
                 plate_knee: 0.05,
                 ..last

@@ -157,7 +157,8 @@ impl Case {
             knee: f64::INFINITY,
         };
         let solver = PlateSolver::direct(&view.pixels).unwrap();
-        // A second view in the same place holds the depth that is known; its photo says nothing.
+        // A second view in the same place holds the depth that is known; its photo says nothing. Its noise
+        // tilts it, by which it counts a little less than the first.
         let known = self.view.prior.as_ref().map(|prior| &prior.depth);
         let known = known.map(|map| {
             pixels

@@ -1,8 +1,8 @@
 //! The surfaces of all views, and what each says about another's pixels.
 //!
-//! Seen along the ray of pixel `x`, view j's surface is where `r(ζ) = ζ_j(x'(ζ)) − ln z_j(ζ)`
-//! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∇ζ_j · ∂x'/∂ζ − ∂ ln z_j/∂ζ`. One Newton step
-//! gives the depth that view j proposes.
+//! Seen along the ray of pixel `x`, view j's surface is where `r(ζ) = ln z_j(ζ) − ζ_j(x'(ζ))`
+//! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1 for a
+//! surface that both face. One Newton step gives the depth that view j proposes, `ζ − r / (∂r/∂ζ)`.
 
 use super::level::{self, Level, LevelView};
 use super::{plate, sampling};
@@ -18,31 +18,32 @@ pub(crate) enum Reading {
     Cubic,
 }
 
-/// Range of the sixteen values that a cubic reading may span, in pixels' footprints.
-const CUBIC_RANGE_PX: f64 = 16.0;
+/// Range that the sixteen values of a cubic reading may span, in footprints: they reach over three pixels
+/// where the four of one surface reach over one.
+const CUBIC_RANGE_PX: f64 = 2.0 * level::MAX_STEP_PX;
 
-/// Depths that views see a surface in, and how surely.
+/// Log depths of all views with their weights, for the other views to read.
 pub(crate) struct Surfaces<'a> {
     pub level: &'a Level,
     /// Log depth of every view.
     pub rasters: Vec<Raster<f32>>,
-    /// [`incidence_weights`] of every view.
+    /// [`incidence_weights`].
     weights: Vec<Raster<f32>>,
     reading: Reading,
 }
 
-/// What view j says about a pixel of another.
+/// What a source's surface says about a pixel of another view.
 pub(crate) struct Proposal {
-    /// `r`, log depth.
+    /// `r`, how much farther than the source's surface the pixel's point lies, log depth.
     pub r: f64,
     /// `∂r/∂ζ`.
     pub slope: f64,
-    /// [`incidence_weights`] there.
+    /// The source's [`incidence_weights`] where the point lands.
     pub weight: f64,
 }
 
 impl<'a> Surfaces<'a> {
-    /// Of log depths `depths`.
+    /// Surfaces at the log depths `depths`, one list per view.
     pub fn new(level: &'a Level, depths: &[Vec<f64>], reading: Reading) -> Self {
         Self {
             level,
@@ -69,7 +70,7 @@ impl<'a> Surfaces<'a> {
         Some(cubic.unwrap_or_else(|| sampling::bilinear_with_slope(raster, x, y)))
     }
 
-    /// Weight of a pixel of view `index`.
+    /// The [`incidence_weights`] of a pixel of view `index`.
     #[inline]
     pub fn weight(&self, index: usize, pixel: usize) -> f64 {
         let pixels = &self.level.views[index].pixels;

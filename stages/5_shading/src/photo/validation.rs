@@ -68,7 +68,7 @@ pub(crate) fn validate(
     weights: &ShadingWeights,
     options: &StepOptions,
 ) -> Result<Option<Validation>, (usize, PlateError)> {
-    // The views' surfaces take no part, however they are read.
+    // Without consensus only the depths count, for visibility; how they are read between pixels does not.
     let surfaces = Surfaces::new(level, depths, Reading::Bilinear);
     let rasters = &surfaces.rasters;
     let judged: Vec<Result<Evidence, PlateError>> = (0..level.views.len())
