@@ -109,10 +109,9 @@ impl Case {
         }
         case.sigma = share;
         case.view.prior = Some(DepthPrior {
-            depth: depth.clone(),
+            depth,
             weight: (share * case.surface.focal / KNOWN_PX).powi(2),
         });
-        case.view.initial_depth = Some(depth);
         case
     }
 
