@@ -491,22 +491,23 @@ pub enum Align {
 pub struct SynthArgs {
     /// Folder to write: photos, masks, sphere masks, truth
     pub output: PathBuf,
-    /// Number of photos
-    #[arg(long, value_name = "N", default_value_t = 6)]
-    pub views: usize,
-    /// Size of the photos
-    #[arg(long, value_name = "WxH", default_value = "640x480", value_parser = parse_dimensions)]
-    pub size: (usize, usize),
-    /// Another seed is another object
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
+    /// Number of photos [default: as `--config` says, else 6]
+    #[arg(long, value_name = "N")]
+    pub views: Option<usize>,
+    /// Size of the photos [default: as `--config` says, else 640x480]
+    #[arg(long, value_name = "WxH", value_parser = parse_dimensions)]
+    pub size: Option<(usize, usize)>,
+    /// Another seed is another object [default: as `--config` says, else 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
     /// Format of the photos
     #[arg(long, value_enum, default_value_t = SynthFormat::Jpeg)]
     pub format: SynthFormat,
     /// A mesh to photograph instead of a made object: z up, front towards -y, of any size
     #[arg(long, value_name = "FILE.ply")]
     pub mesh: Option<PathBuf>,
-    /// Options of scene and photographs, as TOML: tables `scene` and `photographs`
+    /// Options of scene and photographs, as TOML: tables `scene` and `photographs`; options given here
+    /// go before it
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     /// One JSON object a line on stdout

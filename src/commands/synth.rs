@@ -64,21 +64,28 @@ pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
         )?;
         console.note(&format!(
             "{} photos, masks and ground truth are in {}",
-            args.views,
+            options.photographs.num_views,
             args.output.display()
         ));
         Ok(())
     })
 }
 
+/// The file's options, over which those of the command line go.
 fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
     let mut options = match &args.config {
         None => SynthOptions::default(),
         Some(path) => read_toml(path)?,
     };
-    options.scene.seed = args.seed;
-    options.photographs.num_views = args.views;
-    (options.photographs.width, options.photographs.height) = args.size;
+    if let Some(seed) = args.seed {
+        options.scene.seed = seed;
+    }
+    if let Some(num_views) = args.views {
+        options.photographs.num_views = num_views;
+    }
+    if let Some((width, height)) = args.size {
+        (options.photographs.width, options.photographs.height) = (width, height);
+    }
     Ok(options)
 }
 
@@ -315,4 +322,41 @@ fn write_json(path: &Path, value: &serde_json::Value) -> anyhow::Result<()> {
     std::fs::write(path, serde_json::to_vec_pretty(value)?)
         .map_err(StoreError::files("write", path))?;
     Ok(())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, clippy::panic)]
+mod tests {
+    use super::*;
+    use crate::cli::{Cli, Command};
+    use clap::Parser;
+
+    #[test]
+    fn the_command_line_goes_over_the_file_and_the_file_over_the_defaults() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("options.toml");
+        std::fs::write(
+            &file,
+            "[scene]\nseed = 7\n[photographs]\nnum_views = 3\nwidth = 320\nheight = 200\n",
+        )
+        .unwrap();
+        let told = |given: &[&str]| {
+            let line = [&["rilievo", "synth", "set"], given].concat();
+            let Command::Synth(args) = Cli::parse_from(line).command else {
+                panic!("not synth");
+            };
+            let SynthOptions { scene, photographs } = options(&args).unwrap();
+            (
+                scene.seed,
+                photographs.num_views,
+                photographs.width,
+                photographs.height,
+            )
+        };
+        let config = ["--config", file.to_str().unwrap()];
+        assert_eq!(told(&[]), (1, 6, 640, 480));
+        assert_eq!(told(&config), (7, 3, 320, 200));
+        let given = ["--views", "2", "--size", "64x48", "--seed", "9"];
+        assert_eq!(told(&[&config[..], &given].concat()), (9, 2, 64, 48));
+    }
 }
