@@ -50,6 +50,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         &views,
         &lighting,
         &shaded,
+        &|name| report.photo.as_ref().is_some_and(|p| p.explains(name)),
         &context.request.options.lighting,
         context.console,
     )

@@ -337,7 +337,8 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         && spread > WHITE_BALANCE_WARNING
     {
         warnings.push(format!(
-            "colours differ by a factor of {spread:.2} between the photos; fix the white balance"
+            "colours differ by a factor of {spread:.2} between the photos: fix the white balance, \
+             unless lights of several colours shine on the object"
         ));
     }
     warnings

@@ -6,6 +6,9 @@
 //! sphere in the object's shadow or bounce light shows as a large first against a small third
 //! number, worst in the views from the side that the object hides from the sphere. What the third
 //! number leaves is the object's own shadow and bounce light.
+//!
+//! All three are distant lights. Where the shape came from a model that allows for shadow and bounce, and
+//! that explains the photo, they hurt nothing, and no advice is given.
 
 use crate::report::{SurfaceReport, ViewSurfaceReport};
 use crate::shape::{fit_on_normals, surface_pixels};
@@ -32,6 +35,7 @@ pub(crate) fn run(
     posed: &PosedViews,
     calibration: &LightingCalibration,
     shaded: &ShadedViews,
+    is_explained: &(dyn Fn(&str) -> bool + Sync),
     options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, LightingError> {
@@ -78,6 +82,7 @@ pub(crate) fn run(
     let mut gains: Vec<f64> = views.iter().map(|v| v.best_gain).collect();
     let albedo_factor = rilievo_numerics::robust::median(&mut gains);
     for view in &mut views {
+        view.explained = is_explained(&view.name);
         let common = albedo_factor.unwrap_or(1.0) / view.best_gain;
         // |g S − I|² grows quadratically around the best gain; S there explains all but the rest.
         let rest = view.used_rms_after_gain.powi(2);
@@ -158,6 +163,7 @@ fn one_view(
         unexplained_share: with_refit.map_or(with_used.unexplained, |a| a.unexplained),
         used_rms_after_albedo: with_used.rms,
         suffers: false,
+        explained: false,
     })
 }
 
@@ -173,9 +179,11 @@ fn advice(
              its albedo differs from the sphere's, or it is dirty or in its own shadow"
         ));
     }
+    // Light from elsewhere that does not fit is a mistake in a file, whatever the shape's model made of it.
+    let is_of_this_scene = matches!(source, LightSource::Sphere | LightSource::OwnShape);
     let suffering: Vec<String> = views
         .iter()
-        .filter(|v| v.suffers)
+        .filter(|v| v.suffers && !(v.explained && is_of_this_scene))
         .map(|v| {
             format!(
                 "{} ({:.0} % against {:.0} %)",
@@ -208,7 +216,7 @@ fn advice(
     }
     let shadowed: Vec<&str> = views
         .iter()
-        .filter(|v| v.unexplained_share > MUCH_UNEXPLAINED)
+        .filter(|v| v.unexplained_share > MUCH_UNEXPLAINED && !v.explained)
         .map(|v| v.name.as_str())
         .collect();
     if !shadowed.is_empty() {

@@ -89,7 +89,8 @@ pub fn run(
     }
 }
 
-/// Compares the light with the surface that was reconstructed under it (see `check`).
+/// Compares the light with the surface that was reconstructed under it (see `check`). `is_explained` tells
+/// of a view's name whether the shape's own model allowed for shadow and bounce light and explains the photo.
 ///
 /// # Errors
 /// [`LightingError::Pixels`], [`LightingError::Interrupted`].
@@ -98,9 +99,18 @@ pub fn check_on_surface(
     posed: &PosedViews,
     calibration: &LightingCalibration,
     shaded: &ShadedViews,
+    is_explained: &(dyn Fn(&str) -> bool + Sync),
     options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, LightingError> {
     options.validate()?;
-    check::run(photos, posed, calibration, shaded, options, observer)
+    check::run(
+        photos,
+        posed,
+        calibration,
+        shaded,
+        is_explained,
+        options,
+        observer,
+    )
 }

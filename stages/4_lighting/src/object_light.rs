@@ -137,7 +137,8 @@ pub(crate) fn confront(
             "the sphere's light does not explain the object in {}: {}{}",
             suffering.join(", "),
             "the sphere stands in the object's shadow or bounce light; move it away, or take a \
-             calibration photo of a sphere in the object's place",
+             calibration photo of a sphere in the object's place, for the paper's model; the photo \
+             model allows for both",
             if replaced {
                 " (the light fitted on the object's own anchors is used instead)"
             } else {

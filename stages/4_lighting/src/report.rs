@@ -206,8 +206,10 @@ pub struct ViewSurfaceReport {
     /// Share of the surface that the best distant light does not explain to 10 %: its own shadow
     /// and bounce light.
     pub unexplained_share: f64,
-    /// Whether the view suffers from its light.
+    /// Whether a shape under this light alone suffers from it.
     pub suffers: bool,
+    /// Whether the shape's own model allowed for shadow and bounce light, and explains the photo.
+    pub explained: bool,
 }
 
 /// Whether the light was the right one for the surface.

@@ -12,9 +12,9 @@ use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, DepthMap, FocalSource, InMemoryPixels, Intrinsics,
-    LightKind, Lighting, LinearImage, LocatedSphere, MarkedSphere, Photo, PhotoIdx, PhotoSet,
-    PosedView, PosedViews, Raster, RigidTransform, ShadedView, ShadedViews, Silent, SphereRequest,
-    SphericalHarmonics, ViewIdx,
+    LightKind, LightSource, Lighting, LightingCalibration, LinearImage, LocatedSphere,
+    MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, RigidTransform,
+    ShadedView, ShadedViews, Silent, SphereRequest, SphericalHarmonics, ViewIdx,
 };
 use std::sync::Arc;
 
@@ -383,24 +383,36 @@ fn a_sphere_in_another_light_is_overruled_by_the_object_and_said_so() {
             })
             .collect(),
     };
-    let check = |calibration| {
+    let check = |calibration: &LightingCalibration, is_explained: bool| {
         check_on_surface(
             &made.photos,
             &made.posed,
             calibration,
             &shaded,
+            &|_| is_explained,
             &options,
             &Silent,
         )
         .unwrap()
     };
-    let bad = check(&plain);
+    let bad = check(&plain, false);
     assert!(
         bad.views.iter().any(|v| v.suffers) && !bad.advice.is_empty(),
         "{bad:?}"
     );
-    let good = check(&corrected);
+    let good = check(&corrected, false);
     assert!(good.advice.is_empty(), "{:?}", good.advice);
+    // A model that allows for what the sphere did not see is not hurt; a light from elsewhere stays a mistake.
+    let is_warned = |calibration: &LightingCalibration, is_explained| {
+        let advice = check(calibration, is_explained).advice;
+        advice.iter().any(|line| line.contains("does not fit"))
+    };
+    let from_elsewhere = LightingCalibration {
+        source: LightSource::Given,
+        ..plain.clone()
+    };
+    assert!(is_warned(&plain, false) && !is_warned(&plain, true));
+    assert!(is_warned(&from_elsewhere, true));
 }
 
 #[test]

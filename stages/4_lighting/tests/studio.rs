@@ -146,6 +146,7 @@ fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_
             &set.posed,
             &calibration,
             shape,
+            &|_| false,
             &options,
             &Silent,
         );

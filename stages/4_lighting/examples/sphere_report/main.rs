@@ -161,6 +161,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         &set.posed,
         &calibration,
         &set.true_shape()?,
+        &|_| false,
         &options,
         &Silent,
     )?;

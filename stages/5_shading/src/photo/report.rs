@@ -3,6 +3,9 @@
 use super::validation::ValidationReport;
 use serde::Serialize;
 
+/// Median relative residual up to which the light explains a photo.
+const EXPLAINED: f64 = 0.05;
+
 /// Facts on one view.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct PhotoViewReport {
@@ -75,4 +78,15 @@ pub struct PhotoReport {
     pub pigment: Option<f64>,
     /// What the data could not tell.
     pub notes: Vec<String>,
+}
+
+impl PhotoReport {
+    /// Whether the light, with shadow and bounce, explains the photo of that name.
+    pub fn explains(&self, name: &str) -> bool {
+        let residual = |view: &PhotoViewReport| view.light_residual.filter(|_| view.name == name);
+        self.views
+            .iter()
+            .find_map(residual)
+            .is_some_and(|residual| residual <= EXPLAINED)
+    }
 }
