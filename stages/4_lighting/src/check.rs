@@ -8,7 +8,8 @@
 //! number leaves is the object's own shadow and bounce light.
 //!
 //! All three are distant lights. Where the shape came from a model that allows for shadow and bounce, and
-//! that explains the photo, they hurt nothing, and no advice is given.
+//! that explains the photo, they hurt nothing, and nothing is said of a sphere's light or an estimated
+//! one. Light from elsewhere that does not fit is told all the same: it is not the light of these photos.
 
 use crate::report::{SurfaceReport, ViewSurfaceReport};
 use crate::shape::{fit_on_normals, surface_pixels};
@@ -35,7 +36,7 @@ pub(crate) fn run(
     posed: &PosedViews,
     calibration: &LightingCalibration,
     shaded: &ShadedViews,
-    is_explained: &(dyn Fn(&str) -> bool + Sync),
+    is_explained: &dyn Fn(&str) -> bool,
     options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, LightingError> {
@@ -179,7 +180,6 @@ fn advice(
              its albedo differs from the sphere's, or it is dirty or in its own shadow"
         ));
     }
-    // Light from elsewhere that does not fit is a mistake in a file, whatever the shape's model made of it.
     let is_of_this_scene = matches!(source, LightSource::Sphere | LightSource::OwnShape);
     let suffering: Vec<String> = views
         .iter()
@@ -222,8 +222,8 @@ fn advice(
     if !shadowed.is_empty() {
         advice.push(format!(
             "no distant light explains more than {:.0} % of the object in {}: its own shadow, \
-             bounce light or stains. The photo model allows for them, the paper's model does not; \
-             softer light from several sides helps both",
+             bounce light, gloss or stains. The photo model allows for shadow and bounce light, the paper's \
+             model does not; softer light from several sides helps both",
             100.0 * (1.0 - MUCH_UNEXPLAINED),
             shadowed.join(", ")
         ));

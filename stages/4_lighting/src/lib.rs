@@ -99,7 +99,7 @@ pub fn check_on_surface(
     posed: &PosedViews,
     calibration: &LightingCalibration,
     shaded: &ShadedViews,
-    is_explained: &(dyn Fn(&str) -> bool + Sync),
+    is_explained: &dyn Fn(&str) -> bool,
     options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, LightingError> {

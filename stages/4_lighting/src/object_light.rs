@@ -136,9 +136,9 @@ pub(crate) fn confront(
         report.warnings.push(format!(
             "the sphere's light does not explain the object in {}: {}{}",
             suffering.join(", "),
-            "the sphere stands in the object's shadow or bounce light; move it away, or take a \
-             calibration photo of a sphere in the object's place, for the paper's model; the photo \
-             model allows for both",
+            "the sphere stands in the object's shadow or bounce light. The photo model allows for \
+             that; for the paper's model move the sphere away, or take a calibration photo of a sphere \
+             in the object's place",
             if replaced {
                 " (the light fitted on the object's own anchors is used instead)"
             } else {

@@ -119,6 +119,7 @@ impl Course<'_> {
         let mut record = LapReport {
             level: at,
             kind: kind.to_owned(),
+            sigma_match: options.matching.sigma,
             sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
             ..LapReport::default()
         };

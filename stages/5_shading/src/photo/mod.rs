@@ -4,18 +4,20 @@
 //! the photos' agreement under a static light holds it. Per view, unknown the log depth `ζ` of every
 //! masked pixel:
 //!
-//! `min Σ_j ρ((I_j(x'(ζ)) − I_i(x))/σ_m) + Σ ρ((l·h(n(∇ζ)) − Ĩ(1+e))/σ_s) + Σ_j w_ij ρ(r_ij/σ_c) + α Σ ρ(D²ζ)`:
+//! `min Σ_j ρ((I_j(x'(ζ)) − I_i(x))/σ_m) + Σ ρ((l·h(n(∇ζ)) − Ĩ(1+e))/σ_s)
+//!  + Σ_j w_ij ρ(r_ij/σ_c) + α Σ ρ(D²ζ)`:
 //! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
 //! views' surfaces (`consensus` tells `w`), a weak robust thin plate.
 //!
 //! Steps: dense search inside the visual hull (`hull`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
-//! and `shading` against the other views' `surfaces`, first without shading, then in laps of light and shape (`light`, `distant`) at half
-//! the coarse resolution and at the coarse one, with the pigment divided out (`albedo`) and shading
-//! judged by photos that are left out (`validation`); finer levels, searched once more where photos
-//! disagree (`searched`, fused before it is solved) and fused at the end (`consensus`); and what shape, light and pigment
-//! explain of the photos (`appearance`, `confidence`).
+//! and `shading` against the other views' `surfaces`, first without shading, then in laps of light and
+//! shape (`light`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
+//! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
+//! searched once more where photos disagree (`searched`, fused before it is solved) and fused at the
+//! end (`consensus`); and what shape, light and pigment explain of the photos (`appearance`,
+//! `confidence`).
 
 mod albedo;
 mod appearance;

@@ -67,9 +67,10 @@ impl Course<'_> {
         } else {
             None
         };
-        let used = seen.is_some();
+        let sees_shadows = seen.is_some();
+        self.report.light_sees_shadows = sees_shadows;
         let light = seen.or_else(|| distant::fit(level, depths, kind));
-        self.report.shading = match (used, light.is_some()) {
+        self.report.shading = match (sees_shadows, light.is_some()) {
             (true, _) => "light with visibility".to_owned(),
             (false, true) => "distant light".to_owned(),
             (false, false) => "no light could be fitted".to_owned(),

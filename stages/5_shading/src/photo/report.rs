@@ -3,7 +3,8 @@
 use super::validation::ValidationReport;
 use serde::Serialize;
 
-/// Median relative residual up to which the light explains a photo.
+/// Median relative residual up to which the light explains a photo: matte rendered objects leave 1 to 4.5 %,
+/// a glossy one 8 %, a real bust in a room 20 %.
 const EXPLAINED: f64 = 0.05;
 
 /// Facts on one view.
@@ -23,7 +24,8 @@ pub struct PhotoViewReport {
     pub confirmed: f64,
     /// Share of the pixels that only this view sees.
     pub seen_alone: f64,
-    /// Median relative residual of the light at the final shape, where shading was used.
+    /// Median relative residual of the light at the shape that it was last fitted on, pigment divided out,
+    /// where shading was used.
     pub light_residual: Option<f64>,
     /// Mean trust in shading after cross-validation, 0 to 1.
     pub shading_trust: Option<f64>,
@@ -46,6 +48,8 @@ pub struct LapReport {
     pub lap_turned_deg: f64,
     /// Rounds.
     pub num_rounds: usize,
+    /// Relative standard deviation that the photos' agreement was given; 0 where it took no part.
+    pub sigma_match: f64,
     /// Relative standard deviation that shading was given; 0 where it took no part.
     pub sigma_shading: f64,
     /// Median relative residual between the photos over all views.
@@ -71,6 +75,8 @@ pub struct PhotoReport {
     pub finer_search_scatter_px: Option<f64>,
     /// Whether shading took part, and why not.
     pub shading: String,
+    /// Whether its light allows for shadow and bounce light.
+    pub light_sees_shadows: bool,
     /// What photos that were left out said of shading.
     pub validation: Option<ValidationReport>,
     /// Share of the small-scale brightness, beyond what the light explains, that colour predicts:
@@ -81,12 +87,39 @@ pub struct PhotoReport {
 }
 
 impl PhotoReport {
-    /// Whether the light, with shadow and bounce, explains the photo of that name.
+    /// Whether a light that allows for shadow and bounce explains the photo of that name.
     pub fn explains(&self, name: &str) -> bool {
-        let residual = |view: &PhotoViewReport| view.light_residual.filter(|_| view.name == name);
-        self.views
-            .iter()
-            .find_map(residual)
-            .is_some_and(|residual| residual <= EXPLAINED)
+        let view = self.views.iter().find(|view| view.name == name);
+        let residual = view.and_then(|view| view.light_residual);
+        self.light_sees_shadows && residual.is_some_and(|residual| residual <= EXPLAINED)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_photo_is_explained_by_a_light_with_shadows_that_leaves_little() {
+        let view = |name: &str, light_residual| PhotoViewReport {
+            name: name.to_owned(),
+            light_residual,
+            ..PhotoViewReport::default()
+        };
+        let mut report = PhotoReport {
+            light_sees_shadows: true,
+            views: vec![
+                view("matte", Some(0.03)),
+                view("glossy", Some(0.09)),
+                view("unshaded", None),
+            ],
+            ..PhotoReport::default()
+        };
+        let explained = |report: &PhotoReport| {
+            ["matte", "glossy", "unshaded", "absent"].map(|name| report.explains(name))
+        };
+        assert_eq!(explained(&report), [true, false, false, false]);
+        report.light_sees_shadows = false;
+        assert_eq!(explained(&report), [false; 4]);
     }
 }

@@ -22,8 +22,8 @@ pub(crate) const FUSION_PX: f64 = 4.0;
 /// coarser error is left that one view would have to leave the others for. Less flattens fine detail.
 const FINEST_CONSENSUS_PX: f64 = 0.3;
 
-/// Factor of σ_m around a searched surface, a ninth of the weight: patches have told what the photos agree on, single pixels
-/// add their disagreement.
+/// Factor of σ_m around a searched surface, a ninth of the weight of small residuals and a third of that of
+/// large ones: patches have told what the photos agree on, single pixels add their disagreement.
 const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 
 /// Solves a loaded scene.

@@ -177,7 +177,7 @@ impl Case {
                 left_out: None,
             },
             sigma_consensus: KNOWN_PX / level.focal(),
-            // Far below what shading weighs: it only ends what the stencil's central slopes leave free.
+            // Far below what shading weighs: it only ends what central slopes leave free.
             plate_weight: 1e-2,
             plate_knee: f64::INFINITY,
             max_step: f64::INFINITY,
