@@ -16,6 +16,7 @@ use opencv::core::{self, KeyPoint, Mat, Vector};
 use opencv::features2d::SIFT;
 use opencv::prelude::{Feature2DTrait, KeyPointTraitConst, MatTraitConstManual};
 use rilievo_scene::{Keypoint, LinearImage, Photo, PhotoKeypoints, Raster};
+use std::sync::Once;
 
 /// Shift of OpenCV 4.6's SIFT positions, pixels of the image that it was given.
 const OPENCV_SIFT_OFFSET_PX: f32 = 0.25;
@@ -116,8 +117,12 @@ fn sift(
         action: "detect SIFT keypoints",
         source,
     };
-    // The program runs photos in parallel itself.
-    core::set_num_threads(1).map_err(failed)?;
+    // The program runs photos in parallel itself. Setting the number ends and starts OpenCV's threads, which
+    // must not happen twice at the same time.
+    static ONE_THREAD: Once = Once::new();
+    let mut outcome = Ok(());
+    ONE_THREAD.call_once(|| outcome = core::set_num_threads(1));
+    outcome.map_err(failed)?;
     let input =
         Mat::new_rows_cols_with_data(image.height as i32, image.width as i32, &image.data[..])
             .map_err(failed)?;
@@ -153,7 +158,7 @@ fn sift(
 mod tests {
     use super::*;
     use rilievo_scene::{FocalSource, InMemoryPixels, Intrinsics, Mask};
-    use std::sync::Arc;
+    use std::sync::{Arc, Barrier};
 
     const BLOBS: [(f64, f64, f64); 4] = [
         (40.3, 37.8, 4.0),
@@ -211,6 +216,24 @@ mod tests {
             assert!(keypoint.bright, "blob at ({x}, {y})");
         }
         assert_eq!(found.descriptors.len(), 128 * found.keypoints.len());
+    }
+
+    #[test]
+    fn photos_are_searched_at_the_same_time() {
+        const NUM_THREADS: usize = 8;
+        let (photo, options) = (photo(1), FeaturesOptions::default());
+        let expected = detect(&photo, &options).unwrap();
+        let together = Barrier::new(NUM_THREADS);
+        std::thread::scope(|scope| {
+            for _ in 0..NUM_THREADS {
+                scope.spawn(|| {
+                    for _ in 0..25 {
+                        together.wait();
+                        assert_eq!(detect(&photo, &options).unwrap(), expected);
+                    }
+                });
+            }
+        });
     }
 
     #[test]
