@@ -11,6 +11,7 @@
 //! | 6 | reading or writing failed |
 //! | 130 | interrupted, resumable |
 
+use crate::paths;
 use crate::store::StoreError;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -19,6 +20,7 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Problem {
     /// The file.
+    #[serde(serialize_with = "paths::shown")]
     pub file: PathBuf,
     /// What is wrong with it, and what to try.
     pub reason: String,

@@ -12,9 +12,11 @@ mod config;
 mod exit;
 mod interrupt;
 mod observe;
+mod paths;
 mod pipeline;
 mod report;
 mod store;
+mod system;
 
 use clap::Parser;
 use std::process::ExitCode;
@@ -22,7 +24,8 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let cli = cli::Cli::parse();
     interrupt::listen();
-    match commands::dispatch(cli.command) {
+    let outcome = pipeline::start_threads(cli.command.threads());
+    match outcome.and_then(|()| commands::dispatch(cli.command)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             tell!("error: {error:#}");

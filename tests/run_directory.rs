@@ -201,6 +201,11 @@ fn an_evaluation_goes_with_the_results_that_it_judged() {
         let page = run_dir.join("report.html");
         let text = std::fs::read_to_string(&page).unwrap();
         let text = text.replace("<!-- evaluation -->", "<!-- evaluation -->judged");
+        // A page ends with the hash of what stands before it.
+        let (content, seal) = text.rsplit_once(": ").unwrap();
+        let content = content.strip_suffix("<!-- blake3 of the page before this line").unwrap();
+        let hash = blake3::hash(content.as_bytes()).to_hex();
+        let text = text.replace(seal, &format!("{hash} -->\n"));
         std::fs::write(&page, text).unwrap();
     };
     let stands = || {
@@ -217,6 +222,220 @@ fn an_evaluation_goes_with_the_results_that_it_judged() {
     let (code, _, stderr) = run(&["clean", arg(&run_dir), "2_features"]);
     assert_eq!(code, 0, "{stderr}");
     assert_eq!(stands(), (false, false));
+}
+
+#[test]
+fn damage_of_the_same_size_is_found_and_mended() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    two_stages(&photos, &run_dir, &[]);
+    let file = run_dir.join("2_features/pairs.bin");
+    let whole = std::fs::read(&file).unwrap();
+    let damage = || {
+        let mut bytes = whole.clone();
+        bytes[0] ^= 1;
+        std::fs::write(&file, &bytes).unwrap();
+    };
+    damage();
+    let (code, _, _) = run(&["status", arg(&run_dir)]);
+    assert_eq!(code, 0, "sizes are as they were");
+    let (code, stdout, stderr) = run(&["status", arg(&run_dir), "--verify"]);
+    assert_eq!(code, 5, "{stdout}");
+    assert!(
+        stdout.contains("2_features   damaged: pairs.bin"),
+        "{stdout}"
+    );
+    assert!(stderr.contains("damaged: 2_features"), "{stderr}");
+    let (code, _, stderr) = run(&["run", "3_poses", arg(&run_dir)]);
+    assert_eq!(code, 5, "{stderr}");
+    assert!(stderr.contains("pairs.bin"), "{stderr}");
+    assert_eq!(two_stages(&photos, &run_dir, &[]), both(true, false));
+    assert!(std::fs::read(&file).unwrap() == whole);
+    // A manifest tells of its own damage, and its stage is made again.
+    let manifest = run_dir.join("1_photos/manifest.json");
+    let text = std::fs::read_to_string(&manifest).unwrap();
+    std::fs::write(&manifest, text.replacen("\"bits\": 8", "\"bits\": 9", 1)).unwrap();
+    assert_eq!(two_stages(&photos, &run_dir, &[]), both(false, true));
+}
+
+#[test]
+fn a_run_that_is_moved_with_its_photos_is_still_valid() {
+    let dir = tempfile::tempdir().unwrap();
+    let project = dir.path().join("project");
+    let photos = noise_photos(&project, 2);
+    std::fs::create_dir(project.join("masks")).unwrap();
+    let good = rilievo_scene::Mask::from_fn(160, 120, |x, y| {
+        (40..120).contains(&x) && (30..90).contains(&y)
+    });
+    for index in 0..2 {
+        let file = project.join(format!("masks/p{index}.png"));
+        rilievo_io::write_mask(&file, &good).unwrap();
+    }
+    let masks = |project: &Path| project.join("masks");
+    let with = masks(&project);
+    two_stages(&photos, &project.join("run"), &["--masks", arg(&with)]);
+    let moved = dir.path().join("elsewhere/moved");
+    std::fs::create_dir_all(moved.parent().unwrap()).unwrap();
+    std::fs::rename(&project, &moved).unwrap();
+    let (code, stdout, stderr) = run(&["status", arg(&moved.join("run"))]);
+    assert_eq!(code, 0, "{stderr}");
+    assert_eq!(stdout.matches(" valid").count(), 2, "{stdout}");
+    let with = masks(&moved);
+    assert_eq!(
+        two_stages(
+            &moved.join("photos"),
+            &moved.join("run"),
+            &["--masks", arg(&with)]
+        ),
+        both(true, true)
+    );
+    // What is added is named.
+    let (_, why, _) = run(&["why", arg(&moved.join("run")), "1_photos"]);
+    assert!(why.contains("would be kept"), "{why}");
+    let (code, _, stderr) =
+        reconstruct_until("2_features", &moved.join("photos"), &moved.join("run"), &[]);
+    assert_eq!(code, 0);
+    assert!(stderr.contains("mask of p0.jpg is gone"), "{stderr}");
+}
+
+#[test]
+fn a_run_of_other_photos_is_not_replaced_unasked() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    two_stages(&photos, &run_dir, &[]);
+    let others = dir.path().join("others");
+    std::fs::create_dir(&others).unwrap();
+    write_noise_photo(&others.join("p0.jpg"), 70);
+    write_noise_photo(&others.join("p1.jpg"), 71);
+    let before = common::results(&run_dir);
+    let asked = std::fs::read(run_dir.join("run.json")).unwrap();
+    let (code, _, stderr) = reconstruct_until("2_features", &others, &run_dir, &[]);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("--overwrite"), "{stderr}");
+    assert!(common::results(&run_dir) == before);
+    assert!(std::fs::read(run_dir.join("run.json")).unwrap() == asked);
+    assert_eq!(
+        two_stages(&others, &run_dir, &["--overwrite"]),
+        both(false, false)
+    );
+}
+
+#[test]
+fn nothing_in_a_run_directory_leads_elsewhere() {
+    use std::os::unix::fs::symlink;
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let foreign = dir.path().join("foreign");
+    std::fs::create_dir(&foreign).unwrap();
+    let letter = foreign.join("letter.txt");
+    for place in [
+        ".lock",
+        ".work",
+        ".old",
+        "evaluation",
+        "1_photos",
+        "run.json",
+    ] {
+        std::fs::write(&letter, "Dear reader,").unwrap();
+        let run_dir = dir.path().join(format!("run{place}"));
+        two_stages(&photos, &run_dir, &[]);
+        let link = run_dir.join(place);
+        let _ = std::fs::remove_file(&link);
+        let _ = std::fs::remove_dir_all(&link);
+        symlink(if place == ".lock" { &letter } else { &foreign }, &link).unwrap();
+        let more = ["--from", "1_photos"];
+        let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &more);
+        if place == "run.json" {
+            // Its copy is enough, and the link makes way for the file.
+            assert_eq!(code, 0, "{stderr}");
+        } else {
+            assert_eq!(code, 5, "{place}: {stderr}");
+            assert!(stderr.contains("is a link"), "{place}: {stderr}");
+        }
+        let left: Vec<_> = std::fs::read_dir(&foreign).unwrap().collect();
+        assert_eq!(left.len(), 1, "{place}");
+        assert_eq!(std::fs::read(&letter).unwrap(), b"Dear reader,", "{place}");
+    }
+}
+
+#[test]
+fn names_that_are_no_utf8_stay_distinct() {
+    use std::os::unix::ffi::OsStrExt;
+    let dir = tempfile::tempdir().unwrap();
+    let odd = dir
+        .path()
+        .join(std::ffi::OsStr::from_bytes(b"odd\xffplace"));
+    let photos = odd.join("photos");
+    std::fs::create_dir_all(&photos).unwrap();
+    for (seed, name) in [&b"a\xff.jpg"[..], b"a\xfe.jpg"].into_iter().enumerate() {
+        write_noise_photo(
+            &photos.join(std::ffi::OsStr::from_bytes(name)),
+            seed as u64 + 1,
+        );
+    }
+    let run_dir = odd.join("run");
+    let reconstruct = || {
+        common::rilievo()
+            .args(["reconstruct", "--until", "2_features", "--json", "-o"])
+            .args([&run_dir, &photos])
+            .output()
+            .unwrap()
+    };
+    for reused in [false, true] {
+        let output = reconstruct();
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{stderr}");
+        let stdout = String::from_utf8_lossy(&output.stdout);
+        assert_eq!(stages(&stdout), both(reused, reused));
+    }
+    for name in ["a%FF", "a%FE"] {
+        assert!(run_dir.join(format!("1_photos/linear/{name}.exr")).exists());
+    }
+    let status = common::rilievo()
+        .arg("status")
+        .arg(&run_dir)
+        .output()
+        .unwrap();
+    assert_eq!(status.status.code(), Some(0));
+}
+
+#[test]
+fn names_that_no_result_can_have_are_left_out_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    write_noise_photo(&photos.join(format!("{}.jpg", "x".repeat(251))), 5);
+    write_noise_photo(&photos.join("two\nlines.jpg"), 6);
+    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &dir.path().join("run"), &[]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains("its name has 251 bytes"), "{stderr}");
+    assert!(stderr.contains("control character"), "{stderr}");
+}
+
+#[test]
+fn what_is_no_file_is_left_out_and_does_not_hang() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let pipe = photos.join("pipe.jpg");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    assert!(made.is_ok_and(|status| status.success()));
+    std::os::unix::fs::symlink("/dev/zero", photos.join("zero.jpg")).unwrap();
+    let _socket = std::os::unix::net::UnixListener::bind(photos.join("socket.jpg")).unwrap();
+    let run_dir = dir.path().join("run");
+    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
+    assert_eq!(code, 0, "{stderr}");
+    for name in ["pipe.jpg", "zero.jpg", "socket.jpg"] {
+        let told = stderr
+            .lines()
+            .any(|line| line.contains(name) && line.contains("no regular file"));
+        assert!(told, "{name}: {stderr}");
+    }
+    for option in ["--cameras", "--sphere", "--lighting", "--config", "--masks"] {
+        let (code, _, stderr) =
+            reconstruct_until("1_photos", &photos, &run_dir, &[option, arg(&pipe)]);
+        assert_eq!(code, 3, "{option}: {stderr}");
+    }
 }
 
 #[test]
@@ -331,11 +550,36 @@ fn a_damaged_request_is_asked_anew_and_the_results_are_kept() {
     let photos = noise_photos(dir.path(), 2);
     let run_dir = dir.path().join("run");
     two_stages(&photos, &run_dir, &[]);
-    std::fs::write(run_dir.join("run.json"), "{\"program\": \"ril").unwrap();
+    let [file, copy] = ["run.json", ".run.json"].map(|name| run_dir.join(name));
+    let whole = std::fs::read_to_string(&file).unwrap();
+    // One of the two is enough, and what was found is said.
+    let digit = whole.replacen("0.8", "0.7", 1);
+    for text in [Some(""), Some("{}"), Some(digit.as_str()), None] {
+        match text {
+            Some(text) => std::fs::write(&file, text).unwrap(),
+            None => std::fs::remove_file(&file).unwrap(),
+        }
+        let (code, stdout, stderr) = run(&["status", arg(&run_dir)]);
+        assert_eq!(code, 0, "{stderr}");
+        assert!(stdout.contains("2_features   valid"), "{stdout}");
+        assert!(stderr.contains("its copy"), "{stderr}");
+    }
+    assert_eq!(two_stages(&photos, &run_dir, &[]), both(true, true));
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), whole);
+
+    for path in [&file, &copy] {
+        std::fs::write(path, "{\"program\": \"ril").unwrap();
+    }
     let (code, _, stderr) = run(&["status", arg(&run_dir)]);
     assert_eq!(code, 5, "{stderr}");
     let told = stderr.contains("run.json") && stderr.contains("rilievo reconstruct");
     assert!(told, "{stderr}");
+    for path in [&file, &copy] {
+        std::fs::remove_file(path).unwrap();
+    }
+    let (code, _, stderr) = run(&["status", arg(&run_dir)]);
+    assert_eq!(code, 5, "{stderr}");
+    assert!(stderr.contains("but results of one"), "{stderr}");
     assert_eq!(two_stages(&photos, &run_dir, &[]), both(true, true));
     let (code, _, stderr) = run(&["status", arg(&run_dir)]);
     assert_eq!(code, 0, "{stderr}");

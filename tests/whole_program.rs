@@ -220,6 +220,88 @@ fn ctrl_c_ends_soon_and_leaves_a_resumable_run() {
     assert!(status.contains("1_photos     valid"), "{status}");
 }
 
+#[test]
+fn a_flipped_bit_anywhere_is_found_and_never_told_as_a_result() {
+    let _alone = alone();
+    let (expected, _) = reference();
+    let dir = tempfile::tempdir().unwrap();
+    let run_dir = dir.path().join("run");
+    let set = synthetic_set();
+    let copied = Command::new("cp")
+        .arg("-a")
+        .args([expected, &run_dir])
+        .status();
+    assert!(copied.is_ok_and(|status| status.success()));
+    reconstruct(&set, &run_dir, &[]);
+    let mut files = Vec::new();
+    let mut folders = vec![run_dir.clone()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap().flatten() {
+            if entry.path().is_dir() {
+                folders.push(entry.path());
+            } else if entry.metadata().unwrap().len() > 0 {
+                files.push(entry.path());
+            }
+        }
+    }
+    files.sort();
+    files.retain(|file| !file.starts_with(run_dir.join("evaluation")));
+    let mut num_flips = 0;
+    for (index, file) in files.iter().enumerate() {
+        let whole = std::fs::read(file).unwrap();
+        // First, last, and places in between that differ from file to file.
+        for place in [0.0, 0.31, 0.57, 0.83, 1.0] {
+            let last = (whole.len() - 1) as f64;
+            let shift = (97 * index) as f64 * place * (1.0 - place);
+            let at = (place * last + shift).min(last) as usize;
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1 << (index % 8);
+            std::fs::write(file, &bytes).unwrap();
+            num_flips += 1;
+            let what = format!("bit {} of byte {at} of {}", index % 8, file.display());
+            if file.parent() == Some(&run_dir) {
+                let said = reconstruct(&set, &run_dir, &[]);
+                assert!(std::fs::read(file).unwrap() == whole, "{what}: {said}");
+            } else {
+                let (code, stdout, _) = run(&["status", arg(&run_dir), "--verify"]);
+                // White space in a manifest means nothing.
+                let is_manifest = file.file_name().is_some_and(|name| name == "manifest.json");
+                assert!(
+                    code == 5 && stdout.contains("damaged")
+                        || is_manifest && whole[at].is_ascii_whitespace(),
+                    "{what}: {stdout}"
+                );
+                std::fs::write(file, &whole).unwrap();
+            }
+        }
+    }
+    assert!(num_flips >= 200, "{num_flips}");
+    // What is damaged is made again, and what follows from it stays.
+    for (file, stage) in [
+        ("1_photos/linear/IMG_0002.exr", "1_photos"),
+        ("2_features/pairs.bin", "2_features"),
+        ("3_poses/posed_views.json", "3_poses"),
+        ("4_lighting/calibration.json", "4_lighting"),
+        ("6_fusion/cloud.ply", "6_fusion"),
+    ] {
+        let path = run_dir.join(file);
+        let mut bytes = std::fs::read(&path).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 4;
+        std::fs::write(&path, bytes).unwrap();
+        let said = reconstruct(&set, &run_dir, &[]);
+        assert!(
+            said.contains(&format!("{stage}: redoing, because it is damaged")),
+            "{said}"
+        );
+        assert_eq!(
+            differences(expected, &run_dir),
+            Vec::<String>::new(),
+            "{file}"
+        );
+    }
+}
+
 fn start(set: &Path, run_dir: &Path) -> std::process::Child {
     Command::new(env!("CARGO_BIN_EXE_rilievo"))
         .args(reconstruct_arguments(set, run_dir))

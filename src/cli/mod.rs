@@ -1,5 +1,6 @@
 //! The command line, as other tools call it.
 
+mod examples;
 mod parse;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -14,7 +15,7 @@ use std::path::PathBuf;
 
 /// Photographs of a plain, matte object to an accurate, finely detailed 3D model, by shading.
 #[derive(Debug, Parser)]
-#[command(version, max_term_width = 100, after_help = EXIT_CODES)]
+#[command(version = env!("RILIEVO_VERSION"), max_term_width = 100, after_help = EXIT_CODES)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -29,34 +30,71 @@ be used, 4 the data do not allow a result, 5 run directory in use, damaged or of
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// A synthetic scene, photographed, reconstructed and measured: one to two minutes
+    #[command(after_help = examples::DEMO)]
     Demo(DemoArgs),
     /// Looks at photos and masks before anything is computed: what is good, what is not, what to do
+    #[command(after_help = examples::CHECK)]
     Check(CheckArgs),
     /// Proposes masks of an object before a plain backdrop, to be looked at and corrected
+    #[command(after_help = examples::MASK)]
     Mask(MaskArgs),
     /// Photographs to depth maps, a point cloud and a mesh
+    #[command(after_help = examples::RECONSTRUCT)]
     Reconstruct(Box<ReconstructArgs>),
     /// One stage of a run again, with what the run directory says
+    #[command(after_help = examples::RUN)]
     Run(RunArgs),
     /// Which stages of a run are valid, stale (and why) or missing
+    #[command(after_help = examples::STATUS)]
     Status(StatusArgs),
     /// Why a stage would be redone or kept
+    #[command(after_help = examples::WHY)]
     Why(StageArgs),
     /// Deletes the results of a stage
+    #[command(after_help = examples::CLEAN)]
     Clean(StageArgs),
     /// Shape from shading alone: one view, or several coupled; refinement of a measured depth
+    #[command(after_help = examples::SHADE)]
     Shade(Box<ShadeArgs>),
     /// Depth and normal maps of other programs (COLMAP, OpenMVS, OpenEXR) to one cloud and one mesh
+    #[command(after_help = examples::FUSE)]
     Fuse(Box<FuseArgs>),
     /// Accuracy of a run against ground truth
+    #[command(after_help = examples::EVALUATE)]
     Evaluate(EvaluateArgs),
     /// A synthetic photo folder with ground truth
+    #[command(after_help = examples::SYNTH)]
     Synth(SynthArgs),
     /// Cameras of another program to cameras.json; an object of DiLiGenT or DiLiGenT-MV to a folder of
     /// photos, masks and truth
+    #[command(after_help = examples::IMPORT)]
     Import(ImportArgs),
     /// Cameras of a run, or of cameras.json, to another program's format
+    #[command(after_help = examples::EXPORT)]
     Export(ExportArgs),
+}
+
+impl Command {
+    /// The number of threads that was asked for.
+    pub fn threads(&self) -> Option<u16> {
+        let work = match self {
+            Self::Demo(args) => &args.work,
+            Self::Check(args) => &args.work,
+            Self::Mask(args) => &args.work,
+            Self::Reconstruct(args) => &args.work,
+            Self::Run(args) => &args.work,
+            Self::Shade(args) => &args.work,
+            Self::Fuse(args) => &args.work,
+            Self::Status(_)
+            | Self::Why(_)
+            | Self::Clean(_)
+            | Self::Evaluate(_)
+            | Self::Synth(_)
+            | Self::Import(_)
+            | Self::Export(_) => return None,
+        };
+        work.threads
+    }
 }
 
 /// `rilievo demo`
@@ -232,6 +270,9 @@ pub struct ReconstructArgs {
     /// Options of the stages, as TOML
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
+    /// Replaces the results of other photos in RUN
+    #[arg(long)]
+    pub overwrite: bool,
     /// Redo from this stage on, valid or not
     #[arg(long, value_name = "STAGE", value_parser = parse_stage)]
     pub from: Option<StageId>,
@@ -266,7 +307,8 @@ pub enum Anchors {
 #[derive(Clone, Copy, Debug, Args)]
 pub struct SurfaceArgs {
     /// Distance between the points of the cloud, in metres (the cameras' unit where it is another);
-    /// by default about one point a pixel of the best view
+    /// by default about one point a pixel of the best view. It thins the cloud only: the mesh keeps
+    /// its resolution
     #[arg(long, value_name = "LENGTH")]
     pub spacing: Option<f64>,
     /// Closes the mesh where no view saw anything
@@ -322,6 +364,9 @@ pub struct FuseArgs {
     /// Options, as TOML: table `fusion`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
+    /// Writes over files in DIR that no earlier `rilievo fuse` wrote
+    #[arg(long)]
+    pub overwrite: bool,
     /// Folder for cloud.ply, mesh.ply, mesh.obj, mesh.glb and report.json
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
@@ -357,6 +402,9 @@ pub struct RunArgs {
 pub struct StatusArgs {
     /// The run directory
     pub run: PathBuf,
+    /// Reads every file and compares it with what was written
+    #[arg(long)]
+    pub verify: bool,
     /// As JSON
     #[arg(long)]
     pub json: bool,
@@ -537,5 +585,20 @@ mod tests {
     #[test]
     fn the_definition_is_consistent() {
         <Cli as clap::CommandFactory>::command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_has_examples_that_it_understands() {
+        let program = <Cli as clap::CommandFactory>::command();
+        for command in program.get_subcommands() {
+            let help = command.get_after_help().map(ToString::to_string);
+            let help = help.unwrap_or_default();
+            let examples: Vec<&str> = help.lines().skip(1).collect();
+            assert!(!examples.is_empty(), "{}", command.get_name());
+            for example in examples {
+                let parsed = Cli::try_parse_from(example.split_whitespace());
+                assert!(parsed.is_ok(), "{example}: {:?}", parsed.err());
+            }
+        }
     }
 }

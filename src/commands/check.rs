@@ -6,7 +6,6 @@ use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, check_photos};
-use crate::store::Contents;
 use rilievo_photos::PhotosReport;
 
 /// Runs the command.
@@ -34,7 +33,7 @@ fn look(
         cameras: args.cameras.clone(),
         ..Request::of_photos(args.photos.clone(), options)
     };
-    let inputs = Inputs::scan(&request, &mut Contents::without_memory())?;
+    let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {
         console.note(&format!("  {problem}"));
     }

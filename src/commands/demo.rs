@@ -2,7 +2,7 @@
 //! alone through all six stages, and measured against the truth.
 
 use super::evaluate::{self, Comparison};
-use super::reconstruct::bring_run_up_to_date;
+use super::reconstruct::{Allowed, bring_run_up_to_date};
 use super::reporting;
 use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
 use crate::cli::{DemoArgs, SynthFormat};
@@ -19,7 +19,7 @@ use std::path::Path;
 /// # Errors
 /// When a stage fails, or the folder cannot be written.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
-    let facts = serde_json::json!({"folder": args.output});
+    let facts = serde_json::json!({"folder": args.output.display().to_string()});
     reporting(args.work.json, facts, |console| run(args, console))
 }
 
@@ -46,7 +46,8 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
         redo_from: None,
         until: StageId::Fusion,
     };
-    bring_run_up_to_date(&request, &run, range, &args.work, console)?;
+    let allowed = Allowed { overwrite: true };
+    bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
     let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     let evaluation = comparison.measure()?;
     comparison.show(&evaluation)?;

@@ -13,7 +13,7 @@ use crate::config::StageOptions;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, from_io, linear_photo, map_photos};
-use crate::store::{Contents, StoreError};
+use crate::store::StoreError;
 use rilievo_io::{Preview, write_mask, write_preview_png};
 use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
 use rilievo_scene::{LinearImage, Mask};
@@ -58,7 +58,7 @@ fn propose(
     let mut options = StageOptions::default();
     options.override_with(None, None, args.encoding);
     let request = Request::of_photos(args.photos.clone(), options);
-    let inputs = Inputs::scan(&request, &mut Contents::without_memory())?;
+    let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {
         console.note(&format!("  {problem}"));
     }

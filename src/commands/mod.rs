@@ -17,6 +17,7 @@ mod synth;
 use crate::cli::Command;
 use crate::exit::Failure;
 use crate::observe::Console;
+use crate::paths;
 use crate::pipeline::Request;
 use crate::store::{RunDir, StoreError};
 
@@ -43,16 +44,23 @@ pub fn dispatch(command: Command) -> anyhow::Result<()> {
     }
 }
 
-/// The request that a run directory was made for.
+/// The request that a run directory was made for, as it stands where the run is now; a damage of
+/// `run.json` is told.
 fn stored_request(run: &RunDir) -> Result<Request, Failure> {
-    let value = run.read_run_file()?;
-    let request = value.get("request").cloned().unwrap_or_default();
-    serde_json::from_value(request).map_err(|error| {
-        StoreError::DamagedRequest {
+    let found = run.read_run_file()?;
+    if let Some(repaired) = &found.repaired {
+        tell!("warning: {repaired}");
+    }
+    let request: Request = serde_json::from_value(found.request).map_err(|error| {
+        Failure::from(StoreError::DamagedRequest {
             path: run.root().join("run.json"),
             reason: error.to_string(),
-        }
-        .into()
+        })
+    })?;
+    let place = std::path::absolute(run.root()).map_err(StoreError::files("find", run.root()))?;
+    Ok(match paths::from_json(&found.root) {
+        Some(before) if before != place => request.moved(&before, &place),
+        _ => request,
     })
 }
 

@@ -4,9 +4,11 @@ use super::reporting;
 use crate::cli::{ReconstructArgs, WorkArgs};
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Context, Inputs, Plan, Range, Request, Resources, bring_up_to_date};
+use crate::pipeline::{
+    Context, Inputs, Plan, Range, Request, Resources, bring_up_to_date, is_another_set,
+};
 use crate::report::{self, Outcome};
-use crate::store::{Contents, RunDir};
+use crate::store::RunDir;
 use rilievo_scene::StageId;
 use std::path::Path;
 
@@ -19,11 +21,21 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
         redo_from: args.from,
         until: args.until.unwrap_or(StageId::Fusion),
     };
-    let facts = serde_json::json!({"run": args.output, "until": range.until});
+    let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
     reporting(args.work.json, facts, |console| {
         let request = Request::from_args(args)?;
-        bring_run_up_to_date(&request, &args.output, range, &args.work, console)
+        let allowed = Allowed {
+            overwrite: args.overwrite,
+        };
+        bring_run_up_to_date(&request, &args.output, range, allowed, &args.work, console)
     })
+}
+
+/// What the user allows beyond what is safe.
+#[derive(Clone, Copy, Debug)]
+pub struct Allowed {
+    /// Results of other photos may be replaced.
+    pub overwrite: bool,
 }
 
 /// Opens or creates a run directory for a request and brings its stages up to date.
@@ -34,6 +46,7 @@ pub fn bring_run_up_to_date(
     request: &Request,
     root: &Path,
     range: Range,
+    allowed: Allowed,
     work: &WorkArgs,
     console: &Console,
 ) -> anyhow::Result<()> {
@@ -48,8 +61,13 @@ pub fn bring_run_up_to_date(
         // Written first, so that the folder is known as ours whatever follows.
         run.write_run_file(request)?;
     }
+    if let Ok(found) = run.read_run_file()
+        && let Some(repaired) = found.repaired
+    {
+        console.note(&format!("warning: {repaired}"));
+    }
     let mut plan = None;
-    let outcome = work_in(&run, request, range, resources, console, &mut plan);
+    let outcome = work_in(&run, request, range, allowed, resources, console, &mut plan);
     let told = Outcome::of(outcome.as_ref().err());
     if !matches!(&outcome, Ok(false)) || !report::tells(&run, request, &told) {
         // A report that cannot be written must not hide why the run failed.
@@ -70,18 +88,35 @@ pub fn bring_run_up_to_date(
     Ok(())
 }
 
+/// A finished run of other photos is somebody's work: it is not replaced by accident.
+fn same_object(run: &RunDir, inputs: &Inputs) -> Result<(), Failure> {
+    match run.manifest(StageId::Photos) {
+        Ok(Some(manifest)) if is_another_set(inputs, &manifest.ingredients) => {
+            Err(Failure::Usage(format!(
+                "{} holds a run of other photos (none of {} is the same): choose another folder \
+                 with -o, or say --overwrite to replace its results",
+                run.root().display(),
+                inputs.photos.len(),
+            )))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Brings stages up to date; tells whether anything had to be done.
 fn work_in(
     run: &RunDir,
     request: &Request,
     range: Range,
+    allowed: Allowed,
     resources: Resources,
     console: &Console,
     planned: &mut Option<Plan>,
 ) -> anyhow::Result<bool> {
-    let mut contents = Contents::load(run.root());
-    let inputs = Inputs::scan(request, &mut contents)?;
-    contents.save()?;
+    let inputs = Inputs::scan(request)?;
+    if !allowed.overwrite {
+        same_object(run, &inputs)?;
+    }
     // A request whose files cannot be used does not replace the one that the results are of.
     run.write_run_file(request)?;
     let plan = planned.insert(Plan::new(request, &inputs));

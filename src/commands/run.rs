@@ -6,14 +6,14 @@ use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{Context, Inputs, Plan, Resources, StageState, run_stage, upstream};
 use crate::report::{self, Outcome};
-use crate::store::{Contents, RunDir};
+use crate::store::{Look, RunDir};
 
 /// Runs the command.
 ///
 /// # Errors
 /// When a stage that this one reads is missing or stale, or the stage fails.
 pub fn run(args: &RunArgs) -> anyhow::Result<()> {
-    let facts = serde_json::json!({"run": args.run, "stage": args.stage});
+    let facts = serde_json::json!({"run": args.run.display().to_string(), "stage": args.stage});
     reporting(args.work.json, facts, |console| redo(args, console))
 }
 
@@ -21,12 +21,10 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<()> {
     let resources = Resources::new(&args.work);
     let run = RunDir::open(&args.run)?;
     let request = stored_request(&run)?;
-    let mut contents = Contents::load(run.root());
-    let inputs = Inputs::scan(&request, &mut contents)?;
-    contents.save()?;
+    let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
     for &needed in upstream(args.stage) {
-        match plan.state(&run, needed)? {
+        match plan.state(&run, needed, Look::Contents)? {
             StageState::Valid => {}
             state => {
                 return Err(Failure::RunDirectory(format!(

@@ -1,10 +1,10 @@
-//! `rilievo status RUN` and `rilievo why RUN STAGE`: what is valid, stale or missing, and why.
+//! `rilievo status RUN` and `rilievo why RUN STAGE`: what is valid, stale, damaged or missing, and why.
 
 use super::stored_request;
 use crate::cli::{StageArgs, StatusArgs};
 use crate::exit::Failure;
 use crate::pipeline::{Inputs, Plan, StageState, upstream};
-use crate::store::{Contents, RunDir};
+use crate::store::{Look, RunDir};
 use rilievo_scene::StageId;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -12,14 +12,19 @@ use std::collections::BTreeMap;
 /// `rilievo status`
 ///
 /// # Errors
-/// When the run directory or its inputs cannot be read; a stage whose manifest cannot, after the state
-/// of all stages was told.
+/// When the run directory or its inputs cannot be read; where a stage is damaged, after the state of
+/// all stages was told.
 pub fn status(args: &StatusArgs) -> anyhow::Result<()> {
     let run = RunDir::open_to_read(&args.run)?;
     let plan = plan(&run)?;
+    let look = if args.verify {
+        Look::Contents
+    } else {
+        Look::Sizes
+    };
     let states: BTreeMap<StageId, Result<StageState, Failure>> = StageId::ALL
         .into_iter()
-        .map(|stage| (stage, plan.state(&run, stage)))
+        .map(|stage| (stage, plan.state(&run, stage, look)))
         .collect();
     let mut lines = serde_json::Map::new();
     for (stage, state) in &states {
@@ -47,7 +52,20 @@ pub fn status(args: &StatusArgs) -> anyhow::Result<()> {
         }
     }
     if args.json {
-        say!("{}", json!({"run": args.run, "stages": lines}))?;
+        let run = args.run.display().to_string();
+        say!("{}", json!({"run": run, "stages": lines}))?;
+    }
+    let damaged: Vec<&str> = states
+        .iter()
+        .filter(|(_, state)| matches!(state, Ok(StageState::Damaged { .. })))
+        .map(|(stage, _)| stage.name())
+        .collect();
+    if !damaged.is_empty() {
+        return Err(Failure::RunDirectory(format!(
+            "damaged: {}; `rilievo reconstruct` makes what is damaged again",
+            damaged.join(", ")
+        ))
+        .into());
     }
     states
         .into_values()
@@ -73,16 +91,17 @@ fn lacking(
 /// `rilievo why`
 ///
 /// # Errors
-/// As [`status`].
+/// When the run directory or its inputs cannot be read.
 pub fn why(args: &StageArgs) -> anyhow::Result<()> {
     let run = RunDir::open_to_read(&args.run)?;
     let plan = plan(&run)?;
     let stage = args.stage;
-    match plan.state(&run, stage)? {
+    match plan.state(&run, stage, Look::Contents)? {
         StageState::Valid => {
             say!("{stage} would be kept: it was made from exactly what it would be made from now")?
         }
         StageState::Missing => say!("{stage} would be run: it has no result yet")?,
+        StageState::Damaged { reason } => say!("{stage} would be redone: {reason}")?,
         StageState::Stale { reasons } => {
             say!("{stage} would be redone:")?;
             for reason in reasons {
@@ -91,14 +110,15 @@ pub fn why(args: &StageArgs) -> anyhow::Result<()> {
         }
     }
     for &of in upstream(stage) {
-        say!("it reads {of}, which is {}", plan.state(&run, of)?)?;
+        say!(
+            "it reads {of}, which is {}",
+            plan.state(&run, of, Look::Sizes)?
+        )?;
     }
     Ok(())
 }
 
 fn plan(run: &RunDir) -> anyhow::Result<Plan> {
     let request = stored_request(run)?;
-    let mut contents = Contents::load(run.root());
-    let inputs = Inputs::scan(&request, &mut contents)?;
-    Ok(Plan::new(&request, &inputs))
+    Ok(Plan::new(&request, &Inputs::scan(&request)?))
 }

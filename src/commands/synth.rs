@@ -49,7 +49,7 @@ pub struct SynthOptions {
 /// # Errors
 /// Unusable options, or a folder that holds something else or cannot be written.
 pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
-    let facts = serde_json::json!({"folder": args.output});
+    let facts = serde_json::json!({"folder": args.output.display().to_string()});
     reporting(args.json, facts, |console| {
         let options = options(args)?;
         if !is_set(&args.output) && !is_new(&args.output)? {

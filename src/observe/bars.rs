@@ -34,7 +34,10 @@ impl Bars {
             bar.reset_eta();
             bar.set_prefix(of.to_owned());
             bar.set_message(step.to_owned());
-            bar.enable_steady_tick(Duration::from_millis(500));
+            // The bar's own thread may be refused, which would end the program.
+            if std::thread::Builder::new().spawn(|| ()).is_ok() {
+                bar.enable_steady_tick(Duration::from_millis(500));
+            }
             (step.to_owned(), bar)
         });
         bar.set_length(total as u64);

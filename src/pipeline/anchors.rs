@@ -1,9 +1,9 @@
 //! Depth anchors as files for other programs: `anchors.ply` and the table `anchors.json`.
 
-use crate::store::{StageWriter, StoreError};
+use super::artifacts;
+use crate::store::StageWriter;
 use rilievo_scene::{Anchor, AnchorObservation, AnchorOrigin, PosedViews, Unit};
 use serde::Serialize;
-use std::io::{BufWriter, Write};
 
 /// The table. Observations are rows of numbers, since there are tens of thousands.
 #[derive(Serialize)]
@@ -35,15 +35,8 @@ struct Row<'a> {
 /// # Errors
 /// When they cannot be written.
 pub fn write(writer: &StageWriter, views: &PosedViews) -> anyhow::Result<()> {
-    let path = writer.path("anchors.json")?;
-    let file = std::fs::File::create(&path).map_err(StoreError::files("write", &path))?;
-    let mut out = BufWriter::new(file);
-    serde_json::to_writer(&mut out, &table(views))?;
-    out.flush().map_err(StoreError::files("write", &path))?;
-
-    let path = writer.path("anchors.ply")?;
-    std::fs::write(&path, ply(views)).map_err(StoreError::files("write", &path))?;
-    Ok(())
+    artifacts::write_json(writer, "anchors.json", &table(views))?;
+    Ok(artifacts::write(writer, "anchors.ply", &ply(views))?)
 }
 
 fn table(views: &PosedViews) -> Table<'_> {

@@ -1,6 +1,7 @@
 //! Stage 2: `keypoints/NAME.bin` (postcard), `pairs.bin`.
 
 use super::Context;
+use super::artifacts::{from_binary, not_there, read_binary, write_binary};
 use super::errors::from_features;
 use super::parallel::map_items;
 use super::plan::version;
@@ -9,10 +10,11 @@ use crate::store::{Item, RunDir, StageWriter, StoreError, hash_json};
 use anyhow::Context as _;
 use rilievo_features::FeaturesOptions;
 use rilievo_scene::{FeatureMatches, PairMatches, Photo, PhotoKeypoints, StageId};
-use std::path::Path;
 
 /// Bytes per pixel at the peak of SIFT with its upsampled octave.
 const BYTES_PER_PX: u64 = 260;
+
+const PAIRS: &str = "pairs.bin";
 
 /// Detects keypoints photo by photo and matches them.
 ///
@@ -24,7 +26,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let manifest = context
         .run
         .manifest(StageId::Photos)?
-        .ok_or_else(|| super::poses::not_there(StageId::Photos))?;
+        .ok_or_else(|| not_there(StageId::Photos))?;
     let largest = photos
         .photos
         .iter()
@@ -56,7 +58,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let (matches, report) =
         rilievo_features::match_photos(&photos, keypoints, options, context.console)
             .map_err(from_features)?;
-    write_binary(&writer.path("pairs.bin")?, &matches.pairs)?;
+    write_binary(writer, PAIRS, &matches.pairs)?;
     context
         .console
         .warn_all(StageId::Features, &report.warnings);
@@ -119,12 +121,14 @@ fn one(
 ) -> anyhow::Result<PhotoKeypoints> {
     let file = keypoints_file(&photo.name);
     if writer.reuse(&photo.name, &key)?.is_some() {
-        return read_binary(&writer.dir().join(&file));
+        let path = writer.dir().join(&file);
+        let bytes = std::fs::read(&path).map_err(StoreError::files("read", &path))?;
+        return from_binary(&path, &bytes);
     }
     let keypoints = rilievo_features::detect(photo, &context.request.options.features)
         .map_err(from_features)
         .with_context(|| format!("detecting keypoints in {}", photo.file_name))?;
-    write_binary(&writer.path(&file)?, &keypoints)?;
+    write_binary(writer, &file, &keypoints)?;
     let item = Item {
         key,
         files: vec![file],
@@ -135,28 +139,12 @@ fn one(
     Ok(keypoints)
 }
 
-/// Writes a value in the compact binary form that is kept for descriptors.
-fn write_binary(path: &Path, value: &impl serde::Serialize) -> anyhow::Result<()> {
-    let bytes = postcard::to_stdvec(value)?;
-    std::fs::write(path, bytes).map_err(StoreError::files("write", path))?;
-    Ok(())
-}
-
-fn read_binary<T: serde::de::DeserializeOwned>(path: &Path) -> anyhow::Result<T> {
-    let bytes = std::fs::read(path).map_err(StoreError::files("read", path))?;
-    let value = postcard::from_bytes(&bytes).map_err(|error| StoreError::Damaged {
-        path: path.to_path_buf(),
-        reason: error.to_string(),
-    })?;
-    Ok(value)
-}
-
 /// Keypoints of one photo, by its name without ending.
 ///
 /// # Errors
 /// When the file is missing or damaged.
 pub fn load_keypoints(run: &RunDir, name: &str) -> anyhow::Result<PhotoKeypoints> {
-    read_binary(&run.stage_dir(StageId::Features).join(keypoints_file(name)))
+    read_binary(run, StageId::Features, &keypoints_file(name))
 }
 
 /// Verified matches of all pairs.
@@ -164,5 +152,5 @@ pub fn load_keypoints(run: &RunDir, name: &str) -> anyhow::Result<PhotoKeypoints
 /// # Errors
 /// When the file is missing or damaged.
 pub fn load_pairs(run: &RunDir) -> anyhow::Result<Vec<PairMatches>> {
-    read_binary(&run.stage_dir(StageId::Features).join("pairs.bin"))
+    read_binary(run, StageId::Features, PAIRS)
 }

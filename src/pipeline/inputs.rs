@@ -3,13 +3,16 @@
 use super::request::{LightingInput, Request};
 use super::spheres::SphereInputs;
 use crate::exit::{Failure, Problem};
-use crate::store::{Contents, StoreError, hash_json};
+use crate::paths::text_of;
+use crate::store::{hash_file, hash_json};
+use rayon::prelude::*;
 use rilievo_io::{
     CameraEntry, CameraFile, CameraFormat, IoError, SphereFile, find_mask, import_cameras,
     is_mask_among, read_cameras, read_lighting,
 };
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// One photo file with what belongs to it.
@@ -55,7 +58,7 @@ impl Inputs {
     ///
     /// # Errors
     /// [`Failure::Input`] with every file that makes the request impossible.
-    pub fn scan(request: &Request, contents: &mut Contents) -> Result<Self, Failure> {
+    pub fn scan(request: &Request) -> Result<Self, Failure> {
         let (paths, skipped) = photo_files(&request.photos)?;
         let cameras = request
             .cameras
@@ -69,7 +72,8 @@ impl Inputs {
         let mut unreadable = Vec::new();
         let mut photos = Vec::with_capacity(paths.len());
         let mut by_name = BTreeMap::<String, PathBuf>::new();
-        for path in paths {
+        let hashes: Vec<_> = paths.par_iter().map(|path| hash_file(path)).collect();
+        for (path, hash) in paths.into_iter().zip(hashes) {
             let file_name = text_of(path.file_name());
             let name = text_of(path.file_stem());
             if let Some(other) = by_name.insert(name.clone(), path.clone()) {
@@ -82,13 +86,14 @@ impl Inputs {
                 });
                 continue;
             }
-            let hash = match contents.hash(&path) {
-                Ok(hash) => hash,
-                Err(error) => {
-                    let reason = match error {
-                        StoreError::Files { reason, .. } => format!("cannot be read: {reason}"),
-                        other => other.to_string(),
-                    };
+            let hash = match (hash, unfit_name(&name)) {
+                (Ok(hash), None) => hash,
+                (Err(error), _) => {
+                    let reason = format!("cannot be read: {error}");
+                    unreadable.push(Problem { file: path, reason });
+                    continue;
+                }
+                (_, Some(reason)) => {
                     unreadable.push(Problem { file: path, reason });
                     continue;
                 }
@@ -98,13 +103,14 @@ impl Inputs {
                 .join(&file_name)
                 .to_string_lossy()
                 .into_owned();
-            let mask = match masks.as_ref().map(|folder| folder.find(&with_folder)) {
-                Some(Ok(mask)) => {
-                    let hash = contents.hash(&mask)?;
+            // Without one, it may also be the photo's own alpha channel, which only decoding shows.
+            let mask = masks.as_ref().and_then(|folder| folder.find(&with_folder));
+            let mask = match mask {
+                Some(mask) => {
+                    let hash = hash_of(&mask)?;
                     Some((mask, hash))
                 }
-                // A mask may also be the photo's own alpha channel, which only decoding shows.
-                Some(Err(_)) | None => None,
+                None => None,
             };
             let camera = cameras
                 .as_ref()
@@ -152,8 +158,8 @@ impl Inputs {
             }
         }
         warnings.extend(twins(&photos));
-        let spheres = SphereInputs::scan(&request.sphere, contents)?;
-        let lighting_hashes = lighting_inputs(&request.lighting, &photos, contents)?;
+        let spheres = SphereInputs::scan(&request.sphere)?;
+        let lighting_hashes = lighting_inputs(&request.lighting, &photos)?;
         Ok(Self {
             photos,
             unreadable,
@@ -256,43 +262,39 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
 
 /// The folder of masks with the names of its files.
 struct MaskFolder {
-    folder: PathBuf,
     names: Vec<String>,
+    files: BTreeMap<String, PathBuf>,
 }
 
 impl MaskFolder {
     fn open(folder: &Path) -> Result<Self, Failure> {
         let entries = std::fs::read_dir(folder)
             .map_err(|error| Failure::input(folder, format!("cannot be read: {error}")))?;
-        let mut names = Vec::new();
+        let mut files = BTreeMap::new();
         for entry in entries.flatten() {
             let name = text_of(Some(&entry.file_name()));
             if entry.path().is_dir() {
-                let inside = std::fs::read_dir(entry.path())
-                    .into_iter()
-                    .flatten()
-                    .flatten();
-                names.extend(
-                    inside.map(|entry| format!("{name}/{}", text_of(Some(&entry.file_name())))),
-                );
+                let inside = std::fs::read_dir(entry.path());
+                for entry in inside.into_iter().flatten().flatten() {
+                    let name = format!("{name}/{}", text_of(Some(&entry.file_name())));
+                    files.insert(name, entry.path());
+                }
             } else {
-                names.push(name);
+                files.insert(name, entry.path());
             }
         }
-        names.sort();
-        if names.is_empty() {
+        if files.is_empty() {
             return Err(Failure::input(folder, "the folder of masks is empty"));
         }
         Ok(Self {
-            folder: folder.to_path_buf(),
-            names,
+            names: files.keys().cloned().collect(),
+            files,
         })
     }
 
-    fn find(&self, photo: &str) -> Result<PathBuf, usize> {
-        find_mask(photo, &self.names)
-            .map(|name| self.folder.join(name))
-            .ok_or(self.names.len())
+    fn find(&self, photo: &str) -> Option<PathBuf> {
+        let name = find_mask(photo, &self.names)?;
+        self.files.get(name).cloned()
     }
 }
 
@@ -318,7 +320,6 @@ fn twins(photos: &[PhotoInput]) -> Vec<String> {
 fn lighting_inputs(
     lighting: &LightingInput,
     photos: &[PhotoInput],
-    contents: &mut Contents,
 ) -> Result<BTreeMap<String, String>, Failure> {
     let mut hashes = BTreeMap::new();
     match lighting {
@@ -334,7 +335,7 @@ fn lighting_inputs(
                     "holds no lighting of any photo; its views go by the photos' names (--lighting)",
                 ));
             }
-            hashes.insert("lighting file".into(), contents.hash(path)?);
+            hashes.insert("lighting file".into(), hash_of(path)?);
             if let Some(name) = name {
                 hashes.insert("lighting name".into(), name.clone());
             }
@@ -346,7 +347,7 @@ fn lighting_inputs(
                 if file.exists() {
                     found += 1;
                     let role = format!("shape of {}", photo.name);
-                    hashes.insert(role, contents.hash(&file)?);
+                    hashes.insert(role, hash_of(&file)?);
                 }
             }
             if found == 0 {
@@ -365,6 +366,33 @@ pub fn shape_file(folder: &Path, name: &str) -> PathBuf {
     folder.join(format!("{name}_depth.exr"))
 }
 
-fn text_of(name: Option<&std::ffi::OsStr>) -> String {
-    name.map_or(String::new(), |name| name.to_string_lossy().into_owned())
+/// Content hash of a file that was asked for.
+///
+/// # Errors
+/// When there is no such file, it is none, or it cannot be read.
+pub fn hash_of(path: &Path) -> Result<String, Failure> {
+    hash_file(path).map_err(|error| match error.kind() {
+        ErrorKind::NotFound | ErrorKind::InvalidInput => {
+            Failure::input(path, format!("cannot be read: {error}"))
+        }
+        _ => Failure::ReadOrWrite(format!("cannot read {}: {error}", path.display())),
+    })
+}
+
+/// Longest name without ending, bytes: file systems take 255 with the longest ending of a result.
+const MAX_NAME_BYTES: usize = 255 - ".json".len();
+
+/// Why results cannot be called by a photo's name.
+fn unfit_name(name: &str) -> Option<String> {
+    if name.len() > MAX_NAME_BYTES {
+        return Some(format!(
+            "its name has {} bytes; results are called by it, which takes {MAX_NAME_BYTES} at most: \
+             rename the photo",
+            name.len()
+        ));
+    }
+    name.contains(char::is_control).then(|| {
+        "its name holds a control character, which lists of photos cannot: rename the photo"
+            .to_owned()
+    })
 }

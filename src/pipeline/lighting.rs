@@ -3,11 +3,12 @@
 //! per sphere.
 
 use super::Context;
+use super::artifacts::{read_json, write_text};
 use super::errors::{from_io, from_lighting};
 use super::inputs::shape_file;
 use super::request::LightingInput;
 use crate::exit::Failure;
-use crate::store::{StageWriter, StoreError};
+use crate::store::StageWriter;
 use rilievo_io::{
     LightingFile, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
 };
@@ -43,9 +44,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         let path = writer.path(&format!("overlay/{}.png", overlay.name))?;
         write_preview_png(&path, Preview::Linear(&overlay.picture), 0).map_err(from_io)?;
     }
-    let path = writer.path(CALIBRATION)?;
-    let text = serde_json::to_vec_pretty(&calibration)?;
-    std::fs::write(&path, text).map_err(StoreError::files("write", &path))?;
+    write_text(writer, CALIBRATION, &calibration)?;
     Ok(serde_json::to_value(report)?)
 }
 
@@ -54,13 +53,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 /// # Errors
 /// When it is missing or damaged.
 pub fn load(context: &Context<'_>) -> anyhow::Result<LightingCalibration> {
-    let path = context.run.stage_dir(StageId::Lighting).join(CALIBRATION);
-    let text = std::fs::read(&path).map_err(|_| super::poses::not_there(StageId::Lighting))?;
-    let calibration = serde_json::from_slice(&text).map_err(|error| StoreError::Damaged {
-        path,
-        reason: error.to_string(),
-    })?;
-    Ok(calibration)
+    read_json(context.run, StageId::Lighting, CALIBRATION)
 }
 
 fn lighting_request(

@@ -4,6 +4,7 @@
 //! it, so that a run that was stopped and continued sees the same bytes as an undisturbed one.
 
 mod anchors;
+mod artifacts;
 mod errors;
 mod features;
 mod fusion;
@@ -21,9 +22,9 @@ pub use errors::{from_fusion, from_io, from_lighting, from_shading};
 pub use features::{load_keypoints, load_pairs};
 pub use fusion::write_surface;
 pub use inputs::Inputs;
-pub use parallel::Resources;
+pub use parallel::{Resources, start_threads};
 pub use photos::{check as check_photos, linear_photo, map_photos};
-pub use plan::{Plan, StageState, upstream};
+pub use plan::{Plan, StageState, is_another_set, upstream};
 pub use poses::load as load_poses;
 pub use request::{Request, SphereInput};
 pub use shading::{shown_albedo, write_maps};
@@ -31,7 +32,8 @@ pub use shading::{shown_albedo, write_maps};
 use crate::exit::Failure;
 use crate::interrupt;
 use crate::observe::{Console, StageNews};
-use crate::store::{FORMAT_VERSION, Manifest, RunDir, StageWriter};
+use crate::store::{FORMAT_VERSION, Look, Manifest, RunDir, StageWriter};
+use crate::system;
 use rilievo_scene::StageId;
 use std::time::Instant;
 
@@ -72,7 +74,7 @@ pub fn bring_up_to_date(
         if stage > range.until {
             break;
         }
-        let state = plan.state(context.run, stage)?;
+        let state = plan.state(context.run, stage, Look::Contents)?;
         let forced = range.redo_from.is_some_and(|from| stage >= from);
         let reason = match state {
             StageState::Valid if !forced => {
@@ -81,6 +83,7 @@ pub fn bring_up_to_date(
             }
             StageState::Valid => "redone as asked".to_owned(),
             StageState::Missing => "starting".to_owned(),
+            StageState::Damaged { reason } => format!("redoing, because it is damaged: {reason}"),
             StageState::Stale { reasons } => format!("redoing, because {}", reasons.join("; ")),
         };
         run_stage(context, plan, stage, &reason)?;
@@ -105,7 +108,17 @@ pub fn run_stage(
     context
         .console
         .stage(stage, &StageNews::Started(reason.to_owned()));
+    for &of in upstream(stage) {
+        if let StageState::Damaged { reason } = plan.state(context.run, of, Look::Contents)? {
+            return Err(Failure::RunDirectory(format!(
+                "stage {stage} reads {of}, which is damaged: {reason}; `rilievo reconstruct` makes \
+                 it again"
+            ))
+            .into());
+        }
+    }
     let began = Instant::now();
+    system::forget_peak_memory();
     let writer = context.run.begin(stage)?;
     let report = dispatch(context, stage, &writer)?;
     if interrupt::requested() {
@@ -115,12 +128,14 @@ pub fn run_stage(
     let seconds = began.elapsed().as_secs_f64();
     let manifest = Manifest {
         format_version: FORMAT_VERSION,
-        program: concat!("rilievo ", env!("CARGO_PKG_VERSION")).to_owned(),
+        program: system::PROGRAM.to_owned(),
         fingerprint: ingredients.fingerprint(),
         ingredients,
         items: Default::default(),
         seed: context.request.options.poses.seed,
         seconds,
+        threads: rayon::current_num_threads(),
+        peak_memory_bytes: system::peak_memory(),
         warnings: context.console.take_warnings(stage),
         files: Default::default(),
         report,

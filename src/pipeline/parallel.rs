@@ -13,14 +13,8 @@ pub struct Resources {
 }
 
 impl Resources {
-    /// Sets the number of threads for the whole program and reads the memory limit.
+    /// Reads the memory limit.
     pub fn new(args: &WorkArgs) -> Self {
-        if let Some(threads) = args.threads {
-            // Fails only when a pool exists already, which then has been set up the same way.
-            let _ = rayon::ThreadPoolBuilder::new()
-                .num_threads(usize::from(threads))
-                .build_global();
-        }
         Self {
             memory: args.memory.unwrap_or_else(half_of_free_memory),
         }
@@ -31,6 +25,18 @@ impl Resources {
         let fitting = self.memory / bytes_each.max(1);
         (fitting.max(1) as usize).min(rayon::current_num_threads())
     }
+}
+
+/// Starts the threads of the whole program, all cores' without a number.
+///
+/// # Errors
+/// When the system refuses them.
+pub fn start_threads(number: Option<u16>) -> anyhow::Result<()> {
+    let threads = number.map_or(0, usize::from);
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build_global()
+        .map_err(|error| anyhow::anyhow!("cannot start the threads ({error}); try --threads 1"))
 }
 
 /// Half of what the system says is available; 2 GiB where it does not say.

@@ -1,6 +1,7 @@
 //! Stage 1: `linear/NAME.exr`, `masks/NAME.png`, and the preflight in the manifest.
 
 use super::Context;
+use super::artifacts::{checked_names, not_there};
 use super::errors::from_io;
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, map_items};
@@ -201,10 +202,18 @@ pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
     let manifest = context
         .run
         .manifest(StageId::Photos)?
-        .ok_or_else(|| super::poses::not_there(StageId::Photos))?;
+        .ok_or_else(|| not_there(StageId::Photos))?;
+    let names = manifest.items.keys().map(String::as_str);
+    checked_names(context.run, StageId::Photos, "manifest.json", names)?;
     let mut usable = Vec::new();
     for item in manifest.items.into_values() {
         if let Kept::Usable { facts, mask } = serde_json::from_value(item.facts)? {
+            checked_names(
+                context.run,
+                StageId::Photos,
+                "manifest.json",
+                [&*facts.name],
+            )?;
             usable.push(from_disk(&dir, *facts, mask)?);
         }
     }
@@ -295,12 +304,13 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
             reason: "was replaced while it was read; run the same command again".to_owned(),
         }));
     }
-    let decoded = decode_photo_bytes(&photo.path, &bytes).map_err(|error| {
+    let mut decoded = decode_photo_bytes(&photo.path, &bytes).map_err(|error| {
         let hint = error
             .hint
             .map_or(String::new(), |hint| format!(" ({hint})"));
         Trouble::Photo(format!("{}{hint}", error.reason))
     })?;
+    decoded.file_name.clone_from(&photo.file_name);
     let mut mask_path = photo.path.clone();
     let mask = match &photo.mask {
         Some((path, _)) => {

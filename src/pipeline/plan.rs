@@ -3,10 +3,10 @@
 use super::inputs::Inputs;
 use super::request::{Request, SphereInput};
 use crate::exit::Failure;
-use crate::store::{Ingredients, Manifest, RunDir};
+use crate::store::{Ingredients, Look, RunDir, StoreError, hash_json};
 use rilievo_scene::StageId;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// State of a stage's result.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -19,6 +19,11 @@ pub enum StageState {
         /// What changed.
         reasons: Vec<String>,
     },
+    /// A file of it is gone or does not have the content that it was written with.
+    Damaged {
+        /// Which, and how.
+        reason: String,
+    },
     /// Not there.
     Missing,
 }
@@ -28,6 +33,7 @@ impl std::fmt::Display for StageState {
         match self {
             Self::Valid => f.write_str("valid"),
             Self::Stale { reasons } => write!(f, "stale: {}", reasons.join("; ")),
+            Self::Damaged { reason } => write!(f, "damaged: {reason}"),
             Self::Missing => f.write_str("missing"),
         }
     }
@@ -90,32 +96,30 @@ impl Plan {
         &self.ingredients[&stage]
     }
 
-    /// State of a stage's result.
+    /// State of a stage's result, whose files are looked at as closely as asked.
     ///
     /// # Errors
     /// When its manifest cannot be read, or is of another version.
-    pub fn state(&self, run: &RunDir, stage: StageId) -> Result<StageState, Failure> {
-        let Some(manifest) = run.manifest(stage)? else {
-            return Ok(StageState::Missing);
+    pub fn state(&self, run: &RunDir, stage: StageId, look: Look) -> Result<StageState, Failure> {
+        let manifest = match run.manifest(stage) {
+            Ok(Some(manifest)) => manifest,
+            Ok(None) => return Ok(StageState::Missing),
+            Err(error @ StoreError::Damaged { .. }) => {
+                let reason = error.to_string();
+                return Ok(StageState::Damaged { reason });
+            }
+            Err(error) => return Err(error.into()),
         };
-        Ok(self.state_of(&manifest, run, stage))
-    }
-
-    fn state_of(&self, manifest: &Manifest, run: &RunDir, stage: StageId) -> StageState {
+        if let Some(reason) = manifest.damage(&run.stage_dir(stage), look) {
+            return Ok(StageState::Damaged { reason });
+        }
         let now = self.of(stage);
-        if let Some(damage) = manifest.damage(&run.stage_dir(stage)) {
-            return StageState::Stale {
-                reasons: vec![damage],
-            };
-        }
         if manifest.fingerprint == now.fingerprint() {
-            return StageState::Valid;
+            return Ok(StageState::Valid);
         }
-        let mut reasons = now.changes_since(&manifest.ingredients);
-        if reasons.is_empty() {
-            reasons.push("its manifest was changed by hand".to_owned());
-        }
-        StageState::Stale { reasons }
+        Ok(StageState::Stale {
+            reasons: now.changes_since(&manifest.ingredients),
+        })
     }
 }
 
@@ -135,18 +139,41 @@ fn options(stage: StageId, request: &Request) -> serde_json::Value {
     }
 }
 
+/// The role of a photo among the inputs of stage 1.
+fn photo_role(file_name: &str) -> String {
+    format!("photo {file_name}")
+}
+
+/// Whether a set of photos has nothing in common with the one that a stage 1 was made from: they are
+/// of another object.
+pub fn is_another_set(inputs: &Inputs, made_from: &Ingredients) -> bool {
+    let role = photo_role("");
+    let before = made_from.inputs.iter();
+    let before = before.filter(|(of, _)| of.starts_with(&role));
+    let before: BTreeSet<&String> = before.map(|(_, hash)| hash).collect();
+    !before.is_empty()
+        && !inputs
+            .photos
+            .iter()
+            .any(|photo| before.contains(&photo.hash))
+}
+
 /// Content hashes of the files that a stage reads from outside the run directory.
 fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<String, String> {
     match stage {
         StageId::Photos => {
-            let mut hashes: BTreeMap<_, _> = inputs
-                .photos
-                .iter()
-                .map(|photo| {
-                    let role = format!("photo {}", photo.file_name);
-                    (role, Inputs::photo_hash(photo))
-                })
-                .collect();
+            let mut hashes = BTreeMap::new();
+            for photo in &inputs.photos {
+                let file = &photo.file_name;
+                hashes.insert(photo_role(file), photo.hash.clone());
+                if let Some((_, mask)) = &photo.mask {
+                    hashes.insert(format!("mask of {file}"), mask.clone());
+                }
+                if let Some(camera) = &photo.camera {
+                    let camera = (camera.intrinsics, camera.cam_from_world);
+                    hashes.insert(format!("camera of {file}"), hash_json(&camera));
+                }
+            }
             // With masks asked for, a photo without one is an error and not a choice.
             hashes.insert(
                 "masks asked for".into(),

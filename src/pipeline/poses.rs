@@ -2,13 +2,13 @@
 //! `posed_views.json` (everything).
 
 use super::Context;
+use super::artifacts::{checked_names, read_json, write_json};
 use super::errors::{from_io, from_poses};
 use super::request::SphereInput;
 use crate::exit::Failure;
-use crate::store::{RunDir, StageWriter, StoreError};
+use crate::store::{RunDir, StageWriter};
 use rilievo_io::{CameraFile, decode_photo, write_cameras, write_colmap_text};
 use rilievo_scene::{LinearImage, PhotoSet, PosedViews, SphereRequest, StageId};
-use std::io::{BufReader, BufWriter, Write};
 
 const POSED_VIEWS: &str = "posed_views.json";
 
@@ -65,11 +65,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let sparse = writer.path("sparse/cameras.txt")?;
     write_colmap_text(sparse.parent().unwrap_or(writer.dir()), &views).map_err(from_io)?;
     super::anchors::write(writer, &views)?;
-    let path = writer.path(POSED_VIEWS)?;
-    let file = std::fs::File::create(&path).map_err(StoreError::files("write", &path))?;
-    let mut out = BufWriter::new(file);
-    serde_json::to_writer(&mut out, &views)?;
-    out.flush().map_err(StoreError::files("write", &path))?;
+    write_json(writer, POSED_VIEWS, &views)?;
     Ok(serde_json::to_value(report)?)
 }
 
@@ -78,24 +74,11 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 /// # Errors
 /// When they are missing or damaged.
 pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
-    let path = run.stage_dir(StageId::Poses).join(POSED_VIEWS);
-    let file = std::fs::File::open(&path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => anyhow::Error::new(not_there(StageId::Poses)),
-        _ => StoreError::files("read", &path)(error).into(),
-    })?;
-    let views =
-        serde_json::from_reader(BufReader::new(file)).map_err(|error| StoreError::Damaged {
-            path,
-            reason: error.to_string(),
-        })?;
+    let views: PosedViews = read_json(run, StageId::Poses, POSED_VIEWS)?;
+    let names = views.views.iter();
+    let names = names.flat_map(|view| [view.name.as_str(), view.file_name.as_str()]);
+    checked_names(run, StageId::Poses, POSED_VIEWS, names)?;
     Ok(views)
-}
-
-/// The result of a stage that another one needs does not exist.
-pub fn not_there(stage: StageId) -> Failure {
-    Failure::RunDirectory(format!(
-        "stage {stage} has no result yet; `rilievo reconstruct` makes it, or `rilievo run {stage}`"
-    ))
 }
 
 /// What the user said of the reference spheres, for a set of photos; and the photos that the sphere

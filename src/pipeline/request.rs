@@ -4,6 +4,7 @@
 use crate::cli::ReconstructArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
+use crate::paths;
 use rilievo_io::split_lighting_spec;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -22,6 +23,7 @@ pub enum SphereInput {
     /// A sphere file; a radius beside it replaces the file's.
     File {
         /// The file.
+        #[serde(with = "paths::one")]
         path: PathBuf,
         /// Radius from the command line, metres.
         radius: Option<f64>,
@@ -37,6 +39,7 @@ pub enum LightingInput {
     /// A lighting file, and the name to pick from it.
     File {
         /// The file.
+        #[serde(with = "paths::one")]
         path: PathBuf,
         /// Which of its lightings.
         name: Option<String>,
@@ -44,6 +47,7 @@ pub enum LightingInput {
     /// Fitted on depth maps `NAME_depth.exr` in this folder.
     Shape {
         /// The folder.
+        #[serde(with = "paths::one")]
         folder: PathBuf,
     },
 }
@@ -52,10 +56,13 @@ pub enum LightingInput {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Request {
     /// Folders and files, absolute.
+    #[serde(with = "paths::list")]
     pub photos: Vec<PathBuf>,
     /// Folder of masks.
+    #[serde(with = "paths::optional")]
     pub masks: Option<PathBuf>,
     /// Camera file or COLMAP folder.
+    #[serde(with = "paths::optional")]
     pub cameras: Option<PathBuf>,
     /// The sphere.
     pub sphere: SphereInput,
@@ -76,6 +83,29 @@ impl Request {
             lighting: LightingInput::Found,
             options,
         }
+    }
+
+    /// The request for a run directory that was moved together with its photos and files: paths that
+    /// lead from its new place to something are taken from there, as they did from the old one.
+    #[must_use]
+    pub fn moved(mut self, from: &Path, to: &Path) -> Self {
+        let relocate = |path: &mut PathBuf| {
+            if let Some(found) = relocated(path, from, to).filter(|path| path.exists()) {
+                *path = found;
+            }
+        };
+        self.photos.iter_mut().for_each(relocate);
+        self.masks.iter_mut().for_each(relocate);
+        self.cameras.iter_mut().for_each(relocate);
+        if let SphereInput::File { path, .. } = &mut self.sphere {
+            relocate(path);
+        }
+        match &mut self.lighting {
+            LightingInput::File { path, .. } => relocate(path),
+            LightingInput::Shape { folder } => relocate(folder),
+            LightingInput::Found => {}
+        }
+        self
     }
 
     /// The request of a command line.
@@ -147,10 +177,38 @@ fn optional(path: Option<&Path>, option: &str) -> Result<Option<PathBuf>, Failur
     path.map(|path| existing(path, option)).transpose()
 }
 
+/// Where a path leads when its first part moved: what `path` and `from` share is replaced by what
+/// remains of `to` without as many names as `from` has beyond it.
+fn relocated(path: &Path, from: &Path, to: &Path) -> Option<PathBuf> {
+    let shared = path
+        .components()
+        .zip(from.components())
+        .take_while(|(a, b)| a == b)
+        .count();
+    let beyond = from.components().count() - shared;
+    let base = to.ancestors().nth(beyond)?;
+    Some(base.join(path.components().skip(shared).collect::<PathBuf>()))
+}
+
 /// An absolute path, so that the run can be continued from any folder.
 fn existing(path: &Path, option: &str) -> Result<PathBuf, Failure> {
     std::path::absolute(path)
         .ok()
         .filter(|path| path.exists())
         .ok_or_else(|| Failure::input(path, format!("there is no such file or folder ({option})")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_stands_beside_a_moved_run_is_found_there() {
+        let at = |path, from, to| relocated(Path::new(path), Path::new(from), Path::new(to));
+        let found = at("/a/project/photos", "/a/project/run", "/b/moved/run");
+        assert_eq!(found, Some("/b/moved/photos".into()));
+        let found = at("/a/project/photos", "/a/project/out/run", "/b/out/run");
+        assert_eq!(found, Some("/b/photos".into()));
+        assert_eq!(at("/photos", "/a/b/c/run", "/run"), None);
+    }
 }

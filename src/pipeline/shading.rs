@@ -2,6 +2,7 @@
 //! stage gives them; a picture in PNG beside each.
 
 use super::Context;
+use super::artifacts::{checked_names, read_json, write_text};
 use super::errors::{from_io, from_lighting, from_shading};
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter, StoreError};
@@ -17,6 +18,8 @@ use std::path::{Path, PathBuf};
 
 /// Longer side of the pictures, pixels: all detail of usual photos, little space.
 const PREVIEW_SIDE: usize = 1600;
+
+const VIEWS: &str = "views.json";
 
 /// What a view has beside depth and normals.
 #[derive(Debug, Serialize, Deserialize)]
@@ -69,9 +72,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             albedo: view.albedo.is_some(),
         });
     }
-    let path = writer.path("views.json")?;
-    std::fs::write(&path, serde_json::to_vec_pretty(&files)?)
-        .map_err(StoreError::files("write", &path))?;
+    write_text(writer, VIEWS, &files)?;
     let mut report = serde_json::to_value(report)?;
     report["light_on_surface"] = serde_json::to_value(light_on_surface)?;
     Ok(report)
@@ -133,9 +134,9 @@ impl MapFiles {
     /// When stage 5 is not there or damaged.
     pub fn open(run: &RunDir) -> anyhow::Result<Self> {
         let folder = run.stage_dir(StageId::Shading);
-        let text = std::fs::read(folder.join("views.json"))
-            .map_err(|_| super::poses::not_there(StageId::Shading))?;
-        let views = serde_json::from_slice(&text)?;
+        let views: Vec<ViewFiles> = read_json(run, StageId::Shading, VIEWS)?;
+        let names = views.iter().map(|view| view.name.as_str());
+        checked_names(run, StageId::Shading, VIEWS, names)?;
         Ok(Self { folder, views })
     }
 }

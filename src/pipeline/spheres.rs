@@ -1,9 +1,11 @@
 //! What the user says of the reference spheres: read, hashed, and looked at for slips of the unit.
 
 use super::errors::from_io;
+use super::inputs::hash_of;
 use super::request::SphereInput;
 use crate::exit::Failure;
-use crate::store::{Contents, hash_json};
+use crate::paths::text_of;
+use crate::store::hash_json;
 use rilievo_io::{SphereFile, SphereFileEntry, read_sphere_file};
 use rilievo_scene::Unit;
 use std::collections::BTreeMap;
@@ -25,7 +27,7 @@ impl SphereInputs {
     ///
     /// # Errors
     /// When a file cannot be read or holds a value that cannot be used.
-    pub fn scan(sphere: &SphereInput, contents: &mut Contents) -> Result<Self, Failure> {
+    pub fn scan(sphere: &SphereInput) -> Result<Self, Failure> {
         let mut inputs = Self::default();
         let Self {
             hashes, warnings, ..
@@ -52,10 +54,13 @@ impl SphereInputs {
                     let odd = |sphere: &SphereFileEntry| odd_radius(&sphere.name, sphere.radius);
                     warnings.extend(file.spheres.iter().filter_map(odd));
                 }
-                hashes.insert("sphere file".into(), contents.hash(path)?);
+                hashes.insert("sphere file".into(), hash_of(path)?);
+                // By the paths that the file gives them: the whole may move.
+                let folder = path.parent().unwrap_or(path);
                 for named in &file.files {
-                    let role = format!("sphere's {}", named.display());
-                    hashes.insert(role, contents.hash(named)?);
+                    let stated = named.strip_prefix(folder).unwrap_or(named);
+                    let role = format!("sphere's {}", text_of(Some(stated.as_os_str())));
+                    hashes.insert(role, hash_of(named)?);
                 }
                 inputs.file = Some(file);
             }

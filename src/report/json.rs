@@ -1,16 +1,16 @@
 //! `report.json`: outcome, stages with their facts and warnings, and where the results lie.
 
 use super::Outcome;
-use super::system::peak_memory;
 use crate::pipeline::{Plan, Request};
-use crate::store::RunDir;
+use crate::store::{Look, Manifest, RunDir};
+use crate::system;
 use rilievo_scene::StageId;
 use serde_json::{Map, Value, json};
 
 /// Gathers the report from the stages' manifests.
 ///
 /// # Errors
-/// When a manifest cannot be read.
+/// When a stage's files cannot be looked at. A stage whose manifest is damaged is left out.
 pub fn collect(
     run: &RunDir,
     request: &Request,
@@ -19,14 +19,17 @@ pub fn collect(
 ) -> anyhow::Result<Value> {
     let mut stages = Map::new();
     let mut warnings = Vec::new();
+    let mut last: Option<Manifest> = None;
+    let mut peak_memory_bytes = None;
     for stage in StageId::ALL {
-        let Some(manifest) = run.manifest(stage)? else {
+        let Ok(Some(manifest)) = run.manifest(stage) else {
             continue;
         };
         for message in &manifest.warnings {
             warnings.push(json!({"stage": stage, "message": message}));
         }
-        let state = plan.map(|plan| plan.state(run, stage)).transpose()?;
+        let state = plan.map(|plan| plan.state(run, stage, Look::Sizes));
+        let state = state.transpose()?;
         stages.insert(
             stage.name().to_owned(),
             json!({
@@ -39,17 +42,20 @@ pub fn collect(
                 "inputs": manifest.ingredients.inputs,
                 "files": manifest.files,
                 "report": manifest.report,
+                "peak_memory_bytes": manifest.peak_memory_bytes,
             }),
         );
+        peak_memory_bytes = manifest.peak_memory_bytes.max(peak_memory_bytes);
+        last = Some(manifest);
     }
     Ok(json!({
-        "program": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
+        "program": system::PROGRAM,
         "outcome": outcome,
         "request": request,
         "stages": stages,
         "warnings": warnings,
-        "threads": rayon::current_num_threads(),
-        "peak_memory_bytes": peak_memory(),
+        "threads": last.map(|manifest| manifest.threads),
+        "peak_memory_bytes": peak_memory_bytes,
         "citation": "Queau, Melou, Durou, Cremers: Dense Multi-view 3D-reconstruction Without Dense \
                      Correspondences. ICCV 2017",
     }))

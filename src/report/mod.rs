@@ -2,13 +2,12 @@
 
 mod html;
 mod json;
-mod system;
 
 pub use html::ViewErrors;
 
 use crate::exit::{self, Failure, Problem};
 use crate::pipeline::{Plan, Request};
-use crate::store::{RunDir, write_atomically};
+use crate::store::{RunDir, own_file, seal, unseal, write_atomically};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -68,24 +67,23 @@ pub fn drop_evaluation(root: &Path) -> anyhow::Result<()> {
 
 fn put_evaluation(root: &Path, section: &str) -> anyhow::Result<bool> {
     let path = root.join("report.html");
-    if !path.exists() {
+    let Some(page) = own_file(&path)? else {
         return Ok(false);
-    }
-    let page = std::fs::read_to_string(&path)?;
+    };
+    let page = String::from_utf8_lossy(&page);
     let Some(page) = html::with_evaluation(&page, section) else {
         return Ok(false);
     };
-    write_atomically(&path, page.as_bytes())?;
+    write_atomically(&path, html::sealed(&page).as_bytes())?;
     Ok(true)
 }
 
-/// Whether a run has its report, and it tells this outcome of this request.
+/// Whether a run has its report, undamaged, and it tells this outcome of this request.
 pub fn tells(run: &RunDir, request: &Request, outcome: &Outcome) -> bool {
-    let report = std::fs::read(run.root().join("report.json"))
-        .ok()
-        .and_then(|text| serde_json::from_slice::<Value>(&text).ok());
+    let whole = |file: &str| own_file(&run.root().join(file)).ok().flatten();
+    let report = whole("report.json").and_then(|text| unseal(&text).ok());
     let same = |key: &str, now: Value| report.as_ref().and_then(|r| r.get(key)) == Some(&now);
-    run.root().join("report.html").exists()
+    whole("report.html").is_some_and(|page| html::is_whole(&page))
         && same("outcome", json!(outcome))
         && same("request", json!(request))
 }
@@ -101,9 +99,12 @@ pub fn write(
     plan: Option<&Plan>,
 ) -> anyhow::Result<()> {
     let report = json::collect(run, request, outcome, plan)?;
-    let text = serde_json::to_vec_pretty(&report)?;
+    let text = seal(&report)?;
     write_atomically(&run.root().join("report.json"), &text)?;
     let page = html::page(run, &report)?;
-    write_atomically(&run.root().join("report.html"), page.as_bytes())?;
+    write_atomically(
+        &run.root().join("report.html"),
+        html::sealed(&page).as_bytes(),
+    )?;
     Ok(())
 }

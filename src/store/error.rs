@@ -16,15 +16,17 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// There is no run directory.
-    #[error("{} is not a run directory of rilievo: it has no run.json", path.display())]
+    #[error("{} is not a run directory of rilievo: it has no run.json{}", path.display(), results(*.holds_results))]
     Missing {
         /// The folder.
         path: PathBuf,
+        /// Whether stages of a run lie there.
+        holds_results: bool,
     },
     /// Written by a version that this one does not know.
     #[error(
         "{} was written in format {found}, this program reads format {known}; \
-         use the newer program, or another folder",
+         use the program that wrote it, or another folder",
         path.display()
     )]
     OtherVersion {
@@ -66,6 +68,20 @@ pub enum StoreError {
         /// What is wrong.
         reason: String,
     },
+    /// Something else stands in the place of a file or folder of the run.
+    #[error(
+        "{} is {found}, not {expected} of this run; nothing in a run directory is followed to \
+         another place: remove it, or choose another folder",
+        path.display()
+    )]
+    NotOurs {
+        /// The place.
+        path: PathBuf,
+        /// What belongs there ("a file").
+        expected: &'static str,
+        /// What is there ("a link").
+        found: &'static str,
+    },
     /// The disk said no.
     #[error("cannot {action} {}: {reason}", path.display())]
     Files {
@@ -78,7 +94,35 @@ pub enum StoreError {
     },
 }
 
+/// What can be done where results lie without the file that says what they are of.
+fn results(there: bool) -> &'static str {
+    if there {
+        ", but results of one; `rilievo reconstruct` with the options of that run writes it anew and \
+         keeps the results"
+    } else {
+        ""
+    }
+}
+
 impl StoreError {
+    /// Names what stands in the place of a file or folder of the run.
+    pub fn not_ours(path: &Path, expected: &'static str, found: &std::fs::Metadata) -> Self {
+        let kind = found.file_type();
+        Self::NotOurs {
+            path: path.to_path_buf(),
+            expected,
+            found: if kind.is_symlink() {
+                "a link"
+            } else if kind.is_dir() {
+                "a folder"
+            } else if kind.is_file() {
+                "a file"
+            } else {
+                "a pipe, socket or device"
+            },
+        }
+    }
+
     /// Wraps a system error with what was tried.
     pub fn files(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_path_buf();

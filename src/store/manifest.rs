@@ -1,7 +1,12 @@
-//! `manifest.json` of a committed stage: what it was made from, and what it found.
+//! `manifest.json` of a committed stage: what it was made from, what it found, and the content of
+//! every file, so that damage is found before it is read.
 
+use super::FORMAT_VERSION;
 use super::error::StoreError;
+use super::files::{hash_file, is_inside, own_file};
 use super::fingerprint::Ingredients;
+use super::sealed::{seal, unseal};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -18,6 +23,24 @@ pub struct Item {
     pub hashes: Vec<String>,
     /// What the program needs to know of it beside the files.
     pub facts: serde_json::Value,
+}
+
+/// A file as it was written.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FileRecord {
+    /// Size.
+    pub bytes: u64,
+    /// Content hash, hexadecimal.
+    pub blake3: String,
+}
+
+/// How closely a stage's files are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Look {
+    /// That they are there with their sizes: no file is read.
+    Sizes,
+    /// That they have the content that they were written with.
+    Contents,
 }
 
 /// Contents of `manifest.json`.
@@ -37,10 +60,14 @@ pub struct Manifest {
     pub seed: u64,
     /// Wall time of the stage, seconds.
     pub seconds: f64,
+    /// Threads that worked on it.
+    pub threads: usize,
+    /// Largest resident memory while the stage ran, bytes; `None` where the system does not tell.
+    pub peak_memory_bytes: Option<u64>,
     /// What the user should know.
     pub warnings: Vec<String>,
-    /// Size in bytes of every artifact, by its path relative to the stage's folder.
-    pub files: BTreeMap<String, u64>,
+    /// Every artifact, by its path relative to the stage's folder.
+    pub files: BTreeMap<String, FileRecord>,
     /// The stage's report.
     pub report: serde_json::Value,
 }
@@ -52,33 +79,76 @@ impl Manifest {
     /// Reads the manifest of a stage's folder; `None` when there is none.
     ///
     /// # Errors
-    /// When it cannot be read or understood.
+    /// When it cannot be read, does not have the content that it was written with, or is of another
+    /// version.
     pub fn read(stage_dir: &Path) -> Result<Option<Self>, StoreError> {
         let path = stage_dir.join(MANIFEST);
-        let text = match std::fs::read(&path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => return Err(StoreError::files("read", &path)(error)),
+        let text = match own_file(&path)? {
+            None => return Ok(None),
+            Some(text) => text,
         };
-        serde_json::from_slice(&text)
-            .map(Some)
-            .map_err(|error| StoreError::Damaged {
-                path,
-                reason: error.to_string(),
-            })
+        let damaged = |reason| StoreError::Damaged {
+            path: path.clone(),
+            reason,
+        };
+        let value = unseal(&text).map_err(damaged)?;
+        match value["format_version"].as_u64() {
+            Some(FORMAT_VERSION) => {}
+            found => {
+                return Err(StoreError::OtherVersion {
+                    path: stage_dir.to_path_buf(),
+                    found: found.unwrap_or_default(),
+                    known: FORMAT_VERSION,
+                });
+            }
+        }
+        let manifest: Self =
+            serde_json::from_value(value).map_err(|error| damaged(error.to_string()))?;
+        let items = manifest.items.values().flat_map(|item| &item.files);
+        match items.chain(manifest.files.keys()).find(|f| !is_inside(f)) {
+            Some(outside) => Err(damaged(format!("{outside:?} is no file of this folder"))),
+            None => Ok(Some(manifest)),
+        }
     }
 
-    /// First artifact that is gone or has another size, with the reason.
-    pub fn damage(&self, stage_dir: &Path) -> Option<String> {
-        self.files.iter().find_map(
-            |(name, size)| match std::fs::metadata(stage_dir.join(name)) {
-                Err(_) => Some(format!("{name} is gone")),
-                Ok(found) if found.len() != *size => Some(format!(
-                    "{name} has {} bytes instead of {size}",
-                    found.len()
-                )),
-                Ok(_) => None,
-            },
-        )
+    /// The text of `manifest.json`.
+    pub(super) fn to_text(&self) -> serde_json::Result<Vec<u8>> {
+        seal(self)
+    }
+
+    /// First artifact that is gone or damaged, with the reason.
+    pub fn damage(&self, stage_dir: &Path, look: Look) -> Option<String> {
+        self.files
+            .par_iter()
+            .find_map_first(|(name, record)| record.damage(stage_dir, name, look))
+    }
+}
+
+impl FileRecord {
+    fn damage(&self, stage_dir: &Path, name: &str, look: Look) -> Option<String> {
+        let path = stage_dir.join(name);
+        let Ok(found) = std::fs::symlink_metadata(&path) else {
+            return Some(format!("{name} is gone"));
+        };
+        if !found.is_file() {
+            return Some(format!("{name} is no file"));
+        }
+        if found.len() != self.bytes {
+            return Some(format!(
+                "{name} has {} bytes instead of {}",
+                found.len(),
+                self.bytes
+            ));
+        }
+        if look == Look::Sizes {
+            return None;
+        }
+        match hash_file(&path) {
+            Err(error) => Some(format!("{name} cannot be read: {error}")),
+            Ok(hash) if hash != self.blake3 => Some(format!(
+                "{name} does not have the content that it was written with"
+            )),
+            Ok(_) => None,
+        }
     }
 }

@@ -2,26 +2,31 @@
 //!
 //! ```text
 //! RUN/run.json            what was asked (photos, masks, options) and the format version
+//! RUN/.run.json           its copy
 //! RUN/1_photos … 6_fusion artifacts of each stage; manifest.json says what they were made from
 //! RUN/evaluation          where the errors of the results lie; goes with them
 //! RUN/.work/STAGE         a stage in progress; renamed to RUN/STAGE when it is complete
-//! RUN/.contents.json      content hashes by size and date, so that unchanged files are not read again
 //! RUN/.lock               the process that works here
 //! ```
 //! A stage is committed by one rename after all its files, the manifest last, are on disk: whatever
-//! stops the program, `RUN/STAGE` is either the old result or the new one.
+//! stops the program, `RUN/STAGE` is either the old result or the new one. Manifests hold the content
+//! hash of every file, and `run.json` and manifests one of themselves, so that damage is found before
+//! anything is made from it.
 
-mod contents;
 mod error;
+mod files;
 mod fingerprint;
 mod lock;
 mod manifest;
 mod run_dir;
+mod run_file;
+mod sealed;
 mod writer;
 
-pub use contents::Contents;
 pub use error::StoreError;
+pub use files::{hash_file, is_name, own_file};
 pub use fingerprint::{Ingredients, hash_bytes, hash_json};
-pub use manifest::{Item, Manifest};
+pub use manifest::{Item, Look, Manifest};
 pub use run_dir::{FORMAT_VERSION, RunDir, deviation_file, drop_evaluation, write_atomically};
+pub use sealed::{seal, unseal};
 pub use writer::StageWriter;

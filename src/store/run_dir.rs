@@ -1,8 +1,10 @@
 //! Opening a run directory, and finding its way back from an interrupted commit.
 
 use super::error::StoreError;
+use super::files::{own_file, own_folder};
 use super::lock::Lock;
 use super::manifest::Manifest;
+use super::run_file::RunFile;
 use super::writer::StageWriter;
 use rilievo_scene::StageId;
 use serde::Serialize;
@@ -10,13 +12,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Version of the layout and of the manifests; another one is refused, never guessed at.
-pub const FORMAT_VERSION: u64 = 1;
-
-/// File that marks a run directory.
-const RUN_FILE: &str = "run.json";
+pub const FORMAT_VERSION: u64 = 2;
 
 /// What the names of files begin with while they are written.
 const WRITING: &str = ".writing-";
+
+/// Folders beside those of the stages.
+const FOLDERS: [&str; 3] = [".work", ".old", "evaluation"];
 
 /// A run directory, locked when it was opened for work.
 #[derive(Debug)]
@@ -28,19 +30,19 @@ pub struct RunDir {
 
 impl RunDir {
     /// Opens a run directory for work, creating it when the folder is absent or empty. One whose
-    /// `run.json` is damaged is opened too if a stage's manifest shows that it is ours: what is
-    /// asked for is written anew.
+    /// `run.json` is damaged or gone is opened too if a stage's manifest shows that it is ours: what
+    /// is asked for is written anew.
     ///
     /// # Errors
     /// When it belongs to another program or version, is in use, or cannot be written.
     pub fn create_or_open(root: &Path) -> Result<Self, StoreError> {
-        if root.join(RUN_FILE).exists() {
+        if RunFile::marks(root) {
             return match Self::open(root) {
                 Err(StoreError::DamagedRequest { .. }) if holds_results(root) => Self::lock(root),
                 opened => opened,
             };
         }
-        if root.exists() {
+        if root.exists() && !holds_results(root) {
             let mut entries = std::fs::read_dir(root).map_err(StoreError::files("read", root))?;
             // A lock and a half-written file are what a process leaves that dies right after
             // creating the folder.
@@ -63,7 +65,7 @@ impl RunDir {
 
     /// Whether what was asked for has been written into it yet.
     pub fn is_new(&self) -> bool {
-        !self.root.join(RUN_FILE).exists()
+        !RunFile::marks(&self.root)
     }
 
     /// Opens an existing run directory for work.
@@ -76,6 +78,7 @@ impl RunDir {
     }
 
     fn lock(root: &Path) -> Result<Self, StoreError> {
+        own_places(root)?;
         let run = Self {
             root: root.to_path_buf(),
             _lock: Some(Lock::take(root)?),
@@ -93,22 +96,9 @@ impl RunDir {
             root: root.to_path_buf(),
             _lock: None,
         };
-        let value = run.read_run_file()?;
-        let found = value
-            .get("format_version")
-            .and_then(serde_json::Value::as_u64);
-        let ours = value.get("program").and_then(serde_json::Value::as_str) == Some("rilievo");
-        match (ours, found) {
-            (true, Some(FORMAT_VERSION)) => Ok(run),
-            (true, Some(found)) => Err(StoreError::OtherVersion {
-                path: root.to_path_buf(),
-                found,
-                known: FORMAT_VERSION,
-            }),
-            _ => Err(StoreError::NotARun {
-                path: root.to_path_buf(),
-            }),
-        }
+        run.read_run_file()?;
+        own_places(root)?;
+        Ok(run)
     }
 
     /// The folder itself.
@@ -124,56 +114,31 @@ impl RunDir {
     /// Manifest of a committed stage; `None` when the stage has none.
     ///
     /// # Errors
-    /// When it cannot be read, or is of another version.
+    /// When it cannot be read, is damaged, or is of another version.
     pub fn manifest(&self, stage: StageId) -> Result<Option<Manifest>, StoreError> {
-        let manifest = Manifest::read(&self.stage_dir(stage))?;
-        match &manifest {
-            Some(found) if found.format_version != FORMAT_VERSION => {
-                Err(StoreError::OtherVersion {
-                    path: self.stage_dir(stage),
-                    found: found.format_version,
-                    known: FORMAT_VERSION,
-                })
-            }
-            _ => Ok(manifest),
+        Manifest::read(&self.stage_dir(stage))
+    }
+
+    /// What was asked for.
+    ///
+    /// # Errors
+    /// When it is absent, damaged, or of another version.
+    pub fn read_run_file(&self) -> Result<RunFile, StoreError> {
+        match RunFile::read(&self.root) {
+            Err(StoreError::Missing { path, .. }) => Err(StoreError::Missing {
+                holds_results: holds_results(&path),
+                path,
+            }),
+            read => read,
         }
     }
 
-    /// Parsed `run.json`.
-    ///
-    /// # Errors
-    /// When it is absent or damaged.
-    pub fn read_run_file(&self) -> Result<serde_json::Value, StoreError> {
-        let path = self.root.join(RUN_FILE);
-        let text = std::fs::read(&path).map_err(|error| match error.kind() {
-            std::io::ErrorKind::NotFound | std::io::ErrorKind::NotADirectory => {
-                StoreError::Missing {
-                    path: self.root.clone(),
-                }
-            }
-            _ => StoreError::files("read", &path)(error),
-        })?;
-        serde_json::from_slice(&text).map_err(|error| StoreError::DamagedRequest {
-            path,
-            reason: error.to_string(),
-        })
-    }
-
-    /// Writes `run.json` with what was asked; untouched when it says the same already.
+    /// Writes what is asked for; untouched where it says the same already.
     ///
     /// # Errors
     /// When it cannot be written.
     pub fn write_run_file(&self, request: &impl Serialize) -> Result<(), StoreError> {
-        let value = serde_json::json!({
-            "program": "rilievo",
-            "format_version": FORMAT_VERSION,
-            "request": request,
-        });
-        if self.read_run_file().is_ok_and(|found| found == value) {
-            return Ok(());
-        }
-        let text = serde_json::to_vec_pretty(&value).unwrap_or_default();
-        write_atomically(&self.root.join(RUN_FILE), &text)
+        RunFile::write(&self.root, request)
     }
 
     /// Starts a stage: its files go to a work folder until they are committed.
@@ -283,13 +248,25 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
 
 /// Whether a stage was committed in a folder.
 fn holds_results(root: &Path) -> bool {
-    let run = RunDir {
-        root: root.to_path_buf(),
-        _lock: None,
-    };
     StageId::ALL
         .into_iter()
-        .any(|stage| matches!(run.manifest(stage), Ok(Some(_))))
+        .any(|stage| matches!(Manifest::read(&root.join(stage.name())), Ok(Some(_))))
+}
+
+/// Refuses a run directory in which something else stands in the place of one of its folders or of
+/// the lock: work in it would change what is not the run's.
+fn own_places(root: &Path) -> Result<(), StoreError> {
+    for folder in FOLDERS {
+        own_folder(&root.join(folder))?;
+    }
+    for stage in StageId::ALL {
+        let name = stage.name();
+        own_folder(&root.join(name))?;
+        own_folder(&root.join(".old").join(name))?;
+        own_folder(&root.join(".work").join(name))?;
+        own_folder(&root.join(".work").join(format!("{name}.previous")))?;
+    }
+    own_file(&root.join(".lock")).map(|_| ())
 }
 
 #[cfg(test)]
@@ -310,11 +287,10 @@ mod tests {
         drop(run);
         assert!(RunDir::open(&root).is_ok());
 
-        std::fs::write(
-            root.join(RUN_FILE),
-            r#"{"program": "rilievo", "format_version": 99}"#,
-        )
-        .unwrap();
+        for file in ["run.json", ".run.json"] {
+            let newer = r#"{"program": "rilievo", "format_version": 99}"#;
+            std::fs::write(root.join(file), newer).unwrap();
+        }
         assert!(matches!(
             RunDir::create_or_open(&root),
             Err(StoreError::OtherVersion { found: 99, .. })

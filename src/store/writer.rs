@@ -1,10 +1,11 @@
 //! Writing a stage: everything into a work folder, then one rename.
 
 use super::error::StoreError;
-use super::fingerprint::hash_bytes;
-use super::manifest::{Item, MANIFEST, Manifest};
+use super::files::{hash_file, is_inside};
+use super::manifest::{FileRecord, Item, MANIFEST, Manifest};
+use rayon::prelude::*;
 use rilievo_scene::StageId;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
@@ -38,6 +39,9 @@ impl StageWriter {
             }
             std::fs::rename(&work, &previous).map_err(StoreError::files("rename", &work))?;
         }
+        let finished = finished_items(&previous);
+        // The rest would only fill the disk.
+        keep_only(&previous, "", &files_of(&finished))?;
         let items_dir = work.join(ITEMS);
         std::fs::create_dir_all(&items_dir).map_err(StoreError::files("create", &items_dir))?;
 
@@ -48,7 +52,7 @@ impl StageWriter {
                 reusable.insert(name, (committed.clone(), item));
             }
         }
-        for (name, item) in finished_items(&previous) {
+        for (name, item) in finished {
             reusable.insert(name, (previous.clone(), item));
         }
         Ok(Self {
@@ -95,7 +99,9 @@ impl StageWriter {
         };
         let whole = item.files.len() == item.hashes.len()
             && item.files.iter().zip(&item.hashes).all(|(file, hash)| {
-                std::fs::read(folder.join(file)).is_ok_and(|bytes| hash_bytes(&bytes) == *hash)
+                let path = folder.join(file);
+                let is_file = std::fs::symlink_metadata(&path).is_ok_and(|found| found.is_file());
+                is_file && hash_file(&path).is_ok_and(|found| found == *hash)
             });
         if !whole {
             return Ok(None);
@@ -121,8 +127,7 @@ impl StageWriter {
             .iter()
             .map(|file| {
                 let path = self.work.join(file);
-                let bytes = std::fs::read(&path).map_err(StoreError::files("read", &path))?;
-                Ok(hash_bytes(&bytes))
+                hash_file(&path).map_err(StoreError::files("read", &path))
             })
             .collect::<Result<_, StoreError>>()?;
         self.record(name, item)
@@ -132,7 +137,7 @@ impl StageWriter {
         for file in &item.files {
             sync(&self.work.join(file))?;
         }
-        let record = self.work.join(ITEMS).join(format!("{name}.json"));
+        let record = self.work.join(record_of(name));
         let text = serde_json::to_vec(&(name, &item)).unwrap_or_default();
         super::run_dir::write_atomically(&record, &text)?;
         let mut items = match self.items.lock() {
@@ -153,10 +158,18 @@ impl StageWriter {
             Ok(items) => items,
             Err(poisoned) => poisoned.into_inner(),
         };
-        manifest.files = BTreeMap::new();
-        collect_and_sync(&self.work, "", &mut manifest.files)?;
-        let text = serde_json::to_vec_pretty(&manifest).unwrap_or_default();
-        super::run_dir::write_atomically(&self.work.join(MANIFEST), &text)?;
+        let mut names = Vec::new();
+        collect_and_sync(&self.work, "", &mut names)?;
+        let records = names.into_par_iter().map(|(name, bytes)| {
+            let path = self.work.join(&name);
+            let blake3 = hash_file(&path).map_err(StoreError::files("read", &path))?;
+            Ok((name, FileRecord { bytes, blake3 }))
+        });
+        manifest.files = records.collect::<Result<_, StoreError>>()?;
+        let path = self.work.join(MANIFEST);
+        let text = manifest.to_text();
+        let text = text.map_err(|error| StoreError::files("write", &path)(error.into()))?;
+        super::run_dir::write_atomically(&path, &text)?;
         sync(&self.work)?;
 
         super::run_dir::drop_evaluation(&self.root)?;
@@ -197,7 +210,7 @@ fn take_along(older: &Path, newer: &Path) -> Result<(), StoreError> {
         if known.contains_key(&name) {
             continue;
         }
-        let record = format!("{ITEMS}/{name}.json");
+        let record = record_of(&name);
         for file in item.files.iter().chain([&record]) {
             let (source, target) = (older.join(file), newer.join(file));
             if let Some(folder) = target.parent() {
@@ -223,14 +236,47 @@ fn finished_items(work: &Path) -> Vec<(String, Item)> {
     entries
         .flatten()
         .filter_map(|entry| std::fs::read(entry.path()).ok())
-        .filter_map(|text| serde_json::from_slice(&text).ok())
+        .filter_map(|text| serde_json::from_slice::<(String, Item)>(&text).ok())
+        .filter(|(name, item)| is_inside(name) && item.files.iter().all(|file| is_inside(file)))
         .collect()
+}
+
+/// Record of a finished item, relative to the work folder.
+fn record_of(name: &str) -> String {
+    format!("{ITEMS}/{name}.json")
+}
+
+/// Files and records of finished items.
+fn files_of(finished: &[(String, Item)]) -> BTreeSet<String> {
+    let files = finished.iter().flat_map(|(name, item)| {
+        let record = record_of(name);
+        item.files.iter().cloned().chain([record])
+    });
+    files.collect()
+}
+
+/// Deletes what is not among `kept` from a folder, which need not exist.
+fn keep_only(folder: &Path, prefix: &str, kept: &BTreeSet<String>) -> Result<(), StoreError> {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return Ok(());
+    };
+    for entry in entries.flatten() {
+        let path = entry.path();
+        let name = format!("{prefix}{}", entry.file_name().to_string_lossy());
+        let is_folder = entry.file_type().is_ok_and(|kind| kind.is_dir());
+        if is_folder {
+            keep_only(&path, &format!("{name}/"), kept)?;
+        } else if !kept.contains(&name) {
+            std::fs::remove_file(&path).map_err(StoreError::files("delete", &path))?;
+        }
+    }
+    Ok(())
 }
 
 fn collect_and_sync(
     folder: &Path,
     prefix: &str,
-    files: &mut BTreeMap<String, u64>,
+    files: &mut Vec<(String, u64)>,
 ) -> Result<(), StoreError> {
     let entries = std::fs::read_dir(folder).map_err(StoreError::files("read", folder))?;
     for entry in entries {
@@ -241,7 +287,7 @@ fn collect_and_sync(
         if metadata.is_dir() {
             collect_and_sync(&path, &format!("{name}/"), files)?;
         } else {
-            files.insert(name, metadata.len());
+            files.push((name, metadata.len()));
         }
         sync(&path)?;
     }
@@ -260,7 +306,7 @@ fn remove_dir(path: &Path) -> Result<(), StoreError> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{FORMAT_VERSION, Ingredients, RunDir};
+    use super::super::{FORMAT_VERSION, Ingredients, Look, RunDir};
     use super::*;
 
     fn manifest() -> Manifest {
@@ -279,6 +325,8 @@ mod tests {
             items: BTreeMap::new(),
             seed: 0,
             seconds: 0.0,
+            threads: 1,
+            peak_memory_bytes: None,
             warnings: Vec::new(),
             files: BTreeMap::new(),
             report: serde_json::Value::Null,
@@ -311,9 +359,9 @@ mod tests {
         assert_eq!((&taken.key, taken.hashes.len()), (&"k1".to_owned(), 1));
         writer.commit(manifest()).unwrap();
         let committed = run.manifest(StageId::Features).unwrap().unwrap();
-        assert_eq!(committed.files, [("a.bin".to_owned(), 5)].into());
+        assert_eq!(committed.files.keys().collect::<Vec<_>>(), ["a.bin"]);
         let stage_dir = run.stage_dir(StageId::Features);
-        assert_eq!(committed.damage(&stage_dir), None);
+        assert_eq!(committed.damage(&stage_dir, Look::Contents), None);
 
         // A second commit replaces the first, and takes unchanged items along.
         let writer = run.begin(StageId::Features).unwrap();
@@ -324,9 +372,14 @@ mod tests {
         assert_eq!(committed.files.len(), 2);
         std::fs::remove_file(stage_dir.join("a.bin")).unwrap();
         assert_eq!(
-            committed.damage(&stage_dir),
+            committed.damage(&stage_dir, Look::Sizes),
             Some("a.bin is gone".to_owned())
         );
+        // Damage of the same size is found where contents are looked at.
+        std::fs::write(stage_dir.join("a.bin"), b"furst").unwrap();
+        assert_eq!(committed.damage(&stage_dir, Look::Sizes), None);
+        let told = committed.damage(&stage_dir, Look::Contents).unwrap();
+        assert!(told.starts_with("a.bin does not have"), "{told}");
     }
 
     #[test]
@@ -344,6 +397,38 @@ mod tests {
         for name in ["a", "b"] {
             assert!(writer.reuse(name, "k").unwrap().is_some(), "{name}");
         }
+    }
+
+    #[test]
+    fn what_a_stopped_stage_left_unfinished_does_not_stay() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunDir::create_or_open(&dir.path().join("run")).unwrap();
+        let writer = run.begin(StageId::Features).unwrap();
+        for file in ["a.bin", "half/b.bin"] {
+            std::fs::write(writer.path(file).unwrap(), b"bytes").unwrap();
+        }
+        writer.finish("a", item("k")).unwrap();
+        drop(writer);
+        let writer = run.begin(StageId::Features).unwrap();
+        let previous = run.root().join(".work/2_features.previous");
+        assert!(previous.join("a.bin").exists());
+        assert!(!previous.join("half/b.bin").exists());
+        assert!(writer.reuse("a", "k").unwrap().is_some());
+    }
+
+    #[test]
+    fn an_item_that_leads_elsewhere_is_not_taken_over() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = RunDir::create_or_open(&dir.path().join("run")).unwrap();
+        drop(run.begin(StageId::Features).unwrap());
+        let hostile = Item {
+            files: vec!["../../../evil".into()],
+            ..item("k")
+        };
+        let record = run.root().join(".work/2_features/.items/a.json");
+        std::fs::write(record, serde_json::to_vec(&("a", hostile)).unwrap()).unwrap();
+        let writer = run.begin(StageId::Features).unwrap();
+        assert_eq!(writer.reuse("a", "k").unwrap(), None);
     }
 
     #[test]

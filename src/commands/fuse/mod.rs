@@ -8,8 +8,9 @@ use crate::cli::FuseArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
-use crate::pipeline::{Resources, from_fusion, write_surface};
-use crate::store::{StoreError, write_atomically};
+use crate::pipeline::{from_fusion, write_surface};
+use crate::store::{StoreError, own_file, write_atomically};
+use crate::system;
 use maps::Views;
 use rilievo_fusion::FusionError;
 use rilievo_numerics::robust::median;
@@ -28,17 +29,18 @@ const MAX_DEPTH_RATIO: f64 = 200.0;
 /// # Errors
 /// When maps or cameras cannot be used, nothing agrees, or the results cannot be written.
 pub fn fuse(args: &FuseArgs) -> anyhow::Result<()> {
-    let facts = serde_json::json!({"folder": args.output});
+    let facts = serde_json::json!({"folder": args.output.display().to_string()});
     reporting(args.work.json, facts, |console| run(args, console))
 }
 
 fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
-    // Sets the number of threads.
-    let _resources = Resources::new(&args.work);
     let mut options = StageOptions::read(args.config.as_deref())?;
     args.surface.apply(&mut options.fusion);
     args.work.bound(&mut options.fusion);
     options.validate()?;
+    if !args.overwrite {
+        own_results(&args.output)?;
+    }
     let mut views = maps::read(&args.maps, args.cameras.as_deref())?;
     let slopes = views.views.iter().filter(|v| v.normals_are_slopes);
     let slopes = slopes.count();
@@ -89,8 +91,8 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     }
     let seconds = began.elapsed().as_secs_f64();
     let text = serde_json::json!({
-        "program": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
-        "maps": args.maps,
+        "program": system::PROGRAM,
+        "maps": args.maps.display().to_string(),
         "format": views.format(),
         "unit": unit,
         "options": options.fusion,
@@ -110,6 +112,36 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         Path::display(&args.output)
     ));
     Ok(())
+}
+
+/// Files that are written.
+const RESULTS: [&str; 5] = [
+    "cloud.ply",
+    "mesh.ply",
+    "mesh.obj",
+    "mesh.glb",
+    "report.json",
+];
+
+/// Refuses to replace files that no earlier call of this command wrote.
+fn own_results(folder: &Path) -> Result<(), Failure> {
+    let there = |name: &&str| std::fs::symlink_metadata(folder.join(name)).is_ok();
+    let found: Vec<&str> = RESULTS.into_iter().filter(there).collect();
+    let report = own_file(&folder.join("report.json")).ok().flatten();
+    let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
+    let ours = report.is_some_and(|report| {
+        let program = report["program"].as_str().unwrap_or_default();
+        program.starts_with("rilievo ") && report.get("maps").is_some()
+    });
+    if found.is_empty() || ours {
+        return Ok(());
+    }
+    Err(Failure::Usage(format!(
+        "{} holds {} that `rilievo fuse` did not write: choose another folder with -o, or say \
+         --overwrite",
+        folder.display(),
+        found.join(", ")
+    )))
 }
 
 /// Unit of the results, and the factor from the maps' lengths to it.

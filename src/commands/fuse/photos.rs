@@ -1,6 +1,7 @@
 //! Photos for the colours of fused maps: decoded when they are needed, one at a time.
 
 use crate::exit::Failure;
+use crate::paths::text_of;
 use rilievo_io::{decode_photo, is_photo_name};
 use rilievo_photos::{Encoding, linearize};
 use rilievo_scene::{
@@ -41,11 +42,7 @@ pub fn find(folder: &Path, posed: &mut PosedViews) -> Result<PhotoSet, Failure> 
     let mut photos = PhotoSet::default();
     for view in &mut posed.views {
         let fits = |path: &&PathBuf| {
-            path.file_name()
-                .is_some_and(|n| n.to_string_lossy() == view.file_name)
-                || path
-                    .file_stem()
-                    .is_some_and(|n| n.to_string_lossy() == view.name)
+            text_of(path.file_name()) == view.file_name || text_of(path.file_stem()) == view.name
         };
         let Some(path) = files.iter().find(fits) else {
             view.photo = PhotoIdx(usize::MAX);

@@ -14,6 +14,7 @@ use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
 use crate::pipeline::{Resources, from_shading, write_maps};
 use crate::store::{StoreError, write_atomically};
+use crate::system;
 use rilievo_scene::{ShadedView, StageId, ViewIdx};
 use rilievo_shading::{HarmonicOrder, SolvedView, StartShape};
 use std::path::Path;
@@ -24,7 +25,7 @@ use std::time::Instant;
 /// # Errors
 /// Unusable input, or a problem that the solver refuses.
 pub fn shade(args: &ShadeArgs) -> anyhow::Result<()> {
-    let facts = serde_json::json!({"folder": args.output});
+    let facts = serde_json::json!({"folder": args.output.display().to_string()});
     reporting(args.work.json, facts, |console| run(args, console))
 }
 
@@ -46,7 +47,7 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
     }
     let seconds = began.elapsed().as_secs_f64();
     let report = serde_json::json!({
-        "program": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
+        "program": system::PROGRAM,
         "options": options.shading,
         "lighting": problem.lighting,
         "seconds": seconds,

@@ -16,7 +16,7 @@ mod views;
 pub use evaluation::{ViewErrors, section as evaluation_section};
 
 use crate::pipeline::load_poses;
-use crate::store::RunDir;
+use crate::store::{RunDir, hash_bytes};
 use serde_json::Value;
 
 const STYLE: &str = include_str!("page.css");
@@ -31,6 +31,20 @@ pub fn with_evaluation(page: &str, section: &str) -> Option<String> {
     let (before, rest) = page.split_once(EVALUATION_BEGIN)?;
     let (_, after) = rest.split_once(EVALUATION_END)?;
     Some([before, EVALUATION_BEGIN, section, EVALUATION_END, after].concat())
+}
+
+/// Before the hash that ends a page.
+const SEAL: &str = "<!-- blake3 of the page before this line: ";
+
+/// A page with the hash of its content at its end, in the place of an earlier one.
+pub fn sealed(page: &str) -> String {
+    let content = page.rsplit_once(SEAL).map_or(page, |(content, _)| content);
+    format!("{content}{SEAL}{} -->\n", hash_bytes(content.as_bytes()))
+}
+
+/// Whether a page has the content that it was written with.
+pub fn is_whole(page: &[u8]) -> bool {
+    std::str::from_utf8(page).is_ok_and(|page| sealed(page) == page)
 }
 
 /// The page.

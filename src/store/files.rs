@@ -1,0 +1,77 @@
+//! Files that other people may have put there: a run directory may come from anywhere.
+//!
+//! Nothing inside a run directory is followed to another place: a link there could make the program
+//! read, truncate or delete what is not the run's.
+
+use super::error::StoreError;
+use std::fs::File;
+use std::io::{Error, ErrorKind, Read};
+use std::path::{Component, Path};
+
+/// Opens a regular file. A named pipe, a socket or a device would block, or never end.
+///
+/// # Errors
+/// When it cannot be opened, or is something else.
+fn open_regular(path: &Path) -> std::io::Result<File> {
+    if !std::fs::metadata(path)?.is_file() {
+        return Err(Error::new(ErrorKind::InvalidInput, "it is no regular file"));
+    }
+    File::open(path)
+}
+
+/// Hash of a file's content, in hexadecimal; the file is read piece by piece.
+///
+/// # Errors
+/// When it cannot be read, or is no regular file.
+pub fn hash_file(path: &Path) -> std::io::Result<String> {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(open_regular(path)?)?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// Content of a file of the run directory; `None` when it is not there.
+///
+/// # Errors
+/// [`StoreError::NotOurs`] for a link or anything that is no file; when it cannot be read.
+pub fn own_file(path: &Path) -> Result<Option<Vec<u8>>, StoreError> {
+    match std::fs::symlink_metadata(path) {
+        Err(error) if is_absent(&error) => return Ok(None),
+        Err(error) => return Err(StoreError::files("read", path)(error)),
+        Ok(found) if !found.is_file() => {
+            return Err(StoreError::not_ours(path, "a file", &found));
+        }
+        Ok(_) => {}
+    }
+    let mut text = Vec::new();
+    open_regular(path)
+        .and_then(|mut file| file.read_to_end(&mut text))
+        .map_err(StoreError::files("read", path))?;
+    Ok(Some(text))
+}
+
+/// Refuses what stands in the place of a folder of the run directory.
+///
+/// # Errors
+/// [`StoreError::NotOurs`] for a link or anything that is no folder.
+pub fn own_folder(path: &Path) -> Result<(), StoreError> {
+    match std::fs::symlink_metadata(path) {
+        Ok(found) if !found.is_dir() => Err(StoreError::not_ours(path, "a folder", &found)),
+        Err(error) if !is_absent(&error) => Err(StoreError::files("read", path)(error)),
+        _ => Ok(()),
+    }
+}
+
+fn is_absent(error: &Error) -> bool {
+    matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory)
+}
+
+/// Whether a relative path stays inside its folder.
+pub fn is_inside(path: &str) -> bool {
+    let mut parts = Path::new(path).components().peekable();
+    parts.peek().is_some() && parts.all(|part| matches!(part, Component::Normal(_)))
+}
+
+/// Whether a name can be a file's without its ending: it names results, so it may not lead elsewhere.
+pub fn is_name(name: &str) -> bool {
+    is_inside(name) && !name.contains(['/', '\0'])
+}

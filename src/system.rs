@@ -1,0 +1,20 @@
+//! What the program and the system tell of this process.
+
+/// The program with its version, as results name their maker.
+pub const PROGRAM: &str = concat!("rilievo ", env!("CARGO_PKG_VERSION"));
+
+/// Largest resident memory since [`forget_peak_memory`], or since the start, bytes; `None` where the
+/// system does not tell.
+pub fn peak_memory() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
+    Some(kib * 1024)
+}
+
+/// Starts counting the peak anew, so that each stage tells its own; where the system does not allow
+/// it, a stage's peak is the largest so far.
+pub fn forget_peak_memory() {
+    // proc(5): 5 resets the peak resident set size to the current one.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
+}
