@@ -12,7 +12,9 @@ mod config;
 mod exit;
 mod interrupt;
 mod observe;
+mod panics;
 mod pipeline;
+mod raw_child;
 mod report;
 mod store;
 
@@ -20,7 +22,12 @@ use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    panics::install();
     let cli = cli::Cli::parse();
+    if let cli::Command::DecodeRaw(args) = &cli.command {
+        return raw_child::serve(&args.name);
+    }
+    rilievo_io::set_raw_decoder(raw_child::decode);
     interrupt::listen();
     match commands::dispatch(cli.command) {
         Ok(()) => ExitCode::SUCCESS,

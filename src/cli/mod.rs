@@ -2,6 +2,7 @@
 
 mod parse;
 
+use crate::raw_child::DecodeRawArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
@@ -57,6 +58,9 @@ pub enum Command {
     Import(ImportArgs),
     /// Cameras of a run, or of cameras.json, to another program's format
     Export(ExportArgs),
+    /// One camera RAW file, from stdin to stdout: how this program decodes them
+    #[command(hide = true)]
+    DecodeRaw(DecodeRawArgs),
 }
 
 /// `rilievo demo`

@@ -12,7 +12,10 @@
 //! name, one that ends in it after a dot (`ViewLayer.Depth.Z`) is taken if it is the only one. A
 //! data window smaller than the display window is placed where it belongs, zeros around it.
 
+use crate::claims;
 use crate::error::IoError;
+use crate::files::read_regular;
+use crate::photo::guard::guarded;
 use exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, LineOrder,
     ReadChannels, ReadLayers, WritableImage, f16,
@@ -25,9 +28,6 @@ use std::sync::Arc;
 /// Names of the channels of a normal map.
 const NORMAL_CHANNELS: [&str; 3] = ["N.X", "N.Y", "N.Z"];
 
-/// More pixels than any map has: a header that claims them is damaged.
-const MAX_PIXELS: usize = 1_000_000_000;
-
 /// A file's channels, all of the display window's size.
 struct Channels {
     width: usize,
@@ -37,14 +37,12 @@ struct Channels {
 
 impl Channels {
     fn read(path: &Path) -> Result<Self, IoError> {
-        let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+        let bytes = read_regular(path)?;
         Self::parse(path, &bytes)
     }
 
     fn parse(path: &Path, bytes: &[u8]) -> Result<Self, IoError> {
-        // As for photos: a defect of the decoder must cost one file, not the run.
-        std::panic::catch_unwind(|| Self::decode(path, bytes))
-            .unwrap_or_else(|_| Err(IoError::input(path, "the OpenEXR file is damaged")))
+        guarded(path, || Self::decode(path, bytes))
     }
 
     fn decode(path: &Path, bytes: &[u8]) -> Result<Self, IoError> {
@@ -140,23 +138,38 @@ impl Channels {
 
 /// Refuses headers that claim absurd sizes before anything is allocated for them.
 fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
+    let refuse = |reason: String| IoError::input(path, reason);
     let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false)
-        .map_err(|error| IoError::input(path, format!("the OpenEXR file is damaged: {error}")))?;
+        .map_err(|error| refuse(format!("the OpenEXR file is damaged: {error}")))?;
+    // Channels as stored, and as they are handed out: of the frame's size, four bytes a sample.
+    let (mut stored, mut placed) = (0_u64, 0_u64);
     for header in &meta.headers {
-        let windows = [
-            header.layer_size,
-            header.shared_attributes.display_window.size,
-        ];
-        for size in windows {
-            if size.0.saturating_mul(size.1) > MAX_PIXELS {
-                return Err(IoError::input(
-                    path,
-                    format!("claims {} x {} pixels", size.0, size.1),
-                ));
-            }
+        let expansion = match header.compression {
+            Compression::PIZ => claims::MAX_WAVELET_EXPANSION,
+            _ => claims::MAX_EXPANSION,
+        };
+        let size = |size: exr::math::Vec2<usize>| (size.0 as u64, size.1 as u64);
+        let (layer, frame) = (
+            size(header.layer_size),
+            size(header.shared_attributes.display_window.size),
+        );
+        let bytes_per_px = header.channels.bytes_per_pixel as u64;
+        claims::check(layer, bytes_per_px, 1, bytes.len(), expansion).map_err(refuse)?;
+        // A frame may be larger than what is painted of it, as far as any photo is.
+        claims::check(frame, 0, 0, bytes.len(), expansion).map_err(refuse)?;
+        // Each block has a place in the table of offsets, and a head.
+        if header.chunk_count.saturating_mul(16) > bytes.len() {
+            let (count, len) = (header.chunk_count, bytes.len());
+            return Err(refuse(format!(
+                "the OpenEXR file is damaged: it claims {count} blocks in {len} bytes"
+            )));
         }
+        let num_channels = header.channels.list.len() as u64;
+        stored += layer.0 * layer.1 * bytes_per_px;
+        placed += frame.0 * frame.1 * num_channels * 4;
     }
-    Ok(())
+    claims::check_memory(stored.saturating_add(placed))
+        .map_err(|reason| refuse(format!("its pixels {reason}")))
 }
 
 /// For maps that are mostly empty or smooth.
@@ -312,7 +325,7 @@ pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<()
 /// # Errors
 /// When the file cannot be read or has neither.
 pub fn read_linear(path: &Path) -> Result<LinearImage, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let bytes = read_regular(path)?;
     linear_with_alpha(path, &bytes).map(|(image, _)| image)
 }
 

@@ -1,6 +1,7 @@
 //! JSON values that know their place: every refusal names the file, the key and the value.
 
 use crate::error::IoError;
+use crate::files::read_regular;
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -9,7 +10,7 @@ const MAX_SHOWN: usize = 60;
 
 /// Reads a JSON file.
 pub(crate) fn read(path: &Path) -> Result<Value, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let bytes = read_regular(path)?;
     if bytes.is_empty() {
         return Err(IoError::input(path, "the file is empty (0 bytes)"));
     }

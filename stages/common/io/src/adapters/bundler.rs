@@ -8,7 +8,8 @@
 use super::{find_image, flip, image_size};
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_camera_pose};
 use crate::error::IoError;
-use crate::words::{Line, lines, read_text};
+use crate::files::read_regular_text;
+use crate::words::{Line, lines};
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, Unit};
 use std::fmt::Write as _;
@@ -24,7 +25,7 @@ fn list_of(path: &Path) -> PathBuf {
 
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     let list = list_of(path);
-    let names_text = read_text(&list)?;
+    let names_text = read_regular_text(&list)?;
     let names: Vec<&str> = lines(&list, &names_text, false)
         .filter_map(|line| line.rest.split_whitespace().next())
         .collect();
@@ -35,7 +36,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         folder.join("visualize"),
     ];
 
-    let text = read_text(path)?;
+    let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
     let mut next = || {
         rest.next()

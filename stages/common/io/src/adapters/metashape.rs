@@ -13,7 +13,7 @@
 
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
 use crate::error::IoError;
-use crate::words::read_text;
+use crate::files::read_regular_text;
 use crate::xml::{self, Element};
 use nalgebra::Matrix3;
 use rilievo_scene::{Distortion, Intrinsics, Unit};
@@ -22,7 +22,7 @@ use std::path::Path;
 
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     let refuse = |reason: String| IoError::input(path, reason);
-    let document = xml::parse(&read_text(path)?).map_err(refuse)?;
+    let document = xml::parse(&read_regular_text(path)?).map_err(refuse)?;
     let chunks = document.descendants("chunk");
     let chunk = match (document.name.as_str(), &chunks[..]) {
         ("document", [chunk]) => *chunk,

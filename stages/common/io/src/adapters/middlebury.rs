@@ -6,14 +6,15 @@
 use super::{find_image, image_size, refuse_distortion};
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_camera_pose};
 use crate::error::IoError;
-use crate::words::{lines, read_text};
+use crate::files::read_regular_text;
+use crate::words::lines;
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
 use std::fmt::Write as _;
 use std::path::Path;
 
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
-    let text = read_text(path)?;
+    let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
     let mut first = rest
         .next()

@@ -13,7 +13,8 @@
 use super::{find_image, image_size, refuse_distortion};
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_camera_pose};
 use crate::error::IoError;
-use crate::words::{Line, lines, read_text};
+use crate::files::read_regular_text;
+use crate::words::{Line, lines};
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
 use std::fmt::Write as _;
@@ -81,7 +82,7 @@ pub(super) fn read(folder: &Path) -> Result<CameraFile, IoError> {
 }
 
 fn read_camera(path: &Path, (width, height): (usize, usize)) -> Result<CameraEntry, IoError> {
-    let text = read_text(path)?;
+    let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
     let mut next = || -> Result<Line<'_>, IoError> {
         rest.next()

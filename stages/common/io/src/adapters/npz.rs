@@ -12,6 +12,7 @@ use super::{image_size, refuse_distortion};
 use crate::bytes::Bytes;
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
 use crate::error::IoError;
+use crate::files::read_regular;
 use nalgebra::{Matrix3, Matrix4, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
 use std::path::{Path, PathBuf};
@@ -20,7 +21,7 @@ use std::path::{Path, PathBuf};
 const MAX_SKEW: f64 = 1e-4;
 
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
-    let data = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let data = read_regular(path)?;
     let matrices = parse(path, &data)?;
     let images = images_beside(path)?;
     if images.len() < matrices.len() {

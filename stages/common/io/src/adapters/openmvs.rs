@@ -13,6 +13,7 @@ use super::{find_image, image_size, refuse_distortion};
 use crate::bytes::Bytes;
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose};
 use crate::error::IoError;
+use crate::files::read_regular;
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
 use std::path::Path;
@@ -58,7 +59,7 @@ fn vector(bytes: &mut Bytes<'_>) -> Result<Vector3<f64>, IoError> {
 }
 
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
-    let data = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let data = read_regular(path)?;
     parse(path, &data)
 }
 

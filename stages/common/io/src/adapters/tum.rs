@@ -7,8 +7,9 @@
 use super::{image_size, refuse_distortion};
 use crate::cameras::{CameraEntry, CameraFile, last_part, stem};
 use crate::error::IoError;
+use crate::files::read_regular_text;
 use crate::photo::is_photo_name;
-use crate::words::{lines, read_text};
+use crate::words::lines;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, RigidTransform};
 use std::fmt::Write as _;
@@ -32,7 +33,7 @@ fn photos(folder: &Path) -> Vec<PathBuf> {
 
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     let k_path = intrinsics_of(path);
-    let k_text = read_text(&k_path)?;
+    let k_text = read_regular_text(&k_path)?;
     let mut k_lines = lines(&k_path, &k_text, false);
     let mut row = || -> Result<[f64; 3], IoError> {
         k_lines
@@ -49,7 +50,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     }
     let photos = photos(path.parent().unwrap_or(Path::new("")));
     let mut file = CameraFile::default();
-    let text = read_text(path)?;
+    let text = read_regular_text(path)?;
     for mut line in lines(path, &text, false) {
         let id = line.word("the id")?;
         let translation = Vector3::from(line.numbers::<3>("the position")?);

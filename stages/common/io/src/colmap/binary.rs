@@ -4,6 +4,7 @@ use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPo
 use super::text::pose;
 use crate::bytes::Bytes;
 use crate::error::IoError;
+use crate::files::read_regular;
 use nalgebra::Vector3;
 use std::path::Path;
 
@@ -12,15 +13,14 @@ const NO_POINT: u64 = u64::MAX;
 
 /// Reads the three files; `points3D.bin` may be missing.
 pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
-    let load = |path: &Path| std::fs::read(path).map_err(|error| IoError::read(path, &error));
     let mut model = ColmapModel::default();
     let path = folder.join("cameras.bin");
-    parse_cameras(&path, &load(&path)?, &mut model)?;
+    parse_cameras(&path, &read_regular(&path)?, &mut model)?;
     let path = folder.join("images.bin");
-    parse_images(&path, &load(&path)?, &mut model)?;
+    parse_images(&path, &read_regular(&path)?, &mut model)?;
     let path = folder.join("points3D.bin");
     if path.is_file() {
-        parse_points(&path, &load(&path)?, &mut model)?;
+        parse_points(&path, &read_regular(&path)?, &mut model)?;
     }
     Ok(model)
 }

@@ -2,7 +2,8 @@
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
 use crate::error::IoError;
-use crate::words::{Line, lines, read_text};
+use crate::files::read_regular_text;
+use crate::words::{Line, lines};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rilievo_scene::{PosedViews, RigidTransform};
 use std::fmt::Write as _;
@@ -87,7 +88,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
     let mut model = ColmapModel::default();
 
     let path = folder.join("cameras.txt");
-    for mut line in lines(&path, &read_text(&path)?, false) {
+    for mut line in lines(&path, &read_regular_text(&path)?, false) {
         let id = line.parse("CAMERA_ID")?;
         let name = line.word("MODEL")?;
         let camera_model = CameraModel::from_name(name).map_err(|reason| line.refuse(reason))?;
@@ -108,7 +109,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
     }
 
     let path = folder.join("images.txt");
-    let text = read_text(&path)?;
+    let text = read_regular_text(&path)?;
     let mut image_lines = lines(&path, &text, true);
     while let Some(mut line) = image_lines.next() {
         // The second line of an image may be empty; a first line never is.
@@ -128,7 +129,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
 
     let path = folder.join("points3D.txt");
     if path.is_file() {
-        for mut line in lines(&path, &read_text(&path)?, false) {
+        for mut line in lines(&path, &read_regular_text(&path)?, false) {
             let mut point = ColmapPoint {
                 id: line.parse("POINT3D_ID")?,
                 position: [line.number("X")?, line.number("Y")?, line.number("Z")?],
