@@ -129,6 +129,13 @@ pub struct ImportArgs {
     /// The file to write (cameras.json by default), for diligent the folder (diligent by default)
     #[arg(short, long, value_name = "PATH")]
     pub output: Option<PathBuf>,
+    /// Folder of the photos. bundler, mvsnet, middlebury, tum, npz and others leave out the photos' size,
+    /// which is read from the photos then: those in this folder, else those beside the source
+    #[arg(long, value_name = "DIR")]
+    pub photos: Option<PathBuf>,
+    /// Replaces files that are there already
+    #[arg(long)]
+    pub overwrite: bool,
     /// diligent: the lamp to see the object by, counted from 1; the mean over all lamps by default
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub lamp: Option<u16>,
@@ -155,6 +162,9 @@ pub struct ExportArgs {
     /// The file or folder to write
     #[arg(short, long, value_name = "PATH")]
     pub output: PathBuf,
+    /// Replaces files that are there already
+    #[arg(long)]
+    pub overwrite: bool,
 }
 
 /// What `rilievo export` writes.

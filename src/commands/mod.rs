@@ -8,6 +8,7 @@ mod diligent;
 mod evaluate;
 mod fuse;
 mod mask;
+mod output_files;
 mod reconstruct;
 mod run;
 mod shade;

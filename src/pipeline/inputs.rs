@@ -63,6 +63,7 @@ impl Inputs {
             .map(any_cameras)
             .transpose()
             .map_err(super::errors::from_io)?;
+        let camera_index = cameras.as_ref().map(CameraFile::index);
         let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
 
         let mut problems = Vec::new();
@@ -72,6 +73,13 @@ impl Inputs {
         for path in paths {
             let file_name = text_of(path.file_name());
             let name = text_of(path.file_stem());
+            if file_name.contains(char::is_control) {
+                let reason = "has a line break or another control character in its name, which lists of \
+                              photos cannot hold; rename it";
+                let reason = reason.to_owned();
+                unreadable.push(Problem { file: path, reason });
+                continue;
+            }
             if let Some(other) = by_name.insert(name.clone(), path.clone()) {
                 problems.push(Problem {
                     file: path,
@@ -106,9 +114,9 @@ impl Inputs {
                 // A mask may also be the photo's own alpha channel, which only decoding shows.
                 Some(Err(_)) | None => None,
             };
-            let camera = cameras
+            let camera = camera_index
                 .as_ref()
-                .and_then(|file| file.find(&file_name).cloned());
+                .and_then(|index| index.find(&file_name).cloned());
             photos.push(PhotoInput {
                 path,
                 file_name,

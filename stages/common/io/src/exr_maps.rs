@@ -14,7 +14,7 @@
 
 use crate::claims;
 use crate::error::IoError;
-use crate::files::read_regular;
+use crate::files::{OutputFile, read_regular};
 use crate::photo::guard::guarded;
 use exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, LineOrder,
@@ -190,13 +190,13 @@ enum SampleType {
     F16,
 }
 
-fn write_channels(
+fn channels_file(
     path: &Path,
     (width, height): (usize, usize),
     channels: Vec<(&str, Vec<f32>)>,
     sample_type: SampleType,
     compression: Compression,
-) -> Result<(), IoError> {
+) -> Result<OutputFile, IoError> {
     if width == 0 || height == 0 || channels.iter().any(|(_, v)| v.len() != width * height) {
         return Err(IoError::write(
             path,
@@ -226,7 +226,7 @@ fn write_channels(
         .non_parallel()
         .to_buffered(&mut bytes)
         .map_err(|error| IoError::write(path, error))?;
-    std::fs::write(path, bytes.into_inner()).map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, bytes.into_inner()))
 }
 
 /// Reads a depth map (channel `Z`).
@@ -275,12 +275,20 @@ pub fn read_normal(path: &Path) -> Result<NormalMap, IoError> {
 /// # Errors
 /// When the file cannot be written.
 pub fn write_normal(path: &Path, map: &NormalMap) -> Result<(), IoError> {
+    normal_file(path, map)?.write()
+}
+
+/// A normal map (channels `N.X N.Y N.Z`, f32), to be written.
+///
+/// # Errors
+/// When the normals do not fill the map.
+pub fn normal_file(path: &Path, map: &NormalMap) -> Result<OutputFile, IoError> {
     let channels = NORMAL_CHANNELS
         .iter()
         .enumerate()
         .map(|(i, &name)| (name, map.data.iter().map(|normal| normal[i]).collect()))
         .collect();
-    write_channels(
+    channels_file(
         path,
         (map.width, map.height),
         channels,
@@ -311,13 +319,14 @@ pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> 
 /// When the file cannot be written.
 pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<(), IoError> {
     let channels = vec![(channel, map.data.clone())];
-    write_channels(
+    channels_file(
         path,
         (map.width, map.height),
         channels,
         SampleType::F32,
         MAP_COMPRESSION,
-    )
+    )?
+    .write()
 }
 
 /// Reads a linear image (`R G B` or `Y`).
@@ -366,11 +375,11 @@ pub(crate) fn linear_with_alpha(
     Ok((image, alpha))
 }
 
-fn write_linear_as(
+fn linear_as(
     path: &Path,
     image: &LinearImage,
     sample_type: SampleType,
-) -> Result<(), IoError> {
+) -> Result<OutputFile, IoError> {
     let names: &[&str] = match image.channels {
         1 => &["Y"],
         3 => &["R", "G", "B"],
@@ -389,7 +398,7 @@ fn write_linear_as(
             (name, values.copied().collect())
         })
         .collect();
-    write_channels(
+    channels_file(
         path,
         (image.width, image.height),
         channels,
@@ -406,7 +415,15 @@ fn write_linear_as(
 /// # Errors
 /// When the file cannot be written.
 pub fn write_linear(path: &Path, image: &LinearImage) -> Result<(), IoError> {
-    write_linear_as(path, image, SampleType::F32)
+    linear_file(path, image)?.write()
+}
+
+/// A linear image (`R G B` or `Y`), f32, to be written.
+///
+/// # Errors
+/// When the image has neither one channel nor three, or its values do not fill it.
+pub fn linear_file(path: &Path, image: &LinearImage) -> Result<OutputFile, IoError> {
+    linear_as(path, image, SampleType::F32)
 }
 
 /// Writes a linear image with 16-bit floats: a relative step of 0.05 %, finer than the 8-bit sRGB
@@ -415,7 +432,7 @@ pub fn write_linear(path: &Path, image: &LinearImage) -> Result<(), IoError> {
 /// # Errors
 /// When the file cannot be written.
 pub fn write_linear_half(path: &Path, image: &LinearImage) -> Result<(), IoError> {
-    write_linear_as(path, image, SampleType::F16)
+    linear_as(path, image, SampleType::F16)?.write()
 }
 
 /// Pixels that wait in a linear OpenEXR file and are read each time they are asked for.

@@ -3,15 +3,55 @@
 //! A named pipe among photos blocks whoever opens it until somebody writes, a device may give bytes
 //! without end; neither ends by a signal that only asks to stop. So nothing but a regular file, or a link
 //! to one, is opened here, and every reader of this crate opens its files here.
+//!
+//! What is to be written can be had as [`OutputFile`]s first: a program looks at all of them before it
+//! touches the disk, and decides what may be replaced.
 
 use crate::error::IoError;
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// More bytes than any file has that is read as a whole: a hundred megapixels of three 32-bit floats
 /// take 1.2 GB.
 const MAX_BYTES: u64 = 16 << 30;
+
+/// A file that is not written yet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct OutputFile {
+    /// Where it belongs.
+    pub path: PathBuf,
+    /// Its content.
+    pub content: Vec<u8>,
+}
+
+impl OutputFile {
+    pub(crate) fn new(path: impl Into<PathBuf>, content: impl Into<Vec<u8>>) -> Self {
+        Self {
+            path: path.into(),
+            content: content.into(),
+        }
+    }
+
+    /// Writes it, into a folder that exists.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write(&self) -> Result<(), IoError> {
+        std::fs::write(&self.path, &self.content).map_err(|error| IoError::write(&self.path, error))
+    }
+}
+
+/// Writes files with the folders that they need.
+pub(crate) fn write_all(files: &[OutputFile]) -> Result<(), IoError> {
+    for file in files {
+        if let Some(folder) = file.path.parent() {
+            std::fs::create_dir_all(folder).map_err(|error| IoError::write(folder, error))?;
+        }
+        file.write()?;
+    }
+    Ok(())
+}
 
 /// Opens a regular file, or what a link to one leads to.
 ///

@@ -8,27 +8,31 @@
 //!
 //! Read are arrays of 32 or 64 bits in files that `numpy.savez` writes (ZIP without compression).
 
-use super::{image_size, refuse_distortion};
+use super::photos::{Photos, size_of};
+use super::{folder_of, refuse_distortion};
 use crate::bytes::Bytes;
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
 use crate::error::IoError;
-use crate::files::read_regular;
+use crate::files::{OutputFile, read_regular, read_regular_text};
+use crate::names::Names;
 use nalgebra::{Matrix3, Matrix4, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// Skew over focal length beyond which `P` is of no camera of ours; arrays of 32 bits leave 1e-7.
 const MAX_SKEW: f64 = 1e-4;
 
-pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
+pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     let data = read_regular(path)?;
     let matrices = parse(path, &data)?;
-    let images = images_beside(path)?;
+    let photos = Photos::new(photos, folder_of(path), &["image", "images", "rgb"]);
+    let images = images(path, &photos)?;
     if images.len() < matrices.len() {
         return Err(IoError::input(
             path,
             format!(
-                "has {} cameras, but {} images in image/ beside it, which tell names and sizes",
+                "has {} cameras, but there are only {} photos, which tell names and sizes",
                 matrices.len(),
                 images.len()
             ),
@@ -44,7 +48,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
             return Err(refuse(format!("has the skew {skew}")));
         }
         let pose = rigid_from_world_pose(&rotation.transpose(), center.into()).map_err(refuse)?;
-        let (width, height) = image_size(image)?;
+        let (width, height) = size_of(image)?;
         let name = image
             .file_name()
             .map(|name| name.to_string_lossy().into_owned());
@@ -65,21 +69,37 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     Ok(file)
 }
 
-/// Images in `image`, `images` or `rgb` beside the file, by name.
-fn images_beside(path: &Path) -> Result<Vec<PathBuf>, IoError> {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let found = ["image", "images", "rgb"]
-        .map(|name| folder.join(name))
-        .into_iter()
-        .find(|folder| folder.is_dir());
-    let folder = found.ok_or_else(|| {
-        IoError::input(
-            path,
-            "there is no folder image/ beside it, which tells names and sizes",
-        )
-    })?;
-    let mut images: Vec<PathBuf> = std::fs::read_dir(&folder)
-        .map_err(|error| IoError::read(&folder, &error))?
+/// The file that tells which camera is which photo's; the format knows its images by their order alone.
+fn names_of(path: &Path) -> PathBuf {
+    path.with_extension("names.txt")
+}
+
+/// Names of the photos in the cameras' order, where this program wrote the file.
+fn listed_names(path: &Path) -> Result<Option<Vec<String>>, IoError> {
+    let list = names_of(path);
+    if !list.is_file() {
+        return Ok(None);
+    }
+    let text = read_regular_text(&list)?;
+    let names = text.lines().filter_map(|line| line.split_once(' '));
+    Ok(Some(names.map(|(_, name)| name.to_owned()).collect()))
+}
+
+/// The photos in the cameras' order: those that are listed, where all of them are there; else all of the
+/// first folder that is there, by name.
+fn images(path: &Path, photos: &Photos) -> Result<Vec<PathBuf>, IoError> {
+    let missing = || photos.missing(path, "a folder image of the photos, in the cameras' order,");
+    if let Some(names) = listed_names(path)? {
+        let beside = |name: &String| Some(path.with_file_name(name)).filter(|path| path.is_file());
+        let found = |name: &String| photos.find(name).or_else(|| beside(name));
+        if let Some(images) = names.iter().map(found).collect() {
+            return Ok(images);
+        }
+    }
+    let folder = photos.folders().iter().find(|folder| folder.is_dir());
+    let folder = folder.ok_or_else(missing)?;
+    let mut images: Vec<PathBuf> = std::fs::read_dir(folder)
+        .map_err(|error| IoError::read(folder, &error))?
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| crate::photo::is_photo_name(path))
         .collect();
@@ -117,12 +137,13 @@ fn parted(p: &Matrix4<f64>) -> Option<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)
 
 /// The arrays `world_mat_0`, `world_mat_1`, ... of a file.
 fn parse(path: &Path, data: &[u8]) -> Result<Vec<Matrix4<f64>>, IoError> {
-    let entries = entries(path, data)?;
+    // Of entries of one name the first counts.
+    let entries: HashMap<String, &[u8]> = entries(path, data)?.into_iter().rev().collect();
     let mut matrices = Vec::new();
     loop {
         let name = format!("world_mat_{}.npy", matrices.len());
-        match entries.iter().find(|(entry, _)| *entry == name) {
-            Some((_, array)) => matrices.push(array_4x4(path, &name, array)?),
+        match entries.get(&name) {
+            Some(array) => matrices.push(array_4x4(path, &name, array)?),
             None if matrices.is_empty() => {
                 return Err(IoError::input(path, "holds no array world_mat_0"));
             }
@@ -211,7 +232,8 @@ fn array_4x4(path: &Path, name: &str, data: &[u8]) -> Result<Matrix4<f64>, IoErr
     Ok(matrix)
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>, IoError> {
+    let list = names_of(path);
     let mut zip = Zip::default();
     let posed = cameras
         .cameras
@@ -234,12 +256,13 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
             &format!("scale_mat_{index}.npy"),
             &npy(&Matrix4::identity()),
         );
-        names += &format!("{index:06} {}\n", entry.image.as_deref().unwrap_or(""));
+        Names::Line.check(&list, "the list of the photos", entry.name())?;
+        names += &format!("{index:06} {}\n", entry.name());
     }
-    std::fs::write(path, zip.finish()).map_err(|error| IoError::write(path, error))?;
-    // The format knows its images by their order alone.
-    let list = path.with_extension("names.txt");
-    std::fs::write(&list, names).map_err(|error| IoError::write(&list, error))
+    Ok(vec![
+        OutputFile::new(path, zip.finish()),
+        OutputFile::new(list, names),
+    ])
 }
 
 fn npy(matrix: &Matrix4<f64>) -> Vec<u8> {

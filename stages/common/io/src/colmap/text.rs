@@ -2,7 +2,8 @@
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
 use crate::error::IoError;
-use crate::files::read_regular_text;
+use crate::files::{OutputFile, read_regular_text};
+use crate::names::Names;
 use crate::words::{Line, lines};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rilievo_scene::{PosedViews, RigidTransform};
@@ -12,20 +13,21 @@ use std::path::Path;
 /// Writes `cameras.txt`, `images.txt` and `points3D.txt` into an existing folder.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// As [`text_files`]; and when a file cannot be written.
 pub fn write_colmap_text(folder: &Path, views: &PosedViews) -> Result<(), IoError> {
-    write_model_text(folder, &ColmapModel::from_posed_views(views))
+    text_files(folder, &ColmapModel::from_posed_views(views))?
+        .iter()
+        .try_for_each(OutputFile::write)
 }
 
-/// The same for a model.
+/// `cameras.txt`, `images.txt` and `points3D.txt` of a model, to be written.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoError> {
-    let save = |name: &str, text: String| {
-        let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|error| IoError::write(&path, error))
-    };
+/// When an image's name cannot stand in a line.
+pub fn text_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile>, IoError> {
+    let mut files = Vec::with_capacity(3);
+    let mut save = |name: &str, text: String| files.push(OutputFile::new(folder.join(name), text));
+    let images_path = folder.join("images.txt");
     // Writing into a String cannot fail, hence the ignored results below.
     let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
     for camera in &model.cameras {
@@ -41,13 +43,14 @@ pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoErro
         }
         text.push('\n');
     }
-    save("cameras.txt", text)?;
+    save("cameras.txt", text);
 
     let mut text = String::from(
         "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n\
          # POINTS2D[] as (X, Y, POINT3D_ID)\n",
     );
     for image in &model.images {
+        Names::Line.check(&images_path, "COLMAP's text", &image.name)?;
         let q = image.cam_from_world.rotation.quaternion();
         let t = &image.cam_from_world.translation;
         let _ = writeln!(
@@ -64,7 +67,7 @@ pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoErro
         }
         text.push('\n');
     }
-    save("images.txt", text)?;
+    save("images.txt", text);
 
     let mut text =
         String::from("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n");
@@ -80,7 +83,8 @@ pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoErro
         }
         text.push('\n');
     }
-    save("points3D.txt", text)
+    save("points3D.txt", text);
+    Ok(files)
 }
 
 /// Reads the three files; `points3D.txt` may be missing.

@@ -60,6 +60,11 @@ fn ending(path: &Path) -> String {
         .unwrap_or_default()
 }
 
+/// Whether a file name has the ending of camera RAW.
+pub(crate) fn is_raw_name(path: &Path) -> bool {
+    RAW_ENDINGS.contains(&ending(path).as_str())
+}
+
 /// Whether a file name has the ending of a photo, be it one that can be decoded or one of a format
 /// that is refused with advice (camera RAW, HEIC).
 pub fn is_photo_name(path: &Path) -> bool {
@@ -92,7 +97,7 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
         return Err(IoError::input(path, "the file is empty (0 bytes)"));
     }
     let ending = ending(path);
-    if RAW_ENDINGS.contains(&ending.as_str()) {
+    if is_raw_name(path) {
         return raw_decoder::decode(path, bytes);
     }
     if let Some((_, kind)) = FOREIGN_ENDINGS.iter().find(|(name, _)| *name == ending) {

@@ -1,7 +1,7 @@
 //! Columns and rows of a photo by its header alone.
 
 use super::guard::guarded;
-use super::{RAW_ENDINGS, ending};
+use super::is_raw_name;
 use crate::error::IoError;
 use crate::files::open_regular;
 use image::{ImageFormat, ImageReader};
@@ -15,7 +15,7 @@ const HEAD_LEN: usize = 24;
 /// Columns and rows of a photo by its header alone; `None` where it has none that can be read. Headers
 /// of camera RAW files tell of their previews.
 pub fn photo_size(path: &Path) -> Option<(usize, usize)> {
-    if RAW_ENDINGS.contains(&ending(path).as_str()) {
+    if is_raw_name(path) {
         return None;
     }
     let mut file = open_regular(path).ok()?;
