@@ -5,8 +5,8 @@ use super::spheres::SphereInputs;
 use crate::exit::{Failure, Problem};
 use crate::store::{Contents, StoreError, hash_json};
 use rilievo_io::{
-    CameraEntry, CameraFile, CameraFormat, IoError, SphereFile, find_mask, import_cameras,
-    is_mask_among, read_cameras, read_lighting,
+    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, SphereFile, import_cameras,
+    masks_among, read_cameras, read_lighting,
 };
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -106,14 +106,12 @@ impl Inputs {
                 .join(&file_name)
                 .to_string_lossy()
                 .into_owned();
-            let mask = match masks.as_ref().map(|folder| folder.find(&with_folder)) {
-                Some(Ok(mask)) => {
-                    let hash = contents.hash(&mask)?;
-                    Some((mask, hash))
-                }
+            let mask = masks
+                .as_ref()
+                .and_then(|folder| folder.find(&with_folder))
+                .map(|mask| contents.hash(&mask).map(|hash| (mask, hash)))
                 // A mask may also be the photo's own alpha channel, which only decoding shows.
-                Some(Err(_)) | None => None,
-            };
+                .transpose()?;
             let camera = camera_index
                 .as_ref()
                 .and_then(|index| index.find(&file_name).cloned());
@@ -228,8 +226,9 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
             }
         }
         let names: Vec<String> = found.iter().map(|path| text_of(path.file_name())).collect();
+        let mut masks = masks_among(&names).into_iter();
         found.retain(|path| {
-            let mask = is_mask_among(&text_of(path.file_name()), &names);
+            let mask = masks.next().unwrap_or(false);
             if mask {
                 skipped.push(Problem {
                     file: path.clone(),
@@ -265,7 +264,7 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
 /// The folder of masks with the names of its files.
 struct MaskFolder {
     folder: PathBuf,
-    names: Vec<String>,
+    names: MaskNames,
 }
 
 impl MaskFolder {
@@ -293,14 +292,13 @@ impl MaskFolder {
         }
         Ok(Self {
             folder: folder.to_path_buf(),
-            names,
+            names: MaskNames::new(&names),
         })
     }
 
-    fn find(&self, photo: &str) -> Result<PathBuf, usize> {
-        find_mask(photo, &self.names)
-            .map(|name| self.folder.join(name))
-            .ok_or(self.names.len())
+    fn find(&self, photo: &str) -> Option<PathBuf> {
+        let name = self.names.find(photo)?;
+        Some(self.folder.join(name))
     }
 }
 

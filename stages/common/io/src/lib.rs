@@ -77,7 +77,7 @@ pub use files::{OutputFile, open_regular, read_regular, read_regular_text};
 pub use light_export::{LightFormat, light_file, lp_file, write_lights};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{mask_file, read_mask, write_mask};
-pub use mask_names::{expected_mask_name, find_mask, is_mask_among};
+pub use mask_names::{MaskNames, expected_mask_name, masks_among};
 pub use mat::{MatArray, read_mat};
 pub use mesh::{ViewerFrame, write_mesh_glb, write_mesh_obj};
 pub use photo::{

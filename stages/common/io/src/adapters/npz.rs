@@ -23,6 +23,9 @@ use std::path::{Path, PathBuf};
 /// Skew over focal length beyond which `P` is of no camera of ours; arrays of 32 bits leave 1e-7.
 const MAX_SKEW: f64 = 1e-4;
 
+/// Two arrays a camera, and as many arrays as a ZIP file of the plain kind counts.
+const MAX_CAMERAS: usize = u16::MAX as usize / 2;
+
 pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     let data = read_regular(path)?;
     let matrices = parse(path, &data)?;
@@ -241,6 +244,10 @@ pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>
         .filter_map(|entry| Some((entry, entry.cam_from_world?)));
     let mut names = String::new();
     for (index, (entry, pose)) in posed.enumerate() {
+        if index == MAX_CAMERAS {
+            let reason = format!("a NumPy file has no place for more than {MAX_CAMERAS} cameras");
+            return Err(IoError::input(path, reason).with_hint("choose another format"));
+        }
         refuse_distortion(path, entry, "IDR's and NeuS's format")?;
         let i = &entry.intrinsics;
         let k = Matrix3::new(i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0);
