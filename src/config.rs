@@ -4,6 +4,7 @@ use crate::cli::{Anchors, Encoding, Model};
 use crate::exit::Failure;
 use rilievo_features::FeaturesOptions;
 use rilievo_fusion::FusionOptions;
+use rilievo_io::read_regular_text;
 use rilievo_lighting::LightingOptions;
 use rilievo_photos::PhotosOptions;
 use rilievo_poses::PosesOptions;
@@ -88,8 +89,7 @@ impl StageOptions {
 /// # Errors
 /// When it cannot be read, or a key is unknown or has a wrong value; names file, line and key.
 pub fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| Failure::input(path, format!("cannot be read: {error}")))?;
+    let text = read_regular_text(path).map_err(Failure::from)?;
     toml::from_str(&text)
         .map_err(|error| Failure::Usage(format!("config file {}: {error}", path.display())))
 }

@@ -13,6 +13,7 @@
 
 use crate::paths;
 use crate::store::StoreError;
+use rilievo_io::{IoError, IoErrorKind};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -95,8 +96,23 @@ impl Failure {
 impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Self {
         match error {
-            StoreError::Files { .. } => Self::ReadOrWrite(error.to_string()),
+            StoreError::Files { .. } | StoreError::Io(_) => Self::ReadOrWrite(error.to_string()),
             _ => Self::RunDirectory(error.to_string()),
+        }
+    }
+}
+
+impl From<IoError> for Failure {
+    fn from(error: IoError) -> Self {
+        match error.kind {
+            IoErrorKind::Input => {
+                let reason = match error.hint {
+                    Some(hint) => format!("{} ({hint})", error.reason),
+                    None => error.reason,
+                };
+                Self::input(error.path, reason)
+            }
+            IoErrorKind::Read | IoErrorKind::Write => Self::ReadOrWrite(error.to_string()),
         }
     }
 }
@@ -107,7 +123,7 @@ pub fn code_of(error: &anyhow::Error) -> u8 {
         if let Some(failure) = cause.downcast_ref::<Failure>() {
             return failure.code();
         }
-        if let Some(StoreError::Files { .. }) = cause.downcast_ref::<StoreError>() {
+        if let Some(StoreError::Files { .. } | StoreError::Io(_)) = cause.downcast_ref::<StoreError>() {
             return 6;
         }
         if cause.is::<StoreError>() {

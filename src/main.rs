@@ -13,7 +13,9 @@ mod exit;
 mod interrupt;
 mod observe;
 mod paths;
+mod panics;
 mod pipeline;
+mod raw_child;
 mod report;
 mod store;
 mod system;
@@ -22,7 +24,12 @@ use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    panics::install();
     let cli = cli::Cli::parse();
+    if let cli::Command::DecodeRaw(args) = &cli.command {
+        return raw_child::serve(&args.name);
+    }
+    rilievo_io::set_raw_decoder(raw_child::decode);
     interrupt::listen();
     let outcome = pipeline::start_threads(cli.command.threads());
     match outcome.and_then(|()| commands::dispatch(cli.command)) {

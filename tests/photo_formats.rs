@@ -214,6 +214,104 @@ fn raw_photos_are_checked_and_become_linear_with_their_exif() {
     );
 }
 
+/// A RAW file whose maker's name claims 2^32 numbers: its library asks for 32 GiB, which ends the process.
+#[cfg(feature = "raw")]
+fn write_endless_raw(path: &Path) {
+    const MAKE: u16 = 271;
+    const DOUBLE: u16 = 12;
+    let exif = ExifFacts::default();
+    write_photo_dng(path, &smooth(32, 24), [1.0; 3], &exif).expect("a file");
+    let mut bytes = std::fs::read(path).expect("a file");
+    let directory = u32::from_le_bytes(bytes[4..8].try_into().expect("four bytes")) as usize;
+    // The second of its entries, of twelve bytes each: tag, type, count, value.
+    let entry = directory + 2 + 12;
+    bytes[entry..entry + 2].copy_from_slice(&MAKE.to_le_bytes());
+    bytes[entry + 2..entry + 4].copy_from_slice(&DOUBLE.to_le_bytes());
+    bytes[entry + 4..entry + 8].fill(0xFF);
+    std::fs::write(path, bytes).expect("a file");
+}
+
+#[cfg(feature = "raw")]
+#[test]
+fn a_raw_file_that_ends_its_decoder_costs_one_photo() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 1);
+    write_endless_raw(&photos.join("endless.dng"));
+    let exif = ExifFacts::default();
+    write_photo_dng(&photos.join("good.dng"), &smooth(64, 48), [1.0; 3], &exif).unwrap();
+    let run_dir = dir.path().join("run");
+    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
+    assert_eq!(code, 0, "{stderr}");
+    let told = |line: &str| line.contains("endless.dng") && line.contains("cannot be decoded");
+    assert!(stderr.lines().any(told), "{stderr}");
+    for foreign in ["allocation", "panicked", "backtrace"] {
+        assert!(!stderr.contains(foreign), "{foreign}: {stderr}");
+    }
+    for name in ["p0", "good"] {
+        assert!(run_dir.join(format!("1_photos/linear/{name}.exr")).exists());
+    }
+    let (code, _, stderr) = run(&["mask", arg(&photos), "-o", arg(&dir.path().join("masks"))]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(stderr.contains("endless.dng"), "{stderr}");
+}
+
+/// Children of a process, from the system's table.
+#[cfg(all(feature = "raw", target_os = "linux"))]
+fn children_of(parent: u32) -> Vec<String> {
+    let processes = std::fs::read_dir("/proc").expect("a process table");
+    let ids = processes
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned());
+    // `id (name) state parent ...`, and the name may hold anything.
+    let has_parent = |id: &String| {
+        let stat = std::fs::read_to_string(format!("/proc/{id}/stat")).unwrap_or_default();
+        let after_name = stat.rsplit(')').next().unwrap_or_default();
+        after_name.split_whitespace().nth(1) == Some(&parent.to_string())
+    };
+    ids.filter(has_parent).collect()
+}
+
+#[cfg(all(feature = "raw", target_os = "linux"))]
+#[test]
+fn a_photo_whose_decoder_was_killed_is_tried_again() {
+    use std::time::{Duration, Instant};
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 1);
+    let exif = ExifFacts::default();
+    let large = smooth(4000, 3000);
+    write_photo_dng(&photos.join("large.dng"), &large, [1.0; 3], &exif).unwrap();
+    let run_dir = dir.path().join("run");
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_rilievo"));
+    command.args(["reconstruct", arg(&photos), "-o", arg(&run_dir)]);
+    command.args(["--until", "1_photos"]);
+    let program = command
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let began = Instant::now();
+    let child = loop {
+        if let Some(child) = children_of(program.id()).pop() {
+            break child;
+        }
+        assert!(began.elapsed() < Duration::from_secs(60), "no child came");
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    let killed = std::process::Command::new("kill")
+        .args(["-KILL", &child])
+        .status();
+    assert!(killed.is_ok_and(|status| status.success()));
+    let output = program.wait_with_output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(6), "{stderr}");
+    assert!(
+        stderr.contains("large.dng") && stderr.contains("signal 9"),
+        "{stderr}"
+    );
+    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(run_dir.join("1_photos/linear/large.exr").exists());
+}
+
 /// Largest difference off the rim, and off what is saturated.
 #[cfg(feature = "raw")]
 fn worst_inside(found: &LinearImage, truth: &LinearImage) -> f32 {

@@ -3,6 +3,7 @@
 mod examples;
 mod parse;
 
+use crate::raw_child::DecodeRawArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
@@ -72,6 +73,9 @@ pub enum Command {
     /// Cameras of a run, or of cameras.json, to another program's format
     #[command(after_help = examples::EXPORT)]
     Export(ExportArgs),
+    /// One camera RAW file, from stdin to stdout: how this program decodes them
+    #[command(hide = true)]
+    DecodeRaw(DecodeRawArgs),
 }
 
 impl Command {
@@ -91,7 +95,8 @@ impl Command {
             | Self::Evaluate(_)
             | Self::Synth(_)
             | Self::Import(_)
-            | Self::Export(_) => return None,
+            | Self::Export(_)
+            | Self::DecodeRaw(_) => return None,
         };
         work.threads
     }
@@ -163,6 +168,13 @@ pub struct ImportArgs {
     /// The file to write (cameras.json by default), for diligent the folder (diligent by default)
     #[arg(short, long, value_name = "PATH")]
     pub output: Option<PathBuf>,
+    /// Folder of the photos. bundler, mvsnet, middlebury, tum, npz and others leave out the photos' size,
+    /// which is read from the photos then: those in this folder, else those beside the source
+    #[arg(long, value_name = "DIR")]
+    pub photos: Option<PathBuf>,
+    /// Replaces files that are there already
+    #[arg(long)]
+    pub overwrite: bool,
     /// diligent: the lamp to see the object by, counted from 1; the mean over all lamps by default
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub lamp: Option<u16>,
@@ -189,6 +201,9 @@ pub struct ExportArgs {
     /// The file or folder to write
     #[arg(short, long, value_name = "PATH")]
     pub output: PathBuf,
+    /// Replaces files that are there already
+    #[arg(long)]
+    pub overwrite: bool,
 }
 
 /// What `rilievo export` writes.

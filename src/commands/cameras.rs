@@ -1,13 +1,14 @@
 //! `rilievo import` and `rilievo export`: cameras of other programs, in and out.
 
-use super::diligent;
+use super::{diligent, output_files};
 use crate::cli::{ExportArgs, ExportFormat, ImportArgs, ImportFormat};
 use crate::exit::Failure;
 use crate::pipeline::{from_io, load_poses};
-use crate::store::{RunDir, StoreError};
+use crate::store::RunDir;
+use rilievo_io::colmap::{ColmapModel, binary_files, text_files};
 use rilievo_io::{
-    CameraFile, CameraFormat, LightFormat, export_cameras, import_cameras, is_diligent,
-    read_lighting, write_cameras, write_lights,
+    CameraFile, CameraFormat, LightFormat, camera_files, cameras_file, import_cameras,
+    import_cameras_with_photos, is_diligent, light_file, read_lighting,
 };
 use rilievo_scene::StageId;
 use std::path::Path;
@@ -24,7 +25,12 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let output = |default: &str| args.output.clone().unwrap_or_else(|| default.into());
     let format = match format {
         Some(ImportFormat::Diligent) => {
-            return diligent::import(&args.source, &output("diligent"), args.lamp);
+            if args.photos.is_some() {
+                let reason =
+                    "--photos is of formats that leave out the photos' size, not of diligent";
+                return Err(Failure::Usage(reason.to_owned()).into());
+            }
+            return diligent::import(args, &output("diligent"));
         }
         Some(ImportFormat::Cameras(format)) => Some(format),
         None => None,
@@ -33,9 +39,9 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
         return Err(Failure::Usage("--lamp is of the format diligent".to_owned()).into());
     }
     let output = output("cameras.json");
-    let (cameras, format) = read(&args.source, format)?;
-    make_parent(&output)?;
-    write_cameras(&output, &cameras).map_err(from_io)?;
+    let (cameras, format) = read(&args.source, format, args.photos.as_deref())?;
+    let file = cameras_file(&output, &cameras).map_err(from_io)?;
+    output_files::write(&[file], args.overwrite)?;
     let posed = cameras
         .cameras
         .iter()
@@ -66,14 +72,34 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         ExportFormat::Cameras(format) => format,
         ExportFormat::Lights(format) => return export_lights(args, format, run.as_ref()),
     };
-    let cameras = match &run {
-        Some(run) => CameraFile::from_posed_views(&load_poses(run)?),
-        None => read(&args.source, None)?.0,
+    let (cameras, num_points, files) = match &run {
+        Some(run) => {
+            let views = load_poses(run)?;
+            let cameras = CameraFile::from_posed_views(&views);
+            let model = || ColmapModel::from_posed_views(&views);
+            // COLMAP's model has a place for what was triangulated.
+            let (num_points, files) = match format {
+                CameraFormat::Colmap => (views.points.len(), text_files(&args.output, &model())),
+                CameraFormat::ColmapBinary => {
+                    (views.points.len(), binary_files(&args.output, &model()))
+                }
+                format => (0, camera_files(&args.output, format, &cameras)),
+            };
+            (cameras, num_points, files)
+        }
+        None => {
+            let (cameras, _) = read(&args.source, None, None)?;
+            let files = camera_files(&args.output, format, &cameras);
+            (cameras, 0, files)
+        }
     };
-    make_parent(&args.output)?;
-    export_cameras(&args.output, format, &cameras).map_err(from_io)?;
+    output_files::write(&files.map_err(from_io)?, args.overwrite)?;
+    let points = match num_points {
+        0 => String::new(),
+        num => format!(" and {num} points"),
+    };
     say!(
-        "{} cameras are in {} ({})",
+        "{} cameras{points} are in {} ({})",
         cameras.cameras.len(),
         args.output.display(),
         format.name()
@@ -98,8 +124,8 @@ fn export_lights(
             Some((view.file_name.clone(), light.clone()))
         })
         .collect();
-    make_parent(&args.output)?;
-    write_lights(&args.output, format, &lights).map_err(from_io)?;
+    let file = light_file(&args.output, format, &lights).map_err(from_io)?;
+    output_files::write(&[file], args.overwrite)?;
     say!(
         "{} lights are in {} ({})",
         lights.len(),
@@ -109,20 +135,14 @@ fn export_lights(
     Ok(())
 }
 
-/// Makes the folder that a file or folder is written into.
-fn make_parent(path: &Path) -> Result<(), StoreError> {
-    match path.parent() {
-        Some(folder) => {
-            std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))
-        }
-        None => Ok(()),
-    }
-}
-
 fn read(
     source: &Path,
     format: Option<CameraFormat>,
+    photos: Option<&Path>,
 ) -> Result<(CameraFile, CameraFormat), Failure> {
+    if let Some(folder) = photos.filter(|folder| !folder.is_dir()) {
+        return Err(Failure::input(folder, "is no folder (--photos)"));
+    }
     let format = match format.or_else(|| CameraFormat::detect(source)) {
         Some(format) => format,
         None if !source.exists() => {
@@ -135,5 +155,9 @@ fn read(
             ));
         }
     };
-    Ok((import_cameras(source, format).map_err(from_io)?, format))
+    let cameras = match photos {
+        Some(photos) => import_cameras_with_photos(source, format, photos),
+        None => import_cameras(source, format),
+    };
+    Ok((cameras.map_err(from_io)?, format))
 }

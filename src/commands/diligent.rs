@@ -12,13 +12,15 @@
 //! Each photo is divided by its lamp's strength. Light adds, so that the mean over `n` lamps is the photo
 //! under all of them at once, `L = (1/n) Σ L_i / e_i`, with `√n` times less noise.
 
+use super::output_files;
+use crate::cli::ImportArgs;
 use crate::exit::Failure;
 use crate::pipeline::from_io;
-use crate::store::StoreError;
 use rilievo_io::diligent::METRES_PER_MM;
 use rilievo_io::{
-    CameraEntry, CameraFile, DiligentObject, DiligentView, read_diligent, read_diligent_photo,
-    read_mesh_ply, write_cameras, write_linear, write_lp, write_mask, write_mesh_ply, write_normal,
+    CameraEntry, CameraFile, DiligentObject, DiligentView, OutputFile, cameras_file, linear_file,
+    lp_file, mask_file, mesh_ply_file, normal_file, read_diligent, read_diligent_photo,
+    read_mesh_ply,
 };
 use rilievo_scene::{LinearImage, Unit};
 use std::path::Path;
@@ -27,18 +29,15 @@ use std::path::Path;
 ///
 /// # Errors
 /// When a file of the object cannot be used, there is no such lamp, or the folder cannot be written.
-pub fn import(source: &Path, output: &Path, lamp: Option<u16>) -> anyhow::Result<()> {
-    let object = read_diligent(source).map_err(from_io)?;
-    for name in ["photos", "masks", "lamps", "truth"] {
-        let path = output.join(name);
-        std::fs::create_dir_all(&path).map_err(StoreError::files("create", &path))?;
-    }
+pub fn import(args: &ImportArgs, output: &Path) -> anyhow::Result<()> {
+    let object = read_diligent(&args.source).map_err(from_io)?;
     let mut cameras = CameraFile {
         unit: Unit::Metre,
         ..CameraFile::default()
     };
+    let mut files = Vec::new();
     for view in &object.views {
-        write_view(source, output, view, lamp)?;
+        files.extend(view_files(&args.source, output, view, args.lamp)?);
         cameras
             .cameras
             .extend(view.camera.clone().map(|camera| CameraEntry {
@@ -47,7 +46,8 @@ pub fn import(source: &Path, output: &Path, lamp: Option<u16>) -> anyhow::Result
             }));
     }
     if !cameras.cameras.is_empty() {
-        write_cameras(&output.join("truth/cameras.json"), &cameras).map_err(from_io)?;
+        let path = output.join("truth/cameras.json");
+        files.push(cameras_file(&path, &cameras).map_err(from_io)?);
     }
     if let Some(path) = &object.mesh {
         let mut mesh = read_mesh_ply(path).map_err(from_io)?;
@@ -55,18 +55,19 @@ pub fn import(source: &Path, output: &Path, lamp: Option<u16>) -> anyhow::Result
             vertex.iter_mut().for_each(|x| *x *= METRES_PER_MM as f32);
         }
         let path = output.join("truth/mesh.ply");
-        write_mesh_ply(&path, &mesh, Unit::Metre).map_err(from_io)?;
+        files.push(mesh_ply_file(&path, &mesh, Unit::Metre).map_err(from_io)?);
     }
+    output_files::write(&files, args.overwrite)?;
     say!("{}", summary(&object, output))?;
     Ok(())
 }
 
-fn write_view(
+fn view_files(
     source: &Path,
     output: &Path,
     view: &DiligentView,
     lamp: Option<u16>,
-) -> Result<(), Failure> {
+) -> Result<Vec<OutputFile>, Failure> {
     let name = &view.name;
     let photos = match lamp.map(usize::from) {
         None => &view.photos[..],
@@ -93,12 +94,19 @@ fn write_view(
             .zip(&image.data)
             .for_each(|(s, v)| *s += v);
     }
+    let mut files = Vec::new();
     if let Some(mut image) = mean {
         let share = 1.0 / photos.len() as f32;
         image.data.iter_mut().for_each(|value| *value *= share);
-        write_linear(&output.join(format!("photos/{name}.exr")), &image).map_err(from_io)?;
+        files.push(linear_file(
+            &output.join(format!("photos/{name}.exr")),
+            &image,
+        ));
     }
-    write_mask(&output.join(format!("masks/{name}.png")), &view.mask).map_err(from_io)?;
+    files.push(mask_file(
+        &output.join(format!("masks/{name}.png")),
+        &view.mask,
+    ));
     let lamps: Vec<(String, [f64; 3])> = view
         .photos
         .iter()
@@ -110,12 +118,12 @@ fn write_view(
     let lamps = lamps
         .iter()
         .map(|(name, direction)| (name.as_str(), *direction));
-    write_lp(&output.join(format!("lamps/{name}.lp")), lamps).map_err(from_io)?;
+    files.push(lp_file(&output.join(format!("lamps/{name}.lp")), lamps));
     if let Some(normal) = &view.normal {
         let path = output.join(format!("truth/{name}_normal.exr"));
-        write_normal(&path, normal).map_err(from_io)?;
+        files.push(normal_file(&path, normal));
     }
-    Ok(())
+    files.into_iter().collect::<Result<_, _>>().map_err(from_io)
 }
 
 /// What was written, and what it is good for.

@@ -8,6 +8,7 @@ mod diligent;
 mod evaluate;
 mod fuse;
 mod mask;
+mod output_files;
 mod reconstruct;
 mod run;
 mod shade;
@@ -41,6 +42,8 @@ pub fn dispatch(command: Command) -> anyhow::Result<()> {
         Command::Mask(args) => mask::mask(&args),
         Command::Import(args) => cameras::import(&args),
         Command::Export(args) => cameras::export(&args),
+        // Answered before any command: it is no work of the user's.
+        Command::DecodeRaw(_) => Ok(()),
     }
 }
 

@@ -1,28 +1,16 @@
 //! Errors of stages and formats as failures with an exit code.
 
-use crate::exit::{Failure, Problem};
+use crate::exit::Failure;
 use rilievo_features::FeaturesError;
 use rilievo_fusion::FusionError;
-use rilievo_io::{IoError, IoErrorKind};
+use rilievo_io::IoError;
 use rilievo_lighting::LightingError;
 use rilievo_poses::PosesError;
 use rilievo_shading::ShadingError;
 
 /// A file that could not be read, used or written.
 pub fn from_io(error: IoError) -> Failure {
-    match error.kind {
-        IoErrorKind::Input => {
-            let reason = match error.hint {
-                Some(hint) => format!("{} ({hint})", error.reason),
-                None => error.reason,
-            };
-            Failure::Input(vec![Problem {
-                file: error.path,
-                reason,
-            }])
-        }
-        IoErrorKind::Read | IoErrorKind::Write => Failure::ReadOrWrite(error.to_string()),
-    }
+    error.into()
 }
 
 /// Stage 2.

@@ -1,5 +1,6 @@
 //! The files that a request names, found and checked before anything is computed.
 
+use super::errors::from_io;
 use super::request::{LightingInput, Request};
 use super::spheres::SphereInputs;
 use crate::exit::{Failure, Problem};
@@ -7,12 +8,11 @@ use crate::paths::text_of;
 use crate::store::{hash_file, hash_json};
 use rayon::prelude::*;
 use rilievo_io::{
-    CameraEntry, CameraFile, CameraFormat, IoError, SphereFile, find_mask, import_cameras,
-    is_mask_among, read_cameras, read_lighting,
+    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, SphereFile, import_cameras,
+    masks_among, read_cameras, read_lighting,
 };
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 /// One photo file with what belongs to it.
@@ -65,7 +65,8 @@ impl Inputs {
             .as_deref()
             .map(any_cameras)
             .transpose()
-            .map_err(super::errors::from_io)?;
+            .map_err(from_io)?;
+        let camera_index = cameras.as_ref().map(CameraFile::index);
         let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
 
         let mut problems = Vec::new();
@@ -89,7 +90,7 @@ impl Inputs {
             let hash = match (hash, unfit_name(&name)) {
                 (Ok(hash), None) => hash,
                 (Err(error), _) => {
-                    let reason = format!("cannot be read: {error}");
+                    let reason = error.reason;
                     unreadable.push(Problem { file: path, reason });
                     continue;
                 }
@@ -107,14 +108,14 @@ impl Inputs {
             let mask = masks.as_ref().and_then(|folder| folder.find(&with_folder));
             let mask = match mask {
                 Some(mask) => {
-                    let hash = hash_of(&mask)?;
+                    let hash = hash_file(&mask).map_err(from_io)?;
                     Some((mask, hash))
                 }
                 None => None,
             };
-            let camera = cameras
+            let camera = camera_index
                 .as_ref()
-                .and_then(|file| file.find(&file_name).cloned());
+                .and_then(|index| index.find(&file_name).cloned());
             photos.push(PhotoInput {
                 path,
                 file_name,
@@ -226,8 +227,9 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
             }
         }
         let names: Vec<String> = found.iter().map(|path| text_of(path.file_name())).collect();
+        let mut masks = masks_among(&names).into_iter();
         found.retain(|path| {
-            let mask = is_mask_among(&text_of(path.file_name()), &names);
+            let mask = masks.next().unwrap_or(false);
             if mask {
                 skipped.push(Problem {
                     file: path.clone(),
@@ -262,7 +264,7 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
 
 /// The folder of masks with the names of its files.
 struct MaskFolder {
-    names: Vec<String>,
+    names: MaskNames,
     files: BTreeMap<String, PathBuf>,
 }
 
@@ -287,13 +289,13 @@ impl MaskFolder {
             return Err(Failure::input(folder, "the folder of masks is empty"));
         }
         Ok(Self {
-            names: files.keys().cloned().collect(),
+            names: MaskNames::new(files.keys()),
             files,
         })
     }
 
     fn find(&self, photo: &str) -> Option<PathBuf> {
-        let name = find_mask(photo, &self.names)?;
+        let name = self.names.find(photo)?;
         self.files.get(name).cloned()
     }
 }
@@ -325,7 +327,7 @@ fn lighting_inputs(
     match lighting {
         LightingInput::Found => {}
         LightingInput::File { path, name } => {
-            let file = read_lighting(path, name.as_deref()).map_err(super::errors::from_io)?;
+            let file = read_lighting(path, name.as_deref()).map_err(from_io)?;
             if !photos
                 .iter()
                 .any(|photo| file.for_view(&photo.name).is_some())
@@ -335,7 +337,7 @@ fn lighting_inputs(
                     "holds no lighting of any photo; its views go by the photos' names (--lighting)",
                 ));
             }
-            hashes.insert("lighting file".into(), hash_of(path)?);
+            hashes.insert("lighting file".into(), hash_file(path).map_err(from_io)?);
             if let Some(name) = name {
                 hashes.insert("lighting name".into(), name.clone());
             }
@@ -347,7 +349,7 @@ fn lighting_inputs(
                 if file.exists() {
                     found += 1;
                     let role = format!("shape of {}", photo.name);
-                    hashes.insert(role, hash_of(&file)?);
+                    hashes.insert(role, hash_file(&file).map_err(from_io)?);
                 }
             }
             if found == 0 {
@@ -364,19 +366,6 @@ fn lighting_inputs(
 /// Depth map of a photo in the folder of `--lighting-shape`.
 pub fn shape_file(folder: &Path, name: &str) -> PathBuf {
     folder.join(format!("{name}_depth.exr"))
-}
-
-/// Content hash of a file that was asked for.
-///
-/// # Errors
-/// When there is no such file, it is none, or it cannot be read.
-pub fn hash_of(path: &Path) -> Result<String, Failure> {
-    hash_file(path).map_err(|error| match error.kind() {
-        ErrorKind::NotFound | ErrorKind::InvalidInput => {
-            Failure::input(path, format!("cannot be read: {error}"))
-        }
-        _ => Failure::ReadOrWrite(format!("cannot read {}: {error}", path.display())),
-    })
 }
 
 /// Longest name without ending, bytes: file systems take 255 with the longest ending of a result.

@@ -1,11 +1,10 @@
 //! What the user says of the reference spheres: read, hashed, and looked at for slips of the unit.
 
 use super::errors::from_io;
-use super::inputs::hash_of;
 use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::paths::text_of;
-use crate::store::hash_json;
+use crate::store::{hash_file, hash_json};
 use rilievo_io::{SphereFile, SphereFileEntry, read_sphere_file};
 use rilievo_scene::Unit;
 use std::collections::BTreeMap;
@@ -54,13 +53,13 @@ impl SphereInputs {
                     let odd = |sphere: &SphereFileEntry| odd_radius(&sphere.name, sphere.radius);
                     warnings.extend(file.spheres.iter().filter_map(odd));
                 }
-                hashes.insert("sphere file".into(), hash_of(path)?);
+                hashes.insert("sphere file".into(), hash_file(path).map_err(from_io)?);
                 // By the paths that the file gives them: the whole may move.
                 let folder = path.parent().unwrap_or(path);
                 for named in &file.files {
                     let stated = named.strip_prefix(folder).unwrap_or(named);
                     let role = format!("sphere's {}", text_of(Some(stated.as_os_str())));
-                    hashes.insert(role, hash_of(named)?);
+                    hashes.insert(role, hash_file(named).map_err(from_io)?);
                 }
                 inputs.file = Some(file);
             }

@@ -82,6 +82,9 @@ pub enum StoreError {
         /// What is there ("a link").
         found: &'static str,
     },
+    /// A file cannot be read.
+    #[error(transparent)]
+    Io(#[from] rilievo_io::IoError),
     /// The disk said no.
     #[error("cannot {action} {}: {reason}", path.display())]
     Files {

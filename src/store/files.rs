@@ -4,28 +4,19 @@
 //! read, truncate or delete what is not the run's.
 
 use super::error::StoreError;
-use std::fs::File;
-use std::io::{Error, ErrorKind, Read};
+use rilievo_io::{IoError, open_regular, read_regular};
+use std::io::{Error, ErrorKind};
 use std::path::{Component, Path};
-
-/// Opens a regular file. A named pipe, a socket or a device would block, or never end.
-///
-/// # Errors
-/// When it cannot be opened, or is something else.
-fn open_regular(path: &Path) -> std::io::Result<File> {
-    if !std::fs::metadata(path)?.is_file() {
-        return Err(Error::new(ErrorKind::InvalidInput, "it is no regular file"));
-    }
-    File::open(path)
-}
 
 /// Hash of a file's content, in hexadecimal; the file is read piece by piece.
 ///
 /// # Errors
 /// When it cannot be read, or is no regular file.
-pub fn hash_file(path: &Path) -> std::io::Result<String> {
+pub fn hash_file(path: &Path) -> Result<String, IoError> {
     let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(open_regular(path)?)?;
+    hasher
+        .update_reader(open_regular(path)?)
+        .map_err(|error| IoError::read(path, &error))?;
     Ok(hasher.finalize().to_hex().to_string())
 }
 
@@ -42,11 +33,7 @@ pub fn own_file(path: &Path) -> Result<Option<Vec<u8>>, StoreError> {
         }
         Ok(_) => {}
     }
-    let mut text = Vec::new();
-    open_regular(path)
-        .and_then(|mut file| file.read_to_end(&mut text))
-        .map_err(StoreError::files("read", path))?;
-    Ok(Some(text))
+    Ok(Some(read_regular(path)?))
 }
 
 /// Refuses what stands in the place of a folder of the run directory.

@@ -144,7 +144,7 @@ impl FileRecord {
             return None;
         }
         match hash_file(&path) {
-            Err(error) => Some(format!("{name} cannot be read: {error}")),
+            Err(error) => Some(error.to_string()),
             Ok(hash) if hash != self.blake3 => Some(format!(
                 "{name} does not have the content that it was written with"
             )),

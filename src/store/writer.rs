@@ -127,7 +127,7 @@ impl StageWriter {
             .iter()
             .map(|file| {
                 let path = self.work.join(file);
-                hash_file(&path).map_err(StoreError::files("read", &path))
+                Ok(hash_file(&path)?)
             })
             .collect::<Result<_, StoreError>>()?;
         self.record(name, item)
@@ -162,7 +162,7 @@ impl StageWriter {
         collect_and_sync(&self.work, "", &mut names)?;
         let records = names.into_par_iter().map(|(name, bytes)| {
             let path = self.work.join(&name);
-            let blake3 = hash_file(&path).map_err(StoreError::files("read", &path))?;
+            let blake3 = hash_file(&path)?;
             Ok((name, FileRecord { bytes, blake3 }))
         });
         manifest.files = records.collect::<Result<_, StoreError>>()?;

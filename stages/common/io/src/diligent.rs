@@ -22,8 +22,9 @@
 
 use crate::cameras::{CameraEntry, rigid_from_camera_pose};
 use crate::error::IoError;
+use crate::files::read_regular_text;
 use crate::mat::{MatArray, read_mat};
-use crate::words::{lines, read_text};
+use crate::words::lines;
 use crate::{decode_photo, photo_size, read_mask};
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, LinearImage, Mask, NormalMap, Samples};
@@ -157,13 +158,13 @@ fn view(folder: &Path, camera: Option<&CameraEntry>) -> Result<DiligentView, IoE
         .unwrap_or_else(|| "view".to_owned());
     let rows = |name: &str| -> Result<Vec<[f64; 3]>, IoError> {
         let path = folder.join(name);
-        let text = read_text(&path)?;
+        let text = read_regular_text(&path)?;
         lines(&path, &text, false)
             .map(|mut line| line.numbers("a number"))
             .collect()
     };
     let list = folder.join("filenames.txt");
-    let names = read_text(&list)?;
+    let names = read_regular_text(&list)?;
     let names: Vec<&str> = names.split_whitespace().collect();
     let (directions, intensities) = (
         rows("light_directions.txt")?,

@@ -12,7 +12,10 @@
 //! name, one that ends in it after a dot (`ViewLayer.Depth.Z`) is taken if it is the only one. A
 //! data window smaller than the display window is placed where it belongs, zeros around it.
 
+use crate::claims;
 use crate::error::IoError;
+use crate::files::{OutputFile, read_regular};
+use crate::photo::guard::guarded;
 use exr::prelude::{
     AnyChannel, AnyChannels, Blocks, Compression, Encoding, FlatSamples, Image, LineOrder,
     ReadChannels, ReadLayers, WritableImage, f16,
@@ -25,9 +28,6 @@ use std::sync::Arc;
 /// Names of the channels of a normal map.
 const NORMAL_CHANNELS: [&str; 3] = ["N.X", "N.Y", "N.Z"];
 
-/// More pixels than any map has: a header that claims them is damaged.
-const MAX_PIXELS: usize = 1_000_000_000;
-
 /// A file's channels, all of the display window's size.
 struct Channels {
     width: usize,
@@ -37,14 +37,12 @@ struct Channels {
 
 impl Channels {
     fn read(path: &Path) -> Result<Self, IoError> {
-        let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+        let bytes = read_regular(path)?;
         Self::parse(path, &bytes)
     }
 
     fn parse(path: &Path, bytes: &[u8]) -> Result<Self, IoError> {
-        // As for photos: a defect of the decoder must cost one file, not the run.
-        std::panic::catch_unwind(|| Self::decode(path, bytes))
-            .unwrap_or_else(|_| Err(IoError::input(path, "the OpenEXR file is damaged")))
+        guarded(path, || Self::decode(path, bytes))
     }
 
     fn decode(path: &Path, bytes: &[u8]) -> Result<Self, IoError> {
@@ -140,23 +138,38 @@ impl Channels {
 
 /// Refuses headers that claim absurd sizes before anything is allocated for them.
 fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
+    let refuse = |reason: String| IoError::input(path, reason);
     let meta = exr::meta::MetaData::read_from_buffered(Cursor::new(bytes), false)
-        .map_err(|error| IoError::input(path, format!("the OpenEXR file is damaged: {error}")))?;
+        .map_err(|error| refuse(format!("the OpenEXR file is damaged: {error}")))?;
+    // Channels as stored, and as they are handed out: of the frame's size, four bytes a sample.
+    let (mut stored, mut placed) = (0_u64, 0_u64);
     for header in &meta.headers {
-        let windows = [
-            header.layer_size,
-            header.shared_attributes.display_window.size,
-        ];
-        for size in windows {
-            if size.0.saturating_mul(size.1) > MAX_PIXELS {
-                return Err(IoError::input(
-                    path,
-                    format!("claims {} x {} pixels", size.0, size.1),
-                ));
-            }
+        let expansion = match header.compression {
+            Compression::PIZ => claims::MAX_WAVELET_EXPANSION,
+            _ => claims::MAX_EXPANSION,
+        };
+        let size = |size: exr::math::Vec2<usize>| (size.0 as u64, size.1 as u64);
+        let (layer, frame) = (
+            size(header.layer_size),
+            size(header.shared_attributes.display_window.size),
+        );
+        let bytes_per_px = header.channels.bytes_per_pixel as u64;
+        claims::check(layer, bytes_per_px, 1, bytes.len(), expansion).map_err(refuse)?;
+        // A frame may be larger than what is painted of it, as far as any photo is.
+        claims::check(frame, 0, 0, bytes.len(), expansion).map_err(refuse)?;
+        // Each block has a place in the table of offsets, and a head.
+        if header.chunk_count.saturating_mul(16) > bytes.len() {
+            let (count, len) = (header.chunk_count, bytes.len());
+            return Err(refuse(format!(
+                "the OpenEXR file is damaged: it claims {count} blocks in {len} bytes"
+            )));
         }
+        let num_channels = header.channels.list.len() as u64;
+        stored += layer.0 * layer.1 * bytes_per_px;
+        placed += frame.0 * frame.1 * num_channels * 4;
     }
-    Ok(())
+    claims::check_memory(stored.saturating_add(placed))
+        .map_err(|reason| refuse(format!("its pixels {reason}")))
 }
 
 /// For maps that are mostly empty or smooth.
@@ -177,13 +190,13 @@ enum SampleType {
     F16,
 }
 
-fn write_channels(
+fn channels_file(
     path: &Path,
     (width, height): (usize, usize),
     channels: Vec<(&str, Vec<f32>)>,
     sample_type: SampleType,
     compression: Compression,
-) -> Result<(), IoError> {
+) -> Result<OutputFile, IoError> {
     if width == 0 || height == 0 || channels.iter().any(|(_, v)| v.len() != width * height) {
         return Err(IoError::write(
             path,
@@ -213,7 +226,7 @@ fn write_channels(
         .non_parallel()
         .to_buffered(&mut bytes)
         .map_err(|error| IoError::write(path, error))?;
-    std::fs::write(path, bytes.into_inner()).map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, bytes.into_inner()))
 }
 
 /// Reads a depth map (channel `Z`).
@@ -262,12 +275,20 @@ pub fn read_normal(path: &Path) -> Result<NormalMap, IoError> {
 /// # Errors
 /// When the file cannot be written.
 pub fn write_normal(path: &Path, map: &NormalMap) -> Result<(), IoError> {
+    normal_file(path, map)?.write()
+}
+
+/// A normal map (channels `N.X N.Y N.Z`, f32), to be written.
+///
+/// # Errors
+/// When the normals do not fill the map.
+pub fn normal_file(path: &Path, map: &NormalMap) -> Result<OutputFile, IoError> {
     let channels = NORMAL_CHANNELS
         .iter()
         .enumerate()
         .map(|(i, &name)| (name, map.data.iter().map(|normal| normal[i]).collect()))
         .collect();
-    write_channels(
+    channels_file(
         path,
         (map.width, map.height),
         channels,
@@ -298,13 +319,14 @@ pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> 
 /// When the file cannot be written.
 pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<(), IoError> {
     let channels = vec![(channel, map.data.clone())];
-    write_channels(
+    channels_file(
         path,
         (map.width, map.height),
         channels,
         SampleType::F32,
         MAP_COMPRESSION,
-    )
+    )?
+    .write()
 }
 
 /// Reads a linear image (`R G B` or `Y`).
@@ -312,7 +334,7 @@ pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<()
 /// # Errors
 /// When the file cannot be read or has neither.
 pub fn read_linear(path: &Path) -> Result<LinearImage, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let bytes = read_regular(path)?;
     linear_with_alpha(path, &bytes).map(|(image, _)| image)
 }
 
@@ -353,11 +375,11 @@ pub(crate) fn linear_with_alpha(
     Ok((image, alpha))
 }
 
-fn write_linear_as(
+fn linear_as(
     path: &Path,
     image: &LinearImage,
     sample_type: SampleType,
-) -> Result<(), IoError> {
+) -> Result<OutputFile, IoError> {
     let names: &[&str] = match image.channels {
         1 => &["Y"],
         3 => &["R", "G", "B"],
@@ -376,7 +398,7 @@ fn write_linear_as(
             (name, values.copied().collect())
         })
         .collect();
-    write_channels(
+    channels_file(
         path,
         (image.width, image.height),
         channels,
@@ -393,7 +415,15 @@ fn write_linear_as(
 /// # Errors
 /// When the file cannot be written.
 pub fn write_linear(path: &Path, image: &LinearImage) -> Result<(), IoError> {
-    write_linear_as(path, image, SampleType::F32)
+    linear_file(path, image)?.write()
+}
+
+/// A linear image (`R G B` or `Y`), f32, to be written.
+///
+/// # Errors
+/// When the image has neither one channel nor three, or its values do not fill it.
+pub fn linear_file(path: &Path, image: &LinearImage) -> Result<OutputFile, IoError> {
+    linear_as(path, image, SampleType::F32)
 }
 
 /// Writes a linear image with 16-bit floats: a relative step of 0.05 %, finer than the 8-bit sRGB
@@ -402,7 +432,7 @@ pub fn write_linear(path: &Path, image: &LinearImage) -> Result<(), IoError> {
 /// # Errors
 /// When the file cannot be written.
 pub fn write_linear_half(path: &Path, image: &LinearImage) -> Result<(), IoError> {
-    write_linear_as(path, image, SampleType::F16)
+    linear_as(path, image, SampleType::F16)?.write()
 }
 
 /// Pixels that wait in a linear OpenEXR file and are read each time they are asked for.

@@ -1,6 +1,7 @@
 //! JSON values that know their place: every refusal names the file, the key and the value.
 
 use crate::error::IoError;
+use crate::files::{OutputFile, read_regular};
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -9,7 +10,7 @@ const MAX_SHOWN: usize = 60;
 
 /// Reads a JSON file.
 pub(crate) fn read(path: &Path) -> Result<Value, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let bytes = read_regular(path)?;
     if bytes.is_empty() {
         return Err(IoError::input(path, "the file is empty (0 bytes)"));
     }
@@ -20,12 +21,12 @@ pub(crate) fn read(path: &Path) -> Result<Value, IoError> {
         .map_err(|error| IoError::input(path, format!("broken JSON: {error}")))
 }
 
-/// Writes a JSON file, indented, with a line feed at its end.
-pub(crate) fn write(path: &Path, value: &Value) -> Result<(), IoError> {
+/// A JSON file, indented, with a line feed at its end.
+pub(crate) fn file(path: &Path, value: &Value) -> Result<OutputFile, IoError> {
     let mut text =
         serde_json::to_string_pretty(value).map_err(|error| IoError::write(path, error))?;
     text.push('\n');
-    std::fs::write(path, text).map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, text))
 }
 
 /// A value with its place in its file.

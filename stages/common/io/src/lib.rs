@@ -6,7 +6,7 @@
 //!
 //! | content | functions |
 //! |---|---|
-//! | photos (JPEG, PNG, TIFF, OpenEXR, camera RAW) with EXIF | [`decode_photo`] |
+//! | photos (JPEG, PNG, TIFF, OpenEXR, camera RAW) with EXIF | [`decode_photo`], [`set_raw_decoder`] |
 //! | masks and their names | [`read_mask`], [`write_mask`], [`mask_names`] |
 //! | depth, normals, confidence, linear images as OpenEXR | [`exr_maps`] |
 //! | cameras: `cameras.json`, `camera.json`, COLMAP | [`read_cameras`], [`write_cameras`], [`colmap`] |
@@ -21,6 +21,7 @@
 //! | depth and normal maps of COLMAP and OpenMVS | [`dense`] |
 //! | depth as PFM | [`pfm`] |
 //! | pictures for people | [`write_preview_png`] |
+//! | any regular file, and no other | [`open_regular`], [`read_regular`], [`read_regular_text`] |
 //!
 //! # Conventions
 //! Files follow the conventions of [`rilievo_scene`] (pixel centres at integers, camera x right,
@@ -29,12 +30,14 @@
 pub mod adapters;
 mod bytes;
 pub mod cameras;
+mod claims;
 pub mod colmap;
 pub mod dense;
 pub mod diligent;
 pub mod dng_writer;
 pub mod error;
 pub mod exr_maps;
+pub mod files;
 mod json;
 pub mod light_export;
 pub mod lighting_file;
@@ -42,6 +45,7 @@ pub mod mask;
 pub mod mask_names;
 pub mod mat;
 pub mod mesh;
+mod names;
 pub mod pfm;
 pub mod photo;
 pub mod photo_writer;
@@ -52,8 +56,12 @@ pub mod sphere_file;
 mod words;
 mod xml;
 
-pub use adapters::{CameraFormat, export_cameras, import_cameras};
-pub use cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};
+pub use adapters::{
+    CameraFormat, camera_files, export_cameras, import_cameras, import_cameras_with_photos,
+};
+pub use cameras::{
+    CameraEntry, CameraFile, CameraIndex, cameras_file, read_cameras, write_cameras,
+};
 pub use colmap::write_colmap_text;
 pub use dense::{DmapFile, read_colmap_depth, read_colmap_normal, read_dmap};
 pub use diligent::{
@@ -62,18 +70,22 @@ pub use diligent::{
 pub use dng_writer::write_photo_dng;
 pub use error::{IoError, IoErrorKind};
 pub use exr_maps::{
-    LinearFile, read_channel, read_depth, read_linear, read_normal, write_channel, write_depth,
-    write_linear, write_linear_half, write_normal,
+    LinearFile, linear_file, normal_file, read_channel, read_depth, read_linear, read_normal,
+    write_channel, write_depth, write_linear, write_linear_half, write_normal,
 };
-pub use light_export::{LightFormat, write_lights, write_lp};
+pub use files::{OutputFile, open_regular, read_regular, read_regular_text};
+pub use light_export::{LightFormat, light_file, lp_file, write_lights};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
-pub use mask::{read_mask, write_mask};
-pub use mask_names::{expected_mask_name, find_mask, is_mask_among};
+pub use mask::{mask_file, read_mask, write_mask};
+pub use mask_names::{MaskNames, expected_mask_name, masks_among};
 pub use mat::{MatArray, read_mat};
 pub use mesh::{ViewerFrame, write_mesh_glb, write_mesh_obj};
-pub use photo::{decode_photo, decode_photo_bytes, is_photo_name, photo_size};
+pub use photo::{
+    RawDecoder, decode_photo, decode_photo_bytes, decode_raw_here, decoder_is_guarded,
+    is_photo_name, photo_size, set_raw_decoder,
+};
 pub use photo_writer::{DeepFormat, encode_photo_jpeg, write_photo_deep, write_photo_jpeg};
-pub use ply::{read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};
+pub use ply::{mesh_ply_file, read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};
 pub use preview::{Preview, encode_preview_png, write_preview_png};
 pub use scene_file::{
     SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene, write_matches_csv,

@@ -11,7 +11,9 @@
 //! | AliceVision | `lights.json` | camera: x right, y down, z forward |
 
 use crate::error::IoError;
+use crate::files::OutputFile;
 use crate::json;
+use crate::names::Names;
 use nalgebra::Vector3;
 use rilievo_scene::Lighting;
 use serde_json::json;
@@ -53,16 +55,28 @@ fn lamp(lighting: &Lighting) -> Option<(Vector3<f64>, Vec<f64>)> {
 /// Writes the lamps of photos, by file name.
 ///
 /// # Errors
-/// When the file cannot be written, or a photo's light has no direction.
+/// As [`light_file`]; and when the file cannot be written.
 pub fn write_lights(
     path: &Path,
     format: LightFormat,
     photos: &[(String, Lighting)],
 ) -> Result<(), IoError> {
+    light_file(path, format, photos)?.write()
+}
+
+/// The lamps of photos, by file name, to be written.
+///
+/// # Errors
+/// When a photo's light has no direction, or the format cannot hold its name.
+pub fn light_file(
+    path: &Path,
+    format: LightFormat,
+    photos: &[(String, Lighting)],
+) -> Result<OutputFile, IoError> {
     let mut lamps = Vec::with_capacity(photos.len());
     for (photo, lighting) in photos {
         let lamp = lamp(lighting).ok_or_else(|| {
-            IoError::write(path, format!("the light of {photo} has no direction"))
+            IoError::input(path, format!("the light of {photo} has no direction"))
         })?;
         lamps.push((photo, lamp));
     }
@@ -71,7 +85,7 @@ pub fn write_lights(
             let lamps = lamps
                 .into_iter()
                 .map(|(photo, (s, _))| (photo.as_str(), s.into()));
-            write_lp(path, lamps)
+            lp_file(path, lamps)
         }
         LightFormat::AliceVision => {
             let lights: Vec<_> = (1..)
@@ -87,26 +101,27 @@ pub fn write_lights(
                     })
                 })
                 .collect();
-            json::write(path, &json!({ "lights": lights }))
+            json::file(path, &json!({ "lights": lights }))
         }
     }
 }
 
-/// Writes an `.lp` file of photos and unit directions towards their lamps in camera axes (x right, y
-/// down, z forward).
+/// An `.lp` file of photos and unit directions towards their lamps in camera axes (x right, y down, z
+/// forward), to be written.
 ///
 /// # Errors
-/// When the file cannot be written.
-pub fn write_lp<'a>(
+/// When a photo's name has spaces, between which the format parts its words.
+pub fn lp_file<'a>(
     path: &Path,
     lamps: impl ExactSizeIterator<Item = (&'a str, [f64; 3])>,
-) -> Result<(), IoError> {
+) -> Result<OutputFile, IoError> {
     let mut text = format!("{}\n", lamps.len());
     for (photo, [x, y, z]) in lamps {
+        Names::Word.check(path, "an .lp file", photo)?;
         // Writing into a String cannot fail, hence the ignored result.
         let _ = writeln!(text, "{photo} {x} {} {}", -y, -z);
     }
-    std::fs::write(path, text).map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, text))
 }
 
 #[cfg(test)]

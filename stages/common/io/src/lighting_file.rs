@@ -191,7 +191,7 @@ pub fn write_lighting(
         "environment_in_world": environment,
         "details": details,
     });
-    json::write(path, &root)
+    json::file(path, &root)?.write()
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! Masks as images: white is object.
 
 use crate::error::IoError;
+use crate::files::OutputFile;
 use crate::photo;
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 use rilievo_scene::{Mask, Samples};
@@ -55,6 +56,14 @@ fn marked<T: Copy + Into<f64>>(samples: &[T], channels: usize, threshold: f64) -
 /// # Errors
 /// When the file cannot be written.
 pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), IoError> {
+    mask_file(path, mask)?.write()
+}
+
+/// A mask as an 8-bit grey PNG, 255 inside, to be written.
+///
+/// # Errors
+/// When the mask has no pixels.
+pub fn mask_file(path: &Path, mask: &Mask) -> Result<OutputFile, IoError> {
     let grey: Vec<u8> = mask
         .data
         .iter()
@@ -62,7 +71,7 @@ pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), IoError> {
         .collect();
     let bytes = encode_png(&grey, mask.width, mask.height, ExtendedColorType::L8)
         .map_err(|reason| IoError::write(path, reason))?;
-    std::fs::write(path, bytes).map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, bytes))
 }
 
 /// A PNG file in memory; the reason where the pixels do not fill the frame.

@@ -5,6 +5,8 @@
 //! `x_masked.png`, `mask_x.png`, `x_alpha.png`. The most specific form comes first, so that
 //! `x.jpg` and `x.png` in one folder keep their own masks.
 
+use std::collections::{HashMap, HashSet};
+
 /// Endings of mask files.
 const MASK_ENDINGS: [&str; 6] = ["png", "tif", "tiff", "jpg", "jpeg", "exr"];
 
@@ -31,46 +33,65 @@ fn last_part(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// How well a mask's name fits a photo's: the place in the list of the module's documentation.
-fn rank(photo_file_name: &str, mask_file_name: &str) -> Option<usize> {
+/// What a photo would have to be called for a mask's file name to be its mask's: its whole name, or its
+/// name without ending, with the place in the list of the module's documentation.
+fn photos_of(mask_file_name: &str) -> impl Iterator<Item = (usize, &str)> {
     let (mask_name, ending) = split(mask_file_name);
-    if !MASK_ENDINGS
+    let is_image = MASK_ENDINGS
         .iter()
-        .any(|known| known.eq_ignore_ascii_case(ending))
-    {
-        return None;
-    }
-    if mask_name == photo_file_name {
-        return Some(0);
-    }
-    let (photo_name, _) = split(photo_file_name);
-    AFFIXES.iter().enumerate().find_map(|(i, (before, after))| {
+        .any(|known| known.eq_ignore_ascii_case(ending));
+    let by_affix = AFFIXES.iter().enumerate().filter_map(move |(i, affix)| {
+        let (before, after) = affix;
         let inner = mask_name.strip_prefix(before)?.strip_suffix(after)?;
-        (inner == photo_name).then_some(i + 1)
-    })
+        Some((i + 1, inner))
+    });
+    std::iter::once((0, mask_name))
+        .chain(by_affix)
+        .filter(move |_| is_image)
 }
 
-/// The mask among `mask_files` that belongs to a photo.
-///
-/// Names may carry folders before them (`a/x.jpg`, `masks/a/x.png`). Among equally good names one
-/// whose last folder is the photo's wins, then the first in alphabetical order.
-pub fn find_mask<'a>(photo: &str, mask_files: &'a [String]) -> Option<&'a str> {
-    let photo_name = last_part(photo);
-    let parent = |path: &str| -> Option<String> {
-        let mut parts = path.rsplit('/');
-        parts.next();
-        parts.next().map(str::to_owned)
-    };
-    let photo_parent = parent(photo);
-    mask_files
-        .iter()
-        .filter_map(|mask| {
-            let rank = rank(photo_name, last_part(mask))?;
-            let elsewhere = photo_parent.is_some() && parent(mask) != photo_parent;
-            Some((rank, elsewhere, mask.as_str()))
+/// Mask files by the names of the photos that they fit: looking one up costs the same among any number.
+#[derive(Debug)]
+pub struct MaskNames {
+    /// By place in the list and photo's name, in alphabetical order.
+    masks: HashMap<(usize, String), Vec<String>>,
+}
+
+impl MaskNames {
+    /// Files of masks; names may carry folders before them.
+    pub fn new<'a>(mask_files: impl IntoIterator<Item = &'a String>) -> Self {
+        let mut masks = HashMap::<_, Vec<String>>::new();
+        for file in mask_files {
+            for (place, photo) in photos_of(last_part(file)) {
+                let key = (place, photo.to_owned());
+                masks.entry(key).or_default().push(file.clone());
+            }
+        }
+        masks.values_mut().for_each(|files| files.sort());
+        Self { masks }
+    }
+
+    /// The mask of a photo.
+    ///
+    /// Names may carry folders before them (`a/x.jpg`, `masks/a/x.png`). Among equally good names one
+    /// whose last folder is the photo's wins, then the first in alphabetical order.
+    pub fn find(&self, photo: &str) -> Option<&str> {
+        let whole = last_part(photo);
+        let (name, _) = split(whole);
+        let photo_parent = parent(photo);
+        (0..=AFFIXES.len()).find_map(|place| {
+            let key = (place, if place == 0 { whole } else { name }.to_owned());
+            let files = self.masks.get(&key)?;
+            let own = |file: &&String| photo_parent.is_none() || parent(file) == photo_parent;
+            let best = files.iter().find(own).or(files.first())?;
+            Some(best.as_str())
         })
-        .min()
-        .map(|(_, _, mask)| mask)
+    }
+}
+
+/// The last folder before a name.
+fn parent(path: &str) -> Option<&str> {
+    path.rsplit('/').nth(1)
 }
 
 /// A name under which a mask of a photo would be found, for messages.
@@ -78,19 +99,29 @@ pub fn expected_mask_name(photo: &str) -> String {
     format!("{}.png", split(last_part(photo)).0)
 }
 
-/// Whether a file lying among photos is another photo's mask by its name (`x_mask.png` or
-/// `x.jpg.png` beside `x.jpg`), and not a photo itself.
-pub fn is_mask_among(file: &str, files: &[String]) -> bool {
-    let name = last_part(file);
-    files.iter().any(|other| {
-        // Rank 1 (`x.png` beside `x.jpg`) is two photos of one name, for the user to settle.
-        other != file && rank(last_part(other), name).is_some_and(|rank| rank != 1)
-    })
+/// Which of the files lying among photos are other photos' masks by their names (`x_mask.png` or
+/// `x.jpg.png` beside `x.jpg`), and not photos themselves.
+pub fn masks_among(files: &[String]) -> Vec<bool> {
+    let whole: HashSet<&str> = files.iter().map(|file| last_part(file)).collect();
+    let names: HashSet<&str> = whole.iter().map(|file| split(file).0).collect();
+    let is_mask = |file: &String| {
+        photos_of(last_part(file)).any(|(place, photo)| match place {
+            0 => whole.contains(photo),
+            // `x.png` beside `x.jpg` is two photos of one name, for the user to settle.
+            1 => false,
+            _ => names.contains(photo),
+        })
+    };
+    files.iter().map(is_mask).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn find_mask(photo: &str, files: &[String]) -> Option<String> {
+        MaskNames::new(files).find(photo).map(str::to_owned)
+    }
 
     fn names(list: &[&str]) -> Vec<String> {
         list.iter().map(|&name| name.to_owned()).collect()
@@ -108,33 +139,43 @@ mod tests {
             "masks/IMG_1.png",
         ] {
             let files = names(&["IMG_10.png", "IMG_11_mask.png", mask, "notes.txt"]);
-            assert_eq!(find_mask("IMG_1.jpg", &files), Some(mask), "{mask}");
+            assert_eq!(
+                find_mask("IMG_1.jpg", &files).as_deref(),
+                Some(mask),
+                "{mask}"
+            );
         }
     }
 
     #[test]
     fn other_photos_masks_are_not_taken() {
         let files = names(&["IMG_10.png", "xIMG_1.png", "IMG_1.txt", "IMG_1_mask"]);
-        assert_eq!(find_mask("IMG_1.jpg", &files), None);
+        assert_eq!(find_mask("IMG_1.jpg", &files).as_deref(), None);
         assert_eq!(
-            find_mask("", &names(&[".png", "_mask.png"])),
-            None.or(Some("_mask.png"))
+            find_mask("", &names(&[".png", "_mask.png"])).as_deref(),
+            Some("_mask.png")
         );
     }
 
     #[test]
     fn the_most_specific_name_and_the_own_folder_win() {
         let files = names(&["x.png", "x.jpg.png", "x.png.png"]);
-        assert_eq!(find_mask("x.jpg", &files), Some("x.jpg.png"));
-        assert_eq!(find_mask("x.png", &files), Some("x.png.png"));
+        assert_eq!(find_mask("x.jpg", &files).as_deref(), Some("x.jpg.png"));
+        assert_eq!(find_mask("x.png", &files).as_deref(), Some("x.png.png"));
         let files = names(&["masks/a/x.png", "masks/b/x.png"]);
-        assert_eq!(find_mask("photos/b/x.jpg", &files), Some("masks/b/x.png"));
+        assert_eq!(
+            find_mask("photos/b/x.jpg", &files).as_deref(),
+            Some("masks/b/x.png")
+        );
     }
 
     #[test]
     fn names_with_dots_spaces_and_other_scripts() {
         let files = names(&["büste 1.5m.png"]);
-        assert_eq!(find_mask("büste 1.5m.JPG", &files), Some("büste 1.5m.png"));
+        assert_eq!(
+            find_mask("büste 1.5m.JPG", &files).as_deref(),
+            Some("büste 1.5m.png")
+        );
     }
 
     #[test]
@@ -147,7 +188,12 @@ mod tests {
             "c.png",
             "c.jpg",
         ]);
-        let masks: Vec<&String> = files.iter().filter(|f| is_mask_among(f, &files)).collect();
+        let found = masks_among(&files);
+        let masks: Vec<&String> = files
+            .iter()
+            .zip(found)
+            .filter_map(|(file, mask)| mask.then_some(file))
+            .collect();
         assert_eq!(masks, ["a_mask.png", "b.jpg.png"]);
     }
 }

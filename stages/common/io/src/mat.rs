@@ -9,6 +9,7 @@
 
 use crate::bytes::Bytes;
 use crate::error::IoError;
+use crate::files::read_regular;
 use flate2::read::ZlibDecoder;
 use std::collections::BTreeMap;
 use std::io::Read;
@@ -56,7 +57,7 @@ pub fn read_mat(
     path: &Path,
     wanted: impl Fn(&str) -> bool,
 ) -> Result<BTreeMap<String, MatArray>, IoError> {
-    let data = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let data = read_regular(path)?;
     if data.starts_with(b"MATLAB 7.3") || data.starts_with(b"\x89HDF") {
         return Err(
             IoError::input(path, "MAT files of version 7.3 (HDF5) cannot be read")

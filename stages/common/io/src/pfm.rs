@@ -4,6 +4,7 @@
 //! order (negative: little endian). Used by MVSNet and the Middlebury benchmarks for depth.
 
 use crate::error::IoError;
+use crate::files::read_regular;
 use rilievo_scene::Raster;
 use std::path::Path;
 
@@ -26,7 +27,7 @@ pub fn write_pfm(path: &Path, map: &Raster<f32>) -> Result<(), IoError> {
 /// # Errors
 /// When the file cannot be read or is no grey PFM.
 pub fn read_pfm(path: &Path) -> Result<Raster<f32>, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let bytes = read_regular(path)?;
     parse(&bytes).map_err(|reason| IoError::input(path, reason))
 }
 

@@ -11,6 +11,7 @@
 
 use crate::cameras::stem;
 use crate::error::IoError;
+use crate::files::read_regular_text;
 use crate::json::{self, Node};
 use crate::lighting_file::split_lighting_spec;
 use std::path::{Path, PathBuf};
@@ -141,9 +142,7 @@ fn view(node: &Node<'_>, folder: &Path) -> Result<SceneView, IoError> {
 /// # Errors
 /// When the file cannot be read or a row has not four finite numbers; names the line.
 pub fn read_matches_csv(path: &Path) -> Result<Vec<[f64; 4]>, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
-    let text =
-        String::from_utf8(bytes).map_err(|_| IoError::input(path, "its bytes are no text"))?;
+    let text = read_regular_text(path)?;
     let mut matches = Vec::new();
     let mut first = true;
     for (i, line) in text.lines().enumerate() {

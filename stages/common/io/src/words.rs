@@ -57,12 +57,6 @@ impl<'a> Line<'a> {
     }
 }
 
-/// A whole text file.
-pub(crate) fn read_text(path: &Path) -> Result<String, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
-    String::from_utf8(bytes).map_err(|_| IoError::input(path, "its bytes are no text"))
-}
-
 /// Lines that carry data; empty ones stay where `keep_empty` says that they mean something.
 pub(crate) fn lines<'a>(
     file: &'a Path,

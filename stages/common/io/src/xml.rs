@@ -5,6 +5,9 @@
 /// Deepest nesting that is followed; camera files have about ten levels.
 const MAX_DEPTH: usize = 64;
 
+/// Bytes between `&` and `;` at most; the longest are numbers.
+const MAX_ENTITY_LEN: usize = 12;
+
 /// An element.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Element {
@@ -180,34 +183,72 @@ impl<'a> Parser<'a> {
     }
 }
 
-const ENTITIES: [(&str, &str); 5] = [
-    ("&lt;", "<"),
-    ("&gt;", ">"),
-    ("&quot;", "\""),
-    ("&apos;", "'"),
-    // Last, so that what it makes is not decoded again.
-    ("&amp;", "&"),
+const ENTITIES: [(&str, char); 5] = [
+    ("lt", '<'),
+    ("gt", '>'),
+    ("quot", '"'),
+    ("apos", '\''),
+    ("amp", '&'),
 ];
 
-fn decode(text: &str) -> String {
-    if !text.contains('&') {
-        return text.to_owned();
+/// The character of `&name;`, `&#N;` or `&#xN;`.
+fn character(name: &str) -> Option<char> {
+    match name.strip_prefix('#') {
+        None => ENTITIES
+            .iter()
+            .find(|(known, _)| *known == name)
+            .map(|&(_, character)| character),
+        Some(number) => {
+            let code = match number.strip_prefix(['x', 'X']) {
+                Some(digits) => u32::from_str_radix(digits, 16),
+                None => number.parse(),
+            };
+            char::from_u32(code.ok()?)
+        }
     }
-    ENTITIES
-        .iter()
-        .fold(text.to_owned(), |text, (entity, character)| {
-            text.replace(entity, character)
-        })
 }
 
-/// Text that may stand in an attribute or between tags.
+fn decode(text: &str) -> String {
+    let mut decoded = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(at) = rest.find('&') {
+        decoded.push_str(&rest[..at]);
+        rest = &rest[at..];
+        let end = rest.find(';').filter(|&end| end <= MAX_ENTITY_LEN);
+        match end.and_then(|end| Some((character(&rest[1..end])?, end))) {
+            Some((character, end)) => {
+                decoded.push(character);
+                rest = &rest[end + 1..];
+            }
+            // What is no entity stands for itself.
+            None => {
+                decoded.push('&');
+                rest = &rest[1..];
+            }
+        }
+    }
+    decoded.push_str(rest);
+    decoded
+}
+
+/// Text that may stand in an attribute or between tags. White space but the plain one is written as
+/// its number, since readers make a space of it otherwise.
 pub(crate) fn encode(text: &str) -> String {
-    ENTITIES
-        .iter()
-        .rev()
-        .fold(text.to_owned(), |text, (entity, character)| {
-            text.replace(character, entity)
-        })
+    let mut encoded = String::with_capacity(text.len());
+    for c in text.chars() {
+        match ENTITIES.iter().find(|(_, character)| *character == c) {
+            Some((name, _)) => {
+                encoded.push('&');
+                encoded.push_str(name);
+                encoded.push(';');
+            }
+            None if matches!(c, '\t' | '\n' | '\r') => {
+                encoded.push_str(&format!("&#{};", u32::from(c)));
+            }
+            None => encoded.push(c),
+        }
+    }
+    encoded
 }
 
 #[cfg(test)]
@@ -230,7 +271,11 @@ mod tests {
             root.child("c").unwrap().children[0].attribute("z"),
             Some("ä")
         );
-        assert_eq!(decode(&encode("<\"&'ä>&lt;")), "<\"&'ä>&lt;");
+        for text in ["<\"&'ä>&lt;", "a\nb\tc\r", "&", "&#65", "a & b; c"] {
+            assert_eq!(decode(&encode(text)), text);
+        }
+        assert_eq!(encode("a\nb"), "a&#10;b");
+        assert_eq!(decode("&#65;&#x42;&#xZ;&none;&;"), "AB&#xZ;&none;&;");
     }
 
     #[test]

@@ -4,7 +4,7 @@ use crate::raster::Mask;
 use serde::{Deserialize, Serialize};
 
 /// Samples as stored, row by row, channels together, without any decoding of their encoding.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Samples {
     /// 8-bit integers, 255 is white.
     U8(Vec<u8>),
@@ -83,7 +83,7 @@ impl ExifFacts {
 }
 
 /// A decoded photo.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DecodedPhoto {
     /// File name with its ending.
     pub file_name: String,

@@ -5,10 +5,13 @@
 //! and y up. A focal length of zero means: no pose. Source: Bundler v0.4 user's manual, section
 //! "Output format and scene representation".
 
-use super::{find_image, flip, image_size};
+use super::photos::{Photos, size_of};
+use super::{flip, folder_of};
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_camera_pose};
 use crate::error::IoError;
-use crate::words::{Line, lines, read_text};
+use crate::files::{OutputFile, read_regular_text};
+use crate::names::Names;
+use crate::words::{Line, lines};
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, Unit};
 use std::fmt::Write as _;
@@ -22,20 +25,15 @@ fn list_of(path: &Path) -> PathBuf {
     path.with_file_name("list.txt")
 }
 
-pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
+pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     let list = list_of(path);
-    let names_text = read_text(&list)?;
+    let names_text = read_regular_text(&list)?;
     let names: Vec<&str> = lines(&list, &names_text, false)
         .filter_map(|line| line.rest.split_whitespace().next())
         .collect();
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let folders = [
-        folder.to_path_buf(),
-        folder.join("images"),
-        folder.join("visualize"),
-    ];
+    let photos = Photos::new(photos, folder_of(path), &["", "images", "visualize"]);
 
-    let text = read_text(path)?;
+    let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
     let mut next = || {
         rest.next()
@@ -66,12 +64,11 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
             continue;
         }
         let entry = camera(&first, f, [k1, k2], &rotation, &translation, || {
-            let found = find_image(&folders, name)
-                .or_else(|| find_image(&folders, &image))
-                .ok_or_else(|| {
-                    IoError::input(&list, format!("{name} is not there, and says its size"))
-                })?;
-            image_size(&found)
+            let found = photos
+                .find(name)
+                .or_else(|| photos.find(&image))
+                .map_or_else(|| photos.named(&list, name), Ok)?;
+            size_of(&found)
         })?;
         file.cameras.push(CameraEntry {
             image: Some(image),
@@ -115,13 +112,16 @@ fn camera(
     })
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>, IoError> {
+    let list_path = list_of(path);
     let mut text = String::from("# Bundle file v0.3\n");
     let mut list = String::new();
     // Writing into a String cannot fail, hence the ignored results.
     let _ = writeln!(text, "{} 0", cameras.cameras.len());
     for entry in &cameras.cameras {
-        let image = entry.image.as_deref().unwrap_or("image");
+        let image = entry.name();
+        Names::Word.check(&list_path, "Bundler's list", image)?;
+        Names::Path.check(&list_path, "Bundler's list", image)?;
         let _ = writeln!(list, "{image}");
         let Some(pose) = entry.cam_from_world else {
             text.push_str("0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n");
@@ -141,11 +141,8 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
             None
         };
         if let Some(reason) = reason {
-            return Err(IoError::write(
-                path,
-                format!("Bundler has no place for {reason}, which {image} has"),
-            )
-            .with_hint("choose another format"));
+            let reason = format!("Bundler has no place for {reason}, which {image} has");
+            return Err(IoError::input(path, reason).with_hint("choose another format"));
         }
         let rotation = flip() * pose.rotation_matrix();
         let translation = flip() * pose.translation;
@@ -162,7 +159,8 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
     if cameras.unit == Unit::Metre {
         text.push_str("# unit metre\n");
     }
-    let list_path = list_of(path);
-    std::fs::write(&list_path, list).map_err(|error| IoError::write(&list_path, error))?;
-    std::fs::write(path, text).map_err(|error| IoError::write(path, error))
+    Ok(vec![
+        OutputFile::new(list_path, list),
+        OutputFile::new(path, text),
+    ])
 }

@@ -11,18 +11,20 @@
 //! which is kept: the chunk's transform into the earth's frame would cost six digits. Only its
 //! scale is applied, and makes lengths metres. Source: Metashape manual, appendix "Camera models".
 
-use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, rigid_from_world_pose};
 use crate::error::IoError;
-use crate::words::read_text;
+use crate::files::{OutputFile, read_regular_text};
+use crate::names::Names;
 use crate::xml::{self, Element};
 use nalgebra::Matrix3;
 use rilievo_scene::{Distortion, Intrinsics, Unit};
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     let refuse = |reason: String| IoError::input(path, reason);
-    let document = xml::parse(&read_text(path)?).map_err(refuse)?;
+    let document = xml::parse(&read_regular_text(path)?).map_err(refuse)?;
     let chunks = document.descendants("chunk");
     let chunk = match (document.name.as_str(), &chunks[..]) {
         ("document", [chunk]) => *chunk,
@@ -30,11 +32,11 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         ("document", _) => return Err(refuse("has several chunks; export one".to_owned())),
         (name, _) => return Err(refuse(format!("<{name}> is not Metashape's <document>"))),
     };
-    let mut sensors = Vec::new();
+    let mut sensors = HashMap::new();
     for sensor in chunk.descendants("sensor") {
         let id = sensor.attribute("id").unwrap_or_default();
         let camera = intrinsics(sensor).map_err(|reason| refuse(format!("sensor {id}: {reason}")));
-        sensors.push((id, camera));
+        sensors.entry(id).or_insert(camera);
     }
     let scale = chunk
         .child("transform")
@@ -66,9 +68,8 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         let pose = rigid_from_world_pose(&rotation, center)
             .map_err(|reason| refuse(format!("the transform of camera {label} {reason}")))?;
         let sensor_id = camera.attribute("sensor_id").unwrap_or_default();
-        let (_, sensor) = sensors
-            .iter()
-            .find(|(id, _)| *id == sensor_id)
+        let sensor = sensors
+            .get(sensor_id)
             .ok_or_else(|| refuse(format!("camera {label} names no sensor \"{sensor_id}\"")))?;
         file.cameras.push(CameraEntry {
             image: Some(label),
@@ -151,19 +152,14 @@ fn intrinsics(sensor: &Element) -> Result<Intrinsics, String> {
     })
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
-    let mut sensors: Vec<Intrinsics> = Vec::new();
+pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
+    let mut sensors = DistinctCameras::default();
     let mut entries = String::new();
     // Writing into a String cannot fail, hence the ignored results.
     for (i, entry) in cameras.cameras.iter().enumerate() {
-        let sensor = sensors
-            .iter()
-            .position(|known| *known == entry.intrinsics)
-            .unwrap_or_else(|| {
-                sensors.push(entry.intrinsics);
-                sensors.len() - 1
-            });
-        let label = xml::encode(entry.image.as_deref().unwrap_or("image"));
+        let sensor = sensors.place(&entry.intrinsics);
+        Names::Xml.check(path, "Metashape's XML", entry.name())?;
+        let label = xml::encode(entry.name());
         let _ = write!(
             entries,
             "      <camera id=\"{i}\" sensor_id=\"{sensor}\" label=\"{label}\">"
@@ -189,7 +185,7 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"2.0.0\">\n  \
          <chunk label=\"rilievo\" enabled=\"true\">\n    <sensors>\n",
     );
-    for (i, k) in sensors.iter().enumerate() {
+    for (i, k) in sensors.list.iter().enumerate() {
         let (w, h, d) = (k.width, k.height, &k.distortion);
         let (cx, cy) = (k.cx + 0.5 - 0.5 * w as f64, k.cy + 0.5 - 0.5 * h as f64);
         let _ = writeln!(
@@ -217,5 +213,5 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         text.push_str("    <transform><scale>1</scale></transform>\n");
     }
     text.push_str("  </chunk>\n</document>\n");
-    std::fs::write(path, text).map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, text))
 }

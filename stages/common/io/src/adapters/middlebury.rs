@@ -3,24 +3,26 @@
 //! A count, then one line per image: `name k11 k12 k13 k21 … k33 r11 … r33 t1 t2 t3`, with
 //! `pixel ~ K (R X + t)`, the first pixel's centre at 0. Source: vision.middlebury.edu/mview/data.
 
-use super::{find_image, image_size, refuse_distortion};
+use super::photos::Photos;
+use super::{folder_of, refuse_distortion};
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_camera_pose};
 use crate::error::IoError;
-use crate::words::{lines, read_text};
+use crate::files::{OutputFile, read_regular_text};
+use crate::names::Names;
+use crate::words::lines;
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
 use std::fmt::Write as _;
 use std::path::Path;
 
-pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
-    let text = read_text(path)?;
+pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
+    let photos = Photos::new(photos, folder_of(path), &["", "images"]);
+    let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
     let mut first = rest
         .next()
         .ok_or_else(|| IoError::input(path, "the file is empty"))?;
     let num_images: usize = first.parse("the number of images")?;
-    let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
-    let folders = [folder.clone(), folder.join("images")];
     let mut file = CameraFile::default();
     for mut line in rest.by_ref().take(num_images) {
         let name = line.word("the image's name")?.to_owned();
@@ -31,12 +33,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         if !upper || k[(0, 0)] <= 0.0 || k[(1, 1)] <= 0.0 || k[(0, 1)].abs() > 1e-6 * k[(0, 0)] {
             return Err(line.refuse(format!("K of {name} is no camera matrix without skew")));
         }
-        let image = find_image(&folders, &name).ok_or_else(|| {
-            line.refuse(format!(
-                "the image {name}, which tells its size, is not there"
-            ))
-        })?;
-        let (width, height) = image_size(&image)?;
+        let (width, height) = photos.size(path, &name)?;
         let pose = rigid_from_camera_pose(&rotation, &translation)
             .map_err(|reason| line.refuse(format!("R of {name} {reason}")))?;
         file.cameras.push(CameraEntry {
@@ -65,7 +62,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     Ok(file)
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
     let mut lines = String::new();
     let mut num_images = 0;
     for entry in &cameras.cameras {
@@ -73,13 +70,8 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
             continue;
         };
         refuse_distortion(path, entry, "Middlebury's format")?;
-        let name = entry.image.as_deref().unwrap_or("image");
-        if name.contains(char::is_whitespace) {
-            return Err(IoError::write(
-                path,
-                format!("Middlebury's format has no names with spaces, as \"{name}\""),
-            ));
-        }
+        let name = entry.name();
+        Names::Word.check(path, "Middlebury's format", name)?;
         let i = &entry.intrinsics;
         // Writing into a String cannot fail, hence the ignored results.
         let _ = write!(
@@ -94,6 +86,5 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         let _ = writeln!(lines, " {} {} {}", t.x, t.y, t.z);
         num_images += 1;
     }
-    std::fs::write(path, format!("{num_images}\n{lines}"))
-        .map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, format!("{num_images}\n{lines}")))
 }

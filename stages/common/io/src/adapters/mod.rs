@@ -16,7 +16,7 @@
 //!
 //! All become a [`CameraFile`] with our conventions, converted in both directions; a camera that a
 //! format cannot hold is refused by name, never approximated. Formats that leave out the images'
-//! size take it from the images beside them.
+//! size take it from the photos beside them, or in a folder that is named.
 
 mod bundler;
 mod metashape;
@@ -24,13 +24,15 @@ mod middlebury;
 mod mvsnet;
 mod npz;
 mod openmvs;
+mod photos;
 mod sfm_data;
 mod transforms;
 mod tum;
 
-use crate::cameras::{CameraEntry, CameraFile, read_cameras, write_cameras};
+use crate::cameras::{CameraEntry, CameraFile, cameras_file, read_cameras};
 use crate::colmap;
 use crate::error::IoError;
+use crate::files::{OutputFile, write_all};
 use nalgebra::Matrix3;
 use std::path::{Path, PathBuf};
 
@@ -157,24 +159,41 @@ impl CameraFormat {
     }
 }
 
-/// Reads cameras in a format; a folder that holds the format's usual file stands for it.
+/// Reads cameras in a format; a folder that holds the format's usual file stands for it. Photos whose
+/// size the format leaves out are looked for beside the file.
 ///
 /// # Errors
 /// When a file cannot be read or refuses to be a camera; names file, place and value.
 pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, IoError> {
+    import(path, format, None)
+}
+
+/// The same, where the photos are in a folder of their own.
+///
+/// # Errors
+/// As [`import_cameras`].
+pub fn import_cameras_with_photos(
+    path: &Path,
+    format: CameraFormat,
+    photos: &Path,
+) -> Result<CameraFile, IoError> {
+    import(path, format, Some(photos))
+}
+
+fn import(path: &Path, format: CameraFormat, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     match format {
         CameraFormat::CamerasJson | CameraFormat::Colmap | CameraFormat::ColmapBinary => {
             read_cameras(path)
         }
-        CameraFormat::Transforms => transforms::read(&inside(path, "transforms.json")),
-        CameraFormat::Bundler => bundler::read(&inside(path, "bundle.out")),
-        CameraFormat::Mvsnet => mvsnet::read(path),
-        CameraFormat::Middlebury => middlebury::read(path),
+        CameraFormat::Transforms => transforms::read(&inside(path, "transforms.json"), photos),
+        CameraFormat::Bundler => bundler::read(&inside(path, "bundle.out"), photos),
+        CameraFormat::Mvsnet => mvsnet::read(path, photos),
+        CameraFormat::Middlebury => middlebury::read(path, photos),
         CameraFormat::Metashape => metashape::read(path),
-        CameraFormat::Tum => tum::read(&inside(path, "pose.txt")),
+        CameraFormat::Tum => tum::read(&inside(path, "pose.txt"), photos),
         CameraFormat::SfmData => sfm_data::read(&inside(path, "cameras.sfm")),
-        CameraFormat::OpenMvs => openmvs::read(&inside(path, "scene.mvs")),
-        CameraFormat::Npz => npz::read(&inside(path, "cameras_sphere.npz")),
+        CameraFormat::OpenMvs => openmvs::read(&inside(path, "scene.mvs"), photos),
+        CameraFormat::Npz => npz::read(&inside(path, "cameras_sphere.npz"), photos),
     }
 }
 
@@ -182,35 +201,39 @@ pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, I
 /// are left out by formats that have no place for them.
 ///
 /// # Errors
-/// When a file cannot be written, or the format cannot hold a camera.
+/// As [`camera_files`]; and when a file cannot be written.
 pub fn export_cameras(
     path: &Path,
     format: CameraFormat,
     cameras: &CameraFile,
 ) -> Result<(), IoError> {
-    let folder = || std::fs::create_dir_all(path).map_err(|error| IoError::write(path, error));
+    write_all(&camera_files(path, format, cameras)?)
+}
+
+/// The files that hold cameras in a format, to be written: `path` is the file, or the folder of a
+/// format that is one; some formats have further files beside it.
+///
+/// # Errors
+/// When the format cannot hold a camera or its photo's name.
+pub fn camera_files(
+    path: &Path,
+    format: CameraFormat,
+    cameras: &CameraFile,
+) -> Result<Vec<OutputFile>, IoError> {
+    let model = || colmap::ColmapModel::from_cameras(cameras);
     match format {
-        CameraFormat::CamerasJson => write_cameras(path, cameras),
-        CameraFormat::Colmap => {
-            folder()?;
-            colmap::write_model_text(path, &colmap::ColmapModel::from_cameras(cameras))
-        }
-        CameraFormat::ColmapBinary => {
-            folder()?;
-            colmap::write_colmap_binary(path, &colmap::ColmapModel::from_cameras(cameras))
-        }
-        CameraFormat::Transforms => transforms::write(path, cameras),
-        CameraFormat::Bundler => bundler::write(path, cameras),
-        CameraFormat::Mvsnet => {
-            folder()?;
-            mvsnet::write(path, cameras, None)
-        }
-        CameraFormat::Middlebury => middlebury::write(path, cameras),
-        CameraFormat::Metashape => metashape::write(path, cameras),
-        CameraFormat::Tum => tum::write(path, cameras),
-        CameraFormat::SfmData => sfm_data::write(path, cameras),
-        CameraFormat::OpenMvs => openmvs::write(path, cameras),
-        CameraFormat::Npz => npz::write(path, cameras),
+        CameraFormat::CamerasJson => Ok(vec![cameras_file(path, cameras)?]),
+        CameraFormat::Colmap => colmap::text_files(path, &model()),
+        CameraFormat::ColmapBinary => colmap::binary_files(path, &model()),
+        CameraFormat::Transforms => Ok(vec![transforms::file(path, cameras)?]),
+        CameraFormat::Bundler => bundler::files(path, cameras),
+        CameraFormat::Mvsnet => mvsnet::files(path, cameras, None),
+        CameraFormat::Middlebury => Ok(vec![middlebury::file(path, cameras)?]),
+        CameraFormat::Metashape => Ok(vec![metashape::file(path, cameras)?]),
+        CameraFormat::Tum => tum::files(path, cameras),
+        CameraFormat::SfmData => Ok(vec![sfm_data::file(path, cameras)?]),
+        CameraFormat::OpenMvs => Ok(vec![openmvs::file(path, cameras)?]),
+        CameraFormat::Npz => npz::files(path, cameras),
     }
 }
 
@@ -223,8 +246,7 @@ pub fn export_mvsnet(
     cameras: &CameraFile,
     range: MvsnetDepthRange,
 ) -> Result<(), IoError> {
-    std::fs::create_dir_all(folder).map_err(|error| IoError::write(folder, error))?;
-    mvsnet::write(folder, cameras, Some(range))
+    write_all(&mvsnet::files(folder, cameras, Some(range))?)
 }
 
 fn inside(path: &Path, name: &str) -> PathBuf {
@@ -240,26 +262,9 @@ fn flip() -> Matrix3<f64> {
     Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0))
 }
 
-/// Columns and rows of an image, from its header alone.
-fn image_size(path: &Path) -> Result<(usize, usize), IoError> {
-    let reader = image::ImageReader::open(path)
-        .and_then(image::ImageReader::with_guessed_format)
-        .map_err(|error| IoError::read(path, &error))?;
-    reader
-        .into_dimensions()
-        .map(|(width, height)| (width as usize, height as usize))
-        .map_err(|error| IoError::input(path, format!("its size cannot be read: {error}")))
-}
-
-/// The image of a name, which may lack its ending, looked for in folders in turn.
-fn find_image(folders: &[PathBuf], name: &str) -> Option<PathBuf> {
-    let endings = ["", ".png", ".jpg", ".jpeg", ".JPG", ".tif", ".exr"];
-    folders.iter().find_map(|folder| {
-        endings
-            .iter()
-            .map(|ending| folder.join(format!("{name}{ending}")))
-            .find(|path| path.is_file())
-    })
+/// The folder that a file is in.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new(""))
 }
 
 /// Refuses what a format without distortion cannot hold.
@@ -267,14 +272,12 @@ fn refuse_distortion(path: &Path, entry: &CameraEntry, format: &str) -> Result<(
     if entry.intrinsics.distortion.is_none() {
         return Ok(());
     }
-    Err(IoError::write(
-        path,
-        format!(
-            "{format} has no lens distortion, which {} has",
-            entry.image.as_deref().unwrap_or("the camera")
-        ),
-    )
-    .with_hint("undistort the photos first, or choose another format"))
+    let reason = format!(
+        "{format} has no lens distortion, which {} has",
+        entry.name()
+    );
+    Err(IoError::input(path, reason)
+        .with_hint("undistort the photos first, or choose another format"))
 }
 
 #[cfg(test)]

@@ -10,14 +10,21 @@
 //! depth_min depth_interval [num_depths depth_max]
 //! ```
 
-use super::{find_image, image_size, refuse_distortion};
+use super::photos::{Photos, size_of};
+use super::refuse_distortion;
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_camera_pose};
 use crate::error::IoError;
-use crate::words::{Line, lines, read_text};
+use crate::files::{OutputFile, read_regular_text};
+use crate::names::Names;
+use crate::words::{Line, lines};
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+
+/// The file that tells which number is which photo; MVSNet's own programs do without.
+const NAMES: &str = "names.txt";
 
 /// Depth planes of a sweep.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,41 +54,54 @@ pub(super) fn camera_files(folder: &Path) -> Result<Vec<PathBuf>, IoError> {
     Ok(files)
 }
 
-pub(super) fn read(folder: &Path) -> Result<CameraFile, IoError> {
+pub(super) fn read(folder: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     let files = camera_files(folder)?;
     if files.is_empty() {
         return Err(IoError::input(folder, "holds no cams/NNNNNNNN_cam.txt"));
     }
-    let image_folders = [
-        folder.join("images"),
-        folder.to_path_buf(),
-        folder.join("blended_images"),
-    ];
+    let photos = Photos::new(photos, folder, &["images", "", "blended_images"]);
+    let names = read_names(&folder.join(NAMES))?;
     let mut file = CameraFile::default();
     for path in files {
-        let stem = path
+        let number = path
             .file_name()
             .map(|name| name.to_string_lossy().replace("_cam.txt", ""))
             .unwrap_or_default();
-        let image = find_image(&image_folders, &stem).ok_or_else(|| {
-            IoError::input(
-                &path,
-                format!("its image {stem}, which tells the size, is not there"),
-            )
-        })?;
-        let name = image
-            .file_name()
-            .map(|name| name.to_string_lossy().into_owned());
+        let name = names.get(&number).unwrap_or(&number);
+        let image = photos
+            .find(name)
+            .or_else(|| photos.find(&number))
+            .map_or_else(|| photos.named(&path, name), Ok)?;
+        let entry = read_camera(&path, size_of(&image)?)?;
+        let name = match names.get(&number) {
+            Some(name) => Some(name.clone()),
+            None => image
+                .file_name()
+                .map(|name| name.to_string_lossy().into_owned()),
+        };
         file.cameras.push(CameraEntry {
             image: name,
-            ..read_camera(&path, image_size(&image)?)?
+            ..entry
         });
     }
     Ok(file)
 }
 
+/// Which photo a number stands for, where this program wrote the folder.
+fn read_names(path: &Path) -> Result<HashMap<String, String>, IoError> {
+    if !path.is_file() {
+        return Ok(HashMap::new());
+    }
+    let text = read_regular_text(path)?;
+    let pairs = text.lines().filter_map(|line| line.split_once(' '));
+    Ok(pairs
+        .filter(|(_, name)| !name.is_empty())
+        .map(|(number, name)| (number.to_owned(), name.to_owned()))
+        .collect())
+}
+
 fn read_camera(path: &Path, (width, height): (usize, usize)) -> Result<CameraEntry, IoError> {
-    let text = read_text(path)?;
+    let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
     let mut next = || -> Result<Line<'_>, IoError> {
         rest.next()
@@ -130,16 +150,14 @@ fn read_camera(path: &Path, (width, height): (usize, usize)) -> Result<CameraEnt
 
 /// Writes the camera files, numbered in the cameras' order, and `names.txt` that tells which is
 /// which.
-pub(super) fn write(
+pub(super) fn files(
     folder: &Path,
     cameras: &CameraFile,
     range: Option<MvsnetDepthRange>,
-) -> Result<(), IoError> {
+) -> Result<Vec<OutputFile>, IoError> {
     let cams = folder.join("cams");
-    std::fs::create_dir_all(&cams).map_err(|error| IoError::write(&cams, error))?;
-    let save = |path: PathBuf, text: String| {
-        std::fs::write(&path, text).map_err(|error| IoError::write(&path, error))
-    };
+    let names_path = folder.join(NAMES);
+    let mut files = Vec::new();
     let mut names = String::new();
     let posed = cameras
         .cameras
@@ -175,8 +193,10 @@ pub(super) fn write(
                 range.min, range.interval, range.num
             );
         }
-        save(path, text)?;
-        let _ = writeln!(names, "{i:08} {}", entry.image.as_deref().unwrap_or(""));
+        files.push(OutputFile::new(path, text));
+        Names::Line.check(&names_path, "the list of MVSNet's photos", entry.name())?;
+        let _ = writeln!(names, "{i:08} {}", entry.name());
     }
-    save(folder.join("names.txt"), names)
+    files.push(OutputFile::new(names_path, names));
+    Ok(files)
 }

@@ -8,26 +8,34 @@
 //!
 //! Read are arrays of 32 or 64 bits in files that `numpy.savez` writes (ZIP without compression).
 
-use super::{image_size, refuse_distortion};
+use super::photos::{Photos, size_of};
+use super::{folder_of, refuse_distortion};
 use crate::bytes::Bytes;
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
 use crate::error::IoError;
+use crate::files::{OutputFile, read_regular, read_regular_text};
+use crate::names::Names;
 use nalgebra::{Matrix3, Matrix4, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// Skew over focal length beyond which `P` is of no camera of ours; arrays of 32 bits leave 1e-7.
 const MAX_SKEW: f64 = 1e-4;
 
-pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
-    let data = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+/// Two arrays a camera, and as many arrays as a ZIP file of the plain kind counts.
+const MAX_CAMERAS: usize = u16::MAX as usize / 2;
+
+pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
+    let data = read_regular(path)?;
     let matrices = parse(path, &data)?;
-    let images = images_beside(path)?;
+    let photos = Photos::new(photos, folder_of(path), &["image", "images", "rgb"]);
+    let images = images(path, &photos)?;
     if images.len() < matrices.len() {
         return Err(IoError::input(
             path,
             format!(
-                "has {} cameras, but {} images in image/ beside it, which tell names and sizes",
+                "has {} cameras, but there are only {} photos, which tell names and sizes",
                 matrices.len(),
                 images.len()
             ),
@@ -43,7 +51,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
             return Err(refuse(format!("has the skew {skew}")));
         }
         let pose = rigid_from_world_pose(&rotation.transpose(), center.into()).map_err(refuse)?;
-        let (width, height) = image_size(image)?;
+        let (width, height) = size_of(image)?;
         let name = image
             .file_name()
             .map(|name| name.to_string_lossy().into_owned());
@@ -64,21 +72,37 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     Ok(file)
 }
 
-/// Images in `image`, `images` or `rgb` beside the file, by name.
-fn images_beside(path: &Path) -> Result<Vec<PathBuf>, IoError> {
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let found = ["image", "images", "rgb"]
-        .map(|name| folder.join(name))
-        .into_iter()
-        .find(|folder| folder.is_dir());
-    let folder = found.ok_or_else(|| {
-        IoError::input(
-            path,
-            "there is no folder image/ beside it, which tells names and sizes",
-        )
-    })?;
-    let mut images: Vec<PathBuf> = std::fs::read_dir(&folder)
-        .map_err(|error| IoError::read(&folder, &error))?
+/// The file that tells which camera is which photo's; the format knows its images by their order alone.
+fn names_of(path: &Path) -> PathBuf {
+    path.with_extension("names.txt")
+}
+
+/// Names of the photos in the cameras' order, where this program wrote the file.
+fn listed_names(path: &Path) -> Result<Option<Vec<String>>, IoError> {
+    let list = names_of(path);
+    if !list.is_file() {
+        return Ok(None);
+    }
+    let text = read_regular_text(&list)?;
+    let names = text.lines().filter_map(|line| line.split_once(' '));
+    Ok(Some(names.map(|(_, name)| name.to_owned()).collect()))
+}
+
+/// The photos in the cameras' order: those that are listed, where all of them are there; else all of the
+/// first folder that is there, by name.
+fn images(path: &Path, photos: &Photos) -> Result<Vec<PathBuf>, IoError> {
+    let missing = || photos.missing(path, "a folder image of the photos, in the cameras' order,");
+    if let Some(names) = listed_names(path)? {
+        let beside = |name: &String| Some(path.with_file_name(name)).filter(|path| path.is_file());
+        let found = |name: &String| photos.find(name).or_else(|| beside(name));
+        if let Some(images) = names.iter().map(found).collect() {
+            return Ok(images);
+        }
+    }
+    let folder = photos.folders().iter().find(|folder| folder.is_dir());
+    let folder = folder.ok_or_else(missing)?;
+    let mut images: Vec<PathBuf> = std::fs::read_dir(folder)
+        .map_err(|error| IoError::read(folder, &error))?
         .filter_map(|entry| Some(entry.ok()?.path()))
         .filter(|path| crate::photo::is_photo_name(path))
         .collect();
@@ -116,12 +140,13 @@ fn parted(p: &Matrix4<f64>) -> Option<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)
 
 /// The arrays `world_mat_0`, `world_mat_1`, ... of a file.
 fn parse(path: &Path, data: &[u8]) -> Result<Vec<Matrix4<f64>>, IoError> {
-    let entries = entries(path, data)?;
+    // Of entries of one name the first counts.
+    let entries: HashMap<String, &[u8]> = entries(path, data)?.into_iter().rev().collect();
     let mut matrices = Vec::new();
     loop {
         let name = format!("world_mat_{}.npy", matrices.len());
-        match entries.iter().find(|(entry, _)| *entry == name) {
-            Some((_, array)) => matrices.push(array_4x4(path, &name, array)?),
+        match entries.get(&name) {
+            Some(array) => matrices.push(array_4x4(path, &name, array)?),
             None if matrices.is_empty() => {
                 return Err(IoError::input(path, "holds no array world_mat_0"));
             }
@@ -210,7 +235,8 @@ fn array_4x4(path: &Path, name: &str, data: &[u8]) -> Result<Matrix4<f64>, IoErr
     Ok(matrix)
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>, IoError> {
+    let list = names_of(path);
     let mut zip = Zip::default();
     let posed = cameras
         .cameras
@@ -218,6 +244,10 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         .filter_map(|entry| Some((entry, entry.cam_from_world?)));
     let mut names = String::new();
     for (index, (entry, pose)) in posed.enumerate() {
+        if index == MAX_CAMERAS {
+            let reason = format!("a NumPy file has no place for more than {MAX_CAMERAS} cameras");
+            return Err(IoError::input(path, reason).with_hint("choose another format"));
+        }
         refuse_distortion(path, entry, "IDR's and NeuS's format")?;
         let i = &entry.intrinsics;
         let k = Matrix3::new(i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0);
@@ -233,12 +263,13 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
             &format!("scale_mat_{index}.npy"),
             &npy(&Matrix4::identity()),
         );
-        names += &format!("{index:06} {}\n", entry.image.as_deref().unwrap_or(""));
+        Names::Line.check(&list, "the list of the photos", entry.name())?;
+        names += &format!("{index:06} {}\n", entry.name());
     }
-    std::fs::write(path, zip.finish()).map_err(|error| IoError::write(path, error))?;
-    // The format knows its images by their order alone.
-    let list = path.with_extension("names.txt");
-    std::fs::write(&list, names).map_err(|error| IoError::write(&list, error))
+    Ok(vec![
+        OutputFile::new(path, zip.finish()),
+        OutputFile::new(list, names),
+    ])
 }
 
 fn npy(matrix: &Matrix4<f64>) -> Vec<u8> {

@@ -9,10 +9,13 @@
 //!
 //! Source: OpenMVS, `libs/MVS/Interface.h`, versions 0 to 7.
 
-use super::{find_image, image_size, refuse_distortion};
+use super::photos::Photos;
+use super::{folder_of, refuse_distortion};
 use crate::bytes::Bytes;
-use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
 use crate::error::IoError;
+use crate::files::{OutputFile, read_regular};
+use crate::names::Names;
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics};
 use std::path::Path;
@@ -57,12 +60,13 @@ fn vector(bytes: &mut Bytes<'_>) -> Result<Vector3<f64>, IoError> {
     ))
 }
 
-pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
-    let data = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
-    parse(path, &data)
+pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
+    let photos = Photos::new(photos, folder_of(path), &["", "images"]);
+    let data = read_regular(path)?;
+    parse(path, &data, &photos)
 }
 
-fn parse(path: &Path, data: &[u8]) -> Result<CameraFile, IoError> {
+fn parse(path: &Path, data: &[u8], photos: &Photos) -> Result<CameraFile, IoError> {
     let mut bytes = Bytes::new(path, data);
     if bytes.take()? != *MAGIC {
         return Err(IoError::input(path, "is no interface archive of OpenMVS")
@@ -78,8 +82,6 @@ fn parse(path: &Path, data: &[u8]) -> Result<CameraFile, IoError> {
     for _ in 0..bytes.u64()? {
         platforms.push(platform(&mut bytes, version)?);
     }
-    let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
-    let folders = [folder.clone(), folder.join("images")];
     let mut file = CameraFile::default();
     for _ in 0..bytes.u64()? {
         let name = bytes.text()?;
@@ -114,18 +116,10 @@ fn parse(path: &Path, data: &[u8]) -> Result<CameraFile, IoError> {
                     .map_err(|reason| bytes.refuse(format!("the pose of {name} {reason}")))?,
             )
         };
-        let size = || {
-            let image = find_image(&folders, last_part(&name)).ok_or_else(|| {
-                bytes.refuse(format!(
-                    "{name}, which tells the size, is not beside the file"
-                ))
-            })?;
-            image_size(&image)
-        };
         let (intrinsics, skew) = match camera.size {
             Some(size) => intrinsics(&camera.k, size, 1.0),
             None => {
-                let (width, height) = size()?;
+                let (width, height) = photos.size(path, last_part(&name))?;
                 intrinsics(&camera.k, (width, height), width.max(height) as f64)
             }
         };
@@ -189,8 +183,8 @@ fn intrinsics(k: &Matrix3<f64>, (width, height): (usize, usize), scale: f64) -> 
     (camera, k[(0, 1)] * scale)
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
-    let mut known: Vec<Intrinsics> = Vec::new();
+pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
+    let mut known = DistinctCameras::default();
     let mut images = Vec::new();
     let mut poses = Vec::new();
     let posed = cameras
@@ -199,14 +193,9 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         .filter_map(|entry| Some((entry, entry.cam_from_world?)));
     for (index, (entry, pose)) in (0u32..).zip(posed) {
         refuse_distortion(path, entry, "OpenMVS")?;
-        let camera = known
-            .iter()
-            .position(|known| *known == entry.intrinsics)
-            .unwrap_or_else(|| {
-                known.push(entry.intrinsics);
-                known.len() - 1
-            });
-        put_text(&mut images, entry.image.as_deref().unwrap_or("image"));
+        let camera = known.place(&entry.intrinsics);
+        Names::Path.check(path, "OpenMVS", entry.name())?;
+        put_text(&mut images, entry.name());
         for number in [0, camera as u32, index, index] {
             images.extend(number.to_le_bytes());
         }
@@ -221,8 +210,8 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
     data.extend(0u32.to_le_bytes());
     data.extend(1u64.to_le_bytes());
     put_text(&mut data, "platform");
-    data.extend((known.len() as u64).to_le_bytes());
-    for camera in &known {
+    data.extend((known.list.len() as u64).to_le_bytes());
+    for camera in &known.list {
         put_text(&mut data, "camera");
         put_text(&mut data, "");
         data.extend((camera.width as u32).to_le_bytes());
@@ -239,7 +228,7 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
     // Points, their normals and colours; lines, their normals and colours: none.
     data.extend([0; 6 * 8]);
     put(&mut data, nalgebra::Matrix4::<f64>::identity().iter());
-    std::fs::write(path, data).map_err(|error| IoError::write(path, error))
+    Ok(OutputFile::new(path, data))
 }
 
 fn images_count(cameras: &CameraFile) -> u64 {

@@ -9,10 +9,13 @@
 //!
 //! Source: AliceVision, `src/aliceVision/sfmDataIO/jsonIO.cpp`.
 
-use super::find_image;
-use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose};
+use super::folder_of;
+use super::photos::Photos;
+use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
 use crate::error::IoError;
+use crate::files::OutputFile;
 use crate::json::{self, Node};
+use crate::names::Names;
 use nalgebra::Matrix3;
 use rilievo_scene::{Distortion, Intrinsics};
 use serde_json::{Value, json};
@@ -195,29 +198,25 @@ fn read_camera(node: &Node<'_>, before: &dyn Fn(f64, f64) -> bool) -> Result<Int
 
 /// Finds a photo's path: beside the file or in its `images`; else the bare name.
 fn image_path(file: &Path, name: &str) -> String {
-    let folder = file.parent().unwrap_or(Path::new("")).to_path_buf();
-    let folders = [folder.clone(), folder.join("images"), folder.join("photos")];
-    find_image(&folders, name)
+    Photos::new(None, folder_of(file), &["", "images", "photos"])
+        .find(name)
         .and_then(|path| std::path::absolute(path).ok())
         .map_or_else(|| name.to_owned(), |path| path.display().to_string())
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
     let text = |value: f64| Value::String(value.to_string());
     let (mut views, mut intrinsics, mut poses) = (Vec::new(), Vec::new(), Vec::new());
-    let mut known: Vec<Intrinsics> = Vec::new();
+    let mut known = DistinctCameras::default();
     for (index, entry) in cameras.cameras.iter().enumerate() {
         let i = &entry.intrinsics;
-        let camera = known
-            .iter()
-            .position(|known| known == i)
-            .unwrap_or_else(|| {
-                known.push(*i);
-                intrinsics.push(write_camera(known.len(), i));
-                known.len() - 1
-            });
+        let camera = known.place(i);
+        if camera == intrinsics.len() {
+            intrinsics.push(write_camera(camera + 1, i));
+        }
         let id = (index + 1).to_string();
-        let name = entry.image.as_deref().unwrap_or("image");
+        let name = entry.name();
+        Names::Path.check(path, "AliceVision", name)?;
         views.push(json!({
             "viewId": id, "poseId": id, "frameId": id, "intrinsicId": (camera + 1).to_string(),
             "path": image_path(path, name),
@@ -233,7 +232,7 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
             }));
         }
     }
-    json::write(
+    json::file(
         path,
         &json!({
             "version": VERSION.map(|part| part.to_string()),

@@ -349,7 +349,7 @@ fn refusals_name_file_and_place() {
             "transforms.json",
             CameraFormat::Transforms,
             r#"{"frames": [{"file_path": "a.png", "fl_x": 5}]}"#,
-            "its image is not there",
+            "the photo a.png is not there",
         ),
         (
             "x_par.txt",
@@ -508,5 +508,94 @@ fn damaged_scenes_never_panic() {
             std::fs::write(&path, &bytes).unwrap();
             drop(import_cameras(&path, format));
         }
+    }
+}
+
+/// A folder with nothing but photos of the names that cameras have.
+fn photos() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let grey = vec![9; WIDTH * HEIGHT];
+    let png = encode_png(&grey, WIDTH, HEIGHT, image::ExtendedColorType::L8).unwrap();
+    for i in 0..3 {
+        std::fs::write(folder.path().join(format!("IMG_{i:04}.png")), &png).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn photos_that_tell_sizes_may_be_in_a_folder_of_their_own() {
+    let photos = photos();
+    for format in [
+        CameraFormat::Bundler,
+        CameraFormat::Mvsnet,
+        CameraFormat::Middlebury,
+        CameraFormat::Tum,
+        CameraFormat::Npz,
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = path_of(&folder, format);
+        let original = cameras(centered());
+        export_cameras(&path, format, &original).unwrap();
+        let message = import_cameras(&path, format).unwrap_err().to_string();
+        assert!(
+            message.contains("is not there; its size in pixels is needed")
+                && message.contains("--photos DIR"),
+            "{format:?}: {message}"
+        );
+        let back = import_cameras_with_photos(&path, format, photos.path()).unwrap();
+        let worst = largest_projection_difference(&original, &back);
+        assert!(worst < SAME_PX, "{format:?}: {worst}");
+        for (a, b) in original.cameras.iter().zip(&back.cameras) {
+            assert_eq!(a.image, b.image, "{format:?}");
+        }
+    }
+}
+
+#[test]
+fn names_come_back_or_are_refused() {
+    let names = [
+        "a b.png",
+        " a.png",
+        "a.png ",
+        "a\nb.png",
+        "a\tb.png",
+        "a\rb.png",
+        "a\u{1}.png",
+        "#a.png",
+        "\"a\".png",
+        "<a&amp;>.png",
+        "ä石.png",
+        "a\\b.png",
+        "a,b.png",
+        "-a.png",
+        "a\u{a0}b.png",
+    ];
+    for name in names {
+        let photos = photos();
+        std::fs::copy(photos.path().join("IMG_0000.png"), photos.path().join(name)).unwrap();
+        let mut original = cameras(centered());
+        original.cameras[1].image = Some(name.to_owned());
+        let mut num_kept = 0;
+        for format in CameraFormat::ALL {
+            let folder = tempfile::tempdir().unwrap();
+            let path = path_of(&folder, format);
+            match export_cameras(&path, format, &original) {
+                Ok(()) => {
+                    let back = import_cameras_with_photos(&path, format, photos.path());
+                    let back = back.unwrap_or_else(|error| panic!("{format:?} {name:?}: {error}"));
+                    let known = |entry: &CameraEntry| entry.image.as_deref() == Some(name);
+                    assert!(back.cameras.iter().any(known), "{format:?} {name:?}");
+                    assert_eq!(back.cameras.len(), 3, "{format:?} {name:?}");
+                    num_kept += 1;
+                }
+                Err(error) => {
+                    assert_eq!(error.kind, crate::IoErrorKind::Input, "{error}");
+                    let message = error.to_string();
+                    assert!(message.contains(&format!("{name:?}")), "{message}");
+                    assert!(!path.is_file(), "{format:?} {name:?}");
+                }
+            }
+        }
+        assert!(num_kept >= 2, "{name:?}");
     }
 }

@@ -8,10 +8,13 @@
 //! may stand at the top or in a frame, `camera_angle_x` instead of a focal length. Source:
 //! nerfstudio documentation, "Data conventions".
 
-use super::{find_image, flip, image_size};
+use super::photos::{Photos, size_of};
+use super::{flip, folder_of};
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose, unit};
 use crate::error::IoError;
+use crate::files::OutputFile;
 use crate::json::{self, Node};
+use crate::names::Names;
 use nalgebra::Matrix3;
 use rilievo_scene::{Distortion, Intrinsics, Unit};
 use serde_json::json;
@@ -20,7 +23,8 @@ use std::path::Path;
 /// Keys of lens coefficients that we cannot hold, and must therefore be zero.
 const FOREIGN_COEFFICIENTS: [&str; 3] = ["k4", "k5", "k6"];
 
-pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
+pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
+    let photos = Photos::new(photos, folder_of(path), &[""]);
     let value = json::read(path)?;
     let root = Node::root(path, &value);
     let mut file = CameraFile {
@@ -29,7 +33,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     };
     for frame in root.get("frames")?.array()? {
         let name = frame.get("file_path")?.text()?.trim_start_matches("./");
-        let intrinsics = intrinsics(&root, &frame, path, name)?;
+        let intrinsics = intrinsics(&root, &frame, &photos, name)?;
         let node = frame.get("transform_matrix")?;
         let rows = node.array()?;
         if !(3..=4).contains(&rows.len()) {
@@ -64,7 +68,7 @@ fn key<'a>(root: &Node<'a>, frame: &Node<'a>, name: &str) -> Result<Option<Node<
 fn intrinsics(
     root: &Node<'_>,
     frame: &Node<'_>,
-    path: &Path,
+    photos: &Photos,
     name: &str,
 ) -> Result<Intrinsics, IoError> {
     if let Some(model) = key(root, frame, "camera_model")? {
@@ -82,11 +86,11 @@ fn intrinsics(
     let (width, height) = match (key(root, frame, "w")?, key(root, frame, "h")?) {
         (Some(w), Some(h)) => (w.count()?, h.count()?),
         _ => {
-            let folder = path.parent().unwrap_or(Path::new("")).to_path_buf();
-            let image = find_image(&[folder], name).ok_or_else(|| {
-                frame.refuse("has no \"w\" and \"h\", and its image is not there either")
-            })?;
-            image_size(&image)?
+            let image = photos
+                .find(name)
+                .or_else(|| photos.find(last_part(name)))
+                .map_or_else(|| photos.named(frame.file, name), Ok)?;
+            size_of(&image)?
         }
     };
     let fx = match (number("fl_x")?, number("camera_angle_x")?) {
@@ -121,7 +125,10 @@ fn intrinsics(
     })
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
+    for entry in &cameras.cameras {
+        Names::Path.check(path, "transforms.json", entry.name())?;
+    }
     let frames: Vec<serde_json::Value> = cameras
         .cameras
         .iter()
@@ -139,7 +146,7 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
             };
             let (i, d) = (&entry.intrinsics, &entry.intrinsics.distortion);
             Some(json!({
-                "file_path": entry.image.as_deref().unwrap_or("image"),
+                "file_path": entry.name(),
                 "w": i.width, "h": i.height,
                 "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx + 0.5, "cy": i.cy + 0.5,
                 "k1": d.k1, "k2": d.k2, "p1": d.p1, "p2": d.p2, "k3": d.k3,
@@ -151,7 +158,7 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         Unit::Metre => "metre",
         Unit::Arbitrary => "arbitrary",
     };
-    json::write(
+    json::file(
         path,
         &json!({"camera_model": "OPENCV", "unit": unit, "frames": frames}),
     )

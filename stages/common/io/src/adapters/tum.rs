@@ -4,13 +4,18 @@
 //! `id` is a number or a time; the image is the one in the folder, or in `photos`, `images`, `rgb`
 //! or `color` beside it, whose name ends in it (`color000012.png` for `012`).
 
-use super::{image_size, refuse_distortion};
-use crate::cameras::{CameraEntry, CameraFile, last_part, stem};
+use super::photos::{Photos, size_of};
+use super::{folder_of, refuse_distortion};
+use crate::cameras::{CameraEntry, CameraFile};
 use crate::error::IoError;
+use crate::files::{OutputFile, read_regular_text};
+use crate::names::Names;
 use crate::photo::is_photo_name;
-use crate::words::{lines, read_text};
+use crate::words::lines;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, RigidTransform};
+use std::collections::HashMap;
+use std::ffi::OsStr;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -18,21 +23,48 @@ fn intrinsics_of(path: &Path) -> PathBuf {
     path.with_file_name("intrinsics.txt")
 }
 
-/// Photos beside the trajectory, in order.
-fn photos(folder: &Path) -> Vec<PathBuf> {
-    let mut photos: Vec<PathBuf> = ["photos", "images", "rgb", "color", ""]
-        .iter()
-        .filter_map(|name| std::fs::read_dir(folder.join(name)).ok())
-        .flat_map(|entries| entries.filter_map(|entry| Some(entry.ok()?.path())))
-        .filter(|path| is_photo_name(path))
-        .collect();
-    photos.sort();
-    photos
+/// The photos of folders, by name.
+struct Listed {
+    paths: Vec<PathBuf>,
+    /// Places by name, with and without ending.
+    places: HashMap<String, usize>,
 }
 
-pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
+impl Listed {
+    fn new(folders: &[PathBuf]) -> Self {
+        let mut paths: Vec<PathBuf> = folders
+            .iter()
+            .filter_map(|name| std::fs::read_dir(name).ok())
+            .flat_map(|entries| entries.filter_map(|entry| Some(entry.ok()?.path())))
+            .filter(|path| is_photo_name(path))
+            .collect();
+        paths.sort();
+        let mut places = HashMap::new();
+        for (place, path) in paths.iter().enumerate() {
+            for known in [path.file_name(), path.file_stem()] {
+                places.entry(text_of(known)).or_insert(place);
+            }
+        }
+        Self { paths, places }
+    }
+
+    /// The photo whose name is an id, or ends in it.
+    fn find(&self, id: &str) -> Option<&Path> {
+        let ends = |path: &&PathBuf| text_of(path.file_stem()).ends_with(id);
+        let named = self.places.get(id).and_then(|&place| self.paths.get(place));
+        named
+            .or_else(|| self.paths.iter().find(ends))
+            .map(PathBuf::as_path)
+    }
+}
+
+fn text_of(name: Option<&OsStr>) -> String {
+    name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
+pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     let k_path = intrinsics_of(path);
-    let k_text = read_text(&k_path)?;
+    let k_text = read_regular_text(&k_path)?;
     let mut k_lines = lines(&k_path, &k_text, false);
     let mut row = || -> Result<[f64; 3], IoError> {
         k_lines
@@ -47,9 +79,11 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
             format!("the focal lengths are {fx}, {fy}"),
         ));
     }
-    let photos = photos(path.parent().unwrap_or(Path::new("")));
+    let inside = ["photos", "images", "rgb", "color", ""];
+    let photos = Photos::new(photos, folder_of(path), &inside);
+    let listed = Listed::new(photos.folders());
     let mut file = CameraFile::default();
-    let text = read_text(path)?;
+    let text = read_regular_text(path)?;
     for mut line in lines(path, &text, false) {
         let id = line.word("the id")?;
         let translation = Vector3::from(line.numbers::<3>("the position")?);
@@ -58,25 +92,16 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         if !(0.5..=2.0).contains(&quaternion.norm()) {
             return Err(line.refuse(format!("the quaternion {x} {y} {z} {w} is no rotation")));
         }
-        let photo = photos
-            .iter()
-            .find(|photo| {
-                let name = photo.to_string_lossy();
-                last_part(&name) == id || stem(&name) == id
-            })
-            .or_else(|| {
-                photos
-                    .iter()
-                    .find(|photo| stem(&photo.to_string_lossy()).ends_with(id))
-            })
-            .ok_or_else(|| line.refuse(format!("no photo's name ends in {id}")))?;
-        let (width, height) = image_size(photo)?;
+        let photo = listed
+            .find(id)
+            .ok_or_else(|| photos.missing(path, &format!("a photo whose name ends in {id}")))?;
+        let (width, height) = size_of(photo)?;
         let world_from_cam = RigidTransform {
             rotation: UnitQuaternion::from_quaternion(quaternion),
             translation,
         };
         file.cameras.push(CameraEntry {
-            image: Some(last_part(&photo.to_string_lossy()).to_owned()),
+            image: Some(text_of(photo.file_name())),
             intrinsics: Intrinsics {
                 width,
                 height,
@@ -92,7 +117,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     Ok(file)
 }
 
-pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>, IoError> {
     let mut text = String::from("# image tx ty tz qx qy qz qw (world from camera)\n");
     let mut shared: Option<Intrinsics> = None;
     for entry in &cameras.cameras {
@@ -102,19 +127,14 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         refuse_distortion(path, entry, "TUM's format")?;
         if shared.get_or_insert(entry.intrinsics) != &entry.intrinsics {
             return Err(
-                IoError::write(path, "TUM's format has one camera for all photos")
+                IoError::input(path, "TUM's format has one camera for all photos")
                     .with_hint("choose another format"),
             );
         }
         let world = pose.inverse();
         let (t, q) = (&world.translation, world.rotation.quaternion());
-        let name = entry.image.as_deref().unwrap_or("image");
-        if name.contains(char::is_whitespace) {
-            return Err(IoError::write(
-                path,
-                format!("TUM's format has no names with spaces, as \"{name}\""),
-            ));
-        }
+        let name = entry.name();
+        Names::Word.check(path, "TUM's format", name)?;
         // Writing into a String cannot fail, hence the ignored result.
         let _ = writeln!(
             text,
@@ -122,11 +142,10 @@ pub(super) fn write(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
             name, t.x, t.y, t.z, q.i, q.j, q.k, q.w
         );
     }
-    std::fs::write(path, text).map_err(|error| IoError::write(path, error))?;
+    let mut files = vec![OutputFile::new(path, text)];
     if let Some(k) = shared {
-        let k_path = intrinsics_of(path);
         let text = format!("{} 0 {}\n0 {} {}\n0 0 1\n", k.fx, k.cx, k.fy, k.cy);
-        std::fs::write(&k_path, text).map_err(|error| IoError::write(&k_path, error))?;
+        files.push(OutputFile::new(intrinsics_of(path), text));
     }
-    Ok(())
+    Ok(files)
 }

@@ -8,14 +8,17 @@
 //! Pixel centres at integers; camera x right, y down, z forward. A camera without a pose fixes the
 //! intrinsics alone. Numbers are written so that they are read back bit for bit.
 
+mod index;
 mod read;
 mod write;
 
 use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit};
 
+pub use index::CameraIndex;
+pub(crate) use index::DistinctCameras;
 pub use read::read_cameras;
 pub(crate) use read::{rigid_from_camera_pose, rigid_from_world_pose, unit};
-pub use write::write_cameras;
+pub use write::{cameras_file, write_cameras};
 
 /// One camera of a file.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,25 +58,24 @@ pub(crate) fn stem(name: &str) -> &str {
     }
 }
 
+impl CameraEntry {
+    /// The photo's file name, or a word for it.
+    pub(crate) fn name(&self) -> &str {
+        self.image.as_deref().unwrap_or("image")
+    }
+}
+
 impl CameraFile {
     /// The camera of a photo, named with or without its ending. The whole name is tried first, so
-    /// that `x.jpg` and `x.png` keep their own; a lone entry without a name fits every photo.
+    /// that `x.jpg` and `x.png` keep their own; a lone entry without a name fits every photo. For
+    /// several photos, [`CameraFile::index`] is made once.
     pub fn find(&self, image: &str) -> Option<&CameraEntry> {
-        let by = |fits: &dyn Fn(&str) -> bool| {
-            self.cameras
-                .iter()
-                .find(|entry| entry.image.as_deref().is_some_and(fits))
-        };
-        by(&|name| name == image)
-            .or_else(|| by(&|name| last_part(name) == last_part(image)))
-            .or_else(|| {
-                by(&|name| last_part(name) == stem(image) || stem(name) == last_part(image))
-            })
-            .or_else(|| by(&|name| stem(name) == stem(image)))
-            .or_else(|| match self.cameras.as_slice() {
-                [only] if only.image.is_none() => Some(only),
-                _ => None,
-            })
+        self.index().find(image)
+    }
+
+    /// The cameras by their photos' names.
+    pub fn index(&self) -> CameraIndex<'_> {
+        CameraIndex::new(self)
     }
 
     /// What stage 3 writes: every posed view, and the photos that got no pose.

@@ -6,6 +6,7 @@ use crate::error::IoError;
 use crate::json::{self, Node};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, RigidTransform, Unit};
+use std::collections::HashSet;
 use std::path::Path;
 
 /// How far `RᵀR` may be from the identity: rotations written with four digits pass and are made
@@ -34,15 +35,11 @@ pub fn read_cameras(path: &Path) -> Result<CameraFile, IoError> {
         unit: unit(&root)?,
         ..CameraFile::default()
     };
+    let mut names = HashSet::new();
     for node in root.get("cameras")?.array()? {
         let entry = camera(&node)?;
         let name = node.get("image")?;
-        let image = name.text()?;
-        if file
-            .cameras
-            .iter()
-            .any(|c| c.image.as_deref() == Some(image))
-        {
+        if !names.insert(name.text()?) {
             return Err(name.refuse("appears twice"));
         }
         file.cameras.push(entry);

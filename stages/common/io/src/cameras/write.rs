@@ -2,6 +2,7 @@
 
 use super::CameraFile;
 use crate::error::IoError;
+use crate::files::OutputFile;
 use crate::json;
 use rilievo_scene::Unit;
 use serde_json::{Map, Value, json};
@@ -12,6 +13,14 @@ use std::path::Path;
 /// # Errors
 /// When the file cannot be written.
 pub fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
+    cameras_file(path, cameras)?.write()
+}
+
+/// `cameras.json`, to be written.
+///
+/// # Errors
+/// When the cameras cannot be put into words.
+pub fn cameras_file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
     let mut root = Map::new();
     let unit = match cameras.unit {
         Unit::Metre => "metre",
@@ -69,5 +78,5 @@ pub fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
         .map(|(image, reason)| json!({"image": image, "reason": reason}))
         .collect();
     root.insert("unregistered".to_owned(), Value::Array(unregistered));
-    json::write(path, &Value::Object(root))
+    json::file(path, &Value::Object(root))
 }

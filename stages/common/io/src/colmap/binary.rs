@@ -4,6 +4,8 @@ use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPo
 use super::text::pose;
 use crate::bytes::Bytes;
 use crate::error::IoError;
+use crate::files::{OutputFile, read_regular};
+use crate::names::Names;
 use nalgebra::Vector3;
 use std::path::Path;
 
@@ -12,15 +14,14 @@ const NO_POINT: u64 = u64::MAX;
 
 /// Reads the three files; `points3D.bin` may be missing.
 pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
-    let load = |path: &Path| std::fs::read(path).map_err(|error| IoError::read(path, &error));
     let mut model = ColmapModel::default();
     let path = folder.join("cameras.bin");
-    parse_cameras(&path, &load(&path)?, &mut model)?;
+    parse_cameras(&path, &read_regular(&path)?, &mut model)?;
     let path = folder.join("images.bin");
-    parse_images(&path, &load(&path)?, &mut model)?;
+    parse_images(&path, &read_regular(&path)?, &mut model)?;
     let path = folder.join("points3D.bin");
     if path.is_file() {
-        parse_points(&path, &load(&path)?, &mut model)?;
+        parse_points(&path, &read_regular(&path)?, &mut model)?;
     }
     Ok(model)
 }
@@ -111,15 +112,14 @@ pub(super) fn parse_points(
     Ok(())
 }
 
-/// Writes `cameras.bin`, `images.bin` and `points3D.bin` into an existing folder.
+/// `cameras.bin`, `images.bin` and `points3D.bin` of a model, to be written.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn write_colmap_binary(folder: &Path, model: &ColmapModel) -> Result<(), IoError> {
-    let save = |name: &str, data: Vec<u8>| {
-        let path = folder.join(name);
-        std::fs::write(&path, data).map_err(|error| IoError::write(&path, error))
-    };
+/// When an image's name has a zero in it, which ends names there.
+pub fn binary_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile>, IoError> {
+    let mut files = Vec::with_capacity(3);
+    let mut save = |name: &str, data: Vec<u8>| files.push(OutputFile::new(folder.join(name), data));
+    let images_path = folder.join("images.bin");
     let mut data = (model.cameras.len() as u64).to_le_bytes().to_vec();
     for camera in &model.cameras {
         data.extend(camera.id.to_le_bytes());
@@ -131,10 +131,11 @@ pub fn write_colmap_binary(folder: &Path, model: &ColmapModel) -> Result<(), IoE
             .iter()
             .for_each(|param| data.extend(param.to_le_bytes()));
     }
-    save("cameras.bin", data)?;
+    save("cameras.bin", data);
 
     let mut data = (model.images.len() as u64).to_le_bytes().to_vec();
     for image in &model.images {
+        Names::Terminated.check(&images_path, "COLMAP's binary model", &image.name)?;
         let q = image.cam_from_world.rotation.quaternion();
         let t = &image.cam_from_world.translation;
         data.extend(image.id.to_le_bytes());
@@ -151,7 +152,7 @@ pub fn write_colmap_binary(folder: &Path, model: &ColmapModel) -> Result<(), IoE
             data.extend(point.unwrap_or(NO_POINT).to_le_bytes());
         }
     }
-    save("images.bin", data)?;
+    save("images.bin", data);
 
     let mut data = (model.points.len() as u64).to_le_bytes().to_vec();
     for point in &model.points {
@@ -168,5 +169,6 @@ pub fn write_colmap_binary(folder: &Path, model: &ColmapModel) -> Result<(), IoE
             data.extend(index.to_le_bytes());
         }
     }
-    save("points3D.bin", data)
+    save("points3D.bin", data);
+    Ok(files)
 }

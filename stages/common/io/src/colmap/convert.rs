@@ -1,9 +1,10 @@
 //! Between COLMAP's words and ours.
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
-use crate::cameras::{CameraEntry, CameraFile};
+use crate::cameras::{CameraEntry, CameraFile, DistinctCameras};
 use crate::error::IoError;
 use rilievo_scene::{Distortion, Intrinsics, PosedViews, Unit};
+use std::collections::HashMap;
 use std::path::Path;
 
 /// Centre of the first pixel in COLMAP's coordinates.
@@ -115,21 +116,21 @@ impl ColmapModel {
     /// # Errors
     /// When an image refers to no camera, or a camera cannot be converted.
     pub fn to_camera_file(&self, folder: &Path) -> Result<CameraFile, IoError> {
+        let mut by_id = HashMap::new();
+        for camera in &self.cameras {
+            by_id.entry(camera.id).or_insert(camera);
+        }
         let mut cameras = Vec::with_capacity(self.images.len());
         for image in &self.images {
-            let camera = self
-                .cameras
-                .iter()
-                .find(|camera| camera.id == image.camera_id)
-                .ok_or_else(|| {
-                    IoError::input(
-                        folder,
-                        format!(
-                            "{} refers to camera {}, which is not there",
-                            image.name, image.camera_id
-                        ),
-                    )
-                })?;
+            let camera = by_id.get(&image.camera_id).ok_or_else(|| {
+                IoError::input(
+                    folder,
+                    format!(
+                        "{} refers to camera {}, which is not there",
+                        image.name, image.camera_id
+                    ),
+                )
+            })?;
             cameras.push(CameraEntry {
                 image: Some(image.name.clone()),
                 intrinsics: camera
@@ -150,28 +151,22 @@ impl ColmapModel {
     /// a pose are left out; numbers count from one, as COLMAP's do.
     pub fn from_cameras(cameras: &CameraFile) -> Self {
         let mut model = Self::default();
-        let mut known: Vec<Intrinsics> = Vec::new();
+        let mut known = DistinctCameras::default();
         for entry in &cameras.cameras {
             let Some(cam_from_world) = entry.cam_from_world else {
                 continue;
             };
-            let camera = known
-                .iter()
-                .position(|camera| *camera == entry.intrinsics)
-                .unwrap_or_else(|| {
-                    known.push(entry.intrinsics);
-                    known.len() - 1
-                });
+            let camera = known.place(&entry.intrinsics);
             model.images.push(ColmapImage {
                 id: model.images.len() as u32 + 1,
                 cam_from_world,
                 camera_id: camera as u32 + 1,
-                name: entry.image.clone().unwrap_or_default(),
+                name: entry.name().to_owned(),
                 points2d: Vec::new(),
             });
         }
         model.cameras = (1..)
-            .zip(&known)
+            .zip(&known.list)
             .map(|(id, camera)| ColmapCamera::from_intrinsics(id, camera))
             .collect();
         model

@@ -24,9 +24,9 @@ mod convert;
 mod model;
 mod text;
 
-pub use binary::write_colmap_binary;
+pub use binary::binary_files;
 pub use model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
-pub use text::{write_colmap_text, write_model_text};
+pub use text::{text_files, write_colmap_text};
 
 use crate::error::IoError;
 use std::path::Path;

@@ -6,6 +6,12 @@ use rilievo_scene::{
     TrackElement, ViewIdx,
 };
 
+fn write_binary(folder: &Path, model: &ColmapModel) {
+    for file in binary_files(folder, model).unwrap() {
+        file.write().unwrap();
+    }
+}
+
 fn views() -> PosedViews {
     let plain = Intrinsics::pinhole(1280, 960, 1_777.777_777_8, 639.5, 479.5);
     let bent = Intrinsics {
@@ -99,7 +105,7 @@ fn models_survive_both_formats_and_project_alike() {
     write_colmap_text(folder.path(), &views()).unwrap();
     let text = read_model(folder.path()).unwrap();
     assert_eq!(text, model);
-    write_colmap_binary(folder.path(), &model).unwrap();
+    write_binary(folder.path(), &model);
     let binary = read_model(folder.path()).unwrap();
     assert_eq!(binary, model);
     let error = largest_reprojection_error(&binary);
@@ -176,7 +182,7 @@ fn every_convertible_model_is_understood_and_others_are_named() {
 fn no_part_of_a_binary_file_panics() {
     let folder = tempfile::tempdir().unwrap();
     let model = ColmapModel::from_posed_views(&views());
-    write_colmap_binary(folder.path(), &model).unwrap();
+    write_binary(folder.path(), &model);
     type Parse = fn(&Path, &[u8], &mut ColmapModel) -> Result<(), IoError>;
     let files: [(&str, Parse); 3] = [
         ("cameras.bin", binary::parse_cameras),

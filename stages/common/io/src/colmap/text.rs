@@ -2,7 +2,9 @@
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
 use crate::error::IoError;
-use crate::words::{Line, lines, read_text};
+use crate::files::{OutputFile, read_regular_text};
+use crate::names::Names;
+use crate::words::{Line, lines};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use rilievo_scene::{PosedViews, RigidTransform};
 use std::fmt::Write as _;
@@ -11,20 +13,21 @@ use std::path::Path;
 /// Writes `cameras.txt`, `images.txt` and `points3D.txt` into an existing folder.
 ///
 /// # Errors
-/// When a file cannot be written.
+/// As [`text_files`]; and when a file cannot be written.
 pub fn write_colmap_text(folder: &Path, views: &PosedViews) -> Result<(), IoError> {
-    write_model_text(folder, &ColmapModel::from_posed_views(views))
+    text_files(folder, &ColmapModel::from_posed_views(views))?
+        .iter()
+        .try_for_each(OutputFile::write)
 }
 
-/// The same for a model.
+/// `cameras.txt`, `images.txt` and `points3D.txt` of a model, to be written.
 ///
 /// # Errors
-/// When a file cannot be written.
-pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoError> {
-    let save = |name: &str, text: String| {
-        let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|error| IoError::write(&path, error))
-    };
+/// When an image's name cannot stand in a line.
+pub fn text_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile>, IoError> {
+    let mut files = Vec::with_capacity(3);
+    let mut save = |name: &str, text: String| files.push(OutputFile::new(folder.join(name), text));
+    let images_path = folder.join("images.txt");
     // Writing into a String cannot fail, hence the ignored results below.
     let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
     for camera in &model.cameras {
@@ -40,13 +43,14 @@ pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoErro
         }
         text.push('\n');
     }
-    save("cameras.txt", text)?;
+    save("cameras.txt", text);
 
     let mut text = String::from(
         "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n\
          # POINTS2D[] as (X, Y, POINT3D_ID)\n",
     );
     for image in &model.images {
+        Names::Line.check(&images_path, "COLMAP's text", &image.name)?;
         let q = image.cam_from_world.rotation.quaternion();
         let t = &image.cam_from_world.translation;
         let _ = writeln!(
@@ -63,7 +67,7 @@ pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoErro
         }
         text.push('\n');
     }
-    save("images.txt", text)?;
+    save("images.txt", text);
 
     let mut text =
         String::from("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n");
@@ -79,7 +83,8 @@ pub fn write_model_text(folder: &Path, model: &ColmapModel) -> Result<(), IoErro
         }
         text.push('\n');
     }
-    save("points3D.txt", text)
+    save("points3D.txt", text);
+    Ok(files)
 }
 
 /// Reads the three files; `points3D.txt` may be missing.
@@ -87,7 +92,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
     let mut model = ColmapModel::default();
 
     let path = folder.join("cameras.txt");
-    for mut line in lines(&path, &read_text(&path)?, false) {
+    for mut line in lines(&path, &read_regular_text(&path)?, false) {
         let id = line.parse("CAMERA_ID")?;
         let name = line.word("MODEL")?;
         let camera_model = CameraModel::from_name(name).map_err(|reason| line.refuse(reason))?;
@@ -108,7 +113,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
     }
 
     let path = folder.join("images.txt");
-    let text = read_text(&path)?;
+    let text = read_regular_text(&path)?;
     let mut image_lines = lines(&path, &text, true);
     while let Some(mut line) = image_lines.next() {
         // The second line of an image may be empty; a first line never is.
@@ -128,7 +133,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
 
     let path = folder.join("points3D.txt");
     if path.is_file() {
-        for mut line in lines(&path, &read_text(&path)?, false) {
+        for mut line in lines(&path, &read_regular_text(&path)?, false) {
             let mut point = ColmapPoint {
                 id: line.parse("POINT3D_ID")?,
                 position: [line.number("X")?, line.number("Y")?, line.number("Z")?],

@@ -5,6 +5,7 @@
 
 use super::{floats, num_pixels};
 use crate::error::IoError;
+use crate::files::read_regular;
 use rilievo_scene::{DepthMap, NormalMap, Raster};
 use std::path::Path;
 
@@ -38,7 +39,7 @@ pub fn read_colmap_normal(path: &Path) -> Result<NormalMap, IoError> {
 type Planes<const N: usize> = (usize, usize, [Vec<f32>; N]);
 
 fn read<const N: usize>(path: &Path) -> Result<Planes<N>, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let bytes = read_regular(path)?;
     let refuse = |reason: String| IoError::input(path, reason);
     let mut sizes = [0_usize; 3];
     let mut at = 0;

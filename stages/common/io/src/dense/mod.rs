@@ -13,17 +13,15 @@ mod openmvs;
 pub use colmap::{read_colmap_depth, read_colmap_normal};
 pub use openmvs::{DmapFile, read_dmap};
 
+use crate::claims::MAX_PIXELS;
 use crate::error::IoError;
 use std::path::Path;
-
-/// More pixels than any map has: a header that claims them is damaged.
-const MAX_PIXELS: usize = 1_000_000_000;
 
 /// Number of pixels of a claimed size that can be one.
 fn num_pixels(path: &Path, width: usize, height: usize) -> Result<usize, IoError> {
     width
         .checked_mul(height)
-        .filter(|&n| n > 0 && n <= MAX_PIXELS)
+        .filter(|&n| n > 0 && n as u64 <= MAX_PIXELS)
         .ok_or_else(|| IoError::input(path, format!("its size is {width} x {height} pixels")))
 }
 

@@ -13,6 +13,7 @@
 use super::{floats, num_pixels};
 use crate::cameras::rigid_from_world_pose;
 use crate::error::IoError;
+use crate::files::read_regular;
 use nalgebra::Matrix3;
 use rilievo_scene::{DepthMap, Distortion, Intrinsics, NormalMap, Raster, RigidTransform};
 use std::path::Path;
@@ -76,7 +77,7 @@ impl<'a> Bytes<'a> {
 /// # Errors
 /// When it cannot be read, is damaged, or of the newer, quantised kind.
 pub fn read_dmap(path: &Path) -> Result<DmapFile, IoError> {
-    let content = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let content = read_regular(path)?;
     let mut bytes = Bytes {
         path,
         rest: &content,

@@ -1,6 +1,7 @@
 //! Floating-point TIFF of the kinds that the image library leaves out: one channel, and 16 or 64
 //! bits a sample.
 
+use crate::claims;
 use std::io::Cursor;
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
@@ -18,9 +19,16 @@ pub(super) fn read(bytes: &[u8]) -> Option<(usize, usize, usize, Vec<f32>)> {
     };
     let (width, height) = decoder.dimensions().ok()?;
     let num_px = u64::from(width) * u64::from(height);
-    if num_px > super::MAX_PIXELS {
-        return None;
-    }
+    // Eight bytes a sample, and their four.
+    let size = (u64::from(width), u64::from(height));
+    claims::check(
+        size,
+        8 * stored as u64,
+        2,
+        bytes.len(),
+        claims::MAX_EXPANSION,
+    )
+    .ok()?;
     // Bounds what a damaged header can ask for: eight bytes a sample.
     let mut limits = Limits::default();
     limits.decoding_buffer_size = usize::try_from(num_px).ok()?.checked_mul(8 * stored)?;

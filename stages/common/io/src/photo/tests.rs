@@ -1,10 +1,12 @@
 use super::*;
 use exif::experimental::Writer;
 use exif::{Rational, Value};
+use image::DynamicImage;
 use image::{ImageBuffer, Luma, Rgb, Rgba};
+use std::io::Cursor;
 use std::path::PathBuf;
 
-fn folder() -> tempfile::TempDir {
+pub(super) fn folder() -> tempfile::TempDir {
     tempfile::tempdir().unwrap()
 }
 
@@ -12,7 +14,7 @@ fn wave(i: usize) -> f32 {
     0.5 + 0.45 * (i as f32 * 0.37).sin()
 }
 
-fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
+pub(super) fn encoded(image: impl Into<DynamicImage>, format: ImageFormat) -> Vec<u8> {
     let mut bytes = Cursor::new(Vec::new());
     image.into().write_to(&mut bytes, format).unwrap();
     bytes.into_inner()
@@ -24,13 +26,13 @@ fn rgb8(width: u32, height: u32) -> ImageBuffer<Rgb<u8>, Vec<u8>> {
     ImageBuffer::from_raw(width, height, data).unwrap()
 }
 
-fn rgb16(width: u32, height: u32) -> ImageBuffer<Rgb<u16>, Vec<u16>> {
+pub(super) fn rgb16(width: u32, height: u32) -> ImageBuffer<Rgb<u16>, Vec<u16>> {
     let len = (width * height * 3) as usize;
     let data = (0..len).map(|i| (wave(i) * 65535.0) as u16).collect();
     ImageBuffer::from_raw(width, height, data).unwrap()
 }
 
-fn decode(name: &str, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
+pub(super) fn decode(name: &str, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
     decode_photo_bytes(Path::new(name), bytes)
 }
 
@@ -324,10 +326,10 @@ fn png_color_chunks_are_judged() {
         bytes_with.extend(data);
         bytes_with.extend([0; 4]);
         bytes_with.extend(&bytes[33..]);
-        png_color::read(&bytes_with)
+        png_chunks::color(&bytes_with)
     };
-    use png_color::PngColor;
-    assert_eq!(png_color::read(&bytes), None);
+    use png_chunks::PngColor;
+    assert_eq!(png_chunks::color(&bytes), None);
     assert_eq!(with_chunk(b"sRGB", &[0]), Some(PngColor::Encoded));
     let gamma = |value: u32| with_chunk(b"gAMA", &value.to_be_bytes());
     assert_eq!(gamma(100_000), Some(PngColor::Linear));

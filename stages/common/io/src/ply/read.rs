@@ -2,6 +2,7 @@
 
 use super::header::{Element, Format, Header, Property, Scalar};
 use crate::error::IoError;
+use crate::files::read_regular;
 use rilievo_scene::{CloudPoint, Mesh, PointCloud};
 use std::path::Path;
 
@@ -220,7 +221,7 @@ fn parse_faces(
 }
 
 fn load(path: &Path) -> Result<Content, IoError> {
-    let bytes = std::fs::read(path).map_err(|error| IoError::read(path, &error))?;
+    let bytes = read_regular(path)?;
     parse(&bytes).map_err(|reason| IoError::input(path, reason))
 }
 

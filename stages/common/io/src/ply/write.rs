@@ -1,6 +1,7 @@
 //! Writing clouds and meshes.
 
 use crate::error::IoError;
+use crate::files::OutputFile;
 use rilievo_scene::{Mesh, PointCloud, Unit};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -66,6 +67,22 @@ pub fn write_cloud_ply(path: &Path, cloud: &PointCloud, unit: Unit) -> Result<()
 /// # Errors
 /// When the file cannot be written, or normals or colours are not one per vertex.
 pub fn write_mesh_ply(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoError> {
+    check_mesh(path, mesh)?;
+    save(path, |out| put_mesh(out, mesh, unit))
+}
+
+/// The same, to be written.
+///
+/// # Errors
+/// When normals or colours are not one per vertex.
+pub fn mesh_ply_file(path: &Path, mesh: &Mesh, unit: Unit) -> Result<OutputFile, IoError> {
+    check_mesh(path, mesh)?;
+    let mut content = Vec::new();
+    put_mesh(&mut content, mesh, unit).map_err(|error| IoError::write(path, error))?;
+    Ok(OutputFile::new(path, content))
+}
+
+fn check_mesh(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
     let num_vertices = mesh.vertices.len();
     for (what, len) in [
         ("normals", mesh.normals.len()),
@@ -78,33 +95,35 @@ pub fn write_mesh_ply(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoErro
             ));
         }
     }
-    save(path, |out| {
-        out.write_all(preamble(unit).as_bytes())?;
-        writeln!(out, "element vertex {num_vertices}")?;
-        out.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
-        if !mesh.normals.is_empty() {
-            out.write_all(b"property float nx\nproperty float ny\nproperty float nz\n")?;
+    Ok(())
+}
+
+fn put_mesh(out: &mut impl Write, mesh: &Mesh, unit: Unit) -> std::io::Result<()> {
+    out.write_all(preamble(unit).as_bytes())?;
+    writeln!(out, "element vertex {}", mesh.vertices.len())?;
+    out.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
+    if !mesh.normals.is_empty() {
+        out.write_all(b"property float nx\nproperty float ny\nproperty float nz\n")?;
+    }
+    if !mesh.colors.is_empty() {
+        out.write_all(b"property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
+    }
+    writeln!(out, "element face {}", mesh.triangles.len())?;
+    out.write_all(b"property list uchar int vertex_indices\nend_header\n")?;
+    for (i, &vertex) in mesh.vertices.iter().enumerate() {
+        put(out, vertex)?;
+        if let Some(&normal) = mesh.normals.get(i) {
+            put(out, normal)?;
         }
-        if !mesh.colors.is_empty() {
-            out.write_all(b"property uchar red\nproperty uchar green\nproperty uchar blue\n")?;
+        if let Some(color) = mesh.colors.get(i) {
+            out.write_all(color)?;
         }
-        writeln!(out, "element face {}", mesh.triangles.len())?;
-        out.write_all(b"property list uchar int vertex_indices\nend_header\n")?;
-        for (i, &vertex) in mesh.vertices.iter().enumerate() {
-            put(out, vertex)?;
-            if let Some(&normal) = mesh.normals.get(i) {
-                put(out, normal)?;
-            }
-            if let Some(color) = mesh.colors.get(i) {
-                out.write_all(color)?;
-            }
+    }
+    for triangle in &mesh.triangles {
+        out.write_all(&[3])?;
+        for index in triangle {
+            out.write_all(&index.to_le_bytes())?;
         }
-        for triangle in &mesh.triangles {
-            out.write_all(&[3])?;
-            for index in triangle {
-                out.write_all(&index.to_le_bytes())?;
-            }
-        }
-        Ok(())
-    })
+    }
+    Ok(())
 }

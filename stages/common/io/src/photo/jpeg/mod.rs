@@ -16,6 +16,10 @@ mod huffman;
 use entropy::{Component, Frame, Scan};
 use huffman::HuffmanTable;
 
+/// More scans than any encoder writes: ten are usual. Each can name every block of the photo again in
+/// a few bytes, so that a small file could take hours.
+const MAX_NUM_SCANS: usize = 500;
+
 /// What is wrong with a JPEG file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub(super) enum Defect {
@@ -58,7 +62,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
     let mut state = State::default();
     let mut at = 2; // After the start-of-image marker that the format was recognised by.
     let mut seen_frame = false;
-    let mut seen_scan = false;
+    let mut num_scans = 0;
     loop {
         // Markers may be preceded by any number of fill bytes; some cameras pad between segments.
         while *bytes.get(at).ok_or_else(cut_off)? != 0xFF {
@@ -70,7 +74,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
         let marker = *bytes.get(at).ok_or_else(cut_off)?;
         at += 1;
         match marker {
-            0xD9 if seen_scan => return Ok(()),
+            0xD9 if num_scans > 0 => return Ok(()),
             0xD9 => return Err(Defect::Damaged("it has no image data")),
             // A stuffed zero, a restart marker or a lone marker carries no length.
             0x00 | 0x01 | 0xD0..=0xD8 => continue,
@@ -104,7 +108,10 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
                 if !seen_frame {
                     return Err(Defect::Damaged("its image data come before its frame"));
                 }
-                seen_scan = true;
+                num_scans += 1;
+                if num_scans > MAX_NUM_SCANS {
+                    return Err(Defect::Damaged("it has more scans than any photo"));
+                }
                 at = state.scan(segment, bytes, at)?;
             }
             _ => {}
@@ -128,7 +135,7 @@ fn frame(marker: u8, segment: &[u8]) -> Option<Frame> {
         .take(usize::from(*segment.get(5)?))
         .map(|c| Component::new(c[0], usize::from(c[1] >> 4), usize::from(c[1] & 15), c[2]))
         .collect::<Option<Vec<_>>>()?;
-    let too_large = (width * height) as u64 > super::MAX_PIXELS;
+    let too_large = (width * height) as u64 > crate::claims::MAX_PIXELS;
     (width > 0 && height > 0 && !too_large && !components.is_empty())
         .then(|| Frame::new(progressive, segment[0], width, height, components))
 }

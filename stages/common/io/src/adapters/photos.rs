@@ -1,0 +1,86 @@
+//! The photos of cameras whose format leaves out the images' size: found by name, measured by their
+//! headers.
+
+use crate::error::IoError;
+use crate::photo::{decode_photo, is_raw_name, photo_size};
+use std::path::{Path, PathBuf};
+
+/// Endings that formats leave out.
+const ENDINGS: [&str; 7] = ["", ".png", ".jpg", ".jpeg", ".JPG", ".tif", ".exr"];
+
+/// What to try where a photo is not found.
+const HINT: &str =
+    "put the photos beside it, or say where they are: rilievo import FILE --photos DIR";
+
+/// Folders that are looked through in turn.
+pub(super) struct Photos {
+    folders: Vec<PathBuf>,
+}
+
+impl Photos {
+    /// The folder that the user names, then some beside a file or in a folder, then those themselves.
+    pub(super) fn new(given: Option<&Path>, beside: &Path, inside: &[&str]) -> Self {
+        let given = given.map(Path::to_path_buf);
+        let inside = inside.iter().map(|name| beside.join(name));
+        Self {
+            folders: given.into_iter().chain(inside).collect(),
+        }
+    }
+
+    pub(super) fn folders(&self) -> &[PathBuf] {
+        &self.folders
+    }
+
+    /// The photo of a name, which may lack its ending.
+    pub(super) fn find(&self, name: &str) -> Option<PathBuf> {
+        self.folders.iter().find_map(|folder| {
+            ENDINGS
+                .iter()
+                .map(|ending| folder.join(format!("{name}{ending}")))
+                .find(|path| path.is_file())
+        })
+    }
+
+    /// The refusal of a camera file where a photo is not there.
+    pub(super) fn missing(&self, file: &Path, photo: &str) -> IoError {
+        let folders: Vec<String> = self
+            .folders
+            .iter()
+            .map(|folder| match folder.as_os_str().is_empty() {
+                true => ".".to_owned(),
+                false => folder.display().to_string(),
+            })
+            .collect();
+        let reason = format!(
+            "{photo} is not there; its size in pixels is needed, which this format leaves out (looked in {})",
+            folders.join(", ")
+        );
+        IoError::input(file, reason).with_hint(HINT)
+    }
+
+    /// The photo of a name, or the refusal of the camera file that names it.
+    pub(super) fn named(&self, file: &Path, name: &str) -> Result<PathBuf, IoError> {
+        self.find(name)
+            .ok_or_else(|| self.missing(file, &format!("the photo {name}")))
+    }
+
+    /// Columns and rows of the photo of a name.
+    pub(super) fn size(&self, file: &Path, name: &str) -> Result<(usize, usize), IoError> {
+        size_of(&self.named(file, name)?)
+    }
+}
+
+/// Columns and rows of a photo: by its header, or, where that tells of a preview, of its pixels.
+pub(super) fn size_of(path: &Path) -> Result<(usize, usize), IoError> {
+    if let Some(size) = photo_size(path) {
+        return Ok(size);
+    }
+    if is_raw_name(path) {
+        let photo = decode_photo(path)?;
+        return Ok((photo.width, photo.height));
+    }
+    // Why it cannot be opened, where that is the reason.
+    crate::files::open_regular(path)?;
+    let reason = "its size cannot be read: it is no photo, or damaged";
+    Err(IoError::input(path, reason))
+}

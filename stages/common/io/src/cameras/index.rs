@@ -1,0 +1,82 @@
+//! Cameras by their photos' names, and equal cameras as one: look-ups whose cost does not grow with the
+//! number of cameras.
+
+use super::{CameraEntry, CameraFile, last_part, stem};
+use rilievo_scene::Intrinsics;
+use std::collections::HashMap;
+
+/// The cameras of a file by their photos' names.
+#[derive(Debug)]
+pub struct CameraIndex<'a> {
+    cameras: &'a [CameraEntry],
+    /// The first camera of each name, of each name without folders, and of each without ending too.
+    whole: HashMap<&'a str, usize>,
+    last: HashMap<&'a str, usize>,
+    stem: HashMap<&'a str, usize>,
+}
+
+impl<'a> CameraIndex<'a> {
+    pub(super) fn new(file: &'a CameraFile) -> Self {
+        let mut index = Self {
+            cameras: &file.cameras,
+            whole: HashMap::new(),
+            last: HashMap::new(),
+            stem: HashMap::new(),
+        };
+        for (place, entry) in file.cameras.iter().enumerate() {
+            if let Some(name) = entry.image.as_deref() {
+                index.whole.entry(name).or_insert(place);
+                index.last.entry(last_part(name)).or_insert(place);
+                index.stem.entry(stem(name)).or_insert(place);
+            }
+        }
+        index
+    }
+
+    /// As [`CameraFile::find`].
+    pub fn find(&self, image: &str) -> Option<&'a CameraEntry> {
+        let (last, stem) = (last_part(image), stem(image));
+        let without_ending = || {
+            let either = [self.last.get(stem), self.stem.get(last)];
+            either.into_iter().flatten().min()
+        };
+        let place = self
+            .whole
+            .get(image)
+            .or_else(|| self.last.get(last))
+            .or_else(without_ending)
+            .or_else(|| self.stem.get(stem));
+        match (place, self.cameras) {
+            (Some(&place), cameras) => cameras.get(place),
+            (None, [only]) if only.image.is_none() => Some(only),
+            (None, _) => None,
+        }
+    }
+}
+
+/// Intrinsics, equal ones once.
+#[derive(Debug, Default)]
+pub(crate) struct DistinctCameras {
+    /// In the order in which they came.
+    pub(crate) list: Vec<Intrinsics>,
+    places: HashMap<[u64; 11], usize>,
+}
+
+impl DistinctCameras {
+    /// The place of a camera in the list, which it joins when it is new.
+    pub(crate) fn place(&mut self, camera: &Intrinsics) -> usize {
+        let d = &camera.distortion;
+        let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy];
+        // Zero has two signs, and is one number.
+        let [fx, fy, cx, cy, k1, k2, p1, p2, k3] =
+            [fx, fy, cx, cy, d.k1, d.k2, d.p1, d.p2, d.k3].map(|value| (value + 0.0).to_bits());
+        let (width, height) = (camera.width as u64, camera.height as u64);
+        let key = [width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3];
+        let next = self.list.len();
+        let place = *self.places.entry(key).or_insert(next);
+        if place == next {
+            self.list.push(*camera);
+        }
+        place
+    }
+}
