@@ -9,6 +9,7 @@ use rilievo_lighting::LightingOptions;
 use rilievo_photos::PhotosOptions;
 use rilievo_poses::PosesOptions;
 use rilievo_poses::anchors::AnchorMode;
+use rilievo_scene::InTable;
 use rilievo_shading::{ShadingModel, ShadingOptions};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -68,19 +69,18 @@ impl StageOptions {
     /// # Errors
     /// [`Failure::Usage`] with the first value that is out of range.
     pub fn validate(&self) -> Result<(), Failure> {
-        let usage = |table: &str, error: &dyn std::fmt::Display| {
-            Failure::Usage(format!("options of [{table}]: {error}"))
-        };
-        self.photos.validate().map_err(|e| usage("photos", &e))?;
-        self.features
-            .validate()
-            .map_err(|e| usage("features", &e))?;
-        self.poses.validate().map_err(|e| usage("poses", &e))?;
-        self.lighting
-            .validate()
-            .map_err(|e| usage("lighting", &e))?;
-        self.shading.validate().map_err(|e| usage("shading", &e))?;
-        self.fusion.validate().map_err(|e| usage("fusion", &e))
+        let checks = [
+            (self.photos.validate(), "photos"),
+            (self.features.validate(), "features"),
+            (self.poses.validate(), "poses"),
+            (self.lighting.validate(), "lighting"),
+            (self.shading.validate(), "shading"),
+            (self.fusion.validate(), "fusion"),
+        ];
+        let mut tables = checks.into_iter();
+        tables
+            .try_for_each(|(checked, table)| checked.in_table(table))
+            .map_err(|error| Failure::Usage(error.to_string()))
     }
 }
 
@@ -107,6 +107,8 @@ impl From<Encoding> for rilievo_photos::Encoding {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::commands::SynthOptions;
+    use rilievo_numerics::robust::RobustLoss;
 
     fn read(text: &str) -> Result<StageOptions, Failure> {
         let file = tempfile::NamedTempFile::new().unwrap();
@@ -137,5 +139,164 @@ mod tests {
     fn defaults_survive_a_round_trip() {
         let text = toml::to_string(&StageOptions::default()).unwrap();
         assert_eq!(read(&text).unwrap(), StageOptions::default());
+    }
+
+    /// Options with every part that the defaults leave out, so that each number stands in their TOML.
+    fn with_every_number() -> Vec<StageOptions> {
+        let point = rilievo_poses::MarkedPoints {
+            image: "a".to_owned(),
+            first: [1.0, 2.0],
+            second: [3.0, 4.0],
+        };
+        let mut options = StageOptions::default();
+        options.photos.focal_35mm = Some(35.0);
+        options.poses.known_distance = Some(rilievo_poses::KnownDistance {
+            metres: 1.0,
+            sigma_metres: 0.01,
+            cameras: None,
+            marks: vec![point.clone(), point],
+        });
+        options.shading.match_noise_px = Some(1.0);
+        options.shading.schedule = rilievo_shading::PenaltySchedule::Explicit {
+            start: 0.1,
+            growth: 1.1,
+            num_iterations: 50,
+            num_search_iterations: 10,
+        };
+        [
+            RobustLoss::Huber,
+            RobustLoss::Cauchy,
+            RobustLoss::GemanMcClure,
+        ]
+        .map(|loss| {
+            let mut options = options.clone();
+            options.shading.loss = loss(0.1);
+            options
+        })
+        .into()
+    }
+
+    /// Paths to all numbers of a table, with their last key.
+    fn numbers(value: &toml::Value, path: &mut Vec<String>, into: &mut Vec<Vec<String>>) {
+        let parts: Vec<(String, &toml::Value)> = match value {
+            toml::Value::Table(table) => table.iter().map(|(k, v)| (k.clone(), v)).collect(),
+            toml::Value::Array(items) => {
+                let numbered = items.iter().enumerate();
+                numbered.map(|(k, v)| (k.to_string(), v)).collect()
+            }
+            toml::Value::Integer(_) | toml::Value::Float(_) => return into.push(path.clone()),
+            _ => return,
+        };
+        for (key, part) in parts {
+            path.push(key);
+            numbers(part, path, into);
+            path.pop();
+        }
+    }
+
+    fn at<'a>(value: &'a mut toml::Value, path: &[String]) -> &'a mut toml::Value {
+        path.iter().fold(value, |value, key| match value {
+            toml::Value::Array(items) => &mut items[key.parse::<usize>().unwrap()],
+            table => &mut table[key.as_str()],
+        })
+    }
+
+    /// Sets every number in turn to values that make no sense: each is refused by its key, or lies in
+    /// the range that the refusal of an immense one tells.
+    fn every_number_has_a_range<T>(base: &T, validate: impl Fn(&T) -> Result<(), Failure>)
+    where
+        T: Serialize + serde::de::DeserializeOwned,
+    {
+        let base = toml::Value::try_from(base).unwrap();
+        let mut paths = Vec::new();
+        numbers(&base, &mut Vec::new(), &mut paths);
+        assert!(paths.len() > 20, "{paths:?}");
+        for path in paths {
+            // Places in arrays and names of enum variants stand in the file, but are no keys.
+            let is_key = |part: &&str| {
+                let variants = ["explicit", "huber", "cauchy", "geman_mc_clure"];
+                part.parse::<usize>().is_err() && !variants.contains(part)
+            };
+            let keys: Vec<&str> = path.iter().map(String::as_str).filter(is_key).collect();
+            let (dotted, key) = (keys.join("."), keys[keys.len() - 1]);
+            // Every seed serves.
+            if key == "seed" {
+                continue;
+            }
+            let with = |wrong: toml::Value| {
+                let mut value = base.clone();
+                *at(&mut value, &path) = wrong;
+                value.try_into::<T>()
+            };
+            let told = |wrong: toml::Value| match with(wrong) {
+                // The file's reader tells line and key.
+                Err(_) => Some(format!("{key} has a type that cannot hold it")),
+                Ok(options) => validate(&options).err().map(|error| {
+                    assert_eq!(error.code(), 2);
+                    error.to_string()
+                }),
+            };
+            let is_integer = at(&mut base.clone(), &path).is_integer();
+            let immense = [1e308, -1e308, f64::NAN, f64::INFINITY, 2f64.powi(63)];
+            let range = if is_integer {
+                // A narrow type holds no immense value.
+                let highest = if with(toml::Value::Integer(i64::MAX)).is_ok() {
+                    i64::MAX
+                } else {
+                    255
+                };
+                let refusal = told(toml::Value::Integer(highest));
+                vec![refusal.unwrap_or_else(|| panic!("{path:?} takes {highest}"))]
+            } else {
+                let refusal = |value: f64| {
+                    let message = told(toml::Value::Float(value));
+                    message.unwrap_or_else(|| panic!("{path:?} takes {value:e}"))
+                };
+                immense.map(refusal).to_vec()
+            };
+            for message in &range {
+                assert!(
+                    message.contains(&dotted),
+                    "{message} does not name {dotted}"
+                );
+            }
+            let limits = range[0].split_once("must lie within ");
+            let limits = limits.and_then(|(_, limits)| limits.split_once(" to "));
+            let (lowest, highest) = limits.unwrap_or_else(|| panic!("no range in {}", range[0]));
+            let (lowest, highest): (f64, f64) = (lowest.parse().unwrap(), highest.parse().unwrap());
+            for value in [-1.0, 0.0, f64::from(u32::MAX)] {
+                let wrong = match is_integer {
+                    true => toml::Value::Integer(value as i64),
+                    false => toml::Value::Float(value),
+                };
+                let inside = (lowest..=highest).contains(&value);
+                match told(wrong) {
+                    Some(message) => assert!(message.contains(key), "{message}: {key}"),
+                    None => assert!(
+                        inside,
+                        "{path:?} takes {value}, not in {lowest} to {highest}"
+                    ),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_number_of_the_options_has_a_range() {
+        for options in with_every_number() {
+            options.validate().unwrap();
+            every_number_has_a_range(&options, StageOptions::validate);
+        }
+    }
+
+    #[test]
+    fn every_number_of_synthetic_scenes_has_a_range() {
+        let mut options = SynthOptions::default();
+        options.scene.more_spheres = vec![rilievo_synthetic::BallOptions {
+            at_m: [0.3, 0.2],
+            radius_m: 0.01,
+        }];
+        options.validate().unwrap();
+        every_number_has_a_range(&options, SynthOptions::validate);
     }
 }

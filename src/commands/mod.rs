@@ -15,6 +15,9 @@ mod shade;
 mod status;
 mod synth;
 
+#[cfg(test)]
+pub use synth::SynthOptions;
+
 use crate::cli::Command;
 use crate::exit::Failure;
 use crate::observe::Console;

@@ -23,7 +23,9 @@ use rilievo_io::{
     write_mask, write_matches_csv, write_mesh_ply, write_normal, write_photo_deep, write_photo_dng,
     write_photo_jpeg,
 };
-use rilievo_scene::{Event, ExifFacts, Flow, LinearImage, NormalMap, Observer, StageId, Unit};
+use rilievo_scene::{
+    Event, ExifFacts, Flow, InTable, LinearImage, NormalMap, Observer, StageId, Unit,
+};
 use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions, true_tracks};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -42,6 +44,20 @@ pub struct SynthOptions {
     pub scene: SceneOptions,
     /// The photographs.
     pub photographs: RenderOptions,
+}
+
+impl SynthOptions {
+    /// Checks every number, so that a wrong one is told before anything is made.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] with the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), Failure> {
+        self.scene
+            .validate()
+            .in_table("scene")
+            .and_then(|()| self.photographs.validate().in_table("photographs"))
+            .map_err(|error| Failure::Usage(error.to_string()))
+    }
 }
 
 /// Runs the command.
@@ -86,6 +102,7 @@ fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
     if let Some((width, height)) = args.size {
         (options.photographs.width, options.photographs.height) = (width, height);
     }
+    options.validate()?;
     Ok(options)
 }
 

@@ -30,9 +30,7 @@ pub fn from_poses(error: PosesError) -> anyhow::Error {
     match error {
         PosesError::Interrupted => Failure::Interrupted.into(),
         PosesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
-        PosesError::InvalidOption { .. } | PosesError::Sphere { .. } => {
-            Failure::Usage(error.to_string()).into()
-        }
+        PosesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         PosesError::TooFewPhotos { num_photos: 1 } => {
             Failure::NoResult(ONE_PHOTO.to_owned()).into()
         }
@@ -51,7 +49,7 @@ pub fn from_lighting(error: LightingError) -> anyhow::Error {
     match error {
         LightingError::Interrupted => Failure::Interrupted.into(),
         LightingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
-        LightingError::Option { .. } => Failure::Usage(error.to_string()).into(),
+        LightingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         other => Failure::NoResult(other.to_string()).into(),
     }
 }

@@ -1,5 +1,6 @@
 //! Why a photo, or a set of photos, cannot be used.
 
+use rilievo_scene::OptionError;
 use thiserror::Error;
 
 /// A photo or a set that cannot be used.
@@ -7,15 +8,8 @@ use thiserror::Error;
 #[non_exhaustive]
 pub enum PhotosError {
     /// An option is out of its range.
-    #[error("option {name} is {value}: {reason}")]
-    Option {
-        /// The option.
-        name: &'static str,
-        /// Its value.
-        value: f64,
-        /// What it must be.
-        reason: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// The photo is too small to hold an object.
     #[error(
         "{photo}: {width} x {height} pixels are too few; at least {min} on each side are needed"

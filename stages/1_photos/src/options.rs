@@ -1,6 +1,6 @@
 //! Options of stage 1.
 
-use crate::error::PhotosError;
+use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// How the samples of a photo relate to light.
@@ -75,70 +75,31 @@ impl Default for PhotosOptions {
 }
 
 impl PhotosOptions {
-    /// Checks every range.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`PhotosError::Option`] with the first option that is out of range.
-    pub fn validate(&self) -> Result<(), PhotosError> {
-        let checks = [
-            (
-                "focal_35mm",
-                self.focal_35mm.unwrap_or(35.0),
-                1.0..=10_000.0,
-                "it must lie between 1 and 10000 mm",
-            ),
-            (
-                "focal_guess_factor",
-                self.focal_guess_factor,
-                0.1..=100.0,
-                "it must lie between 0.1 and 100",
-            ),
-            (
-                "clip_fraction",
-                self.clip_fraction,
-                0.1..=1.0,
-                "it must lie between 0.1 and 1",
-            ),
-            (
-                "inverted_border_share",
-                self.inverted_border_share,
-                0.1..=1.0,
-                "it must lie between 0.1 and 1",
-            ),
-            (
-                "clipped_warning_share",
-                self.clipped_warning_share,
-                0.0..=1.0,
-                "it must lie between 0 and 1",
-            ),
-            (
-                "exposure_warning_ev",
-                self.exposure_warning_ev,
-                0.0..=100.0,
-                "it must lie between 0 and 100",
-            ),
-            (
-                "max_level_spread_ev",
-                self.max_level_spread_ev,
-                0.0..=1e3,
-                "it must lie between 0 and 1000",
-            ),
-            (
-                "min_side_px",
-                self.min_side_px as f64,
-                2.0..=1e6,
-                "it must be at least 2",
-            ),
-        ];
-        for (name, value, range, reason) in checks {
-            if !range.contains(&value) {
-                return Err(PhotosError::Option {
-                    name,
-                    value,
-                    reason,
-                });
-            }
-        }
-        Ok(())
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("focal_35mm", self.focal_35mm.unwrap_or(35.0), 1.0..=1e4)?;
+        in_range("focal_guess_factor", self.focal_guess_factor, 0.1..=100.0)?;
+        in_range("clip_fraction", self.clip_fraction, 0.1..=1.0)?;
+        in_range("min_side_px", self.min_side_px, 2..=1_000_000)?;
+        in_range("min_mask_px", self.min_mask_px, 1..=1_000_000_000)?;
+        in_range(
+            "inverted_border_share",
+            self.inverted_border_share,
+            0.1..=1.0,
+        )?;
+        in_range(
+            "clipped_warning_share",
+            self.clipped_warning_share,
+            0.0..=1.0,
+        )?;
+        in_range("exposure_warning_ev", self.exposure_warning_ev, 0.0..=100.0)?;
+        in_range(
+            "max_level_spread_ev",
+            self.max_level_spread_ev,
+            0.0..=1000.0,
+        )
     }
 }

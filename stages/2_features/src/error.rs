@@ -1,20 +1,13 @@
 //! Errors of stage 2.
 
-use rilievo_scene::PixelError;
+use rilievo_scene::{OptionError, PixelError};
 
 /// Why stage 2 failed.
 #[derive(Debug, thiserror::Error)]
 pub enum FeaturesError {
     /// An option is out of range.
-    #[error("option {option} = {value} {range}")]
-    InvalidOption {
-        /// Its name.
-        option: &'static str,
-        /// Its value.
-        value: f64,
-        /// What is allowed.
-        range: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// Photos and keypoints do not belong together.
     #[error("{num_keypoint_lists} keypoint lists for {num_photos} photos")]
     CountMismatch {

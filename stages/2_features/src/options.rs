@@ -1,6 +1,6 @@
 //! Options of stage 2.
 
-use crate::error::FeaturesError;
+use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Which keypoints tell the poses.
@@ -75,82 +75,43 @@ impl Default for FeaturesOptions {
 }
 
 impl FeaturesOptions {
-    /// Checks every value.
+    /// Checks every number.
     ///
     /// # Errors
-    /// Names the first option that is out of its range.
-    pub fn validate(&self) -> Result<(), FeaturesError> {
-        let check = |ok: bool, option: &'static str, value: f64, range: &'static str| {
-            if ok {
-                Ok(())
-            } else {
-                Err(FeaturesError::InvalidOption {
-                    option,
-                    value,
-                    range,
-                })
-            }
-        };
-        let positive = "must be positive";
-        check(
-            self.max_num_keypoints >= 8,
-            "max_num_keypoints",
-            self.max_num_keypoints as f64,
-            "must be at least 8",
-        )?;
-        check(
-            self.contrast_threshold > 0.0 && self.contrast_threshold < 1.0,
-            "contrast_threshold",
-            self.contrast_threshold,
-            "must lie between 0 and 1",
-        )?;
-        check(
-            self.edge_threshold > 1.0,
-            "edge_threshold",
-            self.edge_threshold,
-            "must exceed 1",
-        )?;
-        check(
-            self.num_grid_cells >= 1,
-            "num_grid_cells",
-            self.num_grid_cells as f64,
-            positive,
-        )?;
-        check(
-            self.max_detection_mpx > 0.0,
-            "max_detection_mpx",
-            self.max_detection_mpx,
-            positive,
-        )?;
-        check(
-            self.max_ratio > 0.0 && self.max_ratio <= 1.0,
-            "max_ratio",
-            self.max_ratio,
-            "must lie in (0, 1]",
-        )?;
-        check(
-            self.max_verified_ratio > 0.0 && self.max_verified_ratio <= 1.0,
-            "max_verified_ratio",
-            self.max_verified_ratio,
-            "must lie in (0, 1]",
-        )?;
-        check(
-            self.max_epipolar_error_px > 0.0,
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("max_num_keypoints", self.max_num_keypoints, 8..=1_000_000)?;
+        in_range("contrast_threshold", self.contrast_threshold, 1e-6..=0.99)?;
+        in_range("edge_threshold", self.edge_threshold, 1.01..=1e6)?;
+        in_range("num_grid_cells", self.num_grid_cells, 1..=1000)?;
+        in_range("max_detection_mpx", self.max_detection_mpx, 0.001..=1e4)?;
+        in_range("max_ratio", self.max_ratio, 0.01..=1.0)?;
+        in_range("max_verified_ratio", self.max_verified_ratio, 0.01..=1.0)?;
+        in_range(
             "max_epipolar_error_px",
             self.max_epipolar_error_px,
-            positive,
+            0.01..=1000.0,
         )?;
-        check(
-            self.min_num_inliers >= 8,
-            "min_num_inliers",
-            self.min_num_inliers as f64,
-            "must be at least 8",
+        in_range("min_num_inliers", self.min_num_inliers, 8..=1_000_000)?;
+        in_range(
+            "max_num_exhaustive_photos",
+            self.max_num_exhaustive_photos,
+            0..=1_000_000,
         )?;
-        check(
-            self.max_num_ransac_samples >= 1,
+        in_range(
+            "num_sequential_neighbors",
+            self.num_sequential_neighbors,
+            0..=1_000_000,
+        )?;
+        in_range(
+            "num_similar_neighbors",
+            self.num_similar_neighbors,
+            0..=1_000_000,
+        )?;
+        in_range(
             "max_num_ransac_samples",
-            self.max_num_ransac_samples as f64,
-            positive,
+            self.max_num_ransac_samples,
+            1..=10_000_000,
         )
     }
 }

@@ -1,21 +1,13 @@
 //! Errors of stage 3.
 
-use rilievo_photometry::sphere::SphereError;
-use rilievo_scene::PixelError;
+use rilievo_scene::{OptionError, PixelError};
 
 /// Why stage 3 failed.
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
     /// An option is out of range.
-    #[error("option {option} = {value} {range}")]
-    InvalidOption {
-        /// Its name.
-        option: &'static str,
-        /// Its value.
-        value: f64,
-        /// What is allowed.
-        range: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// Poses need at least two photos.
     #[error(
         "{num_photos} usable photo(s), at least 2 are needed; add photos from other directions"
@@ -82,12 +74,6 @@ pub enum PosesError {
         share_consistent: f64,
         /// Which convention explains them, or what to try.
         hint: String,
-    },
-    /// An option of the reference sphere is out of range.
-    #[error("option sphere: {source}")]
-    Sphere {
-        /// Which one.
-        source: SphereError,
     },
     /// The measured distance cannot be found in the model.
     #[error("the known distance cannot be used: {reason}")]

@@ -10,7 +10,7 @@ use crate::projection::{CenteredPose, project_with_jacobian};
 use crate::report::PosesReport;
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate};
 use nalgebra::{Matrix3, Point2, Point3};
-use rilievo_scene::PosedViews;
+use rilievo_scene::{InTable, OptionError, PosedViews, fulfils, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Standard deviation of a mark set by hand, pixels.
@@ -53,37 +53,22 @@ impl KnownDistance {
     /// Checks what can be checked without poses.
     ///
     /// # Errors
-    /// When the distance is no positive length, or neither cameras nor two marks are named.
-    pub fn validate(&self) -> Result<(), PosesError> {
-        let bad = |option, value, range| {
-            Err(PosesError::InvalidOption {
-                option,
-                value,
-                range,
-            })
+    /// When a number is out of its range, or not one of cameras and marks is given.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("metres", self.metres, 1e-6..=1e6)?;
+        in_range("sigma_metres", self.sigma_metres, 0.0..=self.metres)?;
+        for mark in &self.marks {
+            for (key, coordinates) in [("first", mark.first), ("second", mark.second)] {
+                for coordinate in coordinates {
+                    in_range(key, coordinate, -1e6..=1e6).in_table("marks")?;
+                }
+            }
+        }
+        let (fits, expected) = match self.cameras {
+            Some(_) => (self.marks.is_empty(), "be left out where cameras are named"),
+            None => (self.marks.len() >= 2, "stand in two photos or more"),
         };
-        if !(self.metres > 0.0 && self.metres.is_finite()) {
-            return bad(
-                "known_distance.metres",
-                self.metres,
-                "must be a positive length",
-            );
-        }
-        if !(self.sigma_metres >= 0.0 && self.sigma_metres < self.metres) {
-            return bad(
-                "known_distance.sigma_metres",
-                self.sigma_metres,
-                "must lie between 0 and the distance",
-            );
-        }
-        if self.cameras.is_some() != self.marks.is_empty() {
-            return bad(
-                "known_distance.marks",
-                self.marks.len() as f64,
-                "must be two photos or more, or none where cameras are named",
-            );
-        }
-        Ok(())
+        fulfils("marks", &self.marks, fits, || expected)
     }
 
     /// Metres per unit of the world, and its relative standard deviation.

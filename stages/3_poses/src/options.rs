@@ -1,9 +1,9 @@
 //! Options of stage 3.
 
 use crate::anchors::AnchorOptions;
-use crate::error::PosesError;
 use crate::known_distance::KnownDistance;
 use rilievo_photometry::sphere::SphereOptions;
+use rilievo_scene::{InTable, OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Which intrinsics the adjustment may change.
@@ -89,45 +89,40 @@ impl Default for PosesOptions {
 }
 
 impl PosesOptions {
-    /// Checks every value.
+    /// Checks every number.
     ///
     /// # Errors
-    /// Names the first option that is out of its range.
-    pub fn validate(&self) -> Result<(), PosesError> {
-        for (option, value) in [
-            ("max_reprojection_error_px", self.max_reprojection_error_px),
-            (
-                "min_triangulation_angle_deg",
-                self.min_triangulation_angle_deg,
-            ),
-            ("min_initial_angle_deg", self.min_initial_angle_deg),
-        ] {
-            if value.is_nan() || value <= 0.0 {
-                return Err(PosesError::InvalidOption {
-                    option,
-                    value,
-                    range: "must be positive",
-                });
-            }
-        }
-        for (option, value) in [
-            ("min_num_visible_points", self.min_num_visible_points),
-            ("min_num_initial_inliers", self.min_num_initial_inliers),
-        ] {
-            if value < 6 {
-                return Err(PosesError::InvalidOption {
-                    option,
-                    value: value as f64,
-                    range: "must be at least 6",
-                });
-            }
-        }
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range(
+            "max_reprojection_error_px",
+            self.max_reprojection_error_px,
+            0.01..=1000.0,
+        )?;
+        in_range(
+            "min_triangulation_angle_deg",
+            self.min_triangulation_angle_deg,
+            0.001..=90.0,
+        )?;
+        in_range(
+            "min_initial_angle_deg",
+            self.min_initial_angle_deg,
+            0.001..=90.0,
+        )?;
+        in_range(
+            "min_num_visible_points",
+            self.min_num_visible_points,
+            6..=1_000_000,
+        )?;
+        in_range(
+            "min_num_initial_inliers",
+            self.min_num_initial_inliers,
+            6..=1_000_000,
+        )?;
         if let Some(known) = &self.known_distance {
-            known.validate()?;
+            known.validate().in_table("known_distance")?;
         }
-        self.sphere
-            .validate()
-            .map_err(|source| PosesError::Sphere { source })?;
-        self.anchors.validate()
+        self.sphere.validate().in_table("sphere")?;
+        self.anchors.validate().in_table("anchors")
     }
 }

@@ -2,19 +2,14 @@
 
 use rilievo_photometry::harmonics::FitError;
 use rilievo_photometry::sphere::SphereError;
-use rilievo_scene::PixelError;
+use rilievo_scene::{OptionError, PixelError};
 
 /// Failures of stage 4.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum LightingError {
     /// An option out of range.
-    #[error("option {option} {why}")]
-    Option {
-        /// Its name.
-        option: &'static str,
-        /// What it must be.
-        why: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// No photo has a pose.
     #[error("no photo has a pose, so no lighting can be fitted")]
     NoView,

@@ -1,9 +1,8 @@
 //! Options of stage 4.
 
-use crate::LightingError;
 use rilievo_photometry::harmonics::FitOptions;
 use rilievo_photometry::sphere::SphereOptions;
-use rilievo_scene::LightKind;
+use rilievo_scene::{InTable, LightKind, OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Whether the photos' exposures are compared on the sphere.
@@ -93,40 +92,20 @@ impl Default for LightingOptions {
 }
 
 impl LightingOptions {
-    /// Says which value cannot be used.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`LightingError::Option`] names it.
-    pub fn validate(&self) -> Result<(), LightingError> {
-        let bad = |option, why| Err(LightingError::Option { option, why });
-        self.fit.validate().map_err(|source| LightingError::Fit {
-            of: "options".to_owned(),
-            source,
-        })?;
-        self.sphere
-            .validate()
-            .map_err(|source| LightingError::Sphere {
-                of: "options".to_owned(),
-                source,
-            })?;
-        if !(self.margin_px >= 0.0 && self.margin_px.is_finite()) {
-            return bad("margin_px", "must not be negative");
-        }
-        if !(0.0..1.0).contains(&self.min_cos_view) {
-            return bad("min_cos_view", "must lie in 0 to 1");
-        }
-        if !(self.clip_share > 0.0 && self.clip_share <= 1.0) {
-            return bad("clip_share", "must lie in 0 to 1");
-        }
-        if self.min_num_pixels < 9 || self.max_num_samples < 9 {
-            return bad("min_num_pixels, max_num_samples", "must be at least 9");
-        }
-        if !(self.max_slope > 0.0 && self.advice_ratio >= 1.0) {
-            return bad("max_slope, advice_ratio", "must be positive, at least 1");
-        }
-        if !(self.agreement_ratio >= 1.0 && self.agreement_ratio.is_finite()) {
-            return bad("agreement_ratio", "must be at least 1");
-        }
-        Ok(())
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        self.fit.validate().in_table("fit")?;
+        self.sphere.validate().in_table("sphere")?;
+        in_range("margin_px", self.margin_px, 0.0..=1000.0)?;
+        in_range("min_cos_view", self.min_cos_view, 0.0..=0.999)?;
+        in_range("clip_share", self.clip_share, 0.001..=1.0)?;
+        in_range("min_num_pixels", self.min_num_pixels, 9..=1_000_000_000)?;
+        in_range("max_num_samples", self.max_num_samples, 9..=100_000_000)?;
+        in_range("max_slope", self.max_slope, 0.001..=1e6)?;
+        in_range("advice_ratio", self.advice_ratio, 1.0..=1e6)?;
+        in_range("agreement_ratio", self.agreement_ratio, 1.0..=1e6)
     }
 }

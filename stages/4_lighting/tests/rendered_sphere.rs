@@ -441,7 +441,7 @@ fn input_without_light_gives_named_errors() {
     };
     let result = go(&posed, &sphere, &bad);
     assert!(
-        matches!(result, Err(LightingError::Option { .. })),
+        matches!(result, Err(LightingError::InvalidOption { .. })),
         "{result:?}"
     );
 }

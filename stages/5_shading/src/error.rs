@@ -1,5 +1,7 @@
 //! Why shading could not give a shape.
 
+use rilievo_scene::OptionError;
+
 /// Errors of stage 5; each carries the facts and says what to try.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
@@ -8,15 +10,8 @@ pub enum ShadingError {
     #[error("interrupted")]
     Interrupted,
     /// An option lies outside its range.
-    #[error("option {option} is {value}, but must be {expected}")]
-    InvalidOption {
-        /// Name of the option, as in a configuration file.
-        option: &'static str,
-        /// What was given.
-        value: String,
-        /// What is allowed.
-        expected: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// There is nothing to solve.
     #[error("no view to solve: give at least one image with a mask")]
     NoViews,

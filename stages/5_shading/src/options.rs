@@ -1,8 +1,8 @@
 //! Options of stage 5.
 
-use crate::error::ShadingError;
 use crate::photo::PhotoOptions;
 use rilievo_numerics::robust::RobustLoss;
+use rilievo_scene::{InTable, OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Which model explains the photos.
@@ -98,6 +98,31 @@ pub enum PenaltySchedule {
     },
 }
 
+impl PenaltySchedule {
+    fn validate(&self) -> Result<(), OptionError> {
+        match *self {
+            Self::Automatic => Ok(()),
+            Self::Explicit {
+                start,
+                growth,
+                num_iterations,
+                num_search_iterations,
+            } => {
+                in_range("start", start, 1e-12..=1e12)?;
+                in_range("num_iterations", num_iterations, 1..=100_000)?;
+                in_range(
+                    "num_search_iterations",
+                    num_search_iterations,
+                    0..=num_iterations,
+                )?;
+                // The last penalty, `start * growth^num_iterations`, stays below 1e30.
+                let steepest = (1e30 / start).powf(1.0 / num_iterations as f64);
+                in_range("growth", growth, 1.0 + 1e-9..=steepest)
+            }
+        }
+    }
+}
+
 /// Options of [`crate::solve`] and [`crate::run`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -170,77 +195,28 @@ impl Default for ShadingOptions {
 }
 
 impl ShadingOptions {
-    /// Checks ranges.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`ShadingError::InvalidOption`] names the first option outside its range.
-    pub fn validate(&self) -> Result<(), ShadingError> {
-        let check = |ok: bool, option: &'static str, value: f64, expected: &'static str| {
-            if ok {
-                Ok(())
-            } else {
-                Err(ShadingError::InvalidOption {
-                    option,
-                    value: value.to_string(),
-                    expected,
-                })
-            }
-        };
-        let positive = |v: f64| v.is_finite() && v > 0.0;
-        check(positive(self.noise), "noise", self.noise, "positive")?;
-        if let Some(sigma) = self.match_noise_px {
-            check(positive(sigma), "match_noise_px", sigma, "positive")?;
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("noise", self.noise, 1e-6..=10.0)?;
+        in_range(
+            "match_noise_px",
+            self.match_noise_px.unwrap_or(1.0),
+            1e-4..=1000.0,
+        )?;
+        in_range("area_weight", self.area_weight, 0.0..=1e6)?;
+        in_range("shadow_level", self.shadow_level, 0.0..=0.999)?;
+        in_range("relative_tolerance", self.relative_tolerance, 1e-15..=1.0)?;
+        in_range("max_num_iterations", self.max_num_iterations, 1..=100_000)?;
+        match self.loss {
+            RobustLoss::Squared => {}
+            RobustLoss::Huber(scale)
+            | RobustLoss::Cauchy(scale)
+            | RobustLoss::GemanMcClure(scale) => in_range("loss", scale, 1e-6..=1000.0)?,
         }
-        check(
-            self.area_weight.is_finite() && self.area_weight >= 0.0,
-            "area_weight",
-            self.area_weight,
-            "zero or positive",
-        )?;
-        check(
-            (0.0..1.0).contains(&self.shadow_level),
-            "shadow_level",
-            self.shadow_level,
-            "at least 0 and below 1",
-        )?;
-        check(
-            positive(self.relative_tolerance),
-            "relative_tolerance",
-            self.relative_tolerance,
-            "positive",
-        )?;
-        check(
-            self.max_num_iterations > 0,
-            "max_num_iterations",
-            self.max_num_iterations as f64,
-            "positive",
-        )?;
-        if let RobustLoss::Huber(s) | RobustLoss::Cauchy(s) | RobustLoss::GemanMcClure(s) =
-            self.loss
-        {
-            check(positive(s), "loss", s, "of positive scale")?;
-        }
-        if let PenaltySchedule::Explicit {
-            start,
-            growth,
-            num_iterations,
-            ..
-        } = self.schedule
-        {
-            check(positive(start), "schedule.start", start, "positive")?;
-            check(
-                growth.is_finite() && growth > 1.0,
-                "schedule.growth",
-                growth,
-                "above 1",
-            )?;
-            check(
-                num_iterations > 0,
-                "schedule.num_iterations",
-                num_iterations as f64,
-                "positive",
-            )?;
-        }
-        Ok(())
+        self.schedule.validate().in_table("schedule")?;
+        self.photo.validate().in_table("photo")
     }
 }

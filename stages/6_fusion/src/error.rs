@@ -1,20 +1,13 @@
 //! Errors of stage 6.
 
-use rilievo_scene::PixelError;
+use rilievo_scene::{OptionError, PixelError};
 
 /// Why the views could not be fused.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum FusionError {
     /// An option has a value that makes no sense.
-    #[error("option {option} = {value} is not usable: it must be {reason}")]
-    InvalidOption {
-        /// Name of the option.
-        option: &'static str,
-        /// Its value.
-        value: String,
-        /// What it must be.
-        reason: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// No view has any depth.
     #[error("none of the {num_views} views has a depth map with values; run stage 5 first")]
     NoDepth {

@@ -1,6 +1,6 @@
 //! Options of stage 6.
 
-use crate::error::FusionError;
+use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// What the points' colours show.
@@ -94,74 +94,34 @@ impl FusionOptions {
     /// Least memory that fusion works with, MiB.
     pub const MIN_MEMORY_MIB: usize = 16;
 
-    /// Refuses values that cannot work.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`FusionError::InvalidOption`] names the option.
-    pub fn validate(&self) -> Result<(), FusionError> {
-        let check = |usable: bool, option: &'static str, value: f64, reason: &'static str| {
-            if usable {
-                return Ok(());
-            }
-            Err(FusionError::InvalidOption {
-                option,
-                value: value.to_string(),
-                reason,
-            })
-        };
-        let positive = |option, value: f64| {
-            check(
-                value.is_finite() && value > 0.0,
-                option,
-                value,
-                "a positive number",
-            )
-        };
-        positive("depth_tolerance_px", self.depth_tolerance_px)?;
-        positive("reconcile_sigma_px", self.reconcile_sigma_px)?;
-        positive("reconcile_max_offset_px", self.reconcile_max_offset_px)?;
-        positive("voxel_px", self.voxel_px)?;
-        check(
-            (0.0..=180.0).contains(&self.normal_tolerance_deg),
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("depth_tolerance_px", self.depth_tolerance_px, 0.001..=1e4)?;
+        in_range(
             "normal_tolerance_deg",
             self.normal_tolerance_deg,
-            "0 to 180 degrees",
+            0.0..=180.0,
         )?;
-        check(
-            (1..=255).contains(&self.min_num_views),
-            "min_num_views",
-            self.min_num_views as f64,
-            "1 to 255",
+        in_range("min_num_views", self.min_num_views, 1..=255)?;
+        in_range("max_grazing_deg", self.max_grazing_deg, 0.0..=90.0)?;
+        in_range("border_px", self.border_px, 0..=1000)?;
+        in_range("spacing", self.spacing, 0.0..=1e6)?;
+        in_range("reconcile_grid_px", self.reconcile_grid_px, 4.0..=1e5)?;
+        in_range("reconcile_sigma_px", self.reconcile_sigma_px, 0.001..=1e4)?;
+        in_range(
+            "reconcile_max_offset_px",
+            self.reconcile_max_offset_px,
+            0.001..=1e4,
         )?;
-        check(
-            (0.0..=90.0).contains(&self.max_grazing_deg),
-            "max_grazing_deg",
-            self.max_grazing_deg,
-            "0 to 90 degrees",
-        )?;
-        check(
-            self.spacing.is_finite() && self.spacing >= 0.0,
-            "spacing",
-            self.spacing,
-            "0, or a length in the world's unit",
-        )?;
-        check(
-            self.reconcile_grid_px >= 4.0 && self.reconcile_grid_px.is_finite(),
-            "reconcile_grid_px",
-            self.reconcile_grid_px,
-            "4 pixels or more",
-        )?;
-        check(
-            (1.5..=50.0).contains(&self.truncation_voxels),
-            "truncation_voxels",
-            self.truncation_voxels,
-            "1.5 to 50 cells",
-        )?;
-        check(
-            self.memory_mib >= Self::MIN_MEMORY_MIB,
+        in_range("voxel_px", self.voxel_px, 0.01..=1e4)?;
+        in_range("truncation_voxels", self.truncation_voxels, 1.5..=50.0)?;
+        in_range(
             "memory_mib",
-            self.memory_mib as f64,
-            "16 MiB or more",
+            self.memory_mib,
+            Self::MIN_MEMORY_MIB..=1 << 24,
         )
     }
 }

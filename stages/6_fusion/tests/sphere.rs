@@ -414,11 +414,8 @@ fn what_cannot_be_fused_is_named() {
     let error = fuse(&posed, &shaded, &broken).err();
     assert!(
         matches!(
-            error,
-            Some(FusionError::InvalidOption {
-                option: "voxel_px",
-                ..
-            })
+            &error,
+            Some(FusionError::InvalidOption(e)) if e.key == "voxel_px"
         ),
         "{error:?}"
     );

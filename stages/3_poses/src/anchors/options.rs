@@ -1,6 +1,6 @@
 //! Options of the anchors.
 
-use crate::error::PosesError;
+use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// How anchors are found.
@@ -74,62 +74,29 @@ impl Default for AnchorOptions {
 }
 
 impl AnchorOptions {
-    /// Checks every value.
+    /// Checks every number.
     ///
     /// # Errors
-    /// Names the first option that is out of its range.
-    pub fn validate(&self) -> Result<(), PosesError> {
-        let check = |option, value: f64, inside: bool, range| {
-            if inside {
-                Ok(())
-            } else {
-                Err(PosesError::InvalidOption {
-                    option,
-                    value,
-                    range,
-                })
-            }
-        };
-        for (option, value) in [
-            ("anchors.keypoint_sigma_px", self.keypoint_sigma_px),
-            ("anchors.min_angle_deg", self.min_angle_deg),
-            ("anchors.min_source_angle_deg", self.min_source_angle_deg),
-            ("anchors.gain_sigma", self.gain_sigma),
-            ("anchors.max_doubt_px", self.max_doubt_px),
-            ("anchors.max_working_mpx", self.max_working_mpx),
-        ] {
-            check(option, value, value > 0.0, "must be positive")?;
-        }
-        check(
-            "anchors.max_source_angle_deg",
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("keypoint_sigma_px", self.keypoint_sigma_px, 0.001..=100.0)?;
+        in_range("min_angle_deg", self.min_angle_deg, 0.001..=90.0)?;
+        in_range(
+            "min_source_angle_deg",
+            self.min_source_angle_deg,
+            0.001..=89.0,
+        )?;
+        in_range(
+            "max_source_angle_deg",
             self.max_source_angle_deg,
-            self.max_source_angle_deg > self.min_source_angle_deg
-                && self.max_source_angle_deg < 90.0,
-            "must lie between min_source_angle_deg and 90",
+            self.min_source_angle_deg..=89.9,
         )?;
-        check(
-            "anchors.spacing_px",
-            self.spacing_px,
-            (2.0..=64.0).contains(&self.spacing_px),
-            "must lie between 2 and 64",
-        )?;
-        check(
-            "anchors.patch_radius_px",
-            self.patch_radius_px as f64,
-            (3..=24).contains(&self.patch_radius_px),
-            "must lie between 3 and 24",
-        )?;
-        for (option, value) in [
-            ("anchors.min_correlation", self.min_correlation),
-            ("anchors.seed_correlation", self.seed_correlation),
-        ] {
-            check(
-                option,
-                value,
-                (0.0..1.0).contains(&value),
-                "must lie between 0 and 1",
-            )?;
-        }
-        Ok(())
+        in_range("spacing_px", self.spacing_px, 2.0..=64.0)?;
+        in_range("patch_radius_px", self.patch_radius_px, 3..=24)?;
+        in_range("gain_sigma", self.gain_sigma, 1e-6..=1e3)?;
+        in_range("min_correlation", self.min_correlation, 0.0..=0.9999)?;
+        in_range("seed_correlation", self.seed_correlation, 0.0..=0.9999)?;
+        in_range("max_doubt_px", self.max_doubt_px, 0.001..=1000.0)?;
+        in_range("max_working_mpx", self.max_working_mpx, 0.001..=1e4)
     }
 }

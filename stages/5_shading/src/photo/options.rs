@@ -1,6 +1,6 @@
 //! Options of the photo model.
 
-use crate::error::ShadingError;
+use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Options of [`super::run`]. Weights follow from the photos themselves; what stands here bounds
@@ -77,69 +77,23 @@ impl Default for PhotoOptions {
 }
 
 impl PhotoOptions {
-    /// Checks ranges.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`ShadingError::InvalidOption`] names the first option outside its range.
-    pub fn validate(&self) -> Result<(), ShadingError> {
-        let check = |ok: bool, option: &'static str, value: String, expected: &'static str| {
-            if ok {
-                Ok(())
-            } else {
-                Err(ShadingError::InvalidOption {
-                    option,
-                    value,
-                    expected,
-                })
-            }
-        };
-        check(
-            (1..=8).contains(&self.max_num_sources),
-            "photo.max_num_sources",
-            self.max_num_sources.to_string(),
-            "1 to 8",
-        )?;
-        check(
-            self.coarse_pixels >= 1000,
-            "photo.coarse_pixels",
-            self.coarse_pixels.to_string(),
-            "at least 1000",
-        )?;
-        check(
-            self.num_sweeps > 0,
-            "photo.num_sweeps",
-            self.num_sweeps.to_string(),
-            "positive",
-        )?;
-        check(
-            self.max_num_rounds > 0,
-            "photo.max_num_rounds",
-            self.max_num_rounds.to_string(),
-            "positive",
-        )?;
-        for (option, value) in [
-            ("photo.round_move_px", self.round_move_px),
-            ("photo.round_turn_deg", self.round_turn_deg),
-            ("photo.lap_turn_deg", self.lap_turn_deg),
-        ] {
-            check(
-                value.is_finite() && value >= 0.0,
-                option,
-                value.to_string(),
-                "zero or positive",
-            )?;
-        }
-        check(
-            self.noisy_search_px >= 0.0,
-            "photo.noisy_search_px",
-            self.noisy_search_px.to_string(),
-            "zero or positive",
-        )?;
-        check(
-            (16..=1024).contains(&self.num_rays),
-            "photo.num_rays",
-            self.num_rays.to_string(),
-            "16 to 1024",
-        )
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("max_num_sources", self.max_num_sources, 1..=8)?;
+        in_range("coarse_pixels", self.coarse_pixels, 1000..=1_000_000_000)?;
+        in_range("num_sweeps", self.num_sweeps, 1..=100)?;
+        in_range("round_move_px", self.round_move_px, 0.0..=1000.0)?;
+        in_range("round_turn_deg", self.round_turn_deg, 0.0..=180.0)?;
+        in_range("max_num_rounds", self.max_num_rounds, 1..=1000)?;
+        in_range("num_laps", self.num_laps, 0..=100)?;
+        in_range("lap_turn_deg", self.lap_turn_deg, 0.0..=180.0)?;
+        in_range("max_more_laps", self.max_more_laps, 0..=100)?;
+        in_range("num_half_laps", self.num_half_laps, 0..=100)?;
+        in_range("noisy_search_px", self.noisy_search_px, 0.0..=1e6)?;
+        in_range("max_fine_pixels", self.max_fine_pixels, 0..=1_000_000_000)?;
+        in_range("num_rays", self.num_rays, 16..=1024)
     }
 }

@@ -20,6 +20,7 @@ pub mod ids;
 pub mod lighting;
 pub mod maps;
 pub mod matches;
+pub mod options;
 pub mod photos;
 pub mod poses;
 pub mod raster;
@@ -37,6 +38,7 @@ pub use ids::{PhotoIdx, PointIdx, ViewIdx};
 pub use lighting::{Lighting, SphericalHarmonics};
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};
 pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
+pub use options::{InTable, OptionError, fulfils, in_range};
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
 pub use poses::{
     Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,

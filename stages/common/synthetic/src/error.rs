@@ -1,18 +1,13 @@
 //! What can go wrong when a scene is made or results are compared.
 
+use rilievo_scene::OptionError;
+
 /// Errors of scenes and comparisons.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SyntheticError {
     /// An option has a value that makes no sense.
-    #[error("option {option} = {value} is not usable: {reason}")]
-    InvalidOption {
-        /// Name of the option.
-        option: &'static str,
-        /// Its value.
-        value: String,
-        /// What it must be.
-        reason: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// The implicit shape has no surface in its box.
     #[error("the shape has no surface inside its bounding box (seed {seed})")]
     EmptyShape {

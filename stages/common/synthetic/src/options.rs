@@ -1,7 +1,6 @@
 //! Options of the synthetic scene and of its photographs.
 
-use crate::error::SyntheticError;
-use rilievo_scene::Mesh;
+use rilievo_scene::{Mesh, OptionError, fulfils, in_range};
 use serde::{Deserialize, Serialize};
 
 /// What stands on the mat.
@@ -53,7 +52,7 @@ impl BallOptions {
     }
 
     /// Refuses a place in the object, as the rectangle around the vertices below the sphere's top.
-    pub(crate) fn check_beside(&self, object: &Mesh) -> Result<(), SyntheticError> {
+    pub(crate) fn check_beside(&self, object: &Mesh) -> Result<(), OptionError> {
         let top = 2.0 * self.radius_m;
         let low = object.vertices.iter().filter(|v| f64::from(v[2]) <= top);
         let (mut from, mut to) = ([f64::MAX; 2], [f64::MIN; 2]);
@@ -64,11 +63,11 @@ impl BallOptions {
             }
         }
         let outside = |c: usize| (from[c] - self.at_m[c]).max(self.at_m[c] - to[c]).max(0.0);
-        check(
-            outside(0).hypot(outside(1)) >= self.radius_m,
+        fulfils(
             "more_spheres.at_m",
             self.at_m,
-            "beside the object, not in it",
+            outside(0).hypot(outside(1)) >= self.radius_m,
+            || "lie beside the object, not in it",
         )
     }
 }
@@ -198,22 +197,6 @@ impl Default for RenderOptions {
     }
 }
 
-fn check(
-    usable: bool,
-    option: &'static str,
-    value: impl std::fmt::Debug,
-    reason: &'static str,
-) -> Result<(), SyntheticError> {
-    if usable {
-        return Ok(());
-    }
-    Err(SyntheticError::InvalidOption {
-        option,
-        value: format!("{value:?}"),
-        reason,
-    })
-}
-
 impl SceneOptions {
     /// The reference sphere, clear of the object by about its own size, so that it stays out of its
     /// shadow.
@@ -227,159 +210,67 @@ impl SceneOptions {
         })
     }
 
-    /// Refuses values that describe no scene.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`SyntheticError::InvalidOption`] names the option.
-    pub fn validate(&self) -> Result<(), SyntheticError> {
-        check(
-            (0.01..=10.0).contains(&self.height_m),
-            "height_m",
-            self.height_m,
-            "0.01 to 10 metres",
-        )?;
-        check(
-            (0.0..=5.0).contains(&self.relief),
-            "relief",
-            self.relief,
-            "0 to 5",
-        )?;
-        check(
-            self.albedo.iter().all(|a| (0.01..=0.95).contains(a)),
-            "albedo",
-            self.albedo,
-            "0.01 to 0.95 in each channel",
-        )?;
-        check(
-            (0.0..=0.3).contains(&self.speckle),
-            "speckle",
-            self.speckle,
-            "0 to 0.3",
-        )?;
-        check(
-            (0.0..=0.9).contains(&self.stains),
-            "stains",
-            self.stains,
-            "0 to 0.9",
-        )?;
-        check(
-            (0.0..=1.0).contains(&self.gloss),
-            "gloss",
-            self.gloss,
-            "0 to 1",
-        )?;
-        check(
-            (0.0..=0.5 * self.height_m).contains(&self.sphere_radius_m),
-            "sphere_radius_m",
-            self.sphere_radius_m,
-            "0 to half the object's height",
-        )?;
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("height_m", self.height_m, 0.01..=10.0)?;
+        in_range("relief", self.relief, 0.0..=5.0)?;
+        for albedo in self.albedo {
+            in_range("albedo", albedo, 0.01..=0.95)?;
+        }
+        in_range("speckle", self.speckle, 0.0..=0.3)?;
+        in_range("stains", self.stains, 0.0..=0.9)?;
+        in_range("gloss", self.gloss, 0.0..=1.0)?;
+        let widest = 0.5 * self.height_m;
+        in_range("sphere_radius_m", self.sphere_radius_m, 0.0..=widest)?;
         for (k, ball) in self.more_spheres.iter().enumerate() {
-            check(
-                ball.radius_m > 0.0 && ball.radius_m <= 0.5 * self.height_m,
-                "more_spheres.radius_m",
-                ball.radius_m,
-                "above 0, to half the object's height",
-            )?;
-            check(
-                ball.at_m.iter().all(|c| c.abs() <= 10.0 * self.height_m),
-                "more_spheres.at_m",
-                ball.at_m,
-                "within ten times the object's height",
-            )?;
+            in_range("more_spheres.radius_m", ball.radius_m, 1e-6..=widest)?;
+            for coordinate in ball.at_m {
+                let reach = 10.0 * self.height_m;
+                in_range("more_spheres.at_m", coordinate, -reach..=reach)?;
+            }
             let mut before = self
                 .first_sphere()
                 .into_iter()
                 .chain(self.more_spheres[..k].to_vec());
-            check(
-                before.all(|other| ball.is_apart(&other)),
+            let apart = before.all(|other| ball.is_apart(&other));
+            fulfils(
                 "more_spheres.at_m",
                 ball.at_m,
-                "beside the other spheres, not in one",
+                apart,
+                || "lie beside the other spheres, not in one",
             )?;
         }
-        check(
-            (self.height_m / 400.0..=self.height_m / 10.0).contains(&self.mesh_spacing_m),
+        let height = self.height_m;
+        in_range(
             "mesh_spacing_m",
             self.mesh_spacing_m,
-            "a tenth to a four-hundredth of the object's height",
+            height / 400.0..=height / 10.0,
         )
     }
 }
 
 impl RenderOptions {
-    /// Refuses values that describe no photographs.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`SyntheticError::InvalidOption`] names the option.
-    pub fn validate(&self) -> Result<(), SyntheticError> {
-        check(
-            (1..=1000).contains(&self.num_views),
-            "num_views",
-            self.num_views,
-            "1 to 1000",
-        )?;
-        for (option, value) in [("width", self.width), ("height", self.height)] {
-            check(
-                (16..=20_000).contains(&value),
-                option,
-                value,
-                "16 to 20000 pixels",
-            )?;
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("num_views", self.num_views, 1..=1000)?;
+        in_range("width", self.width, 16..=20_000)?;
+        in_range("height", self.height, 16..=20_000)?;
+        in_range("focal_in_widths", self.focal_in_widths, 0.3..=20.0)?;
+        in_range("arc_deg", self.arc_deg, 0.0..=360.0)?;
+        in_range("elevation_deg", self.elevation_deg, 5.0..=80.0)?;
+        in_range("fill", self.fill, 0.1..=4.0)?;
+        for coefficient in self.distortion {
+            in_range("distortion", coefficient, -0.5..=0.5)?;
         }
-        check(
-            (0.3..=20.0).contains(&self.focal_in_widths),
-            "focal_in_widths",
-            self.focal_in_widths,
-            "0.3 to 20",
-        )?;
-        check(
-            (0.0..=360.0).contains(&self.arc_deg),
-            "arc_deg",
-            self.arc_deg,
-            "0 to 360 degrees",
-        )?;
-        check(
-            (5.0..=80.0).contains(&self.elevation_deg),
-            "elevation_deg",
-            self.elevation_deg,
-            "5 to 80 degrees",
-        )?;
-        check(
-            (0.1..=4.0).contains(&self.fill),
-            "fill",
-            self.fill,
-            "0.1 to 4",
-        )?;
-        check(
-            self.distortion.iter().all(|d| d.abs() <= 0.5),
-            "distortion",
-            self.distortion,
-            "coefficients up to 0.5",
-        )?;
-        check(
-            (0.0..=0.2).contains(&self.noise),
-            "noise",
-            self.noise,
-            "0 to 0.2",
-        )?;
-        check(
-            (0.0..=3.0).contains(&self.exposure_drift_ev),
-            "exposure_drift_ev",
-            self.exposure_drift_ev,
-            "0 to 3 stops",
-        )?;
-        check(
-            (1..=8).contains(&self.edge_samples),
-            "edge_samples",
-            self.edge_samples,
-            "1 to 8",
-        )?;
-        check(
-            (16..=4096).contains(&self.shadow_rays),
-            "shadow_rays",
-            self.shadow_rays,
-            "16 to 4096",
-        )
+        in_range("noise", self.noise, 0.0..=0.2)?;
+        in_range("exposure_drift_ev", self.exposure_drift_ev, 0.0..=3.0)?;
+        in_range("edge_samples", self.edge_samples, 1..=8)?;
+        in_range("shadow_rays", self.shadow_rays, 16..=4096)
     }
 }

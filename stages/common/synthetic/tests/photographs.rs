@@ -289,10 +289,7 @@ fn unusable_options_and_views_are_named() {
     assert!(
         matches!(
             &error,
-            Some(SyntheticError::InvalidOption {
-                option: "height_m",
-                ..
-            })
+            Some(SyntheticError::InvalidOption(e)) if e.key == "height_m"
         ),
         "{error:?}"
     );
@@ -303,10 +300,7 @@ fn unusable_options_and_views_are_named() {
     assert!(
         matches!(
             &error,
-            Some(SyntheticError::InvalidOption {
-                option: "num_views",
-                ..
-            })
+            Some(SyntheticError::InvalidOption(e)) if e.key == "num_views"
         ),
         "{error:?}"
     );

@@ -225,7 +225,7 @@ fn options_out_of_range_are_named() {
         ..AnchorOptions::default()
     };
     let message = options.validate().unwrap_err().to_string();
-    assert!(message.contains("anchors.spacing_px"), "{message}");
+    assert!(message.contains("spacing_px"), "{message}");
 }
 
 #[test]

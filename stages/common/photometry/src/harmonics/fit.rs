@@ -24,7 +24,7 @@
 use super::starts::partial_starts;
 use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{Lighting, SphericalHarmonics};
+use rilievo_scene::{Lighting, OptionError, SphericalHarmonics, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Options of [`fit_robust`].
@@ -69,31 +69,23 @@ impl Default for FitOptions {
 }
 
 impl FitOptions {
-    /// Says which value cannot be used.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`FitError::Option`] names it.
-    pub fn validate(&self) -> Result<(), FitError> {
-        let bad = |option, why| Err(FitError::Option { option, why });
-        if !(self.order == 1 || self.order == 2) {
-            return bad("order", "must be 1 or 2");
-        }
-        if !(self.huber_sigmas > 0.0 && self.redescending_sigmas > 0.0) {
-            return bad("huber_sigmas, redescending_sigmas", "must be positive");
-        }
-        if !(self.noise_floor > 0.0 && self.noise_floor.is_finite()) {
-            return bad("noise_floor", "must be positive");
-        }
-        if !(0.0..0.9).contains(&self.start_left_out) {
-            return bad("start_left_out", "must lie in 0 to 0.9");
-        }
-        if !(0.0..=1.0).contains(&self.start_quantile) {
-            return bad("start_quantile", "must lie in 0 to 1");
-        }
-        if self.max_condition.is_nan() || self.max_condition < 1.0 {
-            return bad("max_condition", "must be at least 1");
-        }
-        Ok(())
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("order", self.order, 1..=2)?;
+        in_range("huber_sigmas", self.huber_sigmas, 0.001..=1000.0)?;
+        in_range(
+            "redescending_sigmas",
+            self.redescending_sigmas,
+            0.001..=1000.0,
+        )?;
+        in_range("noise_floor", self.noise_floor, 1e-6..=1000.0)?;
+        in_range("max_num_iterations", self.max_num_iterations, 0..=1000)?;
+        in_range("start_quantile", self.start_quantile, 0.0..=1.0)?;
+        in_range("start_left_out", self.start_left_out, 0.0..=0.899)?;
+        in_range("max_condition", self.max_condition, 1.0..=1e12)
     }
 }
 
@@ -101,13 +93,8 @@ impl FitOptions {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
     /// An option out of range.
-    #[error("option {option} {why}")]
-    Option {
-        /// Its name.
-        option: &'static str,
-        /// What it must be.
-        why: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// Not enough samples.
     #[error("{available} usable samples, at least {needed} are needed")]
     TooFewSamples {

@@ -1,18 +1,13 @@
 //! Why a sphere could not be located.
 
-use rilievo_scene::PhotoIdx;
+use rilievo_scene::{OptionError, PhotoIdx};
 
 /// Failures of the sphere's geometry.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SphereError {
     /// An option out of range.
-    #[error("option {option} {why}")]
-    Option {
-        /// Its name.
-        option: &'static str,
-        /// What it must be.
-        why: &'static str,
-    },
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// A radius that no sphere has.
     #[error("sphere radius {radius} is not usable: give a positive length in metres")]
     Radius {

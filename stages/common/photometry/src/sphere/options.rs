@@ -1,6 +1,6 @@
 //! Options of the sphere's geometry and detection.
 
-use super::SphereError;
+use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// How outlines are fitted and the sphere is located.
@@ -54,49 +54,28 @@ impl Default for SphereOptions {
 }
 
 impl SphereOptions {
-    /// Says which value cannot be used.
+    /// Checks every number.
     ///
     /// # Errors
-    /// [`SphereError::Option`] names it.
-    pub fn validate(&self) -> Result<(), SphereError> {
-        let positive = [
-            ("inlier_px", self.inlier_px),
-            ("search_px", self.search_px),
-            ("max_view_rms_px", self.max_view_rms_px),
-            ("min_radius_share", self.min_radius_share),
-            ("max_radius_share", self.max_radius_share),
-            ("max_shading_residual", self.max_shading_residual),
-        ];
-        for (option, value) in positive {
-            if !(value > 0.0 && value.is_finite()) {
-                return Err(SphereError::Option {
-                    option,
-                    why: "must be positive",
-                });
-            }
-        }
-        for (option, value) in [
-            ("min_inlier_share", self.min_inlier_share),
-            ("min_edge_support", self.min_edge_support),
-        ] {
-            if !(0.0..=1.0).contains(&value) {
-                return Err(SphereError::Option {
-                    option,
-                    why: "must lie in 0 to 1",
-                });
-            }
-        }
-        for (option, value) in [
-            ("outline_bias_px", self.outline_bias_px),
-            ("radius_sigma", self.radius_sigma),
-        ] {
-            if !(value >= 0.0 && value.is_finite()) {
-                return Err(SphereError::Option {
-                    option,
-                    why: "must not be negative",
-                });
-            }
-        }
-        Ok(())
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("inlier_px", self.inlier_px, 0.01..=100.0)?;
+        in_range("min_inlier_share", self.min_inlier_share, 0.0..=1.0)?;
+        in_range("outline_bias_px", self.outline_bias_px, 0.0..=100.0)?;
+        in_range("radius_sigma", self.radius_sigma, 0.0..=1.0)?;
+        in_range("search_px", self.search_px, 0.1..=200.0)?;
+        in_range("max_view_rms_px", self.max_view_rms_px, 0.01..=1000.0)?;
+        in_range("min_radius_share", self.min_radius_share, 0.001..=1.0)?;
+        in_range(
+            "max_radius_share",
+            self.max_radius_share,
+            self.min_radius_share..=2.0,
+        )?;
+        in_range("min_edge_support", self.min_edge_support, 0.0..=1.0)?;
+        in_range(
+            "max_shading_residual",
+            self.max_shading_residual,
+            1e-6..=100.0,
+        )
     }
 }
