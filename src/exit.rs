@@ -123,7 +123,9 @@ pub fn code_of(error: &anyhow::Error) -> u8 {
         if let Some(failure) = cause.downcast_ref::<Failure>() {
             return failure.code();
         }
-        if let Some(StoreError::Files { .. } | StoreError::Io(_)) = cause.downcast_ref::<StoreError>() {
+        if let Some(StoreError::Files { .. } | StoreError::Io(_)) =
+            cause.downcast_ref::<StoreError>()
+        {
             return 6;
         }
         if cause.is::<StoreError>() {

@@ -304,16 +304,17 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
             reason: "was replaced while it was read; run the same command again".to_owned(),
         }));
     }
-    let mut decoded = decode_photo_bytes(&photo.path, &bytes).map_err(|error| match error.kind {
-        IoErrorKind::Input => {
-            let hint = error
-                .hint
-                .map_or(String::new(), |hint| format!(" ({hint})"));
-            Trouble::Photo(format!("{}{hint}", error.reason))
-        }
-        // Not the photo's fault: to leave it out would be remembered.
-        IoErrorKind::Read | IoErrorKind::Write => Trouble::Fatal(from_io(error).into()),
-    })?;
+    let mut decoded =
+        decode_photo_bytes(&photo.path, &bytes).map_err(|error| match error.kind {
+            IoErrorKind::Input => {
+                let hint = error
+                    .hint
+                    .map_or(String::new(), |hint| format!(" ({hint})"));
+                Trouble::Photo(format!("{}{hint}", error.reason))
+            }
+            // Not the photo's fault: to leave it out would be remembered.
+            IoErrorKind::Read | IoErrorKind::Write => Trouble::Fatal(from_io(error).into()),
+        })?;
     decoded.file_name.clone_from(&photo.file_name);
     let mut mask_path = photo.path.clone();
     let mask = match &photo.mask {
