@@ -90,7 +90,7 @@ impl Inputs {
             let hash = match (hash, unfit_name(&name)) {
                 (Ok(hash), None) => hash,
                 (Err(error), _) => {
-                    let reason = error.reason;
+                    let reason = format!("cannot be read: {}", error.reason);
                     unreadable.push(Problem { file: path, reason });
                     continue;
                 }
