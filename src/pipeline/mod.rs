@@ -26,8 +26,8 @@ pub use parallel::{Resources, start_threads};
 pub use photos::{check as check_photos, linear_photo, map_photos};
 pub use plan::{Plan, StageState, is_another_set, upstream};
 pub use poses::load as load_poses;
-pub use request::{Request, SphereInput};
-pub use shading::{shown_albedo, write_maps};
+pub use request::{LightingInput, Request, SphereInput};
+pub use shading::{ShadingFacts, shown_albedo, write_maps};
 
 use crate::exit::Failure;
 use crate::interrupt;

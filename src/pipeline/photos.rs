@@ -422,14 +422,17 @@ fn preflight(report: &PhotosReport, console: &Console) {
         let mask = photo.mask_coverage.map_or("no mask".to_owned(), |share| {
             format!("mask {:.1} %", 100.0 * share)
         });
+        let of_object = photo.clipped_share_on_object.map_or(String::new(), |share| {
+            format!("{:.2} % of the object clipped, ", 100.0 * share)
+        });
         console.note(&format!(
-            "  {}: {} x {}, focal {:.0} px ({}), {mask}, {:.2} % clipped",
+            "  {}: {} x {}, focal {:.0} px ({}), {mask}, {of_object}{:.2} % of the photo clipped",
             photo.file_name,
             photo.width,
             photo.height,
             photo.intrinsics.focal_px(),
             photo.focal_note,
-            100.0 * photo.clipped_share_on_object.unwrap_or(photo.clipped_share),
+            100.0 * photo.clipped_share,
         ));
     }
     if report.num_masks > 0 {

@@ -10,14 +10,26 @@ use rilievo_io::{
     IoError, Preview, read_channel, read_depth, read_linear, read_normal, write_channel,
     write_depth, write_linear, write_normal, write_preview_png,
 };
+use rilievo_lighting::SurfaceReport;
 use rilievo_scene::{
     LinearImage, MapSource, PixelError, ShadedImages, ShadedView, StageId, ViewIdx,
 };
+use rilievo_shading::ShadingReport;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 /// Longer side of the pictures, pixels: all detail of usual photos, little space.
 const PREVIEW_SIDE: usize = 1600;
+
+/// What stage 5 tells, with the light of stage 4 held against its surface.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct ShadingFacts {
+    /// The solver's report.
+    #[serde(flatten)]
+    pub solver: ShadingReport,
+    /// Whether the light was the right one.
+    pub light_on_surface: SurfaceReport,
+}
 
 const VIEWS: &str = "views.json";
 
@@ -73,9 +85,10 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         });
     }
     write_text(writer, VIEWS, &files)?;
-    let mut report = serde_json::to_value(report)?;
-    report["light_on_surface"] = serde_json::to_value(light_on_surface)?;
-    Ok(report)
+    Ok(serde_json::to_value(ShadingFacts {
+        solver: report,
+        light_on_surface,
+    })?)
 }
 
 /// Writes the maps of a view, and a picture beside each that can be looked at; `path` gives the place

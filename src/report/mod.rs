@@ -1,13 +1,15 @@
 //! `report.json` and `report.html`: what a person, or a program, judges a run by.
 
+mod facts;
 mod html;
-mod json;
 
 pub use html::ViewErrors;
 
 use crate::exit::{self, Failure, Problem};
 use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, own_file, seal, unseal, write_atomically};
+use facts::Facts;
+use maud::Markup;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -62,10 +64,10 @@ pub fn add_evaluation(
 /// # Errors
 /// When the report cannot be read or written.
 pub fn drop_evaluation(root: &Path) -> anyhow::Result<()> {
-    put_evaluation(root, "").map(|_| ())
+    put_evaluation(root, &Markup::default()).map(|_| ())
 }
 
-fn put_evaluation(root: &Path, section: &str) -> anyhow::Result<bool> {
+fn put_evaluation(root: &Path, section: &Markup) -> anyhow::Result<bool> {
     let path = root.join("report.html");
     let Some(page) = own_file(&path)? else {
         return Ok(false);
@@ -98,10 +100,10 @@ pub fn write(
     outcome: &Outcome,
     plan: Option<&Plan>,
 ) -> anyhow::Result<()> {
-    let report = json::collect(run, request, outcome, plan)?;
-    let text = seal(&report)?;
+    let facts = Facts::gather(run, request, outcome, plan)?;
+    let text = seal(&facts)?;
     write_atomically(&run.root().join("report.json"), &text)?;
-    let page = html::page(run, &report)?;
+    let page = html::page(run, &facts)?;
     write_atomically(
         &run.root().join("report.html"),
         html::sealed(&page).as_bytes(),

@@ -1,90 +1,84 @@
 //! The few pieces of HTML that the page is made of.
 
-use serde_json::Value;
+use maud::{Markup, html};
 
-/// Text that is safe inside an element or an attribute.
-pub fn escape(text: &str) -> String {
-    let mut safe = String::with_capacity(text.len());
-    for character in text.chars() {
-        match character {
-            '&' => safe.push_str("&amp;"),
-            '<' => safe.push_str("&lt;"),
-            '>' => safe.push_str("&gt;"),
-            '"' => safe.push_str("&quot;"),
-            '\'' => safe.push_str("&#39;"),
-            other => safe.push(other),
+/// What stands for a value that is not there.
+pub const ABSENT: &str = "–";
+
+/// A table with a caption; nothing without rows.
+pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
+    html! {
+        @if !rows.is_empty() {
+            div.wide {
+                table {
+                    caption { (caption) }
+                    thead { tr { @for cell in head { th scope="col" { (cell) } } } }
+                    tbody {
+                        @for row in rows {
+                            tr {
+                                @for (column, cell) in row.iter().enumerate() {
+                                    @if column == 0 { th scope="row" { (cell) } }
+                                    @else { td { (cell) } }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
         }
     }
-    safe
-}
-
-/// A table with a caption; cells are escaped.
-pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> String {
-    if rows.is_empty() {
-        return String::new();
-    }
-    let mut html = format!(
-        "<div class=\"wide\"><table><caption>{}</caption><thead><tr>",
-        escape(caption)
-    );
-    for cell in head {
-        html += &format!("<th scope=\"col\">{}</th>", escape(cell));
-    }
-    html += "</tr></thead><tbody>";
-    for row in rows {
-        html += "<tr>";
-        for (column, cell) in row.iter().enumerate() {
-            html += &if column == 0 {
-                format!("<th scope=\"row\">{}</th>", escape(cell))
-            } else {
-                format!("<td>{}</td>", escape(cell))
-            };
-        }
-        html += "</tr>";
-    }
-    html + "</tbody></table></div>"
 }
 
 /// A section that can be folded away.
-pub fn folded(title: &str, open: bool, content: &str) -> String {
-    let open = if open { " open" } else { "" };
-    format!(
-        "<details{open}><summary><h3>{}</h3></summary>{content}</details>",
-        escape(title)
-    )
+pub fn folded(title: &str, open: bool, content: &Markup) -> Markup {
+    html! { details open[open] { summary { h3 { (title) } } (content) } }
 }
 
-/// Number at a path of the report, with so many digits; a dash where there is none.
-pub fn number(value: &Value, path: &str, digits: usize) -> String {
-    match value.pointer(path).and_then(Value::as_f64) {
-        Some(number) => format!("{number:.digits$}"),
-        None => "–".to_owned(),
+/// A figure with one picture.
+pub fn figure(picture: &str, alt: &str, caption: &Markup) -> Markup {
+    html! {
+        figure {
+            img loading="lazy" src=(picture) alt=(alt);
+            figcaption { (caption) }
+        }
     }
 }
 
-/// Share at a path, in per cent.
-pub fn percent(value: &Value, path: &str, digits: usize) -> String {
-    match value.pointer(path).and_then(Value::as_f64) {
+/// A number with so many digits; a dash where there is none.
+pub fn number(value: impl Into<Option<f64>>, digits: usize) -> String {
+    match value.into().filter(|value| value.is_finite()) {
+        Some(value) => format!("{value:.digits$}"),
+        None => ABSENT.to_owned(),
+    }
+}
+
+/// A share, in per cent.
+pub fn percent(share: impl Into<Option<f64>>, digits: usize) -> String {
+    match share.into().filter(|share| share.is_finite()) {
         Some(share) => format!("{:.digits$} %", 100.0 * share),
-        None => "–".to_owned(),
+        None => ABSENT.to_owned(),
     }
 }
 
-/// Text at a path; numbers and lists as their JSON.
-pub fn text(value: &Value, path: &str) -> String {
-    match value.pointer(path) {
-        None | Some(Value::Null) => "–".to_owned(),
-        Some(Value::String(text)) => text.clone(),
-        Some(other) => other.to_string(),
+/// A text; a dash where there is none.
+pub fn text(value: Option<&str>) -> String {
+    value.unwrap_or(ABSENT).to_owned()
+}
+
+/// An enum's name, as it stands in the report's JSON.
+pub fn word(value: &impl serde::Serialize) -> String {
+    match serde_json::to_value(value) {
+        Ok(serde_json::Value::String(word)) => word,
+        Ok(serde_json::Value::Null) | Err(_) => ABSENT.to_owned(),
+        Ok(other) => other.to_string(),
     }
 }
 
-/// Items of a list at a path.
-pub fn items<'a>(value: &'a Value, path: &str) -> &'a [Value] {
-    value
-        .pointer(path)
-        .and_then(Value::as_array)
-        .map_or(&[], Vec::as_slice)
+/// A value as indented JSON.
+pub fn json(value: &impl serde::Serialize) -> Markup {
+    // What has no JSON form does not come here: options, inputs and reports were read from it.
+    let text = serde_json::to_string_pretty(value).unwrap_or_default();
+    html! { pre { (text) } }
 }
 
 #[cfg(test)]
@@ -94,17 +88,24 @@ mod tests {
     #[test]
     fn file_names_cannot_break_the_page() {
         let rows = vec![vec!["<b>\"a\" & 'b'.jpg".to_owned(), "1".to_owned()]];
-        let html = table("x", &["photo", "n"], &rows);
-        assert!(html.contains("&lt;b&gt;&quot;a&quot; &amp; &#39;b&#39;.jpg"));
+        let html = table("x", &["photo", "n"], &rows).into_string();
+        assert!(
+            html.contains("&lt;b&gt;&quot;a&quot; &amp; 'b'.jpg"),
+            "{html}"
+        );
         assert!(!html.contains("<b>"));
+        let html = figure("data:,\"><b>", "\"<b>", &html! { "x" }).into_string();
+        assert!(!html.contains("<b>"), "{html}");
     }
 
     #[test]
     fn what_is_absent_is_a_dash() {
-        let value = serde_json::json!({"a": 0.125, "b": null});
-        assert_eq!(number(&value, "/a", 2), "0.12");
-        assert_eq!(percent(&value, "/a", 1), "12.5 %");
-        assert_eq!(number(&value, "/b", 2), "–");
-        assert_eq!(text(&value, "/c"), "–");
+        assert_eq!(number(0.125, 2), "0.12");
+        assert_eq!(percent(Some(0.125), 1), "12.5 %");
+        assert_eq!(number(None, 2), ABSENT);
+        assert_eq!(number(f64::NAN, 2), ABSENT);
+        assert_eq!(text(None), ABSENT);
+        assert_eq!(word(&rilievo_scene::LightKind::World), "world");
+        assert_eq!(word(&None::<u8>), ABSENT);
     }
 }

@@ -1,8 +1,9 @@
 //! Accuracy against the truth: error maps of every view and how the errors are distributed.
 
-use super::element::{escape, folded};
+use super::element::{figure, folded};
 use super::picture::{self, Window};
 use super::plot;
+use maud::{Markup, html};
 use rilievo_scene::Raster;
 
 /// Relative depth error that is shown as full brightness: one per cent.
@@ -31,15 +32,11 @@ fn values<'a>(maps: impl Iterator<Item = &'a Raster<f32>>, factor: f64) -> Vec<f
 
 /// The section: the table of numbers, distributions, and maps. `deviations` are the cloud's signed
 /// distances in millimetres.
-pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> String {
-    let mut html = format!(
-        "<section id=\"accuracy\"><h2>Accuracy against the truth</h2><pre>{}</pre>",
-        escape(table)
-    );
+pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Markup {
     let sizes: Vec<f64> = deviations_mm.iter().map(|d| d.abs()).collect();
     let depth = values(views.iter().filter_map(|v| v.depth_rel.as_ref()), 100.0);
     let normal = values(views.iter().filter_map(|v| v.normal_deg.as_ref()), 1.0);
-    for (title, unit, errors) in [
+    let curves = [
         (
             "Share of the pixels within a relative depth error",
             "%",
@@ -55,36 +52,43 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Stri
             "mm",
             sizes,
         ),
-    ] {
-        html += &plot::cumulative(title, unit, errors);
-    }
-    for (index, view) in views.iter().enumerate() {
-        let name = escape(&view.name);
-        let mut pictures = String::from("<div class=\"pictures\">");
-        if let Some(map) = &view.depth_rel {
-            pictures += &format!(
-                "<figure><img loading=\"lazy\" src=\"{}\" alt=\"Depth errors of {name}\">\
-                 <figcaption>Relative depth error: dark is none, bright {:.0} % and more, grey not compared\
-                 </figcaption></figure>",
-                picture::scalar(map, compared(map), DEPTH_MAX),
-                100.0 * DEPTH_MAX
-            );
+    ];
+    html! {
+        section id="accuracy" {
+            h2 { "Accuracy against the truth" }
+            pre { (table) }
+            @for (title, unit, errors) in curves { (plot::cumulative(title, unit, errors)) }
+            @for (index, view) in views.iter().enumerate() {
+                (folded(&format!("Errors of {}", view.name), index == 0, &maps(view)))
+            }
         }
-        if let Some(map) = &view.normal_deg {
-            pictures += &format!(
-                "<figure><img loading=\"lazy\" src=\"{}\" alt=\"Normal errors of {name}\">\
-                 <figcaption>Angle between normals: dark is none, bright {NORMAL_MAX_DEG:.0}° and more\
-                 </figcaption></figure>",
-                picture::scalar(map, compared(map), NORMAL_MAX_DEG)
-            );
-        }
-        html += &folded(
-            &format!("Errors of {}", view.name),
-            index == 0,
-            &(pictures + "</div>"),
-        );
     }
-    html + "</section>"
+}
+
+fn maps(view: &ViewErrors) -> Markup {
+    html! {
+        div.pictures {
+            @if let Some(map) = &view.depth_rel {
+                (figure(
+                    &picture::scalar(map, compared(map), DEPTH_MAX),
+                    &format!("Depth errors of {}", view.name),
+                    &html! {
+                        "Relative depth error: dark is none, bright " (100.0 * DEPTH_MAX)
+                        " % and more, grey not compared"
+                    },
+                ))
+            }
+            @if let Some(map) = &view.normal_deg {
+                (figure(
+                    &picture::scalar(map, compared(map), NORMAL_MAX_DEG),
+                    &format!("Normal errors of {}", view.name),
+                    &html! {
+                        "Angle between normals: dark is none, bright " (NORMAL_MAX_DEG) "° and more"
+                    },
+                ))
+            }
+        }
+    }
 }
 
 /// The part of a map where something is compared; all of it where nothing is.
@@ -109,7 +113,7 @@ mod tests {
             depth_rel: Some(map.clone()),
             normal_deg: Some(map),
         };
-        let html = section("a < b", &[view], &[0.1, -0.2]);
+        let html = section("a < b", &[view], &[0.1, -0.2]).into_string();
         assert_eq!(html.matches("<img").count(), 2);
         assert_eq!(html.matches("<svg").count(), 3);
         assert!(html.contains("a &lt; b") && html.contains("Errors of &lt;a&gt;"));

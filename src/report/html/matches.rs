@@ -1,8 +1,9 @@
 //! Verified matches, drawn between every photo and the one that it shares most with.
 
-use super::element::{escape, folded};
+use super::element::folded;
 use crate::pipeline::{load_keypoints, load_pairs};
 use crate::store::RunDir;
+use maud::{Markup, html};
 use rilievo_scene::{PairMatches, PosedViews};
 
 /// Lines beyond this many hide the photos.
@@ -26,11 +27,11 @@ pub struct Thumb {
 ///
 /// # Errors
 /// When keypoints or matches cannot be read.
-pub fn section(run: &RunDir, posed: &PosedViews, thumbs: &[Thumb]) -> anyhow::Result<String> {
+pub fn section(run: &RunDir, posed: &PosedViews, thumbs: &[Thumb]) -> anyhow::Result<Markup> {
     let pairs = load_pairs(run)?;
     let view_of = |photo| posed.views.iter().position(|view| view.photo == photo);
     let mut drawn: Vec<(usize, usize)> = Vec::new();
-    let mut html = String::new();
+    let mut drawings = Vec::new();
     for (index, view) in posed.views.iter().enumerate() {
         let best = pairs
             .iter()
@@ -59,12 +60,12 @@ pub fn section(run: &RunDir, posed: &PosedViews, thumbs: &[Thumb]) -> anyhow::Re
             posed.views[a].file_name, posed.views[b].file_name
         );
         let figure = drawing(&names, pair, &points, &thumbs[a], &thumbs[b]);
-        html += &folded(&names, index == 0, &figure);
+        drawings.push(folded(&names, index == 0, &figure));
     }
-    Ok(if html.is_empty() {
-        html
-    } else {
-        format!("<section><h2>Matches</h2>{html}</section>")
+    Ok(html! {
+        @if !drawings.is_empty() {
+            section { h2 { "Matches" } @for drawing in drawings { (drawing) } }
+        }
     })
 }
 
@@ -74,37 +75,38 @@ fn drawing(
     points: &[[[f64; 2]; 2]],
     left: &Thumb,
     right: &Thumb,
-) -> String {
+) -> Markup {
     let shift = left.width + GAP;
-    let (width, height) = (shift + right.width, left.height.max(right.height));
+    let window = format!(
+        "0 0 {:.0} {:.0}",
+        shift + right.width,
+        left.height.max(right.height)
+    );
     let every = points.len().div_ceil(MAX_NUM_LINES).max(1);
-    let mut marks = String::new();
-    for (k, [[px, py], [qx, qy]]) in points.iter().step_by(every).enumerate() {
-        let (x1, y1) = (px / left.step, py / left.step);
-        let (x2, y2) = (shift + qx / right.step, qy / right.step);
-        // Neighbouring lines differ in hue, so that single ones can be followed.
-        marks += &format!(
-            "<g stroke=\"hsl({} 90% 55%)\"><path d=\"M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}\"/>\
-             <circle cx=\"{x1:.1}\" cy=\"{y1:.1}\" r=\"2\"/><circle cx=\"{x2:.1}\" cy=\"{y2:.1}\" \
-             r=\"2\"/></g>",
-            k * 47 % 360
-        );
+    let lines = points.iter().step_by(every).enumerate();
+    let whole = |length: f64| format!("{length:.0}");
+    html! {
+        figure {
+            svg.matches viewBox=(window) role="img" aria-label=(format!("Matches between {names}")) {
+                image href=(left.picture) width=(whole(left.width)) height=(whole(left.height)) {}
+                image href=(right.picture) x=(whole(shift)) width=(whole(right.width))
+                    height=(whole(right.height)) {}
+                @for (k, [[px, py], [qx, qy]]) in lines {
+                    @let (x1, y1) = (px / left.step, py / left.step);
+                    @let (x2, y2) = (shift + qx / right.step, qy / right.step);
+                    // Neighbouring lines differ in hue, so that single ones can be followed.
+                    g stroke=(format!("hsl({} 90% 55%)", k * 47 % 360)) {
+                        path d=(format!("M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}")) {}
+                        circle cx=(format!("{x1:.1}")) cy=(format!("{y1:.1}")) r="2" {}
+                        circle cx=(format!("{x2:.1}")) cy=(format!("{y2:.1}")) r="2" {}
+                    }
+                }
+            }
+            figcaption {
+                (pair.matches.len()) " verified matches, from " (pair.num_putative)
+                " by likeness alone; every " (every) ". is drawn; a homography explains "
+                (format!("{:.0}", 100.0 * pair.homography_share)) " % of them"
+            }
+        }
     }
-    format!(
-        "<figure><svg class=\"matches\" viewBox=\"0 0 {width:.0} {height:.0}\" role=\"img\" \
-         aria-label=\"Matches between {name}\"><image href=\"{}\" width=\"{:.0}\" height=\"{:.0}\"/>\
-         <image href=\"{}\" x=\"{shift:.0}\" width=\"{:.0}\" height=\"{:.0}\"/>{marks}</svg>\
-         <figcaption>{} verified matches, from {} by likeness alone; every {every}. is drawn; a homography explains {:.0} % \
-         of them</figcaption></figure>",
-        left.picture,
-        left.width,
-        left.height,
-        right.picture,
-        right.width,
-        right.height,
-        pair.matches.len(),
-        pair.num_putative,
-        100.0 * pair.homography_share,
-        name = escape(names),
-    )
 }

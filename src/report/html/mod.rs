@@ -10,14 +10,16 @@ mod overview;
 mod picture;
 mod plot;
 mod stages;
+mod verdict;
 mod viewer;
 mod views;
 
 pub use evaluation::{ViewErrors, section as evaluation_section};
 
+use super::facts::Facts;
 use crate::pipeline::load_poses;
 use crate::store::{RunDir, hash_bytes};
-use serde_json::Value;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 const STYLE: &str = include_str!("page.css");
 const PAGE_SCRIPT: &str = include_str!("page.js");
@@ -27,9 +29,10 @@ const EVALUATION_BEGIN: &str = "<!-- evaluation -->";
 const EVALUATION_END: &str = "<!-- end of evaluation -->";
 
 /// A page with a section in the place of an earlier evaluation's; `None` where the page has none.
-pub fn with_evaluation(page: &str, section: &str) -> Option<String> {
+pub fn with_evaluation(page: &str, section: &Markup) -> Option<String> {
     let (before, rest) = page.split_once(EVALUATION_BEGIN)?;
     let (_, after) = rest.split_once(EVALUATION_END)?;
+    let section = section.0.as_str();
     Some([before, EVALUATION_BEGIN, section, EVALUATION_END, after].concat())
 }
 
@@ -51,26 +54,40 @@ pub fn is_whole(page: &[u8]) -> bool {
 ///
 /// # Errors
 /// When artifacts of a committed stage cannot be read.
-pub fn page(run: &RunDir, report: &Value) -> anyhow::Result<String> {
-    let posed = if report.pointer("/stages/3_poses").is_some() {
-        Some(load_poses(run)?)
-    } else {
-        None
+pub fn page(run: &RunDir, facts: &Facts) -> anyhow::Result<String> {
+    let posed = match &facts.stages.poses {
+        Some(_) => Some(load_poses(run)?),
+        None => None,
     };
-    let mut body = overview::section(run, report, posed.as_ref())?;
-    if let Some(posed) = &posed {
-        body += &viewer::section(run, posed)?;
-        body += &views::section(run, report, posed)?;
-    }
-    // `evaluate` puts its section between these marks.
-    body += EVALUATION_BEGIN;
-    body += EVALUATION_END;
-    body += &stages::sections(report);
-    Ok(format!(
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
-         <title>rilievo report</title><style>{STYLE}</style></head>\n<body>\
-         <a class=\"skip\" href=\"#main\">skip to the results</a>\n<main id=\"main\">{body}</main>\n\
-         <script>{PAGE_SCRIPT}</script><script>{VIEWER_SCRIPT}</script></body></html>\n"
-    ))
+    let overview = overview::section(run, facts, posed.as_ref())?;
+    let (viewer, views) = match &posed {
+        Some(posed) => (
+            viewer::section(run, posed)?,
+            views::section(run, facts, posed)?,
+        ),
+        None => Default::default(),
+    };
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { "rilievo report" }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                a.skip href="#main" { "skip to the results" }
+                main id="main" {
+                    (overview) (viewer) (views)
+                    // `evaluate` puts its section between these marks.
+                    (PreEscaped(EVALUATION_BEGIN)) (PreEscaped(EVALUATION_END))
+                    (stages::sections(facts))
+                }
+                script { (PreEscaped(PAGE_SCRIPT)) }
+                script { (PreEscaped(VIEWER_SCRIPT)) }
+            }
+        }
+    };
+    Ok(page.into_string())
 }

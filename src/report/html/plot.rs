@@ -1,6 +1,6 @@
-//! Convergence of an iterative solver as an inline drawing.
+//! Convergence of an iterative solver, and distributions of errors, as inline drawings.
 
-use super::element::escape;
+use maud::{Markup, html};
 
 const WIDTH: f64 = 640.0;
 const HEIGHT: f64 = 220.0;
@@ -8,8 +8,30 @@ const MARGIN: f64 = 44.0;
 /// Dashes tell the curves apart without colour.
 const STYLES: [(&str, &str); 3] = [("#1f5fa8", ""), ("#a34700", "6 3"), ("#4a7a1c", "2 3")];
 
+/// An empty drawing with its title.
+fn drawing(title: &str, content: &Markup) -> Markup {
+    let window = format!("0 0 {WIDTH} {HEIGHT}");
+    html! { svg.plot viewBox=(window) role="img" aria-label=(title) { (content) } }
+}
+
+/// A horizontal line with its value.
+fn grid_line(y: f64, label: &str) -> Markup {
+    let end = WIDTH - MARGIN;
+    html! {
+        path.grid d=(format!("M{MARGIN} {y:.1}H{end:.1}")) {}
+        text x="4" y=(format!("{:.1}", y + 4.0)) { (label) }
+    }
+}
+
+fn curve(style: (&str, &str), points: &[String]) -> Markup {
+    html! {
+        polyline fill="none" stroke=(style.0) stroke-width="1.6" stroke-dasharray=(style.1)
+            points=(points.join(" ")) {}
+    }
+}
+
 /// Curves over their index, on a logarithmic scale; empty when there is nothing positive to draw.
-pub fn logarithmic(title: &str, curves: &[(&str, Vec<f64>)]) -> String {
+pub fn logarithmic(title: &str, curves: &[(&str, Vec<f64>)]) -> Markup {
     let usable = |value: &f64| value.is_finite() && *value > 0.0;
     let logs = curves
         .iter()
@@ -19,76 +41,41 @@ pub fn logarithmic(title: &str, curves: &[(&str, Vec<f64>)]) -> String {
     });
     let length = curves.iter().map(|(_, values)| values.len()).max();
     let Some(length) = length.filter(|&length| length > 1 && low.is_finite()) else {
-        return String::new();
+        return Markup::default();
     };
     let (low, high) = (low.floor(), high.ceil().max(low.floor() + 1.0));
     let x = |index: usize| MARGIN + (WIDTH - 2.0 * MARGIN) * index as f64 / (length - 1) as f64;
     let y = |log: f64| HEIGHT - MARGIN / 2.0 - (HEIGHT - MARGIN) * (log - low) / (high - low);
-    let mut svg = format!(
-        "<svg class=\"plot\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
-        escape(title)
-    );
-    let mut decade = low;
-    while decade <= high {
-        svg += &format!(
-            "<path class=\"grid\" d=\"M{MARGIN} {y:.1}H{:.1}\"/><text x=\"4\" y=\"{:.1}\">1e{decade}</text>",
-            WIDTH - MARGIN,
-            y(decade) + 4.0,
-            y = y(decade)
-        );
-        decade += 1.0;
-    }
-    for (k, (name, values)) in curves.iter().enumerate() {
-        let (color, dash) = STYLES[k % STYLES.len()];
-        let points: Vec<String> = values
-            .iter()
-            .enumerate()
-            .filter(|(_, value)| usable(value))
+    let decades = (low as i32)..=(high as i32);
+    let points = |values: &[f64]| -> Vec<String> {
+        let known = values.iter().enumerate().filter(|(_, value)| usable(value));
+        known
             .map(|(index, value)| format!("{:.1},{:.1}", x(index), y(value.log10())))
-            .collect();
-        svg += &format!(
-            "<polyline fill=\"none\" stroke=\"{color}\" stroke-width=\"1.6\" \
-             stroke-dasharray=\"{dash}\" points=\"{}\"/>\
-             <text x=\"{:.1}\" y=\"14\" fill=\"{color}\">{}</text>",
-            points.join(" "),
-            MARGIN + 170.0 * k as f64,
-            escape(name)
-        );
-    }
-    svg + &format!(
-        "<text x=\"{:.1}\" y=\"{:.1}\">iteration {length}</text></svg>",
-        WIDTH - 100.0,
-        HEIGHT - 4.0
+            .collect()
+    };
+    drawing(
+        title,
+        &html! {
+            @for decade in decades { (grid_line(y(f64::from(decade)), &format!("1e{decade}"))) }
+            @for (k, (name, values)) in curves.iter().enumerate() {
+                @let style = STYLES[k % STYLES.len()];
+                (curve(style, &points(values)))
+                text x=(format!("{:.1}", MARGIN + 170.0 * k as f64)) y="14" fill=(style.0) { (name) }
+            }
+            text x=(WIDTH - 100.0) y=(HEIGHT - 4.0) { "iteration " (length) }
+        },
     )
 }
 
 /// How many of `errors` lie within a size, up to their 98 % quantile; empty without errors.
-pub fn cumulative(title: &str, unit: &str, mut errors: Vec<f64>) -> String {
+pub fn cumulative(title: &str, unit: &str, mut errors: Vec<f64>) -> Markup {
     errors.retain(|e| e.is_finite());
     errors.sort_by(f64::total_cmp);
     let Some(&largest) = errors.get(errors.len() * 98 / 100).filter(|e| **e > 0.0) else {
-        return String::new();
+        return Markup::default();
     };
     let x = |error: f64| MARGIN + (WIDTH - 2.0 * MARGIN) * error / largest;
     let y = |share: f64| HEIGHT - MARGIN / 2.0 - (HEIGHT - MARGIN) * share;
-    let mut svg = format!(
-        "<figure><svg class=\"plot\" viewBox=\"0 0 {WIDTH} {HEIGHT}\" role=\"img\" aria-label=\"{}\">",
-        escape(title)
-    );
-    for quarter in 0..=4 {
-        let share = 0.25 * f64::from(quarter);
-        svg += &format!(
-            "<path class=\"grid\" d=\"M{MARGIN} {y:.1}H{:.1}\"/><text x=\"4\" y=\"{:.1}\">{:.0} %</text>\
-             <text x=\"{:.1}\" y=\"{:.1}\">{:.3} {unit}</text>",
-            WIDTH - MARGIN,
-            y(share) + 4.0,
-            100.0 * share,
-            x(share * largest) - 14.0,
-            HEIGHT - 4.0,
-            share * largest,
-            y = y(share)
-        );
-    }
     const NUM_STEPS: usize = 200;
     let points: Vec<String> = (0..=NUM_STEPS)
         .map(|k| {
@@ -97,14 +84,23 @@ pub fn cumulative(title: &str, unit: &str, mut errors: Vec<f64>) -> String {
             format!("{:.1},{:.1}", x(error), y(within))
         })
         .collect();
-    svg + &format!(
-        "<polyline fill=\"none\" stroke=\"{}\" stroke-width=\"1.6\" points=\"{}\"/></svg>\
-         <figcaption>{}; half lie within {:.3} {unit}</figcaption></figure>",
-        STYLES[0].0,
-        points.join(" "),
-        escape(title),
-        errors[errors.len() / 2]
-    )
+    let plot = html! {
+        @for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
+            (grid_line(y(share), &format!("{:.0} %", 100.0 * share)))
+            text x=(format!("{:.1}", x(share * largest) - 14.0)) y=(HEIGHT - 4.0) {
+                (format!("{:.3} {unit}", share * largest))
+            }
+        }
+        (curve(STYLES[0], &points))
+    };
+    html! {
+        figure {
+            (drawing(title, &plot))
+            figcaption {
+                (title) "; half lie within " (format!("{:.3} {unit}", errors[errors.len() / 2]))
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -114,9 +110,11 @@ mod tests {
     #[test]
     fn a_curve_spans_its_decades_and_nothing_is_drawn_from_nothing() {
         let svg = logarithmic("energy", &[("energy", vec![100.0, 10.0, 0.5, f64::NAN])]);
+        let svg = svg.into_string();
         assert!(svg.contains("1e-1") && svg.contains("1e2"), "{svg}");
         assert!(!svg.contains("NaN"), "{svg}");
-        assert_eq!(logarithmic("x", &[("x", vec![0.0, 0.0])]), "");
-        assert_eq!(logarithmic("x", &[]), "");
+        let nothing = logarithmic("x", &[("x", vec![0.0, 0.0])]);
+        assert_eq!(nothing.into_string(), "");
+        assert_eq!(logarithmic("x", &[]).into_string(), "");
     }
 }

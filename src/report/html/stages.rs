@@ -1,84 +1,90 @@
 //! What every stage found, in tables; settings, versions and hashes for those who repeat it.
 
-use super::element::{escape, folded, items, number, percent, table, text};
+use super::element::{ABSENT, folded, json, number, percent, table, text, word};
 use super::plot;
+use crate::pipeline::ShadingFacts;
+use crate::report::facts::{Facts, Made, Stage};
+use maud::{Markup, html};
+use rilievo_features::{FeaturesReport, PairReport};
+use rilievo_fusion::FusionReport;
+use rilievo_lighting::{LightingReport, SphereLightReport, ViewLightReport};
+use rilievo_photos::PhotosReport;
+use rilievo_poses::PosesReport;
 use rilievo_scene::StageId;
-use serde_json::Value;
+use rilievo_shading::photo::PhotoReport;
+
+/// Most photos of which a matrix of all pairs stays readable.
+const MAX_MATRIX: usize = 40;
 
 /// Sections of all stages that ran, and of the run as a whole.
-pub fn sections(report: &Value) -> String {
-    let mut html = String::from("<section><h2>Stages</h2>");
-    for stage in StageId::ALL {
-        let Some(entry) = report.pointer(&format!("/stages/{stage}")) else {
-            continue;
-        };
-        let facts = entry.get("report").unwrap_or(&Value::Null);
-        let tables = match stage {
-            StageId::Photos => photos(facts),
-            StageId::Features => features(facts),
-            StageId::Poses => poses(facts),
-            StageId::Lighting => lighting(facts),
-            StageId::Shading => shading(facts),
-            StageId::Fusion => fusion(facts),
-        };
-        let title = format!("{stage}, {} s", number(entry, "/seconds", 1));
-        html += &folded(&title, false, &(tables + &settings(entry)));
-    }
-    html += "</section><section><h2>This run</h2><dl>";
-    for (name, value) in [
-        ("program", text(report, "/program")),
-        ("threads", text(report, "/threads")),
-        ("peak memory", peak_memory(report)),
-        ("citation", text(report, "/citation")),
-    ] {
-        html += &format!("<dt>{name}</dt><dd>{}</dd>", escape(&value));
-    }
-    let request = report.get("request").unwrap_or(&Value::Null);
-    html += "</dl>";
-    html += &folded(
-        "What was asked for",
-        false,
-        &format!("<pre>{}</pre>", escape(&format!("{request:#}"))),
-    );
-    html + "</section>"
-}
-
-fn peak_memory(report: &Value) -> String {
-    match report.pointer("/peak_memory_bytes").and_then(Value::as_f64) {
-        Some(bytes) => format!("{:.0} MB", bytes / 1e6),
-        None => "–".to_owned(),
+pub fn sections(facts: &Facts) -> Markup {
+    let stages = &facts.stages;
+    html! {
+        section {
+            h2 { "Stages" }
+            (section(StageId::Photos, stages.photos.as_ref(), photos))
+            (section(StageId::Features, stages.features.as_ref(), features))
+            (section(StageId::Poses, stages.poses.as_ref(), poses))
+            (section(StageId::Lighting, stages.lighting.as_ref(), lighting))
+            (section(StageId::Shading, stages.shading.as_ref(), shading))
+            (section(StageId::Fusion, stages.fusion.as_ref(), fusion))
+        }
+        section {
+            h2 { "This run" }
+            dl {
+                dt { "program" } dd { (facts.program) }
+                dt { "threads" } dd { (facts.threads.map_or(ABSENT.to_owned(), |n| n.to_string())) }
+                dt { "peak memory" } dd { (megabytes(facts.peak_memory_bytes)) }
+                dt { "citation" } dd { (facts.citation) }
+            }
+            (folded("What was asked for", false, &json(&facts.request)))
+        }
     }
 }
 
-fn settings(entry: &Value) -> String {
-    let options = entry.get("options").unwrap_or(&Value::Null);
-    let inputs = entry.get("inputs").unwrap_or(&Value::Null);
-    folded(
-        "Options, inputs and fingerprint",
-        false,
-        &format!(
-            "<p>fingerprint <code>{}</code>, seed {}</p><pre>{}</pre><pre>{}</pre>",
-            escape(&text(entry, "/fingerprint")),
-            text(entry, "/seed"),
-            escape(&format!("{options:#}")),
-            escape(&format!("{inputs:#}"))
-        ),
-    )
+fn megabytes(bytes: Option<u64>) -> String {
+    bytes.map_or(ABSENT.to_owned(), |bytes| {
+        format!("{:.0} MB", bytes as f64 / 1e6)
+    })
 }
 
-fn photos(facts: &Value) -> String {
-    let row = |photo: &Value| {
-        vec![
-            text(photo, "/file_name"),
-            format!("{} x {}", text(photo, "/width"), text(photo, "/height")),
-            format!("{} px", number(photo, "/intrinsics/fx", 0)),
-            text(photo, "/focal_note"),
-            text(photo, "/encoding"),
-            percent(photo, "/mask_coverage", 1),
-            percent(photo, "/clipped_share", 2),
-            number(photo, "/noise_sigma", 4),
-        ]
+fn section<R>(id: StageId, stage: Option<&Stage<R>>, tables: fn(&R) -> Markup) -> Markup {
+    let Some(stage) = stage else {
+        return Markup::default();
     };
+    let title = format!("{id}, {} s", number(stage.made.seconds(), 1));
+    let content = html! { (tables(&stage.report)) (settings(&stage.made)) };
+    folded(&title, false, &content)
+}
+
+fn settings(made: &Made) -> Markup {
+    let ingredients = made.ingredients();
+    let content = html! {
+        p { "fingerprint " code { (made.fingerprint()) } }
+        (json(&ingredients.options))
+        (json(&ingredients.inputs))
+    };
+    folded("Options, inputs and fingerprint", false, &content)
+}
+
+fn photos(facts: &PhotosReport) -> Markup {
+    let used: Vec<_> = facts
+        .photos
+        .iter()
+        .map(|photo| {
+            vec![
+                photo.file_name.clone(),
+                format!("{} x {}", photo.width, photo.height),
+                format!("{:.0} px", photo.intrinsics.fx),
+                photo.focal_note.clone(),
+                word(&photo.encoding),
+                percent(photo.mask_coverage, 1),
+                percent(photo.clipped_share_on_object, 2),
+                percent(photo.clipped_share, 2),
+                number(photo.noise_sigma, 4),
+            ]
+        })
+        .collect();
     let head = [
         "photo",
         "size",
@@ -86,86 +92,76 @@ fn photos(facts: &Value) -> String {
         "focal from",
         "encoding",
         "mask",
-        "clipped",
+        "clipped on the object",
+        "in the photo",
         "noise",
     ];
-    let usable: Vec<_> = items(facts, "/photos").iter().map(row).collect();
-    let rejected: Vec<_> = items(facts, "/rejected")
+    let rejected: Vec<_> = facts
+        .rejected
         .iter()
-        .map(|photo| vec![text(photo, "/file"), text(photo, "/reason")])
+        .map(|photo| vec![photo.file.clone(), photo.reason.clone()])
         .collect();
-    table("Photos that are used", &head, &usable)
-        + &table("Photos that are not used", &["file", "why"], &rejected)
+    html! {
+        (table("Photos that are used", &head, &used))
+        (table("Photos that are not used", &["file", "why"], &rejected))
+    }
 }
 
-fn features(facts: &Value) -> String {
-    let photos = items(facts, "/photos");
-    let rows: Vec<_> = photos
+fn features(facts: &FeaturesReport) -> Markup {
+    let rows: Vec<_> = facts
+        .photos
         .iter()
         .map(|photo| {
             vec![
-                text(photo, "/file_name"),
-                text(photo, "/num_keypoints"),
-                text(photo, "/num_on_object"),
-                text(photo, "/num_pairs"),
+                photo.file_name.clone(),
+                photo.num_keypoints.to_string(),
+                photo.num_on_object.to_string(),
+                photo.num_pairs.to_string(),
             ]
         })
         .collect();
-    let mut html = table(
-        "Keypoints",
-        &["photo", "keypoints", "on the object", "pairs matched"],
-        &rows,
-    );
-    let pairs = items(facts, "/pairs");
-    // A matrix of all pairs stays readable up to a few dozen photos.
-    if photos.len() <= 40 {
-        let mut head = vec!["verified matches".to_owned()];
-        head.extend((1..=photos.len()).map(|n| n.to_string()));
-        let head: Vec<&str> = head.iter().map(String::as_str).collect();
-        let rows: Vec<Vec<String>> = photos
-            .iter()
-            .enumerate()
-            .map(|(a, photo)| {
-                let mut row = vec![format!("{}  {}", a + 1, text(photo, "/file_name"))];
-                row.extend((0..photos.len()).map(|b| verified(pairs, a, b)));
-                row
-            })
-            .collect();
-        html += &table("Matches between photos", &head, &rows);
+    let head = ["photo", "keypoints", "on the object", "pairs matched"];
+    html! {
+        (table("Keypoints", &head, &rows))
+        @if facts.photos.len() <= MAX_MATRIX { (matrix(facts)) }
     }
-    html
 }
 
-fn verified(pairs: &[Value], a: usize, b: usize) -> String {
-    let (first, second) = (a.min(b) as u64, a.max(b) as u64);
-    let found = pairs.iter().find(|pair| {
-        pair.get("first").and_then(Value::as_u64) == Some(first)
-            && pair.get("second").and_then(Value::as_u64) == Some(second)
-    });
-    found.map_or(String::new(), |pair| text(pair, "/num_verified"))
-}
-
-fn poses(facts: &Value) -> String {
-    let rows: Vec<_> = items(facts, "/views")
+/// Verified matches of all pairs.
+fn matrix(facts: &FeaturesReport) -> Markup {
+    let num_photos = facts.photos.len();
+    let mut head = vec!["verified matches".to_owned()];
+    head.extend((1..=num_photos).map(|n| n.to_string()));
+    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let verified = |a: usize, b: usize| {
+        let is_it = |pair: &&PairReport| (pair.first.0, pair.second.0) == (a.min(b), a.max(b));
+        let found = facts.pairs.iter().find(is_it);
+        found.map_or(String::new(), |pair| pair.num_verified.to_string())
+    };
+    let rows: Vec<Vec<String>> = facts
+        .photos
         .iter()
-        .map(|view| {
-            vec![
-                text(view, "/file_name"),
-                text(view, "/num_points"),
-                number(view, "/mean_error_px", 3),
-                number(view, "/rotation_sigma_deg", 4),
-                number(view, "/center_sigma", 6),
-            ]
+        .enumerate()
+        .map(|(a, photo)| {
+            let mut row = vec![format!("{}  {}", a + 1, photo.file_name)];
+            row.extend((0..num_photos).map(|b| verified(a, b)));
+            row
         })
         .collect();
-    let anchors: Vec<_> = items(facts, "/anchors/views")
+    table("Matches between photos", &head, &rows)
+}
+
+fn poses(facts: &PosesReport) -> Markup {
+    let rows: Vec<_> = facts
+        .views
         .iter()
         .map(|view| {
             vec![
-                text(view, "/file_name"),
-                text(view, "/num_anchors"),
-                percent(view, "/coverage", 0),
-                percent(view, "/median_sigma_ln_depth", 3),
+                view.file_name.clone(),
+                view.num_points.to_string(),
+                number(view.mean_error_px, 3),
+                number(view.rotation_sigma_deg, 4),
+                number(view.center_sigma, 6),
             ]
         })
         .collect();
@@ -176,68 +172,71 @@ fn poses(facts: &Value) -> String {
         "rotation sigma, deg",
         "centre sigma, world's unit",
     ];
-    table("Poses", &head, &rows)
-        + &table(
-            "Depth anchors",
-            &[
-                "photo",
-                "anchors",
-                "object within 20 px of one",
-                "depth sigma",
-            ],
-            &anchors,
-        )
-        + &format!(
-            "<p>scale: {} ({}), relative standard deviation {}; {} points seen {} times on average; \
-             first pair {}</p>{}",
-            escape(&text(facts, "/scale/unit")),
-            escape(&text(facts, "/scale/source")),
-            percent(facts, "/scale/relative_sigma", 2),
-            text(facts, "/num_points"),
-            number(facts, "/mean_track_length", 1),
-            escape(&text(facts, "/initial_pair")),
-            vertical_and_residuals(facts),
-        )
+    let first_pair = facts.initial_pair.as_ref();
+    let first_pair = first_pair.map(|(first, second)| format!("{first}, {second}"));
+    html! {
+        (table("Poses", &head, &rows))
+        (anchors(facts))
+        p {
+            "scale: " (word(&facts.scale.unit)) " (" (word(&facts.scale.source))
+            "), relative standard deviation " (percent(facts.scale.relative_sigma, 2)) "; "
+            (facts.num_points) " points seen " (number(facts.mean_track_length, 1))
+            " times on average; first pair " (text(first_pair.as_deref()))
+        }
+        // Which way is up.
+        @if let Some(vertical) = &facts.vertical {
+            p {
+                "upwards in the world: " (format!("{:?}", vertical.up_in_world))
+                ", told from the " (word(&vertical.source)) ", standard deviation "
+                (number(vertical.sigma_deg, 2)) " deg"
+            }
+        }
+        @if let Some(anchors) = &facts.anchors {
+            p {
+                (anchors.num_anchors) " anchors (" (word(&anchors.mode)) ") from "
+                (anchors.num_patches) " patches: mean correlation "
+                (number(anchors.mean_correlation, 3)) ", residual " (number(anchors.rms_residual, 4))
+                " of ln intensity (RMS), deviations " (number(anchors.noise_factor, 1))
+                " times those of independent residuals; all in "
+                a href="3_poses/anchors.ply" { "anchors.ply" } " and "
+                a href="3_poses/anchors.json" { "anchors.json" }
+            }
+        }
+    }
 }
 
-/// Which way is up, and how well the anchors' patches agree.
-fn vertical_and_residuals(facts: &Value) -> String {
-    let mut html = String::new();
-    if facts.pointer("/vertical").is_some_and(|v| !v.is_null()) {
-        html += &format!(
-            "<p>upwards in the world: {}, told from the {}, standard deviation {} deg</p>",
-            escape(&text(facts, "/vertical/up_in_world")),
-            escape(&text(facts, "/vertical/source")),
-            number(facts, "/vertical/sigma_deg", 2),
-        );
-    }
-    if facts.pointer("/anchors").is_some_and(|v| !v.is_null()) {
-        html += &format!(
-            "<p>{} anchors ({}) from {} patches: mean correlation {}, residual {} of ln intensity \
-             (RMS), deviations {} times those of independent residuals; all in \
-             <a href=\"3_poses/anchors.ply\">anchors.ply</a> and \
-             <a href=\"3_poses/anchors.json\">anchors.json</a></p>",
-            text(facts, "/anchors/num_anchors"),
-            escape(&text(facts, "/anchors/mode")),
-            text(facts, "/anchors/num_patches"),
-            number(facts, "/anchors/mean_correlation", 3),
-            number(facts, "/anchors/rms_residual", 4),
-            number(facts, "/anchors/noise_factor", 1),
-        );
-    }
-    html
+fn anchors(facts: &PosesReport) -> Markup {
+    let views = facts.anchors.iter().flat_map(|anchors| &anchors.views);
+    let rows: Vec<_> = views
+        .map(|view| {
+            vec![
+                view.file_name.clone(),
+                view.num_anchors.to_string(),
+                percent(view.coverage, 0),
+                percent(view.median_sigma_ln_depth, 3),
+            ]
+        })
+        .collect();
+    let head = [
+        "photo",
+        "anchors",
+        "object within 20 px of one",
+        "depth sigma",
+    ];
+    table("Depth anchors", &head, &rows)
 }
 
-fn lighting(facts: &Value) -> String {
-    let rows: Vec<_> = items(facts, "/views")
+fn lighting(facts: &LightingReport) -> Markup {
+    let rows: Vec<_> = facts
+        .views
         .iter()
         .map(|view| {
             vec![
-                text(view, "/name"),
-                text(view, "/num_pixels"),
-                percent(view, "/relative_rms", 1),
-                percent(view, "/clipped_share", 1),
-                text(view, "/gain"),
+                view.name.clone(),
+                view.num_pixels.to_string(),
+                percent(view.relative_rms, 1),
+                percent(view.clipped_share, 1),
+                ratios(&view.gain),
                 left_out(view),
             ]
         })
@@ -250,55 +249,51 @@ fn lighting(facts: &Value) -> String {
         "gain",
         "left out because",
     ];
-    let uncalibrated = facts.pointer("/uncalibrated") == Some(&Value::Bool(true));
-    let mark = if uncalibrated {
-        "<p><strong>Uncalibrated</strong>: there was no sphere, file or shape. The light is fitted on \
-         the photos' own rough shape; brightness and albedo share one unknown factor, and where the \
-         shape is uncertain bumps and hollows may swap.</p>"
-    } else {
-        ""
-    };
-    format!(
-        "{mark}<p>light from: {}; fixed to: {}; most light comes from {}</p>",
-        escape(&text(facts, "/source")),
-        escape(&text(facts, "/kind")),
-        escape(&text(facts, "/dominant_direction"))
-    ) + &table("Lighting", &head, &rows)
-        + &spheres(facts)
+    let direction = facts.dominant_direction.map(|d| ratios(&d));
+    html! {
+        @if facts.uncalibrated {
+            p {
+                strong { "Uncalibrated" }
+                ": there was no sphere, file or shape. The light is fitted on the photos' own rough \
+                 shape; brightness and albedo share one unknown factor, and where the shape is \
+                 uncertain bumps and hollows may swap."
+            }
+        }
+        p {
+            "light from: " (word(&facts.source)) "; fixed to: " (word(&facts.kind))
+            "; most light comes from " (text(direction.as_deref()))
+        }
+        (table("Lighting", &head, &rows))
+        (spheres(&facts.spheres))
+    }
 }
 
 /// Why a view took no part, or a sphere of several in it.
-fn left_out(view: &Value) -> String {
-    let of_spheres: Vec<&str> = items(view, "/unused_spheres")
-        .iter()
-        .filter_map(Value::as_str)
-        .collect();
-    if of_spheres.is_empty() {
-        return text(view, "/left_out");
+fn left_out(view: &ViewLightReport) -> String {
+    if view.unused_spheres.is_empty() {
+        return text(view.left_out.as_deref());
     }
-    of_spheres.join("; ")
+    view.unused_spheres.join("; ")
 }
 
 /// How several spheres agree on one light.
-fn spheres(facts: &Value) -> String {
-    let spheres = items(facts, "/spheres");
-    let is_compared = |sphere: &Value| sphere["compared_with"].is_string();
-    if !spheres.iter().any(is_compared) {
-        return String::new();
+fn spheres(spheres: &[SphereLightReport]) -> Markup {
+    if spheres.iter().all(|sphere| sphere.compared_with.is_none()) {
+        return Markup::default();
     }
     let rows: Vec<_> = spheres
         .iter()
         .map(|sphere| {
             vec![
-                text(sphere, "/name"),
-                text(sphere, "/num_pixels"),
-                items(sphere, "/views").len().to_string(),
-                text(sphere, "/compared_with"),
-                ratios(sphere, "/brightness_ratio"),
-                percent(sphere, "/own_rms", 1),
-                percent(sphere, "/other_rms", 1),
-                number(sphere, "/direction_difference_deg", 1),
-                yes_or_no(sphere, "/left_out"),
+                sphere.name.clone(),
+                sphere.num_pixels.to_string(),
+                sphere.views.len().to_string(),
+                text(sphere.compared_with.as_deref()),
+                ratios(&sphere.brightness_ratio),
+                percent(sphere.own_rms, 1),
+                percent(sphere.other_rms, 1),
+                number(sphere.direction_difference_deg, 1),
+                if sphere.left_out { "yes" } else { "no" }.to_owned(),
             ]
         })
         .collect();
@@ -316,31 +311,26 @@ fn spheres(facts: &Value) -> String {
     table("Spheres", &head, &rows)
 }
 
-/// Numbers at a path, one per channel.
-fn ratios(facts: &Value, path: &str) -> String {
-    let channels = items(facts, path).iter();
-    let numbers: Vec<String> = channels.map(|ratio| number(ratio, "", 2)).collect();
+/// Numbers, one per channel or axis.
+fn ratios(values: &[f64]) -> String {
+    let numbers: Vec<String> = values.iter().map(|&value| number(value, 2)).collect();
     if numbers.is_empty() {
-        return "–".to_owned();
+        return ABSENT.to_owned();
     }
     numbers.join(", ")
 }
 
-fn yes_or_no(facts: &Value, path: &str) -> String {
-    let word = facts.pointer(path).and_then(Value::as_bool);
-    word.map_or("–", |is| if is { "yes" } else { "no" })
-        .to_owned()
-}
-
-fn shading(facts: &Value) -> String {
-    let light: Vec<_> = items(facts, "/light_on_surface/views")
+fn shading(facts: &ShadingFacts) -> Markup {
+    let light: Vec<_> = facts
+        .light_on_surface
+        .views
         .iter()
         .map(|view| {
             vec![
-                text(view, "/name"),
-                percent(view, "/used_rms", 1),
-                percent(view, "/used_rms_after_gain", 1),
-                percent(view, "/refitted_rms", 1),
+                view.name.clone(),
+                percent(view.used_rms, 1),
+                percent(view.used_rms_after_gain, 1),
+                percent(view.refitted_rms, 1),
             ]
         })
         .collect();
@@ -350,53 +340,49 @@ fn shading(facts: &Value) -> String {
         "after the best gain",
         "with the best distant light",
     ];
-    let mut html = table("Photos and light, differences on the result", &head, &light);
-    html += &trust(facts);
-    for view in items(facts, "/views") {
-        let series = |key: &str| -> Vec<f64> {
-            items(view, "/iterations")
-                .iter()
-                .filter_map(|record| record.get(key)?.as_f64())
-                .collect()
-        };
-        let name = text(view, "/name");
-        html += &plot::logarithmic(
-            &format!("Convergence of {name}"),
-            &[
-                ("energy", series("energy")),
-                ("primal residual", series("primal_residual")),
-                ("dual residual", series("dual_residual")),
-            ],
-        );
+    let mut rest = facts.clone();
+    let convergence: Vec<Markup> = rest
+        .solver
+        .views
+        .iter_mut()
+        .map(|view| {
+            let records = std::mem::take(&mut view.iterations);
+            let column = |of: fn(&rilievo_shading::IterationRecord) -> f64| -> Vec<f64> {
+                records.iter().map(of).collect()
+            };
+            plot::logarithmic(
+                &format!("Convergence of {}", view.name),
+                &[
+                    ("energy", column(|record| record.energy)),
+                    ("primal residual", column(|record| record.primal_residual)),
+                    ("dual residual", column(|record| record.dual_residual)),
+                ],
+            )
+        })
+        .collect();
+    html! {
+        (table("Photos and light, differences on the result", &head, &light))
+        @if let Some(photo) = &facts.solver.photo { (trust(photo)) }
+        @for plot in convergence { (plot) }
+        // What the solver tells depends on the model that was asked for; show all of it.
+        (folded("Everything that the solver tells", false, &json(&rest)))
     }
-    // What the solver tells depends on the model that was asked for; show all of it.
-    html + &folded(
-        "Everything that the solver tells",
-        false,
-        &format!(
-            "<pre>{}</pre>",
-            escape(&format!("{:#}", without_iterations(facts)))
-        ),
-    )
 }
 
 /// Where shading took part, and what photos that were left out said of it.
-fn trust(facts: &Value) -> String {
-    let views = items(facts, "/photo/views");
-    if views.is_empty() {
-        return String::new();
-    }
-    let rows: Vec<_> = views
+fn trust(facts: &PhotoReport) -> Markup {
+    let rows: Vec<_> = facts
+        .views
         .iter()
         .map(|view| {
             vec![
-                text(view, "/name"),
-                number(view, "/gain/1", 3),
-                percent(view, "/disagreement", 1),
-                percent(view, "/seen_alone", 1),
-                percent(view, "/light_residual", 1),
-                percent(view, "/shading_trust", 0),
-                percent(view, "/without_shading", 1),
+                view.name.clone(),
+                number(view.gain[1], 3),
+                percent(view.disagreement, 1),
+                percent(view.seen_alone, 1),
+                percent(view.light_residual, 1),
+                percent(view.shading_trust, 0),
+                percent(view.without_shading, 1),
             ]
         })
         .collect();
@@ -409,46 +395,35 @@ fn trust(facts: &Value) -> String {
         "trust in shading",
         "where shading takes no part",
     ];
-    let mut html = format!("<p>{}</p>", escape(&text(facts, "/photo/shading")));
-    if facts.pointer("/photo/validation/significance").is_some() {
-        html += &format!(
-            "<p>Photos that were left out: squared difference {} without shading, {} with it, \
-             {} standard deviations in its favour.</p>",
-            number(facts, "/photo/validation/squared_residual/0", 6),
-            number(facts, "/photo/validation/squared_residual/1", 6),
-            number(facts, "/photo/validation/significance", 1),
-        );
-    }
-    for note in items(facts, "/photo/notes") {
-        html += &format!("<p>{}</p>", escape(note.as_str().unwrap_or_default()));
-    }
-    html + &table("Agreement and shading", &head, &rows)
-}
-
-fn without_iterations(facts: &Value) -> Value {
-    let mut facts = facts.clone();
-    if let Some(views) = facts.get_mut("views").and_then(Value::as_array_mut) {
-        for view in views {
-            if let Some(view) = view.as_object_mut() {
-                view.remove("iterations");
+    html! {
+        p { (facts.shading) }
+        @if let Some(validation) = &facts.validation {
+            @let [without, with] = validation.squared_residual;
+            p {
+                "Photos that were left out: squared difference " (number(without, 6))
+                " without shading, " (number(with, 6)) " with it, "
+                (number(validation.significance, 1)) " standard deviations in its favour."
             }
         }
+        @for note in &facts.notes { p { (note) } }
+        (table("Agreement and shading", &head, &rows))
     }
-    facts
 }
 
-fn fusion(facts: &Value) -> String {
-    let rows: Vec<_> = items(facts, "/views")
+fn fusion(facts: &FusionReport) -> Markup {
+    let rows: Vec<_> = facts
+        .views
         .iter()
         .map(|view| {
-            vec![
-                text(view, "/name"),
-                text(view, "/num_depths"),
-                text(view, "/num_border"),
-                text(view, "/num_grazing"),
-                text(view, "/num_inconsistent"),
-                text(view, "/num_points"),
-            ]
+            let counts = [
+                view.num_depths,
+                view.num_border,
+                view.num_grazing,
+                view.num_inconsistent,
+                view.num_points,
+            ];
+            let counts = counts.iter().map(ToString::to_string);
+            std::iter::once(view.name.clone()).chain(counts).collect()
         })
         .collect();
     let head = [
@@ -459,12 +434,13 @@ fn fusion(facts: &Value) -> String {
         "inconsistent",
         "points given",
     ];
-    table("Fusion", &head, &rows)
-        + &format!(
-            "<p>distance between overlapping views (RMS, world's unit): {} before reconciling, {} \
-             after; a pixel covers {}</p>",
-            number(facts, "/layering_before/rms", 6),
-            number(facts, "/layering_after/rms", 6),
-            number(facts, "/layering_after/footprint", 6),
-        )
+    html! {
+        (table("Fusion", &head, &rows))
+        p {
+            "distance between overlapping views (RMS, world's unit): "
+            (number(facts.layering_before.rms, 6)) " before reconciling, "
+            (number(facts.layering_after.rms, 6)) " after; a pixel covers "
+            (number(facts.layering_after.footprint, 6))
+        }
+    }
 }

@@ -5,6 +5,7 @@
 
 use super::picture::base64;
 use crate::store::RunDir;
+use maud::{Markup, PreEscaped, html};
 use rilievo_io::read_cloud_ply;
 use rilievo_scene::{CloudPoint, PosedViews, StageId};
 
@@ -15,14 +16,14 @@ const MAX_NUM_POINTS: usize = 150_000;
 ///
 /// # Errors
 /// When the cloud cannot be read.
-pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<String> {
+pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
     let path = run.stage_dir(StageId::Fusion).join("cloud.ply");
     if !path.exists() {
-        return Ok(String::new());
+        return Ok(Markup::default());
     }
     let cloud = read_cloud_ply(&path)?;
     let Some((low, high)) = bounds(&cloud.points) else {
-        return Ok(String::new());
+        return Ok(Markup::default());
     };
     let step = cloud.points.len().div_ceil(MAX_NUM_POINTS);
     let points: Vec<&CloudPoint> = cloud.points.iter().step_by(step).collect();
@@ -45,27 +46,47 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<String> {
     let data = serde_json::json!({
         "low": low, "high": high, "count": points.len(), "cameras": cameras,
     });
-    Ok(format!(
-        "<section><h2>The result in 3D</h2>\
-         <div class=\"viewer\"><canvas id=\"viewer\" tabindex=\"0\" role=\"img\" \
-         aria-label=\"Point cloud that can be turned with the mouse or the arrow keys, and relit\">\
-         </canvas><p id=\"viewer-message\" role=\"status\"></p>\
-         <div class=\"controls\"><label>show <select id=\"viewer-mode\">\
-         <option value=\"0\">relit surface</option><option value=\"1\">colours</option>\
-         <option value=\"2\">normals</option></select></label>\
-         <label>light left/right <input id=\"light-x\" type=\"range\" min=\"-90\" max=\"90\" value=\"-40\">\
-         </label><label>light down/up <input id=\"light-y\" type=\"range\" min=\"-90\" max=\"90\" \
-         value=\"35\"></label><label><input id=\"viewer-cameras\" type=\"checkbox\"> cameras</label>\
-         </div><p class=\"hint\">Drag or arrow keys turn, wheel or + and - come nearer, 0 goes back. \
-         {} of {} points are shown.</p></div>\
-         <script type=\"application/json\" id=\"viewer-data\">{}</script>\
-         <script type=\"text/plain\" id=\"viewer-points\">{}</script></section>",
-        points.len(),
-        cloud.points.len(),
-        escape_script(&data.to_string()),
-        base64(&pack(&points, low, high)),
-    ))
+    let packed = base64(&pack(&points, low, high));
+    Ok(html! {
+        section {
+            h2 { "The result in 3D" }
+            div.viewer {
+                canvas id="viewer" tabindex="0" role="img" aria-label=(CANVAS) {}
+                p id="viewer-message" role="status" {}
+                div.controls {
+                    label {
+                        "show "
+                        select id="viewer-mode" {
+                            option value="0" { "relit surface" }
+                            option value="1" { "colours" }
+                            option value="2" { "normals" }
+                        }
+                    }
+                    label {
+                        "light left/right "
+                        input id="light-x" type="range" min="-90" max="90" value="-40";
+                    }
+                    label {
+                        "light down/up "
+                        input id="light-y" type="range" min="-90" max="90" value="35";
+                    }
+                    label { input id="viewer-cameras" type="checkbox"; " cameras" }
+                }
+                p.hint {
+                    "Drag or arrow keys turn, wheel or + and - come nearer, 0 goes back. "
+                    (points.len()) " of " (cloud.points.len()) " points are shown."
+                }
+            }
+            script type="application/json" id="viewer-data" {
+                (PreEscaped(escape_script(&data.to_string())))
+            }
+            script type="text/plain" id="viewer-points" { (PreEscaped(packed)) }
+        }
+    })
 }
+
+/// What the canvas is to those who cannot see it.
+const CANVAS: &str = "Point cloud that can be turned with the mouse or the arrow keys, and relit";
 
 /// JSON inside a script element must not close it.
 fn escape_script(json: &str) -> String {

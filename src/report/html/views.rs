@@ -1,15 +1,16 @@
 //! Every view as pictures: photo against re-rendered result, difference, normals, depth,
 //! confidence; and the whole photo with sparse points and the outlines of the spheres.
 
-use super::element::{escape, folded, items, number, percent};
+use super::element::{figure, folded, number, percent};
 use super::matches::{self, Thumb};
 use super::picture::{self, MAX_SIDE, Window};
 use crate::pipeline::shown_albedo;
-use crate::store::RunDir;
+use crate::report::facts::{Facts, Stages};
+use crate::store::{RunDir, own_file};
+use maud::{Markup, html};
 use nalgebra::{Point3, Vector3};
 use rilievo_io::{read_channel, read_depth, read_linear, read_normal};
 use rilievo_scene::{LinearImage, LocatedSphere, PosedView, PosedViews, Raster, StageId, Unit};
-use serde_json::Value;
 use std::path::Path;
 
 /// Longer side of the photos between which matches are drawn, pixels.
@@ -21,55 +22,52 @@ const DIFFERENCE_MAX: f32 = 0.25;
 ///
 /// # Errors
 /// When maps cannot be read.
-pub fn section(run: &RunDir, report: &Value, posed: &PosedViews) -> anyhow::Result<String> {
-    let mut html = String::from("<section><h2>Views</h2>");
+pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Result<Markup> {
+    let mut views = Vec::new();
     let mut thumbs = Vec::new();
     for (index, view) in posed.views.iter().enumerate() {
-        let mut photo = read_linear(
-            &run.stage_dir(StageId::Photos)
-                .join(format!("linear/{}.exr", view.name)),
-        )?;
+        let file = format!("linear/{}.exr", view.name);
+        let mut photo = read_linear(&run.stage_dir(StageId::Photos).join(file))?;
         // The results explain the photo at the set's exposure.
-        let gain = exposure_gain(report, &view.file_name) as f32;
+        let gain = exposure_gain(&facts.stages, &view.file_name) as f32;
         photo.data.iter_mut().for_each(|value| *value *= gain);
-        let content = one(run, report, posed, index, &photo)?;
-        html += &folded(&view.file_name, index == 0, &content);
+        let content = one(run, &facts.stages, posed, index, &photo)?;
+        views.push(folded(&view.file_name, index == 0, &content));
         thumbs.push(thumb(&photo)?);
     }
-    html += "</section>";
-    Ok(html + &matches::section(run, posed, &thumbs)?)
+    let matches = matches::section(run, posed, &thumbs)?;
+    Ok(html! {
+        section { h2 { "Views" } @for view in views { (view) } }
+        (matches)
+    })
 }
 
 /// Factor that brought a photo to the set's exposure.
-fn exposure_gain(report: &Value, file_name: &str) -> f64 {
-    let is_it = |photo: &Value| photo["file_name"] == file_name;
-    items(report, "/stages/1_photos/report/photos")
-        .iter()
-        .position(is_it)
-        .and_then(|i| {
-            items(report, "/stages/1_photos/report/exposure_gains")
-                .get(i)?
-                .as_f64()
-        })
-        .unwrap_or(1.0)
+fn exposure_gain(stages: &Stages, file_name: &str) -> f64 {
+    let Some(photos) = stages.photos.as_ref().map(|stage| &stage.report) else {
+        return 1.0;
+    };
+    let index = photos.photos.iter().position(|p| p.file_name == file_name);
+    let gain = index.and_then(|index| photos.exposure_gains.get(index));
+    gain.copied().unwrap_or(1.0)
 }
 
 fn one(
     run: &RunDir,
-    report: &Value,
+    stages: &Stages,
     posed: &PosedViews,
     index: usize,
     photo: &LinearImage,
-) -> anyhow::Result<String> {
+) -> anyhow::Result<Markup> {
     let view = &posed.views[index];
-    let mut html = facts(report, view);
     let maps = run.stage_dir(StageId::Shading);
-    if maps.join(format!("depth/{}.exr", view.name)).exists() {
-        html += &dense(&maps, view, posed.scale.unit, photo)?;
-    }
-    html += &overlay(posed, index, view, photo)?;
-    html += &sphere(run, &view.name);
-    Ok(html)
+    let dense = if maps.join(format!("depth/{}.exr", view.name)).exists() {
+        dense(&maps, view, posed.scale.unit, photo)?
+    } else {
+        Markup::default()
+    };
+    let overlay = overlay(posed, index, view, photo)?;
+    Ok(html! { (numbers(stages, view)) (dense) (overlay) (sphere(run, &view.name)) })
 }
 
 /// The photo, small enough to stand in the page a second time.
@@ -84,31 +82,31 @@ fn thumb(photo: &LinearImage) -> anyhow::Result<Thumb> {
 }
 
 /// Photo, result and maps of the object.
-fn dense(maps: &Path, view: &PosedView, unit: Unit, photo: &LinearImage) -> anyhow::Result<String> {
+fn dense(maps: &Path, view: &PosedView, unit: Unit, photo: &LinearImage) -> anyhow::Result<Markup> {
     let file = |kind: &str| maps.join(kind).join(format!("{}.exr", view.name));
     let depth = read_depth(&file("depth"))?;
     let window = Window::around(&depth);
     let exposure = picture::exposure(photo, &depth);
-    let name = escape(&view.name);
-    let mut html = String::new();
-    let mut pictures = Vec::new();
+    let name = &view.name;
     let observed = picture::photo(photo, window, exposure)?;
+    let show = |picture: &str, what: &str, legend: &str, scale: Markup| {
+        let caption = html! { (what) ": " (legend) (scale) };
+        figure(picture, &format!("{what} of {name}"), &caption)
+    };
+    let mut pictures = Vec::new();
+    let mut comparison = Markup::default();
     if file("rendered").exists() {
         let rendered = read_linear(&file("rendered"))?;
-        html += &format!(
-            "<figure class=\"compare\"><div class=\"pair\">\
-             <img src=\"{observed}\" alt=\"Photo {name}, cut to the object\">\
-             <img class=\"over\" src=\"{}\" alt=\"The same, re-rendered from the result\"></div>\
-             <label>photo <input type=\"range\" min=\"0\" max=\"100\" value=\"50\" \
-             aria-label=\"Share of the picture that shows the re-rendered result\"> re-rendered</label>\
-             <figcaption>The photo, and the image that the result explains</figcaption></figure>",
-            picture::photo(&rendered, window, exposure)?
+        comparison = compared(
+            name,
+            &observed,
+            &picture::photo(&rendered, window, exposure)?,
         );
         let difference = relative_difference(photo, &rendered, &depth);
-        pictures.push((
-            picture::scalar(&difference, window, DIFFERENCE_MAX),
-            "Relative difference".to_owned(),
-            "where photo and result disagree".to_owned(),
+        pictures.push(show(
+            &picture::scalar(&difference, window, DIFFERENCE_MAX),
+            "Relative difference",
+            "where photo and result disagree",
             bar(
                 "inferno",
                 "0",
@@ -116,65 +114,71 @@ fn dense(maps: &Path, view: &PosedView, unit: Unit, photo: &LinearImage) -> anyh
             ),
         ));
     } else {
-        pictures.push((
-            observed,
-            "Photo".to_owned(),
-            "cut to the object".to_owned(),
-            String::new(),
+        pictures.push(show(
+            &observed,
+            "Photo",
+            "cut to the object",
+            Markup::default(),
         ));
     }
     let normal = read_normal(&file("normal"))?;
-    pictures.push((
-        picture::normals(&normal, window),
-        "Normals".to_owned(),
-        "red: to the right, green: up, blue: to the camera".to_owned(),
-        String::new(),
+    pictures.push(show(
+        &picture::normals(&normal, window),
+        "Normals",
+        "red: to the right, green: up, blue: to the camera",
+        Markup::default(),
     ));
-    pictures.push((
-        picture::depth(&depth, window),
-        "Depth".to_owned(),
-        "along the optical axis".to_owned(),
+    pictures.push(show(
+        &picture::depth(&depth, window),
+        "Depth",
+        "along the optical axis",
         depth_legend(&depth, unit),
     ));
     if file("albedo").exists() {
         let albedo = shown_albedo(&read_linear(&file("albedo"))?);
-        pictures.push((
-            picture::photo(&albedo, window, 1.0)?,
-            "Albedo".to_owned(),
-            "relative to the mean, which is a middle grey".to_owned(),
-            String::new(),
+        pictures.push(show(
+            &picture::photo(&albedo, window, 1.0)?,
+            "Albedo",
+            "relative to the mean, which is a middle grey",
+            Markup::default(),
         ));
     }
     if file("confidence").exists() {
         let confidence = read_channel(&file("confidence"), "C")?;
-        pictures.push((
-            picture::scalar(&confidence, window, 1.0),
-            "Confidence".to_owned(),
-            "how well the photos determine a pixel".to_owned(),
+        pictures.push(show(
+            &picture::scalar(&confidence, window, 1.0),
+            "Confidence",
+            "how well the photos determine a pixel",
             bar("inferno", "0", "1: well"),
         ));
     }
-    html += "<div class=\"pictures\">";
-    for (picture, what, legend, bar) in pictures {
-        html += &format!(
-            "<figure><img loading=\"lazy\" src=\"{picture}\" alt=\"{} of {name}\">\
-             <figcaption>{}: {}{bar}</figcaption></figure>",
-            escape(&what),
-            escape(&what),
-            escape(&legend)
-        );
-    }
-    Ok(html + "</div>")
+    Ok(html! { (comparison) div.pictures { @for picture in pictures { (picture) } } })
 }
 
-fn depth_legend(depth: &Raster<f32>, unit: Unit) -> String {
-    let (low, high) = depth
-        .data
-        .iter()
-        .filter(|&&z| z > 0.0)
-        .fold((f32::INFINITY, 0.0_f32), |(low, high), &z| {
-            (low.min(z), high.max(z))
-        });
+/// Photo and re-rendered result over each other, with a slider between them.
+fn compared(name: &str, observed: &str, rendered: &str) -> Markup {
+    html! {
+        figure.compare {
+            div.pair {
+                img src=(observed) alt=(format!("Photo {name}, cut to the object"));
+                img.over src=(rendered) alt="The same, re-rendered from the result";
+            }
+            label {
+                "photo "
+                input type="range" min="0" max="100" value="50"
+                    aria-label="Share of the picture that shows the re-rendered result";
+                " re-rendered"
+            }
+            figcaption { "The photo, and the image that the result explains" }
+        }
+    }
+}
+
+fn depth_legend(depth: &Raster<f32>, unit: Unit) -> Markup {
+    let known = depth.data.iter().filter(|&&z| z > 0.0);
+    let (low, high) = known.fold((f32::INFINITY, 0.0_f32), |(low, high), &z| {
+        (low.min(z), high.max(z))
+    });
     let unit = match unit {
         Unit::Metre => " m",
         Unit::Arbitrary => "",
@@ -187,12 +191,14 @@ fn depth_legend(depth: &Raster<f32>, unit: Unit) -> String {
 }
 
 /// A colour scale with the values at its ends.
-fn bar(colors: &str, low: &str, high: &str) -> String {
-    format!(
-        "<span class=\"scale\"><span>{}</span><span class=\"bar {colors}\"></span><span>{}</span></span>",
-        escape(low),
-        escape(high)
-    )
+fn bar(colors: &str, low: &str, high: &str) -> Markup {
+    html! {
+        span.scale {
+            span { (low) }
+            span class=(format!("bar {colors}")) {}
+            span { (high) }
+        }
+    }
 }
 
 /// `|rendered − photo| / photo`, over the mean of the channels; −1 outside the object.
@@ -212,49 +218,51 @@ fn relative_difference(
     })
 }
 
-fn facts(report: &Value, view: &PosedView) -> String {
-    let find = |path: &str, key: &str, value: &str| {
-        let found = items(report, path)
-            .iter()
-            .find(|item| item.get(key).and_then(Value::as_str) == Some(value));
-        found.cloned().unwrap_or(Value::Null)
-    };
-    let photo = find(
-        "/stages/1_photos/report/photos",
-        "file_name",
-        &view.file_name,
-    );
-    let features = find(
-        "/stages/2_features/report/photos",
-        "file_name",
-        &view.file_name,
-    );
-    let pose = find("/stages/3_poses/report/views", "file_name", &view.file_name);
-    let light = find("/stages/4_lighting/report/views", "name", &view.name);
-    let fused = find("/stages/6_fusion/report/views", "name", &view.name);
+/// What the stages found of a view.
+fn numbers(stages: &Stages, view: &PosedView) -> Markup {
+    let (name, file_name) = (&view.name, &view.file_name);
+    let photos = stages.photos.iter().flat_map(|s| &s.report.photos);
+    let photo = photos.clone().find(|p| p.file_name == *file_name);
+    let features = stages.features.iter().flat_map(|s| &s.report.photos);
+    let features = features.clone().find(|p| p.file_name == *file_name);
+    let poses = stages.poses.iter().flat_map(|s| &s.report.views);
+    let pose = poses.clone().find(|v| v.file_name == *file_name);
+    let lights = stages.lighting.iter().flat_map(|s| &s.report.views);
+    let light = lights.clone().find(|v| v.name == *name);
+    let fused = stages.fusion.iter().flat_map(|s| &s.report.views);
+    let fused = fused.clone().find(|v| v.name == *name);
+    let count = |n: Option<usize>| number(n.map(|n| n as f64), 0);
     let rows = [
-        ("mask", percent(&photo, "/mask_coverage", 1)),
-        ("clipped", percent(&photo, "/clipped_share", 2)),
+        ("mask", percent(photo.and_then(|p| p.mask_coverage), 1)),
+        (
+            "clipped on the object",
+            percent(photo.and_then(|p| p.clipped_share_on_object), 2),
+        ),
+        (
+            "clipped in the photo",
+            percent(photo.map(|p| p.clipped_share), 2),
+        ),
         (
             "keypoints on the object",
-            number(&features, "/num_on_object", 0),
+            count(features.map(|p| p.num_on_object)),
         ),
-        ("points seen", number(&pose, "/num_points", 0)),
+        ("points seen", count(pose.map(|v| v.num_points))),
         (
             "reprojection error",
-            format!("{} px", number(&pose, "/mean_error_px", 2)),
+            format!("{} px", number(pose.map(|v| v.mean_error_px), 2)),
         ),
-        ("light residual", percent(&light, "/relative_rms", 1)),
+        (
+            "light residual",
+            percent(light.and_then(|v| v.relative_rms), 1),
+        ),
         (
             "points given to the cloud",
-            number(&fused, "/num_points", 0),
+            count(fused.map(|v| v.num_points)),
         ),
     ];
-    let mut html = String::from("<dl class=\"facts\">");
-    for (name, value) in rows {
-        html += &format!("<div><dt>{name}</dt><dd>{}</dd></div>", escape(&value));
+    html! {
+        dl.facts { @for (name, value) in rows { div { dt { (name) } dd { (value) } } } }
     }
-    html + "</dl>"
 }
 
 /// The whole photo with sparse points and the spheres' outlines.
@@ -263,76 +271,79 @@ fn overlay(
     index: usize,
     view: &PosedView,
     photo: &LinearImage,
-) -> anyhow::Result<String> {
+) -> anyhow::Result<Markup> {
     let window = Window::whole(photo.width, photo.height);
     let step = photo.width.max(photo.height).div_ceil(MAX_SIDE) as f64;
-    let mut marks = String::new();
-    let mut count = 0;
-    for point in &posed.points {
-        for sighting in point.track.iter().filter(|s| s.view.0 == index) {
-            count += 1;
-            let [x, y] = sighting.pixel;
-            marks += &format!(
-                "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2\"/>",
-                x / step,
-                y / step
-            );
-        }
-    }
+    let at = |value: f64| format!("{:.1}", value / step);
+    let sightings = posed.points.iter().flat_map(|point| &point.track);
+    let points: Vec<[f64; 2]> = sightings
+        .filter(|s| s.view.0 == index)
+        .map(|s| s.pixel)
+        .collect();
     // A path of dots: a tenth of the size of circles, and there are thousands.
     let mut dots = String::new();
     let mut num_anchors = 0;
     for anchor in &posed.anchors {
         for seen in anchor.observations.iter().filter(|o| o.view.0 == index) {
             num_anchors += 1;
-            dots += &format!("M{:.1} {:.1}h0", seen.pixel[0] / step, seen.pixel[1] / step);
+            dots += &format!("M{} {}h0", at(seen.pixel[0]), at(seen.pixel[1]));
         }
     }
-    marks = format!("<path d=\"{dots}\"/>{marks}");
-    let mut caption =
-        format!("{num_anchors} depth anchors (green), {count} sparse points (yellow)");
-    let outlines: Vec<_> = posed
+    let outlines: Vec<String> = posed
         .spheres
         .iter()
-        .filter_map(|s| outline(s, view))
+        .filter_map(|sphere| outline(sphere, view))
+        .map(|outline| {
+            let corners = outline
+                .iter()
+                .map(|[x, y]| format!("{},{}", at(*x), at(*y)));
+            corners.collect::<Vec<_>>().join(" ")
+        })
         .collect();
-    for outline in &outlines {
-        let points: Vec<String> = outline
-            .iter()
-            .map(|[x, y]| format!("{:.1},{:.1}", x / step, y / step))
-            .collect();
-        marks += &format!("<polygon points=\"{}\"/>", points.join(" "));
-    }
-    match outlines.len() {
-        0 => {}
-        1 => caption += "; outline of the reference sphere where it should be",
-        n => caption += &format!("; outlines of {n} reference spheres where they should be"),
-    }
+    let of_spheres = match outlines.len() {
+        0 => String::new(),
+        1 => "; outline of the reference sphere where it should be".to_owned(),
+        n => format!("; outlines of {n} reference spheres where they should be"),
+    };
     let (width, height) = (photo.width as f64 / step, photo.height as f64 / step);
-    Ok(format!(
-        "<figure class=\"overlay\"><div><img loading=\"lazy\" src=\"{}\" alt=\"Photo {}\">\
-         <svg viewBox=\"0 0 {width:.0} {height:.0}\" aria-hidden=\"true\">{marks}</svg></div>\
-         <figcaption>{caption}</figcaption></figure>",
-        picture::photo(photo, window, 1.0)?,
-        escape(&view.name)
-    ))
+    let picture = picture::photo(photo, window, 1.0)?;
+    Ok(html! {
+        figure.overlay {
+            div {
+                img loading="lazy" src=(picture) alt=(format!("Photo {}", view.name));
+                svg viewBox=(format!("0 0 {width:.0} {height:.0}")) aria-hidden="true" {
+                    path d=(dots) {}
+                    @for [x, y] in &points { circle cx=(at(*x)) cy=(at(*y)) r="2" {} }
+                    @for outline in &outlines { polygon points=(outline) {} }
+                }
+            }
+            figcaption {
+                (num_anchors) " depth anchors (green), " (points.len()) " sparse points (yellow)"
+                (of_spheres)
+            }
+        }
+    })
 }
 
 /// The sphere as stage 4 saw it, where there is a picture of that.
-fn sphere(run: &RunDir, name: &str) -> String {
+fn sphere(run: &RunDir, name: &str) -> Markup {
     let file = format!("overlay/{name}.png");
-    let Ok(bytes) = std::fs::read(run.stage_dir(StageId::Lighting).join(&file)) else {
-        return String::new();
+    let path = run.stage_dir(StageId::Lighting).join(&file);
+    let Some(bytes) = own_file(&path).ok().flatten() else {
+        return Markup::default();
     };
-    let (stage, file) = (StageId::Lighting, escape(&file));
-    format!(
-        "<figure><a href=\"{stage}/{file}\"><img loading=\"lazy\" src=\"data:image/png;base64,{}\" \
-         alt=\"Sphere in {}\"></a><figcaption>Reference sphere: fitted outline; re-rendered under \
-         the light; pixels left out (magenta: clipped, blue: more than 10 % off the light, grey: \
-         margin or hidden)</figcaption></figure>",
-        picture::base64(&bytes),
-        escape(name)
-    )
+    let picture = format!("data:image/png;base64,{}", picture::base64(&bytes));
+    html! {
+        figure {
+            a href=(format!("{}/{file}", StageId::Lighting)) {
+                img loading="lazy" src=(picture) alt=(format!("Sphere in {name}"));
+            }
+            figcaption {
+                "Reference sphere: fitted outline; re-rendered under the light; pixels left out \
+                 (magenta: clipped, blue: more than 10 % off the light, grey: margin or hidden)"
+            }
+        }
+    }
 }
 
 /// Pixels of the sphere's outline: the circle in which the cone of tangent rays touches it,

@@ -1,7 +1,7 @@
 //! Output of the solver: maps, and a report of facts.
 
 use rilievo_scene::{ConfidenceMap, DepthMap, LinearImage, NormalMap};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Shape of one view.
 #[derive(Clone, Debug, PartialEq)]
@@ -28,7 +28,7 @@ pub struct ShadingSolution {
 }
 
 /// Why an iteration ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Termination {
     /// The energy changed by less than the tolerance.
@@ -40,7 +40,7 @@ pub enum Termination {
 }
 
 /// One iteration.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct IterationRecord {
     /// Grid level, 0 is the image's own resolution.
     pub level: usize,
@@ -56,7 +56,7 @@ pub struct IterationRecord {
 }
 
 /// Facts on one view.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ViewReport {
     /// The view's name.
     pub name: String,
@@ -98,7 +98,7 @@ pub struct ViewReport {
 }
 
 /// Wall time by step, seconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepSeconds {
     /// Start shape and set-up.
     pub start: f64,
@@ -111,7 +111,7 @@ pub struct StepSeconds {
 }
 
 /// Facts on a solve.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ShadingReport {
     /// Per view.
     pub views: Vec<ViewReport>,

@@ -98,7 +98,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             lap.turned_deg,
             lap.lap_turned_deg,
             lap.sigma_shading,
-            lap.match_residual,
+            lap.match_residual.unwrap_or(f64::NAN),
             lap.seconds
         );
     }

@@ -193,7 +193,7 @@ impl Course<'_> {
             let per_view = 1.0 / level.views.len() as f64;
             record.moved_px = moved * per_view * level.focal();
             record.turned_deg = (turned * per_view).to_degrees();
-            record.match_residual = median(&mut residuals).unwrap_or(f64::NAN);
+            record.match_residual = median(&mut residuals);
             record.num_rounds = round + 1;
             let is_still = record.moved_px < self.options.round_move_px;
             let keeps_normals = light.is_none() || record.turned_deg < self.options.round_turn_deg;

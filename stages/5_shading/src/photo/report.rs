@@ -1,14 +1,14 @@
 //! Facts on a run of the photo model.
 
 use super::validation::ValidationReport;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Median relative residual up to which the light explains a photo: matte rendered objects leave 1 to 4.5 %,
 /// a glossy one 8 %, a real bust in a room 20 %.
 const EXPLAINED: f64 = 0.05;
 
 /// Facts on one view.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhotoViewReport {
     /// The view's name.
     pub name: String,
@@ -34,7 +34,7 @@ pub struct PhotoViewReport {
 }
 
 /// One lap.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LapReport {
     /// Pyramid level, 0 is full resolution.
     pub level: usize,
@@ -53,13 +53,13 @@ pub struct LapReport {
     /// Relative standard deviation that shading was given; 0 where it took no part.
     pub sigma_shading: f64,
     /// Median relative residual between the photos over all views.
-    pub match_residual: f64,
+    pub match_residual: Option<f64>,
     /// Seconds.
     pub seconds: f64,
 }
 
 /// Facts on a run.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhotoReport {
     /// Per view.
     pub views: Vec<PhotoViewReport>,

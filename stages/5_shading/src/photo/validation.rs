@@ -24,7 +24,7 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
 use rilievo_scene::Raster;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Steps of either kind: most of the way that a lap goes.
 const NUM_STEPS: usize = 3;
@@ -40,7 +40,7 @@ const MAX_RATIO: f32 = 4.0;
 const HALF_RESIDUAL: f32 = 3.0;
 
 /// What was found, over all views.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ValidationReport {
     /// Mean squared log ratio to the left-out photos, without and with shading.
     pub squared_residual: [f64; 2],

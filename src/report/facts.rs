@@ -1,0 +1,202 @@
+//! What a run's manifests tell, with the types of the stages' reports. Its JSON is `report.json`.
+
+use super::Outcome;
+use crate::pipeline::{Plan, Request, ShadingFacts, StageState};
+use crate::store::{Ingredients, Look, Manifest, RunDir};
+use crate::system;
+use anyhow::Context;
+use rilievo_features::FeaturesReport;
+use rilievo_fusion::FusionReport;
+use rilievo_lighting::LightingReport;
+use rilievo_photos::PhotosReport;
+use rilievo_poses::PosesReport;
+use rilievo_scene::StageId;
+use serde::de::DeserializeOwned;
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+/// Everything that is known of a run.
+#[derive(Debug, Serialize)]
+pub struct Facts {
+    /// Program and version that wrote the report.
+    pub program: &'static str,
+    /// How the command ended.
+    pub outcome: Outcome,
+    /// What was asked for.
+    pub request: Request,
+    /// The committed stages.
+    pub stages: Stages,
+    /// What the user should know.
+    pub warnings: Vec<Warning>,
+    /// Threads of the last stage.
+    pub threads: Option<usize>,
+    /// Largest memory of any stage, bytes.
+    pub peak_memory_bytes: Option<u64>,
+    /// What to cite.
+    pub citation: &'static str,
+}
+
+/// A stage's warning.
+#[derive(Debug, Serialize)]
+pub struct Warning {
+    /// The stage.
+    pub stage: StageId,
+    /// What it said.
+    pub message: String,
+}
+
+/// The stages that have a result.
+#[derive(Debug, Default)]
+pub struct Stages {
+    pub photos: Option<Stage<PhotosReport>>,
+    pub features: Option<Stage<FeaturesReport>>,
+    pub poses: Option<Stage<PosesReport>>,
+    pub lighting: Option<Stage<LightingReport>>,
+    pub shading: Option<Stage<ShadingFacts>>,
+    pub fusion: Option<Stage<FusionReport>>,
+}
+
+/// A committed stage.
+#[derive(Debug)]
+pub struct Stage<R> {
+    /// Whether it still is what would be made now, where that is known.
+    pub state: Option<StageState>,
+    /// What it was made from, and when.
+    pub made: Made,
+    /// What it found.
+    pub report: R,
+}
+
+/// How a stage came to be: its manifest, less what only the stage understands.
+#[derive(Debug)]
+pub struct Made {
+    manifest: Manifest,
+}
+
+impl Made {
+    /// What decided the result.
+    pub fn ingredients(&self) -> &Ingredients {
+        &self.manifest.ingredients
+    }
+
+    /// Name of the result.
+    pub fn fingerprint(&self) -> &str {
+        &self.manifest.fingerprint
+    }
+
+    /// Wall time, seconds.
+    pub fn seconds(&self) -> f64 {
+        self.manifest.seconds
+    }
+}
+
+impl<R: Serialize> Serialize for Stage<R> {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let manifest = &self.made.manifest;
+        let mut map = to.serialize_map(None)?;
+        map.serialize_entry("state", &self.state)?;
+        map.serialize_entry("seconds", &manifest.seconds)?;
+        map.serialize_entry("fingerprint", &manifest.fingerprint)?;
+        map.serialize_entry("program", &manifest.program)?;
+        map.serialize_entry("seed", &manifest.seed)?;
+        map.serialize_entry("options", &manifest.ingredients.options)?;
+        map.serialize_entry("inputs", &manifest.ingredients.inputs)?;
+        map.serialize_entry("files", &manifest.files)?;
+        map.serialize_entry("report", &self.report)?;
+        map.serialize_entry("peak_memory_bytes", &manifest.peak_memory_bytes)?;
+        map.end()
+    }
+}
+
+impl Serialize for Stages {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        fn entry<M: SerializeMap, R: Serialize>(
+            map: &mut M,
+            id: StageId,
+            stage: Option<&Stage<R>>,
+        ) -> Result<(), M::Error> {
+            match stage {
+                Some(stage) => map.serialize_entry(id.name(), stage),
+                None => Ok(()),
+            }
+        }
+        let mut map = to.serialize_map(None)?;
+        entry(&mut map, StageId::Photos, self.photos.as_ref())?;
+        entry(&mut map, StageId::Features, self.features.as_ref())?;
+        entry(&mut map, StageId::Poses, self.poses.as_ref())?;
+        entry(&mut map, StageId::Lighting, self.lighting.as_ref())?;
+        entry(&mut map, StageId::Shading, self.shading.as_ref())?;
+        entry(&mut map, StageId::Fusion, self.fusion.as_ref())?;
+        map.end()
+    }
+}
+
+impl Facts {
+    /// Gathers the facts from the stages' manifests; a stage whose manifest is damaged is left out.
+    ///
+    /// # Errors
+    /// When a stage's files cannot be looked at, or its report is not one.
+    pub fn gather(
+        run: &RunDir,
+        request: &Request,
+        outcome: &Outcome,
+        plan: Option<&Plan>,
+    ) -> anyhow::Result<Self> {
+        let mut gathered = Gathered {
+            run,
+            plan,
+            warnings: Vec::new(),
+            threads: None,
+            peak_memory_bytes: None,
+        };
+        let stages = Stages {
+            photos: gathered.stage(StageId::Photos)?,
+            features: gathered.stage(StageId::Features)?,
+            poses: gathered.stage(StageId::Poses)?,
+            lighting: gathered.stage(StageId::Lighting)?,
+            shading: gathered.stage(StageId::Shading)?,
+            fusion: gathered.stage(StageId::Fusion)?,
+        };
+        Ok(Self {
+            program: system::PROGRAM,
+            outcome: outcome.clone(),
+            request: request.clone(),
+            stages,
+            warnings: gathered.warnings,
+            threads: gathered.threads,
+            peak_memory_bytes: gathered.peak_memory_bytes,
+            citation: "Queau, Melou, Durou, Cremers: Dense Multi-view 3D-reconstruction Without \
+                       Dense Correspondences. ICCV 2017",
+        })
+    }
+}
+
+/// What is read stage by stage.
+struct Gathered<'a> {
+    run: &'a RunDir,
+    plan: Option<&'a Plan>,
+    warnings: Vec<Warning>,
+    threads: Option<usize>,
+    peak_memory_bytes: Option<u64>,
+}
+
+impl Gathered<'_> {
+    fn stage<R: DeserializeOwned>(&mut self, id: StageId) -> anyhow::Result<Option<Stage<R>>> {
+        let Ok(Some(mut manifest)) = self.run.manifest(id) else {
+            return Ok(None);
+        };
+        let messages = manifest.warnings.drain(..);
+        self.warnings
+            .extend(messages.map(|message| Warning { stage: id, message }));
+        self.threads = Some(manifest.threads);
+        self.peak_memory_bytes = manifest.peak_memory_bytes.max(self.peak_memory_bytes);
+        let state = self.plan.map(|plan| plan.state(self.run, id, Look::Sizes));
+        let report = serde_json::from_value(manifest.report.take())
+            .with_context(|| format!("reading the report of stage {id}"))?;
+        Ok(Some(Stage {
+            state: state.transpose()?,
+            made: Made { manifest },
+            report,
+        }))
+    }
+}
