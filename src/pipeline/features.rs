@@ -4,7 +4,6 @@ use super::Context;
 use super::artifacts::{from_binary, not_there, read_binary, write_binary};
 use super::errors::from_features;
 use super::parallel::map_items;
-use super::plan::version;
 use crate::exit::Failure;
 use crate::store::{Item, RunDir, StageWriter, StoreError, hash_json};
 use anyhow::Context as _;
@@ -44,7 +43,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         |&(idx, photo)| {
             let key = hash_json(&(
                 StageId::Features.name(),
-                version(StageId::Features),
+                rilievo_features::VERSION,
                 detection_options(options),
                 manifest.items.get(&photo.name).map(|item| &item.key),
                 // The exposure gain is not the photo's own: it depends on the others.

@@ -5,7 +5,6 @@ use super::artifacts::{checked_names, not_there};
 use super::errors::from_io;
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, map_items};
-use super::plan::version;
 use super::request::Request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
@@ -68,7 +67,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         |photo| {
             let key = hash_json(&(
                 StageId::Photos.name(),
-                version(StageId::Photos),
+                rilievo_photos::VERSION,
                 &options,
                 Inputs::photo_hash(photo),
                 context.request.masks.is_some(),
@@ -422,9 +421,11 @@ fn preflight(report: &PhotosReport, console: &Console) {
         let mask = photo.mask_coverage.map_or("no mask".to_owned(), |share| {
             format!("mask {:.1} %", 100.0 * share)
         });
-        let of_object = photo.clipped_share_on_object.map_or(String::new(), |share| {
-            format!("{:.2} % of the object clipped, ", 100.0 * share)
-        });
+        let of_object = photo
+            .clipped_share_on_object
+            .map_or(String::new(), |share| {
+                format!("{:.2} % of the object clipped, ", 100.0 * share)
+            });
         console.note(&format!(
             "  {}: {} x {}, focal {:.0} px ({}), {mask}, {of_object}{:.2} % of the photo clipped",
             photo.file_name,

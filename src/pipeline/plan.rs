@@ -39,15 +39,15 @@ impl std::fmt::Display for StageState {
     }
 }
 
-/// Raised with every change of a stage that changes its results.
-pub(super) fn version(stage: StageId) -> u32 {
+/// Version of a stage's method.
+fn version(stage: StageId) -> u32 {
     match stage {
-        StageId::Photos => 4,
-        StageId::Features => 3,
-        StageId::Poses => 6,
-        StageId::Lighting => 5,
-        StageId::Shading => 12,
-        StageId::Fusion => 4,
+        StageId::Photos => rilievo_photos::VERSION,
+        StageId::Features => rilievo_features::VERSION,
+        StageId::Poses => rilievo_poses::VERSION,
+        StageId::Lighting => rilievo_lighting::VERSION,
+        StageId::Shading => rilievo_shading::VERSION,
+        StageId::Fusion => rilievo_fusion::VERSION,
     }
 }
 

@@ -40,3 +40,6 @@ pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions};
 pub use prepare::{GivenCamera, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};
+
+/// Raised with every change of the stage that changes its results.
+pub const VERSION: u32 = 4;

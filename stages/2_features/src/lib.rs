@@ -30,6 +30,9 @@ use rilievo_scene::{
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+/// Raised with every change of the stage that changes its results.
+pub const VERSION: u32 = 3;
+
 /// A photo with fewer keypoints than this deserves a warning.
 const FEW_KEYPOINTS: usize = 100;
 

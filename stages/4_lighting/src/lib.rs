@@ -60,6 +60,9 @@ pub use shape::{fit_on_normals, fit_on_shape};
 
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
 
+/// Raised with every change of the stage that changes its results.
+pub const VERSION: u32 = 5;
+
 /// Lighting of all posed views.
 ///
 /// # Errors

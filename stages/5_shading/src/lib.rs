@@ -65,6 +65,9 @@ pub use solution::{
 
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
 
+/// Raised with every change of the stage that changes its results.
+pub const VERSION: u32 = 12;
+
 /// Solves the views of a problem.
 ///
 /// # Errors

@@ -38,6 +38,9 @@ use rilievo_scene::{
     PosedViews, StageId, Unit,
 };
 
+/// Raised with every change of the stage that changes its results.
+pub const VERSION: u32 = 4;
+
 /// Views that each view is compared with for offsets: more only repeat what these say.
 const NUM_NEIGHBOURS: usize = 4;
 /// Smooth distance between views, in footprints, from which the layers show.
