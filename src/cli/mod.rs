@@ -1,15 +1,16 @@
 //! The command line, as other tools call it.
 
 mod examples;
+mod formats;
 mod parse;
 
 use crate::raw_child::DecodeRawArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
+pub use formats::{ExportFormat, ImportFormat};
 use parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
 };
 use rilievo_fusion::{ColorMode, FusionOptions};
-use rilievo_io::{CameraFormat, LightFormat};
 use rilievo_poses::KnownDistance;
 use rilievo_scene::StageId;
 use std::path::PathBuf;
@@ -180,15 +181,6 @@ pub struct ImportArgs {
     pub lamp: Option<u16>,
 }
 
-/// What `rilievo import` reads.
-#[derive(Clone, Copy, Debug)]
-pub enum ImportFormat {
-    /// Cameras.
-    Cameras(CameraFormat),
-    /// An object of DiLiGenT or DiLiGenT-MV.
-    Diligent,
-}
-
 /// `rilievo export`
 #[derive(Debug, Args)]
 pub struct ExportArgs {
@@ -204,15 +196,6 @@ pub struct ExportArgs {
     /// Replaces files that are there already
     #[arg(long)]
     pub overwrite: bool,
-}
-
-/// What `rilievo export` writes.
-#[derive(Clone, Copy, Debug)]
-pub enum ExportFormat {
-    /// Cameras.
-    Cameras(CameraFormat),
-    /// Lighting.
-    Lights(LightFormat),
 }
 
 /// How to work, without any effect on results as long as the memory suffices.

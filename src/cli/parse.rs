@@ -1,6 +1,6 @@
 //! Values of the command line that are more than a number or a path.
 
-use super::{ExportFormat, ImportFormat};
+use super::formats::{ExportFormat, ImportFormat};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use rilievo_io::{CameraFormat, LightFormat};
 use rilievo_poses::KnownDistance;

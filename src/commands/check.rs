@@ -1,6 +1,6 @@
 //! `rilievo check PHOTOS`: the preflight alone, in seconds.
 
-use super::reporting_found;
+use super::reporting::reporting_found;
 use crate::cli::CheckArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;

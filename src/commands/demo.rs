@@ -3,7 +3,7 @@
 
 use super::evaluate::{self, Comparison};
 use super::reconstruct::{Allowed, bring_run_up_to_date};
-use super::reporting;
+use super::reporting::reporting;
 use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
 use crate::cli::{DemoArgs, SynthFormat};
 use crate::config::StageOptions;

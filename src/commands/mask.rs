@@ -7,7 +7,7 @@
 //!
 //! A mask that is there already is left alone: it may have been corrected by hand.
 
-use super::reporting_found;
+use super::reporting::reporting_found;
 use crate::cli::MaskArgs;
 use crate::config::StageOptions;
 use crate::exit::{Failure, Problem};

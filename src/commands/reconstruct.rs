@@ -1,6 +1,6 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
-use super::reporting;
+use super::reporting::reporting;
 use crate::cli::{ReconstructArgs, WorkArgs};
 use crate::exit::Failure;
 use crate::observe::Console;

@@ -1,6 +1,7 @@
 //! `rilievo run STAGE RUN`: one stage again, with what the run directory says.
 
-use super::{reporting, stored_request};
+use super::reporting::reporting;
+use super::stored::stored_request;
 use crate::cli::RunArgs;
 use crate::exit::Failure;
 use crate::observe::Console;

@@ -1,6 +1,6 @@
 //! `rilievo status RUN` and `rilievo why RUN STAGE`: what is valid, stale, damaged or missing, and why.
 
-use super::stored_request;
+use super::stored::stored_request;
 use crate::cli::{StageArgs, StatusArgs};
 use crate::exit::Failure;
 use crate::pipeline::{Inputs, Plan, StageState, upstream};

@@ -12,7 +12,7 @@
 //!                                 lighting.json, mesh.ply, matches/NAME1_NAME2.csv
 //! ```
 
-use super::reporting;
+use super::reporting::reporting;
 use crate::cli::{SynthArgs, SynthFormat};
 use crate::config::read_toml;
 use crate::exit::Failure;

@@ -1,7 +1,7 @@
 //! Progress bars on a terminal: stage, step, items, rate and time left.
 
+use super::display::{Display, StageNews};
 use super::pace::in_words;
-use super::{Display, StageNews};
 use indicatif::{ProgressBar, ProgressStyle};
 use rilievo_scene::{Event, StageId};
 use std::time::Duration;

@@ -1,6 +1,6 @@
 //! One JSON object a line on stdout, for other programs.
 
-use super::{Display, StageNews};
+use super::display::{Display, StageNews};
 use rilievo_scene::{Event, StageId};
 use std::io::Write;
 

@@ -1,7 +1,7 @@
 //! Plain lines on stderr, for logs and pipes: rare enough to read.
 
+use super::display::{Display, StageNews};
 use super::pace::{Pace, in_words};
-use super::{Display, StageNews};
 use rilievo_scene::{Event, StageId};
 use std::time::Duration;
 

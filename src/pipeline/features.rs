@@ -1,7 +1,7 @@
 //! Stage 2: `keypoints/NAME.bin` (postcard), `pairs.bin`.
 
-use super::Context;
 use super::artifacts::{from_binary, not_there, read_binary, write_binary};
+use super::context::Context;
 use super::errors::from_features;
 use super::parallel::map_items;
 use crate::exit::Failure;

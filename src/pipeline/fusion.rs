@@ -1,6 +1,6 @@
 //! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, `mesh.obj` and `mesh.glb`.
 
-use super::Context;
+use super::context::Context;
 use super::errors::{from_fusion, from_io};
 use crate::exit::Failure;
 use crate::store::StageWriter;

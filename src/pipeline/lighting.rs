@@ -2,8 +2,8 @@
 //! a sphere `overlay/NAME.png`: outline, re-rendered sphere and excluded pixels side by side, a row
 //! per sphere.
 
-use super::Context;
 use super::artifacts::{read_json, write_text};
+use super::context::Context;
 use super::errors::{from_io, from_lighting};
 use super::inputs::shape_file;
 use super::request::LightingInput;

@@ -1,7 +1,7 @@
 //! Stage 1: `linear/NAME.exr`, `masks/NAME.png`, and the preflight in the manifest.
 
-use super::Context;
 use super::artifacts::{checked_names, not_there};
+use super::context::Context;
 use super::errors::from_io;
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, map_items};

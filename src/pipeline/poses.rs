@@ -1,8 +1,8 @@
 //! Stage 3: `cameras.json`, `sparse/*.txt` (COLMAP), `anchors.ply` and `anchors.json`,
 //! `posed_views.json` (everything).
 
-use super::Context;
 use super::artifacts::{checked_names, read_json, write_json};
+use super::context::Context;
 use super::errors::{from_io, from_poses};
 use super::request::SphereInput;
 use crate::exit::Failure;

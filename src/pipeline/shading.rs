@@ -1,8 +1,8 @@
 //! Stage 5: `depth/NAME.exr`, `normal/NAME.exr`, and `confidence`, `rendered`, `albedo` where the
 //! stage gives them; a picture in PNG beside each.
 
-use super::Context;
 use super::artifacts::{checked_names, read_json, write_text};
+use super::context::Context;
 use super::errors::{from_io, from_lighting, from_shading};
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter, StoreError};

@@ -1,6 +1,6 @@
 //! What a run's manifests tell, with the types of the stages' reports. Its JSON is `report.json`.
 
-use super::Outcome;
+use super::outcome::Outcome;
 use crate::pipeline::{Plan, Request, ShadingFacts, StageState};
 use crate::store::{Ingredients, Look, Manifest, RunDir};
 use crate::system;

@@ -2,48 +2,17 @@
 
 mod facts;
 mod html;
+mod outcome;
 
 pub use html::ViewErrors;
+pub use outcome::Outcome;
 
-use crate::exit::{self, Failure, Problem};
 use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, own_file, seal, unseal, write_atomically};
 use facts::Facts;
 use maud::Markup;
-use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
-
-/// How the command ended.
-#[derive(Clone, Debug, Serialize)]
-pub struct Outcome {
-    /// The exit code.
-    pub exit_code: u8,
-    /// The error, where there was one.
-    pub error: Option<String>,
-    /// Files that could not be used.
-    pub problems: Vec<Problem>,
-}
-
-impl Outcome {
-    /// Outcome of a command that failed with `error`, or did not fail.
-    pub fn of(error: Option<&anyhow::Error>) -> Self {
-        match error {
-            None => Self {
-                exit_code: 0,
-                error: None,
-                problems: Vec::new(),
-            },
-            Some(error) => Self {
-                exit_code: exit::code_of(error),
-                error: Some(format!("{error:#}")),
-                problems: error
-                    .downcast_ref::<Failure>()
-                    .map_or(Vec::new(), |failure| failure.problems().to_vec()),
-            },
-        }
-    }
-}
 
 /// Puts an evaluation into the report of a run, in the place of an earlier one; tells whether there is
 /// a report. Whatever redoes or deletes results drops it again.

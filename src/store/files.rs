@@ -5,8 +5,12 @@
 
 use super::error::StoreError;
 use rilievo_io::{IoError, open_regular, read_regular};
+use std::io::Write;
 use std::io::{Error, ErrorKind};
 use std::path::{Component, Path};
+
+/// What the names of files begin with while they are written.
+pub const WRITING: &str = ".writing-";
 
 /// Hash of a file's content, in hexadecimal; the file is read piece by piece.
 ///
@@ -61,4 +65,25 @@ pub fn is_inside(path: &str) -> bool {
 /// Whether a name can be a file's without its ending: it names results, so it may not lead elsewhere.
 pub fn is_name(name: &str) -> bool {
     is_inside(name) && !name.contains(['/', '\0'])
+}
+
+/// Writes a file so that it is either the old one or the complete new one.
+///
+/// # Errors
+/// When it cannot be written; the old file is then untouched.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    let write = || -> std::io::Result<()> {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(WRITING);
+        // Temporary files are private by default; a result is as readable as the umask allows.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut file = builder.tempfile_in(folder)?;
+        file.write_all(bytes)?;
+        file.as_file().sync_all()?;
+        file.persist(path)?;
+        Ok(())
+    };
+    write().map_err(StoreError::files("write", path))
 }

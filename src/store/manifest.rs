@@ -1,7 +1,6 @@
 //! `manifest.json` of a committed stage: what it was made from, what it found, and the content of
 //! every file, so that damage is found before it is read.
 
-use super::FORMAT_VERSION;
 use super::error::StoreError;
 use super::files::{hash_file, is_inside, own_file};
 use super::fingerprint::Ingredients;
@@ -10,6 +9,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// Version of the layout and of the manifests; another one is refused, never guessed at.
+pub const FORMAT_VERSION: u64 = 2;
 
 /// One photo's share of a stage that works photo by photo.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -14,6 +14,7 @@
 //! anything is made from it.
 
 mod error;
+mod evaluation;
 mod files;
 mod fingerprint;
 mod lock;
@@ -24,9 +25,10 @@ mod sealed;
 mod writer;
 
 pub use error::StoreError;
-pub use files::{hash_file, is_name, own_file};
+pub use evaluation::{deviation_file, drop_evaluation};
+pub use files::{hash_file, is_name, own_file, write_atomically};
 pub use fingerprint::{Ingredients, hash_bytes, hash_json};
-pub use manifest::{Item, Look, Manifest};
-pub use run_dir::{FORMAT_VERSION, RunDir, deviation_file, drop_evaluation, write_atomically};
+pub use manifest::{FORMAT_VERSION, Item, Look, Manifest};
+pub use run_dir::RunDir;
 pub use sealed::{seal, unseal};
 pub use writer::StageWriter;

@@ -1,21 +1,15 @@
 //! Opening a run directory, and finding its way back from an interrupted commit.
 
 use super::error::StoreError;
-use super::files::{own_file, own_folder};
+use super::evaluation::drop_evaluation;
+use super::files::{WRITING, own_file, own_folder};
 use super::lock::Lock;
 use super::manifest::Manifest;
 use super::run_file::RunFile;
 use super::writer::StageWriter;
 use rilievo_scene::StageId;
 use serde::Serialize;
-use std::io::Write;
 use std::path::{Path, PathBuf};
-
-/// Version of the layout and of the manifests; another one is refused, never guessed at.
-pub const FORMAT_VERSION: u64 = 2;
-
-/// What the names of files begin with while they are written.
-const WRITING: &str = ".writing-";
 
 /// Folders beside those of the stages.
 const FOLDERS: [&str; 3] = [".work", ".old", "evaluation"];
@@ -199,51 +193,6 @@ impl RunDir {
         }
         Ok(())
     }
-}
-
-/// Where `rilievo evaluate` writes the cloud coloured by its errors.
-pub fn deviation_file(root: &Path) -> PathBuf {
-    root.join("evaluation").join("deviation.ply")
-}
-
-/// Deletes an evaluation, since the results that it judged go.
-///
-/// # Errors
-/// When it cannot be deleted.
-pub fn drop_evaluation(root: &Path) -> Result<(), StoreError> {
-    let file = deviation_file(root);
-    match std::fs::remove_file(&file) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            return Err(StoreError::files("delete", &file)(error));
-        }
-        _ => {}
-    }
-    if let Some(folder) = file.parent() {
-        // Fails when somebody else has something there, as it should.
-        let _ = std::fs::remove_dir(folder);
-    }
-    Ok(())
-}
-
-/// Writes a file so that it is either the old one or the complete new one.
-///
-/// # Errors
-/// When it cannot be written; the old file is then untouched.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let write = || -> std::io::Result<()> {
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(WRITING);
-        // Temporary files are private by default; a result is as readable as the umask allows.
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let mut file = builder.tempfile_in(folder)?;
-        file.write_all(bytes)?;
-        file.as_file().sync_all()?;
-        file.persist(path)?;
-        Ok(())
-    };
-    write().map_err(StoreError::files("write", path))
 }
 
 /// Whether a stage was committed in a folder.

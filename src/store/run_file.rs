@@ -1,9 +1,8 @@
 //! `run.json`: what was asked for. It is kept twice, since without it no stage can be continued.
 
-use super::FORMAT_VERSION;
 use super::error::StoreError;
-use super::files::own_file;
-use super::run_dir::write_atomically;
+use super::files::{own_file, write_atomically};
+use super::manifest::FORMAT_VERSION;
 use super::sealed::{seal, unseal};
 use serde::Serialize;
 use serde_json::Value;

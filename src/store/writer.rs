@@ -1,7 +1,8 @@
 //! Writing a stage: everything into a work folder, then one rename.
 
 use super::error::StoreError;
-use super::files::{hash_file, is_inside};
+use super::evaluation::drop_evaluation;
+use super::files::{hash_file, is_inside, write_atomically};
 use super::manifest::{FileRecord, Item, MANIFEST, Manifest};
 use rayon::prelude::*;
 use rilievo_scene::StageId;
@@ -139,7 +140,7 @@ impl StageWriter {
         }
         let record = self.work.join(record_of(name));
         let text = serde_json::to_vec(&(name, &item)).unwrap_or_default();
-        super::run_dir::write_atomically(&record, &text)?;
+        write_atomically(&record, &text)?;
         let mut items = match self.items.lock() {
             Ok(items) => items,
             Err(poisoned) => poisoned.into_inner(),
@@ -169,10 +170,10 @@ impl StageWriter {
         let path = self.work.join(MANIFEST);
         let text = manifest.to_text();
         let text = text.map_err(|error| StoreError::files("write", &path)(error.into()))?;
-        super::run_dir::write_atomically(&path, &text)?;
+        write_atomically(&path, &text)?;
         sync(&self.work)?;
 
-        super::run_dir::drop_evaluation(&self.root)?;
+        drop_evaluation(&self.root)?;
         let place = self.root.join(self.stage.name());
         let old = self.root.join(".old").join(self.stage.name());
         if place.exists() {

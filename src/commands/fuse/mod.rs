@@ -3,7 +3,7 @@
 mod maps;
 mod photos;
 
-use super::reporting;
+use super::reporting::reporting;
 use crate::cli::FuseArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;

@@ -7,7 +7,7 @@
 mod depth_order;
 mod problem;
 
-use super::reporting;
+use super::reporting::reporting;
 use crate::cli::{Projection, ShadeArgs, Splitting};
 use crate::config::StageOptions;
 use crate::exit::Failure;

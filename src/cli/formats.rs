@@ -1,0 +1,21 @@
+//! What `rilievo import` reads and `rilievo export` writes.
+
+use rilievo_io::{CameraFormat, LightFormat};
+
+/// What `rilievo import` reads.
+#[derive(Clone, Copy, Debug)]
+pub enum ImportFormat {
+    /// Cameras.
+    Cameras(CameraFormat),
+    /// An object of DiLiGenT or DiLiGenT-MV.
+    Diligent,
+}
+
+/// What `rilievo export` writes.
+#[derive(Clone, Copy, Debug)]
+pub enum ExportFormat {
+    /// Cameras.
+    Cameras(CameraFormat),
+    /// Lighting.
+    Lights(LightFormat),
+}

@@ -1,0 +1,32 @@
+//! Telling scripts how a command ended.
+
+use crate::observe::Console;
+
+/// Runs a command with a console, and tells scripts how it ended: its exit code, its error, and
+/// what `facts` names of it.
+pub fn reporting(
+    json: bool,
+    facts: serde_json::Value,
+    command: impl FnOnce(&Console) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    reporting_found(json, |console| (command(console), facts))
+}
+
+/// As [`reporting`], with facts that the command finds, whether it fails or not.
+pub fn reporting_found(
+    json: bool,
+    command: impl FnOnce(&Console) -> (anyhow::Result<()>, serde_json::Value),
+) -> anyhow::Result<()> {
+    let console = Console::new(json);
+    let (outcome, facts) = command(&console);
+    let mut line = serde_json::json!({ "exit_code": 0 });
+    if let (Some(line), serde_json::Value::Object(facts)) = (line.as_object_mut(), facts) {
+        line.extend(facts);
+    }
+    if let Err(error) = &outcome {
+        line["exit_code"] = crate::exit::code_of(error).into();
+        line["error"] = format!("{error:#}").into();
+    }
+    console.finished(&line);
+    outcome
+}
