@@ -133,9 +133,12 @@ impl MapFiles {
     /// When stage 5 is not there or damaged.
     pub fn open(run: &RunDir) -> anyhow::Result<Self> {
         let folder = run.stage_dir(StageId::Shading);
-        let text = std::fs::read(folder.join("views.json"))
-            .map_err(|_| super::poses::not_there(StageId::Shading))?;
-        let views = serde_json::from_slice(&text)?;
+        let path = folder.join("views.json");
+        let text = std::fs::read(&path).map_err(|_| super::poses::not_there(StageId::Shading))?;
+        let views = serde_json::from_slice(&text).map_err(|error| StoreError::Damaged {
+            path,
+            reason: error.to_string(),
+        })?;
         Ok(Self { folder, views })
     }
 }
