@@ -118,10 +118,17 @@ fn headers_that_claim_more_than_their_file_holds_are_refused() {
         .filter(|&at| exr[at..at + 16] == window[..])
         .collect();
     assert_eq!(places.len(), 2);
+    let mut frame = exr.clone();
+    frame[places[1]..places[1] + 16].copy_from_slice(&large);
     for at in places {
         exr[at..at + 16].copy_from_slice(&large);
     }
-    for (name, bytes) in [("a.png", png), ("a.hdr", hdr), ("a.exr", exr)] {
+    for (name, bytes) in [
+        ("a.png", png),
+        ("a.hdr", hdr),
+        ("a.exr", exr),
+        ("frame.exr", frame),
+    ] {
         let error = decode(name, &bytes).unwrap_err().to_string();
         assert!(error.contains("claims"), "{name}: {error}");
     }
