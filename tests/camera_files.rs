@@ -194,3 +194,87 @@ fn a_run_gives_its_points_and_keeps_its_own_files() {
     }
     assert!(files_in(&run_dir) == before);
 }
+
+/// Without a reader's care, whoever opens one waits until somebody writes to it.
+#[cfg(unix)]
+#[test]
+fn pipes_and_devices_are_refused_and_never_waited_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 1);
+    let good = dir.path().join("good.json");
+    write_plain_cameras(&good, &["p0.jpg"]);
+    let pipe = |name: &str| {
+        let path = dir.path().join(name);
+        let made = std::process::Command::new("mkfifo").arg(&path).status();
+        assert!(made.is_ok_and(|status| status.success()));
+        path
+    };
+    let image = photos.join("p0.jpg");
+    let out = dir.path().join("out");
+    let mut cases: Vec<(PathBuf, Vec<String>)> = Vec::new();
+    let mut add = |file: PathBuf, arguments: &[&str]| {
+        cases.push((file, arguments.iter().map(|&a| a.to_owned()).collect()));
+    };
+    for (name, format) in [
+        ("c.json", "cameras"),
+        ("t.json", "transforms"),
+        ("c.sfm", "sfmdata"),
+        ("c.mvs", "openmvs"),
+        ("c.npz", "npz"),
+        ("c.xml", "metashape"),
+        ("c_par.txt", "middlebury"),
+    ] {
+        let file = pipe(name);
+        add(
+            file.clone(),
+            &["import", arg(&file), "--format", format, "-o", arg(&out)],
+        );
+    }
+    let scene = pipe("scene.json");
+    add(scene.clone(), &["shade", arg(&scene), "-o", arg(&out)]);
+    let picture = pipe("picture.jpg");
+    let shade = [
+        "shade",
+        "--image",
+        arg(&picture),
+        "--camera",
+        arg(&good),
+        "-o",
+        arg(&out),
+    ];
+    add(picture.clone(), &shade);
+    let mask = pipe("mask.png");
+    let shade = [
+        "shade",
+        "--image",
+        arg(&image),
+        "--camera",
+        arg(&good),
+        "--mask",
+        arg(&mask),
+    ];
+    add(
+        mask.clone(),
+        &[&shade[..], &["--init", "plane", "-o", arg(&out)]].concat(),
+    );
+    let zero = dir.path().join("zero.json");
+    std::os::unix::fs::symlink("/dev/zero", &zero).unwrap();
+    add(
+        zero.clone(),
+        &["check", arg(&photos), "--cameras", arg(&zero)],
+    );
+    for (file, arguments) in cases {
+        let output = common::rilievo()
+            .args(&arguments)
+            .timeout(std::time::Duration::from_secs(20))
+            .output()
+            .expect("it ends");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(3), "{arguments:?}: {stderr}");
+        let told = stderr.contains(arg(&file)) && stderr.contains("not");
+        assert!(
+            told && stderr.contains(" a file"),
+            "{arguments:?}: {stderr}"
+        );
+    }
+}

@@ -104,6 +104,21 @@ fn spaces_and_any_script_are_names_like_others() {
 }
 
 #[test]
+fn a_line_break_in_a_name_costs_that_photo_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    std::fs::rename(photos.join("p1.jpg"), photos.join("line\nbreak.jpg")).unwrap();
+    let run_dir = dir.path().join("run");
+    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(
+        stderr.contains("break.jpg is left out") && stderr.contains("rename it"),
+        "{stderr}"
+    );
+    assert!(run_dir.join("1_photos/linear/p0.exr").exists());
+}
+
+#[test]
 fn a_folder_that_cannot_be_written_is_read_and_left_as_it_was() {
     use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().unwrap();

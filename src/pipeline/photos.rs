@@ -206,7 +206,11 @@ pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
     checked_names(context.run, StageId::Photos, "manifest.json", names)?;
     let mut usable = Vec::new();
     for item in manifest.items.into_values() {
-        if let Kept::Usable { facts, mask } = serde_json::from_value(item.facts)? {
+        let kept = serde_json::from_value(item.facts).map_err(|error| StoreError::Damaged {
+            path: dir.join("manifest.json"),
+            reason: error.to_string(),
+        })?;
+        if let Kept::Usable { facts, mask } = kept {
             checked_names(
                 context.run,
                 StageId::Photos,

@@ -49,19 +49,18 @@ impl IoError {
         }
     }
 
-    /// A failed read; a file that does not exist is unusable input.
+    /// A failed read; a file that does not exist, or cannot by its name, is unusable input.
     pub fn read(path: &Path, error: &std::io::Error) -> Self {
         use std::io::ErrorKind;
-        let kind = match error.kind() {
-            ErrorKind::NotFound | ErrorKind::InvalidData | ErrorKind::UnexpectedEof => {
-                IoErrorKind::Input
+        let (kind, reason) = match error.kind() {
+            ErrorKind::NotFound | ErrorKind::NotADirectory => {
+                (IoErrorKind::Input, "there is no such file".to_owned())
             }
-            _ => IoErrorKind::Read,
-        };
-        let reason = match error.kind() {
-            ErrorKind::NotFound => "there is no such file".to_owned(),
-            ErrorKind::UnexpectedEof => "the file ends too early".to_owned(),
-            _ => format!("cannot be read: {error}"),
+            ErrorKind::UnexpectedEof => (IoErrorKind::Input, "the file ends too early".to_owned()),
+            ErrorKind::InvalidData | ErrorKind::InvalidInput | ErrorKind::InvalidFilename => {
+                (IoErrorKind::Input, format!("cannot be read: {error}"))
+            }
+            _ => (IoErrorKind::Read, format!("cannot be read: {error}")),
         };
         Self {
             path: path.to_path_buf(),

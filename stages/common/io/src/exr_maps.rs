@@ -28,6 +28,11 @@ use std::sync::Arc;
 /// Names of the channels of a normal map.
 const NORMAL_CHANNELS: [&str; 3] = ["N.X", "N.Y", "N.Z"];
 
+/// Pixels of a frame, however little of it is painted, and how many for each painted one beyond that: a
+/// small picture in a frame without measure would take the memory of the frame.
+const MAX_FRAME_PX: u64 = 64 << 20;
+const MAX_FRAME_PER_LAYER: u64 = 64;
+
 /// A file's channels, all of the display window's size.
 struct Channels {
     width: usize,
@@ -155,8 +160,12 @@ fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
         );
         let bytes_per_px = header.channels.bytes_per_pixel as u64;
         claims::check(layer, bytes_per_px, 1, bytes.len(), expansion).map_err(refuse)?;
-        // A frame may be larger than what is painted of it, as far as any photo is.
-        claims::check(frame, 0, 0, bytes.len(), expansion).map_err(refuse)?;
+        let (layer_px, frame_px) = (layer.0 * layer.1, frame.0.saturating_mul(frame.1));
+        if frame_px > MAX_FRAME_PX.max(MAX_FRAME_PER_LAYER * layer_px) {
+            let ((w, h), (layer_w, layer_h)) = (frame, layer);
+            let reason = format!("claims a frame of {w} x {h} pixels around {layer_w} x {layer_h}");
+            return Err(refuse(reason));
+        }
         // Each block has a place in the table of offsets, and a head.
         if header.chunk_count.saturating_mul(16) > bytes.len() {
             let (count, len) = (header.chunk_count, bytes.len());
@@ -165,8 +174,8 @@ fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
             )));
         }
         let num_channels = header.channels.list.len() as u64;
-        stored += layer.0 * layer.1 * bytes_per_px;
-        placed += frame.0 * frame.1 * num_channels * 4;
+        stored += layer_px * bytes_per_px;
+        placed += frame_px * num_channels * 4;
     }
     claims::check_memory(stored.saturating_add(placed))
         .map_err(|reason| refuse(format!("its pixels {reason}")))

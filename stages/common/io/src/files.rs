@@ -176,8 +176,17 @@ mod tests {
             assert_eq!(error.kind, IoErrorKind::Input, "{error}");
             assert!(error.to_string().contains(expected), "{error}");
         }
-        let error = read_regular(&at("none")).unwrap_err().to_string();
-        assert!(error.contains("no such file"), "{error}");
+        std::fs::write(at("text"), "a").unwrap();
+        for (name, expected) in [
+            ("none", "no such file"),
+            ("text/inside", "no such file"),
+            ("a\0b", "cannot be read"),
+            (&"long".repeat(100), "cannot be read"),
+        ] {
+            let error = read_regular(&at(name)).unwrap_err();
+            assert_eq!(error.kind, IoErrorKind::Input, "{error}");
+            assert!(error.to_string().contains(expected), "{error}");
+        }
         std::fs::write(at("text"), "grün").unwrap();
         symlink(at("text"), at("good")).unwrap();
         assert_eq!(read_regular_text(&at("good")).unwrap(), "grün");

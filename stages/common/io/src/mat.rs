@@ -28,8 +28,12 @@ const COMPRESSED: u32 = 15;
 /// Classes of arrays that hold numbers: double to unsigned integers of 64 bits.
 const NUMERIC: std::ops::RangeInclusive<u32> = 6..=15;
 
-/// No array of a photo's size needs more, compressed or not; a damaged file may claim it.
+/// No file of a photo's normals needs more, compressed or not; a damaged one may claim it, in one array or
+/// in many.
 const MAX_BYTES: u64 = 1 << 28;
+
+/// Values that all of it can be.
+const MAX_VALUES: usize = (MAX_BYTES / 4) as usize;
 
 /// An array of numbers.
 #[derive(Clone, Debug, PartialEq)]
@@ -73,13 +77,14 @@ pub fn read_mat(
         _ => return Err(IoError::input(path, "is no MAT file of version 5")),
     }
     let mut arrays = BTreeMap::new();
+    let mut left = MAX_BYTES;
     let mut file = Bytes::new(path, &data);
     file.go_to(HEADER);
     while file.position() < data.len() {
         let (kind, piece) = element(&mut file)?;
         let inflated;
         let (kind, piece) = if kind == COMPRESSED {
-            inflated = inflate(path, piece)?;
+            inflated = inflate(path, piece, &mut left)?;
             element(&mut Bytes::new(path, &inflated))?
         } else {
             (kind, piece)
@@ -94,15 +99,20 @@ pub fn read_mat(
     Ok(arrays)
 }
 
-fn inflate(path: &Path, piece: &[u8]) -> Result<Vec<u8>, IoError> {
+/// An inflated element, within the bytes that are left to the file.
+fn inflate(path: &Path, piece: &[u8], left: &mut u64) -> Result<Vec<u8>, IoError> {
     let mut whole = Vec::new();
-    let mut decoder = ZlibDecoder::new(piece).take(MAX_BYTES + 1);
+    let mut decoder = ZlibDecoder::new(piece).take(*left + 1);
     decoder
         .read_to_end(&mut whole)
         .map_err(|error| IoError::input(path, format!("a compressed array is damaged: {error}")))?;
-    if whole.len() as u64 > MAX_BYTES {
-        return Err(IoError::input(path, "a compressed array is too large"));
-    }
+    *left = left.checked_sub(whole.len() as u64).ok_or_else(|| {
+        let megabytes = MAX_BYTES >> 20;
+        IoError::input(
+            path,
+            format!("its compressed arrays hold more than {megabytes} MB"),
+        )
+    })?;
     Ok(whole)
 }
 
@@ -152,12 +162,19 @@ fn matrix(
         return Ok(None);
     }
     let (kind, stored) = element(&mut bytes)?;
-    let values = numbers(kind, stored)
-        .ok_or_else(|| refuse(format!("{name} holds values of unknown kind {kind}")))?;
     let expected = dims
         .iter()
-        .try_fold(1_usize, |n, &size| n.checked_mul(size));
-    if expected != Some(values.len()) {
+        .try_fold(1_usize, |n, &size| n.checked_mul(size))
+        .filter(|&num| num <= MAX_VALUES)
+        .ok_or_else(|| refuse(format!("{name} claims {dims:?} values")))?;
+    // A value is stored in one to eight bytes.
+    if !(expected..=8 * expected).contains(&stored.len()) {
+        let found = stored.len();
+        return Err(refuse(format!("{name} has {found} bytes for {dims:?}")));
+    }
+    let values = numbers(kind, stored)
+        .ok_or_else(|| refuse(format!("{name} holds values of unknown kind {kind}")))?;
+    if expected != values.len() {
         let found = values.len();
         return Err(refuse(format!("{name} has {found} values for {dims:?}")));
     }
@@ -282,5 +299,10 @@ mod tests {
         let mut packed = sample::compressed(&whole);
         packed[12] ^= 0x55;
         refused(&[sample::header(), packed].concat(), "compressed");
+        // A hundred times three megabytes of zeros.
+        let zeros = sample::compressed(&sample::element(2, &vec![0; 3 << 20]));
+        let many: Vec<u8> = [sample::header(), zeros.repeat(100)].concat();
+        assert!(many.len() < 1 << 20, "{} bytes", many.len());
+        refused(&many, "more than 256 MB");
     }
 }

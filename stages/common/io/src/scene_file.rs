@@ -14,6 +14,7 @@ use crate::error::IoError;
 use crate::files::read_regular_text;
 use crate::json::{self, Node};
 use crate::lighting_file::split_lighting_spec;
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// One view of a scene; every path has the scene file's folder before it.
@@ -62,12 +63,13 @@ pub fn read_scene(path: &Path) -> Result<SceneFile, IoError> {
     let root = Node::root(path, &value);
     let folder = path.parent().unwrap_or(Path::new(""));
     let mut scene = SceneFile::default();
+    let mut known = HashSet::new();
     for node in root.get("views")?.array()? {
         let view = view(&node, folder)?;
         if view.name.is_empty() || view.name.contains(['/', '\\']) || view.name.starts_with('.') {
             return Err(node.get("name")?.refuse("cannot name a result file"));
         }
-        if scene.views.iter().any(|known| known.name == view.name) {
+        if !known.insert(view.name.clone()) {
             return Err(node.refuse(format!("repeats the name \"{}\"", view.name)));
         }
         scene.views.push(view);
@@ -86,8 +88,7 @@ pub fn read_scene(path: &Path) -> Result<SceneFile, IoError> {
             let Ok(views) = <[String; 2]>::try_from(texts) else {
                 return Err(names.refuse("does not name two views"));
             };
-            let known = |name: &String| scene.views.iter().any(|view| view.name == *name);
-            if views[0] == views[1] || !views.iter().all(known) {
+            if views[0] == views[1] || !views.iter().all(|name| known.contains(name)) {
                 return Err(names.refuse("does not name two of the scene's views"));
             }
             scene.matches.push(SceneMatches {

@@ -25,6 +25,7 @@ use rilievo_scene::{
     LightKind, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, SphereCalibration, SphereMark,
     SphereRequest, Unit,
 };
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// Fewest points that determine an ellipse.
@@ -280,14 +281,15 @@ fn spheres(
     if nodes.is_empty() {
         return Err(list.refuse("names no sphere"));
     }
-    let mut spheres: Vec<SphereFileEntry> = Vec::with_capacity(nodes.len());
+    let mut spheres = Vec::with_capacity(nodes.len());
+    let mut names = HashSet::new();
     for (k, node) in nodes.iter().enumerate() {
         let name = match node.opt("name")? {
             Some(name) => format!("sphere \"{}\"", name.text()?),
             None if nodes.len() == 1 => MarkedSphere::ONLY.to_owned(),
             None => format!("sphere {}", k + 1),
         };
-        if spheres.iter().any(|sphere| sphere.name == name) {
+        if !names.insert(name.clone()) {
             return Err(node.get("name")?.refuse("names another sphere already"));
         }
         let sphere = entry(node, name, common_radius, folder, files)?.ok_or_else(|| {

@@ -30,7 +30,7 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
     let data = read_regular(path)?;
     let matrices = parse(path, &data)?;
     let photos = Photos::new(photos, folder_of(path), &["image", "images", "rgb"]);
-    let images = images(path, &photos)?;
+    let images = images(path, &photos, matrices.len())?;
     if images.len() < matrices.len() {
         return Err(IoError::input(
             path,
@@ -90,9 +90,9 @@ fn listed_names(path: &Path) -> Result<Option<Vec<String>>, IoError> {
 
 /// The photos in the cameras' order: those that are listed, where all of them are there; else all of the
 /// first folder that is there, by name.
-fn images(path: &Path, photos: &Photos) -> Result<Vec<PathBuf>, IoError> {
+fn images(path: &Path, photos: &Photos, num: usize) -> Result<Vec<PathBuf>, IoError> {
     let missing = || photos.missing(path, "a folder image of the photos, in the cameras' order,");
-    if let Some(names) = listed_names(path)? {
+    if let Some(names) = listed_names(path)?.filter(|names| names.len() == num) {
         let beside = |name: &String| Some(path.with_file_name(name)).filter(|path| path.is_file());
         let found = |name: &String| photos.find(name).or_else(|| beside(name));
         if let Some(images) = names.iter().map(found).collect() {

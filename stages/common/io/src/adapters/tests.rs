@@ -599,3 +599,16 @@ fn names_come_back_or_are_refused() {
         assert!(num_kept >= 2, "{name:?}");
     }
 }
+
+#[test]
+fn more_cameras_than_a_numpy_file_counts_are_refused() {
+    let entry = camera(0, plain());
+    let many = |num: usize| CameraFile {
+        cameras: vec![entry.clone(); num],
+        ..CameraFile::default()
+    };
+    let path = Path::new("cameras.npz");
+    assert!(camera_files(path, CameraFormat::Npz, &many(32_767)).is_ok());
+    let error = camera_files(path, CameraFormat::Npz, &many(32_768)).unwrap_err();
+    assert!(error.to_string().contains("32767 cameras"), "{error}");
+}

@@ -23,7 +23,11 @@ pub fn read_cameras(path: &Path) -> Result<CameraFile, IoError> {
     }
     let value = json::read(path)?;
     let root = Node::root(path, &value);
-    if root.opt("cameras")?.is_none() && root.opt("K")?.is_some() {
+    let object = root.object()?;
+    let is_single = ["K", "width", "height"]
+        .iter()
+        .any(|&key| object.contains_key(key));
+    if is_single && root.opt("cameras")?.is_none() {
         return Ok(CameraFile {
             unit: unit(&root)?,
             cameras: vec![camera(&root)?],
@@ -54,8 +58,7 @@ pub fn read_cameras(path: &Path) -> Result<CameraFile, IoError> {
                 .push((node.get("image")?.text()?.to_owned(), reason));
         }
     }
-    file.extra = root
-        .object()?
+    file.extra = object
         .iter()
         .filter(|(key, _)| !matches!(key.as_str(), "unit" | "cameras" | "unregistered"))
         .map(|(key, value)| (key.clone(), value.clone()))

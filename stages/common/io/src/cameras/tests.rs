@@ -185,3 +185,31 @@ fn no_part_of_a_file_panics() {
         assert!(read_cameras(&path).is_err(), "{end} bytes");
     }
 }
+
+#[test]
+fn the_time_for_many_cameras_grows_with_their_number() {
+    let num = 60_000;
+    let entries: Vec<String> = (0..num)
+        .map(|i| {
+            format!(
+                r#"{{"image": "IMG_{i}.jpg", "width": 4, "height": 3, "K": [[{},0,1],[0,5,1],[0,0,1]]}}"#,
+                5.0 + 1e-3 * f64::from(i)
+            )
+        })
+        .collect();
+    let began = std::time::Instant::now();
+    let cameras = read_text(&format!(r#"{{"cameras": [{}]}}"#, entries.join(","))).unwrap();
+    let index = cameras.index();
+    for i in 0..num {
+        let found = index.find(&format!("IMG_{i}.png")).unwrap();
+        assert_eq!(found.intrinsics.fx, 5.0 + 1e-3 * f64::from(i));
+    }
+    let mut distinct = DistinctCameras::default();
+    for entry in cameras.cameras.iter().chain(&cameras.cameras) {
+        distinct.place(&entry.intrinsics);
+    }
+    assert_eq!(distinct.list.len(), cameras.cameras.len());
+    // About one second; comparing each with each takes minutes.
+    let seconds = began.elapsed().as_secs_f64();
+    assert!(seconds < 15.0, "{seconds} s");
+}

@@ -100,6 +100,9 @@ fn headers_that_claim_more_than_their_file_holds_are_refused() {
     let sum = crc.sum().to_be_bytes();
     png[29..33].copy_from_slice(&sum);
     let hdr = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 31000 +X 31000\n\x02\x02".to_vec();
+    let mut jpeg = include_bytes!("samples/progressive.jpg").to_vec();
+    let at = jpeg.windows(2).position(|two| two == [0xFF, 0xC2]).unwrap();
+    jpeg[at + 5..at + 9].fill(0xFF);
     let folder = folder();
     let path = folder.path().join("map.exr");
     let depth = rilievo_scene::DepthMap::filled(9, 7, 0.5);
@@ -118,10 +121,18 @@ fn headers_that_claim_more_than_their_file_holds_are_refused() {
         .filter(|&at| exr[at..at + 16] == window[..])
         .collect();
     assert_eq!(places.len(), 2);
+    let mut frame = exr.clone();
+    frame[places[1]..places[1] + 16].copy_from_slice(&large);
     for at in places {
         exr[at..at + 16].copy_from_slice(&large);
     }
-    for (name, bytes) in [("a.png", png), ("a.hdr", hdr), ("a.exr", exr)] {
+    for (name, bytes) in [
+        ("a.png", png),
+        ("a.hdr", hdr),
+        ("a.exr", exr),
+        ("frame.exr", frame),
+        ("a.jpg", jpeg),
+    ] {
         let error = decode(name, &bytes).unwrap_err().to_string();
         assert!(error.contains("claims"), "{name}: {error}");
     }

@@ -2,6 +2,7 @@
 
 use super::guard::guarded;
 use super::is_raw_name;
+use crate::claims::MAX_PIXELS;
 use crate::error::IoError;
 use crate::files::open_regular;
 use image::{ImageFormat, ImageReader};
@@ -12,7 +13,7 @@ use std::path::Path;
 /// Bytes by which a format is recognised; those of PNG hold the size already.
 const HEAD_LEN: usize = 24;
 
-/// Columns and rows of a photo by its header alone; `None` where it has none that can be read. Headers
+/// Columns and rows of a photo by its header alone; `None` where it has none that can be read, or that no photo has. Headers
 /// of camera RAW files tell of their previews.
 pub fn photo_size(path: &Path) -> Option<(usize, usize)> {
     if is_raw_name(path) {
@@ -26,7 +27,9 @@ pub fn photo_size(path: &Path) -> Option<(usize, usize)> {
     let size = guarded(path, || {
         of_format(format, &head, file).ok_or_else(|| IoError::input(path, "tells no size"))
     });
-    size.ok().filter(|&(width, height)| width > 0 && height > 0)
+    let num_px = |&(width, height): &(usize, usize)| (width as u64).saturating_mul(height as u64);
+    size.ok()
+        .filter(|size| (1..=MAX_PIXELS).contains(&num_px(size)))
 }
 
 fn of_format(format: ImageFormat, head: &[u8; HEAD_LEN], file: File) -> Option<(usize, usize)> {

@@ -351,6 +351,23 @@ fn sizes_are_read_from_headers_alone() {
     }
     std::fs::write(folder.path().join("b.jpg"), b"no photo").unwrap();
     assert_eq!(photo_size(&folder.path().join("b.jpg")), None);
+    // Kinds that the image library has no place for; and a size that no photo has.
+    use tiff::encoder::{TiffEncoder, colortype};
+    let path = folder.path().join("double.tif");
+    let mut file = std::fs::File::create(&path).unwrap();
+    TiffEncoder::new(&mut file)
+        .unwrap()
+        .write_image::<colortype::Gray64Float>(5, 4, &[0.5; 20])
+        .unwrap();
+    assert_eq!(photo_size(&path), Some((5, 4)));
+    let path = folder.path().join("grey.exr");
+    crate::write_depth(&path, &rilievo_scene::DepthMap::filled(9, 7, 0.5)).unwrap();
+    assert_eq!(photo_size(&path), Some((9, 7)));
+    let mut bytes = encoded(rgb8(40, 30), ImageFormat::Png);
+    bytes[16..24].fill(0xFF);
+    let path = folder.path().join("endless.png");
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(photo_size(&path), None);
 }
 
 #[test]

@@ -27,6 +27,8 @@ enum Body<'a> {
     Binary { bytes: &'a [u8], big_endian: bool },
 }
 
+const NO_POSITIONS: &str = "has no vertices with x, y and z";
+
 const TOO_SHORT: &str = "the file ends too early";
 
 impl<'a> Body<'a> {
@@ -133,7 +135,7 @@ fn parse(bytes: &[u8]) -> Result<Content, String> {
         }
     }
     if !seen_vertices || !content.has[..3].iter().all(|&has| has) {
-        return Err("has no vertices with x, y and z".to_owned());
+        return Err(NO_POSITIONS.to_owned());
     }
     let num_vertices = content.vertices.len();
     for (i, vertex) in content.vertices.iter().enumerate() {
@@ -174,6 +176,10 @@ fn parse_vertices(
         .collect();
     for (slot, _) in slots.iter().flatten() {
         content.has[*slot] = true;
+    }
+    // Known before the body is read: a vertex of a byte would take the memory of eleven numbers.
+    if !content.has[..3].iter().all(|&has| has) {
+        return Err(NO_POSITIONS.to_owned());
     }
     let mut values = Vec::new();
     for _ in 0..element.count {

@@ -13,6 +13,7 @@
 mod entropy;
 mod huffman;
 
+use crate::claims;
 use entropy::{Component, Frame, Scan};
 use huffman::HuffmanTable;
 
@@ -102,7 +103,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
                     Some(4) => return Err(Defect::Cmyk),
                     _ => return Err(Defect::Damaged("it has neither 1 nor 3 components")),
                 }
-                state.frame = frame(marker, segment);
+                state.frame = frame(marker, segment, bytes.len())?;
             }
             0xDA => {
                 if !seen_frame {
@@ -119,25 +120,36 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
     }
 }
 
-/// A frame whose scans can be followed: Huffman-coded, of a size that a photo can have.
-fn frame(marker: u8, segment: &[u8]) -> Option<Frame> {
+/// A frame whose scans can be followed: Huffman-coded, of a size that a photo can have and `len` bytes can
+/// fill.
+fn frame(marker: u8, segment: &[u8], len: usize) -> Result<Option<Frame>, Defect> {
     let progressive = match marker {
         0xC0 | 0xC1 => false,
         0xC2 => true,
-        _ => return None,
+        _ => return Ok(None),
     };
-    let word =
-        |at: usize| Some(usize::from(*segment.get(at)?) << 8 | usize::from(*segment.get(at + 1)?));
-    let (height, width) = (word(1)?, word(3)?);
-    let components = segment
-        .get(6..)?
+    let [precision, h1, h0, w1, w0, num, components @ ..] = segment else {
+        return Ok(None);
+    };
+    let (height, width) = (
+        u16::from_be_bytes([*h1, *h0]),
+        u16::from_be_bytes([*w1, *w0]),
+    );
+    let components = components
         .chunks_exact(3)
-        .take(usize::from(*segment.get(5)?))
+        .take(usize::from(*num))
         .map(|c| Component::new(c[0], usize::from(c[1] >> 4), usize::from(c[1] & 15), c[2]))
-        .collect::<Option<Vec<_>>>()?;
-    let too_large = (width * height) as u64 > crate::claims::MAX_PIXELS;
-    (width > 0 && height > 0 && !too_large && !components.is_empty())
-        .then(|| Frame::new(progressive, segment[0], width, height, components))
+        .collect::<Option<Vec<_>>>();
+    let Some(components) = components.filter(|list| !list.is_empty() && width > 0 && height > 0)
+    else {
+        return Ok(None);
+    };
+    let size = (u64::from(width), u64::from(height));
+    claims::check(size, components.len() as u64, 1, len, claims::MAX_EXPANSION)
+        .map_err(|_| Defect::Damaged("it claims more pixels than its bytes can hold"))?;
+    let (width, height) = (usize::from(width), usize::from(height));
+    let frame = Frame::new(progressive, *precision, width, height, components);
+    Ok(Some(frame))
 }
 
 impl State {
