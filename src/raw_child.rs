@@ -21,13 +21,11 @@ use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
 
-/// Address space that any photo may take: 4 GiB, of which the program itself takes half of one. With
-/// [`MEMORY_PER_BYTE`] a 100-megapixel photo has two times what it needs.
+/// Address space that any photo may take, and more for each byte of its file. A pixel takes some 48 bytes
+/// while it is decoded, and the smallest files (lossy ones) hold five pixels in a byte: a hundred megapixels
+/// have half as much again as they need.
 const BASE_MEMORY: u64 = 4 << 30;
-
-/// Further address space for each byte of the file: the most compressed hold a pixel in a byte, which
-/// takes 2 bytes as stored, 4 as a number, and 12 in three colours, some of them twice.
-const MEMORY_PER_BYTE: u64 = 48;
+const MEMORY_PER_BYTE: u64 = 128;
 
 /// Seconds of computing that any photo may take, and further bytes that one more second stands for:
 /// twenty times what present machines need.
@@ -111,14 +109,27 @@ fn converse(child: &mut Child, bytes: &[u8]) -> std::io::Result<Result<DecodedPh
 
 /// Why a child gave no answer.
 fn failed(path: &Path, status: ExitStatus) -> IoError {
-    const CRASHED: &str = "the RAW file cannot be decoded: its decoder failed, or asked for more memory \
-        or time than any photo needs";
+    if is_files_fault(status) {
+        let reason = "the RAW file cannot be decoded: its decoder failed, or asked for more memory or \
+                      time than any photo needs";
+        return IoError::input(path, reason);
+    }
+    let reason = format!(
+        "its decoder, another process of this program, was ended from outside ({status}), as by a system \
+         that is out of memory"
+    );
+    kept_from_ending(path, reason)
+}
+
+/// Whether a child failed by what it does to itself, or what its own bounds do to it. Every other signal
+/// comes from elsewhere, and an exit code but that of a panic tells of the system.
+fn is_files_fault(status: ExitStatus) -> bool {
+    /// Of a Rust program that panicked.
+    const PANICKED: i32 = 101;
     #[cfg(unix)]
     {
         use rustix::process::Signal;
         use std::os::unix::process::ExitStatusExt;
-        // What a process does to itself, or what its own limits do to it; every other signal comes from
-        // elsewhere.
         let own = [
             Signal::ABORT,
             Signal::SEGV,
@@ -129,17 +140,11 @@ fn failed(path: &Path, status: ExitStatus) -> IoError {
             Signal::TRAP,
             Signal::XCPU,
         ];
-        if let Some(signal) = status.signal()
-            && !own.iter().any(|own| own.as_raw() == signal)
-        {
-            let reason = format!(
-                "its decoder was ended from outside (signal {signal}), as by a system that is out of memory"
-            );
-            return kept_from_ending(path, reason);
+        if let Some(signal) = status.signal() {
+            return own.iter().any(|own| own.as_raw() == signal);
         }
     }
-    let _ = status;
-    IoError::input(path, CRASHED)
+    status.code() == Some(PANICKED)
 }
 
 /// The child: `rilievo decode-raw NAME`.
@@ -291,8 +296,8 @@ mod tests {
         for own in [6, 11, 24, 101 << 8] {
             assert_eq!(kind(own), IoErrorKind::Input, "{own}");
         }
-        // SIGHUP, SIGINT, SIGKILL, SIGTERM.
-        for foreign in [1, 2, 9, 15] {
+        // SIGHUP, SIGINT, SIGKILL, SIGTERM, and the exit codes of a full pipe and a broken installation.
+        for foreign in [1, 2, 9, 15, 6 << 8, 127 << 8] {
             assert_eq!(kind(foreign), IoErrorKind::Read, "{foreign}");
         }
     }
