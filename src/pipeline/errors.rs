@@ -6,6 +6,7 @@ use rilievo_fusion::FusionError;
 use rilievo_io::IoError;
 use rilievo_lighting::LightingError;
 use rilievo_poses::PosesError;
+use rilievo_scene::Inconsistent;
 use rilievo_shading::ShadingError;
 
 /// A file that could not be read, used or written.
@@ -13,15 +14,23 @@ pub fn from_io(error: IoError) -> Failure {
     error.into()
 }
 
+/// Results of an earlier stage that cannot be as that stage left them.
+fn damaged(error: &Inconsistent) -> anyhow::Error {
+    let stage = error.made_by;
+    Failure::RunDirectory(format!(
+        "{error}; `rilievo run {stage} RUN` makes them anew"
+    ))
+    .into()
+}
+
 /// Stage 2.
 pub fn from_features(error: FeaturesError) -> anyhow::Error {
     match error {
         FeaturesError::Interrupted => Failure::Interrupted.into(),
+        FeaturesError::Inconsistent(error) => damaged(&error),
         FeaturesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
         FeaturesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
-        FeaturesError::CountMismatch { .. } | FeaturesError::OpenCv { .. } => {
-            anyhow::Error::new(error)
-        }
+        FeaturesError::OpenCv { .. } => anyhow::Error::new(error),
     }
 }
 
@@ -29,6 +38,7 @@ pub fn from_features(error: FeaturesError) -> anyhow::Error {
 pub fn from_poses(error: PosesError) -> anyhow::Error {
     match error {
         PosesError::Interrupted => Failure::Interrupted.into(),
+        PosesError::Inconsistent(error) => damaged(&error),
         PosesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
         PosesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         PosesError::TooFewPhotos { num_photos: 1 } => {
@@ -48,6 +58,7 @@ const ONE_PHOTO: &str = "1 usable photo, poses need at least 2: add photos from 
 pub fn from_lighting(error: LightingError) -> anyhow::Error {
     match error {
         LightingError::Interrupted => Failure::Interrupted.into(),
+        LightingError::Inconsistent(error) => damaged(&error),
         LightingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
         LightingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         other => Failure::NoResult(other.to_string()).into(),
@@ -58,6 +69,7 @@ pub fn from_lighting(error: LightingError) -> anyhow::Error {
 pub fn from_shading(error: ShadingError) -> anyhow::Error {
     match error {
         ShadingError::Interrupted => Failure::Interrupted.into(),
+        ShadingError::Inconsistent(error) => damaged(&error),
         ShadingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
         ShadingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         ShadingError::Numerics { .. } => anyhow::Error::new(error),
@@ -69,6 +81,7 @@ pub fn from_shading(error: ShadingError) -> anyhow::Error {
 pub fn from_fusion(error: FusionError) -> anyhow::Error {
     match error {
         FusionError::Interrupted => Failure::Interrupted.into(),
+        FusionError::Inconsistent(error) => damaged(&error),
         FusionError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
         FusionError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         other => Failure::NoResult(other.to_string()).into(),

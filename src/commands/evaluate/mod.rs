@@ -178,13 +178,16 @@ impl Comparison {
     }
 
     /// Writes the cloud coloured by its signed distance from the truth; those distances in
-    /// millimetres, none where there is no cloud or no true surface.
+    /// millimetres, none where there is no cloud or no true surface, or where these lie apart.
     fn write_deviations(&self, evaluation: &Evaluation) -> anyhow::Result<Vec<f64>> {
         let (Some(cloud), Some(surface), Some(compared)) =
             (&self.cloud, &self.surface, &evaluation.cloud)
         else {
             return Ok(Vec::new());
         };
+        if compared.apart.is_some() {
+            return Ok(Vec::new());
+        }
         let poses = self.truth.poses(&self.estimate.expected);
         let similarity = compare::align(&self.estimate.poses, &poses, self.request)
             .map_err(|error| Failure::NoResult(error.to_string()))?;

@@ -33,7 +33,7 @@ pub fn table(evaluation: &Evaluation) -> String {
         .fold("all".len(), usize::max);
     if !evaluation.views.is_empty() {
         text += &format!(
-            "{:<width$}  complete   normals MAE  median   depth median      p90\n",
+            "{:<width$}  complete   normals MAE  median   depth median      p90       RMSE\n",
             "view"
         );
     }
@@ -65,6 +65,9 @@ pub fn table(evaluation: &Evaluation) -> String {
     if let Some(rms) = appearance.rerender_rms_rel {
         text += &format!("re-rendered photos: {:.1} %\n", 100.0 * rms);
     }
+    for mismatch in &evaluation.mismatches {
+        text += &format!("warning: {mismatch}\n");
+    }
     for (key, reason) in &evaluation.reasons {
         text += &format!("no {key}: {reason}\n");
     }
@@ -77,11 +80,12 @@ fn row(name: &str, view: &MapComparison, width: usize) -> String {
         None => "-".to_owned(),
     };
     format!(
-        "{name:<width$}  {:>8}  {:>12}  {:>9}  {:>9}  {:>9}\n",
+        "{name:<width$}  {:>8}  {:>12}  {:>9}  {:>9}  {:>9}  {:>9}\n",
         cell(view.complete, 100.0, "%", 1),
         cell(view.normal_mae_deg, 1.0, "deg", 2),
         cell(view.normal_median_deg, 1.0, "deg", 2),
         cell(view.depth_median_rel, 100.0, "%", 3),
         cell(view.depth_p90_rel, 100.0, "%", 3),
+        cell(view.depth_rms_rel, 100.0, "%", 3),
     )
 }

@@ -30,7 +30,7 @@ const ENCODING_GAMMA: f32 = 1.0 / 2.2;
 /// When the pixels cannot be read or OpenCV fails.
 pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints, FeaturesError> {
     options.validate()?;
-    let image = photo.pixels.load()?;
+    let image = photo.linear()?;
     let (encoded, scale) = encode(&image, options.max_detection_mpx);
     drop(image);
     let (found, descriptors) = sift(&encoded, options)?;

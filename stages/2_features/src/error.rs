@@ -1,6 +1,6 @@
 //! Errors of stage 2.
 
-use rilievo_scene::{OptionError, PixelError};
+use rilievo_scene::{Inconsistent, OptionError, PixelError};
 
 /// Why stage 2 failed.
 #[derive(Debug, thiserror::Error)]
@@ -8,14 +8,9 @@ pub enum FeaturesError {
     /// An option is out of range.
     #[error(transparent)]
     InvalidOption(#[from] OptionError),
-    /// Photos and keypoints do not belong together.
-    #[error("{num_keypoint_lists} keypoint lists for {num_photos} photos")]
-    CountMismatch {
-        /// Photos in the set.
-        num_photos: usize,
-        /// Keypoint lists given.
-        num_keypoint_lists: usize,
-    },
+    /// What an earlier stage left contradicts itself.
+    #[error(transparent)]
+    Inconsistent(#[from] Inconsistent),
     /// A photo could not be read.
     #[error(transparent)]
     Pixels(#[from] PixelError),

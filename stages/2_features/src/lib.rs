@@ -26,7 +26,8 @@ use matching::{PhotoDescriptors, match_descriptors};
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_scene::{
-    Event, FeatureMatches, Flow, Observer, PairMatches, PhotoIdx, PhotoKeypoints, PhotoSet, StageId,
+    Event, FeatureMatches, Flow, Observer, PairMatches, PhotoIdx, PhotoKeypoints, PhotoSet,
+    StageId, check_descriptors, check_keypoints,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -47,12 +48,9 @@ pub fn match_photos(
     observer: &dyn Observer,
 ) -> Result<(FeatureMatches, FeaturesReport), FeaturesError> {
     options.validate()?;
-    if keypoints.len() != photos.photos.len() {
-        return Err(FeaturesError::CountMismatch {
-            num_photos: photos.photos.len(),
-            num_keypoint_lists: keypoints.len(),
-        });
-    }
+    photos.check()?;
+    check_keypoints(&keypoints, photos)?;
+    check_descriptors(&keypoints, photos)?;
     let descriptors: Vec<PhotoDescriptors> =
         keypoints.par_iter().map(PhotoDescriptors::new).collect();
     let normalized: Vec<Vec<Point2<f64>>> = keypoints

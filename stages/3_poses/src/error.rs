@@ -1,6 +1,6 @@
 //! Errors of stage 3.
 
-use rilievo_scene::{OptionError, PixelError};
+use rilievo_scene::{Inconsistent, OptionError, PixelError};
 
 /// Why stage 3 failed.
 #[derive(Debug, thiserror::Error)]
@@ -8,6 +8,9 @@ pub enum PosesError {
     /// An option is out of range.
     #[error(transparent)]
     InvalidOption(#[from] OptionError),
+    /// What an earlier stage left contradicts itself.
+    #[error(transparent)]
+    Inconsistent(#[from] Inconsistent),
     /// Poses need at least two photos.
     #[error(
         "{num_photos} usable photo(s), at least 2 are needed; add photos from other directions"

@@ -66,6 +66,8 @@ pub fn run(
     observer: &dyn Observer,
 ) -> Result<(PosedViews, PosesReport), PosesError> {
     options.validate()?;
+    photos.check()?;
+    matches.check(photos)?;
     let num_photos = photos.photos.len();
     if num_photos < 2 {
         return Err(PosesError::TooFewPhotos { num_photos });

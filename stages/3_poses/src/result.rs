@@ -186,7 +186,7 @@ fn paint(scene: &Scene<'_>, posed: &mut PosedViews) {
             continue;
         }
         // Colours are for looking at: a photo that cannot be read leaves its points black.
-        let Ok(image) = scene.photos.photos[posed.views[view].photo.0].pixels.load() else {
+        let Ok(image) = scene.photos.photos[posed.views[view].photo.0].linear() else {
             continue;
         };
         for (k, pixel) in points {

@@ -60,7 +60,7 @@ pub(crate) fn run(
                 return Err(LightingError::Interrupted);
             }
             let photo = &photos.photos[posed.views[view.view.0].photo.0];
-            let image = photo.pixels.load()?;
+            let image = photo.linear()?;
             let mask = photo.mask.as_deref();
             let limit = f64::from(photo.clip_level) * options.clip_share;
             let pixels = surface_pixels(&image, mask, &view.normal, options.max_num_samples);

@@ -2,7 +2,7 @@
 
 use rilievo_photometry::harmonics::FitError;
 use rilievo_photometry::sphere::SphereError;
-use rilievo_scene::{OptionError, PixelError};
+use rilievo_scene::{Inconsistent, OptionError, PixelError};
 
 /// Failures of stage 4.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -10,6 +10,9 @@ pub enum LightingError {
     /// An option out of range.
     #[error(transparent)]
     InvalidOption(#[from] OptionError),
+    /// What an earlier stage left contradicts itself.
+    #[error(transparent)]
+    Inconsistent(#[from] Inconsistent),
     /// No photo has a pose.
     #[error("no photo has a pose, so no lighting can be fitted")]
     NoView,

@@ -75,6 +75,8 @@ pub fn run(
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     options.validate()?;
+    photos.check()?;
+    posed.check_with(photos)?;
     if posed.views.is_empty() {
         return Err(LightingError::NoView);
     }
@@ -107,6 +109,9 @@ pub fn check_on_surface(
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, LightingError> {
     options.validate()?;
+    photos.check()?;
+    posed.check_with(photos)?;
+    calibration.check(posed)?;
     check::run(
         photos,
         posed,

@@ -38,10 +38,13 @@ pub fn overlays(
     if posed.spheres.is_empty() {
         return Ok(Vec::new());
     }
+    photos.check()?;
+    posed.check_with(photos)?;
+    calibration.check(posed)?;
     let mut overlays = Vec::new();
     for (idx, view) in posed.views.iter().enumerate() {
         let photo = &photos.photos[view.photo.0];
-        let image = photo.pixels.load()?;
+        let image = photo.linear()?;
         let light = calibration.views.iter().find(|light| light.view.0 == idx);
         let shot = Shot {
             image: &image,

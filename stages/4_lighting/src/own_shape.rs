@@ -52,7 +52,7 @@ pub(crate) fn anchor_samples(
             return Err(LightingError::Interrupted);
         }
         let photo = &photos.photos[view.photo.0];
-        let image = photo.pixels.load()?;
+        let image = photo.linear()?;
         let limit = f64::from(photo.clip_level) * options.clip_share;
         samples.push(seen_by(posed, &oriented, idx, &image, limit));
     }

@@ -190,7 +190,7 @@ pub(crate) fn run(
             continue;
         };
         let photo = &photos.photos[view.photo.0];
-        let image = photo.pixels.load()?;
+        let image = photo.linear()?;
         let normals = normals_on(&image, &view.name, &view.intrinsics, depth, options)?;
         let mask = photo.mask.as_deref();
         let pool = pool(&image, mask, &normals, photo.clip_level, options);

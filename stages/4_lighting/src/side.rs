@@ -128,7 +128,7 @@ fn one_view(
         }
         let image = match &mut loaded {
             Some(image) => image,
-            none => none.insert(photo.pixels.load()?),
+            none => none.insert(photo.linear()?),
         };
         let shot = Shot {
             image,

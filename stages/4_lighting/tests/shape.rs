@@ -206,7 +206,7 @@ fn anchors(made: &World) -> Vec<Anchor> {
 
 /// Relative residual of a lighting on the true normals.
 fn residual(made: &World, view: usize, lighting: &Lighting) -> f64 {
-    let image = made.photos.photos[view].pixels.load().unwrap();
+    let image = made.photos.photos[view].linear().unwrap();
     let (mut error, mut size) = (0.0, 0.0);
     for y in 0..image.height {
         for x in 0..image.width {
@@ -240,7 +240,7 @@ fn a_known_shape_gives_its_light_and_other_sizes_are_refused() {
     let light = environment(0.0);
     let made = world(&light, &light, 1.0);
     let options = LightingOptions::default();
-    let image = made.photos.photos[1].pixels.load().unwrap();
+    let image = made.photos.photos[1].linear().unwrap();
     let view = &made.posed.views[1];
     let (found, fit) = fit_on_shape(
         &image,
@@ -280,7 +280,7 @@ fn a_known_shape_and_given_lightings_tell_what_the_light_is_fixed_to() {
         let mut made = lit(&light, &light, 1.0, kind);
         // Exposures of two photos differ, and noise.
         for (k, photo) in made.photos.photos.iter_mut().enumerate() {
-            let mut image = photo.pixels.load().unwrap().as_ref().clone();
+            let mut image = photo.linear().unwrap().as_ref().clone();
             let gain = [1.0, 0.8, 1.1, 1.0][k];
             for (j, value) in image.data.iter_mut().enumerate() {
                 *value *= gain * (1.0 + 0.05 * (12.9 * j as f32).sin());

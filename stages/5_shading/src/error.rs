@@ -1,6 +1,6 @@
 //! Why shading could not give a shape.
 
-use rilievo_scene::OptionError;
+use rilievo_scene::{Inconsistent, OptionError};
 
 /// Errors of stage 5; each carries the facts and says what to try.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -12,6 +12,9 @@ pub enum ShadingError {
     /// An option lies outside its range.
     #[error(transparent)]
     InvalidOption(#[from] OptionError),
+    /// What an earlier stage left contradicts itself.
+    #[error(transparent)]
+    Inconsistent(#[from] Inconsistent),
     /// There is nothing to solve.
     #[error("no view to solve: give at least one image with a mask")]
     NoViews,

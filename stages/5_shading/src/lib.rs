@@ -103,5 +103,8 @@ pub fn run(
         };
         return Ok((shaded, report));
     }
+    photos.check()?;
+    posed.check_with(photos)?;
+    lighting.check(posed)?;
     posed::run(photos, posed, lighting, options, observer)
 }

@@ -49,7 +49,7 @@ pub(crate) fn run(
             .ok_or_else(|| ShadingError::MissingLighting {
                 view: posed_view.name.clone(),
             })?;
-        let image = photo.pixels.load()?;
+        let image = photo.linear()?;
         let mask = photo.mask.as_deref().cloned().unwrap_or_else(|| {
             report.warnings.push(format!(
                 "{}: no mask, the whole frame is taken for the object",

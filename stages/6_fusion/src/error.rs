@@ -1,6 +1,6 @@
 //! Errors of stage 6.
 
-use rilievo_scene::{OptionError, PixelError};
+use rilievo_scene::{Inconsistent, OptionError, PixelError};
 
 /// Why the views could not be fused.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -8,6 +8,9 @@ pub enum FusionError {
     /// An option has a value that makes no sense.
     #[error(transparent)]
     InvalidOption(#[from] OptionError),
+    /// What an earlier stage left contradicts itself.
+    #[error(transparent)]
+    Inconsistent(#[from] Inconsistent),
     /// No view has any depth.
     #[error("none of the {num_views} views has a depth map with values; run stage 5 first")]
     NoDepth {

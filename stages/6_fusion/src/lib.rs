@@ -59,6 +59,8 @@ pub fn run(
     observer: &dyn Observer,
 ) -> Result<(FusedCloud, FusionReport), FusionError> {
     options.validate()?;
+    photos.check()?;
+    posed.check()?;
     let mut report = FusionReport::default();
     let warn = |report: &mut FusionReport, message: String| {
         let flow = observer.event(Event::Warning {

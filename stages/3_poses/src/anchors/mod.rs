@@ -74,6 +74,7 @@ pub fn find(
     observer: &dyn Observer,
 ) -> Result<(Vec<Anchor>, AnchorReport), PosesError> {
     options.validate()?;
+    posed.check_with(photos)?;
     if observer.flow() == Flow::Stop {
         return Err(PosesError::Interrupted);
     }

@@ -43,7 +43,7 @@ pub(super) fn prepare<'a>(
 ) -> Result<Option<Scene<'a>>, PosesError> {
     let loaded = map_few_at_once(&posed.views, |view| {
         let photo = &photos.photos[view.photo.0];
-        let image = photo.pixels.load()?;
+        let image = photo.linear()?;
         Ok::<_, PosesError>(WorkingView::new(
             photo,
             view,

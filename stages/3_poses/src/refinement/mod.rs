@@ -149,9 +149,7 @@ pub fn refine_tracks(
     let photos: Vec<usize> = (0..scene.num_photos()).collect();
     let pyramids = map_few_at_once(&photos, |&photo| -> Result<_, PixelError> {
         match model.poses[photo] {
-            Some(_) => Ok(Some(Pyramid::new(
-                &*scene.photos.photos[photo].pixels.load()?,
-            ))),
+            Some(_) => Ok(Some(Pyramid::new(&*scene.photos.photos[photo].linear()?))),
             None => Ok(None),
         }
     })?;

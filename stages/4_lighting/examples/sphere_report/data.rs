@@ -316,7 +316,7 @@ impl Set {
     pub fn residual_on_truth(&self, view: usize, lighting: &Lighting) -> Result<f64> {
         let normals = self.true_normals(view)?;
         let photo = &self.photos.photos[self.posed.views[view].photo.0];
-        let image = photo.pixels.load()?;
+        let image = photo.linear()?;
         let (mut error, mut size) = (0.0, 0.0);
         for y in 0..image.height {
             for x in 0..image.width {

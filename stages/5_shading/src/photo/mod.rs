@@ -86,6 +86,9 @@ pub fn run(
     observer: &dyn Observer,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
     options.validate()?;
+    photos.check()?;
+    posed.check_with(photos)?;
+    lighting.check(posed)?;
     let scene = views::load(photos, posed, options)?;
     solve::solve(scene, posed, lighting, options, observer, None)
 }
@@ -103,6 +106,9 @@ pub fn run_probed(
     probe: &Probe,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
     options.validate()?;
+    photos.check()?;
+    posed.check_with(photos)?;
+    lighting.check(posed)?;
     let scene = views::load(photos, posed, options)?;
     solve::solve(scene, posed, lighting, options, observer, Some(probe))
 }

@@ -57,7 +57,7 @@ pub(crate) fn load(
         .enumerate()
         .map(|(index, posed_view)| {
             let photo = photo_of(photos, posed_view)?;
-            let image = photo.pixels.load()?;
+            let image = photo.linear()?;
             let mask = match &photo.mask {
                 Some(mask) => mask.as_ref().clone(),
                 None => Mask::filled(image.width, image.height, true),

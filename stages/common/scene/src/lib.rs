@@ -14,6 +14,7 @@
 pub mod calibration;
 pub mod camera;
 pub mod cloud;
+pub mod consistency;
 pub mod decoded;
 pub mod events;
 pub mod ids;
@@ -32,6 +33,7 @@ pub mod transform;
 pub use calibration::{LightSource, LightingCalibration, SphereLight, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
+pub use consistency::{Inconsistent, check_descriptors, check_keypoints};
 pub use decoded::{DecodedPhoto, ExifFacts, Samples};
 pub use events::{Event, Flow, Observer, Silent, StageId};
 pub use ids::{PhotoIdx, PointIdx, ViewIdx};

@@ -1,7 +1,7 @@
 //! Rays against a triangle mesh: a bounding-volume hierarchy.
 //!
-//! Built by splitting the triangles' centroids at the middle of the longest axis (at the median
-//! where that separates nothing); traversed front to back with a fixed stack. Intersection of
+//! Built by splitting the triangles' centroids at the middle of the longest axis (into halves by
+//! number where that separates little, and below a depth); traversed front to back with a fixed stack. Intersection of
 //! Möller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997.
 
 use rilievo_scene::Mesh;
@@ -39,8 +39,11 @@ pub(crate) struct Hit {
 
 /// Triangles in a leaf: fewer makes the tree deeper than it pays for.
 const LEAF: usize = 4;
-/// Depth that the stack allows; halving reaches it at 2^60 triangles.
+/// Depth that the stack allows.
 const STACK: usize = 64;
+/// Depth below which triangles are halved by number: the rest of the stack does for 2^32 triangles,
+/// however they lie.
+const MAX_UNEVEN_DEPTH: usize = 32;
 
 fn sub(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
@@ -72,7 +75,7 @@ impl Bvh {
         let mut order: Vec<u32> = (0..corners.len() as u32).collect();
         let mut nodes = Vec::with_capacity(corners.len() / 2 + 1);
         if !order.is_empty() {
-            split(&corners, &centers, &mut order, 0, &mut nodes);
+            split(&corners, &centers, &mut order, (0, 0), &mut nodes);
         }
         let triangles = order
             .iter()
@@ -195,7 +198,7 @@ fn split(
     corners: &[[[f32; 3]; 3]],
     centers: &[[f32; 3]],
     order: &mut [u32],
-    offset: u32,
+    (depth, offset): (usize, u32),
     nodes: &mut Vec<Node>,
 ) {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
@@ -230,8 +233,9 @@ fn split(
             cut += 1;
         }
     }
-    // A lopsided cut would only deepen the tree.
-    if cut < order.len() / 8 || cut > order.len() - order.len() / 8 {
+    // A lopsided cut would only deepen the tree, and centroids that coincide have none but by number.
+    let least = (order.len() / 8).max(1);
+    if !(least..=order.len() - least).contains(&cut) || depth >= MAX_UNEVEN_DEPTH {
         cut = order.len() / 2;
         order.select_nth_unstable_by(cut, |a, b| {
             centers[*a as usize][axis]
@@ -240,16 +244,60 @@ fn split(
         });
     }
     let (left, right) = order.split_at_mut(cut);
-    split(corners, centers, left, offset, nodes);
+    split(corners, centers, left, (depth + 1, offset), nodes);
     nodes[index].start = nodes.len() as u32;
     nodes[index].count = 0;
-    split(corners, centers, right, offset + cut as u32, nodes);
+    let offset = offset + cut as u32;
+    split(corners, centers, right, (depth + 1, offset), nodes);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::noise::unit;
+
+    /// Triangles by themselves, each with its own corners.
+    fn soup(triangles: &[[[f32; 3]; 3]]) -> Mesh {
+        Mesh {
+            vertices: triangles.concat(),
+            triangles: (0..triangles.len() as u32)
+                .map(|t| [3 * t, 3 * t + 1, 3 * t + 2])
+                .collect(),
+            ..Mesh::default()
+        }
+    }
+
+    #[test]
+    fn triangles_that_no_plane_separates_are_met_as_well() {
+        let triangle = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]];
+        for count in [1, 4, 5, 6, 7, 8, 9, 1000] {
+            let bvh = Bvh::new(&soup(&vec![triangle; count]));
+            let hit = bvh.cast([0.2, 0.2, 0.0], [0.0, 0.0, 1.0], 0.0, 9.0, false);
+            assert_eq!(hit.map(|hit| hit.t), Some(1.0), "{count} alike");
+        }
+    }
+
+    #[test]
+    fn triangles_at_ever_smaller_distances_stay_within_the_stack() {
+        // Each cut at the middle takes off an eighth: uneven cuts alone would go 70 levels deep.
+        let (mut triangles, mut left, mut x) = (Vec::new(), 40_000, 1.0_f32);
+        while left > 0 {
+            let taken = left / 8 + 1;
+            let triangle = [[x, -1.0, 0.0], [x, 1.0, 0.0], [x, 0.0, 1.0]];
+            triangles.extend(std::iter::repeat_n(triangle, taken));
+            (left, x) = (left - taken, 0.45 * x);
+        }
+        let bvh = Bvh::new(&soup(&triangles));
+        let mut depth = vec![1; bvh.nodes.len()];
+        for (k, node) in bvh.nodes.iter().enumerate() {
+            if node.count == 0 {
+                depth[k + 1] = depth[k] + 1;
+                depth[node.start as usize] = depth[k] + 1;
+            }
+        }
+        let deepest = depth.iter().max();
+        assert!(deepest.is_some_and(|&d| d < STACK), "{deepest:?}");
+    }
 
     #[test]
     fn agrees_with_testing_every_triangle() {

@@ -14,7 +14,7 @@ fn working_views(scene: &Scene) -> Vec<WorkingView> {
         .iter()
         .zip(&scene.photos.photos)
         .map(|(view, photo)| {
-            let image = photo.pixels.load().unwrap();
+            let image = photo.linear().unwrap();
             WorkingView::new(photo, view, &image, 4.0).unwrap()
         })
         .collect()

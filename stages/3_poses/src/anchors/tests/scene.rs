@@ -185,7 +185,7 @@ impl Scene {
     /// Replaces a photo's pixels by a changed copy.
     pub fn change(&mut self, idx: usize, change: impl Fn(usize, usize, f32) -> f32) {
         let photo = &mut self.photos.photos[idx];
-        let image = photo.pixels.load().expect("pixels in memory");
+        let image = photo.linear().expect("pixels in memory");
         let mut image = (*image).clone();
         for y in 0..image.height {
             for x in 0..image.width {

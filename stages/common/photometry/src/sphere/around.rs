@@ -27,7 +27,7 @@ pub(super) fn load_around(
     }
     for view in views {
         let photo = &photos.photos[view.photo.0];
-        let image = photo.pixels.load()?;
+        let image = photo.linear()?;
         for (list, fit) in around.iter_mut().zip(fits) {
             if fit.views.is_empty() {
                 continue;

@@ -56,7 +56,7 @@ pub fn load_posed_images(
             let photo = &photos.photos[view.photo.0];
             Ok(PosedImage {
                 photo: view.photo,
-                image: photo.pixels.load()?,
+                image: photo.linear()?,
                 intrinsics: view.intrinsics,
                 cam_from_world: view.cam_from_world,
                 object: photo.mask.clone(),

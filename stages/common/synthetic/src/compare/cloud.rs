@@ -7,26 +7,39 @@
 //!   least two views see counts.
 //! * `F = 2 P C / (P + C)`.
 //!
-//! Steps: samples on the triangles no farther apart than τ/3; nearest samples by a k-d tree; the
+//! A cloud in another scale or frame than the surface's has no accuracy worth the name, and every search for
+//! the nearest has to look far. Where most points lie farther than a quarter of the surface's diagonal from
+//! it, or are a tenth of its size, some stand for all, and the comparison says so.
+//!
+//! Steps: samples on the triangles no farther apart than τ/3; the nearest samples; the
 //! exact distance to the triangles of the nearest eight samples.
 
 use super::align::Similarity;
+use super::nearest::PointTree;
 use super::truth::TruthView;
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{CloudPoint, Mesh, RigidTransform};
 use serde::Serialize;
-use std::num::NonZero;
 
 /// Threshold as a share of the surface's bounding-box diagonal: half a millimetre for an object a
 /// hand wide.
 const THRESHOLD_SHARE: f64 = 1.0 / 500.0;
 /// Triangles that compete for being nearest: a point above an edge finds both sides among them.
-const NUM_CANDIDATES: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(7);
+const NUM_CANDIDATES: usize = 8;
 /// At most this many samples on the surface, which bounds memory at about 100 MB.
 const MAX_NUM_SAMPLES: f64 = 1.5e6;
+/// Points that are tried first, to see whether the two sides lie near each other at all, and that stand for
+/// all where they do not.
+const NUM_PROBES: usize = 1000;
+/// Points of the other side that these are tried against: as fine as the question, and few enough to look
+/// at all of them, as a search from the middle of a ball does.
+const NUM_COARSE: usize = 20_000;
+/// Share of the surface's diagonal from which the two sides do not lie near each other.
+const FAR_SHARE: f64 = 0.25;
+/// Size of a cloud over the surface's below which it is no part of it, but the whole at another scale.
+const SMALL_SHARE: f64 = 0.1;
 /// A surface point counts as seen where the depth map agrees within a pixel footprint along the
 /// normal, and within this share of the depth: at grazing incidence the normal alone lets pass what
 /// lies far behind.
@@ -64,6 +77,19 @@ pub struct CloudComparison {
     pub hausdorff_95: f64,
     /// The same shares at other thresholds.
     pub at: Vec<ThresholdShares>,
+    /// Where both sides lie so far apart that these numbers mean little, and are of some points only.
+    pub apart: Option<Apart>,
+}
+
+/// Two sides that do not match in scale or frame, lengths in the truth's unit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Apart {
+    /// Extent of the cloud, without its outermost twentieths.
+    pub cloud_size: f64,
+    /// Extent of the surface, alike.
+    pub surface_size: f64,
+    /// Distance between the middles of both.
+    pub offset: f64,
 }
 
 /// Shares at one threshold.
@@ -172,7 +198,7 @@ pub(crate) fn distance_to_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]
 pub struct MeshDistance<'a> {
     mesh: &'a Mesh,
     samples: Samples,
-    tree: ImmutableKdTree<f64, 3>,
+    tree: PointTree,
 }
 
 impl<'a> MeshDistance<'a> {
@@ -186,23 +212,21 @@ impl<'a> MeshDistance<'a> {
             .sum();
         // Two samples per square of the spacing.
         let samples = sample(mesh, spacing.max((2.0 * area / MAX_NUM_SAMPLES).sqrt()));
-        let tree = ImmutableKdTree::new_from_slice(&samples.points).ok()?;
-        (!samples.points.is_empty()).then_some(Self {
+        (!samples.points.is_empty()).then(|| Self {
             mesh,
+            tree: PointTree::new(&samples.points),
             samples,
-            tree,
         })
     }
 
     /// Distance of a finite point from the surface, and the nearest triangle.
     pub fn nearest(&self, p: &Point3<f64>) -> (f64, usize) {
         self.tree
-            .query(&[p.x, p.y, p.z])
-            .nearest_n::<SquaredEuclidean<f64>>(NUM_CANDIDATES)
-            .execute()
+            .nearest::<NUM_CANDIDATES>(&[p.x, p.y, p.z])
             .into_iter()
-            .map(|found| {
-                let triangle = self.samples.triangles[found.item as usize] as usize;
+            .filter(|(distance, _)| distance.is_finite())
+            .map(|(_, sample)| {
+                let triangle = self.samples.triangles[sample as usize] as usize;
                 (
                     distance_to_triangle(p, &corners(self.mesh, triangle)),
                     triangle,
@@ -211,6 +235,51 @@ impl<'a> MeshDistance<'a> {
             .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))
             .unwrap_or((f64::INFINITY, 0))
     }
+}
+
+/// Extent and middle of points: the diagonal of the box from the 5 % to the 95 % quantile of each
+/// coordinate, which stray points do not move, and the medians.
+fn extent(points: &[[f64; 3]]) -> Option<(f64, Point3<f64>)> {
+    let (mut sides, mut middle) = (Vector3::zeros(), Point3::origin());
+    for axis in 0..3 {
+        let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+        sides[axis] = quantile(&mut values, 0.95)? - quantile(&mut values, 0.05)?;
+        middle[axis] = quantile(&mut values, 0.5)?;
+    }
+    Some((sides.norm(), middle))
+}
+
+/// At most so many indices below `count`, evenly chosen.
+fn thinned(count: usize, most: usize) -> impl Iterator<Item = usize> {
+    (0..count).step_by(count.div_ceil(most).max(1))
+}
+
+/// A tree of some of the points.
+fn coarse_tree(points: &[[f64; 3]]) -> PointTree {
+    let chosen: Vec<[f64; 3]> = thinned(points.len(), NUM_COARSE)
+        .map(|i| points[i])
+        .collect();
+    PointTree::new(&chosen)
+}
+
+/// How cloud and surface lie apart, with the distances of some points; `None` where they do not.
+fn apart(points: &[[f64; 3]], samples: &Samples, diagonal: f64) -> Option<(Apart, Vec<f64>)> {
+    let coarse = coarse_tree(&samples.points);
+    let distances: Vec<f64> = thinned(points.len(), NUM_PROBES)
+        .map(|i| coarse.nearest::<1>(&points[i])[0].0.sqrt())
+        .collect();
+    let (cloud_size, of_cloud) = extent(points)?;
+    let (surface_size, of_surface) = extent(&samples.points)?;
+    let is_far = quantile(&mut distances.clone(), 0.5)? > FAR_SHARE * diagonal;
+    (is_far || cloud_size < SMALL_SHARE * surface_size).then(|| {
+        let offset = (of_cloud - of_surface).norm();
+        let apart = Apart {
+            cloud_size,
+            surface_size,
+            offset,
+        };
+        (apart, distances)
+    })
 }
 
 /// Length of the diagonal of a mesh's bounding box.
@@ -253,9 +322,8 @@ pub fn compare_cloud(
     truth: &TrueSurface<'_>,
     similarity: &Similarity,
 ) -> Option<CloudComparison> {
-    let threshold = truth
-        .threshold
-        .unwrap_or(THRESHOLD_SHARE * diagonal(truth.mesh));
+    let diagonal = diagonal(truth.mesh);
+    let threshold = truth.threshold.unwrap_or(THRESHOLD_SHARE * diagonal);
     let surface = MeshDistance::new(truth.mesh, threshold / 3.0)?;
     let points: Vec<[f64; 3]> = cloud
         .iter()
@@ -266,47 +334,53 @@ pub fn compare_cloud(
     if points.is_empty() {
         return None;
     }
-    let mut distances: Vec<f64> = points
-        .par_iter()
-        .map(|p| surface.nearest(&Point3::from(*p)).0)
-        .collect();
+    let samples = &surface.samples;
+    let (apart, mut distances, chosen, tree) = match apart(&points, samples, diagonal) {
+        Some((apart, probed)) => {
+            let chosen = thinned(samples.points.len(), NUM_PROBES).collect();
+            (Some(apart), probed, chosen, coarse_tree(&points))
+        }
+        None => {
+            let exact = |p: &[f64; 3]| surface.nearest(&Point3::from(*p)).0;
+            let chosen: Vec<usize> = (0..samples.points.len()).collect();
+            let distances = points.par_iter().map(exact).collect();
+            (None, distances, chosen, PointTree::new(&points))
+        }
+    };
     let num = distances.len() as f64;
     let precision_at = |limit: f64| distances.iter().filter(|&&d| d <= limit).count() as f64 / num;
     let accuracy_mean = distances.iter().sum::<f64>() / num;
     let accuracy_square = distances.iter().map(|d| d * d).sum::<f64>() / num;
 
-    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&points).ok()?;
-    let samples = &surface.samples;
-    // Distance from the nearest point; negative where the surface is not counted.
-    let gaps: Vec<f64> = samples
-        .points
-        .par_iter()
-        .zip(&samples.triangles)
-        .map(|(sample, &triangle)| {
-            let p = Point3::from(*sample);
-            let [a, b, c] = corners(truth.mesh, triangle as usize);
-            let normal = (b - a).cross(&(c - a)).normalize();
-            let views = truth.views.iter();
-            let num_seen = views.filter(|view| sees(view, &p, &normal)).count();
-            if !truth.views.is_empty() && num_seen < 2 {
-                return -1.0;
-            }
-            let nearest = tree
-                .query(sample)
-                .nearest_one::<SquaredEuclidean<f64>>()
-                .execute();
-            nearest.distance.sqrt()
-        })
-        .collect();
+    // Distance from the nearest point, where the surface is counted.
+    let gap = |&i: &usize| {
+        let p = Point3::from(samples.points[i]);
+        let [a, b, c] = corners(truth.mesh, samples.triangles[i] as usize);
+        let normal = (b - a).cross(&(c - a)).normalize();
+        let views = truth.views.iter();
+        let num_seen = views.filter(|view| sees(view, &p, &normal)).count();
+        if !truth.views.is_empty() && num_seen < 2 {
+            return None;
+        }
+        let [(squared, _)] = tree.nearest(&samples.points[i]);
+        Some(squared.sqrt())
+    };
+    let gaps: Vec<Option<f64>> = chosen.par_iter().map(gap).collect();
+    let area_of = |k: usize| samples.areas[chosen[k]];
     // Weighted by the area that a sample stands for.
     let sum_of = |weight: &dyn Fn(f64) -> f64| -> f64 {
-        let pairs = gaps.iter().zip(&samples.areas);
-        pairs.map(|(&gap, area)| weight(gap) * area).sum()
+        let counted = gaps.iter().enumerate();
+        counted
+            .filter_map(|(k, gap)| Some(weight((*gap)?) * area_of(k)))
+            .sum()
     };
-    let counted = sum_of(&|gap| f64::from(u8::from(gap >= 0.0)));
+    let counted = sum_of(&|_| 1.0);
     let mean_of = |weight: &dyn Fn(f64) -> f64| {
-        let sum = sum_of(&|gap| if gap >= 0.0 { weight(gap) } else { 0.0 });
-        if counted > 0.0 { sum / counted } else { 0.0 }
+        if counted > 0.0 {
+            sum_of(weight) / counted
+        } else {
+            0.0
+        }
     };
     let shares = |limit: f64| {
         let precision = precision_at(limit);
@@ -323,7 +397,7 @@ pub fn compare_cloud(
         .map(|factor| shares(factor * threshold))
         .to_vec();
     let completeness_mean = mean_of(&|gap| gap);
-    let mut gaps_counted: Vec<f64> = gaps.iter().copied().filter(|&gap| gap >= 0.0).collect();
+    let mut gaps_counted: Vec<f64> = gaps.iter().flatten().copied().collect();
     // Samples of the surface stand for nearly equal areas, so that a plain quantile serves.
     let gap_95 = quantile(&mut gaps_counted, 0.95).unwrap_or(0.0);
     Some(CloudComparison {
@@ -334,12 +408,13 @@ pub fn compare_cloud(
         completeness: main.completeness,
         f_score: main.f_score,
         threshold,
-        counted_surface: counted / samples.areas.iter().sum::<f64>(),
+        counted_surface: counted / (0..chosen.len()).map(area_of).sum::<f64>(),
         completeness_mean,
         chamfer_l1: 0.5 * (accuracy_mean + completeness_mean),
         chamfer_l2: 0.5 * (accuracy_square + mean_of(&|gap| gap * gap)),
         hausdorff_95: quantile(&mut distances, 0.95)?.max(gap_95),
         at,
+        apart,
     })
 }
 
@@ -425,6 +500,74 @@ mod tests {
         ] {
             let (d, _) = surface.nearest(&p);
             assert!((d - expected).abs() < 1e-12, "{p:?}: {d} {expected}");
+        }
+    }
+
+    #[test]
+    fn a_cloud_in_another_scale_or_frame_is_told_soon() {
+        // A ball is the worst: from its middle all of its surface is equally near.
+        const ROWS: u32 = 100;
+        let at = |row: u32, column: u32| row * 2 * ROWS + column % (2 * ROWS);
+        let ball: Vec<[f32; 3]> = (0..ROWS * 2 * ROWS)
+            .map(|k| {
+                let step = std::f32::consts::PI / ROWS as f32;
+                let (polar, turn) = (
+                    step * ((k / (2 * ROWS)) as f32 + 0.5),
+                    step * (k % (2 * ROWS)) as f32,
+                );
+                [
+                    polar.sin() * turn.cos(),
+                    polar.sin() * turn.sin(),
+                    polar.cos(),
+                ]
+            })
+            .collect();
+        let squares = (0..ROWS - 1).flat_map(|row| (0..2 * ROWS).map(move |column| (row, column)));
+        let mesh = Mesh {
+            vertices: ball.clone(),
+            triangles: squares
+                .flat_map(|(r, c)| {
+                    let (a, b) = (at(r, c), at(r, c + 1));
+                    let (d, e) = (at(r + 1, c), at(r + 1, c + 1));
+                    [[a, d, b], [b, d, e]]
+                })
+                .collect(),
+            ..Mesh::default()
+        };
+        let moved = |scale: f32, shift: f32| -> Vec<CloudPoint> {
+            let place = |p: &[f32; 3]| [scale * p[0] + shift, scale * p[1], scale * p[2]];
+            ball.iter()
+                .map(|p| CloudPoint {
+                    position: place(p),
+                    ..cloud(0.0, 1)[0]
+                })
+                .collect()
+        };
+        let truth = TrueSurface {
+            mesh: &mesh,
+            views: &[],
+            threshold: None,
+        };
+        let compare = |scale, shift| {
+            let began = std::time::Instant::now();
+            let compared =
+                compare_cloud(&moved(scale, shift), &truth, &Similarity::identity("test"));
+            let seconds = began.elapsed().as_secs_f64();
+            assert!(seconds < 20.0, "{seconds} s at {scale}, {shift}");
+            compared.expect("neither is empty")
+        };
+        assert_eq!(compare(1.0, 0.0).apart, None);
+        for (scale, shift) in [(1000.0, 0.0), (0.001, 0.0), (1.0, 3e4)] {
+            let compared = compare(scale, shift);
+            let apart = compared.apart.expect("they do not match");
+            let ratio = apart.cloud_size / apart.surface_size;
+            // The vertices crowd at the poles, the surface does not.
+            assert!((ratio / f64::from(scale) - 1.0).abs() < 0.05, "{apart:?}");
+            assert!(
+                (apart.offset - f64::from(shift)).abs() < 0.2 * f64::from(scale).max(1.0),
+                "{apart:?}"
+            );
+            assert!(compared.f_score < 0.1, "{compared:?}");
         }
     }
 

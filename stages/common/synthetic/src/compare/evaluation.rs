@@ -5,6 +5,7 @@ use super::appearance::AppearanceComparison;
 use super::cloud::{CloudComparison, TrueSurface, compare_cloud};
 use super::maps::{MapComparison, PixelErrors, aggregate};
 use crate::error::SyntheticError;
+use rilievo_numerics::robust::median;
 use rilievo_scene::CloudPoint;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -44,6 +45,56 @@ pub struct Evaluation {
     pub appearance: AppearanceComparison,
     /// Key of a null value: why it could not be computed.
     pub reasons: BTreeMap<String, String>,
+    /// Where both sides do not match in scale or frame: by how much, and what to try.
+    pub mismatches: Vec<String>,
+}
+
+/// Median factor between the depths of both sides from which they are not of one scale.
+const MAX_DEPTH_FACTOR: f64 = 2.0;
+
+/// A length in a sentence.
+fn length(value: f64) -> String {
+    if (0.01..1e4).contains(&value) {
+        format!("{value:.3}")
+    } else {
+        format!("{value:.2e}")
+    }
+}
+
+fn mismatches(
+    alignment: Alignment,
+    errors: &[(String, PixelErrors)],
+    cloud: Option<&CloudComparison>,
+) -> Vec<String> {
+    let remedy = match alignment {
+        Alignment::Sim3 => {
+            "the cameras of both sides were aligned, so that on one of them cameras and surface are in \
+             different units or frames"
+        }
+        Alignment::None | Alignment::Se3 => {
+            "try --align sim3, which finds frame and scale from the cameras, and check the unit of both"
+        }
+    };
+    let mut told = Vec::new();
+    let depths = errors.iter().flat_map(|(_, view)| &view.depths);
+    let mut factors: Vec<f64> = depths.map(|[z, t]| f64::from(*z) / f64::from(*t)).collect();
+    if let Some(factor) = median(&mut factors)
+        && !(1.0 / MAX_DEPTH_FACTOR..=MAX_DEPTH_FACTOR).contains(&factor)
+    {
+        let factor = length(factor);
+        told.push(format!(
+            "the depths are {factor} times the true ones: they do not match in scale; {remedy}"
+        ));
+    }
+    if let Some(apart) = cloud.and_then(|cloud| cloud.apart) {
+        let [cloud, surface, offset] =
+            [apart.cloud_size, apart.surface_size, apart.offset].map(length);
+        told.push(format!(
+            "the cloud is {cloud} across, the true surface {surface}, and their middles lie {offset} apart: \
+             they do not match in scale or frame; {remedy}"
+        ));
+    }
+    told
 }
 
 /// Gathers an evaluation from poses, per-view errors (of [`super::compare_maps`] after
@@ -86,6 +137,7 @@ pub fn evaluate(
             None
         }
     };
+    let mismatches = mismatches(similarity.alignment, &errors, cloud.as_ref());
     Ok(Evaluation {
         alignment: similarity.alignment,
         scale: similarity.scale,
@@ -99,5 +151,35 @@ pub fn evaluate(
         cloud,
         appearance: AppearanceComparison::default(),
         reasons,
+        mismatches,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::compare::NormalSource;
+
+    #[test]
+    fn depths_of_another_scale_are_told_with_the_factor_and_what_to_try() {
+        let told = |factor: f32, alignment| {
+            let errors = PixelErrors {
+                num_truth: 3,
+                num_estimated: 3,
+                normal_deg: Vec::new(),
+                depth_rel: Vec::new(),
+                depths: [1.0, 1.1, 1.2].map(|z| [factor * z, z]).to_vec(),
+                normal_source: NormalSource::Maps,
+            };
+            mismatches(alignment, &[("a".to_owned(), errors)], None).join("; ")
+        };
+        assert_eq!(told(1.3, Alignment::None), "");
+        for (factor, shown) in [(1000.0, "1000.000 times"), (0.001, "1.00e-3 times")] {
+            let message = told(factor, Alignment::None);
+            let parts = [shown, "do not match in scale", "--align sim3"];
+            assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+        }
+        // What was done already is no advice.
+        assert!(!told(1000.0, Alignment::Sim3).contains("--align"));
+    }
 }

@@ -9,6 +9,7 @@ mod appearance;
 mod cloud;
 mod evaluation;
 mod maps;
+mod nearest;
 mod truth;
 
 pub use align::{AlignmentRequest, NamedPose, PoseComparison, Similarity, align, compare_poses};

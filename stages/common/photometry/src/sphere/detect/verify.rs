@@ -148,7 +148,7 @@ pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     }
     let options = FitOptions {
         start_left_out: 0.0,
-        max_condition: f64::INFINITY,
+        max_condition: FitOptions::ANY_CONDITION,
         ..FitOptions::default()
     };
     let fit = fit_robust(&normals, &values, None, &options).ok()?;

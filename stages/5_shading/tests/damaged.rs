@@ -1,0 +1,87 @@
+//! Poses, anchors and light that were damaged between the stages: an error that says so, or a result,
+//! never a panic.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+#[path = "../../common/mutated.rs"]
+mod mutated;
+#[path = "../../common/posed_sphere.rs"]
+mod posed_sphere;
+
+use mutated::{Random, mutated};
+use posed_sphere::world;
+use rilievo_scene::{Silent, StageId};
+use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
+
+/// Both models with the least work.
+fn models() -> [ShadingOptions; 2] {
+    [ShadingModel::Photo, ShadingModel::Paper].map(|model| {
+        let mut options = ShadingOptions {
+            model,
+            ..ShadingOptions::default()
+        };
+        options.photo.num_sweeps = 1;
+        options.photo.num_laps = 1;
+        options.photo.num_half_laps = 0;
+        options.photo.max_more_laps = 0;
+        options.photo.max_num_rounds = 1;
+        options.photo.num_rays = 16;
+        options
+    })
+}
+
+#[test]
+fn the_undamaged_world_has_a_shape() {
+    let world = world();
+    for options in models() {
+        let (shaded, _) = run(
+            &world.photos,
+            &world.posed,
+            &world.lighting,
+            &options,
+            &Silent,
+        )
+        .unwrap();
+        assert_eq!(shaded.views.len(), 3);
+    }
+}
+
+#[test]
+fn an_anchor_in_no_view_is_named() {
+    let world = world();
+    let mut posed = world.posed.clone();
+    posed.anchors[4].observations[1].view.0 = 3;
+    for options in models() {
+        match run(&world.photos, &posed, &world.lighting, &options, &Silent) {
+            Err(ShadingError::Inconsistent(error)) => {
+                assert_eq!(error.made_by, StageId::Poses);
+                assert_eq!(error.reason, "anchor 4 is seen in view 3 of 3");
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[test]
+fn poses_and_light_changed_at_random_never_end_in_a_panic() {
+    let world = world();
+    let mut random = Random(5);
+    let (mut tried, mut refused) = (0, 0);
+    while tried < 12 {
+        let (Some((posed, of_poses)), Some((lighting, of_light))) = (
+            mutated(&world.posed, &mut random),
+            mutated(&world.lighting, &mut random),
+        ) else {
+            continue;
+        };
+        tried += 1;
+        println!("{of_poses}, {of_light}");
+        for options in models() {
+            for (posed, lighting) in [(&posed, &world.lighting), (&world.posed, &lighting)] {
+                let found = run(&world.photos, posed, lighting, &options, &Silent);
+                refused += usize::from(matches!(found, Err(ShadingError::Inconsistent(_))));
+            }
+        }
+    }
+    assert!(refused > 2, "{refused} of {}", 4 * tried);
+}
