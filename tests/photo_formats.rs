@@ -6,10 +6,10 @@ mod common;
 
 use common::{arg, noise_photos, reconstruct_until, run};
 use rilievo_io::{
-    DeepFormat, read_linear, read_mask, read_normal, write_depth, write_linear, write_linear_half,
-    write_photo_deep, write_photo_dng, write_photo_jpeg,
+    DeepFormat, read_linear, read_mask, read_normal, write_linear, write_photo_deep,
+    write_photo_dng, write_photo_jpeg,
 };
-use rilievo_scene::{DepthMap, ExifFacts, LinearImage, Mask, NormalMap};
+use rilievo_scene::{ExifFacts, LinearImage, Mask, NormalMap};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -146,50 +146,6 @@ fn one_scene_in_every_format_is_the_same_light_and_the_same_shape() {
         assert!(angle <= allowed, "{photo}: {angle} deg > {allowed}");
         reference.get_or_insert(normals);
     }
-}
-
-/// The reader that examples/python.md shows, where Python and NumPy are there.
-#[test]
-fn the_documented_reader_reads_what_is_written() {
-    let dir = tempfile::tempdir().unwrap();
-    let mut image = LinearImage::filled(37, 41, 3, 0.0);
-    for (i, value) in image.data.iter_mut().enumerate() {
-        *value = (i % 1024) as f32 / 1024.0;
-    }
-    write_linear_half(&dir.path().join("half.exr"), &image).unwrap();
-    let depth = DepthMap::from_fn(37, 41, |x, y| 1.0 + 0.125 * x as f32 + 0.5 * y as f32);
-    write_depth(&dir.path().join("depth.exr"), &depth).unwrap();
-    write_linear(&dir.path().join("piz.exr"), &image).unwrap();
-    let guide = include_str!("../examples/python.md");
-    let code = guide.split("```").nth(1).expect("a block of code");
-    let reader = code
-        .strip_prefix("python\n")
-        .expect("Python")
-        .split("\ndepth = ")
-        .next();
-    let script = format!(
-        "{}\nhalf, depth = read_exr('half.exr'), read_exr('depth.exr')['Z']\n\
-         values = np.stack([half[c] for c in 'RGB'], -1).ravel().astype('f8')\n\
-         assert (values == np.arange(values.size) % 1024 / 1024).all()\n\
-         y, x = np.mgrid[:41, :37]\n\
-         assert (depth == 1 + 0.125 * x + 0.5 * y).all()\n\
-         try:\n    read_exr('piz.exr')\n    assert False\n\
-         except AssertionError as error:\n    assert 'OpenEXR' in str(error)\n",
-        reader.unwrap_or_default()
-    );
-    let python = |script: &str| {
-        std::process::Command::new("python3")
-            .args(["-c", script])
-            .current_dir(dir.path())
-            .output()
-    };
-    if !python("import numpy").is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: there is no python3 with NumPy");
-        return;
-    }
-    let output = python(&script).unwrap();
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{stderr}");
 }
 
 /// A picture of shading alone, which interpolation loses nothing of.
