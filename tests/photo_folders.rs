@@ -112,7 +112,7 @@ fn a_line_break_in_a_name_costs_that_photo_alone() {
     let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
     assert_eq!(code, 0, "{stderr}");
     assert!(
-        stderr.contains("break.jpg is left out") && stderr.contains("rename it"),
+        stderr.contains("break.jpg is left out") && stderr.contains("rename the photo"),
         "{stderr}"
     );
     assert!(run_dir.join("1_photos/linear/p0.exr").exists());
