@@ -251,6 +251,9 @@ pub struct ReconstructArgs {
     /// Known lighting; NAME picks one of several in the file
     #[arg(long, value_name = "FILE[:NAME]", conflicts_with = "lighting_shape")]
     pub lighting: Option<String>,
+    /// Use the given light also where the photos contradict it
+    #[arg(long)]
+    pub trust_lighting: bool,
     /// Fit the lighting on known depth maps, DIR/NAME_depth.exr
     #[arg(long, value_name = "DIR")]
     pub lighting_shape: Option<PathBuf>,

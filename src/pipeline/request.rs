@@ -115,6 +115,7 @@ impl Request {
     pub fn from_args(args: &ReconstructArgs) -> Result<Self, Failure> {
         let mut options = StageOptions::read(args.config.as_deref())?;
         options.override_with(args.model, args.anchors, args.encoding);
+        options.shading.photo.trust_lighting |= args.trust_lighting;
         if let Some(known) = &args.known_distance {
             options.poses.known_distance = Some(known.clone());
         }

@@ -58,6 +58,7 @@ pub fn world() -> World {
                 name: "the sphere".to_owned(),
                 paint: Some(vec![1.0; 3]),
             }],
+            samples: Vec::new(),
         },
         shaded: ShadedViews::default(),
     };

@@ -17,12 +17,12 @@
 //!    the others are left out, and said to be.
 
 use crate::LightingOptions;
-use crate::cells::{NUM_CELLS, cell_of};
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::side::{Patch, Side};
 use crate::sphere_light::residual_of;
 use nalgebra::{UnitQuaternion, Vector3};
+use rilievo_photometry::samples::{NUM_CELLS, cell_of};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;
 use rilievo_scene::{LightKind, Lighting};

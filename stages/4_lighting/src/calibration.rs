@@ -7,11 +7,11 @@
 
 use crate::pool::Pool;
 use crate::report::LightingReport;
-use crate::samples::{Shot, SphereSamples};
 use crate::side::Side;
 use crate::sphere_light::{describe, gains_of, ones, report_gains, views_from_environment};
-use crate::{LightingError, LightingOptions};
+use crate::{LightingError, LightingOptions, light_samples};
 use nalgebra::UnitQuaternion;
+use rilievo_photometry::samples::{Shot, SphereSamples};
 use rilievo_photometry::sphere::{cone_from_mark, detect_in_photo};
 use rilievo_scene::{
     LightKind, LightSource, LightingCalibration, PhotoSet, PosedViews, SphereCalibration,
@@ -27,9 +27,11 @@ pub(crate) fn from_calibration(
     mut report: LightingReport,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let mut pool = Pool::default();
+    let mut points = light_samples::of_spheres(side);
     let mut num_channels = 1;
     for calibration in &request.calibration {
-        let (samples, world_from_cam) = calibration_samples(photos, posed, calibration, options)?;
+        let (samples, camera) = calibration_samples(photos, posed, calibration, options)?;
+        let world_from_cam = posed.views[camera.0].cam_from_world.rotation.inverse();
         num_channels = calibration.image.channels;
         let frame = match report.kind {
             LightKind::World => world_from_cam,
@@ -37,6 +39,12 @@ pub(crate) fn from_calibration(
         };
         let share = options.max_num_samples / request.calibration.len();
         pool.add(&samples, &frame, &ones(num_channels), share);
+        points.extend(light_samples::of_calibration(
+            &samples,
+            camera,
+            report.kind,
+            posed,
+        ));
     }
     let fit = pool.fit("the calibration photo", options)?;
     describe(&fit, &mut report);
@@ -69,26 +77,28 @@ pub(crate) fn from_calibration(
             environment_in_world,
             views,
             spheres: Vec::new(),
+            samples: points,
         },
         report,
     ))
 }
 
-/// Samples of a calibration sphere, with the rotation of its camera.
+/// Samples of a calibration sphere, with the view of its camera.
 fn calibration_samples(
     photos: &PhotoSet,
     posed: &PosedViews,
     calibration: &SphereCalibration,
     options: &LightingOptions,
-) -> Result<(SphereSamples, UnitQuaternion<f64>), LightingError> {
+) -> Result<(SphereSamples, ViewIdx), LightingError> {
     let of_sphere_error = |source| LightingError::Sphere {
         of: calibration.name.clone(),
         source,
     };
-    let camera = posed
+    let (idx, camera) = posed
         .views
         .iter()
-        .find(|view| view.photo == calibration.same_camera_as)
+        .enumerate()
+        .find(|(_, view)| view.photo == calibration.same_camera_as)
         .ok_or_else(|| LightingError::CalibrationCamera {
             name: calibration.name.clone(),
             camera: photos
@@ -118,6 +128,6 @@ fn calibration_samples(
         clip_level,
         intrinsics: &camera.intrinsics,
     };
-    let samples = shot.samples(&cone.sphere(1.0), &[], options);
-    Ok((samples, camera.cam_from_world.rotation.inverse()))
+    let samples = shot.samples(&cone.sphere(1.0), &[], &options.sampling());
+    Ok((samples, ViewIdx(idx)))
 }

@@ -13,25 +13,10 @@
 
 use nalgebra::Vector3;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
+use rilievo_photometry::samples::{NUM_CELLS, cell_of};
 
-/// Number of cells along an edge of the cube around the unit sphere: about 8° a cell.
-const CELLS_PER_EDGE: usize = 12;
-/// Number of cells.
-pub(crate) const NUM_CELLS: usize = 6 * CELLS_PER_EDGE * CELLS_PER_EDGE;
 /// Fewest pixels that make a cell's mean.
 const MIN_PIXELS: usize = 4;
-
-/// Cell of a unit normal on the cube around the sphere.
-pub(crate) fn cell_of(n: &Vector3<f64>) -> usize {
-    let axis = n.iamax();
-    let face = 2 * axis + usize::from(n[axis] < 0.0);
-    // The arctangent evens out the cells' sizes.
-    let coordinate = |k: usize| {
-        let angle = (n[(axis + k) % 3] / n[axis].abs()).atan() / std::f64::consts::FRAC_PI_2;
-        (((angle + 0.5) * CELLS_PER_EDGE as f64) as usize).min(CELLS_PER_EDGE - 1)
-    };
-    (face * CELLS_PER_EDGE + coordinate(1)) * CELLS_PER_EDGE + coordinate(2)
-}
 
 /// One view's mean logarithm of brightness in a cell.
 #[derive(Clone, Copy, Debug)]

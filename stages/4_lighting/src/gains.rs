@@ -6,9 +6,10 @@
 //! Under a light fixed to the camera the light may differ from photo to photo as well, and gain and
 //! light cannot be told apart; nor does it matter, as each photo has its own lighting.
 
-use crate::cells::{CellMean, NUM_CELLS, TwoWay, cell_means, two_way};
+use crate::cells::{CellMean, TwoWay, cell_means, two_way};
 use crate::options::GainMode;
 use crate::side::Side;
+use rilievo_photometry::samples::NUM_CELLS;
 use rilievo_photometry::harmonics::LightingFit;
 
 /// Gains of all views.

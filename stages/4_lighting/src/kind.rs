@@ -5,10 +5,11 @@
 //! normals in the world (a resting light leaves none) and at equal normals in the camera (a light
 //! fixed to the camera leaves none). Views that look in nearly the same direction cannot tell.
 
-use crate::cells::{CellMean, NUM_CELLS, cell_means, two_way};
+use crate::cells::{CellMean, cell_means, two_way};
 use crate::report::KindCheck;
 use crate::side::Side;
 use nalgebra::{UnitQuaternion, Vector3};
+use rilievo_photometry::samples::NUM_CELLS;
 use rilievo_scene::{LightKind, PosedViews};
 
 /// The better kind must leave this many times less scatter.

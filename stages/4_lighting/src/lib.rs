@@ -35,6 +35,7 @@ mod check;
 mod error;
 mod gains;
 mod kind;
+mod light_samples;
 mod object_light;
 mod options;
 mod overlay;
@@ -43,7 +44,6 @@ mod place;
 mod pool;
 mod report;
 mod request;
-mod samples;
 mod shape;
 mod side;
 mod sphere_light;
@@ -58,10 +58,11 @@ pub use report::{
 pub use request::LightingRequest;
 pub use shape::{fit_on_normals, fit_on_shape};
 
+use rilievo_photometry::samples::read_spheres;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 5;
+pub const VERSION: u32 = 6;
 
 /// Lighting of all posed views.
 ///
@@ -81,7 +82,12 @@ pub fn run(
         return Err(LightingError::NoView);
     }
     match request {
-        LightingRequest::Given(lightings) => request::given(posed, lightings),
+        LightingRequest::Given(lightings) => {
+            let (mut calibration, report) = request::given(posed, lightings)?;
+            let of_spheres = read_spheres(photos, posed, &options.sampling())?;
+            calibration.samples.extend(of_spheres);
+            Ok((calibration, report))
+        }
         LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, options, observer),
         LightingRequest::Sphere(sphere) => {
             let (mut calibration, mut report) =

@@ -1,6 +1,7 @@
 //! Options of stage 4.
 
 use rilievo_photometry::harmonics::FitOptions;
+use rilievo_photometry::samples::SamplingOptions;
 use rilievo_photometry::sphere::SphereOptions;
 use rilievo_scene::{InTable, LightKind, OptionError, in_range};
 use serde::{Deserialize, Serialize};
@@ -73,13 +74,18 @@ pub struct LightingOptions {
 
 impl Default for LightingOptions {
     fn default() -> Self {
+        let SamplingOptions {
+            margin_px,
+            min_cos_view,
+            clip_share,
+        } = SamplingOptions::default();
         Self {
             fit: FitOptions::default(),
             sphere: SphereOptions::default(),
             own_shape_light: None,
-            margin_px: 2.0,
-            min_cos_view: 0.12,
-            clip_share: 0.97,
+            margin_px,
+            min_cos_view,
+            clip_share,
             min_num_pixels: 150,
             object_light: ObjectLight::Correct,
             gains: GainMode::Auto,
@@ -92,6 +98,15 @@ impl Default for LightingOptions {
 }
 
 impl LightingOptions {
+    /// Which pixels of a sphere count.
+    pub(crate) fn sampling(&self) -> SamplingOptions {
+        SamplingOptions {
+            margin_px: self.margin_px,
+            min_cos_view: self.min_cos_view,
+            clip_share: self.clip_share,
+        }
+    }
+
     /// Checks every number.
     ///
     /// # Errors

@@ -5,9 +5,9 @@
 //! clipped, blue: far from the light, grey: outline's margin, grazing or hidden). Several spheres
 //! stand below each other. The program writes them as pictures; this stage touches no file.
 
-use crate::samples::Shot;
 use crate::sphere_light::scaled;
 use crate::{LightingError, LightingOptions};
+use rilievo_photometry::samples::Shot;
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{Lighting, LightingCalibration, LinearImage, PhotoSet, PosedViews};
 
@@ -155,7 +155,7 @@ fn crops(
         }
         put(2, pixel.x, pixel.y, [0.2; 3]);
     }
-    let samples = shot.samples(sphere, spheres, options);
+    let samples = shot.samples(sphere, spheres, &options.sampling());
     for (k, &(x, y)) in samples.positions.iter().enumerate() {
         let is_far = lighting.is_some_and(|light| {
             let channels = light.channels.iter().zip(&samples.values[k]);

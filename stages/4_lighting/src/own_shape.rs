@@ -164,6 +164,7 @@ pub(crate) fn run(
         environment_in_world: (kind == LightKind::World).then_some(environment),
         views,
         spheres: Vec::new(),
+        samples: Vec::new(),
     };
     Ok((calibration, report))
 }

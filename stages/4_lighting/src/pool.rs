@@ -1,8 +1,8 @@
 //! Pixels and anchors of one view or several, gathered for one fit of the light.
 
-use crate::samples::SphereSamples;
 use crate::{LightingError, LightingOptions};
 use nalgebra::{UnitQuaternion, Vector3};
+use rilievo_photometry::samples::SphereSamples;
 use rilievo_photometry::harmonics::{LightingFit, fit_lighting};
 
 /// Normals and intensities in one frame, intensities divided by the gains where they apply.

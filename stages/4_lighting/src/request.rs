@@ -1,6 +1,6 @@
 //! What the lighting is to be taken from, and the case where it is given.
 
-use crate::LightingError;
+use crate::{LightingError, light_samples};
 use crate::report::{LightingReport, ViewLightReport};
 use rilievo_photometry::harmonics::rotate;
 use rilievo_scene::{
@@ -51,6 +51,7 @@ pub(crate) fn given(
         return Err(LightingError::GivenMissing { views: missing });
     }
     let kind = fixed_to(posed, &views);
+    let samples = light_samples::of_harmonics(&views, kind, posed);
     let environment_in_world = (kind == LightKind::World)
         .then(|| {
             let first = &posed.views.first()?;
@@ -75,6 +76,7 @@ pub(crate) fn given(
             environment_in_world,
             views,
             spheres: Vec::new(),
+            samples,
         },
         report,
     ))

@@ -240,6 +240,7 @@ pub(crate) fn run(
         environment_in_world: None,
         views,
         spheres: Vec::new(),
+        samples: Vec::new(),
     };
     Ok((calibration, report))
 }

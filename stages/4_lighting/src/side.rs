@@ -1,9 +1,9 @@
 //! The spheres beside the object, in the views that show enough of them.
 
 use crate::report::{LightingReport, SphereLightReport, ViewLightReport};
-use crate::samples::{Coverage, Shot, SphereSamples};
 use crate::{LightingError, LightingOptions};
 use nalgebra::UnitQuaternion;
+use rilievo_photometry::samples::{Coverage, Shot, SphereSamples};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
     Event, Flow, LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, SphereLight, StageId,
@@ -136,7 +136,7 @@ fn one_view(
             clip_level: photo.clip_level,
             intrinsics: &view.intrinsics,
         };
-        let samples = shot.samples(&in_camera[k], &in_camera, options);
+        let samples = shot.samples(&in_camera[k], &in_camera, &options.sampling());
         let num_pixels = samples.num_usable();
         facts.num_pixels += num_pixels;
         facts.radius_px = Some(facts.radius_px.unwrap_or(0.0).max(samples.radius_px));

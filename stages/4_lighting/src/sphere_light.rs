@@ -18,7 +18,7 @@ use crate::options::GainMode;
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport};
 use crate::side::{Counted, Side, collect};
-use crate::{LightingError, LightingOptions, agreement, kind, place};
+use crate::{LightingError, LightingOptions, agreement, kind, light_samples, place};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_scene::{
@@ -268,6 +268,7 @@ fn from_side_world(
             environment_in_world: Some(environment),
             views,
             spheres: side.verdicts(posed),
+            samples: light_samples::of_spheres(&side),
         },
         report,
     ))
@@ -337,6 +338,7 @@ fn from_side_camera(
             environment_in_world: None,
             views,
             spheres: side.verdicts(posed),
+            samples: light_samples::of_spheres(&side),
         },
         report,
     ))

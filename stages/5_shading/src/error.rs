@@ -2,6 +2,25 @@
 
 use rilievo_scene::{Inconsistent, OptionError};
 
+/// How badly a given light fits a view.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LightMisfit {
+    /// The view's name.
+    pub view: String,
+    /// Relative residual that the given light leaves after the best gain.
+    pub given: f64,
+    /// What nine harmonics fitted on the view leave.
+    pub fitted: f64,
+}
+
+fn described(views: &[LightMisfit]) -> String {
+    let one = |m: &LightMisfit| {
+        let (given, fitted) = (100.0 * m.given, 100.0 * m.fitted);
+        format!("{} ({given:.0} % against {fitted:.0} %)", m.view)
+    };
+    views.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
 /// Errors of stage 5; each carries the facts and says what to try.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
@@ -103,6 +122,20 @@ pub enum ShadingError {
     NoDepth {
         /// The view's name.
         view: String,
+    },
+    /// A light from elsewhere is not the light of the photos.
+    #[error(
+        "the given light is not the light of these photos: in {} of {num_views} views it leaves far more of \
+         the brightness unexplained than a light fitted on them: {}; check that the file belongs to these \
+         photos, its frame (each view's own camera, x right, y down, z forward) and its order of \
+         coefficients, leave --lighting out, or say --trust-lighting to use it all the same",
+        views.len(), described(views)
+    )]
+    LightContradicts {
+        /// The views that contradict it.
+        views: Vec<LightMisfit>,
+        /// Views that were compared.
+        num_views: usize,
     },
     /// Pixels of a photo could not be loaded.
     #[error(transparent)]

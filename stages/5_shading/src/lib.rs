@@ -50,7 +50,7 @@ mod splitting;
 mod start;
 mod theta;
 
-pub use error::ShadingError;
+pub use error::{LightMisfit, ShadingError};
 pub use options::{
     Coupling, HarmonicOrder, PenaltySchedule, Projection, ShadingModel, ShadingOptions, Splitting,
     StartShape,
@@ -66,7 +66,7 @@ pub use solution::{
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 12;
+pub const VERSION: u32 = 13;
 
 /// Solves the views of a problem.
 ///

@@ -95,6 +95,7 @@ fn no_light() -> LightingCalibration {
         environment_in_world: None,
         views: Vec::new(),
         spheres: Vec::new(),
+        samples: Vec::new(),
     }
 }
 

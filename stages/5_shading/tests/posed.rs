@@ -60,6 +60,7 @@ fn world() -> World {
             environment_in_world: None,
             views: Vec::new(),
             spheres: Vec::new(),
+            samples: Vec::new(),
         },
     };
     for (index, angle) in [0.0, 0.35].into_iter().enumerate() {

@@ -11,6 +11,7 @@ mod input;
 mod picture;
 mod planes;
 
+use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{LightKind, LightSource, LightingCalibration, ShadedViews, Silent};
 use rilievo_shading::photo::{self, PhotoOptions};
 use std::cell::Cell;
@@ -61,11 +62,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let input = input::load(&arguments.folder, photo_folder, &arguments.views)?;
     let regions = accuracy::regions(&input);
     let lighting = LightingCalibration {
-        source: LightSource::OwnShape,
+        source: LightSource::Sphere,
         kind: LightKind::World,
         environment_in_world: None,
         views: Vec::new(),
         spheres: Vec::new(),
+        samples: read_spheres(&input.photos, &input.posed, &SamplingOptions::default())?,
     };
     let began = std::time::Instant::now();
     let num_steps = Cell::new(0);

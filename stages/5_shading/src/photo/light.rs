@@ -1,8 +1,8 @@
 //! The light of a lap: nine coefficients per pixel of every view, fitted on the current shape.
 //!
 //! Rays from the pixels of the next coarser level against the solid that the depth
-//! maps carve, the spheres and the ground; the environment fitted on object and sphere pixels together
-//! (those of the spheres that see the object's light), still in the world or, for a light fixed to the
+//! maps carve, the spheres and the ground; the environment fitted on object pixels and what stage 4 knows
+//! of the light (`known_light`) together, still in the world or, for a light fixed to the
 //! camera, still in the camera's frame, where every view casts the same rays in directions of its own;
 //! coefficients interpolated to the level. Pigment, and an albedo of the sphere that differs from the
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
@@ -12,16 +12,16 @@ use super::level::{Level, LevelView};
 use super::plate;
 use super::shading::{self, PixelHarmonics, PixelLight};
 use super::spread;
-use super::surround::{SmallPhoto, SpherePoint, look_at_spheres};
+use super::known_light::KnownLight;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::rotate_harmonics;
 use rilievo_photometry::visibility::{
-    DepthView, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Volume, WarmSphere,
+    DepthView, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Transfer, Volume, WarmSphere,
     directions, fit_environment, transfer,
 };
-use rilievo_scene::{Intrinsics, LightKind, LocatedSphere, RigidTransform, SphericalHarmonics};
+use rilievo_scene::{Intrinsics, LightKind, RigidTransform, SphericalHarmonics};
 
 /// The light of all views at one level.
 #[derive(Clone, Debug)]
@@ -63,14 +63,9 @@ impl Light {
 
 /// What the light is fitted with, apart from the shape.
 pub(crate) struct LightScene<'a> {
-    pub photos: &'a [SmallPhoto],
-    pub spheres: &'a [LocatedSphere],
-    /// Indices of those that see another light: they hide and send light, but tell nothing of it.
-    pub unlike: &'a [usize],
+    pub known: &'a KnownLight,
     pub ground: Option<&'a Ground>,
     pub num_rays: usize,
-    /// What the environment is fixed to.
-    pub kind: LightKind,
 }
 
 /// The environment's directions in the world: the same for all views where the light is fixed in the
@@ -113,8 +108,8 @@ const MEAN_TOLERANCE_PX: f64 = 1.8;
 /// Belief in pigment, and departure of the sphere's albedo, below which a second fit changes nothing.
 const MIN_BELIEF: f64 = 0.05;
 const MIN_RATIO: f32 = 0.03;
-/// Influence of all sphere points against all object pixels of one view.
-const SPHERE_SHARE: f32 = 5.0;
+/// Influence of all points of the known light against all object pixels of one view.
+const KNOWN_SHARE: f32 = 5.0;
 
 pub(crate) fn rotation(view: &LevelView) -> UnitQuaternion<f64> {
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(view.camera.rotation))
@@ -208,16 +203,13 @@ pub(crate) fn visible_on(
     scene: &LightScene,
 ) -> Option<Light> {
     let volume = Volume::carve(&depth_views(level, depths), MAX_VOXELS)?;
-    let (points, warm): (Vec<Vec<SpherePoint>>, Vec<WarmSphere>) =
-        look_at_spheres(scene.spheres, scene.unlike, scene.photos, scene.kind)
-            .into_iter()
-            .unzip();
+    let known = scene.known;
     let surroundings = Surroundings {
         volume,
-        spheres: warm,
+        spheres: known.spheres.clone(),
         ground: scene.ground.cloned(),
     };
-    let rays = Rays::new(scene.num_rays, scene.kind, level);
+    let rays = Rays::new(scene.num_rays, known.kind, level);
     let transfers: Vec<Vec<_>> = (0..rays_at.views.len())
         .map(|i| {
             let view = &rays_at.views[i];
@@ -244,7 +236,7 @@ pub(crate) fn visible_on(
             if !view.is_usable(p) || intensity.iter().sum::<f32>() < 1e-4 {
                 continue;
             }
-            let t: &rilievo_photometry::visibility::Transfer = &transfers[i][p];
+            let t: &Transfer = &transfers[i][p];
             samples.push(EnvironmentSample {
                 row: t.row(rays.of(i)),
                 nearby: t.nearby_intensity(),
@@ -254,27 +246,34 @@ pub(crate) fn visible_on(
             owners.push((i, p));
         }
     }
-    let num_points: usize = points.iter().map(Vec::len).sum();
-    let weight = SPHERE_SHARE * FIT_PIXELS as f32 / num_points.max(1) as f32;
-    let mut of_spheres = Vec::with_capacity(points.len());
-    for (k, (points, warm)) in points.iter().zip(&surroundings.spheres).enumerate() {
-        let extra: Vec<EnvironmentSample> = points
+    let num_points: usize = known.groups.iter().map(|group| group.points.len()).sum();
+    let weight = KNOWN_SHARE * FIT_PIXELS as f32 / num_points.max(1) as f32;
+    let mut of_groups = Vec::with_capacity(known.groups.len());
+    for group in &known.groups {
+        let extra: Vec<EnvironmentSample> = group
+            .points
             .par_iter()
             .map(|p| {
-                let at = warm.center.coords + p.normal * warm.radius;
-                let offset = 0.02 * warm.radius;
                 let rays = rays.of(p.view);
-                let t = transfer(&surroundings, &at, &p.normal, rays, offset, Some(k));
+                let t = match group.sphere {
+                    Some(k) => {
+                        let WarmSphere { center, radius, .. } = &surroundings.spheres[k];
+                        let at = center.coords + p.normal * *radius;
+                        let offset = 0.02 * radius;
+                        transfer(&surroundings, &at, &p.normal, rays, offset, Some(k))
+                    }
+                    None => Transfer::open(&p.normal, rays.len()),
+                };
                 EnvironmentSample {
                     row: t.row(rays),
                     nearby: t.nearby_intensity(),
-                    intensity: p.radiance,
+                    intensity: p.intensity,
                     weight,
                 }
             })
             .filter(|s| s.intensity.iter().sum::<f32>() > 1e-4)
             .collect();
-        of_spheres.push(samples.len()..samples.len() + extra.len());
+        of_groups.push(samples.len()..samples.len() + extra.len());
         samples.extend(extra);
     }
     let mut fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
@@ -296,11 +295,11 @@ pub(crate) fn visible_on(
             })
             .collect()
     };
-    let mut light = with_residuals(level, normals, interpolated(&fit), None, scene.kind);
+    let mut light = with_residuals(level, normals, interpolated(&fit), None, known.kind);
     let pigment = albedo::estimate(level, depths, &light);
-    let ratios: Vec<[f32; 3]> = of_spheres
+    let ratios: Vec<[f32; 3]> = of_groups
         .iter()
-        .map(|range| sphere_ratio(&samples[range.clone()], &fit))
+        .map(|range| known_ratio(&samples[range.clone()], &fit))
         .collect();
     let other_paint = ratios.iter().flatten().any(|r| (r - 1.0).abs() > MIN_RATIO);
     if pigment.belief > MIN_BELIEF || other_paint {
@@ -310,13 +309,13 @@ pub(crate) fn visible_on(
         for (sample, &(i, p)) in samples.iter_mut().zip(&owners) {
             sample.intensity = divided(sample.intensity, relative[i][p]);
         }
-        for (range, ratio) in of_spheres.into_iter().zip(ratios) {
+        for (range, ratio) in of_groups.into_iter().zip(ratios) {
             for sample in &mut samples[range] {
                 sample.intensity = divided(sample.intensity, ratio);
             }
         }
         fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
-        light = with_residuals(level, normals, interpolated(&fit), None, scene.kind);
+        light = with_residuals(level, normals, interpolated(&fit), None, known.kind);
     }
     let pigment = albedo::estimate(level, depths, &light);
     Some(with_residuals(
@@ -324,12 +323,13 @@ pub(crate) fn visible_on(
         normals,
         light.harmonics,
         Some(pigment),
-        scene.kind,
+        known.kind,
     ))
 }
 
-/// A sphere's albedo over the object's: median ratio between what it shows and what the light gives.
-fn sphere_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] {
+/// A sphere's albedo over the object's, or a given light's over that of the photos: median ratio between
+/// what its points show and what the fitted light gives.
+fn known_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] {
     std::array::from_fn(|c| {
         let mut ratios: Vec<f64> = samples
             .iter()

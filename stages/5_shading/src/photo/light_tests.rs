@@ -7,6 +7,7 @@ mod shared_data;
 
 use super::light::{self, LightScene};
 use super::options::PhotoOptions;
+use super::rendered_tests::known_light;
 use super::views::{self, Scene};
 use super::{distant, shading, surround};
 use nalgebra::{Matrix3, Point3, Rotation3};
@@ -27,6 +28,7 @@ fn numbers(value: &Value) -> Vec<f64> {
 
 /// Photos divided by their true exposure, true cameras, and true depths.
 struct Truth {
+    photos: PhotoSet,
     scene: Scene,
     posed: PosedViews,
     depths: Vec<DepthMap>,
@@ -117,6 +119,7 @@ fn load(folder: &Path, names: &[&str]) -> Truth {
     });
     let scene = views::load(&photos, &posed, &PhotoOptions::default()).unwrap();
     Truth {
+        photos,
         scene,
         posed,
         depths,
@@ -197,12 +200,9 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
         .collect();
     let ground = surround::find_ground(&points, &object, &truth.scene.small);
     let scene = LightScene {
-        photos: &truth.scene.small,
-        spheres: &truth.posed.spheres,
-        unlike: &[],
+        known: &known_light(&truth.photos, &truth.posed, LightKind::World, &[]),
         ground: ground.as_ref(),
         num_rays,
-        kind: LightKind::World,
     };
     let nine = distant::fit(level, &depths, LightKind::World).unwrap();
     let rays = light::visible_on(

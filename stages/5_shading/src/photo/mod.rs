@@ -25,6 +25,7 @@ mod camera;
 mod chroma;
 mod confidence;
 mod consensus;
+mod contradiction;
 mod course;
 #[cfg(test)]
 mod derivative_tests;
@@ -32,6 +33,7 @@ mod distant;
 mod edges;
 mod gains;
 mod hull;
+mod known_light;
 mod lap;
 mod level;
 mod light;
@@ -74,7 +76,8 @@ use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedV
 
 /// Dense shape of all posed views, at least two.
 ///
-/// `lighting` is a start and a fall-back: the light is fitted again on sphere and object.
+/// Of `lighting` the samples and the kind are used: the environment is fitted on them and on the object, with
+/// shadow and bounce, again after every change of the shape.
 ///
 /// # Errors
 /// See [`ShadingError`].

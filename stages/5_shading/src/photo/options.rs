@@ -49,6 +49,8 @@ pub struct PhotoOptions {
     pub visibility: bool,
     /// Rays per pixel of the visibility light.
     pub num_rays: usize,
+    /// Use a light that was given also where the photos contradict it.
+    pub trust_lighting: bool,
     /// Seed of the dense search.
     pub seed: u64,
 }
@@ -71,6 +73,7 @@ impl Default for PhotoOptions {
             finer_search: true,
             visibility: true,
             num_rays: 256,
+            trust_lighting: false,
             seed: 0,
         }
     }

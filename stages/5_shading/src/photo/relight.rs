@@ -4,6 +4,7 @@ use super::appearance::Appearance;
 use super::course::Course;
 use super::distant;
 use super::lap::LapWeights;
+use super::known_light::KnownLight;
 use super::light::{self, Light, LightScene};
 use super::report::LapReport;
 use super::surround;
@@ -53,14 +54,12 @@ impl Course<'_> {
         let level = &self.scene.pyramid[at];
         let rays_at = self.scene.pyramid.get(at + 1).unwrap_or(level);
         let kind = lighting.kind;
-        let unlike = lighting.unlike_spheres();
+        let gains: Vec<[f64; 3]> = self.scene.frames.iter().map(|frame| frame.gain).collect();
+        let known = KnownLight::new(lighting, &posed.spheres, &gains);
         let scene = LightScene {
-            photos: &self.scene.small,
-            spheres: &posed.spheres,
-            unlike: &unlike,
+            known: &known,
             ground,
             num_rays: self.options.num_rays,
-            kind,
         };
         let seen = if self.options.visibility {
             light::visible(level, depths, rays_at, &scene)
@@ -82,7 +81,7 @@ impl Course<'_> {
                  less, and tell nothing of their exposures, which are taken for equal",
             );
         }
-        if posed.spheres.is_empty() && light.is_some() {
+        if known.groups.is_empty() && light.is_some() {
             notes.push(
                 "no sphere: the light is read from the object's own surface, so that a light over \
                  the whole object and its albedo cannot be told apart",

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use super::known_light::KnownLight;
 use super::level::Level;
 use super::light::{self, Light, LightScene};
 use super::options::PhotoOptions;
@@ -11,9 +12,10 @@ use super::views::{self, Scene};
 use super::{distant, plate, shading};
 use nalgebra::{Point2, Point3};
 use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
-    MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
+    MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent, SphereLight,
 };
 use rilievo_synthetic::{LightModel, RenderOptions, RenderedView, Renderer, SceneOptions, Subject};
 use std::sync::Arc;
@@ -185,16 +187,47 @@ pub(super) fn depths(world: &World, scene: &Scene) -> Vec<Vec<f64>> {
         .collect()
 }
 
+/// What the spheres tell, those in `unlike` left out.
+pub(super) fn known_light(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    kind: LightKind,
+    unlike: &[usize],
+) -> KnownLight {
+    let mut lighting = of_spheres(photos, posed, kind);
+    lighting.spheres = (0..posed.spheres.len())
+        .map(|k| SphereLight {
+            name: String::new(),
+            paint: (!unlike.contains(&k)).then(|| vec![1.0; 3]),
+        })
+        .collect();
+    let gains = vec![[1.0; 3]; posed.views.len()];
+    KnownLight::new(&lighting, &posed.spheres, &gains)
+}
+
+/// The light as the spheres' samples alone.
+pub(super) fn of_spheres(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    kind: LightKind,
+) -> LightingCalibration {
+    LightingCalibration {
+        source: LightSource::Sphere,
+        kind,
+        environment_in_world: None,
+        views: Vec::new(),
+        spheres: Vec::new(),
+        samples: read_spheres(photos, posed, &SamplingOptions::default()).unwrap(),
+    }
+}
+
 fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
     let level = &scene.pyramid[0];
     let rays_at = scene.pyramid.get(1).unwrap_or(level);
     let light_scene = LightScene {
-        photos: &scene.small,
-        spheres: &world.posed.spheres,
-        unlike: &[],
+        known: &known_light(&world.photos, &world.posed, LightKind::World, &[]),
         ground: None,
         num_rays: 128,
-        kind: LightKind::World,
     };
     light::visible(level, depths, rays_at, &light_scene).unwrap()
 }
@@ -290,13 +323,7 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
 #[test]
 fn stains_become_albedo_and_no_relief() {
     let world = world(Subject::Stone, LightModel::Bounce, Some(stain), (400, 300));
-    let lighting = LightingCalibration {
-        source: LightSource::OwnShape,
-        kind: LightKind::World,
-        environment_in_world: None,
-        views: Vec::new(),
-        spheres: Vec::new(),
-    };
+    let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     let (shaded, report) = super::run(
         &world.photos,
         &world.posed,
@@ -387,13 +414,7 @@ fn solved(world: &World) -> ShadedViews {
 }
 
 fn solved_by(world: &World, options: &PhotoOptions) -> (ShadedViews, PhotoReport) {
-    let lighting = LightingCalibration {
-        source: LightSource::OwnShape,
-        kind: LightKind::World,
-        environment_in_world: None,
-        views: Vec::new(),
-        spheres: Vec::new(),
-    };
+    let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     super::run(&world.photos, &world.posed, &lighting, options, &Silent).unwrap()
 }
 

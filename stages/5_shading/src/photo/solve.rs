@@ -1,5 +1,6 @@
 //! The course of a run through the pyramid: search, laps at the coarse level, finer levels, output.
 
+use super::contradiction;
 use super::course::{Course, Probe};
 use super::lap::{LapWeights, PHOTOS_ONLY, lap_weights};
 use super::light::Light;
@@ -9,7 +10,7 @@ use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_scene::{LightingCalibration, Observer, PosedViews, ShadedViews};
+use rilievo_scene::{LightSource, LightingCalibration, Observer, PosedViews, ShadedViews};
 
 /// A lap that turns normals by more than this share of what the lap before it did under the same weights
 /// is followed by none: light and shape swing, or pixels beside edges change sides.
@@ -80,6 +81,15 @@ impl Course<'_> {
         if options.num_laps == 0 {
             self.lap(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused")?;
             return Ok((None, PHOTOS_ONLY));
+        }
+        let is_from_elsewhere = matches!(
+            lighting.source,
+            LightSource::Given | LightSource::CalibrationPhoto
+        );
+        if is_from_elsewhere && !options.trust_lighting {
+            let frames = self.scene.frames.iter();
+            let names: Vec<&str> = frames.map(|frame| frame.name.as_str()).collect();
+            contradiction::refuse(&self.scene.pyramid[*at], &names, depths, lighting)?;
         }
         let ground = self.ground(*at, depths, posed);
         let is_noisy = self.report.search_scatter_px > options.noisy_search_px;

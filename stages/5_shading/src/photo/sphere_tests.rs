@@ -3,29 +3,20 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use super::distant;
+use super::known_light::KnownLight;
 use super::light::{self, Light, LightScene};
-use super::rendered_tests::{World, depths, loaded, miss, options, photographed};
-use super::surround::look_at_spheres;
+use super::rendered_tests::{World, depths, known_light, loaded, miss, options, photographed};
 use super::views::Scene;
-use rilievo_scene::{LightKind, LocatedSphere};
+use rilievo_scene::LightKind;
 use rilievo_synthetic::{BallOptions, LightModel, Subject};
 
 /// The light at the true shape, by 128 rays.
-fn light(
-    scene: &Scene,
-    truth: &[Vec<f64>],
-    spheres: &[LocatedSphere],
-    unlike: &[usize],
-    kind: LightKind,
-) -> Light {
+fn light(scene: &Scene, truth: &[Vec<f64>], known: &KnownLight) -> Light {
     let level = &scene.pyramid[0];
     let light_scene = LightScene {
-        photos: &scene.small,
-        spheres,
-        unlike,
+        known,
         ground: None,
         num_rays: 128,
-        kind,
     };
     light::visible(level, truth, &scene.pyramid[1], &light_scene).unwrap()
 }
@@ -62,19 +53,20 @@ fn lamp_on_the_second() -> (World, World) {
 #[test]
 fn a_sphere_of_another_light_hides_and_tells_nothing() {
     let (as_seen, lamp) = lamp_on_the_second();
-    let world = LightKind::World;
     let scene = loaded(&as_seen);
     let truth = depths(&as_seen, &scene);
     let level = &scene.pyramid[0];
-    let spheres = &as_seen.posed.spheres;
-    assert_eq!(spheres.len(), 2);
-    let known = miss(level, &truth, &light(&scene, &truth, spheres, &[], world));
+    assert_eq!(as_seen.posed.spheres.len(), 2);
+    let of = |world: &World, unlike: &[usize]| {
+        known_light(&world.photos, &world.posed, LightKind::World, unlike)
+    };
+    let known = miss(level, &truth, &light(&scene, &truth, &of(&as_seen, &[])));
 
     let scene = loaded(&lamp);
-    let looks = look_at_spheres(spheres, &[1], &scene.small, world);
-    assert!(!looks[0].0.is_empty() && looks[1].0.is_empty());
-    let left_out = light(&scene, &truth, spheres, &[1], world);
-    let believed = light(&scene, &truth, spheres, &[], world);
+    let tells = of(&lamp, &[1]);
+    assert_eq!((tells.groups.len(), tells.spheres.len()), (1, 2));
+    let left_out = light(&scene, &truth, &tells);
+    let believed = light(&scene, &truth, &of(&lamp, &[]));
     let level = &scene.pyramid[0];
     let (left_out_miss, believed_miss) = (
         miss(level, &truth, &left_out),
@@ -93,7 +85,9 @@ fn a_sphere_of_another_light_hides_and_tells_nothing() {
     );
 
     // It still hides: without it the pixels next to it get another light than with it, others do not.
-    let absent = light(&scene, &truth, &spheres[..1], &[], world);
+    let mut alone = tells;
+    alone.spheres.truncate(1);
+    let absent = light(&scene, &truth, &alone);
     let mut changes: Vec<f64> = (0..level.views.len())
         .flat_map(|i| {
             let pairs = left_out.harmonics[i].iter().zip(&absent.harmonics[i]);
@@ -118,9 +112,10 @@ fn a_light_fixed_to_the_camera_is_found_with_its_shadows() {
     let level = &scene.pyramid[0];
     let nine = distant::fit(level, &truth, LightKind::Camera).unwrap();
     let nine = miss(level, &truth, &nine);
-    let spheres = &turned.posed.spheres;
-    let [camera, world] = [LightKind::Camera, LightKind::World]
-        .map(|kind| miss(level, &truth, &light(&scene, &truth, spheres, &[], kind)));
+    let [camera, world] = [LightKind::Camera, LightKind::World].map(|kind| {
+        let known = known_light(&turned.photos, &turned.posed, kind, &[]);
+        miss(level, &truth, &light(&scene, &truth, &known))
+    });
     println!(
         "nine harmonics a view {nine:.4}; rays {camera:.4}, with a light fixed in the world {world:.4}"
     );

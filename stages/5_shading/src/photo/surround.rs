@@ -1,11 +1,10 @@
-//! What stands around the object, as the photos show it: small whole photos, the ground under the
-//! object with its texture, and the reference spheres' radiance.
+//! What stands around the object, as the photos show it: small whole photos, and the ground under the
+//! object with its texture.
 
 use super::camera::Camera;
 use nalgebra::{Point3, Vector3};
-use rilievo_photometry::harmonics::{FitOptions, fit_robust};
-use rilievo_photometry::visibility::{Ground, WarmSphere, directions};
-use rilievo_scene::{LightKind, Lighting, LinearImage, LocatedSphere, Mask};
+use rilievo_photometry::visibility::Ground;
+use rilievo_scene::{LinearImage, Mask};
 
 /// Longest side of the small photos: the surroundings are needed at a few millimetres only.
 const MAX_SIDE: usize = 480;
@@ -87,115 +86,6 @@ impl SmallPhoto {
         let p = self.image.pixel(u, v);
         (!*self.object.at(u, v) && p.iter().all(|&x| x >= 0.0)).then(|| [p[0], p[1], p[2]])
     }
-}
-
-/// One point of the sphere with the radiance that the photos show.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct SpherePoint {
-    pub normal: Vector3<f32>,
-    pub radiance: [f32; 3],
-    /// The view in whose light it was seen; under a light fixed in the world, the first stands for all.
-    pub view: usize,
-}
-
-/// The spheres' visible points and their smooth radiances; no points of those in `unlike`, which see
-/// another light.
-pub(crate) fn look_at_spheres(
-    spheres: &[LocatedSphere],
-    unlike: &[usize],
-    photos: &[SmallPhoto],
-    kind: LightKind,
-) -> Vec<(Vec<SpherePoint>, WarmSphere)> {
-    let bodies: Vec<WarmSphere> = spheres.iter().map(body).collect();
-    (0..spheres.len())
-        .filter_map(|k| {
-            let mut points = seen_points(&spheres[k], photos, &bodies, k);
-            let warm = warm(&bodies[k], &points)?;
-            if kind == LightKind::Camera {
-                points = (0..photos.len())
-                    .flat_map(|i| {
-                        let seen = seen_points(&spheres[k], &photos[i..=i], &bodies, k);
-                        seen.into_iter().map(move |p| SpherePoint { view: i, ..p })
-                    })
-                    .collect();
-            }
-            let tells = !unlike.contains(&k);
-            Some((if tells { points } else { Vec::new() }, warm))
-        })
-        .collect()
-}
-
-/// A sphere that sends nothing yet.
-fn body(sphere: &LocatedSphere) -> WarmSphere {
-    WarmSphere {
-        center: Point3::from(sphere.center_in_world.map(|c| c as f32)),
-        radius: sphere.radius as f32,
-        radiance: Lighting {
-            channels: Vec::new(),
-        },
-    }
-}
-
-/// Points of sphere `own` of all `bodies`, which may hide it, with their mean radiance in the photos.
-fn seen_points(
-    sphere: &LocatedSphere,
-    photos: &[SmallPhoto],
-    bodies: &[WarmSphere],
-    own: usize,
-) -> Vec<SpherePoint> {
-    // Radians of elevation under which a pixel straddles the outline.
-    const MIN_COSINE: f64 = 0.25;
-    const NUM_POINTS: usize = 800;
-    let center = Point3::from(sphere.center_in_world);
-    let mut points = Vec::new();
-    for d in directions(NUM_POINTS) {
-        let normal = Vector3::new(f64::from(d.x), f64::from(d.y), f64::from(d.z));
-        let at = center + normal * sphere.radius;
-        let (mut sum, mut total) = ([0.0_f32; 3], 0.0_f32);
-        for photo in photos {
-            let view = (photo.camera.center - at).normalize();
-            let (start, towards) = (at.coords.map(|v| v as f32), view.map(|v| v as f32));
-            let hidden = bodies
-                .iter()
-                .enumerate()
-                .any(|(k, other)| k != own && other.meet(&start, &towards).is_some());
-            if view.dot(&normal) < MIN_COSINE || hidden {
-                continue;
-            }
-            if let Some(rgb) = photo.look(&at) {
-                for c in 0..3 {
-                    sum[c] += rgb[c];
-                }
-                total += 1.0;
-            }
-        }
-        if total > 0.0 {
-            points.push(SpherePoint {
-                normal: d,
-                radiance: sum.map(|s| s / total),
-                view: 0,
-            });
-        }
-    }
-    points
-}
-
-/// A sphere that sends what the photos show of it.
-fn warm(body: &WarmSphere, points: &[SpherePoint]) -> Option<WarmSphere> {
-    let normals: Vec<Vector3<f64>> = points
-        .iter()
-        .map(|p| p.normal.map(f64::from).normalize())
-        .collect();
-    let mut channels = Vec::new();
-    for c in 0..3 {
-        let values: Vec<f64> = points.iter().map(|p| f64::from(p.radiance[c])).collect();
-        let fit = fit_robust(&normals, &values, None, &FitOptions::default()).ok()?;
-        channels.push(fit.coefficients);
-    }
-    Some(WarmSphere {
-        radiance: Lighting { channels },
-        ..body.clone()
-    })
 }
 
 /// The plane on which the object stands, from sparse points off the object, with its texture.

@@ -45,7 +45,7 @@ fn a_grey_image_improves_a_rough_start() {
             num_iterations: 1,
             num_search_iterations: 0,
         },
-        noise: 100.0,
+        noise: 10.0,
         ..ShadingOptions::default()
     };
     let start = surface.mean_angle(&solved(surface.view(1), &frozen));

@@ -242,6 +242,7 @@ mod tests {
                 })
                 .collect(),
             spheres: Vec::new(),
+            samples: Vec::new(),
         };
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("lighting.json");

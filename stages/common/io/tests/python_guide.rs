@@ -173,6 +173,7 @@ fn write_run(folder: &Path) {
             gain: vec![1.0; 3],
         }],
         spheres: Vec::new(),
+        samples: Vec::new(),
     };
     io::write_lighting(&at("4_lighting/lighting.json"), &calibration, &views).unwrap();
     let image = lighting.channels.iter().flat_map(|row| {

@@ -45,6 +45,21 @@ pub struct SphereLight {
     pub paint: Option<Vec<f64>>,
 }
 
+/// A surface point with a known normal, and what a photo shows of it: what is known of the light beyond
+/// nine harmonics, which have no shadows. A model of the light with shadow and bounce is fitted on these.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightSample {
+    /// The view that shows it.
+    pub view: ViewIdx,
+    /// The posed sphere on which it lies, or `None` for a point in the object's place that nothing hides
+    /// and nothing stands beside, as of a calibration photo or of harmonics that were given.
+    pub sphere: Option<usize>,
+    /// Unit normal, world frame.
+    pub normal_in_world: [f32; 3],
+    /// Linear intensity of the photo, its gain contained; grey photos have three equal values.
+    pub intensity: [f32; 3],
+}
+
 /// Lighting of all views.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LightingCalibration {
@@ -60,6 +75,10 @@ pub struct LightingCalibration {
     /// object; else empty.
     #[serde(default)]
     pub spheres: Vec<SphereLight>,
+    /// What spheres, calibration photos and a given light show of the light, point by point. Empty where
+    /// the light was fitted on the object itself, which the solver sees as well.
+    #[serde(default)]
+    pub samples: Vec<LightSample>,
 }
 
 impl LightingCalibration {

@@ -4,10 +4,11 @@
 //! checks what it is given before it works with it, so that a wrong index is told and ends nothing else.
 
 use crate::{
-    Anchor, FeatureMatches, Intrinsics, LightingCalibration, LinearImage, Photo, PhotoIdx,
+    Anchor, FeatureMatches, Intrinsics, LightSample, LightingCalibration, LinearImage, Photo, PhotoIdx,
     PhotoKeypoints, PhotoSet, PixelError, PosedViews, RigidTransform, SparsePoint, StageId,
     ViewIdx,
 };
+use nalgebra::Vector3;
 use std::sync::Arc;
 
 /// Results of a stage that contradict each other.
@@ -361,6 +362,21 @@ impl LightingCalibration {
             check.that(paint.is_none_or(is_paint), || {
                 format!("the paint of {} is {paint:?}", sphere.name)
             })?;
+        }
+        for sample in &self.samples {
+            let LightSample { view, sphere, .. } = *sample;
+            check.index(view.0, posed.views.len(), || {
+                format!("a sample of the light in view {}", view.0)
+            })?;
+            if let Some(sphere) = sphere {
+                check.index(sphere, posed.spheres.len(), || {
+                    format!("a sample of the light on sphere {sphere}")
+                })?;
+            }
+            let length = Vector3::from(sample.normal_in_world).norm();
+            let is_sample = (length - 1.0).abs() < 1e-3
+                && sample.intensity.iter().all(|v| v.is_finite() && *v >= 0.0);
+            check.that(is_sample, || format!("a sample of the light is {sample:?}"))?;
         }
         let (entries, spheres) = (self.spheres.len(), posed.spheres.len());
         check.that(entries == 0 || entries == spheres, || {

@@ -113,6 +113,15 @@ pub fn transfer(
 }
 
 impl Transfer {
+    /// Of a point that sees the whole environment over its horizon, and nothing else.
+    pub fn open(normal: &Vector3<f32>, num_directions: usize) -> Self {
+        Self {
+            visible: vec![u64::MAX; num_directions.div_ceil(64)],
+            normal: *normal,
+            nearby: [[0.0; 9]; 3],
+        }
+    }
+
     /// Harmonics (world frame) of everything that arrives: `environment` holds a radiance per
     /// direction, `bounce` scales what the surroundings send.
     pub fn harmonics(

@@ -4,14 +4,24 @@
 //! sphere, or beside it within the outline's blur), behind another sphere, within `margin_px` of the
 //! outline, at grazing normals, and channels at the clip level.
 
-use crate::LightingOptions;
+use crate::sphere::SphereInCamera;
 use nalgebra::{Point2, Vector3};
-use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{Intrinsics, LinearImage, Mask};
+
+/// Which pixels count.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SamplingOptions {
+    /// Pixels nearer to the sphere's outline than this are left out: they mix with what is behind.
+    pub margin_px: f64,
+    /// Smallest cosine between normal and viewing direction.
+    pub min_cos_view: f64,
+    /// Pixels brighter than this share of the photo's clip level are left out.
+    pub clip_share: f64,
+}
 
 /// Pixels of one view's sphere with normals and intensities.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct SphereSamples {
+pub struct SphereSamples {
     /// Normals, camera frame.
     pub normals: Vec<Vector3<f64>>,
     /// Channels of each pixel.
@@ -28,7 +38,7 @@ pub(crate) struct SphereSamples {
 
 /// How much of the spheres of a view is seen.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Coverage {
+pub struct Coverage {
     /// Pixels that are seen.
     num_seen: usize,
     /// Those with a clipped channel.
@@ -39,6 +49,7 @@ pub(crate) struct Coverage {
 }
 
 impl Coverage {
+    /// Counts another sphere's.
     pub fn add(&mut self, other: Self) {
         self.num_seen += other.num_seen;
         self.num_clipped += other.num_clipped;
@@ -60,6 +71,16 @@ impl Coverage {
     }
 }
 
+impl Default for SamplingOptions {
+    fn default() -> Self {
+        Self {
+            margin_px: 2.0,
+            min_cos_view: 0.12,
+            clip_share: 0.97,
+        }
+    }
+}
+
 impl SphereSamples {
     /// Pixels with at least one usable channel.
     pub fn num_usable(&self) -> usize {
@@ -69,10 +90,14 @@ impl SphereSamples {
 
 /// A photo whose spheres are read.
 #[derive(Clone, Copy)]
-pub(crate) struct Shot<'a> {
+pub struct Shot<'a> {
+    /// Linear pixels.
     pub image: &'a LinearImage,
+    /// The object, which stands before the sphere or beside it.
     pub object: Option<&'a Mask>,
+    /// Value from which a channel is clipped.
     pub clip_level: f32,
+    /// Camera.
     pub intrinsics: &'a Intrinsics,
 }
 
@@ -82,7 +107,7 @@ impl Shot<'_> {
         &self,
         sphere: &SphereInCamera,
         others: &[SphereInCamera],
-        options: &LightingOptions,
+        options: &SamplingOptions,
     ) -> SphereSamples {
         let radius_px = sphere.radius_px(self.intrinsics);
         let mut samples = SphereSamples {

@@ -1,0 +1,43 @@
+//! What the photos show of the reference spheres: pixels with known normals.
+
+mod cells;
+mod pixels;
+
+use crate::sphere::SphereInCamera;
+use rilievo_scene::{LightSample, PhotoSet, PixelError, PosedViews, ViewIdx};
+
+pub use cells::{NUM_CELLS, cell_of, light_samples};
+pub use pixels::{Coverage, SamplingOptions, Shot, SphereSamples};
+
+/// What all views show of all posed spheres.
+///
+/// # Errors
+/// When the pixels of a photo cannot be read.
+pub fn read_spheres(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    options: &SamplingOptions,
+) -> Result<Vec<LightSample>, PixelError> {
+    let mut found = Vec::new();
+    for (view, camera) in posed.views.iter().enumerate() {
+        let photo = &photos.photos[camera.photo.0];
+        let seen = |sphere| SphereInCamera::seen(sphere, &camera.cam_from_world);
+        let spheres: Vec<SphereInCamera> = posed.spheres.iter().map(seen).collect();
+        if spheres.is_empty() {
+            break;
+        }
+        let image = photo.linear()?;
+        let shot = Shot {
+            image: &image,
+            object: photo.mask.as_deref(),
+            clip_level: photo.clip_level,
+            intrinsics: &camera.intrinsics,
+        };
+        let world_from_cam = camera.cam_from_world.rotation.inverse();
+        for (k, sphere) in spheres.iter().enumerate() {
+            let samples = shot.samples(sphere, &spheres, options);
+            found.extend(light_samples(&samples, &world_from_cam, ViewIdx(view), Some(k)));
+        }
+    }
+    Ok(found)
+}
