@@ -21,16 +21,20 @@ pub fn read_mask(path: &Path) -> Result<Mask, IoError> {
         return Ok(alpha);
     }
     let white = |white: f64, max: f64| if max == 1.0 { 1.0 } else { white };
-    let levels = match &image.samples {
+    let levels = match image.samples {
         Samples::U8(v) => {
             let max = v.iter().copied().max().unwrap_or(0);
-            levels(v, image.channels, white(255.0, f64::from(max)))
+            if image.channels == 1 && max != 1 {
+                v
+            } else {
+                levels(&v, image.channels, white(255.0, f64::from(max)))
+            }
         }
         Samples::U16(v) => {
             let max = v.iter().copied().max().unwrap_or(0);
-            levels(v, image.channels, white(65535.0, f64::from(max)))
+            levels(&v, image.channels, white(65535.0, f64::from(max)))
         }
-        Samples::F32(v) => levels(v, image.channels, 1.0),
+        Samples::F32(v) => levels(&v, image.channels, 1.0),
     };
     mask_values::check(path, &levels, image.width)?;
     let inside = levels.iter().map(|&level| level >= mask_values::BRIGHT);
