@@ -156,7 +156,7 @@ mod tests {
         check(Path::new("masks/a.png"), levels, SIZE.0)
     }
 
-    /// The same after JPEG at a quality of 100.
+    /// The same after JPEG, at a quality out of 100.
     fn after_jpeg(levels: &[u8], quality: u8) -> Vec<u8> {
         let image = GrayImage::from_raw(SIZE.0 as u32, SIZE.1 as u32, levels.to_vec()).unwrap();
         let mut bytes = Vec::new();
