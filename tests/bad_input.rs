@@ -3,7 +3,7 @@
 mod common;
 
 use common::{arg, noise_photos, reconstruct_until, run, synthetic_set, write_noise_photo};
-use rilievo_io::{write_depth, write_linear, write_mask};
+use rilievo_io::{write_depth, write_linear, write_mask, write_photo_jpeg};
 use rilievo_scene::{DepthMap, LinearImage, Mask};
 use std::path::Path;
 
@@ -155,6 +155,68 @@ fn masks_that_do_not_fit_are_refused_never_ignored() {
         assert!(stderr.contains("p1"), "{name}: {stderr}");
         assert!(!run_dir.join("1_photos").exists(), "{name} left a result");
     }
+}
+
+#[test]
+fn photos_and_noise_given_as_masks_are_refused_and_masks_of_other_photos_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    // The folder of photos itself, by mistake.
+    let (run_dir, masks) = (dir.path().join("run"), arg(&photos));
+    let (code, _, stderr) = first_stage(&photos, &run_dir, &["--masks", masks]);
+    assert_eq!(code, 3, "{stderr}");
+    for part in ["p0.jpg", "p1.jpg", "is no mask", "white on the object"] {
+        assert!(stderr.contains(part), "{part} is not told in: {stderr}");
+    }
+
+    let masks = dir.path().join("masks");
+    std::fs::create_dir(&masks).unwrap();
+    let object = |left: usize| {
+        Mask::from_fn(160, 120, |x, y| {
+            (left..left + 60).contains(&x) && (30..90).contains(&y)
+        })
+    };
+    write_mask(&masks.join("p0.png"), &object(20)).unwrap();
+    let mut state = 1u32;
+    let noise = Mask::from_fn(160, 120, |_, _| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        state >> 31 == 1
+    });
+    write_mask(&masks.join("p1.png"), &noise).unwrap();
+    let (code, _, stderr) = first_stage(&photos, &run_dir, &["--masks", arg(&masks)]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(
+        stderr.contains("p1.png") && stderr.contains("noise"),
+        "{stderr}"
+    );
+    assert!(!stderr.contains("p0.png"), "{stderr}");
+    assert!(!run_dir.join("1_photos").exists(), "left a result");
+
+    // A bright object before a darker wall, and the mask of where it stood in another photo.
+    let mut image = LinearImage::filled(160, 120, 3, 0.2);
+    for y in 0..120 {
+        for x in 0..160 {
+            let wall = 0.02 * ((x * 7 + y * 13) % 11) as f32 / 11.0;
+            let bright = object(20).contains(x as isize, y as isize);
+            let level = if bright { 0.6 } else { 0.2 } + wall;
+            image.pixel_mut(x, y).fill(level);
+        }
+    }
+    for name in ["p0", "p1"] {
+        write_photo_jpeg(&photos.join(format!("{name}.jpg")), &image, 90).unwrap();
+    }
+    write_mask(&masks.join("p1.png"), &object(70)).unwrap();
+    let (code, _, stderr) = first_stage(&photos, &run_dir, &["--masks", arg(&masks)]);
+    assert_eq!(code, 0, "{stderr}");
+    let told: Vec<&str> = stderr
+        .lines()
+        .filter(|line| line.contains("lies on no edge"))
+        .collect();
+    assert_eq!(told.len(), 1, "{stderr}");
+    assert!(
+        told[0].contains("p1.jpg") && !told[0].contains("p0.jpg"),
+        "{stderr}"
+    );
 }
 
 #[test]

@@ -324,9 +324,12 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
         Some((path, _)) => {
             mask_path = path.clone();
             Some(read_mask(path).map_err(|error| {
+                let hint = error
+                    .hint
+                    .map_or(String::new(), |hint| format!(" ({hint})"));
                 Trouble::Request(Problem {
-                    file: error.path.clone(),
-                    reason: error.reason,
+                    file: error.path,
+                    reason: format!("{}{hint}", error.reason),
                 })
             })?)
         }
@@ -355,7 +358,8 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
         | PhotosError::MaskSize { .. }
         | PhotosError::MaskEmpty { .. }
         | PhotosError::MaskFull { .. }
-        | PhotosError::MaskInverted { .. } => Trouble::Request(Problem {
+        | PhotosError::MaskInverted { .. }
+        | PhotosError::MaskNoise { .. } => Trouble::Request(Problem {
             file: mask_path,
             reason: error.to_string(),
         }),

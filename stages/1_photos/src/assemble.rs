@@ -28,6 +28,9 @@ const PEDESTAL_WARNING: f64 = 0.02;
 /// Corners over sides, over a whole set, below which vignetting is likely.
 const FALLOFF_WARNING: f64 = 0.7;
 
+/// Figures that are told of photos with one and the same trouble.
+const MAX_NUM_FIGURES: usize = 3;
+
 /// Orders photos by file name, groups them by camera, and reports on the set.
 ///
 /// # Errors
@@ -283,6 +286,23 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
     about(
         which(&|f| f.mask_coverage.is_none() && report.num_masks > 0),
         "has no mask though others have",
+    );
+    let off_edges = |f: &PhotoFacts| f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0);
+    let figures: Vec<String> = report
+        .photos
+        .iter()
+        .filter(|f| off_edges(f))
+        .take(MAX_NUM_FIGURES)
+        .filter_map(|f| f.mask_edge_ratio.map(|ratio| format!("{ratio:.2}")))
+        .collect();
+    about(
+        which(&off_edges),
+        &format!(
+            "the mask's border lies on no edge of the photo: brightness changes {} times as much along it \
+             as along the same border shifted by 3 or 6 % of the diagonal, along an object's own outline \
+             about twice as much; is it the mask of another photo, or shifted?",
+            figures.join(", ")
+        ),
     );
     let set = report.photos.len() >= MIN_SET;
     let sharpness = middle(report.photos.iter().map(|f| f.sharpness));

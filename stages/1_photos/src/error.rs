@@ -40,8 +40,31 @@ pub enum PhotosError {
         /// Channels.
         channels: usize,
     },
-    /// Every pixel has the same value.
-    #[error("{photo}: every pixel has the same value {value}; is the lens cap off?")]
+    /// No pixel is a finite number.
+    #[error(
+        "{photo}: none of its pixels holds finite numbers, all are NaN or infinite; export it anew \
+         from the original"
+    )]
+    NotFinite {
+        /// The photo.
+        photo: String,
+    },
+    /// Every pixel is black.
+    #[error("{photo}: every pixel is black; is the lens cap off?")]
+    Black {
+        /// The photo.
+        photo: String,
+    },
+    /// Every pixel is clipped.
+    #[error("{photo}: overexposed everywhere, every pixel is white; expose less")]
+    Overexposed {
+        /// The photo.
+        photo: String,
+    },
+    /// Every pixel has the same value, neither black nor clipped.
+    #[error(
+        "{photo}: every pixel has the same value {value}, so nothing is to be seen; leave it out"
+    )]
     Blank {
         /// The photo.
         photo: String,
@@ -105,6 +128,17 @@ pub enum PhotosError {
         photo: String,
         /// Share of the border that the mask marks, per cent.
         border_percent: f64,
+    },
+    /// The mask's pixels have nothing to do with their neighbours.
+    #[error(
+        "mask of {photo} is noise: object and rest are mixed pixel by pixel (correlation of \
+         neighbours {correlation:.2}, of masks above 0.5); white must mark the object, in one piece or a few"
+    )]
+    MaskNoise {
+        /// The photo.
+        photo: String,
+        /// Correlation of neighbouring pixels.
+        correlation: f64,
     },
     /// The given camera belongs to an image of another size.
     #[error(

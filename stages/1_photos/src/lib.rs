@@ -7,7 +7,7 @@
 //!
 //! Steps, each in its module:
 //! 1. [`encoding`]: stored samples to linear intensities, by the file's metadata or the user's word;
-//! 2. `mask`: refuse masks that cannot be an object's;
+//! 2. `mask`: refuse masks that cannot be an object's; `edges`: whether their border lies on edges;
 //! 3. [`focal`]: the camera before poses, from the best source there is;
 //! 4. `measures`: level, clipping, noise, sharpness and colour for the preflight;
 //! 5. `exposure`: photos brought to one exposure by EXIF;
@@ -21,6 +21,7 @@
 
 mod assemble;
 pub mod backdrop;
+mod edges;
 pub mod encoding;
 pub mod error;
 mod exposure;
@@ -42,4 +43,4 @@ pub use prepare::{GivenCamera, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;

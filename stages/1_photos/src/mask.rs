@@ -1,8 +1,13 @@
-//! Whether a mask can be the object's: right size, neither empty nor full, not inverted.
+//! Whether a mask can be the object's: right size, neither empty nor full, not inverted, no noise.
 //!
 //! A mask is taken for inverted when it marks most of the frame's border and a larger share of it
 //! than of the whole frame: what it leaves out then lies inside, as an object does. An object that
 //! fills the frame leaves out parts of the border instead.
+//!
+//! A mask is taken for noise when a pixel tells nothing of its neighbour: `c(d) = (P(m, m') - p²) / (p - p²)`
+//! with the share `p` of object pixels and the share `P` of pairs at a step `d` that both are, is 0 for
+//! independent pixels of any density, 1 far from borders, and high along a hair or a wire however thin.
+//! The largest of the steps right, down and along both diagonals counts.
 
 use crate::error::PhotosError;
 use crate::options::PhotosOptions;
@@ -13,6 +18,13 @@ const FULL_SHARE: f64 = 0.999;
 
 /// Least share that an inverted mask leaves out; a smaller hole is a flaw of an object's mask.
 const INVERTED_HOLE_SHARE: f64 = 0.01;
+
+/// Correlation of neighbours below which a mask is noise. A disc with a tenth of its pixels flipped has
+/// 0.55, lattices of bars a few pixels wide 0.7 and more, independent pixels 0.
+const NOISE_CORRELATION: f64 = 0.3;
+
+/// Pixels that are looked at for that: 0 is then known to a few thousandths.
+const MAX_NUM_NOISE_SAMPLES: usize = 1_000_000;
 
 /// Share of the pixels along the four sides that a mask marks.
 pub(crate) fn border_share(mask: &Mask) -> f64 {
@@ -72,7 +84,47 @@ pub(crate) fn check(
             border_percent: 100.0 * border,
         });
     }
+    if let Some(correlation) = neighbour_correlation(mask)
+        && correlation < NOISE_CORRELATION
+    {
+        return Err(PhotosError::MaskNoise {
+            photo: photo.to_owned(),
+            correlation,
+        });
+    }
     Ok(())
+}
+
+/// How much a pixel tells of its neighbour, 0 to 1; `None` where the pixels looked at are all alike.
+fn neighbour_correlation(mask: &Mask) -> Option<f64> {
+    let (width, height) = (mask.width, mask.height);
+    if width < 3 || height < 2 {
+        return None;
+    }
+    let row_step = (width * height).div_ceil(MAX_NUM_NOISE_SAMPLES).max(1);
+    let (mut num, mut marked) = (0usize, 0usize);
+    // Right, down, and along the diagonals.
+    let mut pairs = [0usize; 4];
+    for y in (0..height - 1).step_by(row_step) {
+        let row = &mask.data[y * width..(y + 1) * width];
+        let below = &mask.data[(y + 1) * width..(y + 2) * width];
+        for x in 1..width - 1 {
+            num += 1;
+            if row[x] {
+                marked += 1;
+                let neighbours = [row[x + 1], below[x], below[x + 1], below[x - 1]];
+                for (pairs, inside) in pairs.iter_mut().zip(neighbours) {
+                    *pairs += usize::from(inside);
+                }
+            }
+        }
+    }
+    if marked == 0 || marked == num {
+        return None;
+    }
+    let share = marked as f64 / num as f64;
+    let most = pairs.into_iter().max()? as f64 / num as f64;
+    Some((most - share * share) / (share - share * share))
 }
 
 #[cfg(test)]
@@ -96,6 +148,20 @@ mod tests {
         assert_eq!(checked(|x, y| x.hypot(y - 20.0) < 25.0), Ok(()));
         // Fills the frame but for two corners.
         assert_eq!(checked(|x, y| x + y < 55.0), Ok(()));
+        // Wires with gaps, in many pieces.
+        assert_eq!(
+            checked(|x, y| x.abs() < 30.0 && y.rem_euclid(5.0) < 1.0),
+            Ok(())
+        );
+        assert_eq!(
+            checked(|x, y| (x + y).rem_euclid(6.0) < 1.0 && x.rem_euclid(9.0) < 7.0),
+            Ok(())
+        );
+        // Leaves of three pixels.
+        assert_eq!(
+            checked(|x, y| x.rem_euclid(7.0) < 3.0 && y.rem_euclid(8.0) < 3.0),
+            Ok(())
+        );
         // Fills the frame but for a hole.
         assert_eq!(checked(|x, y| x.hypot(y) > 3.0), Ok(()));
     }
@@ -119,6 +185,23 @@ mod tests {
             checked(|x, y| x.abs() >= 10.0 || y < -10.0),
             Err(PhotosError::MaskInverted { .. })
         ));
+        // A mixed hash of the place: independent pixels, many and few.
+        let noise = |x: f64, y: f64| {
+            let mut h = ((y * 80.0 + x) as i64 as u64).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            h = (h ^ (h >> 29)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+            (h >> 40) as f64 / (1u64 << 24) as f64
+        };
+        for density in [0.5, 0.15] {
+            assert!(matches!(
+                checked(|x, y| noise(x, y) < density),
+                Err(PhotosError::MaskNoise { correlation, .. }) if correlation.abs() < 0.1
+            ));
+        }
+        // The object with grain in it is ragged, and still the object.
+        assert_eq!(
+            checked(|x, y| (x.hypot(y) < 20.0) != (noise(x, y) < 0.05)),
+            Ok(())
+        );
         let mask = Raster::filled(60, 80, false);
         assert!(matches!(
             check("a.jpg", SIZE, &mask, &PhotosOptions::default()),

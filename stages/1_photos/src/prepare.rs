@@ -5,7 +5,7 @@ use crate::error::PhotosError;
 use crate::focal::{FirstCamera, first_camera};
 use crate::options::PhotosOptions;
 use crate::report::PhotoFacts;
-use crate::{mask, measures};
+use crate::{edges, mask, measures};
 use rilievo_scene::{
     DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, PixelSource,
     RigidTransform,
@@ -74,9 +74,18 @@ pub fn prepare(
     let num_invalid_px = zero_invalid(&mut image);
     let blank_value = image.data[0];
     if image.data.iter().all(|&value| value == blank_value) {
-        return Err(PhotosError::Blank {
-            photo: decoded.file_name,
-            value: blank_value,
+        let photo = decoded.file_name;
+        return Err(if num_invalid_px == size.0 * size.1 {
+            PhotosError::NotFinite { photo }
+        } else if blank_value <= 0.0 {
+            PhotosError::Black { photo }
+        } else if blank_value >= clip_level {
+            PhotosError::Overexposed { photo }
+        } else {
+            PhotosError::Blank {
+                photo,
+                value: blank_value,
+            }
         });
     }
 
@@ -95,6 +104,9 @@ pub fn prepare(
         given_cam_from_world: camera.and_then(|camera| camera.cam_from_world),
         orientation: decoded.exif.orientation.unwrap_or(1),
         mask_coverage: mask.as_ref().map(Mask::coverage),
+        mask_edge_ratio: mask
+            .as_ref()
+            .and_then(|mask| edges::mask_edge_ratio(&image, mask)),
         clipped_share: measured.clipped_share,
         clipped_share_on_object: measured.clipped_share_on_object,
         clip_level,

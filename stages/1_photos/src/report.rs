@@ -46,6 +46,10 @@ pub struct PhotoFacts {
     pub orientation: u8,
     /// Share of the frame that the mask marks, where there is a mask.
     pub mask_coverage: Option<f64>,
+    /// How much stronger brightness changes along the mask's border than along the same border shifted,
+    /// at the shift where it does most; below 1 the border lies on no edge of the photo. Absent
+    /// without mask, or where nothing changes.
+    pub mask_edge_ratio: Option<f64>,
     /// Share of pixels with a clipped channel, over the whole frame.
     pub clipped_share: f64,
     /// The same over the mask.

@@ -82,6 +82,7 @@ fn every_given_mask_passes() {
         "studio_stone",
         "studio_smooth",
         "studio_stained",
+        "studio_fine",
         "sokrates8",
     ] {
         let Some(folder) = data(set) else { return };
@@ -98,6 +99,39 @@ fn every_given_mask_passes() {
                 "{}",
                 path.display()
             );
+            // Nobody is told that such a mask is another photo's.
+            let ratio = done.facts.mask_edge_ratio;
+            assert!(
+                ratio.is_some_and(|ratio| ratio > 1.4),
+                "{}: {ratio:?}",
+                path.display()
+            );
         }
     }
+}
+
+#[test]
+fn photos_given_as_masks_are_refused_and_most_masks_of_other_photos_told() {
+    let options = PhotosOptions::default();
+    let (mut num_pairs, mut num_told) = (0, 0);
+    for set in ["studio_stone", "studio_smooth", "sokrates8"] {
+        let Some(folder) = data(set) else { return };
+        let mut paths: Vec<_> = std::fs::read_dir(folder.join("photos"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
+        paths.sort();
+        for (i, path) in paths.iter().enumerate() {
+            let error = read_mask(path).unwrap_err().to_string();
+            assert!(error.contains("is no mask"), "{error}");
+            let other = &paths[(i + paths.len() / 2) % paths.len()];
+            let stem = other.file_stem().unwrap().to_string_lossy().into_owned();
+            let mask = read_mask(&folder.join(format!("masks/{stem}.png"))).unwrap();
+            let decoded = decode_photo(path).unwrap();
+            let done = prepare(decoded, Some(mask), None, &options).unwrap();
+            num_pairs += 1;
+            num_told += usize::from(done.facts.mask_edge_ratio.is_some_and(|r| r < 1.0));
+        }
+    }
+    assert!(3 * num_told > 2 * num_pairs, "{num_told} of {num_pairs}");
 }

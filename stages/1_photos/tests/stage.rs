@@ -167,6 +167,31 @@ fn photos_that_cannot_be_used_are_named() {
     let error = prepare(blank, None, None, &options).unwrap_err();
     assert!(matches!(error, PhotosError::Blank { .. }), "{error}");
 
+    // Each empty picture with its own reason.
+    for (samples, reason, not) in [
+        (Samples::U8(vec![0; 64 * 48 * 3]), "lens cap", "overexposed"),
+        (
+            Samples::U8(vec![255; 64 * 48 * 3]),
+            "overexposed",
+            "lens cap",
+        ),
+        (
+            Samples::F32(vec![f32::NAN; 64 * 48 * 3]),
+            "finite numbers",
+            "lens cap",
+        ),
+    ] {
+        let mut empty = photo("empty.tif", ExifFacts::default());
+        empty.samples = samples;
+        let error = prepare(empty, None, None, &options)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("empty.tif") && error.contains(reason) && !error.contains(not),
+            "{error}"
+        );
+    }
+
     let mut short = photo("short.jpg", ExifFacts::default());
     short.samples = Samples::U8(vec![7; 10]);
     assert!(matches!(

@@ -43,6 +43,7 @@ pub mod light_export;
 pub mod lighting_file;
 pub mod mask;
 pub mod mask_names;
+mod mask_values;
 pub mod mat;
 pub mod mesh;
 mod names;

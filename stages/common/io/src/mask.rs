@@ -2,6 +2,7 @@
 
 use crate::error::IoError;
 use crate::files::OutputFile;
+use crate::mask_values;
 use crate::photo;
 use image::{ExtendedColorType, ImageEncoder, codecs::png};
 use rilievo_scene::{Mask, Samples};
@@ -13,40 +14,42 @@ use std::path::Path;
 /// whatever the colours; and labels 0 and 1 (nothing brighter in the file) mean 0 and white.
 ///
 /// # Errors
-/// When the file cannot be read or is no image.
+/// When the file cannot be read, is no image, or has more than two values as photos have.
 pub fn read_mask(path: &Path) -> Result<Mask, IoError> {
     let image = photo::decode_photo(path)?;
     if let Some(alpha) = image.alpha {
         return Ok(alpha);
     }
-    let threshold = |white: f64, max: f64| {
-        if max == 1.0 && white > 1.0 {
-            0.5
-        } else {
-            0.5 * white
-        }
-    };
-    let inside: Vec<bool> = match &image.samples {
+    let white = |white: f64, max: f64| if max == 1.0 { 1.0 } else { white };
+    let levels = match image.samples {
         Samples::U8(v) => {
             let max = v.iter().copied().max().unwrap_or(0);
-            marked(v, image.channels, threshold(255.0, f64::from(max)))
+            if image.channels == 1 && max != 1 {
+                v
+            } else {
+                levels(&v, image.channels, white(255.0, f64::from(max)))
+            }
         }
         Samples::U16(v) => {
             let max = v.iter().copied().max().unwrap_or(0);
-            marked(v, image.channels, threshold(65535.0, f64::from(max)))
+            levels(&v, image.channels, white(65535.0, f64::from(max)))
         }
-        Samples::F32(v) => marked(v, image.channels, 0.5),
+        Samples::F32(v) => levels(&v, image.channels, 1.0),
     };
-    Mask::from_vec(image.width, image.height, inside)
+    mask_values::check(path, &levels, image.width)?;
+    let inside = levels.iter().map(|&level| level >= mask_values::BRIGHT);
+    Mask::from_vec(image.width, image.height, inside.collect())
         .ok_or_else(|| IoError::input(path, "its pixels do not fill its frame"))
 }
 
-fn marked<T: Copy + Into<f64>>(samples: &[T], channels: usize, threshold: f64) -> Vec<bool> {
+/// Mean of each pixel's channels in whole steps of 255; what is not a number is 0.
+fn levels<T: Copy + Into<f64>>(samples: &[T], channels: usize, white: f64) -> Vec<u8> {
+    let scale = 255.0 / (white * channels as f64);
     samples
         .chunks_exact(channels)
         .map(|pixel| {
             let sum: f64 = pixel.iter().map(|&sample| sample.into()).sum();
-            sum >= threshold * channels as f64
+            (sum * scale + 0.5) as u8
         })
         .collect()
 }
