@@ -89,7 +89,11 @@ impl FitOptions {
         in_range("max_num_iterations", self.max_num_iterations, 0..=1000)?;
         in_range("start_quantile", self.start_quantile, 0.0..=1.0)?;
         in_range("start_left_out", self.start_left_out, 0.0..=0.899)?;
-        in_range("max_condition", self.max_condition, 1.0..=Self::ANY_CONDITION)
+        in_range(
+            "max_condition",
+            self.max_condition,
+            1.0..=Self::ANY_CONDITION,
+        )
     }
 }
 

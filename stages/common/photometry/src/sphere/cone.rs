@@ -112,6 +112,20 @@ impl SphereInCamera {
             .collect()
     }
 
+    /// Whether any part of its outline's extent lies in the frame.
+    pub fn is_in_frame(&self, intrinsics: &Intrinsics) -> bool {
+        const NUM_POINTS: usize = 64;
+        let outline = self.outline(intrinsics, NUM_POINTS);
+        let overlaps = |pick: fn(&Point2<f64>) -> f64, size: usize| {
+            let low = outline.iter().map(pick).fold(f64::INFINITY, f64::min);
+            let high = outline.iter().map(pick).fold(f64::NEG_INFINITY, f64::max);
+            low <= size as f64 - 0.5 && high >= -0.5
+        };
+        outline.len() == NUM_POINTS
+            && overlaps(|p| p.x, intrinsics.width)
+            && overlaps(|p| p.y, intrinsics.height)
+    }
+
     /// Mean radius of the outline in pixels, close to the optical axis exact.
     pub fn radius_px(&self, intrinsics: &Intrinsics) -> f64 {
         self.cone().map_or(0.0, |cone| {
@@ -228,6 +242,12 @@ impl OutlineCone {
         let (e1, e2) = self.frame();
         self.axis * self.half_angle.cos()
             + (e1 * angle.cos() + e2 * angle.sin()) * self.half_angle.sin()
+    }
+
+    /// Angle around the axis of a unit ray, as [`OutlineCone::ray`] takes it.
+    pub fn angle_around(&self, unit_ray: &Vector3<f64>) -> f64 {
+        let (e1, e2) = self.frame();
+        unit_ray.dot(&e2).atan2(unit_ray.dot(&e1))
     }
 
     /// Two unit vectors across the axis; the first points along the image's rows for a cone in
