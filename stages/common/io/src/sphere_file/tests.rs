@@ -185,7 +185,7 @@ fn wrong_values_are_refused_with_their_key() {
         (r#"{"radius": 1, "spheres": []}"#, "names no sphere"),
         (
             r#"{"radius": 1e300, "center": [0,0,0]}"#,
-            "radius: 1e300 is no sphere's radius",
+            "radius: 1e+300 is no sphere's radius",
         ),
         (
             r#"{"radius": 1, "spheres": [{"radius": 1e-300, "center": [0,0,0]}]}"#,
@@ -193,7 +193,7 @@ fn wrong_values_are_refused_with_their_key() {
         ),
         (
             r#"{"radius": 1, "views": {"a": {"circle": [20,15,8]}}, "center": [1e300,0,0]}"#,
-            "center: [1e300,0,0] is no place",
+            "center: [1e+300,0,0] is no place",
         ),
         (
             r#"{"radius": 1, "views": {"a": {"circle": [20,15,1e-300]}}}"#,
