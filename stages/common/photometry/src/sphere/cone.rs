@@ -244,12 +244,6 @@ impl OutlineCone {
             + (e1 * angle.cos() + e2 * angle.sin()) * self.half_angle.sin()
     }
 
-    /// Angle around the axis of a unit ray, as [`OutlineCone::ray`] takes it.
-    pub fn angle_around(&self, unit_ray: &Vector3<f64>) -> f64 {
-        let (e1, e2) = self.frame();
-        unit_ray.dot(&e2).atan2(unit_ray.dot(&e1))
-    }
-
     /// Two unit vectors across the axis; the first points along the image's rows for a cone in
     /// front, so that angles start at +x and turn towards +y.
     fn frame(&self) -> (Vector3<f64>, Vector3<f64>) {

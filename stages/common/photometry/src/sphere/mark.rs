@@ -9,8 +9,9 @@
 //!    shadow cut may be a third of the outline), then re-weighted least squares of the distances
 //!    in pixels.
 //! 3. Points on a line or a short arc lie on many cones. With `φ_i` the angles of the points around
-//!    the axis, rows `(cos φ_i, sin φ_i, 1)` of `J` (two shifts and a widening) and `σ` the error of a
-//!    point, the outline's size has the standard deviation `σ √((JᵀJ)⁻¹)₃₃`; it must be small.
+//!    their circle in the picture, rows `(cos φ_i, sin φ_i, 1)` of `J` (two shifts and a widening) and
+//!    `σ` the error of a point, its radius has the standard deviation `σ √((JᵀJ)⁻¹)₃₃`; it must be
+//!    small.
 
 use super::{OutlineCone, SphereError, SphereOptions};
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
@@ -124,18 +125,38 @@ const MIN_SIGMA_PX: f64 = 0.1;
 /// Error of a point that is marked by hand, pixels.
 const HAND_SIGMA_PX: f64 = 1.0;
 
-/// Standard deviation of an outline's radius over that of its points, from the directions of the points
-/// as seen from its centre; infinite where they leave it open.
-fn size_sigma(directions: impl Iterator<Item = Vector2<f64>>) -> f64 {
+/// Relative standard deviation of the radius of the circle through points with an error of `sigma_px`;
+/// infinite where they leave it open. In the picture, where a line is straight: to a camera it is a cone
+/// of a right angle, whose size is well determined.
+fn size_sigma(points: &[Point2<f64>], sigma_px: f64) -> f64 {
+    let mean = points.iter().map(|p| p.coords).sum::<Vector2<f64>>() / points.len() as f64;
+    let centred = || points.iter().map(|p| p.coords - mean);
+    let size = centred().map(|p| p.norm()).fold(0.0, f64::max);
+    // The circle |p|² = 2 c·p + k by least squares, around the mean, where it is well scaled.
+    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for p in centred().map(|p| p / size) {
+        let row = Vector3::new(2.0 * p.x, 2.0 * p.y, 1.0);
+        matrix += row * row.transpose();
+        right += row * p.norm_squared();
+    }
+    let Some(inverse) = matrix.try_inverse() else {
+        return f64::INFINITY;
+    };
+    let circle = inverse * right;
+    let center = circle.xy();
+    let radius_px = size * (circle.z + center.norm_squared()).sqrt();
     let mut matrix = Matrix3::zeros();
-    for d in directions {
-        let row = Vector3::new(d.x, d.y, 1.0);
+    for p in centred() {
+        let around = (p / size - center).normalize();
+        let row = Vector3::new(around.x, around.y, 1.0);
         matrix += row * row.transpose();
     }
     let variance = matrix.try_inverse().map(|inverse| inverse[(2, 2)]);
-    // Rounding makes a nearly singular inverse negative.
-    let variance = variance.filter(|v| v.is_finite() && *v > 0.0);
-    variance.map_or(f64::INFINITY, f64::sqrt)
+    // Rounding makes a nearly singular inverse negative, and a circle of points on a line no number.
+    let sigma = variance
+        .filter(|v| *v > 0.0)
+        .map(|v| sigma_px * v.sqrt() / radius_px);
+    sigma.filter(|s| s.is_finite()).unwrap_or(f64::INFINITY)
 }
 
 /// Whether points marked by hand determine an outline, whatever the camera. One stray point among good
@@ -154,31 +175,15 @@ pub fn check_marked_points(points: &[Point2<f64>]) -> Result<(), SphereError> {
             needed: MIN_POINTS,
         });
     }
-    let open = |relative_sigma: f64| SphereError::OpenOutline {
-        available,
-        relative_sigma,
-        sigma_px: HAND_SIGMA_PX,
-    };
-    // The circle |p|² = 2 c·p + k by least squares, around the mean, where it is well scaled.
-    let mean = distinct.iter().map(|p| p.coords).sum::<Vector2<f64>>() / available as f64;
-    let centred = || distinct.iter().map(|p| p.coords - mean);
-    let size = centred().map(|p| p.norm()).fold(0.0, f64::max);
-    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    for p in centred().map(|p| p / size) {
-        let row = Vector3::new(2.0 * p.x, 2.0 * p.y, 1.0);
-        matrix += row * row.transpose();
-        right += row * p.norm_squared();
-    }
-    let inverse = matrix.try_inverse().ok_or(open(f64::INFINITY))?;
-    let circle = inverse * right;
-    let center = circle.xy();
-    let radius_px = size * (circle.z + center.norm_squared()).sqrt();
-    let directions = centred().map(|p| (p / size - center).normalize());
-    let relative_sigma = HAND_SIGMA_PX * size_sigma(directions) / radius_px;
+    let relative_sigma = size_sigma(&distinct, HAND_SIGMA_PX);
     if relative_sigma <= MAX_SIZE_SIGMA {
         Ok(())
     } else {
-        Err(open(relative_sigma))
+        Err(SphereError::OpenOutline {
+            available,
+            relative_sigma,
+            sigma_px: HAND_SIGMA_PX,
+        })
     }
 }
 
@@ -246,12 +251,8 @@ pub fn cone_from_points(
     }
     // No outline is seen better than its systematic uncertainty, however well its points agree.
     let sigma_px = rms_px.max(options.outline_bias_px).max(MIN_SIGMA_PX);
-    let around = inliers.iter().map(|p| {
-        let (sin, cos) = cone.angle_around(&intrinsics.ray(p).normalize()).sin_cos();
-        Vector2::new(cos, sin)
-    });
-    let relative_sigma = sigma_px * size_sigma(around) / cone.sphere(1.0).radius_px(intrinsics);
-    if relative_sigma.is_nan() || relative_sigma > MAX_SIZE_SIGMA {
+    let relative_sigma = size_sigma(&inliers, sigma_px);
+    if relative_sigma > MAX_SIZE_SIGMA {
         return Err(SphereError::OpenOutline {
             available: inliers.len(),
             relative_sigma,
