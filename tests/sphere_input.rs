@@ -162,6 +162,187 @@ fn a_radius_that_no_sphere_has_is_refused_before_anything_is_computed() {
 }
 
 #[test]
+fn what_cannot_be_a_sphere_is_refused_with_its_place_in_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let photos = noise_photos(folder.path(), 2);
+    let file = folder.path().join("ball.json");
+    write_mask(
+        &folder.path().join("none.png"),
+        &Mask::filled(160, 120, false),
+    )
+    .unwrap();
+    let line = [[20, 40], [30, 40], [40, 40], [50, 40], [60, 40]];
+    let one_place = [[20, 40]; 5];
+    let arc = [[110, 60], [109, 66], [107, 73], [104, 79], [100, 85]];
+    let circle = json!({"circle": [80, 60, 20]});
+    let marked = |points: Value| json!({"radius": 0.03, "views": {"p0.jpg": {"points": points}, "p1.jpg": circle}});
+    let many = vec![json!({"views": {"p0.jpg": circle}}); 300];
+    for (sphere, parts) in [
+        (
+            marked(json!(line)),
+            [
+                "the sphere in p0.jpg (views.p0.jpg.points)",
+                "determine no ellipse",
+                "all around",
+            ],
+        ),
+        (
+            marked(json!(one_place)),
+            [
+                "the sphere in p0.jpg",
+                "1 different outline points",
+                "all around",
+            ],
+        ),
+        (
+            marked(json!(arc)),
+            ["the sphere in p0.jpg", "a short arc", "all around"],
+        ),
+        (
+            json!({"radius": 0.03, "views": {"p0.jpg": {"mask": "none.png"}}}),
+            [
+                "no mark of the sphere is left",
+                "none.png",
+                "0 white pixels",
+            ],
+        ),
+        (
+            json!({"radius": 0.03, "views": {"p0.jpg": circle}, "center": [1e300, 0, 0]}),
+            ["ball.json", "center", "no place beside the object"],
+        ),
+        (
+            json!({"radius": 1e300, "views": {"p0.jpg": circle}}),
+            ["ball.json", "radius", "no sphere's radius"],
+        ),
+        (
+            json!({"radius": 0.03, "spheres": many}),
+            ["ball.json", "300 spheres", "64 at most"],
+        ),
+    ] {
+        std::fs::write(&file, sphere.to_string()).unwrap();
+        let more = ["--sphere", arg(&file)];
+        let run = folder.path().join("run");
+        let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run, &more);
+        assert_eq!(code, 3, "{stderr}");
+        told(&stderr, &parts);
+    }
+}
+
+#[test]
+fn cameras_at_one_place_and_lenses_that_cannot_be_are_named_as_such() {
+    let set = Set::new();
+    let sphere = set.circles();
+    let spoilt = |file: &str, change: &dyn Fn(&mut Value)| {
+        let mut cameras = json_of(&set.path(file));
+        change(&mut cameras["cameras"]);
+        std::fs::write(set.path("spoilt.json"), cameras.to_string()).unwrap();
+        set.light("spoilt.json", &sphere)
+    };
+    let (code, stderr) = spoilt("truth/cameras.json", &|cameras| {
+        let first = cameras[0]["camera_center"].clone();
+        for camera in cameras.as_array_mut().unwrap() {
+            camera["camera_center"] = first.clone();
+        }
+    });
+    assert_eq!(code, 4, "{stderr}");
+    told(
+        &stderr,
+        &["cameras all stand at one place", "determine no depth"],
+    );
+    assert!(!stderr.contains("sphere"), "{stderr}");
+    for focal in [1e300, 1e-300] {
+        let (code, stderr) = spoilt("intrinsics.json", &|cameras| {
+            cameras[1]["K"][0][0] = json!(focal);
+            cameras[1]["K"][1][1] = json!(focal);
+        });
+        assert_eq!(code, 3, "{stderr}");
+        let value = format!("{focal:e} pixels");
+        told(
+            &stderr,
+            &["spoilt.json", "IMG_0002.jpg", &value, "48 to 48000"],
+        );
+    }
+}
+
+#[test]
+fn a_stated_centre_is_compared_with_the_marks_and_needs_a_frame_and_a_view() {
+    let set = Set::new();
+    let truth = json_of(&set.path("truth/cameras.json"))["sphere"]["center"].clone();
+    let place: Vec<f64> = serde_json::from_value(truth.clone()).unwrap();
+    let mut sphere = set.circles();
+    sphere["center"] = truth;
+    let (code, stderr) = set.light("truth/cameras.json", &sphere);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(!stderr.contains("stated centre"), "{stderr}");
+    sphere["center"] = json!([place[0] + 0.3, place[1], place[2]]);
+    let (code, stderr) = set.light("truth/cameras.json", &sphere);
+    assert_eq!(code, 0, "{stderr}");
+    let figures = [
+        "the stated centre of the sphere",
+        "lies 0.30",
+        "times its radius",
+    ];
+    told(&stderr, &figures);
+    let (code, stderr) = set.light("intrinsics.json", &sphere);
+    assert_eq!(code, 0, "{stderr}");
+    told(
+        &stderr,
+        &[
+            "the stated centre of the sphere is not used",
+            "its marks are used",
+        ],
+    );
+    for (cameras, center, reason) in [
+        (
+            "truth/cameras.json",
+            json!([0, 0, 50]),
+            "in the frame of none of the 4 cameras",
+        ),
+        (
+            "intrinsics.json",
+            json!(place),
+            "stated in the frame of given cameras",
+        ),
+    ] {
+        let (code, stderr) = set.light(cameras, &json!({"radius": 0.03, "center": center}));
+        assert_eq!(code, 4, "{stderr}");
+        told(&stderr, &["error: no reference sphere was located", reason]);
+    }
+}
+
+#[test]
+fn marks_that_follow_no_sphere_are_told_and_an_empty_mask_stops_nothing() {
+    let set = Set::new();
+    let good = set.circles();
+    let (code, stderr) = set.light("intrinsics.json", &good);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(!stderr.contains("outline no matte sphere"), "{stderr}");
+    for factor in [0.7, 1.3, 1.6] {
+        let mut scaled = good.clone();
+        for mark in scaled["views"].as_object_mut().unwrap().values_mut() {
+            mark["circle"][2] = json!(mark["circle"][2].as_f64().unwrap() * factor);
+        }
+        let (_, stderr) = set.light("intrinsics.json", &scaled);
+        let parts = [
+            "marks of the sphere outline no matte sphere",
+            "edge along",
+            "unexplained",
+        ];
+        told(&stderr, &parts);
+    }
+    let mut masks = good;
+    let none = Mask::filled(480, 360, false);
+    write_mask(&set.path("none.png"), &none).unwrap();
+    masks["views"]["IMG_0002.jpg"] = json!({"mask": "none.png"});
+    let (code, stderr) = set.light("intrinsics.json", &masks);
+    assert_eq!(code, 0, "{stderr}");
+    told(
+        &stderr,
+        &["none.png", "0 white pixels", "the other marks go on"],
+    );
+}
+
+#[test]
 fn wrong_marks_are_left_out_by_name_and_the_others_go_on() {
     let set = Set::new();
     let square = Mask::from_fn(480, 360, |x, y| {

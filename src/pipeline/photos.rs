@@ -363,13 +363,15 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
             file: mask_path,
             reason: error.to_string(),
         }),
-        PhotosError::CameraSize { .. } => Trouble::Request(Problem {
-            file: request
-                .cameras
-                .clone()
-                .unwrap_or_else(|| photo.path.clone()),
-            reason: error.to_string(),
-        }),
+        PhotosError::CameraSize { .. } | PhotosError::CameraFocal { .. } => {
+            Trouble::Request(Problem {
+                file: request
+                    .cameras
+                    .clone()
+                    .unwrap_or_else(|| photo.path.clone()),
+                reason: error.to_string(),
+            })
+        }
         other => Trouble::Photo(other.to_string()),
     })
 }

@@ -123,11 +123,18 @@ impl Request {
         args.work.bound(&mut options.fusion);
         options.validate()?;
         if let Some(radius) = args.sphere_radius
-            && !(radius.is_finite() && radius > 0.0)
+            && !rilievo_io::SPHERE_RADII.contains(&radius)
         {
-            return Err(Failure::Usage(format!(
-                "--sphere-radius {radius} must be a positive length in metres"
-            )));
+            let usable = rilievo_io::SPHERE_RADII;
+            return Err(Failure::Usage(if radius.is_finite() && radius > 0.0 {
+                format!(
+                    "--sphere-radius {radius:e} is no sphere's radius in metres: {:e} to {:e} can be meant",
+                    usable.start(),
+                    usable.end()
+                )
+            } else {
+                format!("--sphere-radius {radius} must be a positive length in metres")
+            }));
         }
         let lighting = match (&args.lighting, &args.lighting_shape) {
             (Some(spec), _) => {

@@ -2,11 +2,12 @@
 
 use super::errors::from_io;
 use super::request::SphereInput;
-use crate::exit::Failure;
+use crate::exit::{Failure, Problem};
 use crate::paths::text_of;
 use crate::store::{hash_file, hash_json};
 use rilievo_io::{SphereFile, SphereFileEntry, read_sphere_file};
-use rilievo_scene::Unit;
+use rilievo_photometry::sphere::{check_marked_points, outline_of_mark};
+use rilievo_scene::{SphereMark, Unit};
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
@@ -49,6 +50,13 @@ impl SphereInputs {
                         ));
                     }
                 }
+                check_points(&file)?;
+                for (mask, reason) in &file.left_out {
+                    warnings.push(format!(
+                        "{}: {reason}: it is left out, the other marks go on",
+                        mask.display()
+                    ));
+                }
                 if file.unit == Unit::Metre {
                     let odd = |sphere: &SphereFileEntry| odd_radius(&sphere.name, sphere.radius);
                     warnings.extend(file.spheres.iter().filter_map(odd));
@@ -65,6 +73,41 @@ impl SphereInputs {
             }
         }
         Ok(inputs)
+    }
+}
+
+/// Refuses points that determine no outline: no other photo can make up for what a hand marked wrong.
+fn check_points(file: &SphereFile) -> Result<(), Failure> {
+    let beside = file.spheres.iter().flat_map(|sphere| {
+        let views = sphere.views.iter();
+        views.map(|(photo, mark)| {
+            let of = format!(
+                "{} in {photo} ({}views.{photo}.points)",
+                sphere.name, sphere.key
+            );
+            (of, mark)
+        })
+    });
+    let calibration = file.calibration.iter().enumerate();
+    let calibration = calibration.filter_map(|(k, c)| {
+        let mark = c.mark.as_ref()?;
+        Some((format!("the sphere of calibration[{k}]"), mark))
+    });
+    let problems: Vec<Problem> = beside
+        .chain(calibration)
+        .filter(|(_, mark)| matches!(mark, SphereMark::Points(_)))
+        .filter_map(|(of, mark)| {
+            let error = check_marked_points(&outline_of_mark(mark)).err()?;
+            Some(Problem {
+                file: file.path.clone(),
+                reason: format!("{of}: {error}"),
+            })
+        })
+        .collect();
+    if problems.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Input(problems))
     }
 }
 

@@ -157,6 +157,21 @@ pub enum PhotosError {
         /// Rows of the photo.
         height: usize,
     },
+    /// The given camera has a focal length that no lens has.
+    #[error(
+        "camera of {photo} has a focal length of {focal_px:e} pixels; {min_px:.0} to {max_px:.0} are \
+         usable for a photo of this size: give it in pixels, not in millimetres"
+    )]
+    CameraFocal {
+        /// The photo.
+        photo: String,
+        /// What was given.
+        focal_px: f64,
+        /// Smallest that a lens has.
+        min_px: f64,
+        /// Largest that a lens has.
+        max_px: f64,
+    },
     /// Two photos would write the same artifacts.
     #[error("{first} and {second} both have the name {name}, which names the results; rename one")]
     DuplicateName {

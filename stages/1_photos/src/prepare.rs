@@ -170,6 +170,15 @@ fn given_camera(
             height: decoded.height,
         });
     }
+    if let Some(focal_px) = intrinsics.implausible_focal_px() {
+        let side = intrinsics.width.max(intrinsics.height) as f64;
+        return Err(PhotosError::CameraFocal {
+            photo: decoded.file_name.clone(),
+            focal_px,
+            min_px: Intrinsics::FOCAL_OVER_SIDE.start() * side,
+            max_px: Intrinsics::FOCAL_OVER_SIDE.end() * side,
+        });
+    }
     Ok(FirstCamera {
         intrinsics,
         source: FocalSource::CameraFile,

@@ -118,6 +118,24 @@ fn a_given_camera_is_kept_bit_for_bit() {
     };
     let error = prepare(photo("a.jpg", zoom(20.0)), None, Some(camera), &options).unwrap_err();
     assert!(matches!(error, PhotosError::CameraSize { .. }), "{error}");
+
+    for (fx, fy) in [(1e300, 71.0), (71.0, 1e-300), (3.0, 3.0)] {
+        let camera = GivenCamera {
+            intrinsics: Intrinsics {
+                fx,
+                fy,
+                ..intrinsics
+            },
+            cam_from_world: None,
+        };
+        let error = prepare(photo("a.jpg", zoom(20.0)), None, Some(camera), &options).unwrap_err();
+        assert!(matches!(error, PhotosError::CameraFocal { .. }), "{error}");
+        let message = error.to_string();
+        assert!(
+            message.len() < 200 && message.contains("a.jpg"),
+            "{message}"
+        );
+    }
 }
 
 #[test]

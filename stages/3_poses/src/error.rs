@@ -78,6 +78,16 @@ pub enum PosesError {
         /// Which convention explains them, or what to try.
         hint: String,
     },
+    /// Given poses without a baseline.
+    #[error(
+        "the given cameras all stand at one place ({:.4}, {:.4}, {:.4}): cameras at one place determine no \
+         depth, whatever they see; check the camera centres, or leave the poses out of the camera file so \
+         that they are found from the photos", place[0], place[1], place[2]
+    )]
+    GivenPosesAtOnePlace {
+        /// Their common centre.
+        place: [f64; 3],
+    },
     /// The measured distance cannot be found in the model.
     #[error("the known distance cannot be used: {reason}")]
     KnownDistance {

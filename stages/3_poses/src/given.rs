@@ -28,6 +28,19 @@ pub fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<RigidTrans
         .collect()
 }
 
+/// Distance of two centres over their distance from the origin below which rounding made it.
+const SAME_PLACE: f64 = 1e-12;
+
+/// The centre that all cameras share, where they do.
+fn common_place(poses: &[RigidTransform]) -> Option<[f64; 3]> {
+    let mut centers = poses.iter().map(RigidTransform::center_in_source);
+    let first = centers.next()?;
+    let limit = SAME_PLACE * first.coords.norm();
+    centers
+        .all(|center| (center - first).norm() <= limit)
+        .then(|| first.coords.into())
+}
+
 /// Share of all verified matches that poses explain; `None` without matches.
 fn consistent_share(scene: &Scene<'_>, poses: &[RigidTransform], max_error_px: f64) -> Option<f64> {
     let (mut agreeing, mut total) = (0_usize, 0_usize);
@@ -112,6 +125,9 @@ pub fn reconstruct(
     options: &PosesOptions,
 ) -> Result<Reconstruction, PosesError> {
     let max_error_px = 3.0 * options.max_reprojection_error_px;
+    if let Some(place) = common_place(poses) {
+        return Err(PosesError::GivenPosesAtOnePlace { place });
+    }
     if let Some(share) = consistent_share(scene, poses, max_error_px)
         && share < MIN_CONSISTENT_SHARE
     {

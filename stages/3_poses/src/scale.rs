@@ -16,8 +16,10 @@
 use crate::error::PosesError;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
+use nalgebra::Point3;
 use rilievo_photometry::sphere::{
-    LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, WorldScale, locate_request,
+    LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, WorldScale,
+    locate_request,
 };
 use rilievo_scene::{
     MarkedSphere, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
@@ -72,10 +74,21 @@ pub fn apply(
         } else {
             WorldScale::Free
         };
-        let found = locate_request(photos, &posed.views, request, world_scale, &options.sphere);
+        let (placed, frameless) = in_known_frame(request, has_given_poses);
+        let found = locate_request(photos, &posed.views, &placed, world_scale, &options.sphere);
+        let found = match found {
+            Ok(mut located) => {
+                located.missing.extend(frameless);
+                Ok(located)
+            }
+            // What was said of the sphere is more to the point than that nothing is left of it.
+            Err(SphereError::NoView) if !frameless.is_empty() => Err(SphereError::NoFrame),
+            Err(error) => Err(error),
+        };
         match found {
             Ok(located) => {
                 warnings.extend(warnings_of(photos, request, &located, is_metric));
+                warnings.extend(centers_of(request, &located, has_given_poses));
                 posed.spheres = located.fits.into_iter().map(|fit| fit.sphere).collect();
                 // Centres that were merely stated say nothing of the scale.
                 if let Some(estimate) = located.scale.estimate.filter(|_| !is_metric) {
@@ -100,6 +113,109 @@ pub fn apply(
     }
     report.scale = posed.scale;
     Ok(())
+}
+
+/// The request without the spheres of which a centre alone is known, in a frame that is not the world's;
+/// and these.
+fn in_known_frame(
+    request: &SphereRequest,
+    has_given_poses: bool,
+) -> (SphereRequest, Vec<(String, SphereError)>) {
+    let is_placed = |sphere: &MarkedSphere| has_given_poses || !sphere.marks.is_empty();
+    let (placed, frameless): (Vec<MarkedSphere>, Vec<MarkedSphere>) =
+        request.spheres.iter().cloned().partition(is_placed);
+    // Where the poses were found, a centre cannot stand in for marks either.
+    let spheres = placed.into_iter().map(|sphere| MarkedSphere {
+        center_in_world: sphere.center_in_world.filter(|_| has_given_poses),
+        ..sphere
+    });
+    let placed = SphereRequest {
+        spheres: spheres.collect(),
+        search_radius: request.search_radius,
+        light: request.light,
+        calibration: Vec::new(),
+    };
+    let frameless = frameless.into_iter();
+    (
+        placed,
+        frameless.map(|s| (s.name, SphereError::NoFrame)).collect(),
+    )
+}
+
+/// Share of the radius by which a stated centre may differ from that of the marks: the normals differ by
+/// as many radians.
+const MAX_CENTER_SHIFT: f64 = 0.1;
+
+/// What the user should know of centres that were stated beside marks.
+fn centers_of(
+    request: &SphereRequest,
+    located: &LocatedSpheres,
+    has_given_poses: bool,
+) -> Vec<String> {
+    let told = located.fits.iter().filter_map(|fit| {
+        let sphere = request.spheres.iter().find(|s| s.name == fit.sphere.name)?;
+        let stated = sphere.center_in_world.filter(|_| !fit.views.is_empty())?;
+        if !has_given_poses {
+            return Some(format!(
+                "the stated centre of {} is not used: it stands in the frame of given cameras, but the \
+                 poses were found from the photos; its marks are used",
+                sphere.name
+            ));
+        }
+        let found = fit.sphere.center_in_world;
+        let shift = (stated - Point3::from(found)).norm();
+        (shift > MAX_CENTER_SHIFT * fit.sphere.radius).then(|| {
+            format!(
+                "the stated centre of {} ({:.4}, {:.4}, {:.4}) lies {shift:.4} m from where its outlines \
+                 put it ({:.4}, {:.4}, {:.4}), {:.1} times its radius: the outlines are used; check the \
+                 centre, its frame and its unit",
+                sphere.name,
+                stated.x,
+                stated.y,
+                stated.z,
+                found[0],
+                found[1],
+                found[2],
+                shift / fit.sphere.radius
+            )
+        })
+    });
+    told.collect()
+}
+
+/// Share of a marked outline that an edge follows in a photo that shows the sphere there.
+const MIN_EDGE_SHARE: f64 = 0.5;
+/// Relative residual of a sphere's shading above which something else is inside the outline.
+const MAX_SHADING_RESIDUAL: f64 = 0.1;
+
+/// What the user should know of marks that the photos do not confirm.
+fn unconfirmed(photos: &PhotoSet, fit: &SphereFit) -> Option<String> {
+    let told: Vec<String> = fit
+        .evidence
+        .iter()
+        .filter_map(|seen| {
+            let residual = seen.shading_residual.unwrap_or(0.0);
+            (seen.edge_share < MIN_EDGE_SHARE || residual > MAX_SHADING_RESIDUAL).then(|| {
+                format!(
+                    "{} (edge along {:.0} % of it, {:.0} % of the brightness inside unexplained)",
+                    photos.photos[seen.photo.0].file_name,
+                    100.0 * seen.edge_share,
+                    100.0 * residual
+                )
+            })
+        })
+        .collect();
+    (!told.is_empty()).then(|| {
+        format!(
+            "the marks of {} outline no matte sphere in {}: an edge along {:.0} % or more and less than \
+             {:.0} % unexplained are expected; check that they follow its outline, and that nothing \
+             stands before it",
+            fit.sphere.name,
+            told.join(", "),
+            100.0 * MIN_EDGE_SHARE,
+            100.0 * MAX_SHADING_RESIDUAL
+        )
+    })
 }
 
 /// What the user should know of the spheres that were located, and of those that were not.
@@ -136,6 +252,7 @@ fn warnings_of(
                 }
             ));
         }
+        warnings.extend(unconfirmed(photos, fit));
         if let Some(scale) = fit.scale.filter(|_| is_metric)
             && (1.0 / scale.metres_per_unit - 1.0).abs() > 0.05
         {

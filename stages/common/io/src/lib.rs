@@ -91,4 +91,7 @@ pub use preview::{Preview, encode_preview_png, write_preview_png};
 pub use scene_file::{
     SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene, write_matches_csv,
 };
-pub use sphere_file::{SphereFile, SphereFileCalibration, SphereFileEntry, read_sphere_file};
+pub use sphere_file::{
+    MAX_NUM_SPHERES, SPHERE_RADII, SphereFile, SphereFileCalibration, SphereFileEntry,
+    read_sphere_file,
+};

@@ -22,14 +22,24 @@ use crate::json::{self, Node};
 use crate::mask::read_mask;
 use nalgebra::Point3;
 use rilievo_scene::{
-    LightKind, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, SphereCalibration, SphereMark,
+    LightKind, LinearImage, MarkedSphere, Mask, PhotoIdx, PhotoSet, SphereCalibration, SphereMark,
     SphereRequest, Unit,
 };
 use std::collections::HashSet;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 /// Fewest points that determine an ellipse.
 const MIN_NUM_POINTS: usize = 5;
+/// Most spheres of a file. Each is fitted in every photo, which takes a tenth of a second or more, and
+/// nobody places as many beside an object: a longer list was made by mistake.
+pub const MAX_NUM_SPHERES: usize = 64;
+/// Radii that can be meant, in whatever unit of length: beyond, sums of squares lose the smaller term.
+pub const SPHERE_RADII: RangeInclusive<f64> = 1e-6..=1e6;
+/// Largest coordinate of a centre, for the same reason.
+const MAX_COORDINATE: f64 = 1e9;
+/// Smallest radius of an outline, pixels: a smaller one lies within one pixel.
+const MIN_OUTLINE_PX: f64 = 1.0;
 
 /// A photo of a sphere in the object's place, as the file names it.
 #[derive(Clone, Debug, PartialEq)]
@@ -74,6 +84,8 @@ pub struct SphereFile {
     pub calibration: Vec<SphereFileCalibration>,
     /// Every further file that was read or is named: masks and calibration photos, in order.
     pub files: Vec<PathBuf>,
+    /// Masks that mark nothing and were left out, with the reason.
+    pub left_out: Vec<(PathBuf, String)>,
 }
 
 /// A photo of the set by its name with or without ending or folder.
@@ -136,7 +148,7 @@ impl SphereFile {
                     continue;
                 };
                 let camera = &photos.photos[photo.0].intrinsics;
-                check_mask_size(mark, camera.width, camera.height).map_err(|reason| {
+                check_frame(mark, camera.width, camera.height).map_err(|reason| {
                     IoError::input(&self.path, format!("{}views.{name}: {reason}", entry.key))
                 })?;
                 sphere.marks.push((photo, mark.clone()));
@@ -171,7 +183,7 @@ impl SphereFile {
                 )));
             }
             if let Some(mark) = &entry.mark {
-                check_mask_size(mark, image.width, image.height)
+                check_frame(mark, image.width, image.height)
                     .map_err(|reason| refuse(format!(": {reason}")))?;
             }
             request.calibration.push(SphereCalibration {
@@ -186,13 +198,49 @@ impl SphereFile {
     }
 }
 
-fn check_mask_size(mark: &SphereMark, width: usize, height: usize) -> Result<(), String> {
-    match mark {
-        SphereMark::Mask(mask) if (mask.width, mask.height) != (width, height) => Err(format!(
-            "the sphere's mask has {} x {} pixels, the photo {width} x {height}",
-            mask.width, mask.height
-        )),
-        _ => Ok(()),
+/// Whether a mark is of a photo of this size: a mask has its size, any other reaches into it.
+fn check_frame(mark: &SphereMark, width: usize, height: usize) -> Result<(), String> {
+    let reaches = |x: [f64; 2], y: [f64; 2]| {
+        x[1] >= -0.5 && x[0] <= width as f64 - 0.5 && y[1] >= -0.5 && y[0] <= height as f64 - 0.5
+    };
+    let around = |c: &[f64; 2], r: f64| reaches([c[0] - r, c[0] + r], [c[1] - r, c[1] + r]);
+    let inside = match mark {
+        SphereMark::Mask(mask) if (mask.width, mask.height) != (width, height) => {
+            return Err(format!(
+                "the sphere's mask has {} x {} pixels, the photo {width} x {height}",
+                mask.width, mask.height
+            ));
+        }
+        SphereMark::Mask(_) => true,
+        SphereMark::Circle {
+            center_px,
+            radius_px,
+        } => around(center_px, *radius_px),
+        SphereMark::Ellipse {
+            center_px,
+            semi_axes_px: [a, b],
+            ..
+        } => around(center_px, a.max(*b)),
+        SphereMark::Points(points) => points.iter().any(|&[x, y]| reaches([x, x], [y, y])),
+    };
+    if inside {
+        Ok(())
+    } else {
+        Err(format!(
+            "the mark lies outside the photo, which has {width} x {height} pixels"
+        ))
+    }
+}
+
+/// Why a mask is no mark of a sphere.
+fn unusable(mask: &Mask) -> Option<String> {
+    let count = mask.count();
+    if count < MIN_NUM_POINTS {
+        Some(format!("the sphere's mask has {count} white pixels"))
+    } else if count == mask.data.len() {
+        Some("the sphere's mask is white everywhere".to_owned())
+    } else {
+        None
     }
 }
 
@@ -204,7 +252,7 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
     let value = json::read(path)?;
     let root = Node::root(path, &value);
     let folder = path.parent().unwrap_or(Path::new(""));
-    let mut files = Vec::new();
+    let mut named = Named::default();
 
     let unit = match root.opt("unit")? {
         Some(_) => crate::cameras::unit(&root)?,
@@ -219,24 +267,30 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
         },
     };
     let radius = match root.opt("radius")? {
-        Some(node) => Some(node.positive()?),
+        Some(node) => Some(radius_of(&node)?),
         None => None,
     };
-    let spheres = spheres(&root, radius, folder, &mut files)?;
+    let spheres = spheres(&root, radius, folder, &mut named)?;
     let mut calibration = Vec::new();
     if let Some(list) = root.opt("calibration")? {
         for node in list.array()? {
             let image = folder.join(node.get("image")?.text()?);
-            files.push(image.clone());
+            named.files.push(image.clone());
             let own_radius = match node.opt("radius")? {
-                Some(node) => Some(node.positive()?),
+                Some(node) => Some(radius_of(&node)?),
                 None => radius,
             };
+            let mark = mark(&node, folder, &mut named.files)?;
+            if let (Some(SphereMark::Mask(mask)), Some(file)) = (&mark, named.files.last())
+                && let Some(reason) = unusable(mask)
+            {
+                return Err(IoError::input(file, reason));
+            }
             calibration.push(SphereFileCalibration {
                 image,
                 same_camera_as: node.get("same_camera_as")?.text()?.to_owned(),
                 radius: own_radius.ok_or_else(|| node.refuse("has no \"radius\""))?,
-                mark: mark(&node, folder, &mut files)?,
+                mark,
             });
         }
     }
@@ -247,14 +301,50 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
              says where the sphere is",
         ));
     }
+    let nothing_left = |s: &SphereFileEntry| s.views.is_empty() && s.center.is_none();
+    if calibration.is_empty() && spheres.iter().all(nothing_left) {
+        let reasons = named.left_out.iter();
+        let reasons: Vec<String> = reasons
+            .map(|(file, reason)| format!("{}: {reason}", file.display()))
+            .collect();
+        return Err(IoError::input(
+            path,
+            format!(
+                "no mark of the sphere is left: {}; paint the sphere white in its masks",
+                reasons.join("; ")
+            ),
+        ));
+    }
     Ok(SphereFile {
         path: path.to_path_buf(),
         unit,
         light,
         spheres,
         calibration,
-        files,
+        files: named.files,
+        left_out: named.left_out,
     })
+}
+
+/// Files that a sphere file names.
+#[derive(Default)]
+struct Named {
+    files: Vec<PathBuf>,
+    left_out: Vec<(PathBuf, String)>,
+}
+
+/// A radius that a sphere can have.
+fn radius_of(node: &Node<'_>) -> Result<f64, IoError> {
+    let radius = node.positive()?;
+    if SPHERE_RADII.contains(&radius) {
+        Ok(radius)
+    } else {
+        Err(node.refuse(format!(
+            "is no sphere's radius: {:e} to {:e} can be meant; state it in metres",
+            SPHERE_RADII.start(),
+            SPHERE_RADII.end()
+        )))
+    }
 }
 
 /// The spheres of a list, or the only one of the top level.
@@ -262,7 +352,7 @@ fn spheres(
     root: &Node<'_>,
     common_radius: Option<f64>,
     folder: &Path,
-    files: &mut Vec<PathBuf>,
+    named: &mut Named,
 ) -> Result<Vec<SphereFileEntry>, IoError> {
     let Some(list) = root.opt("spheres")? else {
         let only = entry(
@@ -270,7 +360,7 @@ fn spheres(
             MarkedSphere::ONLY.to_owned(),
             common_radius,
             folder,
-            files,
+            named,
         )?;
         return Ok(only.into_iter().collect());
     };
@@ -280,6 +370,16 @@ fn spheres(
     let nodes = list.array()?;
     if nodes.is_empty() {
         return Err(list.refuse("names no sphere"));
+    }
+    if nodes.len() > MAX_NUM_SPHERES {
+        return Err(IoError::input(
+            root.file,
+            format!(
+                "spheres: names {} spheres, of which {MAX_NUM_SPHERES} at most are taken: each is \
+                 fitted in every photo; two or three on different sides of the object serve",
+                nodes.len()
+            ),
+        ));
     }
     let mut spheres = Vec::with_capacity(nodes.len());
     let mut names = HashSet::new();
@@ -292,7 +392,7 @@ fn spheres(
         if !names.insert(name.clone()) {
             return Err(node.get("name")?.refuse("names another sphere already"));
         }
-        let sphere = entry(node, name, common_radius, folder, files)?.ok_or_else(|| {
+        let sphere = entry(node, name, common_radius, folder, named)?.ok_or_else(|| {
             node.refuse("has neither \"views\" nor \"center\": nothing says where it is")
         })?;
         spheres.push(sphere);
@@ -306,26 +406,42 @@ fn entry(
     name: String,
     common_radius: Option<f64>,
     folder: &Path,
-    files: &mut Vec<PathBuf>,
+    named: &mut Named,
 ) -> Result<Option<SphereFileEntry>, IoError> {
     let mut views = Vec::new();
+    let mut is_marked = false;
     if let Some(list) = node.opt("views")? {
         for (name, node) in list.members()? {
-            let mark = mark(&node, folder, files)?.ok_or_else(|| {
+            let mark = mark(&node, folder, &mut named.files)?.ok_or_else(|| {
                 node.refuse("has none of \"mask\", \"ellipse\", \"circle\" and \"points\"")
             })?;
+            is_marked = true;
+            if let (SphereMark::Mask(mask), Some(file)) = (&mark, named.files.last())
+                && let Some(reason) = unusable(mask)
+            {
+                named.left_out.push((file.clone(), reason));
+                continue;
+            }
             views.push((name.to_owned(), mark));
         }
     }
     let center = match node.opt("center")? {
-        Some(node) => Some(node.numbers()?),
+        Some(node) => {
+            let center: [f64; 3] = node.numbers()?;
+            if center.iter().any(|x| x.abs() > MAX_COORDINATE) {
+                return Err(node.refuse(format!(
+                    "is no place beside the object: a coordinate exceeds {MAX_COORDINATE:e}"
+                )));
+            }
+            Some(center)
+        }
         None => None,
     };
     let radius = match node.opt("radius")? {
-        Some(node) => Some(node.positive()?),
+        Some(node) => Some(radius_of(&node)?),
         None => common_radius,
     };
-    if views.is_empty() && center.is_none() {
+    if !is_marked && center.is_none() {
         return Ok(None);
     }
     let key = match node.key.as_str() {
@@ -350,7 +466,8 @@ fn entry(
     }))
 }
 
-/// The mark of a view, where the object has one; two contradict each other.
+/// The mark of a view, where the object has one; two contradict each other. A mask is the last of the
+/// files then, and may mark nothing.
 fn mark(
     node: &Node<'_>,
     folder: &Path,
@@ -360,18 +477,6 @@ fn mark(
     if let Some(mask) = node.opt("mask")? {
         let file = folder.join(mask.text()?);
         let pixels = read_mask(&file)?;
-        if pixels.count() < MIN_NUM_POINTS {
-            return Err(IoError::input(
-                &file,
-                format!("the sphere's mask has {} white pixels", pixels.count()),
-            ));
-        }
-        if pixels.count() == pixels.data.len() {
-            return Err(IoError::input(
-                &file,
-                "the sphere's mask is white everywhere",
-            ));
-        }
         files.push(file);
         marks.push(SphereMark::Mask(pixels));
     }
@@ -379,6 +484,9 @@ fn mark(
         let [cx, cy, a, b, angle_deg] = ellipse.numbers()?;
         if a <= 0.0 || b <= 0.0 {
             return Err(ellipse.refuse("has a semi-axis that is not greater than zero"));
+        }
+        if a.min(b) < MIN_OUTLINE_PX {
+            return Err(ellipse.refuse("has a semi-axis of less than a pixel"));
         }
         marks.push(SphereMark::Ellipse {
             center_px: [cx, cy],
@@ -390,6 +498,9 @@ fn mark(
         let [cx, cy, radius_px] = circle.numbers()?;
         if radius_px <= 0.0 {
             return Err(circle.refuse("has a radius that is not greater than zero"));
+        }
+        if radius_px < MIN_OUTLINE_PX {
+            return Err(circle.refuse("has a radius of less than a pixel"));
         }
         marks.push(SphereMark::Circle {
             center_px: [cx, cy],

@@ -101,6 +101,19 @@ impl Intrinsics {
         }
     }
 
+    /// Focal lengths over the frame's longer side that a lens can have: from 157 degrees across the frame
+    /// to half a degree.
+    pub const FOCAL_OVER_SIDE: std::ops::RangeInclusive<f64> = 0.1..=100.0;
+
+    /// A focal length that no lens has, pixels.
+    pub fn implausible_focal_px(&self) -> Option<f64> {
+        let side = self.width.max(self.height) as f64;
+        let focal = [self.fx, self.fy].into_iter();
+        focal
+            .into_iter()
+            .find(|f| !Self::FOCAL_OVER_SIDE.contains(&(f / side)))
+    }
+
     /// Mean focal length in pixels.
     pub fn focal_px(&self) -> f64 {
         0.5 * (self.fx + self.fy)

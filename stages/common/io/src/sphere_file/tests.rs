@@ -15,6 +15,10 @@ fn read(text: &str) -> Result<SphereFile, IoError> {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("masks")).unwrap();
     write_mask(&folder.path().join("masks/a.png"), &disc()).unwrap();
+    for (name, inside) in [("empty", false), ("full", true)] {
+        let file = folder.path().join(format!("masks/{name}.png"));
+        write_mask(&file, &Mask::filled(40, 30, inside)).unwrap();
+    }
     let path = folder.path().join("sphere.json");
     std::fs::write(&path, text).unwrap();
     read_sphere_file(&path)
@@ -180,11 +184,91 @@ fn wrong_values_are_refused_with_their_key() {
         ),
         (r#"{"radius": 1, "spheres": []}"#, "names no sphere"),
         (
+            r#"{"radius": 1e300, "center": [0,0,0]}"#,
+            "radius: 1e+300 is no sphere's radius",
+        ),
+        (
+            r#"{"radius": 1, "spheres": [{"radius": 1e-300, "center": [0,0,0]}]}"#,
+            "spheres[0].radius: 1e-300 is no sphere's radius",
+        ),
+        (
+            r#"{"radius": 1, "views": {"a": {"circle": [20,15,8]}}, "center": [1e300,0,0]}"#,
+            "center: [1e+300,0,0] is no place",
+        ),
+        (
+            r#"{"radius": 1, "views": {"a": {"circle": [20,15,1e-300]}}}"#,
+            "less than a pixel",
+        ),
+        (
+            r#"{"radius": 1, "views": {"a": {"mask": "masks/empty.png"}, "b": {"mask": "masks/full.png"}}}"#,
+            "empty.png: the sphere's mask has 0 white pixels; ",
+        ),
+        (
+            r#"{"calibration": [{"image": "x", "same_camera_as": "a", "radius": 1, "mask": "masks/empty.png"}]}"#,
+            "empty.png: the sphere's mask has 0 white pixels",
+        ),
+        (
             r#"{"calibration": [{"image": "x"}]}"#,
             "\"same_camera_as\" is missing",
         ),
     ] {
         let message = read(text).unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
+fn a_mask_that_marks_nothing_is_left_out_by_name_and_the_others_stay() {
+    let file = read(
+        r#"{"radius": 1, "views": {"a": {"mask": "masks/a.png"}, "b": {"mask": "masks/empty.png"},
+            "c": {"mask": "masks/full.png"}}}"#,
+    )
+    .unwrap();
+    let views: Vec<&str> = file.spheres[0].views.iter().map(|v| v.0.as_str()).collect();
+    assert_eq!(views, ["a"]);
+    let told = |k: usize, name: &str, reason: &str| {
+        let (file, why) = &file.left_out[k];
+        assert!(
+            file.ends_with(name) && why.contains(reason),
+            "{file:?}: {why}"
+        );
+    };
+    told(0, "masks/empty.png", "0 white pixels");
+    told(1, "masks/full.png", "white everywhere");
+    // A mask that is mended must be read again.
+    assert_eq!(file.files.len(), 3, "{:?}", file.files);
+}
+
+#[test]
+fn a_list_of_spheres_that_nobody_places_is_refused_and_a_long_one_is_not() {
+    let list = |num: usize| {
+        let sphere = r#"{"center": [0,0,0]}"#;
+        format!(
+            r#"{{"radius": 1, "spheres": [{}]}}"#,
+            vec![sphere; num].join(",")
+        )
+    };
+    assert_eq!(read(&list(MAX_NUM_SPHERES)).unwrap().spheres.len(), 64);
+    let message = read(&list(MAX_NUM_SPHERES + 1)).unwrap_err().to_string();
+    assert!(
+        message.contains("names 65 spheres") && message.contains("64 at most"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_mark_outside_the_photo_is_refused() {
+    for mark in [
+        r#"{"circle": [1e300, 15, 8]}"#,
+        r#"{"ellipse": [20, -9, 8, 7, 0]}"#,
+        r#"{"points": [[50,10],[60,10],[65,15],[60,20],[50,20]]}"#,
+    ] {
+        let file = read(&format!(r#"{{"radius": 1, "views": {{"a": {mark}}}}}"#)).unwrap();
+        let told = file.to_request(&photos(&["a"]), Vec::new());
+        let message = told.unwrap_err().to_string();
+        assert!(
+            message.contains("views.a: the mark lies outside"),
+            "{message}"
+        );
     }
 }

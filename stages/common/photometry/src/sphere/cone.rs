@@ -112,6 +112,20 @@ impl SphereInCamera {
             .collect()
     }
 
+    /// Whether any part of its outline's extent lies in the frame.
+    pub fn is_in_frame(&self, intrinsics: &Intrinsics) -> bool {
+        const NUM_POINTS: usize = 64;
+        let outline = self.outline(intrinsics, NUM_POINTS);
+        let overlaps = |pick: fn(&Point2<f64>) -> f64, size: usize| {
+            let low = outline.iter().map(pick).fold(f64::INFINITY, f64::min);
+            let high = outline.iter().map(pick).fold(f64::NEG_INFINITY, f64::max);
+            low <= size as f64 - 0.5 && high >= -0.5
+        };
+        outline.len() == NUM_POINTS
+            && overlaps(|p| p.x, intrinsics.width)
+            && overlaps(|p| p.y, intrinsics.height)
+    }
+
     /// Mean radius of the outline in pixels, close to the optical axis exact.
     pub fn radius_px(&self, intrinsics: &Intrinsics) -> f64 {
         self.cone().map_or(0.0, |cone| {

@@ -28,13 +28,30 @@ pub enum SphereError {
         /// Photos that agree on it.
         views: usize,
     },
-    /// Too few outline points inside the frame.
-    #[error("{available} outline points inside the frame, at least {needed} are needed")]
+    /// Too few outline points.
+    #[error(
+        "{available} different outline points, at least {needed} are needed: mark points all around the \
+         outline"
+    )]
     TooFewPoints {
         /// What there is.
         available: usize,
         /// What is needed.
         needed: usize,
+    },
+    /// Outline points that leave the outline's size open: on a line, on a short arc, or in one place.
+    #[error(
+        "its {available} outline points determine no ellipse: they lie on a line, on a short arc or in \
+         one place, so that an error of {sigma_px:.1} px in each changes the outline's size by {}; \
+         mark points all around the outline", percent(*.relative_sigma)
+    )]
+    OpenOutline {
+        /// Distinct points.
+        available: usize,
+        /// Relative standard deviation of the outline's radius.
+        relative_sigma: f64,
+        /// Standard deviation of a point, pixels.
+        sigma_px: f64,
     },
     /// The mark is no outline of a sphere.
     #[error(
@@ -52,6 +69,26 @@ pub enum SphereError {
     /// No view sees the sphere.
     #[error("the sphere is marked in no photo that got a pose: mark it in two that did")]
     NoView,
+    /// A stated centre that no camera sees.
+    #[error(
+        "its stated centre ({:.4}, {:.4}, {:.4}) with the radius {radius:.4} lies in the frame of none of \
+         the {views} cameras: check centre, unit and axes, or mark it in two photos",
+        center[0], center[1], center[2]
+    )]
+    OutOfSight {
+        /// The centre in the world, as stated.
+        center: [f64; 3],
+        /// The radius, as stated.
+        radius: f64,
+        /// Cameras that were tried.
+        views: usize,
+    },
+    /// A stated centre without the frame that it is stated in.
+    #[error(
+        "its centre is stated in the frame of given cameras, but the poses were found from the photos: \
+         give cameras with a pose for every photo (--cameras), or mark it in two photos"
+    )]
+    NoFrame,
     /// The sphere in one view alone does not fix the scale of several views.
     #[error(
         "the sphere is marked in one posed photo only: scale needs two, seen from directions \
@@ -91,6 +128,15 @@ pub enum SphereError {
     /// Pixels of a photo could not be had.
     #[error(transparent)]
     Pixels(#[from] PixelFailure),
+}
+
+/// A share for the eye; what exceeds the whole tells no more by its digits.
+fn percent(share: f64) -> String {
+    if share < 1.0 {
+        format!("{:.0} %", 100.0 * share)
+    } else {
+        "more than 100 %".to_owned()
+    }
 }
 
 /// A photo whose pixels could not be read.

@@ -19,7 +19,10 @@
 //!    the outline's systematic offset, which does not average out within a view.
 
 use super::mark::distance_px;
-use super::{MarkFit, OutlineCone, SphereError, SphereInCamera, SphereOptions, cone_from_points};
+use super::{
+    MarkEvidence, MarkFit, OutlineCone, SphereError, SphereInCamera, SphereOptions,
+    cone_from_points,
+};
 use nalgebra::{Matrix3, Matrix4, Point2, Point3, Vector3, Vector4};
 use rilievo_scene::{Intrinsics, LocatedSphere, MarkedSphere, PhotoIdx, RigidTransform};
 use serde::{Deserialize, Serialize};
@@ -86,6 +89,8 @@ pub struct SphereFit {
     /// Photos whose own mark was left out, with the reason; their outline may have been found on the
     /// image all the same.
     pub unused_marks: Vec<(PhotoIdx, String)>,
+    /// What the photos whose marks were used show of it, where its outline was refined on them.
+    pub evidence: Vec<MarkEvidence>,
 }
 
 /// Locates the sphere from outlines in posed views.
@@ -226,6 +231,7 @@ pub fn locate(
             .filter_map(|view| Some((view.photo, view.reason.clone()?)))
             .collect(),
         views: agreements,
+        evidence: Vec::new(),
     })
 }
 

@@ -8,9 +8,13 @@
 //! 2. Robust cone: the best of many cones through three points each (an occluder's edge or a
 //!    shadow cut may be a third of the outline), then re-weighted least squares of the distances
 //!    in pixels.
+//! 3. Points on a line or a short arc lie on many cones. With `φ_i` the angles of the points around
+//!    their circle in the picture, rows `(cos φ_i, sin φ_i, 1)` of `J` (two shifts and a widening) and
+//!    `σ` the error of a point, its radius has the standard deviation `σ √((JᵀJ)⁻¹)₃₃`; it must be
+//!    small.
 
 use super::{OutlineCone, SphereError, SphereOptions};
-use nalgebra::{Point2, Vector3};
+use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 use rilievo_scene::{Intrinsics, Mask, SphereMark};
 use serde::{Deserialize, Serialize};
 
@@ -101,7 +105,7 @@ fn outline_of_mask(mask: &Mask) -> Vec<Point2<f64>> {
 /// Fits the cone of a mark.
 ///
 /// # Errors
-/// [`SphereError::TooFewPoints`] and [`SphereError::NotADisc`].
+/// Those of [`cone_from_points`].
 pub fn cone_from_mark(
     mark: &SphereMark,
     intrinsics: &Intrinsics,
@@ -113,10 +117,80 @@ pub fn cone_from_mark(
 /// Outline points needed for a cone with a check: three determine it.
 const MIN_POINTS: usize = 5;
 
+/// Largest relative standard deviation of an outline's radius: the sphere's distance from the camera,
+/// and with it the model's size, is as uncertain.
+const MAX_SIZE_SIGMA: f64 = 0.1;
+/// Smallest error of an outline point, pixels: less is luck, not knowledge.
+const MIN_SIGMA_PX: f64 = 0.1;
+/// Error of a point that is marked by hand, pixels.
+const HAND_SIGMA_PX: f64 = 1.0;
+
+/// Relative standard deviation of the radius of the circle through points with an error of `sigma_px`;
+/// infinite where they leave it open. In the picture, where a line is straight: to a camera it is a cone
+/// of a right angle, whose size is well determined.
+fn size_sigma(points: &[Point2<f64>], sigma_px: f64) -> f64 {
+    let mean = points.iter().map(|p| p.coords).sum::<Vector2<f64>>() / points.len() as f64;
+    let centred = || points.iter().map(|p| p.coords - mean);
+    let size = centred().map(|p| p.norm()).fold(0.0, f64::max);
+    // The circle |p|² = 2 c·p + k by least squares, around the mean, where it is well scaled.
+    let (mut matrix, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for p in centred().map(|p| p / size) {
+        let row = Vector3::new(2.0 * p.x, 2.0 * p.y, 1.0);
+        matrix += row * row.transpose();
+        right += row * p.norm_squared();
+    }
+    let Some(inverse) = matrix.try_inverse() else {
+        return f64::INFINITY;
+    };
+    let circle = inverse * right;
+    let center = circle.xy();
+    let radius_px = size * (circle.z + center.norm_squared()).sqrt();
+    let mut matrix = Matrix3::zeros();
+    for p in centred() {
+        let around = (p / size - center).normalize();
+        let row = Vector3::new(around.x, around.y, 1.0);
+        matrix += row * row.transpose();
+    }
+    let variance = matrix.try_inverse().map(|inverse| inverse[(2, 2)]);
+    // Rounding makes a nearly singular inverse negative, and a circle of points on a line no number.
+    let sigma = variance
+        .filter(|v| *v > 0.0)
+        .map(|v| sigma_px * v.sqrt() / radius_px);
+    sigma.filter(|s| s.is_finite()).unwrap_or(f64::INFINITY)
+}
+
+/// Whether points marked by hand determine an outline, whatever the camera. One stray point among good
+/// ones passes: only the camera's cone tells it.
+///
+/// # Errors
+/// [`SphereError::TooFewPoints`] where fewer than five differ, [`SphereError::OpenOutline`].
+pub fn check_marked_points(points: &[Point2<f64>]) -> Result<(), SphereError> {
+    let mut distinct = points.to_vec();
+    distinct.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    distinct.dedup();
+    let available = distinct.len();
+    if available < MIN_POINTS {
+        return Err(SphereError::TooFewPoints {
+            available,
+            needed: MIN_POINTS,
+        });
+    }
+    let relative_sigma = size_sigma(&distinct, HAND_SIGMA_PX);
+    if relative_sigma <= MAX_SIZE_SIGMA {
+        Ok(())
+    } else {
+        Err(SphereError::OpenOutline {
+            available,
+            relative_sigma,
+            sigma_px: HAND_SIGMA_PX,
+        })
+    }
+}
+
 /// Robust cone through outline points.
 ///
 /// # Errors
-/// [`SphereError::TooFewPoints`] and [`SphereError::NotADisc`].
+/// [`SphereError::TooFewPoints`], [`SphereError::NotADisc`] and [`SphereError::OpenOutline`].
 pub fn cone_from_points(
     points: &[Point2<f64>],
     intrinsics: &Intrinsics,
@@ -174,6 +248,16 @@ pub fn cone_from_points(
     let rms_px = (sum / inliers.len().max(1) as f64).sqrt();
     if inliers.len() < MIN_POINTS || inlier_share < options.min_inlier_share {
         return Err(not_a_disc(inlier_share, rms_px));
+    }
+    // No outline is seen better than its systematic uncertainty, however well its points agree.
+    let sigma_px = rms_px.max(options.outline_bias_px).max(MIN_SIGMA_PX);
+    let relative_sigma = size_sigma(&inliers, sigma_px);
+    if relative_sigma > MAX_SIZE_SIGMA {
+        return Err(SphereError::OpenOutline {
+            available: inliers.len(),
+            relative_sigma,
+            sigma_px,
+        });
     }
     Ok(MarkFit {
         cone,
@@ -322,6 +406,60 @@ mod tests {
             let along = (found.z - center.z).abs() / center.z;
             assert!(across < 1e-4, "{center:?}: across {across} m");
             assert!(along < 2e-3, "{center:?}: along {along} relative");
+        }
+    }
+
+    /// Points of a circle of 60 px between two angles, rounded to whole pixels as a hand sets them.
+    fn arc(num: usize, from_deg: f64, to_deg: f64) -> Vec<Point2<f64>> {
+        (0..num)
+            .map(|k| {
+                let share = k as f64 / (num as f64 - 1.0);
+                let (s, c) = (from_deg + share * (to_deg - from_deg))
+                    .to_radians()
+                    .sin_cos();
+                Point2::new((800.0 + 60.0 * c).round(), (600.0 + 60.0 * s).round())
+            })
+            .collect()
+    }
+
+    #[test]
+    fn points_on_a_line_on_a_short_arc_or_in_one_place_are_no_outline() {
+        let line = |bend: f64| -> Vec<Point2<f64>> {
+            (0..5)
+                .map(|k| Point2::new(700.0 + 20.0 * f64::from(k), 500.0 + bend * f64::from(k % 2)))
+                .collect()
+        };
+        let options = SphereOptions::default();
+        for points in [
+            line(0.0),
+            line(0.4),
+            line(1.0),
+            arc(5, 10.0, 40.0),
+            arc(9, 200.0, 240.0),
+        ] {
+            let told = check_marked_points(&points);
+            assert!(
+                matches!(told, Err(SphereError::OpenOutline { relative_sigma, .. }) if relative_sigma > 0.1),
+                "{points:?}: {told:?}"
+            );
+        }
+        for points in [line(0.0), line(0.1)] {
+            let told = cone_from_points(&points, &camera(), &options);
+            assert!(
+                matches!(told, Err(SphereError::OpenOutline { .. })),
+                "{told:?}"
+            );
+        }
+        let mut twice = arc(5, 0.0, 288.0);
+        twice[4] = twice[0];
+        let told = check_marked_points(&twice);
+        assert!(
+            matches!(told, Err(SphereError::TooFewPoints { available: 4, .. })),
+            "{told:?}"
+        );
+        for points in [arc(5, 0.0, 288.0), arc(5, 0.0, 150.0), arc(12, 30.0, 150.0)] {
+            check_marked_points(&points).unwrap();
+            cone_from_points(&points, &camera(), &options).unwrap();
         }
     }
 

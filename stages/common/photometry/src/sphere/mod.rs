@@ -16,6 +16,7 @@
 
 mod around;
 mod cone;
+mod confirm;
 mod detect;
 mod error;
 mod locate;
@@ -28,10 +29,11 @@ mod request;
 mod several;
 
 pub use cone::{EllipsePx, OutlineCone, SphereInCamera, SpherePixel};
+pub use confirm::MarkEvidence;
 pub use detect::{Detected, detect, detect_in_photo};
 pub use error::SphereError;
 pub use locate::{PosedOutline, ScaleEstimate, SphereFit, ViewAgreement, WorldScale, locate};
-pub use mark::{MarkFit, cone_from_mark, cone_from_points, outline_of_mark};
+pub use mark::{MarkFit, check_marked_points, cone_from_mark, cone_from_points, outline_of_mark};
 pub use options::SphereOptions;
 pub use refine::{Effort, RefinedOutline, refine_outline};
 pub use request::{LocatedSpheres, PosedImage, load_posed_images, locate_request, refine_in_views};

@@ -9,9 +9,11 @@
 //! 3. All together give the world's scale ([`super::common_scale`]).
 
 use super::around::load_around;
+use super::confirm::confirm;
 use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
 use super::several::{CommonScale, common_scale, without_doubles};
 use super::{Effort, SphereError, SphereInCamera, SphereOptions, outline_of_mark, refine_outline};
+use rayon::prelude::*;
 use rilievo_scene::{
     Intrinsics, LinearImage, LocatedSphere, MarkedSphere, Mask, PhotoIdx, PhotoSet, PosedView,
     RigidTransform, SphereRequest,
@@ -107,13 +109,19 @@ pub fn locate_request(
     }
     if options.refine {
         let around = load_around(photos, views, &located.fits, options.search_px)?;
-        for ((fit, images), (_, radius)) in located.fits.iter_mut().zip(&around).zip(&radii) {
+        // Robust fits of the brightness inside take most of the time; no sphere depends on another.
+        let each = located.fits.par_iter_mut().zip(&around).zip(&radii);
+        each.for_each(|((fit, images), (_, radius))| {
             let unused_marks = fit.unused_marks.clone();
+            let marked = fit.views.iter().filter(|view| view.used);
+            let marked: Vec<PhotoIdx> = marked.map(|view| view.photo).collect();
+            let refined = refine_in_views(images, fit.clone(), *radius, scale, options);
             *fit = SphereFit {
                 unused_marks,
-                ..refine_in_views(images, fit.clone(), *radius, scale, options)
+                evidence: confirm(images, &marked, &refined.sphere, options),
+                ..refined
             };
-        }
+        });
     }
     for (fit, (name, _)) in located.fits.iter_mut().zip(&radii) {
         fit.sphere.name.clone_from(name);
@@ -157,7 +165,20 @@ fn locate_marked(
         .collect();
     if outlines.is_empty() {
         let center = sphere.center_in_world.ok_or(SphereError::NoView)?;
-        return Ok(stated(center.coords.into(), radius));
+        let fit = stated(center.coords.into(), radius);
+        let in_sight = views.iter().any(|view| {
+            let seen = SphereInCamera::seen(&fit.sphere, &view.cam_from_world);
+            seen.is_in_frame(&view.intrinsics)
+        });
+        return if in_sight {
+            Ok(fit)
+        } else {
+            Err(SphereError::OutOfSight {
+                center: fit.sphere.center_in_world,
+                radius,
+                views: views.len(),
+            })
+        };
     }
     locate(&outlines, radius, scale, options)
 }
@@ -174,6 +195,7 @@ fn stated(center_in_world: [f64; 3], radius: f64) -> SphereFit {
         scale: None,
         views: Vec::new(),
         unused_marks: Vec::new(),
+        evidence: Vec::new(),
     }
 }
 

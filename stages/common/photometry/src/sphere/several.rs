@@ -208,6 +208,7 @@ mod tests {
             }),
             views: Vec::new(),
             unused_marks: Vec::new(),
+            evidence: Vec::new(),
         }
     }
 

@@ -24,7 +24,8 @@ use super::{Effort, OutlineCone, SphereError, SphereInCamera, SphereOptions, ref
 use nalgebra::{Matrix3, Point3};
 use rayon::prelude::*;
 use rilievo_scene::{Intrinsics, LinearImage, LocatedSphere};
-use verify::{Candidate, Photo, shading};
+use verify::Candidate;
+pub(super) use verify::{Photo, shading};
 
 /// Circles that are looked at more closely per photo.
 const MAX_CIRCLES: usize = 40;

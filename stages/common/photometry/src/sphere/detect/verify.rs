@@ -37,7 +37,7 @@ impl Candidate {
 }
 
 /// A photo that is searched.
-pub(super) struct Photo<'a> {
+pub(in crate::sphere) struct Photo<'a> {
     pub image: &'a LinearImage,
     pub intrinsics: &'a Intrinsics,
     pub object: Option<&'a Mask>,
@@ -104,7 +104,7 @@ const TOLERATED: f64 = 0.1;
 
 /// How nine harmonics over the exact normals of a cone explain the pixels inside it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Shading {
+pub(in crate::sphere) struct Shading {
     /// Relative residual, root mean square over all but the worst tenth of the pixels.
     pub residual: f64,
     /// Share of the variance of brightness that is explained. A flat patch of background has a
@@ -124,7 +124,7 @@ impl Shading {
 }
 
 /// Measures it; `None` with too few unclipped pixels.
-pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
+pub(in crate::sphere) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     let sphere = cone.sphere(1.0);
     let radius_px = sphere.radius_px(photo.intrinsics);
     let pixels = sphere.pixels(photo.intrinsics, 2.0_f64.min(0.2 * radius_px));

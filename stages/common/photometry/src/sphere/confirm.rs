@@ -1,0 +1,69 @@
+//! Whether the marked photos show the sphere where it was located.
+//!
+//! Marks that are all too large, or that follow another thing, agree with each other all the same. What a
+//! sphere alone shows tells them: an edge along the predicted outline, and brightness inside it that
+//! nine harmonics of its normals explain.
+
+use super::detect::{Photo, shading};
+use super::mark::distance_px;
+use super::request::PosedImage;
+use super::{Effort, SphereOptions, refine_outline};
+use rilievo_scene::{LocatedSphere, PhotoIdx};
+use serde::{Deserialize, Serialize};
+
+/// What a marked photo shows of the located sphere.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MarkEvidence {
+    /// The photo.
+    pub photo: PhotoIdx,
+    /// Share of the visible outline that an edge of the photo follows within
+    /// [`SphereOptions::inlier_px`].
+    pub edge_share: f64,
+    /// Relative residual of nine harmonics inside the outline; `None` with too few unclipped pixels.
+    pub shading_residual: Option<f64>,
+}
+
+/// Smallest part of an outline that tells whether an edge follows it.
+const MIN_VISIBLE: f64 = 0.25;
+
+/// Looks at the photos of `marked` around a located sphere. Photos in which the object, the frame or
+/// another sphere hides it tell nothing.
+pub(super) fn confirm(
+    images: &[PosedImage],
+    marked: &[PhotoIdx],
+    located: &LocatedSphere,
+    options: &SphereOptions,
+) -> Vec<MarkEvidence> {
+    let seen = images.iter().filter(|image| marked.contains(&image.photo));
+    let evidence = seen.filter_map(|view| {
+        let sphere = view.sphere(located);
+        let cone = sphere.cone()?;
+        let found = refine_outline(
+            &view.image,
+            &view.intrinsics,
+            &sphere,
+            options.search_px,
+            view.object.as_deref(),
+            Effort::Thorough,
+        );
+        if found.visible_share() < MIN_VISIBLE {
+            return None;
+        }
+        let on_outline = found.points.iter().filter(|point| {
+            let ray = view.intrinsics.ray(point).normalize();
+            distance_px(&cone, &ray, &view.intrinsics).abs() <= options.inlier_px
+        });
+        let photo = Photo {
+            image: &view.image,
+            intrinsics: &view.intrinsics,
+            object: view.object.as_deref(),
+            clip_level: view.clip_level,
+        };
+        Some(MarkEvidence {
+            photo: view.photo,
+            edge_share: on_outline.count() as f64 / found.num_searched.max(1) as f64,
+            shading_residual: shading(&photo, &cone).map(|found| found.residual),
+        })
+    });
+    evidence.collect()
+}
