@@ -109,3 +109,77 @@ fn a_known_distance_that_names_no_photo_is_refused() {
     ]);
     assert_eq!(code, 2, "{stderr}");
 }
+
+/// Mean error of all normals, degrees.
+fn normal_error(run_dir: &Path, truth: &Path) -> f64 {
+    let (code, stdout, stderr) = run(&["evaluate", arg(run_dir), "--truth", arg(truth), "--json"]);
+    assert_eq!(code, 0, "{stderr}");
+    let found: Value = serde_json::from_str(&stdout).unwrap();
+    found["all"]["normal_mae_deg"].as_f64().unwrap()
+}
+
+/// A lighting file as seen in a mirror that swaps left with right and up with down.
+fn mirrored(lighting: &Path, to: &Path) {
+    let mut file = json(lighting);
+    for rows in file["views"].as_object_mut().unwrap().values_mut() {
+        for row in rows.as_array_mut().unwrap() {
+            for odd in [0, 1, 5, 6] {
+                let value = row[odd].as_f64().unwrap();
+                row[odd] = (-value).into();
+            }
+        }
+    }
+    std::fs::write(to, file.to_string()).unwrap();
+}
+
+#[test]
+fn a_given_light_lights_the_surface_and_one_that_the_photos_contradict_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = folder.path().join("set");
+    let (code, _, stderr) = run(&["synth", arg(&set), "--views", "3", "--size", "240x180"]);
+    assert_eq!(code, 0, "{stderr}");
+    let run_dir = folder.path().join("run");
+    let truth = set.join("truth");
+    let shaded = |light: [&str; 2], more: &[&str]| {
+        let photos = set.join("photos");
+        let masks = set.join("masks");
+        let cameras = truth.join("cameras.json");
+        let mut arguments = vec!["reconstruct", arg(&photos), "-o", arg(&run_dir)];
+        arguments.extend(["--masks", arg(&masks), "--cameras", arg(&cameras)]);
+        arguments.extend(["--until", "5_shading"]);
+        arguments.extend(light);
+        arguments.extend(more);
+        let (code, _, stderr) = run(&arguments);
+        (code, stderr)
+    };
+    let sphere = set.join("sphere.json");
+    let (code, stderr) = shaded(["--sphere", arg(&sphere)], &[]);
+    assert_eq!(code, 0, "{stderr}");
+    let by_sphere = normal_error(&run_dir, &truth);
+
+    let given = truth.join("lighting.json");
+    let (code, stderr) = shaded(["--lighting", arg(&given)], &[]);
+    assert_eq!(code, 0, "{stderr}");
+    let by_file = normal_error(&run_dir, &truth);
+    println!("normals {by_sphere:.2} deg by the sphere, {by_file:.2} deg by the true light");
+    assert!(
+        by_file < 1.01 * by_sphere,
+        "{by_file}, by the sphere {by_sphere}"
+    );
+
+    let wrong = folder.path().join("mirrored.json");
+    mirrored(&given, &wrong);
+    let (code, stderr) = shaded(["--lighting", arg(&wrong)], &[]);
+    assert_eq!(code, 4, "{stderr}");
+    for part in ["IMG_0001 (", "3 of 3 views", "--trust-lighting"] {
+        assert!(stderr.contains(part), "{stderr} lacks {part}");
+    }
+    let (code, stderr) = shaded(["--lighting", arg(&wrong)], &["--trust-lighting"]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains("contradicts the photos"), "{stderr}");
+    let trusted = normal_error(&run_dir, &truth);
+    assert!(
+        trusted > 1.1 * by_file,
+        "{trusted}, by the true light {by_file}"
+    );
+}

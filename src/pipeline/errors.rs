@@ -5,6 +5,7 @@ use rilievo_features::FeaturesError;
 use rilievo_fusion::FusionError;
 use rilievo_io::IoError;
 use rilievo_lighting::LightingError;
+use rilievo_photometry::surface_check::CheckError;
 use rilievo_poses::PosesError;
 use rilievo_scene::Inconsistent;
 use rilievo_shading::ShadingError;
@@ -74,6 +75,15 @@ pub fn from_shading(error: ShadingError) -> anyhow::Error {
         ShadingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         ShadingError::Numerics { .. } => anyhow::Error::new(error),
         other => Failure::NoResult(other.to_string()).into(),
+    }
+}
+
+/// The comparison of light and surface.
+pub fn from_check(error: CheckError) -> anyhow::Error {
+    match error {
+        CheckError::Interrupted => Failure::Interrupted.into(),
+        CheckError::Inconsistent(error) => damaged(&error),
+        CheckError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
     }
 }
 

@@ -10,7 +10,7 @@ use super::request::LightingInput;
 use crate::exit::Failure;
 use crate::store::StageWriter;
 use rilievo_io::{
-    LightingFile, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
+    IoError, IoErrorKind, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
 };
 use rilievo_lighting::LightingRequest;
 use rilievo_scene::{LightingCalibration, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx};
@@ -64,14 +64,21 @@ fn lighting_request(
     match &context.request.lighting {
         LightingInput::File { path, name } => {
             let file = read_lighting(path, name.as_deref()).map_err(from_io)?;
-            let given = match file {
-                LightingFile::PerView(views) => views,
-                LightingFile::ForAll(lighting) => views
-                    .views
-                    .iter()
-                    .map(|view| (view.name.clone(), lighting.clone()))
-                    .collect(),
-            };
+            let lit = |name: &str| Some((name.to_owned(), file.for_view(name)?.clone()));
+            let names = || views.views.iter().map(|view| view.name.as_str());
+            let missing: Vec<&str> = names().filter(|name| lit(name).is_none()).collect();
+            if !missing.is_empty() {
+                return Err(from_io(IoError {
+                    path: path.clone(),
+                    kind: IoErrorKind::Input,
+                    reason: format!("has no lighting for {}", missing.join(", ")),
+                    hint: Some(
+                        "its views go by the photos' names; FILE:NAME picks one lighting for all views"
+                            .to_owned(),
+                    ),
+                }));
+            }
+            let given = names().filter_map(lit).collect();
             Ok(LightingRequest::Given(given))
         }
         LightingInput::Shape { folder } => {

@@ -1,18 +1,19 @@
-//! Stage 5: `depth/NAME.exr`, `normal/NAME.exr`, and `confidence`, `rendered`, `albedo` where the
+//! Stage 5: `lighting.json` (the light that was used), `depth/NAME.exr`, `normal/NAME.exr`, and `confidence`, `rendered`, `albedo` where the
 //! stage gives them; a picture in PNG beside each.
 
 use super::artifacts::{checked_names, read_json, write_text};
 use super::context::Context;
-use super::errors::{from_io, from_lighting, from_shading};
+use super::errors::{from_check, from_io, from_shading};
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter, StoreError};
 use rilievo_io::{
     IoError, Preview, read_channel, read_depth, read_linear, read_normal, write_channel,
-    write_depth, write_linear, write_normal, write_preview_png,
+    write_depth, write_lighting, write_linear, write_normal, write_preview_png,
 };
-use rilievo_lighting::SurfaceReport;
+use rilievo_photometry::surface_check::{SurfaceReport, check};
 use rilievo_scene::{
-    LinearImage, MapSource, PixelError, ShadedImages, ShadedView, StageId, ViewIdx,
+    LightingCalibration, LinearImage, MapSource, PixelError, ShadedImages, ShadedView, StageId,
+    ViewIdx,
 };
 use rilievo_shading::ShadingReport;
 use serde::{Deserialize, Serialize};
@@ -60,16 +61,23 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     )
     .map_err(from_shading)?;
     context.console.warn_all(StageId::Shading, &report.warnings);
-    let light_on_surface = rilievo_lighting::check_on_surface(
+    let light_on_surface = check(
         &photos,
         &views,
-        &lighting,
+        (lighting.source, &report.light),
         &shaded,
-        &|name| report.photo.as_ref().is_some_and(|p| p.explains(name)),
-        &context.request.options.lighting,
+        &context.request.options.lighting.check(),
         context.console,
     )
-    .map_err(from_lighting)?;
+    .map_err(from_check)?;
+    let used = LightingCalibration {
+        views: report.light.clone(),
+        environment_in_world: None,
+        spheres: Vec::new(),
+        samples: Vec::new(),
+        ..lighting
+    };
+    write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(from_io)?;
     context
         .console
         .warn_all(StageId::Shading, &light_on_surface.advice);

@@ -336,7 +336,7 @@ fn shading(facts: &ShadingFacts) -> Markup {
         .collect();
     let head = [
         "view",
-        "re-rendered with the light of stage 4",
+        "re-rendered",
         "after the best gain",
         "with the best distant light",
     ];

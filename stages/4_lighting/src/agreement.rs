@@ -22,9 +22,9 @@ use crate::report::LightingReport;
 use crate::side::{Patch, Side};
 use crate::sphere_light::residual_of;
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::samples::{NUM_CELLS, cell_of};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;
+use rilievo_photometry::samples::{NUM_CELLS, cell_of};
 use rilievo_scene::{LightKind, Lighting};
 
 /// Residual on another sphere, beyond its own, below which two lights are one whatever their ratio:

@@ -9,8 +9,8 @@
 use crate::cells::{CellMean, TwoWay, cell_means, two_way};
 use crate::options::GainMode;
 use crate::side::Side;
-use rilievo_photometry::samples::NUM_CELLS;
 use rilievo_photometry::harmonics::LightingFit;
+use rilievo_photometry::samples::NUM_CELLS;
 
 /// Gains of all views.
 #[derive(Clone, Debug)]

@@ -21,17 +21,16 @@
 //! 3. `object_light`: the sphere's light against the object at the depth anchors, and its
 //!    correction.
 //! 4. `shape`, `own_shape`: fits without a sphere.
-//! 5. `check`: once there is a surface, whether the light was the right one for it.
+//! 5. `light_samples`: what is known of the light point by point, for a solver that allows for shadows.
 //!
 //! # Entry
-//! [`run`]; [`fit_on_shape`] for a single view; [`check_on_surface`] after stage 5; [`overlays`]
+//! [`run`]; [`fit_on_shape`] for a single view; [`overlays`]
 //! for the eye.
 
 mod agreement;
 mod anchor_normals;
 mod calibration;
 mod cells;
-mod check;
 mod error;
 mod gains;
 mod kind;
@@ -52,14 +51,14 @@ pub use error::LightingError;
 pub use options::{GainMode, LightingOptions, ObjectLight};
 pub use overlay::{SphereOverlay, overlays};
 pub use report::{
-    ChannelReport, KindCheck, LightingReport, ObjectReport, SphereLightReport, SurfaceReport,
-    ViewLightReport, ViewObjectReport, ViewSurfaceReport,
+    ChannelReport, KindCheck, LightingReport, ObjectReport, SphereLightReport, ViewLightReport,
+    ViewObjectReport,
 };
 pub use request::LightingRequest;
 pub use shape::{fit_on_normals, fit_on_shape};
 
 use rilievo_photometry::samples::read_spheres;
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
+use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 
 /// Raised with every change of the stage that changes its results.
 pub const VERSION: u32 = 6;
@@ -98,33 +97,4 @@ pub fn run(
         }
         LightingRequest::OwnShape => own_shape::run(photos, posed, options, observer),
     }
-}
-
-/// Compares the light with the surface that was reconstructed under it (see `check`). `is_explained` tells
-/// of a view's name whether the shape's own model allowed for shadow and bounce light and explains the photo.
-///
-/// # Errors
-/// [`LightingError::Pixels`], [`LightingError::Interrupted`].
-pub fn check_on_surface(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    calibration: &LightingCalibration,
-    shaded: &ShadedViews,
-    is_explained: &dyn Fn(&str) -> bool,
-    options: &LightingOptions,
-    observer: &dyn Observer,
-) -> Result<SurfaceReport, LightingError> {
-    options.validate()?;
-    photos.check()?;
-    posed.check_with(photos)?;
-    calibration.check(posed)?;
-    check::run(
-        photos,
-        posed,
-        calibration,
-        shaded,
-        is_explained,
-        options,
-        observer,
-    )
 }

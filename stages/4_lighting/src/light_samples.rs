@@ -57,7 +57,12 @@ pub(crate) fn of_harmonics(
         let normal = direction.map(f64::from).normalize();
         let facing: Vec<(&ViewLighting, Vector3<f64>)> = views
             .iter()
-            .map(|entry| (entry, posed.views[entry.view.0].cam_from_world.rotation * normal))
+            .map(|entry| {
+                (
+                    entry,
+                    posed.views[entry.view.0].cam_from_world.rotation * normal,
+                )
+            })
             .filter(|(_, in_camera)| -in_camera.z > MIN_COSINE)
             .collect();
         let read = match kind {

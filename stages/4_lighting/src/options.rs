@@ -3,6 +3,7 @@
 use rilievo_photometry::harmonics::FitOptions;
 use rilievo_photometry::samples::SamplingOptions;
 use rilievo_photometry::sphere::SphereOptions;
+use rilievo_photometry::surface_check::CheckOptions;
 use rilievo_scene::{InTable, LightKind, OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
@@ -98,6 +99,17 @@ impl Default for LightingOptions {
 }
 
 impl LightingOptions {
+    /// How light and surface are compared.
+    pub fn check(&self) -> CheckOptions {
+        CheckOptions {
+            fit: self.fit.clone(),
+            clip_share: self.clip_share,
+            max_num_samples: self.max_num_samples,
+            min_num_pixels: self.min_num_pixels,
+            advice_ratio: self.advice_ratio,
+        }
+    }
+
     /// Which pixels of a sphere count.
     pub(crate) fn sampling(&self) -> SamplingOptions {
         SamplingOptions {

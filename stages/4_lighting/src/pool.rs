@@ -2,8 +2,8 @@
 
 use crate::{LightingError, LightingOptions};
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::samples::SphereSamples;
 use rilievo_photometry::harmonics::{LightingFit, fit_lighting};
+use rilievo_photometry::samples::SphereSamples;
 
 /// Normals and intensities in one frame, intensities divided by the gains where they apply.
 #[derive(Default)]

@@ -13,6 +13,7 @@ use crate::report::{ChannelReport, LightingReport, ViewLightReport};
 use crate::{LightingError, LightingOptions};
 use nalgebra::{Point2, Vector3};
 use rilievo_photometry::harmonics::LightingFit;
+use rilievo_photometry::samples::surface_pixels;
 use rilievo_scene::{
     DepthMap, Event, Flow, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage,
     Mask, NormalMap, Observer, PhotoSet, PosedViews, Raster, StageId, ViewIdx, ViewLighting,
@@ -88,29 +89,6 @@ fn pool(
         pool.push(normal, pixel, usable);
     }
     pool
-}
-
-/// Pixels with a normal, at most `max_num` of them, evenly spread.
-pub(crate) fn surface_pixels(
-    image: &LinearImage,
-    mask: Option<&Mask>,
-    normals: &NormalMap,
-    max_num: usize,
-) -> Vec<(usize, usize, Vector3<f64>)> {
-    let mut pixels = Vec::new();
-    for y in 0..image.height.min(normals.height) {
-        for x in 0..image.width.min(normals.width) {
-            if mask.is_some_and(|m| !m.contains(x as isize, y as isize)) {
-                continue;
-            }
-            if let Some(normal) = normals.normal(x, y) {
-                pixels.push((x, y, normal));
-            }
-        }
-    }
-    // A stride coprime with the usual image widths, so that the samples do not fall into columns.
-    let stride = pixels.len().div_ceil(max_num.max(1)).max(1);
-    pixels.into_iter().step_by(stride | 1).collect()
 }
 
 /// Normals of a depth map by differences.

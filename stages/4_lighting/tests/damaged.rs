@@ -10,9 +10,8 @@ mod posed_sphere;
 
 use mutated::{Random, mutated};
 use posed_sphere::world;
-use rilievo_lighting::{
-    LightingError, LightingOptions, LightingRequest, check_on_surface, overlays, run,
-};
+use rilievo_lighting::{LightingError, LightingOptions, LightingRequest, overlays, run};
+use rilievo_photometry::surface_check::check;
 use rilievo_scene::{Silent, SphereRequest, StageId};
 
 fn options() -> LightingOptions {
@@ -69,7 +68,8 @@ fn poses_and_light_changed_at_random_never_end_in_a_panic() {
             }
         }
         let (posed, shaded) = (&world.posed, &world.shaded);
-        let _ = check_on_surface(photos, posed, &light, shaded, &|_| false, &options, &Silent);
+        let used = (light.source, light.views.as_slice());
+        let _ = check(photos, posed, used, shaded, &options.check(), &Silent);
         let _ = overlays(photos, posed, &light, &options);
     }
     assert!(refused > 10 && refused < 2 * tried, "{refused} of {tried}");

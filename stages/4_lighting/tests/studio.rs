@@ -9,8 +9,9 @@ mod data;
 mod shared_data;
 
 use data::Set;
-use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, run};
+use rilievo_lighting::{LightingOptions, LightingRequest, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
+use rilievo_photometry::surface_check::check;
 use rilievo_scene::{ShadedViews, Silent, SphereRequest};
 
 /// The world's unknown unit: poses without scale.
@@ -141,15 +142,9 @@ fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_
             .iter()
             .map(|view| set.residual_on_truth(view.view.0, &view.lighting).unwrap())
             .collect();
-        let surface = check_on_surface(
-            &set.photos,
-            &set.posed,
-            &calibration,
-            shape,
-            &|_| false,
-            &options,
-            &Silent,
-        );
+        let used = (calibration.source, calibration.views.as_slice());
+        let (photos, posed) = (&set.photos, &set.posed);
+        let surface = check(photos, posed, used, shape, &options.check(), &Silent);
         (residuals, surface.unwrap())
     };
     let (side, surface) = judge(&request, &shape);

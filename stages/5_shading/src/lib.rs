@@ -96,8 +96,9 @@ pub fn run(
 ) -> Result<(ShadedViews, ShadingReport), ShadingError> {
     options.validate()?;
     if options.model == ShadingModel::Photo && posed.views.len() > 1 {
-        let (shaded, facts) = photo::run(photos, posed, lighting, &options.photo, observer)?;
+        let (shaded, mut facts) = photo::run(photos, posed, lighting, &options.photo, observer)?;
         let report = ShadingReport {
+            light: std::mem::take(&mut facts.light),
             photo: Some(facts),
             ..ShadingReport::default()
         };
@@ -106,5 +107,7 @@ pub fn run(
     photos.check()?;
     posed.check_with(photos)?;
     lighting.check(posed)?;
-    posed::run(photos, posed, lighting, options, observer)
+    let (shaded, mut report) = posed::run(photos, posed, lighting, options, observer)?;
+    report.light.clone_from(&lighting.views);
+    Ok((shaded, report))
 }

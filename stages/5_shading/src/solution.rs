@@ -1,6 +1,6 @@
 //! Output of the solver: maps, and a report of facts.
 
-use rilievo_scene::{ConfidenceMap, DepthMap, LinearImage, NormalMap};
+use rilievo_scene::{ConfidenceMap, DepthMap, LinearImage, NormalMap, ViewLighting};
 use serde::{Deserialize, Serialize};
 
 /// Shape of one view.
@@ -123,6 +123,9 @@ pub struct ShadingReport {
     pub match_sigma_px: Option<f64>,
     /// What the user should know.
     pub warnings: Vec<String>,
+    /// The light that was used, of every posed view in its camera's frame, gains contained. Where the model
+    /// allows for shadow, what falls on a surface in the open.
+    pub light: Vec<ViewLighting>,
     /// Facts of the photo model, where it was used.
     pub photo: Option<crate::photo::PhotoReport>,
 }

@@ -10,8 +10,9 @@
 mod data;
 
 use data::Set;
-use rilievo_lighting::{LightingOptions, LightingRequest, check_on_surface, overlays, run};
+use rilievo_lighting::{LightingOptions, LightingRequest, overlays, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
+use rilievo_photometry::surface_check::check;
 use rilievo_scene::{LightKind, MarkedSphere, Scale, ScaleSource, Silent, SphereRequest, Unit};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -156,15 +157,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     if let Some(object) = &report.object {
         println!("  {object:?}");
     }
-    let surface = check_on_surface(
-        &set.photos,
-        &set.posed,
-        &calibration,
-        &set.true_shape()?,
-        &|_| false,
-        &options,
-        &Silent,
-    )?;
+    let used = (calibration.source, calibration.views.as_slice());
+    let (photos, posed) = (&set.photos, &set.posed);
+    let shape = set.true_shape()?;
+    let surface = check(photos, posed, used, &shape, &options.check(), &Silent)?;
     for (view, facts) in calibration.views.iter().zip(&report.views) {
         println!(
             "  {} pixels {} clipped {:.2} hidden {:.2} residual {:?} gain {:.3?} ± {:.4?} true {:.3?} \

@@ -16,9 +16,9 @@ use rilievo_scene::{Lighting, LightingCalibration, SphericalHarmonics};
 /// Pixels of a view that are compared.
 const NUM_PIXELS: usize = 4000;
 /// A view contradicts where the given light leaves this many times as much as the fitted one, and more than
-/// that by `SMALLEST_GAP` of the brightness. On rendered scenes with shadow and bounce a true light leaves
-/// at most 1.25 times as much, one mirrored in the camera's axes 2.3 to 4.5 times.
-const RATIO: f64 = 1.7;
+/// that by `SMALLEST_GAP` of the brightness. In single views of scenes with shadow, bounce and stains a sphere's
+/// or the true light left at most 1.38 times as much, one mirrored in one or two axes at least 1.63 times.
+const RATIO: f64 = 1.5;
 const SMALLEST_GAP: f64 = 0.06;
 
 /// Refuses a light that contradicts most of the views that it was given for.
@@ -59,12 +59,7 @@ pub(crate) fn refuse(
 }
 
 /// Residuals of the given and of the fitted light; `None` where too few pixels tell.
-fn residuals(
-    level: &Level,
-    idx: usize,
-    depth: &[f64],
-    given: &Lighting,
-) -> Option<(f64, f64)> {
+fn residuals(level: &Level, idx: usize, depth: &[f64], given: &Lighting) -> Option<(f64, f64)> {
     let view = &level.views[idx];
     let normals = plate::normals(view, depth);
     let step = (view.pixels.len() / NUM_PIXELS).max(1);
@@ -98,6 +93,10 @@ fn unexplained(normals: &[Vector3<f64>], values: &[f64], light: &SphericalHarmon
         ii += value * value;
     }
     // A light that predicts darkness where there is light explains nothing by a negative gain.
-    let explained = if ss > 0.0 { si.max(0.0).powi(2) / ss } else { 0.0 };
+    let explained = if ss > 0.0 {
+        si.max(0.0).powi(2) / ss
+    } else {
+        0.0
+    };
     (ii - explained).max(0.0)
 }

@@ -22,6 +22,7 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
         LightKind::Camera => (0..level.views.len()).map(|i| vec![i]).collect(),
     };
     let mut harmonics = vec![Vec::new(); level.views.len()];
+    let mut in_the_open = vec![Lighting::default(); level.views.len()];
     for group in groups {
         let (mut n, mut weights) = (Vec::new(), Vec::new());
         let mut values: [Vec<f64>; 3] = Default::default();
@@ -57,14 +58,16 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
             let own = rotate(&world, &rotation(&level.views[i]));
             let pixel = [0, 1, 2].map(|c| own.channels[c].0.map(|v| v as f32));
             harmonics[i] = vec![pixel; level.views[i].pixels.len()];
+            in_the_open[i] = own;
         }
     }
-    let light = with_residuals(level, &normals, harmonics, None, kind);
+    let light = with_residuals(level, &normals, harmonics, in_the_open, None, kind);
     let pigment = albedo::estimate(level, depths, &light);
     Some(with_residuals(
         level,
         &normals,
         light.harmonics,
+        light.in_the_open,
         Some(pigment),
         kind,
     ))

@@ -8,20 +8,20 @@
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
 use super::albedo::{self, Albedo};
+use super::known_light::KnownLight;
 use super::level::{Level, LevelView};
 use super::plate;
 use super::shading::{self, PixelHarmonics, PixelLight};
 use super::spread;
-use super::known_light::KnownLight;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
-use rilievo_photometry::harmonics::rotate_harmonics;
+use rilievo_photometry::harmonics::{FitOptions, fit_robust, rotate, rotate_harmonics};
 use rilievo_photometry::visibility::{
-    DepthView, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Transfer, Volume, WarmSphere,
-    directions, fit_environment, transfer,
+    DepthView, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Transfer, Volume,
+    WarmSphere, directions, fit_environment, transfer,
 };
-use rilievo_scene::{Intrinsics, LightKind, RigidTransform, SphericalHarmonics};
+use rilievo_scene::{Intrinsics, LightKind, Lighting, RigidTransform, SphericalHarmonics};
 
 /// The light of all views at one level.
 #[derive(Clone, Debug)]
@@ -32,6 +32,8 @@ pub(crate) struct Light {
     pub residuals: Vec<f64>,
     /// Pigment, where it was looked for.
     pub pigment: Option<Albedo>,
+    /// Per view, what falls on a surface in the open, camera frame.
+    pub in_the_open: Vec<Lighting>,
     /// Per view and masked pixel, how far shading may move the surface, 0 to 1; empty: everywhere.
     pub trust: Vec<Vec<f32>>,
     /// Log depth difference at which another view's intensity loses its say; 0 where the views are lit
@@ -121,6 +123,7 @@ pub(crate) fn with_residuals(
     level: &Level,
     normals: &[Vec<[f64; 3]>],
     harmonics: Vec<Vec<PixelHarmonics>>,
+    in_the_open: Vec<Lighting>,
     pigment: Option<Albedo>,
     kind: LightKind,
 ) -> Light {
@@ -147,6 +150,7 @@ pub(crate) fn with_residuals(
         harmonics,
         residuals,
         pigment,
+        in_the_open,
         trust: Vec::new(),
         mean_tolerance: match kind {
             LightKind::World => MEAN_TOLERANCE_PX / level.focal(),
@@ -295,7 +299,24 @@ pub(crate) fn visible_on(
             })
             .collect()
     };
-    let mut light = with_residuals(level, normals, interpolated(&fit), None, known.kind);
+    let in_the_open = |fit: &EnvironmentFit| -> Vec<Lighting> {
+        let of_environment = open_harmonics(fit, scene.num_rays);
+        let views = level.views.iter();
+        views
+            .map(|view| match known.kind {
+                LightKind::World => rotate(&of_environment, &rotation(view)),
+                LightKind::Camera => of_environment.clone(),
+            })
+            .collect()
+    };
+    let mut light = with_residuals(
+        level,
+        normals,
+        interpolated(&fit),
+        in_the_open(&fit),
+        None,
+        known.kind,
+    );
     let pigment = albedo::estimate(level, depths, &light);
     let ratios: Vec<[f32; 3]> = of_groups
         .iter()
@@ -315,16 +336,47 @@ pub(crate) fn visible_on(
             }
         }
         fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
-        light = with_residuals(level, normals, interpolated(&fit), None, known.kind);
+        light = with_residuals(
+            level,
+            normals,
+            interpolated(&fit),
+            in_the_open(&fit),
+            None,
+            known.kind,
+        );
     }
     let pigment = albedo::estimate(level, depths, &light);
     Some(with_residuals(
         level,
         normals,
         light.harmonics,
+        light.in_the_open,
         Some(pigment),
         known.kind,
     ))
+}
+
+/// Nine harmonics of what falls on a surface in the open, in the environment's own frame.
+fn open_harmonics(fit: &EnvironmentFit, num_rays: usize) -> Lighting {
+    const NUM_NORMALS: usize = 400;
+    let rays = directions(num_rays);
+    let (mut normals, mut values) = (Vec::new(), [const { Vec::new() }; 3]);
+    for normal in directions(NUM_NORMALS) {
+        let row = Transfer::open(&normal, num_rays).row(&rays);
+        for (c, values) in values.iter_mut().enumerate() {
+            let light: f32 = row.iter().zip(&fit.radiance).map(|(t, l)| t * l[c]).sum();
+            values.push(f64::from(light));
+        }
+        normals.push(normal.map(f64::from).normalize());
+    }
+    let channel = |values: &Vec<f64>| {
+        let fitted = fit_robust(&normals, values, None, &FitOptions::default());
+        // Normals all over the sphere determine nine harmonics; darkness has none.
+        fitted.map_or_else(|_| SphericalHarmonics::default(), |fit| fit.coefficients)
+    };
+    Lighting {
+        channels: values.iter().map(channel).collect(),
+    }
 }
 
 /// A sphere's albedo over the object's, or a given light's over that of the photos: median ratio between

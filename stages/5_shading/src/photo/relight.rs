@@ -3,17 +3,18 @@
 use super::appearance::Appearance;
 use super::course::Course;
 use super::distant;
-use super::lap::LapWeights;
 use super::known_light::KnownLight;
+use super::lap::LapWeights;
 use super::light::{self, Light, LightScene};
 use super::report::LapReport;
 use super::surround;
+use super::views::SolvedFrame;
 use super::{albedo, appearance, confidence, spread, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_photometry::visibility::Ground;
-use rilievo_scene::{LightKind, LightingCalibration, PosedViews};
+use rilievo_scene::{LightKind, Lighting, LightingCalibration, PosedViews, ViewLighting};
 use std::time::Instant;
 
 impl Course<'_> {
@@ -151,6 +152,7 @@ impl Course<'_> {
                 .map(|i| light::finer(&coarse.views[i], &fine.views[i], &light.harmonics[i]))
                 .collect(),
             residuals: light.residuals.clone(),
+            in_the_open: light.in_the_open.clone(),
             pigment: None,
             mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
             trust: light
@@ -193,7 +195,26 @@ impl Course<'_> {
                 view.light_residual = Some(*residual);
             }
             self.report.pigment = light.pigment.as_ref().map(|p| p.explained);
+            let frames = self.scene.frames.iter().zip(&light.in_the_open);
+            self.report.light = frames
+                .zip(&light.residuals)
+                .map(|((frame, lighting), residual)| used(frame, lighting, *residual))
+                .collect();
         }
         views
+    }
+}
+
+/// A view's light with its photo's gain.
+fn used(frame: &SolvedFrame, lighting: &Lighting, residual: f64) -> ViewLighting {
+    let mut lighting = lighting.clone();
+    for (channel, gain) in lighting.channels.iter_mut().zip(frame.gain) {
+        channel.0.iter_mut().for_each(|l| *l *= gain);
+    }
+    ViewLighting {
+        view: frame.view,
+        lighting,
+        residual: residual.is_finite().then_some(residual),
+        gain: frame.gain.to_vec(),
     }
 }

@@ -15,7 +15,8 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
-    MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent, SphereLight,
+    MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
+    SphereLight,
 };
 use rilievo_synthetic::{LightModel, RenderOptions, RenderedView, Renderer, SceneOptions, Subject};
 use std::sync::Arc;

@@ -1,11 +1,8 @@
 //! Facts on a run of the photo model.
 
 use super::validation::ValidationReport;
+use rilievo_scene::ViewLighting;
 use serde::{Deserialize, Serialize};
-
-/// Median relative residual up to which the light explains a photo: matte rendered objects leave 1 to 4.5 %,
-/// a glossy one 8 %, a real bust in a room 20 %.
-const EXPLAINED: f64 = 0.05;
 
 /// Facts on one view.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -82,44 +79,8 @@ pub struct PhotoReport {
     /// Share of the small-scale brightness, beyond what the light explains, that colour predicts:
     /// pigment.
     pub pigment: Option<f64>,
+    /// The light that was used, of every view.
+    pub light: Vec<ViewLighting>,
     /// What the data could not tell.
     pub notes: Vec<String>,
-}
-
-impl PhotoReport {
-    /// Whether a light that allows for shadow and bounce explains the photo of that name.
-    pub fn explains(&self, name: &str) -> bool {
-        let view = self.views.iter().find(|view| view.name == name);
-        let residual = view.and_then(|view| view.light_residual);
-        self.light_sees_shadows && residual.is_some_and(|residual| residual <= EXPLAINED)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_photo_is_explained_by_a_light_with_shadows_that_leaves_little() {
-        let view = |name: &str, light_residual| PhotoViewReport {
-            name: name.to_owned(),
-            light_residual,
-            ..PhotoViewReport::default()
-        };
-        let mut report = PhotoReport {
-            light_sees_shadows: true,
-            views: vec![
-                view("matte", Some(0.03)),
-                view("glossy", Some(0.09)),
-                view("unshaded", None),
-            ],
-            ..PhotoReport::default()
-        };
-        let explained = |report: &PhotoReport| {
-            ["matte", "glossy", "unshaded", "absent"].map(|name| report.explains(name))
-        };
-        assert_eq!(explained(&report), [true, false, false, false]);
-        report.light_sees_shadows = false;
-        assert_eq!(explained(&report), [false; 4]);
-    }
 }

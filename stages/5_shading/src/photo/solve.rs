@@ -10,7 +10,9 @@ use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_scene::{LightSource, LightingCalibration, Observer, PosedViews, ShadedViews};
+use rilievo_scene::{
+    Event, Flow, LightSource, LightingCalibration, Observer, PosedViews, ShadedViews, StageId,
+};
 
 /// A lap that turns normals by more than this share of what the lap before it did under the same weights
 /// is followed by none: light and shape swing, or pixels beside edges change sides.
@@ -86,10 +88,24 @@ impl Course<'_> {
             lighting.source,
             LightSource::Given | LightSource::CalibrationPhoto
         );
-        if is_from_elsewhere && !options.trust_lighting {
+        if is_from_elsewhere {
             let frames = self.scene.frames.iter();
             let names: Vec<&str> = frames.map(|frame| frame.name.as_str()).collect();
-            contradiction::refuse(&self.scene.pyramid[*at], &names, depths, lighting)?;
+            let level = &self.scene.pyramid[*at];
+            match contradiction::refuse(level, &names, depths, lighting) {
+                Err(_) if options.trust_lighting => {
+                    let flow = self.observer.event(Event::Warning {
+                        stage: StageId::Shading,
+                        message: "the given light contradicts the photos, and is used all the same: \
+                                  normals err towards it"
+                            .to_owned(),
+                    });
+                    if flow == Flow::Stop {
+                        return Err(ShadingError::Interrupted);
+                    }
+                }
+                other => other?,
+            }
         }
         let ground = self.ground(*at, depths, posed);
         let is_noisy = self.report.search_scatter_px > options.noisy_search_px;

@@ -4,9 +4,9 @@
 //! checks what it is given before it works with it, so that a wrong index is told and ends nothing else.
 
 use crate::{
-    Anchor, FeatureMatches, Intrinsics, LightSample, LightingCalibration, LinearImage, Photo, PhotoIdx,
-    PhotoKeypoints, PhotoSet, PixelError, PosedViews, RigidTransform, SparsePoint, StageId,
-    ViewIdx,
+    Anchor, FeatureMatches, Intrinsics, LightSample, LightingCalibration, LinearImage, Photo,
+    PhotoIdx, PhotoKeypoints, PhotoSet, PixelError, PosedViews, RigidTransform, SparsePoint,
+    StageId, ViewIdx,
 };
 use nalgebra::Vector3;
 use std::sync::Arc;

@@ -30,9 +30,7 @@ pub mod sphere;
 pub mod srgb;
 pub mod transform;
 
-pub use calibration::{
-    LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting,
-};
+pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
 pub use consistency::{Inconsistent, check_descriptors, check_keypoints};

@@ -51,4 +51,3 @@ pub fn light_samples(
         })
         .collect()
 }
-

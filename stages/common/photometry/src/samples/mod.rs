@@ -7,7 +7,7 @@ use crate::sphere::SphereInCamera;
 use rilievo_scene::{LightSample, PhotoSet, PixelError, PosedViews, ViewIdx};
 
 pub use cells::{NUM_CELLS, cell_of, light_samples};
-pub use pixels::{Coverage, SamplingOptions, Shot, SphereSamples};
+pub use pixels::{Coverage, SamplingOptions, Shot, SphereSamples, surface_pixels};
 
 /// What all views show of all posed spheres.
 ///
@@ -36,7 +36,12 @@ pub fn read_spheres(
         let world_from_cam = camera.cam_from_world.rotation.inverse();
         for (k, sphere) in spheres.iter().enumerate() {
             let samples = shot.samples(sphere, &spheres, options);
-            found.extend(light_samples(&samples, &world_from_cam, ViewIdx(view), Some(k)));
+            found.extend(light_samples(
+                &samples,
+                &world_from_cam,
+                ViewIdx(view),
+                Some(k),
+            ));
         }
     }
     Ok(found)

@@ -6,7 +6,7 @@
 
 use crate::sphere::SphereInCamera;
 use nalgebra::{Point2, Vector3};
-use rilievo_scene::{Intrinsics, LinearImage, Mask};
+use rilievo_scene::{Intrinsics, LinearImage, Mask, NormalMap};
 
 /// Which pixels count.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -176,4 +176,27 @@ fn in_front_of(
             ..*other
         })
         .collect()
+}
+
+/// Pixels with a normal, at most `max_num` of them, evenly spread.
+pub fn surface_pixels(
+    image: &LinearImage,
+    mask: Option<&Mask>,
+    normals: &NormalMap,
+    max_num: usize,
+) -> Vec<(usize, usize, Vector3<f64>)> {
+    let mut pixels = Vec::new();
+    for y in 0..image.height.min(normals.height) {
+        for x in 0..image.width.min(normals.width) {
+            if mask.is_some_and(|m| !m.contains(x as isize, y as isize)) {
+                continue;
+            }
+            if let Some(normal) = normals.normal(x, y) {
+                pixels.push((x, y, normal));
+            }
+        }
+    }
+    // A stride coprime with the usual image widths, so that the samples do not fall into columns.
+    let stride = pixels.len().div_ceil(max_num.max(1)).max(1);
+    pixels.into_iter().step_by(stride | 1).collect()
 }

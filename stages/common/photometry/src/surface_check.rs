@@ -1,0 +1,335 @@
+//! Whether the light was the right one for the surface that was found under it.
+//!
+//! For every view three residuals, relative to the photo (root mean square over the unclipped
+//! pixels of the surface): of what shape and light explain, as the solver used them; of that times the best
+//! gain; and of nine harmonics fitted on the surface itself, the best that any distant light can do. A
+//! sphere in the object's shadow or bounce light shows as a large first against a small third number, worst in
+//! the views from the side that the object hides from the sphere. A light with shadow and bounce leaves less
+//! than the third number.
+
+use crate::harmonics::{FitOptions, dominant_direction, fit_lighting};
+use crate::samples::surface_pixels;
+use nalgebra::Vector3;
+use rayon::prelude::*;
+use rilievo_scene::{
+    Event, Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError, PosedViews,
+    ShadedView, ShadedViews, StageId, ViewLighting,
+};
+use serde::{Deserialize, Serialize};
+
+/// How the comparison is made.
+#[derive(Clone, Debug)]
+pub struct CheckOptions {
+    /// The fit of nine harmonics on the surface.
+    pub fit: FitOptions,
+    /// Pixels brighter than this share of the photo's clip level are left out.
+    pub clip_share: f64,
+    /// Most pixels of a view.
+    pub max_num_samples: usize,
+    /// Fewest pixels that make a view count.
+    pub min_num_pixels: usize,
+    /// Advice is given where the light leaves this many times as much as the best distant light.
+    pub advice_ratio: f64,
+}
+
+/// Why there is no comparison.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum CheckError {
+    /// The observer asked to stop.
+    #[error("interrupted")]
+    Interrupted,
+    /// What an earlier stage left contradicts itself.
+    #[error(transparent)]
+    Inconsistent(#[from] Inconsistent),
+    /// Pixels of a photo could not be loaded.
+    #[error(transparent)]
+    Pixels(#[from] PixelError),
+}
+
+/// One view of [`SurfaceReport`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewSurfaceReport {
+    /// The view's name.
+    pub name: String,
+    /// Residual of the photo re-rendered by shape and light as the solver used them, relative to the photo
+    /// (root mean square).
+    pub used_rms: f64,
+    /// The same after the best common gain.
+    pub used_rms_after_gain: f64,
+    /// That gain.
+    pub best_gain: f64,
+    /// The first residual after the gain that is best for all views together: without what only
+    /// an albedo other than the sphere's would cause.
+    pub used_rms_after_albedo: f64,
+    /// The same with nine harmonics fitted on the surface: what the best distant light leaves.
+    pub refitted_rms: f64,
+    /// Angle between the dominant directions of both lights, degrees.
+    pub direction_change_deg: Option<f64>,
+    /// Share of the surface that the light used does not explain to 10 %.
+    pub unexplained_share: f64,
+    /// Whether the shape suffers from the light.
+    pub suffers: bool,
+}
+
+/// Whether the light was the right one for the surface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceReport {
+    /// Every view with a surface.
+    pub views: Vec<ViewSurfaceReport>,
+    /// Brightness of the object over what the light predicts, median over the views: its albedo
+    /// relative to the sphere's.
+    pub albedo_factor: Option<f64>,
+    /// Advice in words; empty where nothing is wrong.
+    pub advice: Vec<String>,
+}
+
+/// Residual below which a light is good enough whatever a refit could do.
+const SMALLEST_GAP: f64 = 0.04;
+/// A pixel further than this from the photo, relative, is not explained.
+const UNEXPLAINED: f64 = 0.1;
+/// Logarithm of an albedo ratio worth a word.
+const OTHER_ALBEDO: f64 = 0.15;
+/// Share of unexplained surface worth a word.
+const MUCH_UNEXPLAINED: f64 = 0.4;
+
+/// Compares the photos with what the surface shows under the light that was used: a view's re-rendered image
+/// where it has one, else `used` on its normals.
+///
+/// # Errors
+/// See [`CheckError`].
+pub fn check(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    (source, used): (LightSource, &[ViewLighting]),
+    shaded: &ShadedViews,
+    options: &CheckOptions,
+    observer: &dyn Observer,
+) -> Result<SurfaceReport, CheckError> {
+    photos.check()?;
+    posed.check_with(photos)?;
+    let flow = observer.event(Event::Progress {
+        stage: StageId::Shading,
+        step: "comparing the light with the surface".to_owned(),
+        done: 0,
+        total: shaded.views.len(),
+    });
+    if flow == Flow::Stop {
+        return Err(CheckError::Interrupted);
+    }
+    let views: Vec<Option<ViewSurfaceReport>> = shaded
+        .views
+        .par_iter()
+        .map(|view| {
+            let lighting = used.iter().find(|l| l.view == view.view);
+            if observer.flow() == Flow::Stop {
+                return Err(CheckError::Interrupted);
+            }
+            let photo = &photos.photos[posed.views[view.view.0].photo.0];
+            let image = photo.linear()?;
+            let limit = f64::from(photo.clip_level) * options.clip_share;
+            let mask = photo.mask.as_deref();
+            let pixels = surface_pixels(&image, mask, &view.normal, options.max_num_samples);
+            if pixels.len() < options.min_num_pixels {
+                return Ok(None);
+            }
+            let surface = Surface {
+                image: &image,
+                pixels,
+                limit,
+            };
+            Ok(one_view(
+                view,
+                &surface,
+                lighting.map(|l| &l.lighting),
+                options,
+            ))
+        })
+        .collect::<Result<_, CheckError>>()?;
+    let mut views: Vec<ViewSurfaceReport> = views.into_iter().flatten().collect();
+    let mut gains: Vec<f64> = views.iter().map(|v| v.best_gain).collect();
+    let albedo_factor = rilievo_numerics::robust::median(&mut gains);
+    for view in &mut views {
+        let common = albedo_factor.unwrap_or(1.0) / view.best_gain;
+        // |g S − I|² grows quadratically around the best gain; S there explains all but the rest.
+        let rest = view.used_rms_after_gain.powi(2);
+        view.used_rms_after_albedo = (rest + (common - 1.0).powi(2) * (1.0 - rest)).sqrt();
+        view.suffers = view.used_rms_after_albedo > options.advice_ratio * view.refitted_rms
+            && view.used_rms_after_albedo > view.refitted_rms + SMALLEST_GAP;
+    }
+    let advice = advice(source, &views, albedo_factor);
+    Ok(SurfaceReport {
+        views,
+        albedo_factor,
+        advice,
+    })
+}
+
+/// What a photo shows of the surface.
+struct Surface<'a> {
+    image: &'a LinearImage,
+    /// Column, row and normal.
+    pixels: Vec<(usize, usize, Vector3<f64>)>,
+    /// Brightness from which a channel does not count.
+    limit: f64,
+}
+
+/// Sums of a light's agreement with a photo.
+struct Agreement {
+    rms: f64,
+    rms_after_gain: f64,
+    gain: f64,
+    unexplained: f64,
+}
+
+impl Surface<'_> {
+    /// Agreement with what `predict` gives for a pixel's channel.
+    fn agreement(
+        &self,
+        predict: impl Fn(&(usize, usize, Vector3<f64>), usize) -> f64,
+    ) -> Option<Agreement> {
+        let (mut ss, mut si, mut ii, mut far, mut count) = (0.0, 0.0, 0.0, 0_usize, 0_usize);
+        for at in &self.pixels {
+            for (c, &value) in self.image.pixel(at.0, at.1).iter().enumerate() {
+                let value = f64::from(value);
+                if value >= self.limit {
+                    continue;
+                }
+                let predicted = predict(at, c);
+                ss += predicted * predicted;
+                si += predicted * value;
+                ii += value * value;
+                far += usize::from((predicted - value).abs() > UNEXPLAINED * value);
+                count += 1;
+            }
+        }
+        if count == 0 || ii <= 0.0 || ss <= 0.0 {
+            return None;
+        }
+        let square = |gain: f64| ((gain * gain * ss - 2.0 * gain * si + ii).max(0.0) / ii).sqrt();
+        let gain = si / ss;
+        Some(Agreement {
+            rms: square(1.0),
+            rms_after_gain: square(gain),
+            gain,
+            unexplained: far as f64 / count as f64,
+        })
+    }
+
+    /// Nine harmonics fitted on the surface.
+    fn refit(&self, options: &CheckOptions) -> Option<Lighting> {
+        let normals: Vec<Vector3<f64>> = self.pixels.iter().map(|at| at.2).collect();
+        let values: Vec<Vec<f64>> = self
+            .pixels
+            .iter()
+            .map(|at| {
+                self.image
+                    .pixel(at.0, at.1)
+                    .iter()
+                    .map(|&v| f64::from(v))
+                    .collect()
+            })
+            .collect();
+        let usable: Vec<Vec<bool>> = values
+            .iter()
+            .map(|pixel| pixel.iter().map(|&v| v < self.limit).collect())
+            .collect();
+        let fit = fit_lighting(&normals, &values, &usable, &options.fit);
+        fit.ok().map(|fit| fit.lighting())
+    }
+}
+
+fn one_view(
+    view: &ShadedView,
+    surface: &Surface<'_>,
+    used: Option<&Lighting>,
+    options: &CheckOptions,
+) -> Option<ViewSurfaceReport> {
+    let used = used.filter(|light| light.channels.len() == surface.image.channels);
+    let under = |light: &Lighting| surface.agreement(|at, c| light.channels[c].evaluate(&at.2));
+    let refit = surface.refit(options);
+    let with_refit = refit.as_ref().and_then(under);
+    let is_whole = |rendered: &&LinearImage| {
+        let size = |image: &LinearImage| (image.width, image.height, image.channels);
+        size(rendered) == size(surface.image)
+    };
+    let with_used = match view.rendered.as_ref().filter(is_whole) {
+        Some(rendered) => surface.agreement(|at, c| f64::from(rendered.pixel(at.0, at.1)[c])),
+        None => used.and_then(under),
+    }?;
+    let direction_change_deg = refit
+        .and_then(|l| Some((dominant_direction(&l)?, dominant_direction(used?)?)))
+        .map(|(a, b)| a.angle(&b).to_degrees());
+    Some(ViewSurfaceReport {
+        name: view.name.clone(),
+        used_rms: with_used.rms,
+        used_rms_after_gain: with_used.rms_after_gain,
+        best_gain: with_used.gain,
+        refitted_rms: with_refit.map_or(with_used.rms, |a| a.rms),
+        direction_change_deg,
+        unexplained_share: with_used.unexplained,
+        used_rms_after_albedo: with_used.rms,
+        suffers: false,
+    })
+}
+
+fn advice(
+    source: LightSource,
+    views: &[ViewSurfaceReport],
+    albedo_factor: Option<f64>,
+) -> Vec<String> {
+    let mut advice = Vec::new();
+    if let Some(factor) = albedo_factor.filter(|f| f.ln().abs() > OTHER_ALBEDO) {
+        advice.push(format!(
+            "the object is {factor:.2} times as bright as the light predicts, in all photos alike: \
+             its albedo differs from the sphere's, or it is dirty or in its own shadow"
+        ));
+    }
+    let suffering: Vec<String> = views
+        .iter()
+        .filter(|v| v.suffers)
+        .map(|v| {
+            format!(
+                "{} ({:.0} % against {:.0} %)",
+                v.name,
+                100.0 * v.used_rms_after_albedo,
+                100.0 * v.refitted_rms
+            )
+        })
+        .collect();
+    if !suffering.is_empty() {
+        let remedy = match source {
+            LightSource::Sphere => {
+                "the sphere stands in the object's shadow or bounce light: move it away, or take \
+                 a calibration photo of a sphere in the object's place"
+            }
+            LightSource::CalibrationPhoto => {
+                "the light changed between the calibration photo and these, or their exposure did"
+            }
+            LightSource::Given | LightSource::Shape => {
+                "the light given is not the light of these photos; check file, frame and exposure"
+            }
+            LightSource::OwnShape => {
+                "the light is an estimate; put a matte sphere beside the object"
+            }
+        };
+        advice.push(format!(
+            "the light does not fit the object in {}: {remedy}",
+            suffering.join(", ")
+        ));
+    }
+    let shadowed: Vec<&str> = views
+        .iter()
+        .filter(|v| v.unexplained_share > MUCH_UNEXPLAINED)
+        .map(|v| v.name.as_str())
+        .collect();
+    if !shadowed.is_empty() {
+        advice.push(format!(
+            "shape and light explain less than {:.0} % of the object to a tenth in {}: gloss, stains, or \
+             shadow and bounce light, which the paper's model does not allow for; softer light from several \
+             sides helps",
+            100.0 * (1.0 - MUCH_UNEXPLAINED),
+            shadowed.join(", ")
+        ));
+    }
+    advice
+}
