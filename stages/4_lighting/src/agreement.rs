@@ -16,7 +16,7 @@
 //! 4. Spheres that agree with it count, brightness divided by their paint where that is another's;
 //!    the others are left out, and said to be.
 
-use crate::LightingOptions;
+use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::side::{Patch, Side};

@@ -1,6 +1,7 @@
 //! Pixels and anchors of one view or several, gathered for one fit of the light.
 
-use crate::{LightingError, LightingOptions};
+use crate::error::LightingError;
+use crate::options::LightingOptions;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, fit_lighting};
 use rilievo_photometry::samples::SphereSamples;

@@ -1,7 +1,8 @@
 //! What the lighting is to be taken from, and the case where it is given.
 
+use crate::error::LightingError;
+use crate::light_samples;
 use crate::report::{LightingReport, ViewLightReport};
-use crate::{LightingError, light_samples};
 use rilievo_photometry::harmonics::rotate;
 use rilievo_scene::{
     DepthMap, LightKind, LightSource, Lighting, LightingCalibration, PosedViews, SphereRequest,

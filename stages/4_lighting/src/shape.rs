@@ -7,10 +7,11 @@
 //! `max_slope` (relative change of depth per pixel times the focal length) are depth edges: no
 //! tangent crosses them.
 
+use crate::error::LightingError;
 use crate::kind;
+use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
-use crate::{LightingError, LightingOptions};
 use nalgebra::{Point2, Vector3};
 use rilievo_photometry::harmonics::LightingFit;
 use rilievo_photometry::samples::surface_pixels;

@@ -1,7 +1,8 @@
 //! The spheres beside the object, in the views that show enough of them.
 
+use crate::error::LightingError;
+use crate::options::LightingOptions;
 use crate::report::{LightingReport, SphereLightReport, ViewLightReport};
-use crate::{LightingError, LightingOptions};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::samples::{Coverage, Shot, SphereSamples};
 use rilievo_photometry::sphere::SphereInCamera;

@@ -13,12 +13,13 @@
 //!    object still give the gains.
 
 use crate::calibration::from_calibration;
+use crate::error::LightingError;
 use crate::gains::{self, Gains};
-use crate::options::GainMode;
+use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport};
 use crate::side::{Counted, Side, collect};
-use crate::{LightingError, LightingOptions, agreement, kind, light_samples, place};
+use crate::{agreement, kind, light_samples, place};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_scene::{

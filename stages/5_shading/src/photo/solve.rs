@@ -96,9 +96,10 @@ impl Course<'_> {
                 Err(_) if options.trust_lighting => {
                     let flow = self.observer.event(Event::Warning {
                         stage: StageId::Shading,
-                        message: "the given light contradicts the photos, and is used all the same: \
+                        message:
+                            "the given light contradicts the photos, and is used all the same: \
                                   normals err towards it"
-                            .to_owned(),
+                                .to_owned(),
                     });
                     if flow == Flow::Stop {
                         return Err(ShadingError::Interrupted);

@@ -23,9 +23,10 @@
 use crate::cameras::{CameraEntry, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::files::read_regular_text;
+use crate::mask::read_mask;
 use crate::mat::{MatArray, read_mat};
+use crate::photo::{decode_photo, photo_size};
 use crate::words::lines;
-use crate::{decode_photo, photo_size, read_mask};
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, LinearImage, Mask, NormalMap, Samples};
 use std::collections::BTreeMap;

@@ -12,8 +12,8 @@ use crate::samples::surface_pixels;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_scene::{
-    Event, Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError, PosedViews,
-    ShadedView, ShadedViews, StageId, ViewLighting,
+    Event, Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError,
+    PosedViews, ShadedView, ShadedViews, StageId, ViewLighting,
 };
 use serde::{Deserialize, Serialize};
 

@@ -3,11 +3,15 @@
 //! A stage's results may come from a file that was damaged, or that another program wrote. Each stage
 //! checks what it is given before it works with it, so that a wrong index is told and ends nothing else.
 
-use crate::{
-    Anchor, FeatureMatches, Intrinsics, LightSample, LightingCalibration, LinearImage, Photo,
-    PhotoIdx, PhotoKeypoints, PhotoSet, PixelError, PosedViews, RigidTransform, SparsePoint,
-    StageId, ViewIdx,
-};
+use crate::calibration::{LightSample, LightingCalibration};
+use crate::camera::Intrinsics;
+use crate::events::StageId;
+use crate::ids::{PhotoIdx, ViewIdx};
+use crate::matches::{FeatureMatches, PhotoKeypoints};
+use crate::photos::{Photo, PhotoSet, PixelError};
+use crate::poses::{Anchor, PosedViews, SparsePoint};
+use crate::raster::LinearImage;
+use crate::transform::RigidTransform;
 use nalgebra::Vector3;
 use std::sync::Arc;
 

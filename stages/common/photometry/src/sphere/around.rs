@@ -4,9 +4,10 @@
 //! is all that this takes, with the camera that would have taken the part: the photo's own with the
 //! principal point `c − (x₀, y₀)`, `(x₀, y₀)` the part's first pixel.
 
+use super::cone::SphereInCamera;
+use super::error::SphereError;
 use super::locate::SphereFit;
 use super::request::PosedImage;
-use super::{SphereError, SphereInCamera};
 use nalgebra::Point2;
 use rilievo_scene::{Intrinsics, LinearImage, Mask, PhotoSet, PosedView};
 use std::sync::Arc;

@@ -10,7 +10,7 @@
 //!   `f sin a / √(cos²t − sin²a)` across;
 //! * points on the outline give the cone linearly: `d_i · w = 1` with `w = u / cos a`.
 
-use super::SphereError;
+use super::error::SphereError;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 use rilievo_scene::{Intrinsics, LocatedSphere, RigidTransform};
 use serde::{Deserialize, Serialize};

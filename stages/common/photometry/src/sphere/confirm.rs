@@ -6,8 +6,9 @@
 
 use super::detect::{Photo, shading};
 use super::mark::distance_px;
+use super::options::SphereOptions;
+use super::refine::{Effort, refine_outline};
 use super::request::PosedImage;
-use super::{Effort, SphereOptions, refine_outline};
 use rilievo_scene::{LocatedSphere, PhotoIdx};
 use serde::{Deserialize, Serialize};
 

@@ -18,11 +18,11 @@
 //! 4. Covariance: `σ_p² (JᵀJ)⁻¹` with neighbouring points counted as one per pixel of blur, plus
 //!    the outline's systematic offset, which does not average out within a view.
 
-use super::mark::distance_px;
-use super::{
-    MarkEvidence, MarkFit, OutlineCone, SphereError, SphereInCamera, SphereOptions,
-    cone_from_points,
-};
+use super::cone::{OutlineCone, SphereInCamera};
+use super::confirm::MarkEvidence;
+use super::error::SphereError;
+use super::mark::{MarkFit, cone_from_points, distance_px};
+use super::options::SphereOptions;
 use nalgebra::{Matrix3, Matrix4, Point2, Point3, Vector3, Vector4};
 use rilievo_scene::{Intrinsics, LocatedSphere, MarkedSphere, PhotoIdx, RigidTransform};
 use serde::{Deserialize, Serialize};

@@ -13,7 +13,9 @@
 //!    `σ` the error of a point, its radius has the standard deviation `σ √((JᵀJ)⁻¹)₃₃`; it must be
 //!    small.
 
-use super::{OutlineCone, SphereError, SphereOptions};
+use super::cone::OutlineCone;
+use super::error::SphereError;
+use super::options::SphereOptions;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 use rilievo_scene::{Intrinsics, Mask, SphereMark};
 use serde::{Deserialize, Serialize};

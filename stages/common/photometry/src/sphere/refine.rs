@@ -19,7 +19,7 @@
 //! Intensities are linear, so that a pixel half covered by the sphere has the mean of both sides
 //! and the step's middle is the outline.
 
-use super::SphereInCamera;
+use super::cone::SphereInCamera;
 use crate::harmonics::{FitOptions, fit_robust};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use rilievo_scene::{Intrinsics, LinearImage, Mask, SphericalHarmonics};

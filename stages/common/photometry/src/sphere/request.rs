@@ -9,10 +9,14 @@
 //! 3. All together give the world's scale ([`super::common_scale`]).
 
 use super::around::load_around;
+use super::cone::SphereInCamera;
 use super::confirm::confirm;
+use super::error::SphereError;
 use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
+use super::mark::outline_of_mark;
+use super::options::SphereOptions;
+use super::refine::{Effort, refine_outline};
 use super::several::{CommonScale, common_scale, without_doubles};
-use super::{Effort, SphereError, SphereInCamera, SphereOptions, outline_of_mark, refine_outline};
 use rayon::prelude::*;
 use rilievo_scene::{
     Intrinsics, LinearImage, LocatedSphere, MarkedSphere, Mask, PhotoIdx, PhotoSet, PosedView,

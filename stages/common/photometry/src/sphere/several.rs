@@ -18,8 +18,9 @@
 //! 3. The standard deviation of `s` is that of the outlines or that of the scatter between the
 //!    spheres, whichever is larger.
 
+use super::error::SphereError;
 use super::locate::{ScaleEstimate, SphereFit};
-use super::{SphereError, SphereOptions};
+use super::options::SphereOptions;
 use nalgebra::Point3;
 use rilievo_scene::LocatedSphere;
 use serde::{Deserialize, Serialize};

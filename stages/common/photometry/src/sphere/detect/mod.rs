@@ -17,10 +17,13 @@ mod edges;
 mod verify;
 mod votes;
 
+use super::cone::{OutlineCone, SphereInCamera};
+use super::error::SphereError;
 use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
+use super::options::SphereOptions;
+use super::refine::{Effort, refine_outline};
 use super::request::{PosedImage, refine_in_views};
 use super::several::overlap;
-use super::{Effort, OutlineCone, SphereError, SphereInCamera, SphereOptions, refine_outline};
 use nalgebra::{Matrix3, Point3};
 use rayon::prelude::*;
 use rilievo_scene::{Intrinsics, LinearImage, LocatedSphere};

@@ -6,9 +6,10 @@
 
 use super::votes::Circle;
 use crate::harmonics::{FitOptions, fit_robust};
-use crate::sphere::{
-    Effort, OutlineCone, SphereOptions, cone_from_points, outline_of_mark, refine_outline,
-};
+use crate::sphere::cone::OutlineCone;
+use crate::sphere::mark::{cone_from_points, outline_of_mark};
+use crate::sphere::options::SphereOptions;
+use crate::sphere::refine::{Effort, refine_outline};
 use nalgebra::{Point2, Vector3};
 use rilievo_scene::{Intrinsics, LinearImage, Mask, SphereMark};
 
