@@ -119,7 +119,7 @@ mod tests {
     #[test]
     fn what_is_left_out_keeps_its_default() {
         let options = read("[shading]\nnoise = 0.02\n").unwrap();
-        assert_eq!(options.shading.noise, 0.02);
+        assert_eq!(options.shading.paper.noise, 0.02);
         assert_eq!(options.poses, PosesOptions::default());
     }
 
@@ -156,8 +156,8 @@ mod tests {
             cameras: None,
             marks: vec![point.clone(), point],
         });
-        options.shading.match_noise_px = Some(1.0);
-        options.shading.schedule = rilievo_shading::PenaltySchedule::Explicit {
+        options.shading.paper.match_noise_px = Some(1.0);
+        options.shading.paper.schedule = rilievo_shading::paper::PenaltySchedule::Explicit {
             start: 0.1,
             growth: 1.1,
             num_iterations: 50,
@@ -170,7 +170,7 @@ mod tests {
         ]
         .map(|loss| {
             let mut options = options.clone();
-            options.shading.loss = loss(0.1);
+            options.shading.paper.loss = loss(0.1);
             options
         })
         .into()

@@ -60,7 +60,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_shading)?;
-    context.console.warn_all(StageId::Shading, &report.warnings);
+    context
+        .console
+        .warn_all(StageId::Shading, &report.paper.warnings);
     let light_on_surface = check(
         &photos,
         &views,

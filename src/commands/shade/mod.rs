@@ -16,7 +16,7 @@ use crate::pipeline::{Resources, from_shading, write_maps};
 use crate::store::{StoreError, write_atomically};
 use crate::system;
 use rilievo_scene::{ShadedView, StageId, ViewIdx};
-use rilievo_shading::{HarmonicOrder, SolvedView, StartShape};
+use rilievo_shading::paper::{HarmonicOrder, SolvedView, StartShape};
 use std::path::Path;
 use std::time::Instant;
 
@@ -39,7 +39,7 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
     let began = Instant::now();
     let started = format!("solving {} view(s)", problem.problem.views.len());
     console.stage(StageId::Shading, &StageNews::Started(started));
-    let solution = rilievo_shading::solve(&problem.problem, &options.shading, console)
+    let solution = rilievo_shading::paper::solve(&problem.problem, &options.shading.paper, console)
         .map_err(from_shading)?;
     console.warn_all(StageId::Shading, &solution.report.warnings);
     for (index, view) in solution.views.into_iter().enumerate() {
@@ -72,35 +72,39 @@ fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
     let mut options = StageOptions::read(args.config.as_deref())?;
     options.override_with(None, None, args.encoding);
     match args.splitting {
-        Some(Splitting::Full) => options.shading.splitting = rilievo_shading::Splitting::Full,
-        Some(Splitting::Paper) => options.shading.splitting = rilievo_shading::Splitting::Paper,
+        Some(Splitting::Full) => {
+            options.shading.paper.splitting = rilievo_shading::paper::Splitting::Full
+        }
+        Some(Splitting::Paper) => {
+            options.shading.paper.splitting = rilievo_shading::paper::Splitting::Paper
+        }
         Some(Splitting::FixedPoint) => {
-            options.shading.splitting = rilievo_shading::Splitting::FixedPoint;
+            options.shading.paper.splitting = rilievo_shading::paper::Splitting::FixedPoint;
         }
         None => {}
     }
     match args.order {
-        Some(1) => options.shading.order = HarmonicOrder::First,
-        Some(_) => options.shading.order = HarmonicOrder::Second,
+        Some(1) => options.shading.paper.order = HarmonicOrder::First,
+        Some(_) => options.shading.paper.order = HarmonicOrder::Second,
         None => {}
     }
     match args.projection {
         Some(Projection::Perspective) => {
-            options.shading.projection = rilievo_shading::Projection::Perspective;
+            options.shading.paper.projection = rilievo_shading::paper::Projection::Perspective;
         }
         Some(Projection::Orthographic) => {
-            options.shading.projection = rilievo_shading::Projection::Orthographic;
+            options.shading.paper.projection = rilievo_shading::paper::Projection::Orthographic;
         }
         None => {}
     }
     match args.init.as_deref() {
         None => {}
-        Some("plane") => options.shading.start = StartShape::Plane,
-        Some("anchors") => options.shading.start = StartShape::Anchors,
-        Some(_) => options.shading.start = StartShape::Given,
+        Some("plane") => options.shading.paper.start = StartShape::Plane,
+        Some("anchors") => options.shading.paper.start = StartShape::Anchors,
+        Some(_) => options.shading.paper.start = StartShape::Given,
     }
     if let Some(weight) = args.area_weight {
-        options.shading.area_weight = weight;
+        options.shading.paper.area_weight = weight;
     }
     options.validate()?;
     Ok(options)

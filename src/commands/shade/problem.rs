@@ -11,7 +11,7 @@ use rilievo_io::{
     read_matches_csv, read_scene, split_lighting_spec,
 };
 use rilievo_scene::{DepthMap, Lighting, LinearImage, Mask, StageId};
-use rilievo_shading::{DepthPrior, ShadingProblem, ShadingView, ViewLight, ViewMatches};
+use rilievo_shading::paper::{DepthPrior, ShadingProblem, ShadingView, ViewLight, ViewMatches};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

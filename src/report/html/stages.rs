@@ -343,11 +343,12 @@ fn shading(facts: &ShadingFacts) -> Markup {
     let mut rest = facts.clone();
     let convergence: Vec<Markup> = rest
         .solver
+        .paper
         .views
         .iter_mut()
         .map(|view| {
             let records = std::mem::take(&mut view.iterations);
-            let column = |of: fn(&rilievo_shading::IterationRecord) -> f64| -> Vec<f64> {
+            let column = |of: fn(&rilievo_shading::paper::IterationRecord) -> f64| -> Vec<f64> {
                 records.iter().map(of).collect()
             };
             plot::logarithmic(

@@ -9,7 +9,7 @@ use rilievo_numerics::corner_poisson::CornerPoisson;
 use rilievo_scene::{
     DepthMap, Intrinsics, Lighting, LinearImage, Mask, Silent, SphericalHarmonics,
 };
-use rilievo_shading::{ShadingOptions, ShadingProblem, ShadingView, ViewLight, solve};
+use rilievo_shading::paper::{PaperOptions, ShadingProblem, ShadingView, ViewLight, solve};
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
@@ -67,7 +67,7 @@ fn copy_bandwidth() -> f64 {
 
 fn steps(c: &mut Criterion) {
     let problem = problem();
-    let options = ShadingOptions::default();
+    let options = PaperOptions::default();
     if let Ok(solution) = solve(&problem, &options, &Silent) {
         let facts = &solution.report.views[0];
         // Pixel-iterations over all levels.

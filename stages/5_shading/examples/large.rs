@@ -7,9 +7,8 @@ use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{
     Intrinsics, Lighting, LinearImage, Mask, RigidTransform, Silent, SphericalHarmonics,
 };
-use rilievo_shading::{
-    Coupling, DepthAnchor, ShadingOptions, ShadingProblem, ShadingView, ViewLight, ViewMatches,
-    solve,
+use rilievo_shading::paper::{
+    Coupling, DepthAnchor, PaperOptions, ShadingProblem, ShadingView, ViewLight, ViewMatches, solve,
 };
 use std::sync::Arc;
 
@@ -159,9 +158,9 @@ fn main() -> Result<(), Failure> {
     if let [only] = problem.views.as_mut_slice() {
         only.anchors = relief.anchors();
     }
-    let options = ShadingOptions {
+    let options = PaperOptions {
         coupling,
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let solution = solve(&problem, &options, &Silent)?;
     let mut total = 0.0;

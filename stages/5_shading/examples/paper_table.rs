@@ -16,8 +16,8 @@ mod table;
 use paper::Source;
 use rilievo_io::Preview;
 use rilievo_scene::{Raster, Silent};
-use rilievo_shading::{
-    ShadingOptions, ShadingProblem, ShadingSolution, SolvedView, Splitting, ViewMatches, solve,
+use rilievo_shading::paper::{
+    PaperOptions, ShadingProblem, ShadingSolution, SolvedView, Splitting, ViewMatches, solve,
 };
 use std::path::{Path, PathBuf};
 use table::Failure;
@@ -259,9 +259,9 @@ fn main() -> Result<(), Failure> {
         let problem = case_problem(&source, &case)?;
         let mut curves: Vec<Curve> = Vec::new();
         for &splitting in &methods {
-            let options = ShadingOptions {
+            let options = PaperOptions {
                 splitting,
-                ..ShadingOptions::default()
+                ..PaperOptions::default()
             };
             let begun = cpu_seconds();
             let solution = solve(&problem, &options, &Silent)?;

@@ -5,7 +5,9 @@
 
 use nalgebra::{SMatrix, SVector, Vector3};
 use rilievo_scene::{DepthMap, Intrinsics, Lighting, LinearImage, Silent, SphericalHarmonics};
-use rilievo_shading::{DepthPrior, ShadingOptions, ShadingProblem, ShadingView, ViewLight, solve};
+use rilievo_shading::paper::{
+    DepthPrior, PaperOptions, ShadingProblem, ShadingView, ViewLight, solve,
+};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -103,9 +105,9 @@ fn main() -> Result<(), Failure> {
         depth,
         weight: 500.0,
     });
-    let options = ShadingOptions {
+    let options = PaperOptions {
         area_weight: 0.05,
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let begun = std::time::Instant::now();
     let problem = ShadingProblem {

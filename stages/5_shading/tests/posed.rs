@@ -148,7 +148,7 @@ fn anchored_views_of_a_sphere_are_recovered_in_place() {
     )
     .expect("solvable");
     assert_eq!(shaded.views.len(), 2);
-    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    assert!(report.paper.warnings.is_empty(), "{:?}", report.warnings);
     for view in &shaded.views {
         let pose = &world.posed.views[view.view.0].cam_from_world;
         let (mut angle, mut depth, mut count) = (0.0, 0.0, 0);
@@ -204,7 +204,7 @@ fn a_view_that_nothing_places_is_left_out_with_a_warning() {
     .expect("the other view is solvable");
     assert_eq!(shaded.views.len(), 1);
     assert!(
-        report.warnings.iter().any(|w| w.contains("view1")),
+        report.paper.warnings.iter().any(|w| w.contains("view1")),
         "{report:?}"
     );
 }

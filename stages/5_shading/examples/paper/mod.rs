@@ -6,7 +6,7 @@ use rilievo_scene::{
     DepthMap, Intrinsics, Lighting, LinearImage, Mask, NormalMap, RigidTransform,
     SphericalHarmonics,
 };
-use rilievo_shading::{ShadingView, ViewLight};
+use rilievo_shading::paper::{ShadingView, ViewLight};
 use std::path::PathBuf;
 use std::sync::Arc;
 

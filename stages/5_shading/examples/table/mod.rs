@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_scene::{Intrinsics, Lighting, RigidTransform, SphericalHarmonics};
-use rilievo_shading::{ShadingProblem, ShadingView, SolvedView, ViewLight, ViewMatches};
+use rilievo_shading::paper::{ShadingProblem, ShadingView, SolvedView, ViewLight, ViewMatches};
 use std::path::Path;
 use std::sync::Arc;
 

@@ -14,7 +14,6 @@
 //! The albedo sits on the surface: every pixel takes the mean over the views that see its point.
 
 use super::level::{Level, LevelView};
-use super::light::Light;
 use super::{plate, sampling, shading};
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
@@ -54,15 +53,19 @@ struct Ratios {
 }
 
 /// Estimates the pigment at the current shape and light.
-pub(crate) fn estimate(level: &Level, depths: &[Vec<f64>], light: &Light) -> Albedo {
-    let mean_tolerance = light.mean_tolerance;
+pub(crate) fn estimate(
+    level: &Level,
+    depths: &[Vec<f64>],
+    harmonics: &[Vec<shading::PixelHarmonics>],
+    mean_tolerance: f64,
+) -> Albedo {
     let rasters = super::level::depth_rasters(level, depths);
     let ratios: Vec<Ratios> = (0..level.views.len())
         .into_par_iter()
         .with_max_len(1)
         .map(|i| {
             let target = shading::mean_intensities(level, i, &depths[i], &rasters, mean_tolerance);
-            ratios(&level.views[i], &depths[i], &light.harmonics[i], &target)
+            ratios(&level.views[i], &depths[i], &harmonics[i], &target)
         })
         .collect();
     let regression = regress(&ratios);

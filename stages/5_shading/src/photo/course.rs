@@ -1,7 +1,7 @@
 //! What the steps of a run share: views, options, observer, report.
 
+use super::between_levels;
 use super::consensus;
-use super::level;
 use super::options::PhotoOptions;
 use super::output;
 use super::report::PhotoReport;
@@ -112,7 +112,8 @@ impl Course<'_> {
             .into_par_iter()
             .with_max_len(1)
             .map(|i| {
-                let (values, known) = level::upsample(&coarse.views[i], &fine.views[i], &depths[i]);
+                let (values, known) =
+                    between_levels::upsample(&coarse.views[i], &fine.views[i], &depths[i]);
                 let weight: Vec<f64> = known.iter().map(|&k| f64::from(u8::from(k))).collect();
                 start::fill(
                     &fine.views[i],
@@ -137,7 +138,7 @@ impl Course<'_> {
         let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
         (0..fine.views.len())
             .into_par_iter()
-            .map(|i| level::reduce(&fine.views[i], &coarse.views[i], &depths[i]))
+            .map(|i| between_levels::reduce(&fine.views[i], &coarse.views[i], &depths[i]))
             .collect()
     }
 

@@ -8,6 +8,7 @@
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
 use super::albedo::{self, Albedo};
+use super::between_levels;
 use super::known_light::KnownLight;
 use super::level::{Level, LevelView};
 use super::plate;
@@ -317,7 +318,7 @@ pub(crate) fn visible_on(
         None,
         known.kind,
     );
-    let pigment = albedo::estimate(level, depths, &light);
+    let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
     let ratios: Vec<[f32; 3]> = of_groups
         .iter()
         .map(|range| known_ratio(&samples[range.clone()], &fit))
@@ -345,7 +346,7 @@ pub(crate) fn visible_on(
             known.kind,
         );
     }
-    let pigment = albedo::estimate(level, depths, &light);
+    let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
     Some(with_residuals(
         level,
         normals,
@@ -445,19 +446,12 @@ fn reduce<const N: usize>(
         .collect()
 }
 
-/// Log depth at the coarser level.
+/// Log depth at the coarser level, or at the same.
 fn reduce_depth(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
     if fine.mask.width == coarse.mask.width {
         return depth.to_vec();
     }
-    (0..coarse.pixels.len())
-        .map(|p| {
-            children(fine, coarse, p)
-                .map(|c| 0.25 * depth[c])
-                .iter()
-                .sum()
-        })
-        .collect()
+    between_levels::reduce(fine, coarse, depth)
 }
 
 /// Numbers of the four pixels of the finer level that a pixel covers.

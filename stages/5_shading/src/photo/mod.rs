@@ -21,6 +21,7 @@
 
 mod albedo;
 mod appearance;
+mod between_levels;
 mod camera;
 mod chroma;
 mod confidence;
@@ -44,7 +45,6 @@ mod options;
 mod output;
 mod patchmatch;
 mod plate;
-pub(crate) mod rectify;
 mod relight;
 #[cfg(test)]
 mod rendered_tests;

@@ -1,7 +1,8 @@
 //! Maps on the photos' own pixels.
 
 use super::appearance::Appearance;
-use super::level::{self, LevelView, NEIGHBOURS};
+use super::between_levels;
+use super::level::{LevelView, NEIGHBOURS};
 use super::views::Scene;
 use super::{plate, spread};
 use rayon::prelude::*;
@@ -31,7 +32,7 @@ pub(crate) fn maps(
                     &scene.pyramid[finer].views[i],
                     &scene.pyramid[finer + 1].views[i],
                 );
-                let (up, up_known) = level::upsample(parent, child, &values);
+                let (up, up_known) = between_levels::upsample(parent, child, &values);
                 let up_known = (0..child.pixels.len())
                     .map(|p| {
                         // Where all four parents are masked, the nearest is one of them.

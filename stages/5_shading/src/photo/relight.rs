@@ -169,7 +169,12 @@ impl Course<'_> {
                 .collect(),
         };
         if light.pigment.is_some() {
-            out.pigment = Some(albedo::estimate(fine, depths, &out));
+            out.pigment = Some(albedo::estimate(
+                fine,
+                depths,
+                &out.harmonics,
+                out.mean_tolerance,
+            ));
         }
         out
     }

@@ -18,8 +18,8 @@ use super::matching::MatchOptions;
 use super::shading::{PixelHarmonics, ShadingTerm};
 use super::step::{self, StepOptions};
 use super::surfaces::{Reading, Surfaces};
-use crate::{
-    DepthPrior, PixelLighting, ShadingOptions, ShadingProblem, ShadingView, ViewLight, solve,
+use crate::paper::{
+    DepthPrior, PaperOptions, PixelLighting, ShadingProblem, ShadingView, ViewLight, solve,
 };
 use nalgebra::Vector3;
 use rilievo_numerics::plate_solver::PlateSolver;
@@ -83,7 +83,7 @@ impl Case {
             surface,
             view,
             lights,
-            sigma: ShadingOptions::default().noise,
+            sigma: PaperOptions::default().noise,
         }
     }
 
@@ -121,9 +121,9 @@ impl Case {
             views: vec![self.view.clone()],
             matches: Vec::new(),
         };
-        let options = ShadingOptions {
+        let options = PaperOptions {
             noise: self.sigma,
-            ..ShadingOptions::default()
+            ..PaperOptions::default()
         };
         let mut solution = solve(&problem, &options, &Silent).unwrap();
         solution.views.remove(0).normal

@@ -4,10 +4,10 @@
 use super::camera::Camera;
 use super::level::{Level, LevelView};
 use super::options::PhotoOptions;
-use super::rectify::Rectification;
 use super::surround::SmallPhoto;
 use crate::error::ShadingError;
-use crate::posed::photo_of;
+use crate::photo_of::photo_of;
+use crate::rectify::Rectification;
 use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_scene::{Mask, PhotoSet, PosedViews, ViewIdx};

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use rilievo_scene::{DepthMap, Intrinsics, Lighting, LinearImage, Mask, SphericalHarmonics};
-use rilievo_shading::{ShadingView, ViewLight};
+use rilievo_shading::paper::{ShadingView, ViewLight};
 use std::sync::Arc;
 
 /// Focal length over the frame's side.

@@ -4,7 +4,7 @@ use crate::solved;
 use crate::surface::Surface;
 use nalgebra::Vector3;
 use rilievo_scene::{DepthMap, Lighting, LinearImage, SphericalHarmonics};
-use rilievo_shading::{ShadingOptions, ShadingView, SolvedView, ViewLight};
+use rilievo_shading::paper::{PaperOptions, ShadingView, SolvedView, ViewLight};
 use std::sync::Arc;
 
 const SIZE: usize = 160;
@@ -105,7 +105,7 @@ fn a_smooth_surface_does_not_break_however_noisy() {
     for noise in NOISES {
         let mut view = surface.view(3);
         view.image = Arc::new(noisy(&view.image, noise));
-        let solution = solved(view, &ShadingOptions::default());
+        let solution = solved(view, &PaperOptions::default());
         let facts = &solution.report.views[0];
         let share = facts.num_depth_breaks as f64 / facts.num_pixels as f64;
         assert!(share < 1e-3, "noise {noise}: {share} of the pixels");
@@ -120,12 +120,12 @@ fn a_break_is_found_however_noisy() {
     for noise in NOISES {
         let mut view = cut.view();
         view.image = Arc::new(noisy(&view.image, noise));
-        let solution = solved(view.clone(), &ShadingOptions::default());
+        let solution = solved(view.clone(), &PaperOptions::default());
         let whole = solved(
             view,
-            &ShadingOptions {
+            &PaperOptions {
                 depth_edges: false,
-                ..ShadingOptions::default()
+                ..PaperOptions::default()
             },
         );
         let num = solution.report.views[0].num_depth_breaks;

@@ -4,7 +4,7 @@ use crate::analytic::{RADIUS, SHAPES, Seen};
 use crate::solved;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::CornerPoisson;
-use rilievo_shading::ShadingOptions;
+use rilievo_shading::paper::PaperOptions;
 
 /// Errors over all pixels of the mask, over its inner half, and within two pixels of its edge.
 #[derive(Clone, Copy, Debug, Default)]
@@ -116,7 +116,7 @@ fn the_solver_is_of_second_order_in_depth_and_exact_in_normals() {
         let (mut depths, mut edges) = (Vec::new(), Vec::new());
         for size in [48, 96, 192] {
             let seen = Seen { shape, size };
-            let solution = solved(seen.view(), &ShadingOptions::default());
+            let solution = solved(seen.view(), &PaperOptions::default());
             let view = &solution.views[0];
             let mask = seen.mask();
             let pixels: Vec<(usize, usize)> = (0..size * size)

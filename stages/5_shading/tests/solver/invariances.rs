@@ -3,13 +3,13 @@
 use crate::solved;
 use crate::surface::Surface;
 use rilievo_scene::{DepthMap, Lighting, LinearImage, Mask, SphericalHarmonics};
-use rilievo_shading::{Projection, ShadingOptions, ShadingView, ViewLight};
+use rilievo_shading::paper::{PaperOptions, Projection, ShadingView, ViewLight};
 use std::sync::Arc;
 
 #[test]
 fn scales_of_scene_and_intensity_do_not_matter() {
     let base = Surface::new(96);
-    let reference = solved(base.view(3), &ShadingOptions::default());
+    let reference = solved(base.view(3), &PaperOptions::default());
     let larger = Surface {
         scale: 200.0,
         ..Surface::new(96)
@@ -19,7 +19,7 @@ fn scales_of_scene_and_intensity_do_not_matter() {
         ..Surface::new(96)
     };
     for (other, factor) in [(larger, 100.0), (brighter, 1.0)] {
-        let solution = solved(other.view(3), &ShadingOptions::default());
+        let solution = solved(other.view(3), &PaperOptions::default());
         let worst = reference.views[0]
             .depth
             .data
@@ -76,8 +76,8 @@ fn a_quarter_turn_of_image_and_light_turns_the_result() {
         let (u, v) = turn(x, y);
         *rough.at(u, v)
     }));
-    let straight = solved(view, &ShadingOptions::default());
-    let turned = solved(turned, &ShadingOptions::default());
+    let straight = solved(view, &PaperOptions::default());
+    let turned = solved(turned, &PaperOptions::default());
     let mut worst = 0.0_f32;
     for y in 0..size {
         for x in 0..size {
@@ -97,15 +97,15 @@ fn orthographic_and_perspective_agree_as_the_focal_length_grows() {
             focal: focal * 192.0,
             ..Surface::new(192)
         };
-        let perspective = solved(surface.view(3), &ShadingOptions::default());
+        let perspective = solved(surface.view(3), &PaperOptions::default());
         let mut view = surface.view(3);
         // Parallel rays: magnification f/z₀ pixels per unit of depth.
         let magnification = surface.focal / surface.scale;
         view.intrinsics.fx = magnification;
         view.intrinsics.fy = magnification;
-        let options = ShadingOptions {
+        let options = PaperOptions {
             projection: Projection::Orthographic,
-            ..ShadingOptions::default()
+            ..PaperOptions::default()
         };
         let orthographic = solved(view, &options);
         // Colours fix the normals in either projection: depth tells them apart, in units of the
@@ -136,7 +136,7 @@ fn thread_count_does_not_change_a_bit() {
             .num_threads(threads)
             .build()
             .expect("a pool")
-            .install(|| solved(surface.view(3), &ShadingOptions::default()))
+            .install(|| solved(surface.view(3), &PaperOptions::default()))
     };
     assert_eq!(with(1).views[0].depth.data, with(3).views[0].depth.data);
 }

@@ -15,9 +15,8 @@ mod surface;
 mod table;
 
 use rilievo_scene::Silent;
-use rilievo_shading::{
-    ShadingError, ShadingOptions, ShadingProblem, ShadingSolution, ShadingView, solve,
-};
+use rilievo_shading::ShadingError;
+use rilievo_shading::paper::{PaperOptions, ShadingProblem, ShadingSolution, ShadingView, solve};
 
 fn problem(view: ShadingView) -> ShadingProblem {
     ShadingProblem {
@@ -26,12 +25,12 @@ fn problem(view: ShadingView) -> ShadingProblem {
     }
 }
 
-fn solved(view: ShadingView, options: &ShadingOptions) -> ShadingSolution {
+fn solved(view: ShadingView, options: &PaperOptions) -> ShadingSolution {
     solve(&problem(view), options, &Silent).expect("a valid problem")
 }
 
 fn refused(view: ShadingView) -> ShadingError {
-    match solve(&problem(view), &ShadingOptions::default(), &Silent) {
+    match solve(&problem(view), &PaperOptions::default(), &Silent) {
         Ok(_) => panic!("accepted"),
         Err(error) => error,
     }

@@ -3,8 +3,8 @@
 use crate::solved;
 use crate::surface::Surface;
 use rilievo_scene::{Lighting, SphericalHarmonics};
-use rilievo_shading::{
-    DepthAnchor, PenaltySchedule, ShadingOptions, ShadingView, Splitting, StartShape, ViewLight,
+use rilievo_shading::paper::{
+    DepthAnchor, PaperOptions, PenaltySchedule, ShadingView, Splitting, StartShape, ViewLight,
 };
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ fn recovers_an_exact_surface_and_better_as_pixels_shrink() {
         .iter()
         .map(|&size| {
             let surface = Surface::new(size);
-            surface.mean_angle(&solved(surface.view(3), &ShadingOptions::default()))
+            surface.mean_angle(&solved(surface.view(3), &PaperOptions::default()))
         })
         .collect();
     assert!(angles[0] < 1.0 && angles[2] < 0.25, "{angles:?}");
@@ -24,9 +24,9 @@ fn recovers_an_exact_surface_and_better_as_pixels_shrink() {
 #[test]
 fn finds_the_surface_from_a_plane() {
     let surface = Surface::new(128);
-    let options = ShadingOptions {
+    let options = PaperOptions {
         start: StartShape::Plane,
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let angle = surface.mean_angle(&solved(surface.view(3), &options));
     assert!(angle < 1.0, "{angle}");
@@ -35,10 +35,10 @@ fn finds_the_surface_from_a_plane() {
 #[test]
 fn a_grey_image_improves_a_rough_start() {
     let surface = Surface::new(128);
-    let solution = solved(surface.view(1), &ShadingOptions::default());
+    let solution = solved(surface.view(1), &PaperOptions::default());
     let angle = surface.mean_angle(&solution);
     let facts = &solution.report.views[0];
-    let frozen = ShadingOptions {
+    let frozen = PaperOptions {
         schedule: PenaltySchedule::Explicit {
             start: 1e6,
             growth: 2.0,
@@ -46,7 +46,7 @@ fn a_grey_image_improves_a_rough_start() {
             num_search_iterations: 0,
         },
         noise: 10.0,
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let start = surface.mean_angle(&solved(surface.view(1), &frozen));
     assert!(facts.rms_rendered < 0.3 * facts.rms_start, "{facts:?}");
@@ -66,7 +66,7 @@ fn anchors_fix_the_scale_without_any_start() {
             sigma_ln_depth: 1e-4,
         });
     }
-    let solution = solved(view, &ShadingOptions::default());
+    let solution = solved(view, &PaperOptions::default());
     let angle = surface.mean_angle(&solution);
     let truth = surface.depth();
     let worst = solution.views[0]
@@ -84,9 +84,9 @@ fn anchors_fix_the_scale_without_any_start() {
 #[test]
 fn the_papers_splitting_converges_and_improves_the_start() {
     let surface = Surface::new(96);
-    let options = ShadingOptions {
+    let options = PaperOptions {
         splitting: Splitting::Paper,
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let solution = solved(surface.view(3), &options);
     let angle = surface.mean_angle(&solution);
@@ -111,7 +111,7 @@ fn the_eikonal_equation_is_a_special_case() {
         ViewLight::Uniform(lighting),
     );
     view.initial_depth = Some(surface.rough());
-    let solution = solved(view, &ShadingOptions::default());
+    let solution = solved(view, &PaperOptions::default());
     let angle = surface.mean_angle(&solution);
     let facts = &solution.report.views[0];
     assert!(facts.rms_rendered < 0.02, "{}", facts.rms_rendered);

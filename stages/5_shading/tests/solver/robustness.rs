@@ -5,7 +5,8 @@ use crate::{problem, refused, solved};
 use rilievo_scene::{
     Event, Flow, Lighting, LinearImage, Mask, Observer, Silent, SphericalHarmonics,
 };
-use rilievo_shading::{ShadingError, ShadingOptions, ShadingProblem, ViewLight, solve};
+use rilievo_shading::ShadingError;
+use rilievo_shading::paper::{PaperOptions, ShadingProblem, ViewLight, solve};
 use std::sync::Arc;
 
 #[test]
@@ -18,10 +19,10 @@ fn stains_are_ignored_by_a_robust_loss() {
         image.pixel_mut(x, y).fill(0.1);
     }
     view.image = Arc::new(image);
-    let plain = surface.mean_angle(&solved(view.clone(), &ShadingOptions::default()));
-    let options = ShadingOptions {
+    let plain = surface.mean_angle(&solved(view.clone(), &PaperOptions::default()));
+    let options = PaperOptions {
         loss: rilievo_numerics::robust::RobustLoss::Cauchy(0.05),
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let robust = surface.mean_angle(&solved(view, &options));
     assert!(robust < plain && robust < 0.8, "{robust} against {plain}");
@@ -37,9 +38,9 @@ fn clipped_dark_and_undefined_pixels_are_left_out_and_counted() {
     image.pixel_mut(60, 40).fill(0.001);
     view.image = Arc::new(image);
     view.clip_level = Some(5.0);
-    let options = ShadingOptions {
+    let options = PaperOptions {
         shadow_level: 0.01,
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let solution = solved(view, &options);
     let facts = &solution.report.views[0];
@@ -64,7 +65,7 @@ fn odd_masks_have_a_defined_result() {
     for mask in [single, islands, frame] {
         let mut view = surface.view(3);
         view.mask = mask.clone();
-        let solution = solved(view, &ShadingOptions::default());
+        let solution = solved(view, &PaperOptions::default());
         let depth = &solution.views[0].depth;
         for (z, inside) in depth.data.iter().zip(&mask.data) {
             assert!(z.is_finite() && (*z > 0.0) == *inside, "{z} {inside}");
@@ -122,7 +123,7 @@ fn impossible_input_is_named() {
 
     let error = solve(
         &ShadingProblem::default(),
-        &ShadingOptions::default(),
+        &PaperOptions::default(),
         &Silent,
     );
     assert!(matches!(error, Err(ShadingError::NoViews)));
@@ -139,7 +140,7 @@ fn an_observer_can_stop_it() {
     let surface = Surface::new(48);
     let result = solve(
         &problem(surface.view(3)),
-        &ShadingOptions::default(),
+        &PaperOptions::default(),
         &Stopper,
     );
     assert!(matches!(result, Err(ShadingError::Interrupted)));

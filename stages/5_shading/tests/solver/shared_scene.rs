@@ -6,7 +6,7 @@ mod shared_data;
 use crate::solved;
 use crate::table;
 use rilievo_scene::Silent;
-use rilievo_shading::{Coupling, ShadingOptions, solve};
+use rilievo_shading::paper::{Coupling, PaperOptions, solve};
 
 #[test]
 fn the_literal_coupling_of_two_views_agrees_with_anchors() {
@@ -16,9 +16,9 @@ fn the_literal_coupling_of_two_views_agrees_with_anchors() {
     };
     let problem = table::two_views(&data, "L3");
     for coupling in [Coupling::Anchors, Coupling::Literal] {
-        let options = ShadingOptions {
+        let options = PaperOptions {
             coupling,
-            ..ShadingOptions::default()
+            ..PaperOptions::default()
         };
         let solution = solve(&problem, &options, &Silent).expect("a valid problem");
         for view in &solution.views {
@@ -42,7 +42,7 @@ fn the_papers_cells_are_reached_on_the_shared_scene() {
         ("L1", "flat", 29.5),
     ] {
         let view = table::view(&data, "view1", light, start);
-        let solution = solved(view, &ShadingOptions::default());
+        let solution = solved(view, &PaperOptions::default());
         let angle = table::mean_angle(&data, &solution.views[0]);
         assert!(angle < limit, "{light} {start}: {angle} over {limit}");
     }
@@ -55,7 +55,7 @@ fn confidence_ranks_the_true_errors() {
     };
     for light in ["L3", "L1", "L2"] {
         let view = table::view(&data, "view1", light, "rough");
-        let solution = solved(view, &ShadingOptions::default());
+        let solution = solved(view, &PaperOptions::default());
         let solved = &solution.views[0];
         let confidence = solved.confidence.as_ref().expect("asked for");
         let mut pairs: Vec<(f32, f64)> = table::angles(&data, solved)

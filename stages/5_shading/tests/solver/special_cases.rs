@@ -3,8 +3,8 @@
 use crate::solved;
 use crate::surface::Surface;
 use rilievo_scene::{DepthMap, Lighting, LinearImage, Raster, SphericalHarmonics};
-use rilievo_shading::{
-    DepthPrior, HarmonicOrder, ShadingOptions, ShadingView, StartShape, ViewLight,
+use rilievo_shading::paper::{
+    DepthPrior, HarmonicOrder, PaperOptions, ShadingView, StartShape, ViewLight,
 };
 use std::sync::Arc;
 
@@ -30,9 +30,9 @@ fn a_given_albedo_leaves_no_pattern() {
     for (value, albedo) in image.data.iter_mut().zip(&albedo.data) {
         *value *= albedo;
     }
-    let painted = surface.mean_angle(&solved(view.clone(), &ShadingOptions::default()));
+    let painted = surface.mean_angle(&solved(view.clone(), &PaperOptions::default()));
     view.albedo = Some(Arc::new(albedo));
-    let known = surface.mean_angle(&solved(view, &ShadingOptions::default()));
+    let known = surface.mean_angle(&solved(view, &PaperOptions::default()));
     assert!(known < 0.5, "{known}, {painted} without");
     assert!(known < 0.2 * painted, "{known}, {painted} without");
 }
@@ -50,7 +50,7 @@ fn pixels_without_weight_do_no_harm() {
         }
     }
     view.weights = Some(weights);
-    let angle = surface.mean_angle(&solved(view, &ShadingOptions::default()));
+    let angle = surface.mean_angle(&solved(view, &PaperOptions::default()));
     assert!(angle < 0.5, "{angle}");
 }
 
@@ -74,9 +74,9 @@ fn a_view_without_any_depth_is_shaped_from_a_plane_up_to_one_factor() {
     let surface = Surface::new(128);
     let mut view = surface.view(3);
     view.initial_depth = None;
-    let options = ShadingOptions {
+    let options = PaperOptions {
         start: StartShape::Plane,
-        ..ShadingOptions::default()
+        ..PaperOptions::default()
     };
     let solution = solved(view, &options);
     let angle = surface.mean_angle(&solution);
@@ -95,7 +95,7 @@ fn one_directional_light_explains_its_image() {
         &surface,
         &[[-0.4, -0.3, -0.85, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]],
     );
-    let solution = solved(view, &ShadingOptions::default());
+    let solution = solved(view, &PaperOptions::default());
     let facts = &solution.report.views[0];
     let angle = surface.mean_angle(&solution);
     assert!(facts.rms_rendered < 0.2 * facts.rms_start, "{facts:?}");
@@ -111,9 +111,9 @@ fn first_order_light_is_the_same_in_either_order() {
         [0.0, 0.6, -0.8, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0],
     ];
     let [first, second] = [HarmonicOrder::First, HarmonicOrder::Second].map(|order| {
-        let options = ShadingOptions {
+        let options = PaperOptions {
             order,
-            ..ShadingOptions::default()
+            ..PaperOptions::default()
         };
         solved(under(&surface, &rows), &options)
     });
@@ -138,9 +138,9 @@ fn a_noisy_depth_is_refined_and_its_area_term_smooths() {
         weight: 500.0,
     });
     let area = |area_weight: f64| {
-        let options = ShadingOptions {
+        let options = PaperOptions {
             area_weight,
-            ..ShadingOptions::default()
+            ..PaperOptions::default()
         };
         let solution = solved(view.clone(), &options);
         let facts = &solution.report.views[0];

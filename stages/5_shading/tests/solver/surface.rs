@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use rilievo_scene::{DepthMap, Intrinsics, Lighting, LinearImage, Mask, SphericalHarmonics};
-use rilievo_shading::{ShadingSolution, ShadingView, ViewLight};
+use rilievo_shading::paper::{ShadingSolution, ShadingView, ViewLight};
 use std::sync::Arc;
 
 /// A smooth surface: depth relative to the reference as a function of the viewing ray, and slopes by

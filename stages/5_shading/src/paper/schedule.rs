@@ -21,9 +21,9 @@
 //! Source: rilievo's own; the penalties of the paper's later code and of He et al. (`he2000`) adapt
 //! to residuals instead, which says nothing on what the image leaves open.
 
-use crate::model::Facet;
-use crate::pixels::Pixels;
-use crate::splitting::Course;
+use super::model::Facet;
+use super::pixels::Pixels;
+use super::splitting::Course;
 use rilievo_numerics::robust::median;
 
 /// Slopes by which a start may err.

@@ -1,44 +1,27 @@
 //! The coupled problem of posed views: photos, poses, anchors and lighting as a [`ShadingProblem`].
 
+use super::options::PaperOptions;
+use super::problem::{DepthAnchor, ShadingProblem, ShadingView, ViewLight};
+use super::solution::{PaperReport, SolvedView};
 use crate::error::ShadingError;
-use crate::options::ShadingOptions;
-use crate::photo::rectify::Rectification;
-use crate::problem::{DepthAnchor, ShadingProblem, ShadingView, ViewLight};
-use crate::solution::{ShadingReport, SolvedView};
+use crate::photo_of::photo_of;
+use crate::rectify::Rectification;
 use rilievo_scene::{
-    DepthMap, LightingCalibration, LinearImage, Mask, Observer, Photo, PhotoSet, PosedView,
-    PosedViews, Raster, ShadedView, ShadedViews, ViewIdx,
+    DepthMap, LightingCalibration, LinearImage, Mask, Observer, PhotoSet, PosedViews, Raster,
+    ShadedView, ShadedViews, ViewIdx,
 };
 use std::sync::Arc;
-
-/// The photo of a posed view.
-///
-/// # Errors
-/// [`ShadingError::UnknownView`] when there is none of that number.
-pub(crate) fn photo_of<'a>(
-    photos: &'a PhotoSet,
-    posed: &PosedView,
-) -> Result<&'a Photo, ShadingError> {
-    photos
-        .photos
-        .get(posed.photo.0)
-        .ok_or(ShadingError::UnknownView {
-            what: "a posed view's photo",
-            index: posed.photo.0,
-            num_views: photos.photos.len(),
-        })
-}
 
 /// Builds the problem, solves it, and gives the maps back on the photos' own pixels.
 pub(crate) fn run(
     photos: &PhotoSet,
     posed: &PosedViews,
     lighting: &LightingCalibration,
-    options: &ShadingOptions,
+    options: &PaperOptions,
     observer: &dyn Observer,
-) -> Result<(ShadedViews, ShadingReport), ShadingError> {
+) -> Result<(ShadedViews, PaperReport), ShadingError> {
     let mut shaded = ShadedViews::default();
-    let mut report = ShadingReport::default();
+    let mut report = PaperReport::default();
     // One view at a time: anchors carry what the others say, and memory stays that of one view.
     for (index, posed_view) in posed.views.iter().enumerate() {
         let photo = photo_of(photos, posed_view)?;
@@ -79,7 +62,7 @@ pub(crate) fn run(
             views: vec![view],
             matches: Vec::new(),
         };
-        let solution = match crate::solver::solve(&problem, options, observer) {
+        let solution = match super::solver::solve(&problem, options, observer) {
             Ok(solution) => solution,
             Err(ShadingError::Interrupted) => return Err(ShadingError::Interrupted),
             Err(error) => {

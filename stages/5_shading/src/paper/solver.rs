@@ -1,22 +1,20 @@
 //! Driver: prepares the views, solves each, and gathers maps and report.
 
-use crate::confidence;
+use super::confidence;
+use super::levels::{Level, ladder};
+use super::linearized;
+use super::matches;
+use super::model::Facet;
+use super::options::{Coupling, PaperOptions, PenaltySchedule, Projection, Splitting, StartShape};
+use super::prepare::{Geometry, PreparedView, prepare};
+use super::problem::{DepthAnchor, ShadingProblem, ShadingView};
+use super::result::{maps, rms_residual};
+use super::schedule::{Informativeness, automatic};
+use super::solution::{PaperReport, ShadingSolution, SolvedView, Termination, ViewReport};
+use super::splitting::{self, Course, Setting, Ties, slopes};
+use super::start;
+use super::theta::{ThetaProblem, ThetaTerms, theta_step};
 use crate::error::ShadingError;
-use crate::levels::{Level, ladder};
-use crate::linearized;
-use crate::matches;
-use crate::model::Facet;
-use crate::options::{
-    Coupling, PenaltySchedule, Projection, ShadingOptions, Splitting, StartShape,
-};
-use crate::prepare::{Geometry, PreparedView, prepare};
-use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};
-use crate::result::{maps, rms_residual};
-use crate::schedule::{Informativeness, automatic};
-use crate::solution::{ShadingReport, ShadingSolution, SolvedView, Termination, ViewReport};
-use crate::splitting::{self, Course, Setting, Ties, slopes};
-use crate::start;
-use crate::theta::{ThetaProblem, ThetaTerms, theta_step};
 use rilievo_numerics::robust::median;
 use rilievo_scene::{DepthMap, Observer};
 use std::time::Instant;
@@ -38,7 +36,7 @@ const SLOPE_ERROR: f64 = 0.05;
 /// Solves the views, tied by their matches.
 pub(crate) fn solve(
     problem: &ShadingProblem,
-    options: &ShadingOptions,
+    options: &PaperOptions,
     observer: &dyn Observer,
 ) -> Result<ShadingSolution, ShadingError> {
     options.validate()?;
@@ -47,11 +45,11 @@ pub(crate) fn solve(
     }
     let tied = matches::anchors(problem, options.match_noise_px)?;
     let mut views = Vec::new();
-    let mut report = ShadingReport {
+    let mut report = PaperReport {
         num_matches: tied.num_matches,
         num_matches_rejected: tied.num_rejected,
         match_sigma_px: tied.sigma_px,
-        ..ShadingReport::default()
+        ..PaperReport::default()
     };
     for (view, from_matches) in problem.views.iter().zip(&tied.by_view) {
         let anchors: Vec<DepthAnchor> = view.anchors.iter().chain(from_matches).copied().collect();
@@ -76,12 +74,12 @@ pub(crate) fn solve(
 fn take_turns(
     problem: &ShadingProblem,
     tied: &matches::MatchAnchors,
-    options: &ShadingOptions,
+    options: &PaperOptions,
     observer: &dyn Observer,
     views: &mut [SolvedView],
-    report: &mut ShadingReport,
+    report: &mut PaperReport,
 ) -> Result<(), ShadingError> {
-    let options = ShadingOptions {
+    let options = PaperOptions {
         start: StartShape::Given,
         coarse_to_fine: false,
         ..options.clone()
@@ -107,7 +105,7 @@ fn take_turns(
 fn reference_depth(
     view: &ShadingView,
     anchors: &[DepthAnchor],
-    options: &ShadingOptions,
+    options: &PaperOptions,
 ) -> Option<f64> {
     let free = options.start == StartShape::Plane && options.projection == Projection::Perspective;
     known_depth(view, anchors).or(free.then_some(1.0))
@@ -137,7 +135,7 @@ fn start_shape(
     view: &ShadingView,
     prepared: &PreparedView,
     anchors: &[DepthAnchor],
-    options: &ShadingOptions,
+    options: &PaperOptions,
     report: &mut ViewReport,
 ) -> Result<(Vec<f32>, Vec<DepthAnchor>), ShadingError> {
     let (grid, geometry) = (&prepared.grid, &prepared.geometry);
@@ -205,7 +203,7 @@ fn ties(view: &ShadingView, prepared: &PreparedView, anchors: &[DepthAnchor], si
 }
 
 fn schedule(
-    options: &ShadingOptions,
+    options: &PaperOptions,
     num_levels: usize,
     known: &Informativeness,
     anchored: bool,
@@ -271,7 +269,7 @@ fn energies(
     view: &ShadingView,
     level: &Level,
     geometry: &Geometry,
-    options: &ShadingOptions,
+    options: &PaperOptions,
     y: &[f32],
     (p, q): (&[f32], &[f32]),
     report: &mut ViewReport,
@@ -302,7 +300,7 @@ fn energies(
 fn solve_view(
     view: &ShadingView,
     anchors: &[DepthAnchor],
-    options: &ShadingOptions,
+    options: &PaperOptions,
     observer: &dyn Observer,
 ) -> Result<(SolvedView, ViewReport), ShadingError> {
     let begun = Instant::now();

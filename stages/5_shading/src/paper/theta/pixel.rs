@@ -1,8 +1,8 @@
 //! One pixel's term, its Gauss-Newton model, and a damped step: the version to read.
 
 #[cfg(test)]
-use super::ThetaTerms;
-use crate::model::Facet;
+use super::terms::ThetaTerms;
+use crate::paper::model::Facet;
 
 /// Damping of the first Gauss-Newton step, in squared intensity units of the Jacobian.
 pub(super) const FIRST_DAMPING: f32 = 1e-4;
@@ -123,14 +123,14 @@ pub(crate) fn descend(
 /// The θ-step of one pixel: the oracle of the tests.
 #[cfg(test)]
 pub(super) fn scalar_step(
-    pixels: &crate::pixels::Pixels,
+    pixels: &crate::paper::pixels::Pixels,
     k: usize,
     target: [f32; 2],
     start: [f32; 2],
     terms: &ThetaTerms<'_>,
 ) -> [f32; 2] {
     fn solve<const C: usize>(
-        pixels: &crate::pixels::Pixels,
+        pixels: &crate::paper::pixels::Pixels,
         k: usize,
         target: [f32; 2],
         start: [f32; 2],

@@ -19,13 +19,13 @@
 //!
 //! Source: Quéau et al., ICCV 2017 (`queau2017`); He, Yang, Wang 2000 (`he2000`).
 
+use super::levels::Level;
+use super::model::Facet;
+use super::pixels::Pixels;
+use super::solution::{IterationRecord, Termination};
+use super::splitting::{HOURGLASS, Ties, constraints_of, slopes};
+use super::theta::{Quadratic, descend};
 use crate::error::ShadingError;
-use crate::levels::Level;
-use crate::model::Facet;
-use crate::pixels::Pixels;
-use crate::solution::{IterationRecord, Termination};
-use crate::splitting::{HOURGLASS, Ties, constraints_of, slopes};
-use crate::theta::{Quadratic, descend};
 use rayon::prelude::*;
 use rilievo_numerics::corner_poisson::CornerPoisson;
 use rilievo_scene::{Event, Flow, Observer, StageId};
@@ -245,7 +245,7 @@ pub(crate) fn solve(
         };
         let primal = ((squared(&gp, &p) + squared(&gq, &q)) / n).sqrt();
         let dual = ((squared(&p, &old_p) + squared(&q, &old_q)) / n).sqrt();
-        let rms = crate::result::rms_residual(pixels, &gp, &gq);
+        let rms = super::result::rms_residual(pixels, &gp, &gq);
         let energy = rms * rms * n * pixels.channels as f64;
         let record = IterationRecord {
             level: 0,

@@ -3,9 +3,9 @@
 // Arrays of lanes are indexed in parallel: zipped iterators would hide the lane.
 #![allow(clippy::needless_range_loop)]
 
-use super::lanes::Block;
-use crate::model::harmonics;
-use crate::pixels::{Coefficients, LANES, Pixels};
+use super::block::Block;
+use crate::paper::model::harmonics;
+use crate::paper::pixels::{Coefficients, LANES, Pixels};
 
 /// Candidate normals of a global search, with their shading where the lighting is uniform.
 #[derive(Clone, Debug)]

@@ -4,7 +4,7 @@
 //! coarse nodes are every second fine node. The unknown is measured in pixels of its own level:
 //! halving the resolution halves it, and slopes keep their values.
 
-use crate::pixels::{Pixels, parents};
+use super::pixels::{Pixels, parents};
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::PointConstraint;
 use rilievo_scene::Mask;

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! and the same in `q` with `Y` and `g₁`. Orthographic projection is `X = Y = 0` with slopes of
-//! depth in pixels. `X, Y`: no unit; `l`: intensity. [`crate::theta`] repeats these lines on lanes.
+//! depth in pixels. `X, Y`: no unit; `l`: intensity. [`super::theta`] repeats these lines on lanes.
 //!
 //! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 1–3.
 

@@ -17,8 +17,8 @@
 //!
 //! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 13–15.
 
+use super::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use crate::error::ShadingError;
-use crate::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use nalgebra::{Point2, Vector3};
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
 use rilievo_scene::DepthMap;

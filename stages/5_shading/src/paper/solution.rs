@@ -1,6 +1,6 @@
 //! Output of the solver: maps, and a report of facts.
 
-use rilievo_scene::{ConfidenceMap, DepthMap, LinearImage, NormalMap, ViewLighting};
+use rilievo_scene::{ConfidenceMap, DepthMap, LinearImage, NormalMap};
 use serde::{Deserialize, Serialize};
 
 /// Shape of one view.
@@ -24,7 +24,7 @@ pub struct ShadingSolution {
     /// One entry per view of the problem, in its order.
     pub views: Vec<SolvedView>,
     /// Facts.
-    pub report: ShadingReport,
+    pub report: PaperReport,
 }
 
 /// Why an iteration ended.
@@ -112,7 +112,7 @@ pub struct StepSeconds {
 
 /// Facts on a solve.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ShadingReport {
+pub struct PaperReport {
     /// Per view.
     pub views: Vec<ViewReport>,
     /// Matches between views, and how many were used.
@@ -123,9 +123,4 @@ pub struct ShadingReport {
     pub match_sigma_px: Option<f64>,
     /// What the user should know.
     pub warnings: Vec<String>,
-    /// The light that was used, of every posed view in its camera's frame, gains contained. Where the model
-    /// allows for shadow, what falls on a surface in the open.
-    pub light: Vec<ViewLighting>,
-    /// Facts of the photo model, where it was used.
-    pub photo: Option<crate::photo::PhotoReport>,
 }

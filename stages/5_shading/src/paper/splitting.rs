@@ -4,7 +4,7 @@
 //!
 //! ```text
 //! min_{y,θ}  E(θ) + C(y)   subject to  θ = ∇y,
-//! θ ← argmin E(θ) + β s/2 |θ − (∇y + u)|²             θ-step, per pixel, crate::theta
+//! θ ← argmin E(θ) + β s/2 |θ − (∇y + u)|²             θ-step, per pixel, super::theta
 //! y ← argmin β s/2 |∇y − θ + u|² + C(y)               z-step, crate's corner Poisson
 //! u ← u + ∇y − θ,   then  β ← γ β,  u ← u/γ           scaled dual, continuation
 //! ```
@@ -13,20 +13,20 @@
 //! against the integration term, since `C` does not change. `y` is in pixels, `θ` and `u` without
 //! unit, `β` in intensity².
 //!
-//! Where the surface breaks ([`crate::breaks`]), the stiffness `s` of a pixel is low, else 1.
+//! Where the surface breaks ([`super::breaks`]), the stiffness `s` of a pixel is low, else 1.
 //!
 //! The first iterations run on coarse levels; the change of a level is interpolated to the next.
 //!
 //! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 9–12, with the whole shading term in the
-//! θ-step; continuation instead of an adapted penalty: see [`crate::schedule`].
+//! θ-step; continuation instead of an adapted penalty: see [`super::schedule`].
 
-use crate::breaks::{break_search, soften_breaks};
+use super::breaks::{break_search, soften_breaks};
+use super::levels::{Level, add_change, place_constraint, restrict_nodes};
+use super::model::Facet;
+use super::pixels::Pixels;
+use super::solution::{IterationRecord, StepSeconds};
+use super::theta::{Candidates, ThetaProblem, ThetaTerms, theta_step};
 use crate::error::ShadingError;
-use crate::levels::{Level, add_change, place_constraint, restrict_nodes};
-use crate::model::Facet;
-use crate::pixels::Pixels;
-use crate::solution::{IterationRecord, StepSeconds};
-use crate::theta::{Candidates, ThetaProblem, ThetaTerms, theta_step};
 use rayon::prelude::*;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::{CornerPoisson, PointConstraint};

@@ -1,10 +1,10 @@
 //! From node values and slopes to maps.
 
-use crate::levels::Level;
-use crate::model::Facet;
-use crate::pixels::Pixels;
-use crate::prepare::Geometry;
-use crate::solution::SolvedView;
+use super::levels::Level;
+use super::model::Facet;
+use super::pixels::Pixels;
+use super::prepare::Geometry;
+use super::solution::SolvedView;
 use rilievo_scene::{DepthMap, LinearImage, NormalMap};
 
 /// RMS difference between image and model at given slopes, over the pixels that are used.

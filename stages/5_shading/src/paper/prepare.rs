@@ -3,11 +3,11 @@
 //! A pixel's shading term is left out (weight 0) where an intensity is not finite, a channel is
 //! clipped, or all channels lie below the shadow level; such a pixel keeps its place in the surface.
 
+use super::options::{HarmonicOrder, PaperOptions, Projection};
+use super::pixels::{Coefficients, Pixels};
+use super::problem::{ShadingView, ViewLight};
+use super::solution::ViewReport;
 use crate::error::ShadingError;
-use crate::options::{HarmonicOrder, Projection, ShadingOptions};
-use crate::pixels::{Coefficients, Pixels};
-use crate::problem::{ShadingView, ViewLight};
-use crate::solution::ViewReport;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{LinearImage, Raster};
@@ -202,7 +202,7 @@ impl Usable<'_> {
 /// Checks a view and gathers its pixels.
 pub(crate) fn prepare(
     view: &ShadingView,
-    options: &ShadingOptions,
+    options: &PaperOptions,
     reference_depth: f64,
 ) -> Result<PreparedView, ShadingError> {
     check_sizes(view)?;

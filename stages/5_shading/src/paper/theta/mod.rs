@@ -6,7 +6,7 @@
 //! min_θ  w Σ_c (S_c(θ) − I_c)² + ν d(θ) + β s/2 |θ − t|²,      t = ∇y + u,
 //! ```
 //!
-//! `S` the model of [`crate::model`], `d` the facet's area, `s` the pixel's stiffness, `u` the scaled
+//! `S` the model of [`crate::paper::model`], `d` the facet's area, `s` the pixel's stiffness, `u` the scaled
 //! dual. Two unknowns, a few
 //! damped Gauss-Newton steps from the current `θ`; a step that does not lower the term is undone
 //! and the damping raised. A far start is first replaced by the best of a fixed set of normals.
@@ -18,43 +18,24 @@
 //! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 11, with the shading term whole instead of
 //! linearised.
 
+mod block;
 mod lanes;
 mod pixel;
+mod problem;
 mod search;
+mod terms;
 
 pub(crate) use pixel::{Quadratic, descend};
+pub(crate) use problem::ThetaProblem;
 pub(crate) use search::Candidates;
+pub(crate) use terms::ThetaTerms;
 
-use crate::pixels::{LANES, Pixels};
+use crate::paper::pixels::LANES;
 use lanes::blocks;
 use rayon::prelude::*;
 
 /// Pixels per parallel task.
 const TASK_LEN: usize = 256 * LANES;
-
-/// What the θ-step minimises, beside the pixels.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ThetaTerms<'a> {
-    /// Penalty β.
-    pub(crate) beta: f32,
-    /// Its factor at every pixel, of padded length; empty for 1 everywhere.
-    pub(crate) stiffness: &'a [f32],
-    /// Weight ν of the area.
-    pub(crate) area: f32,
-    /// Gauss-Newton steps.
-    pub(crate) num_steps: usize,
-}
-
-/// The θ-step of a whole image. All arrays have the padded length of `pixels`.
-#[derive(Clone, Copy)]
-pub(crate) struct ThetaProblem<'a> {
-    pub(crate) pixels: &'a Pixels,
-    /// `t`, along x and along y.
-    pub(crate) target: (&'a [f32], &'a [f32]),
-    pub(crate) terms: ThetaTerms<'a>,
-    /// Normals that a far start is replaced from.
-    pub(crate) candidates: Option<&'a Candidates>,
-}
 
 /// Minimises the term of every pixel, starting at and writing to `(p, q)` of padded length.
 /// Returns `Σ w |S(θ) − I|²`.
@@ -114,8 +95,9 @@ fn dispatch<const C: usize>(
 mod tests {
     use super::pixel::scalar_step;
     use super::*;
-    use crate::model::Facet;
-    use crate::pixels::Coefficients;
+    use crate::paper::model::Facet;
+    use crate::paper::pixels::Coefficients;
+    use crate::paper::pixels::Pixels;
 
     fn pixels(channels: usize, per_pixel: bool) -> Pixels {
         let len = 53;

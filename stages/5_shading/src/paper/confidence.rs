@@ -13,8 +13,8 @@
 //! turned into an angle of the normal (`1/d` for the facet's length `d`). It ranks errors; it is not
 //! a calibrated probability, since errors of the light are not seen in it.
 
-use crate::levels::Level;
-use crate::model::Facet;
+use super::levels::Level;
+use super::model::Facet;
 use rilievo_scene::ConfidenceMap;
 
 /// Angle by which the normals of a start may err, radians.

@@ -1,7 +1,7 @@
 //! Start shapes: node values of the unknown from a depth map, a plane, or anchors.
 
-use crate::prepare::Geometry;
-use crate::problem::{DepthAnchor, DepthPrior};
+use super::prepare::Geometry;
+use super::problem::{DepthAnchor, DepthPrior};
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::CornerPoisson;
 use rilievo_numerics::plate_system::PlateError;

@@ -17,9 +17,9 @@
 //!
 //! Source: rilievo's own; the weights are those of a graduated, redescending loss on `∇y − θ`.
 
-use crate::levels::Level;
-use crate::model::Facet;
-use crate::theta::{ThetaProblem, ThetaTerms, theta_step};
+use super::levels::Level;
+use super::model::Facet;
+use super::theta::{ThetaProblem, ThetaTerms, theta_step};
 use rilievo_numerics::robust::quantile;
 
 /// Conflict between shading and surface, as a tangent, at which the surface is taken to break: three

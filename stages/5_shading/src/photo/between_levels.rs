@@ -1,0 +1,95 @@
+//! Log depths from one level of the pyramid to the next.
+
+use super::level::{LevelView, MAX_STEP_PX};
+use super::plate;
+use super::sampling;
+use rilievo_numerics::plate_system::Functional;
+
+/// Log depth at the next coarser level: mean of the four children (all are masked).
+pub(crate) fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
+    (0..coarse.pixels.len())
+        .map(|p| {
+            let x = 2 * coarse.pixels.xs[p] as usize;
+            let y = 2 * coarse.pixels.ys[p] as usize;
+            [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .iter()
+                .map(|&(dx, dy)| {
+                    let number = fine.pixels.number[(y + dy) * fine.pixels.width + x + dx];
+                    0.25 * depth[number as usize]
+                })
+                .sum()
+        })
+        .collect()
+}
+
+/// Log depth of a finer level from a coarser one: bilinear where all four parents are masked; between
+/// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
+/// Returns the values and where they are known.
+pub(crate) fn upsample(
+    coarse: &LevelView,
+    fine: &LevelView,
+    values: &[f64],
+) -> (Vec<f64>, Vec<bool>) {
+    let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+    let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();
+    let raster = coarse.spread(&centred, 0.0);
+    let mut out = Vec::with_capacity(fine.pixels.len());
+    let mut known = Vec::with_capacity(fine.pixels.len());
+    for i in 0..fine.pixels.len() {
+        let (x, y) = fine.xy(i);
+        let (x, y) = (0.5 * (x + 0.5) - 0.5, 0.5 * (y + 0.5) - 0.5);
+        let is_known = sampling::inside(&coarse.mask, x, y);
+        known.push(is_known);
+        out.push(if !is_known {
+            mean
+        } else if !coarse.is_one_surface(&raster, x, y) {
+            on_nearest_plane(coarse, values, x, y)
+        } else {
+            f64::from(sampling::bilinear(&raster, x, y)) + mean
+        });
+    }
+    (out, known)
+}
+
+/// Log depth at a position on the tangent plane of the nearest pixel, which must be masked.
+fn on_nearest_plane(view: &LevelView, depth: &[f64], x: f64, y: f64) -> f64 {
+    let (px, py) = (x.round(), y.round());
+    let nearest = view.pixels.number[py as usize * view.pixels.width + px as usize] as usize;
+    let (along_x, along_y) = plate::slopes(view, nearest, depth);
+    let slope = |along: &Functional| along.of(depth).clamp(-MAX_STEP_PX, MAX_STEP_PX);
+    depth[nearest]
+        + slope(&along_x) / view.camera.fx * (x - px)
+        + slope(&along_y) / view.camera.fy * (y - py)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::photo::level::flat_view;
+
+    /// Two planes with a step between them: no pixel of the finer level lies between both.
+    #[test]
+    fn a_step_stays_a_step_at_the_finer_level() {
+        let fine = flat_view(64, 32, 100.0);
+        let coarse = fine.halved();
+        let focal = coarse.camera.focal();
+        let surface = |x: f64| if x < 16.0 { 0.3 * x } else { 40.0 - 0.2 * x } / focal;
+        let values: Vec<f64> = (0..coarse.pixels.len())
+            .map(|p| surface(coarse.xy(p).0))
+            .collect();
+        let (finer, known) = upsample(&coarse, &fine, &values);
+        let mut num_known = 0;
+        for p in (0..finer.len()).filter(|&p| known[p]) {
+            let x = 0.5 * (fine.xy(p).0 + 0.5) - 0.5;
+            // Beyond the middle between two parents the farther surface begins.
+            let expected = if x < 15.5 { 0.3 * x } else { 40.0 - 0.2 * x } / focal;
+            assert!(
+                (finer[p] - expected).abs() < 1e-6,
+                "{} at {x}, {expected} expected",
+                finer[p]
+            );
+            num_known += 1;
+        }
+        assert!(num_known > 1500, "{num_known}");
+    }
+}

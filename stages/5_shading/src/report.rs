@@ -1,0 +1,19 @@
+//! What stage 5 found, as facts.
+
+use crate::paper::PaperReport;
+use crate::photo::PhotoReport;
+use rilievo_scene::ViewLighting;
+use serde::{Deserialize, Serialize};
+
+/// Facts on a run of the stage.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ShadingReport {
+    /// The paper's model's; empty where the other was used.
+    #[serde(flatten)]
+    pub paper: PaperReport,
+    /// The light that was used, of every posed view in its camera's frame, gains contained. Where the model
+    /// allows for shadow, what falls on a surface in the open.
+    pub light: Vec<ViewLighting>,
+    /// The photo model's, where it was used.
+    pub photo: Option<PhotoReport>,
+}
