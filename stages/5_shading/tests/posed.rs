@@ -148,7 +148,11 @@ fn anchored_views_of_a_sphere_are_recovered_in_place() {
     )
     .expect("solvable");
     assert_eq!(shaded.views.len(), 2);
-    assert!(report.paper.warnings.is_empty(), "{:?}", report.warnings);
+    assert!(
+        report.paper.warnings.is_empty(),
+        "{:?}",
+        report.paper.warnings
+    );
     for view in &shaded.views {
         let pose = &world.posed.views[view.view.0].cam_from_world;
         let (mut angle, mut depth, mut count) = (0.0, 0.0, 0);
