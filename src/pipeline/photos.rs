@@ -300,7 +300,7 @@ fn one(
 fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Trouble> {
     let bytes = std::fs::read(&photo.path)
         .map_err(|error| Trouble::Photo(format!("cannot be read: {error}")))?;
-    // The share is kept under the content that was found at the start.
+    // The key of the photo's share holds the hash from the scan: refuse a file that changed since.
     if hash_bytes(&bytes) != photo.hash {
         return Err(Trouble::Request(Problem {
             file: photo.path.clone(),

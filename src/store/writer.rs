@@ -65,8 +65,8 @@ impl StageWriter {
         })
     }
 
-    /// Where to write an artifact; creates the folders above it. Nothing is there: a file that is
-    /// written may not share its bytes with a committed one.
+    /// Where to write an artifact; creates the folders above it. An existing file is
+    /// removed, so that a hard-linked committed one is never written over.
     ///
     /// # Errors
     /// When the folder cannot be created, or an earlier file not be deleted.

@@ -21,9 +21,9 @@ fn models() -> [ShadingOptions; 2] {
             ..ShadingOptions::default()
         };
         options.photo.num_sweeps = 1;
-        options.photo.num_laps = 1;
-        options.photo.num_half_laps = 0;
-        options.photo.max_more_laps = 0;
+        options.photo.num_outer_iterations = 1;
+        options.photo.num_half_iterations = 0;
+        options.photo.max_more_iterations = 0;
         options.photo.max_num_rounds = 1;
         options.photo.num_rays = 16;
         options

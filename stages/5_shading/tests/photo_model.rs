@@ -106,7 +106,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 fn small() -> PhotoOptions {
     PhotoOptions {
         coarse_pixels: 4000,
-        num_laps: 1,
+        num_outer_iterations: 1,
         num_rays: 32,
         ..PhotoOptions::default()
     }

@@ -90,18 +90,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         photo::run(photos, posed, &lighting, options, &Silent)?
     };
     let wall = began.elapsed().as_secs_f64();
-    for lap in &report.laps {
+    for iteration in &report.outer_iterations {
         println!(
             "  level {} {:28} rounds {} moved {:.3} px, turned {:.2} deg, in all {:.2}, sigma_s {:.4} match {:.4}  {:.1} s",
-            lap.level,
-            lap.kind,
-            lap.num_rounds,
-            lap.moved_px,
-            lap.turned_deg,
-            lap.lap_turned_deg,
-            lap.sigma_shading,
-            lap.match_residual.unwrap_or(f64::NAN),
-            lap.seconds
+            iteration.level,
+            iteration.kind,
+            iteration.num_rounds,
+            iteration.moved_px,
+            iteration.turned_deg,
+            iteration.outer_turned_deg,
+            iteration.sigma_shading,
+            iteration.match_residual.unwrap_or(f64::NAN),
+            iteration.seconds
         );
     }
     println!(

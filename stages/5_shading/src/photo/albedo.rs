@@ -3,7 +3,7 @@
 //! Where light explains a pixel by `S = l·h(n)`, `u_c = ln Ĩ_c − ln S_c` holds albedo and the error of
 //! the normal alike. A wrong normal changes all channels together, as far as the light has one colour;
 //! pigment and dirt change them in a fixed proportion. With brightness `m = mean_c u_c` and chroma
-//! `d_c = u_c − m`, both less their mean over a bell,
+//! `d_c = u_c − m`, both less their mean over a Gaussian,
 //!
 //! `m ≈ A·d`, `s = A·d`, `ln a_c = s (1 + k_c)`, `k_c = Σ d_c s / Σ s²`,
 //!
@@ -19,11 +19,11 @@ use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
 
-/// Standard deviation of the bell that separates stains from slow changes, pixels.
+/// Standard deviation of the Gaussian that separates stains from slow changes, pixels.
 const BELL_PX: f64 = 16.0;
-/// Standard deviation of the bell over chroma, pixels: photos hold it at half resolution, and noisy.
+/// Standard deviation of the Gaussian over chroma, pixels: photos hold it at half resolution, and noisy.
 const CHROMA_PX: f64 = 1.0;
-/// Depth difference, in pixel footprints, at which another view's albedo loses its say.
+/// Depth difference, in pixel footprints, at which another view's albedo no more counts.
 const TOLERANCE_PX: f64 = 1.8;
 /// Largest `|u|` that counts as pigment: beyond it the light or the surface is wrong.
 const MAX_LOG: f32 = 0.7;
@@ -45,7 +45,7 @@ pub(crate) struct Albedo {
 
 /// Brightness and chroma (red, blue) of the ratio between photo and light.
 struct Ratios {
-    /// Less the mean over the bell.
+    /// Less the mean over the Gaussian.
     small: Vec<[f32; 3]>,
     /// Chroma at all scales.
     chroma: Vec<[f32; 2]>,

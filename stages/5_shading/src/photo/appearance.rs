@@ -1,7 +1,7 @@
 //! What the final shape, light and pigment make of each pixel: the image that they explain.
 //!
-//! `a_c = p_c · exp(bell(ln Ĩ_c − ln(p_c S_c)))`: pigment `p`, and the slow ratio between photo and
-//! light over a bell, which holds what changes more slowly than relief. `a_c S_c` times the photo's
+//! `a_c = p_c · exp(gaussian(ln Ĩ_c − ln(p_c S_c)))`: pigment `p`, and the slow ratio between photo and
+//! light over a Gaussian, which holds what changes more slowly than relief. `a_c S_c` times the photo's
 //! gain is the rendered image, in the photo's own linear units; what it leaves of the photo is what
 //! shape and light do not explain. Clipped and dark pixels take the albedo of their neighbours.
 
@@ -11,7 +11,7 @@ use super::{plate, sampling, shading};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
 
-/// Standard deviation of the bell, pixels.
+/// Standard deviation of the Gaussian, pixels.
 const BELL_PX: f64 = 12.0;
 /// Largest slow ratio: a factor of two is no pigment of a plain object, but a light that is wrong.
 const MAX_LOG: f32 = 0.7;

@@ -9,7 +9,7 @@
 //! `v = (m/σ_s, C^(−1/2) d / k)`
 //!
 //! has three independent components of unit variance. `C` is measured from `d` less its mean over a
-//! bell: median absolute deviations, and the correlation of clipped values. `k` is the factor by which
+//! Gaussian: median absolute deviations, and the correlation of clipped values. `k` is the factor by which
 //! brightness, too, is held tighter or looser than its residual.
 
 use super::level::LevelView;

@@ -40,12 +40,12 @@ fn slope_of_the_photos_disagreement_agrees_with_differences() {
     let rasters = depth_rasters(&level, &depths);
     let options = MatchOptions {
         sigma: 1.0,
-        knee: f64::INFINITY,
+        threshold: f64::INFINITY,
         visible_tolerance: 1.0,
         gain_field_px: 0.0,
         left_out: None,
     };
-    // With unit sigma and no knee a pixel's cost is half its squared residual, and `−rhs` its slope.
+    // With unit sigma and no Huber threshold a pixel's cost is half its squared residual, and `−rhs` its slope.
     let at = |shift: f64| {
         let moved: Vec<f64> = depths[0].iter().map(|z| z + shift).collect();
         matching::terms(&level, 0, &moved, &rasters, &options)

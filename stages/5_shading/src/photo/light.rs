@@ -1,4 +1,4 @@
-//! The light of a lap: nine coefficients per pixel of every view, fitted on the current shape.
+//! The light of a outer iteration: nine coefficients per pixel of every view, fitted on the current shape.
 //!
 //! Rays from the pixels of the next coarser level against the solid that the depth
 //! maps carve, the spheres and the ground; the environment fitted on object pixels and what stage 4 knows
@@ -37,7 +37,7 @@ pub(crate) struct Light {
     pub in_the_open: Vec<Lighting>,
     /// Per view and masked pixel, how far shading may move the surface, 0 to 1; empty: everywhere.
     pub trust: Vec<Vec<f32>>,
-    /// Log depth difference at which another view's intensity loses its say; 0 where the views are lit
+    /// Log depth difference at which another view's intensity no more counts; 0 where the views are lit
     /// differently.
     pub mean_tolerance: f64,
 }
@@ -106,7 +106,7 @@ const MAX_VOXELS: usize = 224;
 pub(crate) const FIT_PIXELS: usize = 3000;
 /// Smoothness of the environment, relative.
 const SMOOTHNESS: f64 = 1e-3;
-/// Relative depth, in pixel footprints, at which another view's intensity loses half its say.
+/// Relative depth, in pixel footprints, at which another view's intensity counts half.
 const MEAN_TOLERANCE_PX: f64 = 1.8;
 /// Belief in pigment, and departure of the sphere's albedo, below which a second fit changes nothing.
 const MIN_BELIEF: f64 = 0.05;

@@ -3,7 +3,7 @@
 //! For pixel `x` of view i and a source j that sees its point at `x'(ζ)`, per channel
 //! `r = (m I_j(x') − I_i(x)) / (σ ½ (m I_j + I_i))`, `∂r/∂ζ = m ∇I_j · ∂x'/∂ζ / (σ ½ (…))`,
 //! with Huber's weight on the channels' RMS. `m` is a smooth field of gains between the two photos
-//! (ratio of means over a bell): it takes up what the photos' own gains leave, such as gloss and
+//! (ratio of means over a Gaussian): it takes up what the photos' own gains leave, such as gloss and
 //! inter-reflections, and costs next to nothing where brightness is constant.
 //! A source counts where its own depth agrees with the point's (no occluder), and where neither
 //! pixel is clipped.
@@ -19,10 +19,10 @@ pub(crate) struct MatchOptions {
     /// Standard deviation of an intensity difference, relative to the intensity.
     pub sigma: f64,
     /// Residual (in σ) beyond which the penalty grows only linearly.
-    pub knee: f64,
+    pub threshold: f64,
     /// Largest relative depth difference to a source that sees the point.
     pub visible_tolerance: f64,
-    /// Standard deviation of the bell of the gain field, pixels; 0 turns it off.
+    /// Standard deviation of the Gaussian of the gain field, pixels; 0 turns it off.
     pub gain_field_px: f64,
     /// A source to leave out (cross-validation).
     pub left_out: Option<usize>,
@@ -114,10 +114,10 @@ pub(crate) fn terms(
                 relative += ((b - a) / mean).powi(2) / 3.0;
             }
             let norm = rr.sqrt();
-            let weight = if norm < options.knee {
+            let weight = if norm < options.threshold {
                 1.0
             } else {
-                options.knee / norm
+                options.threshold / norm
             };
             out.hessian[p] += weight * jj;
             out.rhs[p] -= weight * jr;

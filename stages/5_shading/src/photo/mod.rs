@@ -12,7 +12,7 @@
 //! Steps: dense search inside the visual hull (`hull`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
-//! and `shading` against the other views' `surfaces`, first without shading, then in laps of light and
+//! and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
 //! shape (`light`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
 //! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
 //! searched once more where photos disagree (`searched`, fused before it is solved) and fused at the
@@ -34,8 +34,8 @@ mod distant;
 mod edges;
 mod gains;
 mod hull;
+mod iteration;
 mod known_light;
-mod lap;
 mod level;
 mod light;
 #[cfg(test)]
@@ -68,7 +68,7 @@ mod views;
 
 pub use course::Probe;
 pub use options::PhotoOptions;
-pub use report::{LapReport, PhotoReport, PhotoViewReport};
+pub use report::{OuterIterationReport, PhotoReport, PhotoViewReport};
 pub use validation::ValidationReport;
 
 use crate::error::ShadingError;

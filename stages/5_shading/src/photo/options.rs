@@ -17,25 +17,29 @@ pub struct PhotoOptions {
     /// Sweeps of the dense search. Too few leave false depths in plain regions.
     pub num_sweeps: usize,
     /// Mean change of depth in a Gauss-Newton round over all views, in pixel footprints, below which
-    /// the lap may end. Too large leaves the surface on its way, too small costs rounds that change
+    /// the outer iteration may end. Too large leaves the surface on its way, too small costs rounds that change
     /// nothing that the photos tell.
     pub round_move_px: f64,
-    /// Mean turn of the normals in a round, degrees, below which a lap with shading may end; a tenth of
+    /// Mean turn of the normals in a round, degrees, below which a outer iteration with shading may end; a tenth of
     /// what normals err in the end.
     pub round_turn_deg: f64,
-    /// Largest number of rounds of a lap.
+    /// Largest number of rounds of a outer iteration.
     pub max_num_rounds: usize,
-    /// Laps of light and shape, from weak shading to its full weight; 0 leaves shading out.
-    pub num_laps: usize,
-    /// Mean turn of the normals in the last of these laps, degrees, above which another one follows at
-    /// full weight: light and shape still change each other. Too small repeats laps for nothing.
-    pub lap_turn_deg: f64,
-    /// Largest number of such further laps; they end earlier where they do not settle.
-    pub max_more_laps: usize,
-    /// Laps in place of the first one, at half the coarse level's resolution, where the searched depths
+    /// Outer iterations of light and shape, from weak shading to its full weight; 0 leaves shading out.
+    #[serde(alias = "num_laps")]
+    pub num_outer_iterations: usize,
+    /// Mean turn of the normals in the last of these outer iterations, degrees, above which another one follows at
+    /// full weight: light and shape still change each other. Too small repeats outer iterations for nothing.
+    #[serde(alias = "lap_turn_deg")]
+    pub outer_turn_deg: f64,
+    /// Largest number of such further outer iterations; they end earlier where they do not settle.
+    #[serde(alias = "max_more_laps")]
+    pub max_more_iterations: usize,
+    /// Outer iterations in place of the first one, at half the coarse level's resolution, where the searched depths
     /// are noisy: small false minima of shading are overlooked there. Too many lose the photos' hold on
     /// fine structure.
-    pub num_half_laps: usize,
+    #[serde(alias = "num_half_laps")]
+    pub num_half_iterations: usize,
     /// Distance between the views' searched depths, in pixel footprints, from which they count as noisy.
     pub noisy_search_px: f64,
     /// Masked pixels of a view up to which a finer level is solved; larger photos are interpolated
@@ -64,10 +68,10 @@ impl Default for PhotoOptions {
             round_move_px: 0.1,
             round_turn_deg: 0.4,
             max_num_rounds: 10,
-            num_laps: 3,
-            lap_turn_deg: 2.0,
-            max_more_laps: 3,
-            num_half_laps: 3,
+            num_outer_iterations: 3,
+            outer_turn_deg: 2.0,
+            max_more_iterations: 3,
+            num_half_iterations: 3,
             noisy_search_px: 0.65,
             max_fine_pixels: 450_000,
             finer_search: true,
@@ -91,10 +95,10 @@ impl PhotoOptions {
         in_range("round_move_px", self.round_move_px, 0.0..=1000.0)?;
         in_range("round_turn_deg", self.round_turn_deg, 0.0..=180.0)?;
         in_range("max_num_rounds", self.max_num_rounds, 1..=1000)?;
-        in_range("num_laps", self.num_laps, 0..=100)?;
-        in_range("lap_turn_deg", self.lap_turn_deg, 0.0..=180.0)?;
-        in_range("max_more_laps", self.max_more_laps, 0..=100)?;
-        in_range("num_half_laps", self.num_half_laps, 0..=100)?;
+        in_range("num_outer_iterations", self.num_outer_iterations, 0..=100)?;
+        in_range("outer_turn_deg", self.outer_turn_deg, 0.0..=180.0)?;
+        in_range("max_more_iterations", self.max_more_iterations, 0..=100)?;
+        in_range("num_half_iterations", self.num_half_iterations, 0..=100)?;
         in_range("noisy_search_px", self.noisy_search_px, 0.0..=1e6)?;
         in_range("max_fine_pixels", self.max_fine_pixels, 0..=1_000_000_000)?;
         in_range("num_rays", self.num_rays, 16..=1024)

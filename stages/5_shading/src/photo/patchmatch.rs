@@ -2,11 +2,11 @@
 //!
 //! Around a pixel the surface is a plane, whose inverse depth is
 //! `w(dx, dy) = w₀ (1 − sx dx − sy dy)`: exact for a plane in space. The cost of a hypothesis
-//! `(w₀, sx, sy)` compares a bell-weighted patch with its image in each source:
+//! `(w₀, sx, sy)` compares a Gaussian-weighted patch with its image in each source:
 //! bounded squared differences `2 s/(1+s)`, `s = mean (I_i − I_j)² / (σ Ī)²`, where brightness is
 //! constant, or `1 − correlation` where it is not; plus the share of the patch that leaves the
 //! source's mask. Samples that differ from the pixel in brightness may lie beyond an edge of the object, on
-//! another plane, and count less: `bell · exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
+//! another plane, and count less: `gaussian · exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
 //! Hypotheses spread from neighbours in alternating raster sweeps and are perturbed
 //! with shrinking normal steps (Bleyer, Rhemann, Rother, BMVC 2011).
 
@@ -194,7 +194,7 @@ fn offsets() -> impl Iterator<Item = (i32, i32)> {
 struct Search<'a> {
     view: &'a LevelView,
     sources: Vec<Source>,
-    bell: Vec<f32>,
+    gaussian: Vec<f32>,
     /// Log brightness of the view.
     log_grey: Raster<f32>,
     options: PatchMatchOptions,
@@ -211,13 +211,13 @@ impl Search<'_> {
         patch.samples.clear();
         patch.total = 0.0;
         let mut count = 0;
-        for ((dx, dy), bell) in offsets().zip(&self.bell) {
+        for ((dx, dy), gaussian) in offsets().zip(&self.gaussian) {
             let (x, y) = (x + dx, y + dy);
             if x < 0 || y < 0 || x >= grey.width as i32 || y >= grey.height as i32 {
                 continue;
             }
             let (x, y) = (x as usize, y as usize);
-            let weight = bell * (-(self.log_grey.at(x, y) - here).abs() / CONTRAST).exp();
+            let weight = gaussian * (-(self.log_grey.at(x, y) - here).abs() / CONTRAST).exp();
             if !*mask.at(x, y) || weight <= MIN_WEIGHT {
                 continue;
             }
@@ -243,7 +243,8 @@ impl Search<'_> {
         let mut costs = [2.0_f32; MAX_SOURCES];
         for (k, source) in self.sources.iter().enumerate() {
             costs[k] = self.cost_in(source, patch, plane);
-            // So many of those that are known will count, whatever the others cost.
+            // At least `certain` of these costs are among the best `num_best`, whatever the others
+            // are: a lower bound.
             let certain = (k + 1 + num_best).saturating_sub(num_sources);
             let known = &mut costs[..=k];
             known.sort_unstable_by(f32::total_cmp);
@@ -380,7 +381,7 @@ pub(crate) fn search(
     let pixels = &view.pixels;
     let n = pixels.len();
     let spread = 2.0 * (0.6 * RADIUS_PX as f32).powi(2);
-    let bell = offsets()
+    let gaussian = offsets()
         .map(|(dx, dy)| (-((dx * dx + dy * dy) as f32) / spread).exp())
         .collect();
     let sources = level.sources[index]
@@ -397,7 +398,7 @@ pub(crate) fn search(
     let search = Search {
         view,
         sources,
-        bell,
+        gaussian,
         log_grey: Raster::from_fn(view.grey.width, view.grey.height, |x, y| {
             view.grey.at(x, y).max(noise as f32).ln()
         }),

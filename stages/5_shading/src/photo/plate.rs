@@ -95,7 +95,7 @@ pub(crate) struct RobustPlate<'a> {
     /// Current log depths; the system is for their increment.
     pub depth: &'a [f64],
     /// Bend (slope per pixel) above which the penalty grows only linearly.
-    pub knee: f64,
+    pub threshold: f64,
 }
 
 /// Adds `weight |bends|²`; cut bends keep a trace of it, so that no pixel is left without a hold.
@@ -118,7 +118,7 @@ pub(crate) fn add_plate(
 const TEAR: f64 = 2.0;
 const HOLD: f64 = 0.25;
 
-/// Adds `weight |bends|²` for the increment of a surface, linear beyond the knee, and weak where the
+/// Adds `weight |bends|²` for the increment of a surface, linear beyond the Huber threshold, and weak where the
 /// surface is torn, as beside an edge of depth.
 pub(crate) fn add_robust_plate(
     view: &LevelView,
@@ -129,7 +129,7 @@ pub(crate) fn add_robust_plate(
     for_each_bend(view, |f| {
         let bend = f.of(robust.depth);
         let torn = (1.0 / (1.0 + (bend / TEAR).powi(4))).max(HOLD);
-        let w = weight * torn / (bend.abs() / robust.knee).max(1.0);
+        let w = weight * torn / (bend.abs() / robust.threshold).max(1.0);
         system.add_square(&view.pixels, f, w, -bend);
     });
 }

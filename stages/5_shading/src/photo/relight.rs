@@ -3,10 +3,10 @@
 use super::appearance::Appearance;
 use super::course::Course;
 use super::distant;
+use super::iteration::IterationWeights;
 use super::known_light::KnownLight;
-use super::lap::LapWeights;
 use super::light::{self, Light, LightScene};
-use super::report::LapReport;
+use super::report::OuterIterationReport;
 use super::surround;
 use super::views::SolvedFrame;
 use super::{albedo, appearance, confidence, spread, validation};
@@ -91,7 +91,7 @@ impl Course<'_> {
         for note in notes {
             self.note(note);
         }
-        self.report.laps.push(LapReport {
+        self.report.outer_iterations.push(OuterIterationReport {
             level: at,
             kind: format!(
                 "light, residual {:.4}{}",
@@ -99,7 +99,7 @@ impl Course<'_> {
                 if ground.is_some() { ", ground" } else { "" }
             ),
             seconds: began.elapsed().as_secs_f64(),
-            ..LapReport::default()
+            ..OuterIterationReport::default()
         });
         Ok(light)
     }
@@ -111,7 +111,7 @@ impl Course<'_> {
         solvers: &[PlateSolver],
         depths: &[Vec<f64>],
         light: Option<&mut Light>,
-        weights: &LapWeights,
+        weights: &IterationWeights,
     ) -> Result<(), ShadingError> {
         let (Some(light), Some(shading)) = (light, weights.shading) else {
             return Ok(());
@@ -135,11 +135,11 @@ impl Course<'_> {
         }
         light.trust = judged.trust;
         self.report.validation = Some(judged.report);
-        self.report.laps.push(LapReport {
+        self.report.outer_iterations.push(OuterIterationReport {
             level: at,
             kind: "cross-validation".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
-            ..LapReport::default()
+            ..OuterIterationReport::default()
         });
         Ok(())
     }

@@ -298,8 +298,8 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
         .iter()
         .map(|view| PlateSolver::direct(&view.pixels).unwrap())
         .collect();
-    let weights = super::lap::lap_weights(2, 0.03);
-    let options = super::lap::step_weights(level, 0.01, &weights);
+    let weights = super::iteration::iteration_weights(2, 0.03);
+    let options = super::iteration::step_weights(level, 0.01, &weights);
     let trust = |light: &Light| {
         let judged = validate(
             level,
@@ -485,7 +485,7 @@ fn a_finer_search_holds_photos_that_disagree() {
     );
     let with = PhotoOptions {
         coarse_pixels: 4000,
-        num_laps: 0,
+        num_outer_iterations: 0,
         ..PhotoOptions::default()
     };
     let without = PhotoOptions {

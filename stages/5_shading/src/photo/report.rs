@@ -30,9 +30,9 @@ pub struct PhotoViewReport {
     pub without_shading: Option<f64>,
 }
 
-/// One lap.
+/// One outer iteration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct LapReport {
+pub struct OuterIterationReport {
     /// Pyramid level, 0 is full resolution.
     pub level: usize,
     /// What took part.
@@ -41,8 +41,8 @@ pub struct LapReport {
     pub moved_px: f64,
     /// Mean turn of the normals in the last round, degrees.
     pub turned_deg: f64,
-    /// Mean turn of the normals in the whole lap, degrees.
-    pub lap_turned_deg: f64,
+    /// Mean turn of the normals in the whole outer iteration, degrees.
+    pub outer_turned_deg: f64,
     /// Rounds.
     pub num_rounds: usize,
     /// Relative standard deviation that the photos' agreement was given; 0 where it took no part.
@@ -61,7 +61,7 @@ pub struct PhotoReport {
     /// Per view.
     pub views: Vec<PhotoViewReport>,
     /// In order.
-    pub laps: Vec<LapReport>,
+    pub outer_iterations: Vec<OuterIterationReport>,
     /// Standard deviation of the log ratio between views at the same point.
     pub disagreement: f64,
     /// Standard deviation that follows for the match term.

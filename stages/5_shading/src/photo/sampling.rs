@@ -154,10 +154,10 @@ pub(crate) fn bicubic(image: &LinearImage, x: f64, y: f64) -> ([f32; 3], [f32; 3
     (value, along_x, along_y)
 }
 
-/// Smooths values of masked pixels: weighted means over a bell of standard deviation `sigma_px`.
+/// Smooths values of masked pixels: weighted means over a Gaussian of standard deviation `sigma_px`.
 ///
 /// `values` holds `weights.len()` rows of `N`; pixels of zero weight receive the mean of the others.
-/// The bell is three passes of a box with running sums: cost independent of its width.
+/// The Gaussian is three passes of a box with running sums: cost independent of its width.
 pub(crate) fn smooth<const N: usize>(
     pixels: &PixelNumbering,
     values: &[[f32; N]],

@@ -1,4 +1,4 @@
-//! Before the first lap: exposure of the photos, and the surface that dense search finds.
+//! Before the first outer iteration: exposure of the photos, and the surface that dense search finds.
 //!
 //! Correlation needs no exposure, so it searches one level coarser; where views agree their intensities
 //! give the gains, and what the gains leave is the photos' disagreement, from which σ_m follows. With
@@ -10,7 +10,7 @@ use super::gains;
 use super::hull;
 use super::level::Level;
 use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
-use super::report::{LapReport, PhotoViewReport};
+use super::report::{OuterIterationReport, PhotoViewReport};
 use super::start::{self, Agreement};
 use crate::error::ShadingError;
 use nalgebra::Point3;
@@ -144,11 +144,11 @@ impl Course<'_> {
         self.sigma_match = SIGMA_SHARE * disagreement;
         self.report.disagreement = exposure.disagreement;
         self.report.sigma_match = self.sigma_match;
-        self.report.laps.push(LapReport {
+        self.report.outer_iterations.push(OuterIterationReport {
             level: at,
             kind: "exposure".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
-            ..LapReport::default()
+            ..OuterIterationReport::default()
         });
         self.report.views = self
             .scene
@@ -203,11 +203,11 @@ impl Course<'_> {
             let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
             self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
         }
-        self.report.laps.push(LapReport {
+        self.report.outer_iterations.push(OuterIterationReport {
             level: at,
             kind: "search".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
-            ..LapReport::default()
+            ..OuterIterationReport::default()
         });
         Ok(found.surface)
     }

@@ -4,7 +4,7 @@
 //! (eq. 1 with the lighting varying over the image); brightness and chroma of `u`, each in units of its
 //! own noise (`chroma`), with Huber's weight of each.
 //! `Ĩ` averages the intensities of all views that see the point: noise and gloss shrink.
-//! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a bell: what the light
+//! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a Gaussian: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
 
 use super::chroma::{self, Whitening};
@@ -62,7 +62,7 @@ pub(crate) struct PixelLight<'a> {
     pub pigment: Option<&'a [[f32; 3]]>,
     /// Scales each pixel's weight, 0 to 1.
     pub trust: Option<&'a [f32]>,
-    /// Log depth difference at which another view's intensity loses its say; 0: it has none.
+    /// Log depth difference at which another view's intensity no more counts; 0: never counts.
     pub mean_tolerance: f64,
 }
 
@@ -74,8 +74,8 @@ pub(crate) struct ShadingWeights {
     /// Standard deviation of its chroma over the noise that chroma shows.
     pub chroma_share: f64,
     /// Residual (in σ) beyond which the penalty grows only linearly.
-    pub knee: f64,
-    /// Standard deviation of the correction's bell, pixels; 0 turns the correction off.
+    pub threshold: f64,
+    /// Standard deviation of the correction's Gaussian, pixels; 0 turns the correction off.
     pub correction_px: f64,
     /// Largest correction.
     pub max_correction: f64,
@@ -95,7 +95,7 @@ pub(crate) struct ShadingTerm<'a> {
     pub whitening: Whitening,
     /// Intensity under which a pixel is as dark as the photo's noise.
     pub floor: f32,
-    pub knee: f64,
+    pub threshold: f64,
 }
 
 impl<'a> ShadingTerm<'a> {
@@ -170,7 +170,7 @@ impl<'a> ShadingTerm<'a> {
             scale,
             whitening,
             floor,
-            knee: weights.knee,
+            threshold: weights.threshold,
         }
     }
 
@@ -197,10 +197,10 @@ impl<'a> ShadingTerm<'a> {
                     qr += b[k] * r[k];
                 }
                 let norm = rr.sqrt();
-                let w = if norm < self.knee {
+                let w = if norm < self.threshold {
                     1.0
                 } else {
-                    self.knee / norm
+                    self.threshold / norm
                 };
                 system.add_product(&view.pixels, &fp, &fp, 0.5 * w * pp);
                 system.add_product(&view.pixels, &fq, &fq, 0.5 * w * qq);
@@ -304,7 +304,7 @@ mod tests {
             scale: vec![0.7],
             whitening: Whitening::new(0.03, [0.01, 0.015], 0.4),
             floor: 0.01,
-            knee: 2.0,
+            threshold: 2.0,
         };
         let ray = [0.2, -0.1];
         let normal = |p: f64, q: f64| {

@@ -1,8 +1,8 @@
-//! The course of a run through the pyramid: search, laps at the coarse level, finer levels, output.
+//! The course of a run through the pyramid: search, outer iterations at the coarse level, finer levels, output.
 
 use super::contradiction;
 use super::course::{Course, Probe};
-use super::lap::{LapWeights, PHOTOS_ONLY, lap_weights};
+use super::iteration::{IterationWeights, PHOTOS_ONLY, iteration_weights};
 use super::light::Light;
 use super::options::PhotoOptions;
 use super::output;
@@ -14,19 +14,20 @@ use rilievo_scene::{
     Event, Flow, LightSource, LightingCalibration, Observer, PosedViews, ShadedViews, StageId,
 };
 
-/// A lap that turns normals by more than this share of what the lap before it did under the same weights
-/// is followed by none: light and shape swing, or pixels beside edges change sides.
+/// A outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights
+/// is the last: light and shape oscillate, or pixels beside edges change sides.
 const SETTLING: f64 = 0.8;
 
 /// Distance within which solved surfaces are fused, footprints: a few times what they lie apart.
 pub(crate) const FUSION_PX: f64 = 4.0;
 
-/// σ_c of the last laps at the finest level, footprints: the views' noise is to be averaged, and no
-/// coarser error is left that one view would have to leave the others for. Less flattens fine detail.
+/// σ_c of the last outer iterations at the finest level, footprints: tight, since
+/// only noise separates the views there, and averaging removes it. Less flattens fine detail.
 const FINEST_CONSENSUS_PX: f64 = 0.3;
 
 /// Factor of σ_m around a searched surface, a ninth of the weight of small residuals and a third of that of
-/// large ones: patches have told what the photos agree on, single pixels add their disagreement.
+/// large ones: the patch search
+/// has fixed the depth, and residuals of single pixels are noisy.
 const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 
 /// Solves a loaded scene.
@@ -56,8 +57,9 @@ pub(crate) fn solve(
     let mut at = course.scene.coarse;
     course.show(at, "start", &depths);
     let mut solvers = course.solvers(at)?;
-    course.lap(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
-    let (light, last) = course.light_laps(&mut at, &mut solvers, &mut depths, posed, lighting)?;
+    course.outer_iteration(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
+    let (light, last) =
+        course.iterate_light_and_shape(&mut at, &mut solvers, &mut depths, posed, lighting)?;
     let light = course.finer_levels(&mut at, &mut depths, light, last, posed)?;
     let appearances = course.appearance(at, &depths, light.as_ref());
     let shaded = output::maps(&course.scene, at, &depths, &appearances);
@@ -65,23 +67,23 @@ pub(crate) fn solve(
 }
 
 impl Course<'_> {
-    /// Laps of light and shape from the coarse level `at`, which `at` is again afterwards.
+    /// Outer iterations of light and shape from the coarse level `at`, which `at` is again afterwards.
     ///
     /// Where the searched depths are noisy the first ones run at half the resolution: shading's false
     /// minima are small dents then, and most are overlooked there. Returns the last light and weights.
-    fn light_laps(
+    fn iterate_light_and_shape(
         &mut self,
         at: &mut usize,
         solvers: &mut Vec<PlateSolver>,
         depths: &mut Vec<Vec<f64>>,
         posed: &PosedViews,
         lighting: &LightingCalibration,
-    ) -> Result<(Option<Light>, LapWeights), ShadingError> {
+    ) -> Result<(Option<Light>, IterationWeights), ShadingError> {
         let options = self.options;
         *depths = self.fused(*at, depths, FUSION_PX)?;
         self.show(*at, "fused", depths);
-        if options.num_laps == 0 {
-            self.lap(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused")?;
+        if options.num_outer_iterations == 0 {
+            self.outer_iteration(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused")?;
             return Ok((None, PHOTOS_ONLY));
         }
         let is_from_elsewhere = matches!(
@@ -111,13 +113,13 @@ impl Course<'_> {
         let ground = self.ground(*at, depths, posed);
         let is_noisy = self.report.search_scatter_px > options.noisy_search_px;
         let num_half = if is_noisy && *at + 1 < self.scene.pyramid.len() {
-            options.num_half_laps
+            options.num_half_iterations
         } else {
             0
         };
         // After them the surface is no rough start any more.
-        let first_full = usize::from(num_half > 0 && options.num_laps > 1);
-        let num_laps = num_half + options.num_laps - first_full;
+        let first_full = usize::from(num_half > 0 && options.num_outer_iterations > 1);
+        let num_outer_iterations = num_half + options.num_outer_iterations - first_full;
         let mut kept = None;
         if num_half > 0 {
             let reduced = self.reduced(*at, depths);
@@ -126,10 +128,10 @@ impl Course<'_> {
             *solvers = self.solvers(*at)?;
         }
         let mut residual = 1.0_f64;
-        let mut lap = 0;
+        let mut iteration = 0;
         let mut turned_before = f64::INFINITY;
         loop {
-            if lap == num_half
+            if iteration == num_half
                 && let Some((fine, before)) = kept.take()
             {
                 *at -= 1;
@@ -137,30 +139,30 @@ impl Course<'_> {
                 *depths = self.raised(*at, &fine, &before, depths);
                 self.show(*at, "raised", depths);
             }
-            if lap > 0 {
+            if iteration > 0 {
                 *depths = self.fused(*at, depths, FUSION_PX)?;
                 self.show(*at, "fused", depths);
             }
             let mut light = self.light(*at, depths, posed, lighting, ground.as_ref())?;
             let found = light.as_ref().map_or(1.0, Light::residual);
             // What the finer surface adds to the residual at first is its own noise, not the light's.
-            residual = if lap > 0 && lap == num_half {
+            residual = if iteration > 0 && iteration == num_half {
                 found.min(residual)
             } else {
                 found
             };
-            let mut weights = if lap < num_half {
-                lap_weights(lap, residual)
+            let mut weights = if iteration < num_half {
+                iteration_weights(iteration, residual)
             } else {
-                lap_weights(lap - num_half + first_full, residual)
+                iteration_weights(iteration - num_half + first_full, residual)
             };
-            if lap + 1 >= num_laps {
+            if iteration + 1 >= num_outer_iterations {
                 if self.is_finest(*at) {
                     weights.consensus_px = FINEST_CONSENSUS_PX;
                 }
                 self.validate(*at, solvers, depths, light.as_mut(), &weights)?;
             }
-            let turned_deg = self.lap(
+            let turned_deg = self.outer_iteration(
                 *at,
                 solvers,
                 depths,
@@ -168,11 +170,14 @@ impl Course<'_> {
                 light.as_ref(),
                 "light and shape",
             )?;
-            lap += 1;
-            if lap >= num_laps {
-                let is_still = turned_deg < options.lap_turn_deg;
+            iteration += 1;
+            if iteration >= num_outer_iterations {
+                let is_still = turned_deg < options.outer_turn_deg;
                 let keeps_turning = turned_deg > SETTLING * turned_before;
-                if is_still || keeps_turning || lap >= num_laps + options.max_more_laps {
+                if is_still
+                    || keeps_turning
+                    || iteration >= num_outer_iterations + options.max_more_iterations
+                {
                     return Ok((light, weights));
                 }
                 turned_before = turned_deg;
@@ -185,14 +190,14 @@ impl Course<'_> {
         at == 0 || self.scene.pyramid[at - 1].mean_pixels() > self.options.max_fine_pixels
     }
 
-    /// From level `at` to the finest that is solved, each with the light and weights of the last lap.
+    /// From level `at` to the finest that is solved, each with the light and weights of the last outer iteration.
     /// Returns the finest level's.
     fn finer_levels(
         &mut self,
         at: &mut usize,
         depths: &mut Vec<Vec<f64>>,
         mut light: Option<Light>,
-        last: LapWeights,
+        last: IterationWeights,
         posed: &PosedViews,
     ) -> Result<Option<Light>, ShadingError> {
         while !self.is_finest(*at) {
@@ -211,7 +216,7 @@ impl Course<'_> {
                 *depths = self.search_again(*at, &solvers, depths, posed)?;
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
-            let mut weights = LapWeights {
+            let mut weights = IterationWeights {
                 sigma_match_factor: if searches {
                     SEARCHED_SIGMA_MATCH_FACTOR
                 } else {
@@ -223,7 +228,7 @@ impl Course<'_> {
                     PHOTOS_ONLY.consensus_px
                 },
                 visible_px: 3.5,
-                plate_knee: 0.05,
+                plate_threshold: 0.05,
                 ..last
             };
             if let Some(shading) = &mut weights.shading {
@@ -232,7 +237,7 @@ impl Course<'_> {
                 shading.chroma_share *= 1.4;
                 shading.correction_px = 12.0;
             }
-            self.lap(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
+            self.outer_iteration(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
             *depths = self.fused(*at, depths, FUSION_PX)?;
             self.show(*at, "fused", depths);
         }

@@ -153,7 +153,7 @@ impl Case {
             scale: vec![1.0; pixels.len()],
             whitening: Whitening::new(sigma, [sigma; 2], 0.0),
             floor: 1e-3,
-            knee: f64::INFINITY,
+            threshold: f64::INFINITY,
         };
         let solver = PlateSolver::direct(&view.pixels).unwrap();
         // A second view in the same place holds the depth that is known; its photo says nothing. Its noise
@@ -171,7 +171,7 @@ impl Case {
         let options = StepOptions {
             matching: MatchOptions {
                 sigma,
-                knee: 2.0,
+                threshold: 2.0,
                 visible_tolerance: 1.0,
                 gain_field_px: 0.0,
                 left_out: None,
@@ -179,7 +179,7 @@ impl Case {
             sigma_consensus: KNOWN_PX / level.focal(),
             // Far below what shading weighs: it only ends what central slopes leave free.
             plate_weight: 1e-2,
-            plate_knee: f64::INFINITY,
+            plate_threshold: f64::INFINITY,
             max_step: f64::INFINITY,
         };
         let mut num_steps = 0;
@@ -241,7 +241,7 @@ fn gauss_newton_and_the_splitting_reach_the_same_surface() {
 #[test]
 #[ignore = "a measurement"]
 fn which_solver_is_faster() {
-    // The second as laps end on photographs.
+    // The second as outer iterations end on photographs.
     for (name, case, still_deg) in [
         ("exact", Case::new(384), 0.01),
         ("three per cent", Case::with_errors(384, 0.03), 0.4),

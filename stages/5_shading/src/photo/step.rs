@@ -20,7 +20,7 @@ pub(crate) struct StepOptions {
     /// Weight of squared bends (slope change per pixel).
     pub plate_weight: f64,
     /// Bend beyond which the penalty grows only linearly.
-    pub plate_knee: f64,
+    pub plate_threshold: f64,
     /// Largest change of log depth.
     pub max_step: f64,
 }
@@ -74,7 +74,7 @@ pub(crate) fn improve(
         options.plate_weight,
         &RobustPlate {
             depth,
-            knee: options.plate_knee,
+            threshold: options.plate_threshold,
         },
     );
     if let Some(shading) = shading {

@@ -2,11 +2,11 @@
 //!
 //! From one surface, every view takes a few Gauss-Newton steps without one of its source photos,
 //! once on agreement alone and once with shading. The photo that was left out judges: with
-//! `r = ln I_j(x') − ln I_i(x)`, less its mean over a bell, at either depth,
+//! `r = ln I_j(x') − ln I_i(x)`, less its mean over a Gaussian, at either depth,
 //!
 //! `z(x) = mean(r₀² − r₁²) / (sd(r₀² − r₁²)/√n)`
 //!
-//! over a wider bell of `n` independent pixels says how surely shading helps (`z > 0`) or harms there.
+//! over a wider Gaussian of `n` independent pixels says how surely shading helps (`z > 0`) or harms there.
 //! Trust falls linearly from 1 at `z = −1` to 0 at `z = −3`; a mean over the whole object below −3
 //! ends shading altogether. Where the light misses the photo by several times its usual residual,
 //! trust falls as well: there it explains nothing.
@@ -26,7 +26,7 @@ use rilievo_numerics::robust::median;
 use rilievo_scene::Raster;
 use serde::{Deserialize, Serialize};
 
-/// Steps of either kind: most of the way that a lap goes.
+/// Steps of either kind: most of the way that a outer iteration goes.
 const NUM_STEPS: usize = 3;
 /// Bell of the brightness difference that counts as exposure, pixels.
 const GAIN_PX: f64 = 8.0;

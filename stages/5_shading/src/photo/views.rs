@@ -120,7 +120,7 @@ pub(crate) fn load(
     let mut pyramid = vec![Level::new(views, &sources)];
     loop {
         let last = &pyramid[pyramid.len() - 1];
-        // One level more than the coarse one serves the first search and the first laps with shading.
+        // One level more than the coarse one serves the first search and the first outer iterations with shading.
         let below_coarse = pyramid
             .iter()
             .filter(|level| level.mean_pixels() <= options.coarse_pixels)

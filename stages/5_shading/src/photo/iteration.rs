@@ -1,11 +1,11 @@
-//! One lap: Gauss-Newton rounds over all views under fixed weights and a fixed light.
+//! One outer iteration: Gauss-Newton rounds over all views under fixed weights and a fixed light.
 
 use super::course::Course;
 use super::level::Level;
 use super::light::Light;
 use super::matching::MatchOptions;
 use super::plate;
-use super::report::LapReport;
+use super::report::OuterIterationReport;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
 use super::surfaces::Surfaces;
@@ -15,9 +15,9 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
 use std::time::Instant;
 
-/// Weights of one lap.
+/// Weights of one outer iteration.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct LapWeights {
+pub(crate) struct IterationWeights {
     /// Factor of the match term's σ_m.
     pub sigma_match_factor: f64,
     /// Standard deviation of the depth against another view that faces the surface as well, pixel
@@ -28,49 +28,49 @@ pub(crate) struct LapWeights {
     /// Weight of squared bends.
     pub plate: f64,
     /// Bend at which the plate turns linear.
-    pub plate_knee: f64,
+    pub plate_threshold: f64,
     /// Shading, where it takes part.
     pub shading: Option<ShadingWeights>,
 }
 
 /// Agreement alone.
-pub(crate) const PHOTOS_ONLY: LapWeights = LapWeights {
+pub(crate) const PHOTOS_ONLY: IterationWeights = IterationWeights {
     sigma_match_factor: 1.0,
     consensus_px: 0.9,
     visible_px: 3.5,
     plate: 30.0,
-    plate_knee: 0.05,
+    plate_threshold: 0.05,
     shading: None,
 };
 
-/// Weights of the laps with shading: it starts weak, on a light fitted to a rough shape, and grows.
+/// Weights of the outer iterations with shading: it starts weak, on a light fitted to a rough shape, and grows.
 ///
 /// `σ_s = share · r (1 + (r/r₀)²)` of the light's median residual `r`: where the light explains the
 /// photos as well as it can (2 to 3 %), shading weighs fully; at a residual of 20 % (pigment, dirt,
-/// gloss) it has lost its say, because what it would explain by relief is not relief. Chroma is held
+/// gloss) it is down-weighted to nothing: the misfit is pigment, dirt or gloss, not shape. Chroma is held
 /// to its own noise by the same factor `σ_s / r`.
-pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
+pub(crate) fn iteration_weights(iteration: usize, residual: f64) -> IterationWeights {
     // Residual at which the model's error outweighs relief.
-    const RESIDUAL_KNEE: f64 = 0.08;
-    // Share, correction's bell in pixels, plate, its knee, consensus and visibility in footprints.
+    const LARGEST_RESIDUAL: f64 = 0.08;
+    // Share, correction's Gaussian in pixels, plate, its Huber threshold, consensus and visibility in footprints.
     let table = [
         (0.57, 0.0, 30.0, 0.02, 0.9, 3.5),
         (0.6, 0.0, 30.0, 0.02, 0.9, 3.5),
         (0.5, 8.0, 60.0, 0.05, 0.62, 3.5),
     ];
-    let (share, correction_px, plate, plate_knee, consensus_px, visible_px) =
-        table[lap.min(table.len() - 1)];
-    let share = share * (1.0 + (residual / RESIDUAL_KNEE).powi(2));
-    LapWeights {
+    let (share, correction_px, plate, plate_threshold, consensus_px, visible_px) =
+        table[iteration.min(table.len() - 1)];
+    let share = share * (1.0 + (residual / LARGEST_RESIDUAL).powi(2));
+    IterationWeights {
         sigma_match_factor: 1.0,
         consensus_px,
         visible_px,
         plate,
-        plate_knee,
+        plate_threshold,
         shading: Some(ShadingWeights {
             sigma: share * residual,
             chroma_share: share,
-            knee: 2.0,
+            threshold: 2.0,
             correction_px,
             max_correction: 0.15,
         }),
@@ -78,50 +78,54 @@ pub(crate) fn lap_weights(lap: usize, residual: f64) -> LapWeights {
 }
 
 /// Weights of a step; lengths in footprints of a pixel.
-pub(crate) fn step_weights(level: &Level, sigma_match: f64, weights: &LapWeights) -> StepOptions {
+pub(crate) fn step_weights(
+    level: &Level,
+    sigma_match: f64,
+    weights: &IterationWeights,
+) -> StepOptions {
     let footprint = 1.0 / level.focal();
     StepOptions {
         matching: MatchOptions {
             sigma: weights.sigma_match_factor * sigma_match,
-            knee: 2.0,
+            threshold: 2.0,
             visible_tolerance: weights.visible_px * footprint,
             gain_field_px: 8.0,
             left_out: None,
         },
         sigma_consensus: weights.consensus_px * footprint,
         plate_weight: weights.plate,
-        plate_knee: weights.plate_knee,
+        plate_threshold: weights.plate_threshold,
         max_step: 9.0 * footprint,
     }
 }
 
 impl Course<'_> {
     /// [`step_weights`] of a level.
-    pub(crate) fn step_options(&self, at: usize, weights: &LapWeights) -> StepOptions {
+    pub(crate) fn step_options(&self, at: usize, weights: &IterationWeights) -> StepOptions {
         step_weights(&self.scene.pyramid[at], self.sigma_match, weights)
     }
 
     /// Gauss-Newton rounds over all views, until one changes the surface by less than the options'
     /// tolerances: depth, and where shading takes part normals (without it they follow the photos'
     /// noise for as long as they are let). Views of even and odd number take turns, so that two views
-    /// never swap their surfaces. Returns the mean turn of the normals in the lap, degrees.
-    pub(crate) fn lap(
+    /// never swap their surfaces. Returns the mean turn of the normals in the outer iteration, degrees.
+    pub(crate) fn outer_iteration(
         &mut self,
         at: usize,
         solvers: &[PlateSolver],
         depths: &mut [Vec<f64>],
-        weights: &LapWeights,
+        weights: &IterationWeights,
         light: Option<&Light>,
         kind: &str,
     ) -> Result<f64, ShadingError> {
         let began = Instant::now();
         let options = self.step_options(at, weights);
-        let mut record = LapReport {
+        let mut record = OuterIterationReport {
             level: at,
             kind: kind.to_owned(),
             sigma_match: options.matching.sigma,
             sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
-            ..LapReport::default()
+            ..OuterIterationReport::default()
         };
         let start = depths.to_vec();
         let max_num_rounds = self.options.max_num_rounds;
@@ -207,9 +211,9 @@ impl Course<'_> {
             .map(|i| plate::mean_turn(&level.views[i], &start[i], &depths[i]))
             .collect();
         let turned = (turns.iter().sum::<f64>() / turns.len().max(1) as f64).to_degrees();
-        record.lap_turned_deg = turned;
+        record.outer_turned_deg = turned;
         record.seconds = began.elapsed().as_secs_f64();
-        self.report.laps.push(record);
+        self.report.outer_iterations.push(record);
         self.show(at, kind, depths);
         Ok(turned)
     }
