@@ -15,7 +15,7 @@ const TABLE_LEN: usize = 4096;
 /// Largest difference at which a curve still counts as linear or as sRGB: a step of 8 bits.
 const SAME_CURVE: f64 = 1.0 / 255.0;
 
-/// The refusal of a larger one.
+/// Why a profile of more than [`MAX_PROFILE_BYTES`] is refused.
 pub(super) fn profile_too_large() -> String {
     let megabytes = MAX_PROFILE_BYTES >> 20;
     format!("its colour profile holds more than {megabytes} MB; save it without, in sRGB or linear")
