@@ -151,7 +151,7 @@ fn kind_name(kind: FileType) -> &'static str {
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;
-    use crate::IoErrorKind;
+    use crate::error::IoErrorKind;
     use std::os::unix::fs::symlink;
     use std::os::unix::net::UnixListener;
 

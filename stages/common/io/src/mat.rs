@@ -203,26 +203,7 @@ fn numbers(kind: u32, stored: &[u8]) -> Option<Vec<f64>> {
 }
 
 #[cfg(test)]
-#[path = "../../mat_writer.rs"]
-mod mat_writer;
-
-/// MAT files for tests, as MATLAB writes them.
-#[cfg(test)]
-pub(crate) mod sample {
-    pub(crate) use super::mat_writer::{array, element, header};
-    use flate2::{Compression, write::ZlibEncoder};
-    use std::io::Write;
-
-    pub(crate) fn compressed(whole: &[u8]) -> Vec<u8> {
-        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());
-        encoder.write_all(whole).unwrap();
-        let packed = encoder.finish().unwrap();
-        let mut bytes = super::COMPRESSED.to_le_bytes().to_vec();
-        bytes.extend((packed.len() as u32).to_le_bytes());
-        bytes.extend(packed);
-        bytes
-    }
-}
+pub(crate) mod sample;
 
 #[cfg(test)]
 mod tests {

@@ -3,6 +3,7 @@
 use crate::camera::{FocalSource, Intrinsics};
 use crate::ids::PhotoIdx;
 use crate::raster::{LinearImage, Mask};
+use crate::transform::RigidTransform;
 use std::sync::Arc;
 
 /// Why the pixels of a photo could not be had.
@@ -56,7 +57,7 @@ pub struct Photo {
     /// Linear value at and above which a channel counts as clipped.
     pub clip_level: f32,
     /// Pose given by the user.
-    pub given_cam_from_world: Option<crate::RigidTransform>,
+    pub given_cam_from_world: Option<RigidTransform>,
 }
 
 /// All usable photos, ordered by file name.

@@ -5,8 +5,8 @@
 //! and y up. A focal length of zero means: no pose. Source: Bundler v0.4 user's manual, section
 //! "Output format and scene representation".
 
-use super::photos::{Photos, size_of};
-use super::{flip, folder_of};
+use super::axes::flip;
+use super::photos::{Photos, folder_of, size_of};
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};

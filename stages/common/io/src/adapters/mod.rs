@@ -18,6 +18,7 @@
 //! format cannot hold is refused by name, never approximated. Formats that leave out the images'
 //! size take it from the photos beside them, or in a folder that is named.
 
+mod axes;
 mod bundler;
 mod metashape;
 mod middlebury;
@@ -28,12 +29,12 @@ mod photos;
 mod sfm_data;
 mod transforms;
 mod tum;
+mod undistorted;
 
-use crate::cameras::{CameraEntry, CameraFile, cameras_file, read_cameras};
+use crate::cameras::{CameraFile, cameras_file, read_cameras};
 use crate::colmap;
 use crate::error::IoError;
 use crate::files::{OutputFile, write_all};
-use nalgebra::Matrix3;
 use std::path::{Path, PathBuf};
 
 pub use mvsnet::MvsnetDepthRange;
@@ -255,29 +256,6 @@ fn inside(path: &Path, name: &str) -> PathBuf {
     } else {
         path.to_path_buf()
     }
-}
-
-/// Turns camera axes x right, y down, z forward into x right, y up, z backward, and back.
-fn flip() -> Matrix3<f64> {
-    Matrix3::from_diagonal(&nalgebra::Vector3::new(1.0, -1.0, -1.0))
-}
-
-/// The folder that a file is in.
-fn folder_of(path: &Path) -> &Path {
-    path.parent().unwrap_or(Path::new(""))
-}
-
-/// Refuses what a format without distortion cannot hold.
-fn refuse_distortion(path: &Path, entry: &CameraEntry, format: &str) -> Result<(), IoError> {
-    if entry.intrinsics.distortion.is_none() {
-        return Ok(());
-    }
-    let reason = format!(
-        "{format} has no lens distortion, which {} has",
-        entry.name()
-    );
-    Err(IoError::input(path, reason)
-        .with_hint("undistort the photos first, or choose another format"))
 }
 
 #[cfg(test)]

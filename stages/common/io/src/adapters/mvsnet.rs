@@ -11,7 +11,7 @@
 //! ```
 
 use super::photos::{Photos, size_of};
-use super::refuse_distortion;
+use super::undistorted::refuse_distortion;
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};

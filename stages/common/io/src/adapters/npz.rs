@@ -8,8 +8,8 @@
 //!
 //! Read are arrays of 32 or 64 bits in files that `numpy.savez` writes (ZIP without compression).
 
-use super::photos::{Photos, size_of};
-use super::{folder_of, refuse_distortion};
+use super::photos::{Photos, folder_of, size_of};
+use super::undistorted::refuse_distortion;
 use crate::bytes::Bytes;
 use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
 use crate::error::IoError;

@@ -9,8 +9,8 @@
 //!
 //! Source: OpenMVS, `libs/MVS/Interface.h`, versions 0 to 7.
 
-use super::photos::Photos;
-use super::{folder_of, refuse_distortion};
+use super::photos::{Photos, folder_of};
+use super::undistorted::refuse_distortion;
 use crate::bytes::Bytes;
 use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
 use crate::error::IoError;

@@ -84,3 +84,8 @@ pub(super) fn size_of(path: &Path) -> Result<(usize, usize), IoError> {
     let reason = "its size cannot be read: it is no photo, or damaged";
     Err(IoError::input(path, reason))
 }
+
+/// The folder that a file is in.
+pub(super) fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new(""))
+}

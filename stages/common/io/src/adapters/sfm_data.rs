@@ -9,8 +9,7 @@
 //!
 //! Source: AliceVision, `src/aliceVision/sfmDataIO/jsonIO.cpp`.
 
-use super::folder_of;
-use super::photos::Photos;
+use super::photos::{Photos, folder_of};
 use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
 use crate::error::IoError;
 use crate::files::OutputFile;

@@ -2,6 +2,7 @@
 //! mistakes would cancel, its file is read by hand with the format's own formula.
 
 use super::*;
+use crate::cameras::CameraEntry;
 use crate::cameras::tests::largest_projection_difference;
 use crate::mask::encode_png;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};

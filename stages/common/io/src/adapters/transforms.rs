@@ -8,8 +8,8 @@
 //! may stand at the top or in a frame, `camera_angle_x` instead of a focal length. Source:
 //! nerfstudio documentation, "Data conventions".
 
-use super::photos::{Photos, size_of};
-use super::{flip, folder_of};
+use super::axes::flip;
+use super::photos::{Photos, folder_of, size_of};
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose, unit};
 use crate::error::IoError;
 use crate::files::OutputFile;

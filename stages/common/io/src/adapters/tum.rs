@@ -4,8 +4,8 @@
 //! `id` is a number or a time; the image is the one in the folder, or in `photos`, `images`, `rgb`
 //! or `color` beside it, whose name ends in it (`color000012.png` for `012`).
 
-use super::photos::{Photos, size_of};
-use super::{folder_of, refuse_distortion};
+use super::photos::{Photos, folder_of, size_of};
+use super::undistorted::refuse_distortion;
 use crate::cameras::{CameraEntry, CameraFile};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};

@@ -1,7 +1,8 @@
 //! Cameras by their photos' names, and equal cameras as one: look-ups whose cost does not grow with the
 //! number of cameras.
 
-use super::{CameraEntry, CameraFile, last_part, stem};
+use super::entry::{CameraEntry, CameraFile};
+use super::photo_names::{last_part, stem};
 use rilievo_scene::Intrinsics;
 use std::collections::HashMap;
 
@@ -13,6 +14,20 @@ pub struct CameraIndex<'a> {
     whole: HashMap<&'a str, usize>,
     last: HashMap<&'a str, usize>,
     stem: HashMap<&'a str, usize>,
+}
+
+impl CameraFile {
+    /// The camera of a photo, named with or without its ending. The whole name is tried first, so
+    /// that `x.jpg` and `x.png` keep their own; a lone entry without a name fits every photo. For
+    /// several photos, [`CameraFile::index`] is made once.
+    pub fn find(&self, image: &str) -> Option<&CameraEntry> {
+        self.index().find(image)
+    }
+
+    /// The cameras by their photos' names.
+    pub fn index(&self) -> CameraIndex<'_> {
+        CameraIndex::new(self)
+    }
 }
 
 impl<'a> CameraIndex<'a> {

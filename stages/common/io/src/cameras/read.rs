@@ -1,6 +1,6 @@
 //! Reading and checking camera files.
 
-use super::{CameraEntry, CameraFile};
+use super::entry::{CameraEntry, CameraFile};
 use crate::colmap;
 use crate::error::IoError;
 use crate::json::{self, Node};

@@ -1,7 +1,7 @@
 use super::*;
 use crate::IoErrorKind;
 use nalgebra::{Point3, UnitQuaternion, Vector3};
-use rilievo_scene::Distortion;
+use rilievo_scene::{Distortion, Intrinsics, RigidTransform, Unit};
 use std::path::{Path, PathBuf};
 
 fn file() -> CameraFile {

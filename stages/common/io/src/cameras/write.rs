@@ -1,6 +1,6 @@
 //! Writing `cameras.json`.
 
-use super::CameraFile;
+use super::entry::CameraFile;
 use crate::error::IoError;
 use crate::files::OutputFile;
 use crate::json;

@@ -1,7 +1,8 @@
 //! Between COLMAP's words and ours.
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
-use crate::cameras::{CameraEntry, CameraFile, DistinctCameras};
+use crate::cameras::entry::{CameraEntry, CameraFile};
+use crate::cameras::index::DistinctCameras;
 use crate::error::IoError;
 use rilievo_scene::{Distortion, Intrinsics, PosedViews, Unit};
 use std::collections::HashMap;

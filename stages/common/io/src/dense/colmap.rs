@@ -3,7 +3,7 @@
 //!
 //! Source: COLMAP documentation, "Output format", section on dense reconstruction.
 
-use super::{floats, num_pixels};
+use super::pixels::{floats, num_pixels};
 use crate::error::IoError;
 use crate::files::read_regular;
 use rilievo_scene::{DepthMap, NormalMap, Raster};

@@ -10,7 +10,7 @@
 //!
 //! Source: OpenMVS, `libs/MVS/Interface.h` and `DepthMap.cpp` (`ExportDepthDataRaw`).
 
-use super::{floats, num_pixels};
+use super::pixels::{floats, num_pixels};
 use crate::cameras::rigid_from_world_pose;
 use crate::error::IoError;
 use crate::files::read_regular;

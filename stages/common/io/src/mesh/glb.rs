@@ -9,7 +9,7 @@
 //!
 //! Source: Khronos Group, glTF 2.0 specification, sections 3.7.2 (meshes) and 4 (GLB).
 
-use super::check;
+use super::check::check;
 use crate::error::IoError;
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Mesh, PosedViews, Unit, srgb};

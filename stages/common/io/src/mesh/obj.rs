@@ -6,7 +6,7 @@
 //! f a//a b//b c//c
 //! ```
 
-use super::check;
+use super::check::check;
 use crate::error::IoError;
 use rilievo_scene::{Mesh, Unit};
 use std::fs::File;

@@ -1,6 +1,7 @@
 use super::*;
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use rilievo_scene::{Intrinsics, PhotoIdx, PosedView, PosedViews, RigidTransform, Unit};
+use rilievo_scene::{Intrinsics, Mesh, PhotoIdx, PosedView, PosedViews, RigidTransform, Unit};
+use std::path::Path;
 
 fn triangle() -> Mesh {
     Mesh {

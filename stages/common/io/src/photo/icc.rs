@@ -1,15 +1,25 @@
-//! Tone curve of an ICC profile: `linear = f(stored)`, from its `gTRC` or `kTRC` tag.
+//! ICC profiles: how large one may be, and its tone curve, `linear = f(stored)`, from its `gTRC` or `kTRC` tag.
 //!
 //! Source: ICC.1:2022, sections 10.6 (`curv`) and 10.18 (`para`). The three channels of every
 //! working space in use share one curve, so the green one stands for all. Primaries are left as
 //! they are: shading needs intensities that are proportional to light, not colours of a standard
 //! observer.
 
+/// More bytes than any colour profile has; those with printers' tables reach a few megabytes. Without its
+/// profile a photo's values would be misread, so that a larger one is refused, not left out.
+pub(super) const MAX_PROFILE_BYTES: usize = 32 << 20;
+
 /// Steps of the table that stands for a curve; between them it is interpolated linearly.
 const TABLE_LEN: usize = 4096;
 
 /// Largest difference at which a curve still counts as linear or as sRGB: a step of 8 bits.
 const SAME_CURVE: f64 = 1.0 / 255.0;
+
+/// Why a profile of more than [`MAX_PROFILE_BYTES`] is refused.
+pub(super) fn profile_too_large() -> String {
+    let megabytes = MAX_PROFILE_BYTES >> 20;
+    format!("its colour profile holds more than {megabytes} MB; save it without, in sRGB or linear")
+}
 
 /// A profile's tone curve.
 #[derive(Clone, Debug, PartialEq)]

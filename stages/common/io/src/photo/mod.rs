@@ -11,11 +11,13 @@
 //! | 8 bit | its colour profile, `gAMA` or `cICP` says so; else not |
 //! | 16 bit | the same; and also when the file says nothing of its colours: programs that encode for a display write the profile or `sRGB`, those that store measurements write none |
 
+mod alpha;
 mod exif_facts;
 mod float_tiff;
 pub(crate) mod guard;
 mod icc;
 mod jpeg;
+mod names;
 mod png_chunks;
 mod raster;
 #[cfg(feature = "raw")]
@@ -26,57 +28,18 @@ mod size;
 use crate::error::IoError;
 use crate::exr_maps;
 use crate::files::read_regular;
+use alpha::alpha_mask;
 use guard::guarded;
 use image::ImageFormat;
-use rilievo_scene::{DecodedPhoto, ExifFacts, Mask, Samples};
+use names::{FOREIGN_ENDINGS, ending, file_name};
+use rilievo_scene::{DecodedPhoto, ExifFacts, Samples};
 use std::path::Path;
 
 pub use guard::decoder_is_guarded;
+pub use names::is_photo_name;
+pub(crate) use names::is_raw_name;
 pub use raw_decoder::{RawDecoder, decode_raw_here, set_raw_decoder};
 pub use size::photo_size;
-
-/// Endings of photos that can be decoded.
-const PHOTO_ENDINGS: [&str; 8] = ["jpg", "jpeg", "jpe", "png", "tif", "tiff", "exr", "hdr"];
-
-/// Endings of photos that people have and this program cannot decode.
-const FOREIGN_ENDINGS: [(&str, &str); 6] = [
-    ("heic", "HEIC"),
-    ("heif", "HEIF"),
-    ("avif", "AVIF"),
-    ("webp", "WebP"),
-    ("jxl", "JPEG XL"),
-    ("gif", "GIF"),
-];
-
-/// Endings of camera RAW files.
-const RAW_ENDINGS: [&str; 21] = [
-    "dng", "cr2", "cr3", "crw", "nef", "nrw", "arw", "srf", "sr2", "raf", "rw2", "orf", "pef",
-    "srw", "x3f", "3fr", "iiq", "mrw", "kdc", "dcr", "erf",
-];
-
-fn ending(path: &Path) -> String {
-    path.extension()
-        .map(|ending| ending.to_string_lossy().to_ascii_lowercase())
-        .unwrap_or_default()
-}
-
-/// Whether a file name has the ending of camera RAW.
-pub(crate) fn is_raw_name(path: &Path) -> bool {
-    RAW_ENDINGS.contains(&ending(path).as_str())
-}
-
-/// Whether a file name has the ending of a photo, be it one that can be decoded or one of a format
-/// that is refused with advice (camera RAW, HEIC).
-pub fn is_photo_name(path: &Path) -> bool {
-    let hidden = path
-        .file_name()
-        .is_some_and(|name| name.to_string_lossy().starts_with('.'));
-    let ending = ending(path);
-    !hidden
-        && (PHOTO_ENDINGS.contains(&ending.as_str())
-            || RAW_ENDINGS.contains(&ending.as_str())
-            || FOREIGN_ENDINGS.iter().any(|(name, _)| *name == ending))
-}
 
 /// Decodes a photo, sample by sample as stored: nothing is linearised, rotated or scaled.
 ///
@@ -127,13 +90,6 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
     })
 }
 
-fn file_name(path: &Path) -> String {
-    path.file_name().map_or_else(
-        || path.display().to_string(),
-        |name| name.to_string_lossy().into_owned(),
-    )
-}
-
 fn decode_exr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
     let (image, alpha) = exr_maps::linear_with_alpha(path, bytes)?;
     let alpha = alpha.and_then(|alpha| {
@@ -156,15 +112,6 @@ fn decode_exr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
         alpha,
         exif: ExifFacts::default(),
     })
-}
-
-/// The alpha channel as a mask; an alpha that is opaque everywhere says nothing.
-fn alpha_mask(width: usize, height: usize, opaque: impl Iterator<Item = bool>) -> Option<Mask> {
-    let data: Vec<bool> = opaque.collect();
-    if data.iter().all(|&inside| inside) {
-        return None;
-    }
-    Mask::from_vec(width, height, data)
 }
 
 #[cfg(test)]

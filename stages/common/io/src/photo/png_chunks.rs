@@ -4,7 +4,7 @@
 //! PNG specification, third edition, section 4.3: `cICP` outranks `iCCP`, which outranks `sRGB`,
 //! which outranks `gAMA`. Profiles (`iCCP`) are read by the decoder and judged elsewhere.
 
-use super::raster::{MAX_PROFILE_BYTES, profile_too_large};
+use super::icc::{MAX_PROFILE_BYTES, profile_too_large};
 use flate2::read::ZlibDecoder;
 use std::io::Read;
 

@@ -1,7 +1,9 @@
 //! Photos that the image library decodes: JPEG, PNG, TIFF and Radiance HDR.
 
-use super::icc::{self, ToneCurve};
-use super::{alpha_mask, exif_facts, file_name, float_tiff, jpeg, png_chunks};
+use super::alpha::alpha_mask;
+use super::icc::{self, MAX_PROFILE_BYTES, ToneCurve, profile_too_large};
+use super::names::file_name;
+use super::{exif_facts, float_tiff, jpeg, png_chunks};
 use crate::claims;
 use crate::error::IoError;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
@@ -105,15 +107,6 @@ pub(super) fn decode(
         alpha,
         exif,
     })
-}
-
-/// More bytes than any colour profile has; those with printers' tables reach a few megabytes. Without its
-/// profile a photo's values would be misread, so that a larger one is refused, not left out.
-pub(super) const MAX_PROFILE_BYTES: usize = 32 << 20;
-
-pub(super) fn profile_too_large() -> String {
-    let megabytes = MAX_PROFILE_BYTES >> 20;
-    format!("its colour profile holds more than {megabytes} MB; save it without, in sRGB or linear")
 }
 
 /// The colour profile of a TIFF, which the image library looks for without bounds or within those of

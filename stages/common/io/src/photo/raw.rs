@@ -19,7 +19,8 @@
 //!   colour, so that no pixel made up from clipped samples passes for a measured one.
 //! - The frame is the sensor's recommended area, as that of the camera's own JPEG.
 
-use super::{exif_facts, file_name};
+use super::exif_facts;
+use super::names::file_name;
 use crate::error::IoError;
 use rawler::cfa::{CFA, PlaneColor};
 use rawler::decoders::{Decoder, FormatHint, RawDecodeParams, RawMetadata};

@@ -1,7 +1,7 @@
 //! Columns and rows of a photo by its header alone.
 
 use super::guard::guarded;
-use super::is_raw_name;
+use super::names::is_raw_name;
 use crate::claims::MAX_PIXELS;
 use crate::error::IoError;
 use crate::files::open_regular;

@@ -21,81 +21,13 @@
 //!    from each other (few or nearly parallel normals), four are fitted instead.
 //! 4. Covariance `σ² (Σ w h hᵀ / s²)⁻¹` with the final weights.
 
+use super::least_squares::{Noise, SVector, Sample, predict, solve};
+use super::options::FitOptions;
 use super::starts::partial_starts;
-use nalgebra::{DMatrix, DVector, SMatrix, Vector3};
+use nalgebra::{DMatrix, SMatrix, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{Lighting, OptionError, SphericalHarmonics, in_range};
+use rilievo_scene::{Lighting, OptionError, SphericalHarmonics};
 use serde::{Deserialize, Serialize};
-
-/// Options of [`fit_robust`].
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct FitOptions {
-    /// Order of the harmonics: 2 for nine coefficients, 1 for four.
-    pub order: u8,
-    /// Residuals beyond this many `σ` are damped in the convex phase. Too small biases the fit by
-    /// throwing away good samples, too large lets shadows through.
-    pub huber_sigmas: f64,
-    /// Scale of the redescending phases in `σ`; influence falls beyond it, and ends at 1.5 times it.
-    pub redescending_sigmas: f64,
-    /// Brightness, as a share of the mean, below which noise no longer falls with it. Too small
-    /// lets the darkest samples decide, too large lets faint shadows on dark parts through.
-    pub noise_floor: f64,
-    /// Iterations of each phase.
-    pub max_num_iterations: usize,
-    /// The share of samples, at least, that is taken as good when starts are sought.
-    pub start_quantile: f64,
-    /// Share of the samples that each partial start leaves out; 0 starts from all samples only.
-    pub start_left_out: f64,
-    /// Condition number above which nine coefficients give way to four. The visible half of a
-    /// sphere has about 25, half of that half 150; beyond 1000 one percent of noise becomes
-    /// hundreds.
-    pub max_condition: f64,
-}
-
-impl Default for FitOptions {
-    fn default() -> Self {
-        Self {
-            order: 2,
-            huber_sigmas: 1.5,
-            redescending_sigmas: 3.0,
-            noise_floor: 0.3,
-            max_num_iterations: 15,
-            start_quantile: 0.6,
-            start_left_out: 0.35,
-            max_condition: 1000.0,
-        }
-    }
-}
-
-impl FitOptions {
-    /// Condition number that is taken for well conditioned whatever the samples: rounding swamps a fit
-    /// before.
-    pub const ANY_CONDITION: f64 = 1e16;
-
-    /// Checks every number.
-    ///
-    /// # Errors
-    /// Names the first one that is out of its range.
-    pub fn validate(&self) -> Result<(), OptionError> {
-        in_range("order", self.order, 1..=2)?;
-        in_range("huber_sigmas", self.huber_sigmas, 0.001..=1000.0)?;
-        in_range(
-            "redescending_sigmas",
-            self.redescending_sigmas,
-            0.001..=1000.0,
-        )?;
-        in_range("noise_floor", self.noise_floor, 1e-6..=1000.0)?;
-        in_range("max_num_iterations", self.max_num_iterations, 0..=1000)?;
-        in_range("start_quantile", self.start_quantile, 0.0..=1.0)?;
-        in_range("start_left_out", self.start_left_out, 0.0..=0.899)?;
-        in_range(
-            "max_condition",
-            self.max_condition,
-            1.0..=Self::ANY_CONDITION,
-        )
-    }
-}
 
 /// Why no lighting could be fitted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -253,13 +185,6 @@ pub fn fit_lighting(
     Ok(LightingFit { channels })
 }
 
-pub(super) struct Sample {
-    pub normal: Vector3<f64>,
-    pub basis: [f64; 9],
-    pub value: f64,
-    pub weight: f64,
-}
-
 fn collect_samples(
     normals: &[Vector3<f64>],
     intensities: &[f64],
@@ -356,21 +281,6 @@ fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option
     })
 }
 
-/// How noise depends on brightness.
-#[derive(Clone, Copy)]
-pub(super) struct Noise {
-    mean: f64,
-    floor: f64,
-}
-
-impl Noise {
-    /// Scale of a residual where the light predicts a brightness, 1 at the mean.
-    #[inline]
-    pub fn scale(self, predicted: f64) -> f64 {
-        (predicted / self.mean).max(self.floor)
-    }
-}
-
 /// Result of the re-weighted iteration from one start.
 struct Iterated<const N: usize> {
     l: SVector<N>,
@@ -441,54 +351,6 @@ fn iterate<const N: usize>(
         scaled,
         normal_matrix,
     })
-}
-
-pub(super) type SVector<const N: usize> = SMatrix<f64, N, 1>;
-
-#[inline]
-pub(super) fn predict<const N: usize>(l: &SVector<N>, sample: &Sample) -> f64 {
-    (0..N).map(|k| l[k] * sample.basis[k]).sum()
-}
-
-/// Normal matrix and solution of the weighted least squares.
-pub(super) fn solve<const N: usize>(
-    samples: &[Sample],
-    weight: impl Fn(usize) -> f64,
-) -> Option<(SMatrix<f64, N, N>, SVector<N>)> {
-    let mut matrix = SMatrix::<f64, N, N>::zeros();
-    let mut right = SVector::<N>::zeros();
-    for (k, sample) in samples.iter().enumerate() {
-        let w = weight(k);
-        if w == 0.0 {
-            continue;
-        }
-        for row in 0..N {
-            let scaled = w * sample.basis[row];
-            right[row] += scaled * sample.value;
-            for column in 0..=row {
-                matrix[(row, column)] += scaled * sample.basis[column];
-            }
-        }
-    }
-    for row in 0..N {
-        for column in row + 1..N {
-            matrix[(row, column)] = matrix[(column, row)];
-        }
-    }
-    // The symmetric eigen-decomposition copes with near-singular problems (few normals), which
-    // the condition number then rejects; a Cholesky factor would fail without telling why.
-    let dense = DMatrix::from_fn(N, N, |r, c| matrix[(r, c)]);
-    let eigen = dense.symmetric_eigen();
-    let largest = eigen.eigenvalues.max();
-    if largest.is_nan() || largest <= 0.0 {
-        return None;
-    }
-    let projected = eigen.eigenvectors.transpose() * DVector::from_column_slice(right.as_slice());
-    let scaled = projected.zip_map(&eigen.eigenvalues, |p, e| {
-        if e > 1e-14 * largest { p / e } else { 0.0 }
-    });
-    let solution = eigen.eigenvectors * scaled;
-    Some((matrix, SVector::<N>::from_fn(|k, _| solution[k])))
 }
 
 /// Condition number of the design matrix with columns of unit length.

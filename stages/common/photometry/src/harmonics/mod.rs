@@ -11,8 +11,11 @@
 mod fit;
 #[cfg(test)]
 mod fit_tests;
+mod least_squares;
+mod options;
 mod rotation;
 mod starts;
 
-pub use fit::{FitError, FitOptions, HarmonicsFit, LightingFit, fit_lighting, fit_robust};
+pub use fit::{FitError, HarmonicsFit, LightingFit, fit_lighting, fit_robust};
+pub use options::FitOptions;
 pub use rotation::{dominant_direction, rotate, rotate_harmonics};

@@ -4,7 +4,8 @@
 //! one direction are improved by least trimmed squares,
 //! `min over l of the sum of the h smallest (r_i / s_i)²`, and the best few are handed on.
 
-use super::fit::{FitOptions, Noise, SVector, Sample, predict, solve};
+use super::least_squares::{Noise, SVector, Sample, predict, solve};
+use super::options::FitOptions;
 use nalgebra::Vector3;
 
 /// Vertices of an icosahedron.

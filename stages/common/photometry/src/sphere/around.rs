@@ -7,7 +7,7 @@
 use super::cone::SphereInCamera;
 use super::error::SphereError;
 use super::locate::SphereFit;
-use super::request::PosedImage;
+use super::posed_image::PosedImage;
 use nalgebra::Point2;
 use rilievo_scene::{Intrinsics, LinearImage, Mask, PhotoSet, PosedView};
 use std::sync::Arc;

@@ -4,11 +4,11 @@
 //! sphere alone shows tells them: an edge along the predicted outline, and brightness inside it that
 //! nine harmonics of its normals explain.
 
-use super::detect::{Photo, shading};
 use super::mark::distance_px;
 use super::options::SphereOptions;
+use super::posed_image::PosedImage;
 use super::refine::{Effort, refine_outline};
-use super::request::PosedImage;
+use super::shading::shading;
 use rilievo_scene::{LocatedSphere, PhotoIdx};
 use serde::{Deserialize, Serialize};
 
@@ -54,16 +54,10 @@ pub(super) fn confirm(
             let ray = view.intrinsics.ray(point).normalize();
             distance_px(&cone, &ray, &view.intrinsics).abs() <= options.inlier_px
         });
-        let photo = Photo {
-            image: &view.image,
-            intrinsics: &view.intrinsics,
-            object: view.object.as_deref(),
-            clip_level: view.clip_level,
-        };
         Some(MarkEvidence {
             photo: view.photo,
             edge_share: on_outline.count() as f64 / found.num_searched.max(1) as f64,
-            shading_residual: shading(&photo, &cone).map(|found| found.residual),
+            shading_residual: shading(&view.as_photo(), &cone).map(|found| found.residual),
         })
     });
     evidence.collect()

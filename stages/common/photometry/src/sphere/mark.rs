@@ -13,7 +13,7 @@
 //!    `σ` the error of a point, its radius has the standard deviation `σ √((JᵀJ)⁻¹)₃₃`; it must be
 //!    small.
 
-use super::cone::OutlineCone;
+use super::cone::{EllipsePx, OutlineCone};
 use super::error::SphereError;
 use super::options::SphereOptions;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
@@ -42,7 +42,7 @@ pub fn outline_of_mark(mark: &SphereMark) -> Vec<Point2<f64>> {
             semi_axes_px,
             angle_rad,
         } => {
-            let ellipse = super::EllipsePx {
+            let ellipse = EllipsePx {
                 center: *center_px,
                 semi_axes: *semi_axes_px,
                 angle_rad: *angle_rad,

@@ -19,7 +19,7 @@
 //! Intensities are linear, so that a pixel half covered by the sphere has the mean of both sides
 //! and the step's middle is the outline.
 
-use super::cone::SphereInCamera;
+use super::cone::{OutlineCone, SphereInCamera};
 use crate::harmonics::{FitOptions, fit_robust};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use rilievo_scene::{Intrinsics, LinearImage, Mask, SphericalHarmonics};
@@ -91,7 +91,7 @@ pub fn refine_outline(
     let mut profile = Profile::new(inner_px, search_px, image.channels);
     let appearance = appearance(image, intrinsics, sphere, exclude, effort);
     let tangent = (sphere.center.coords.norm_squared() - sphere.radius * sphere.radius).sqrt();
-    let wider = super::OutlineCone {
+    let wider = OutlineCone {
         half_angle: cone.half_angle * (1.0 + 1.0 / radius_px),
         ..cone
     };

@@ -11,66 +11,16 @@
 use super::around::load_around;
 use super::cone::SphereInCamera;
 use super::confirm::confirm;
+use super::detect::detect;
 use super::error::SphereError;
-use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
+use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
 use super::mark::outline_of_mark;
 use super::options::SphereOptions;
-use super::refine::{Effort, refine_outline};
+use super::posed_image::load_posed_images;
+use super::refit::refine_in_views;
 use super::several::{CommonScale, common_scale, without_doubles};
 use rayon::prelude::*;
-use rilievo_scene::{
-    Intrinsics, LinearImage, LocatedSphere, MarkedSphere, Mask, PhotoIdx, PhotoSet, PosedView,
-    RigidTransform, SphereRequest,
-};
-use std::sync::Arc;
-
-/// A posed photo with its pixels.
-#[derive(Clone, Debug)]
-pub struct PosedImage {
-    /// The photo.
-    pub photo: PhotoIdx,
-    /// Linear pixels.
-    pub image: Arc<LinearImage>,
-    /// Camera.
-    pub intrinsics: Intrinsics,
-    /// Pose, in the world's unit.
-    pub cam_from_world: RigidTransform,
-    /// Object mask: no outline is looked for on it.
-    pub object: Option<Arc<Mask>>,
-    /// Linear value from which a channel counts as clipped.
-    pub clip_level: f32,
-}
-
-impl PosedImage {
-    /// The sphere in this camera's frame.
-    pub fn sphere(&self, located: &LocatedSphere) -> SphereInCamera {
-        SphereInCamera::seen(located, &self.cam_from_world)
-    }
-}
-
-/// The whole photos of posed views.
-///
-/// # Errors
-/// [`SphereError::Pixels`].
-pub fn load_posed_images(
-    photos: &PhotoSet,
-    views: &[PosedView],
-) -> Result<Vec<PosedImage>, SphereError> {
-    views
-        .iter()
-        .map(|view| {
-            let photo = &photos.photos[view.photo.0];
-            Ok(PosedImage {
-                photo: view.photo,
-                image: photo.linear()?,
-                intrinsics: view.intrinsics,
-                cam_from_world: view.cam_from_world,
-                object: photo.mask.clone(),
-                clip_level: photo.clip_level,
-            })
-        })
-        .collect()
-}
+use rilievo_scene::{LocatedSphere, MarkedSphere, PhotoIdx, PhotoSet, PosedView, SphereRequest};
 
 /// The spheres of a request.
 #[derive(Clone, Debug, Default)]
@@ -132,7 +82,7 @@ pub fn locate_request(
     }
     if let Some(radius) = request.search_radius {
         let images = load_posed_images(photos, views)?;
-        let found = super::detect(&images, radius, scale, options)?;
+        let found = detect(&images, radius, scale, options)?;
         located.fits.extend(found.fits);
         located.other_sizes = found.other_sizes;
     }
@@ -201,75 +151,4 @@ fn stated(center_in_world: [f64; 3], radius: f64) -> SphereFit {
         unused_marks: Vec::new(),
         evidence: Vec::new(),
     }
-}
-
-/// Repeats the fit on the edges found near the outline that it predicts, in all photos. Keeps the
-/// given fit where the edges do not support a better one.
-pub fn refine_in_views(
-    images: &[PosedImage],
-    fit: SphereFit,
-    radius: f64,
-    scale: WorldScale,
-    options: &SphereOptions,
-) -> SphereFit {
-    let mut best = fit;
-    for narrowing in [1.0, 0.7, 0.5] {
-        let search_px = (options.search_px * narrowing).max(1.5);
-        let outlines = edges_in_views(images, &best.sphere, search_px, options);
-        match locate(&outlines, radius, scale, options) {
-            // Marks that no edge follows stay in the list of views, unused.
-            Ok(next) => best = with_missing(next, &best),
-            Err(_) => break,
-        }
-    }
-    best
-}
-
-/// Outlines that the images show near a predicted sphere, where enough of an outline is seen.
-fn edges_in_views(
-    images: &[PosedImage],
-    sphere: &LocatedSphere,
-    search_px: f64,
-    options: &SphereOptions,
-) -> Vec<PosedOutline> {
-    images
-        .iter()
-        .filter_map(|view| {
-            let found = refine_outline(
-                &view.image,
-                &view.intrinsics,
-                &view.sphere(sphere),
-                search_px,
-                view.object.as_deref(),
-                Effort::Thorough,
-            );
-            // A quarter of the outline still fixes the ellipse's centre across that arc.
-            let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;
-            enough.then_some(PosedOutline {
-                photo: view.photo,
-                intrinsics: view.intrinsics,
-                cam_from_world: view.cam_from_world,
-                outline: found.points,
-            })
-        })
-        .collect()
-}
-
-fn with_missing(mut next: SphereFit, before: &SphereFit) -> SphereFit {
-    let missing: Vec<ViewAgreement> =
-        before
-            .views
-            .iter()
-            .filter(|old| next.views.iter().all(|new| new.photo != old.photo))
-            .map(|old| ViewAgreement {
-                used: false,
-                reason: Some(old.reason.clone().unwrap_or_else(|| {
-                    "no edge follows the marked outline in this photo".to_owned()
-                })),
-                ..old.clone()
-            })
-            .collect();
-    next.views.extend(missing);
-    next.views.sort_by_key(|view| view.photo);
-    next
 }

@@ -21,9 +21,5 @@ mod volume;
 
 pub use environment::{EnvironmentFit, EnvironmentSample, fit_environment};
 pub use surroundings::{Ground, Surroundings, WarmSphere};
-pub use transfer::{Transfer, directions, transfer};
+pub use transfer::{HORIZON, Transfer, directions, transfer};
 pub use volume::{DepthView, Volume};
-
-/// Half-width of the smooth horizon: the sine of about 17°. Wider blurs the terminator, narrower
-/// leaves the polynomial wrong for normals that move.
-pub const HORIZON: f64 = 0.3;

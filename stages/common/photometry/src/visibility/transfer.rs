@@ -1,10 +1,13 @@
 //! What arrives at a point: a set of environment directions that it sees, and a polynomial of its
 //! normal for what it meets instead.
 
-use super::HORIZON;
 use super::surroundings::Surroundings;
 use nalgebra::Vector3;
 use rilievo_scene::SphericalHarmonics;
+
+/// Half-width of the smooth horizon: the sine of about 17°. Wider blurs the terminator, narrower
+/// leaves the polynomial wrong for normals that move.
+pub const HORIZON: f64 = 0.3;
 
 /// Smallest sine of a ray's elevation over the surface: rays below are lifted to it.
 const LIFT: f32 = 0.05;

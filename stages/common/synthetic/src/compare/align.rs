@@ -12,7 +12,6 @@
 //! the second singular value is small, `R` is instead the chordal mean of the cameras' own
 //! `R_tᵀ R_e`, and `s` follows from it.
 
-use super::evaluation::Alignment;
 use crate::error::SyntheticError;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 use rilievo_scene::RigidTransform;
@@ -27,6 +26,18 @@ pub enum AlignmentRequest {
     #[default]
     Auto,
     /// Not at all.
+    None,
+    /// Rotation and translation.
+    Se3,
+    /// Rotation, translation and one scale.
+    Sim3,
+}
+
+/// Which motion brought the estimate onto the truth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Alignment {
+    /// None: both live in one frame.
     None,
     /// Rotation and translation.
     Se3,

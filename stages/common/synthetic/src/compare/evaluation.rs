@@ -1,6 +1,6 @@
 //! The numbers of `rilievo evaluate`, shaped as its JSON.
 
-use super::align::{AlignmentRequest, NamedPose, PoseComparison, align, compare_poses};
+use super::align::{Alignment, AlignmentRequest, NamedPose, PoseComparison, align, compare_poses};
 use super::appearance::AppearanceComparison;
 use super::cloud::{CloudComparison, TrueSurface, compare_cloud};
 use super::maps::{MapComparison, PixelErrors, aggregate};
@@ -9,18 +9,6 @@ use rilievo_numerics::robust::median;
 use rilievo_scene::CloudPoint;
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-/// Which motion brought the estimate onto the truth.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Alignment {
-    /// None: both live in one frame.
-    None,
-    /// Rotation and translation.
-    Se3,
-    /// Rotation, translation and one scale.
-    Sim3,
-}
 
 /// Everything that can be said of a result against its truth.
 ///

@@ -12,9 +12,11 @@ mod maps;
 mod nearest;
 mod truth;
 
-pub use align::{AlignmentRequest, NamedPose, PoseComparison, Similarity, align, compare_poses};
+pub use align::{
+    Alignment, AlignmentRequest, NamedPose, PoseComparison, Similarity, align, compare_poses,
+};
 pub use appearance::{AppearanceComparison, ImageErrors, LightComparison, compare_light};
 pub use cloud::{CloudComparison, MeshDistance, ThresholdShares, TrueSurface, compare_cloud};
-pub use evaluation::{Alignment, Evaluation, evaluate};
+pub use evaluation::{Evaluation, evaluate};
 pub use maps::{MapComparison, NormalSource, PixelErrors, aggregate, compare_maps, plane_normals};
 pub use truth::{TruthMaps, TruthView};

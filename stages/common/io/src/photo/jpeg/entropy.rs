@@ -12,7 +12,7 @@
 //! - one byte comes over and over where coefficients are coded: a lost sector reads so, a coded
 //!   surface does not.
 
-use super::Defect;
+use super::defect::Defect;
 use super::huffman::{Bits, HuffmanTable};
 
 /// Largest `|DC| · q` of samples of 8 bits, `8 · 128`, and half as much again: encoders round and

@@ -21,14 +21,15 @@ use super::cone::{OutlineCone, SphereInCamera};
 use super::error::SphereError;
 use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
 use super::options::SphereOptions;
+use super::posed_image::{Photo, PosedImage};
 use super::refine::{Effort, refine_outline};
-use super::request::{PosedImage, refine_in_views};
+use super::refit::refine_in_views;
 use super::several::overlap;
+use super::shading::shading;
 use nalgebra::{Matrix3, Point3};
 use rayon::prelude::*;
 use rilievo_scene::{Intrinsics, LinearImage, LocatedSphere};
 use verify::Candidate;
-pub(super) use verify::{Photo, shading};
 
 /// Circles that are looked at more closely per photo.
 const MAX_CIRCLES: usize = 40;
@@ -145,7 +146,7 @@ pub fn detect(
     options.validate()?;
     let mut found: Vec<Vec<Candidate>> = images
         .par_iter()
-        .map(|view| candidates(&as_photo(view), options))
+        .map(|view| candidates(&view.as_photo(), options))
         .collect();
     let num_with = found.iter().filter(|list| !list.is_empty()).count();
     let mut known: Vec<SphereFit> = Vec::new();
@@ -222,15 +223,6 @@ fn confirmed(
     let first = locate(&outlines, radius, scale, options)?;
     let fit = refine_in_views(images, first, radius, scale, options);
     confirm(images, fit, options)
-}
-
-fn as_photo(view: &PosedImage) -> Photo<'_> {
-    Photo {
-        image: &view.image,
-        intrinsics: &view.intrinsics,
-        object: view.object.as_deref(),
-        clip_level: view.clip_level,
-    }
 }
 
 /// A proposal in the world, with the `(view, candidate)` pairs that agree with it.
@@ -387,7 +379,7 @@ fn confirm(
             .iter()
             .any(|(photo, _)| *photo == view.photo)
         {
-            let found = shading(&as_photo(view), &cone);
+            let found = shading(&view.as_photo(), &cone);
             residuals.extend(found.map(|s| s.residual));
             explained.extend(found.map(|s| s.explained));
             let outline = refine_outline(

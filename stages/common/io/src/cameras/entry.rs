@@ -1,0 +1,58 @@
+//! What camera files of every kind hold.
+
+use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit};
+
+/// One camera of a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CameraEntry {
+    /// The photo's file name; absent in a `camera.json` of one view.
+    pub image: Option<String>,
+    /// Intrinsics.
+    pub intrinsics: Intrinsics,
+    /// Pose, where the file has one.
+    pub cam_from_world: Option<RigidTransform>,
+}
+
+/// A camera file of any kind.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CameraFile {
+    /// Unit of the world frame.
+    pub unit: Unit,
+    /// The cameras, in the file's order.
+    pub cameras: Vec<CameraEntry>,
+    /// Photos without a pose, with the reason: `(file name, reason)`.
+    pub unregistered: Vec<(String, String)>,
+    /// Further keys of `cameras.json` ("sphere", "exposure_gains", ...), as they stand.
+    pub extra: serde_json::Map<String, serde_json::Value>,
+}
+
+impl CameraEntry {
+    /// The photo's file name, or a word for it.
+    pub(crate) fn name(&self) -> &str {
+        self.image.as_deref().unwrap_or("image")
+    }
+}
+
+impl CameraFile {
+    /// What stage 3 writes: every posed view, and the photos that got no pose.
+    pub fn from_posed_views(views: &PosedViews) -> Self {
+        Self {
+            unit: views.scale.unit,
+            cameras: views
+                .views
+                .iter()
+                .map(|view| CameraEntry {
+                    image: Some(view.file_name.clone()),
+                    intrinsics: view.intrinsics,
+                    cam_from_world: Some(view.cam_from_world),
+                })
+                .collect(),
+            unregistered: views
+                .unregistered
+                .iter()
+                .map(|photo| (photo.file_name.clone(), photo.reason.clone()))
+                .collect(),
+            extra: serde_json::Map::new(),
+        }
+    }
+}

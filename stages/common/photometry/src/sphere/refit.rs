@@ -1,0 +1,78 @@
+//! A located sphere once more, from the edges that all posed photos show where it predicts its outline.
+
+use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
+use super::options::SphereOptions;
+use super::posed_image::PosedImage;
+use super::refine::{Effort, refine_outline};
+use rilievo_scene::LocatedSphere;
+
+/// Repeats the fit on the edges found near the outline that it predicts, in all photos. Keeps the
+/// given fit where the edges do not support a better one.
+pub fn refine_in_views(
+    images: &[PosedImage],
+    fit: SphereFit,
+    radius: f64,
+    scale: WorldScale,
+    options: &SphereOptions,
+) -> SphereFit {
+    let mut best = fit;
+    for narrowing in [1.0, 0.7, 0.5] {
+        let search_px = (options.search_px * narrowing).max(1.5);
+        let outlines = edges_in_views(images, &best.sphere, search_px, options);
+        match locate(&outlines, radius, scale, options) {
+            // Marks that no edge follows stay in the list of views, unused.
+            Ok(next) => best = with_missing(next, &best),
+            Err(_) => break,
+        }
+    }
+    best
+}
+
+/// Outlines that the images show near a predicted sphere, where enough of an outline is seen.
+fn edges_in_views(
+    images: &[PosedImage],
+    sphere: &LocatedSphere,
+    search_px: f64,
+    options: &SphereOptions,
+) -> Vec<PosedOutline> {
+    images
+        .iter()
+        .filter_map(|view| {
+            let found = refine_outline(
+                &view.image,
+                &view.intrinsics,
+                &view.sphere(sphere),
+                search_px,
+                view.object.as_deref(),
+                Effort::Thorough,
+            );
+            // A quarter of the outline still fixes the ellipse's centre across that arc.
+            let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;
+            enough.then_some(PosedOutline {
+                photo: view.photo,
+                intrinsics: view.intrinsics,
+                cam_from_world: view.cam_from_world,
+                outline: found.points,
+            })
+        })
+        .collect()
+}
+
+fn with_missing(mut next: SphereFit, before: &SphereFit) -> SphereFit {
+    let missing: Vec<ViewAgreement> =
+        before
+            .views
+            .iter()
+            .filter(|old| next.views.iter().all(|new| new.photo != old.photo))
+            .map(|old| ViewAgreement {
+                used: false,
+                reason: Some(old.reason.clone().unwrap_or_else(|| {
+                    "no edge follows the marked outline in this photo".to_owned()
+                })),
+                ..old.clone()
+            })
+            .collect();
+    next.views.extend(missing);
+    next.views.sort_by_key(|view| view.photo);
+    next
+}
