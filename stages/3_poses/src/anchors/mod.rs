@@ -38,6 +38,7 @@ mod merge;
 mod options;
 mod pair;
 mod patch;
+mod plane;
 mod prepare;
 mod report;
 mod sampling;
