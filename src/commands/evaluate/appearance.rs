@@ -1,6 +1,7 @@
 //! Light, albedo and re-rendered photos of a run against what they should be.
 
-use super::Comparison;
+use super::estimate::Estimate;
+use super::truth::Truth;
 use crate::exit::Failure;
 use rilievo_scene::Raster;
 use rilievo_synthetic::compare::{Evaluation, ImageErrors, compare_light};
@@ -9,10 +10,11 @@ use rilievo_synthetic::compare::{Evaluation, ImageErrors, compare_light};
 ///
 /// # Errors
 /// When an image cannot be read.
-pub(super) fn compare(comparison: &Comparison, evaluation: &mut Evaluation) -> Result<(), Failure> {
-    let Comparison {
-        estimate, truth, ..
-    } = comparison;
+pub(super) fn compare(
+    estimate: &Estimate,
+    truth: &Truth,
+    evaluation: &mut Evaluation,
+) -> Result<(), Failure> {
     let (found, actual) = (estimate.lighting()?, truth.lighting()?);
     let mut lights = Vec::new();
     let (mut albedos, mut images) = (ImageErrors::default(), ImageErrors::default());

@@ -1,6 +1,6 @@
 //! What a run, or a folder of maps, holds to be compared.
 
-use super::read_if_there;
+use super::optional_file::read_if_there;
 use crate::exit::Failure;
 use crate::pipeline::load_poses;
 use crate::store::{Manifest, RunDir};

@@ -1,26 +1,20 @@
 //! `rilievo evaluate RUN --truth DIR`: accuracy against ground truth, the alignment said aloud.
 
 mod appearance;
+mod comparison;
 mod errors;
 mod estimate;
+mod optional_file;
 mod parts;
 mod table;
 mod truth;
 
+pub use comparison::Comparison;
+pub use table::table;
+
 use crate::cli::{Align, EvaluateArgs};
 use crate::exit::Failure;
-use crate::pipeline::from_io;
-use crate::report;
-use crate::store::{StoreError, deviation_file, drop_evaluation};
-use estimate::Estimate;
-use rilievo_io::read_cloud_ply;
-use rilievo_scene::{Mesh, PointCloud, RigidTransform};
-use rilievo_synthetic::compare::{
-    self, AlignmentRequest, Evaluation, PixelErrors, TrueSurface, TruthView, compare_maps,
-};
-use std::path::{Path, PathBuf};
-pub use table::table;
-use truth::Truth;
+use rilievo_synthetic::compare::AlignmentRequest;
 
 /// Runs the command.
 ///
@@ -53,165 +47,4 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
         say!("{}", table(&evaluation).trim_end())?;
     }
     comparison.show(&evaluation)
-}
-
-/// A run beside the truth. The run's maps stay on the disk: they are read view by view.
-pub struct Comparison {
-    run: PathBuf,
-    estimate: Estimate,
-    truth: Truth,
-    request: AlignmentRequest,
-    /// Truth of the views that have any.
-    views: Vec<TruthView>,
-    cloud: Option<PointCloud>,
-    surface: Option<Mesh>,
-}
-
-impl Comparison {
-    /// Reads what both hold.
-    ///
-    /// # Errors
-    /// When run or truth cannot be read.
-    pub fn open(run: &Path, truth: &Path, request: AlignmentRequest) -> anyhow::Result<Self> {
-        let estimate = Estimate::open(run)?;
-        let truth = Truth::open(truth)?;
-        Ok(Self {
-            run: run.to_path_buf(),
-            views: truth.views(&estimate.expected)?,
-            cloud: read_if_there(&estimate.cloud, read_cloud_ply)?,
-            surface: truth.surface()?,
-            estimate,
-            truth,
-            request,
-        })
-    }
-
-    /// The numbers.
-    ///
-    /// # Errors
-    /// When a map cannot be read, or what was asked for cannot be aligned.
-    pub fn measure(&self) -> anyhow::Result<Evaluation> {
-        let posed: Vec<(RigidTransform, &TruthView)> = self
-            .views
-            .iter()
-            .filter_map(|view| Some((self.truth.cameras.find(&view.name)?.cam_from_world?, view)))
-            .collect();
-        let pair = match (&self.cloud, &self.surface) {
-            (Some(cloud), Some(mesh)) => Ok((
-                cloud.points.as_slice(),
-                TrueSurface {
-                    mesh,
-                    views: &posed,
-                    threshold: None,
-                },
-            )),
-            (None, _) => Err(format!("there is no {}", self.estimate.cloud.display())),
-            (_, None) => Err(format!(
-                "there is no {}",
-                self.truth.surface_file().display()
-            )),
-        };
-        // Without any map, a row of nothing for every view would tell nothing.
-        let has_maps = self.views.iter().any(|v| self.estimate.has_map(&v.name));
-        let compared = if has_maps { &self.views[..] } else { &[] };
-        // Reading errors inside the comparison are kept here, since it knows only its own.
-        let mut unreadable = None;
-        let mut evaluation = compare::evaluate(
-            &self.estimate.poses,
-            &self.truth.poses(&self.estimate.expected),
-            self.request,
-            |scale| {
-                let mut errors: Vec<(String, PixelErrors)> = Vec::new();
-                for view in compared {
-                    let maps = self
-                        .estimate
-                        .depth(&view.name)
-                        .and_then(|depth| Ok((depth, self.estimate.normal(&view.name)?)));
-                    let (depth, normal) = match maps {
-                        Ok(maps) => maps,
-                        Err(failure) => {
-                            unreadable.get_or_insert(failure);
-                            (None, None)
-                        }
-                    };
-                    let compared = compare_maps(view, depth.as_ref(), normal.as_ref(), scale)?;
-                    errors.push((view.name.clone(), compared));
-                }
-                Ok(errors)
-            },
-            pair,
-        )
-        .map_err(|error| Failure::NoResult(error.to_string()))?;
-        if let Some(failure) = unreadable {
-            return Err(failure.into());
-        }
-        if !has_maps && !self.views.is_empty() {
-            let reason = "the result has neither depth nor normals of a view that the truth knows";
-            evaluation
-                .reasons
-                .insert("all".to_owned(), reason.to_owned());
-        }
-        appearance::compare(self, &mut evaluation)?;
-        Ok(evaluation)
-    }
-
-    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`.
-    ///
-    /// # Errors
-    /// When maps cannot be read, or the files cannot be written.
-    pub fn show(&self, evaluation: &Evaluation) -> anyhow::Result<()> {
-        drop_evaluation(&self.run)?;
-        let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;
-        let deviations_mm = self.write_deviations(evaluation)?;
-        if report::add_evaluation(&self.run, &table(evaluation), &maps, &deviations_mm)? {
-            tell!(
-                "{} are in {}",
-                if maps.is_empty() {
-                    "these numbers"
-                } else {
-                    "error maps"
-                },
-                self.run.join("report.html").display()
-            );
-        }
-        Ok(())
-    }
-
-    /// Writes the cloud coloured by its signed distance from the truth; those distances in
-    /// millimetres, none where there is no cloud or no true surface, or where these lie apart.
-    fn write_deviations(&self, evaluation: &Evaluation) -> anyhow::Result<Vec<f64>> {
-        let (Some(cloud), Some(surface), Some(compared)) =
-            (&self.cloud, &self.surface, &evaluation.cloud)
-        else {
-            return Ok(Vec::new());
-        };
-        if compared.apart.is_some() {
-            return Ok(Vec::new());
-        }
-        let poses = self.truth.poses(&self.estimate.expected);
-        let similarity = compare::align(&self.estimate.poses, &poses, self.request)
-            .map_err(|error| Failure::NoResult(error.to_string()))?;
-        let max = compared.threshold;
-        let deviations = errors::deviations(cloud, surface, &similarity, max / 3.0);
-        let path = deviation_file(&self.run);
-        let folder = path.parent().unwrap_or(&self.run);
-        std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
-        errors::write_deviations(&path, cloud, &deviations, max, self.truth.cameras.unit)?;
-        tell!(
-            "signed distances of the cloud, blue inside to red outside at {:.2} mm, are in {}",
-            1e3 * max,
-            path.display()
-        );
-        Ok(deviations.iter().map(|deviation| 1e3 * deviation).collect())
-    }
-}
-
-fn read_if_there<T>(
-    path: &Path,
-    read: impl FnOnce(&Path) -> Result<T, rilievo_io::IoError>,
-) -> Result<Option<T>, Failure> {
-    if !path.exists() {
-        return Ok(None);
-    }
-    read(path).map(Some).map_err(from_io)
 }

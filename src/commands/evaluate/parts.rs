@@ -1,6 +1,6 @@
 //! What of a truth has a counterpart in a result: an evaluation without any is none.
 
-use super::Comparison;
+use super::comparison::Comparison;
 use crate::exit::Failure;
 use rilievo_scene::StageId;
 

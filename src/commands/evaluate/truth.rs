@@ -1,6 +1,6 @@
 //! Ground truth in a folder.
 
-use super::read_if_there;
+use super::optional_file::read_if_there;
 use crate::exit::Failure;
 use rilievo_io::{
     CameraFile, LightingFile, read_cameras, read_depth, read_lighting, read_linear, read_mesh_ply,

@@ -6,6 +6,7 @@ use crate::measures::ratio;
 use crate::options::PhotosOptions;
 use crate::prepare::PreparedPhoto;
 use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
+use rilievo_numerics::robust::median;
 use rilievo_scene::{FocalSource, Photo, PhotoSet};
 use std::sync::Arc;
 
@@ -158,7 +159,7 @@ fn check_levels(report: &PhotosReport, options: &PhotosOptions) -> Result<(), Ph
 }
 
 fn middle(values: impl Iterator<Item = f64>) -> f64 {
-    crate::measures::median(&mut values.collect::<Vec<_>>())
+    median(&mut values.collect::<Vec<_>>()).unwrap_or(0.0)
 }
 
 /// What photos of one camera group have in common.

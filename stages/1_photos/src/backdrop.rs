@@ -13,6 +13,7 @@
 
 use crate::error::PhotosError;
 use nalgebra::{Matrix6, Vector6};
+use rilievo_numerics::robust::median;
 use rilievo_scene::{LinearImage, Mask, Raster};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -124,7 +125,7 @@ pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<MaskProposal, Ph
             ));
         }
         let mut level: Vec<f64> = ring.iter().map(|&i| surface.dot(&at(i))).collect();
-        levels.push(crate::measures::median(&mut level));
+        levels.extend(median(&mut level));
         for (index, sum) in squared.iter_mut().enumerate() {
             let deviation = (value(index) - surface.dot(&at(index))) / sigma;
             *sum += (deviation * deviation) as f32;
@@ -189,13 +190,13 @@ fn fit(
 ) -> Option<(Surface, f64, f64)> {
     let mut values: Vec<f64> = ring.iter().map(|&index| value(index)).collect();
     let mut surface = Surface::zeros();
-    surface[0] = crate::measures::median(&mut values);
+    surface[0] = median(&mut values)?;
     let mut sigma = f64::NAN;
     let mut kept = 0;
     for _ in 0..NUM_ROUNDS {
         let residual = |index: usize| value(index) - surface.dot(&at(index));
         let mut deviations: Vec<f64> = ring.iter().map(|&index| residual(index).abs()).collect();
-        sigma = (crate::measures::median(&mut deviations) / 0.674_489_75).max(MIN_SIGMA);
+        sigma = (median(&mut deviations)? / 0.674_489_75).max(MIN_SIGMA);
         let mut normal = Matrix6::zeros();
         let mut right = Vector6::zeros();
         kept = 0;

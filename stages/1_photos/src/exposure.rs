@@ -5,9 +5,10 @@
 //! where every photo tells its exposure and they differ; without EXIF the gains are left to the stages
 //! that compare the photos' contents.
 
-use crate::measures::{median, ratio};
+use crate::measures::ratio;
 use crate::options::PhotosOptions;
 use crate::report::PhotoFacts;
+use rilievo_numerics::robust::median;
 use rilievo_scene::{LinearImage, PixelError, PixelSource};
 use std::sync::Arc;
 
@@ -23,7 +24,7 @@ pub(crate) fn gains(facts: &[PhotoFacts], options: &PhotosOptions) -> Option<Vec
     if ratio(&exposures)?.log2() <= options.exposure_warning_ev {
         return None;
     }
-    let middle = median(&mut exposures.clone());
+    let middle = median(&mut exposures.clone())?;
     Some(exposures.iter().map(|h| middle / h).collect())
 }
 

@@ -8,6 +8,7 @@
 //!
 //! Black level: the darkest thousandth of the frame. Fall-off: [`crate::vignetting`].
 
+use rilievo_numerics::robust::median;
 use rilievo_scene::{LinearImage, Mask, Raster};
 
 /// Pixels that are looked at for medians and noise: enough for a per cent, whatever the photo's size.
@@ -31,15 +32,6 @@ pub(crate) struct Measures {
 
 /// Share of the frame's pixels that are darker than the black level.
 const BLACK_SHARE: f64 = 1e-3;
-
-/// Middle value; 0 of nothing.
-pub(crate) fn median(values: &mut [f64]) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
 
 /// Largest over smallest of positive values.
 pub(crate) fn ratio(values: &[f64]) -> Option<f64> {
@@ -70,7 +62,7 @@ pub(crate) fn measure(image: &LinearImage, mask: Option<&Mask>, clip_level: f32)
         .step_by(step)
         .collect();
     let mut levels: Vec<f64> = chosen.iter().map(|&i| f64::from(grey.data[i])).collect();
-    let median_level = median(&mut levels);
+    let median_level = median(&mut levels).unwrap_or(0.0);
 
     let mut responses: Vec<f64> = chosen
         .iter()
@@ -78,7 +70,7 @@ pub(crate) fn measure(image: &LinearImage, mask: Option<&Mask>, clip_level: f32)
         .collect();
     let mean_square = responses.iter().map(|r| r * r).sum::<f64>() / responses.len().max(1) as f64;
     responses.iter_mut().for_each(|r| *r = r.abs());
-    let noise_sigma = median(&mut responses) / (NORMAL_MEDIAN * 6.0);
+    let noise_sigma = median(&mut responses).unwrap_or(0.0) / (NORMAL_MEDIAN * 6.0);
 
     // Ratios of sums: noise averages out before the division.
     let color_ratios = (image.channels == 3)

@@ -11,6 +11,7 @@
 //! Comparing the corners' own level with the sides' would compare what stands there: a bright mat
 //! below a dark room has corners of a third of the brightness without any lens.
 
+use rilievo_numerics::robust::median;
 use rilievo_scene::{Mask, Raster};
 use std::f64::consts::PI;
 
@@ -67,7 +68,7 @@ pub(crate) fn corner_falloff(grey: &Raster<f32>, mask: Option<&Mask>, clip_level
         return 1.0;
     }
     // The sides' middles lie at ρ² of w² and h² over the diagonal's, one half on average.
-    (0.5 * crate::measures::median(&mut slopes)).exp()
+    median(&mut slopes).map_or(1.0, |slope| (0.5 * slope).exp())
 }
 
 /// Logarithm of a block's mean, if it is all of the background and nowhere clipped.

@@ -5,7 +5,7 @@
 //! texture, or on the far side of a symmetric object, agrees with the points that deceived it and
 //! contradicts most of its other neighbours; its own reprojection errors do not show that.
 
-use crate::incremental::robust_adjustment;
+use crate::adjustment::robust_adjustment;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::relative_pose::depths;
 use crate::scene::Scene;

@@ -5,10 +5,11 @@
 //! what it adds, adjust. Small models are adjusted as a whole after every photo; large ones
 //! locally, and as a whole whenever they have grown by a tenth.
 
-use crate::adjustment::{AdjustedCamera, BundleOptions};
+use crate::adjustment::{AdjustedCamera, robust_adjustment};
 use crate::consistency;
 use crate::error::PosesError;
 use crate::initial_pair::{self, InitialPair};
+use crate::lens::MIN_NUM_VIEWS_FOR_DISTORTION;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
 use crate::projection::CenteredPose;
@@ -17,7 +18,6 @@ use crate::resection::resect;
 use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
 use nalgebra::{Point2, Point3};
-use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{Event, Flow, Observer, RigidTransform, StageId};
 
 /// Up to this many views every adjustment covers all of them.
@@ -28,29 +28,15 @@ const NUM_LOCAL_VIEWS: usize = 6;
 const MAX_NUM_INITIAL_PAIRS: usize = 6;
 /// Views from which a focal length can be told from a motion along the axis.
 const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
-
-/// Views from which lens distortion is told from the shape of the scene.
-pub const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
 /// Least relative drop of the cost for which distortion is adopted: noise alone lowers it by the
 /// number of its coefficients over that of the observations, far less.
 const MIN_COST_DROP_FOR_DISTORTION: f64 = 0.03;
-/// Scale of the Cauchy loss while outliers are about, standard deviations.
-const GROWING_LOSS_SCALE: f64 = 3.0;
 
 /// Limits of a triangulated point under the options.
 pub fn limits(options: &PosesOptions) -> TriangulationLimits {
     TriangulationLimits {
         max_error_px: options.max_reprojection_error_px,
         min_angle_rad: options.min_triangulation_angle_deg.to_radians(),
-    }
-}
-
-/// Robust adjustment while outliers are still about.
-pub fn robust_adjustment() -> BundleOptions {
-    BundleOptions {
-        loss: RobustLoss::Cauchy(GROWING_LOSS_SCALE),
-        max_num_iterations: 30,
-        relative_cost_change: 1e-4,
     }
 }
 

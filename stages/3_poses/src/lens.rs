@@ -13,19 +13,19 @@
 
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
-use crate::incremental::MIN_NUM_VIEWS_FOR_DISTORTION;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::projection::K1;
 use crate::report::{AdjustmentReport, LensReport};
 use crate::scene::Scene;
 
+/// Views from which lens distortion is told from the shape of the scene.
+pub const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
 /// Least relative drop of the cost: below it, distortion is less than what patches and noise do.
 const MIN_COST_DROP: f64 = 0.03;
 /// Least drop of the squared residuals over their variance. One parameter lowers it by 1 on average
 /// when observations are independent; neighbouring ones are not, so ask for five deviations.
 const MIN_CHI_SQUARE_DROP: f64 = 25.0;
-/// Index of `k₁` among the intrinsics.
-pub const K1: usize = 3;
 
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
 /// leave some; what was found, and the adjustments.

@@ -2,7 +2,7 @@
 
 use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Observation};
 use crate::error::PosesError;
-use crate::projection::CenteredPose;
+use crate::projection::{CenteredPose, K1};
 use crate::report::AdjustmentReport;
 use crate::scene::{DISTORTION_SIGMA, Scene};
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
@@ -296,9 +296,9 @@ impl Model {
                         std::array::from_fn(|k| fixed.prior_sigma[k].filter(|_| k == 0))
                     }
                     IntrinsicsScope::All => fixed.prior_sigma,
-                    IntrinsicsScope::Nuisance => std::array::from_fn(|k| {
-                        (k == crate::lens::K1).then_some(DISTORTION_SIGMA[0])
-                    }),
+                    IntrinsicsScope::Nuisance => {
+                        std::array::from_fn(|k| (k == K1).then_some(DISTORTION_SIGMA[0]))
+                    }
                 },
                 ..camera.clone()
             })

@@ -1,6 +1,6 @@
 //! Options of stage 3.
 
-use crate::anchors::AnchorOptions;
+use crate::anchors::options::AnchorOptions;
 use crate::known_distance::KnownDistance;
 use rilievo_photometry::sphere::SphereOptions;
 use rilievo_scene::{InTable, OptionError, in_range};

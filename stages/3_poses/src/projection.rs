@@ -10,6 +10,8 @@ use rilievo_scene::{Intrinsics, RigidTransform};
 
 /// Number of intrinsic parameters that may be refined.
 pub const NUM_INTRINSICS: usize = 8;
+/// Index of `k₁` among the intrinsics.
+pub const K1: usize = 3;
 
 /// Derivatives of a pixel.
 pub struct ProjectionJacobian {

@@ -1,6 +1,6 @@
 //! Facts about a run of stage 3.
 
-use crate::anchors::AnchorReport;
+use crate::anchors::report::AnchorReport;
 use crate::vertical::Vertical;
 use rilievo_numerics::least_squares::SolveReport;
 use rilievo_scene::Scale;

@@ -19,8 +19,8 @@
 use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
+use crate::residual::residual_of;
 use crate::side::{Patch, Side};
-use crate::sphere_light::residual_of;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;

@@ -5,13 +5,13 @@
 //! only the outline, whatever its radius. Spheres beside the object, where there are any, still
 //! give the gains of the photos.
 
+use crate::environment::{describe, gains_of, ones, report_gains, views_from_environment};
 use crate::error::LightingError;
 use crate::light_samples;
 use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::side::Side;
-use crate::sphere_light::{describe, gains_of, ones, report_gains, views_from_environment};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::samples::{Shot, SphereSamples};
 use rilievo_photometry::sphere::{cone_from_mark, detect_in_photo};

@@ -16,8 +16,9 @@
 //! # Steps
 //! 1. `samples`, `side`: usable pixels of the spheres: inside the frame, off the object, off the
 //!    outline, not clipped.
-//! 2. `sphere_light`: robust fits, exposure gains of the photos (`gains`), the check of the stated
-//!    kind of light (`kind`), and of several spheres those that see one light (`agreement`).
+//! 2. `sphere_light`: robust fits (`environment`), exposure gains of the photos (`gains`), the check
+//!    of the stated kind of light (`kind`), and of several spheres those that see one light
+//!    (`agreement`).
 //! 3. `object_light`: the sphere's light against the object at the depth anchors, and its
 //!    correction.
 //! 4. `shape`, `own_shape`: fits without a sphere.
@@ -31,6 +32,7 @@ mod agreement;
 mod anchor_normals;
 mod calibration;
 mod cells;
+mod environment;
 mod error;
 mod gains;
 mod kind;
@@ -43,6 +45,7 @@ mod place;
 mod pool;
 mod report;
 mod request;
+mod residual;
 mod shape;
 mod side;
 mod sphere_light;

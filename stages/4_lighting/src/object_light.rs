@@ -15,11 +15,11 @@
 //!    sphere's; else only the common factor is applied. Both are reported.
 
 use crate::anchor_normals::AnchorSamples;
+use crate::environment::scaled;
 use crate::error::LightingError;
 use crate::options::{LightingOptions, ObjectLight};
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
-use crate::sphere_light::scaled;
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_scene::{

@@ -5,9 +5,9 @@
 //! clipped, blue: far from the light, grey: outline's margin, grazing or hidden). Several spheres
 //! stand below each other. The program writes them as pictures; this stage touches no file.
 
+use crate::environment::scaled;
 use crate::error::LightingError;
 use crate::options::LightingOptions;
-use crate::sphere_light::scaled;
 use rilievo_photometry::samples::Shot;
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{Lighting, LightingCalibration, LinearImage, PhotoSet, PosedViews};

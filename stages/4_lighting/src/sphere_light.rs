@@ -6,25 +6,28 @@
 //!    [`crate::kind`]).
 //! 3. Of several spheres, those that see one light ([`crate::agreement`]).
 //! 4. World: one robust fit over all views and spheres, normals turned into the world and
-//!    intensities divided by the gains; rotated into each camera and multiplied by its gain. Camera:
-//!    one fit per view; a view without a usable sphere takes the lighting of the nearest one, and
-//!    says so.
+//!    intensities divided by the gains; rotated into each camera and multiplied by its gain
+//!    ([`crate::environment`]). Camera: one fit per view; a view without a usable sphere takes the
+//!    lighting of the nearest one, and says so.
 //! 5. A calibration photo ([`crate::calibration`]) replaces step 4's fit; the spheres beside the
 //!    object still give the gains.
 
 use crate::calibration::from_calibration;
+use crate::environment::{
+    describe, gains_of, ones, pool_in_world, report_gains, views_from_environment,
+};
 use crate::error::LightingError;
-use crate::gains::{self, Gains};
-use crate::options::{GainMode, LightingOptions};
+use crate::options::LightingOptions;
 use crate::pool::Pool;
-use crate::report::{ChannelReport, LightingReport};
-use crate::side::{Counted, Side, collect};
+use crate::report::LightingReport;
+use crate::residual::residual_in;
+use crate::side::{Side, collect};
 use crate::{agreement, kind, light_samples, place};
 use nalgebra::UnitQuaternion;
-use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
+use rilievo_photometry::harmonics::LightingFit;
 use rilievo_scene::{
-    LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet, PosedViews,
-    SphereRequest, ViewIdx, ViewLighting,
+    LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, SphereRequest,
+    ViewIdx, ViewLighting,
 };
 
 pub(crate) fn run(
@@ -91,160 +94,6 @@ fn warn_of_kind(report: &mut LightingReport) {
         100.0 * check.scatter_camera,
         word(fits)
     ));
-}
-
-pub(crate) fn ones(num_channels: usize) -> Vec<f64> {
-    vec![1.0; num_channels]
-}
-
-/// Relative residual of `(value, prediction)` pairs, over those within three deviations.
-pub(crate) fn residual_of(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
-    let (sizes, errors): (Vec<f64>, Vec<f64>) = pairs
-        .map(|(value, predicted)| (value, (predicted - value).abs()))
-        .unzip();
-    let mut sorted = errors.clone();
-    let limit = 3.0
-        * rilievo_numerics::robust::SIGMA_FROM_MAD
-        * rilievo_numerics::robust::median(&mut sorted)?;
-    let (mut error, mut size) = (0.0, 0.0);
-    for (e, s) in errors.iter().zip(&sizes) {
-        if *e <= limit {
-            error += e * e;
-            size += s * s;
-        }
-    }
-    (size > 0.0).then(|| (error / size).sqrt())
-}
-
-/// Relative residual of a view's lighting on the spheres that it shows.
-fn residual_in(view: &[Counted<'_>], lighting: &Lighting) -> Option<f64> {
-    residual_of(view.iter().flat_map(|(patch, paint)| {
-        let samples = &patch.samples;
-        (0..samples.normals.len()).flat_map(move |k| {
-            let channels = lighting.channels.iter().enumerate();
-            let usable = channels.filter(move |(channel, _)| samples.usable[k][*channel]);
-            usable.map(move |(channel, light)| {
-                let predicted = light.evaluate(&samples.normals[k]) * paint[channel];
-                (samples.values[k][channel], predicted)
-            })
-        })
-    }))
-}
-
-/// Samples of all patches that count, in the world, brightness divided by gain and paint.
-fn pool_in_world(side: &Side, gains: &[Vec<f64>], options: &LightingOptions) -> Pool {
-    let mut pool = Pool::default();
-    let share = options.max_num_samples / side.counted().count().max(1);
-    for (patch, paint) in side.counted() {
-        let gain = &gains[patch.view];
-        let scale: Vec<f64> = gain.iter().zip(paint).map(|(g, p)| g * p).collect();
-        let rotation = &side.world_from_cam[patch.view];
-        pool.add(&patch.samples, rotation, &scale, share);
-    }
-    pool
-}
-
-/// Gains of the views in `side`, found in two rounds: the first fit tells the slope of the light
-/// within a cell of normals, the second comparison removes it.
-pub(crate) fn gains_of(side: &Side, options: &LightingOptions) -> Result<Gains, LightingError> {
-    let mut gains = gains::find(side, None, options.gains);
-    if options.gains == GainMode::Off || side.views.len() < 2 {
-        gains.apply = false;
-        return Ok(gains);
-    }
-    for _ in 0..2 {
-        let pool = pool_in_world(side, &gains.gain, options);
-        let environment = pool.fit("the sphere", options)?;
-        gains = gains::find(side, Some(&environment), options.gains);
-    }
-    Ok(gains)
-}
-
-/// Writes gains into the report; returns the gain to apply per posed view.
-pub(crate) fn report_gains(
-    posed: &PosedViews,
-    side: &Side,
-    gains: &Gains,
-    num_channels: usize,
-    report: &mut LightingReport,
-) -> Vec<Vec<f64>> {
-    let mut applied = vec![ones(num_channels); posed.views.len()];
-    for (k, &view) in side.views.iter().enumerate() {
-        report.views[view].gain.clone_from(&gains.gain[k]);
-        report.views[view].gain_sigma = gains.sigma[k];
-        if gains.apply {
-            applied[view].clone_from(&gains.gain[k]);
-        }
-    }
-    report.gains_applied = gains.apply;
-    if gains.apply {
-        let untold: Vec<&str> = (0..posed.views.len())
-            .filter(|v| report.views[*v].gain_sigma.is_none())
-            .map(|v| posed.views[v].name.as_str())
-            .collect();
-        if !untold.is_empty() {
-            report.warnings.push(format!(
-                "the photos' exposures differ, but the sphere does not tell the gain of {}: taken \
-                 as 1; fix exposure and white balance, or keep the sphere in every photo",
-                untold.join(", ")
-            ));
-        }
-    }
-    applied
-}
-
-/// A lighting times a factor per channel.
-pub(crate) fn scaled(mut lighting: Lighting, gain: &[f64]) -> Lighting {
-    for (channel, g) in lighting.channels.iter_mut().zip(gain) {
-        for l in &mut channel.0 {
-            *l *= g;
-        }
-    }
-    lighting
-}
-
-/// Lighting of every view from one environment in the world.
-pub(crate) fn views_from_environment(
-    posed: &PosedViews,
-    environment: &Lighting,
-    gains: &[Vec<f64>],
-    side: &Side,
-    report: &mut LightingReport,
-) -> Vec<ViewLighting> {
-    posed
-        .views
-        .iter()
-        .enumerate()
-        .map(|(idx, view)| {
-            let in_camera = rotate(environment, &view.cam_from_world.rotation);
-            let lighting = scaled(in_camera, &gains[idx]);
-            let residual = residual_in(&side.counted_in(idx), &lighting);
-            if report.source == LightSource::CalibrationPhoto {
-                report.views[idx].side_sphere_rms = residual;
-            } else {
-                report.views[idx].relative_rms = residual;
-            }
-            let residual = report.views[idx].relative_rms;
-            ViewLighting {
-                view: ViewIdx(idx),
-                lighting,
-                residual,
-                gain: gains[idx].clone(),
-            }
-        })
-        .collect()
-}
-
-pub(crate) fn describe(fit: &LightingFit, report: &mut LightingReport) {
-    report.channels = fit.channels.iter().map(ChannelReport::from).collect();
-    report.dominant_direction = dominant_direction(&fit.lighting()).map(Into::into);
-    if fit.channels.iter().any(|channel| channel.order == 1) {
-        report.warnings.push(
-            "the sphere's pixels do not determine nine harmonics, four were fitted: show more of \
-             it, or more views of it"
-                .to_owned(),
-        );
-    }
 }
 
 fn from_side_world(

@@ -7,7 +7,7 @@
 
 use crate::error::FusionError;
 use crate::options::{ColorMode, FusionOptions};
-use crate::views::View;
+use crate::view::View;
 use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_scene::{

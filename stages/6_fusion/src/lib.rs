@@ -3,7 +3,7 @@
 //! In: posed views, their depth and normal maps, the photos (for colour). Out: a [`FusedCloud`] and
 //! a [`FusionReport`].
 //!
-//! 1. `views`, `memory`: maps are loaded one by one, checked, cut to the object and halved where the
+//! 1. `view`, `views`, `memory`: maps are loaded one by one, checked, cut to the object and halved where the
 //!    memory does not suffice; borders, depth edges and grazing surface are left out.
 //! 2. `pairs`, `reconcile`: how far the views lie apart, and a joint robust adjustment of the
 //!    smooth part of it.
@@ -26,6 +26,7 @@ mod report;
 mod rim;
 mod surface;
 mod tsdf;
+mod view;
 mod views;
 
 pub use error::FusionError;

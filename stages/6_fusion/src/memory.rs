@@ -6,7 +6,7 @@
 //! the ray through their middle: `x = 2 x' + ½` in the finer map, hence `c' = (c − ½) / 2`, `f' = f / 2`.
 
 use crate::options::FusionOptions;
-use crate::views::View;
+use crate::view::View;
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use rilievo_scene::{ConfidenceMap, DepthMap, Intrinsics, Mask, NormalMap, Raster};

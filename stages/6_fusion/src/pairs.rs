@@ -6,7 +6,7 @@
 
 use crate::options::FusionOptions;
 use crate::report::Layering;
-use crate::views::View;
+use crate::view::View;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median, quantile};

@@ -16,7 +16,7 @@ use crate::error::FusionError;
 use crate::options::FusionOptions;
 use crate::pairs::{Candidate, Sight, look, tolerance_px};
 use crate::report::{Layering, ViewFusion};
-use crate::views::{Surface, View};
+use crate::view::{Surface, View};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{CloudPoint, Event, Flow, Observer, StageId};

@@ -16,7 +16,7 @@ use crate::error::FusionError;
 use crate::options::FusionOptions;
 use crate::pairs::{Pair, find_pairs, layering};
 use crate::report::Layering;
-use crate::views::View;
+use crate::view::View;
 use rilievo_numerics::robust::{RobustLoss, SIGMA_FROM_MAD, median};
 use rilievo_scene::{Event, Flow, Observer, StageId};
 

@@ -15,7 +15,7 @@
 use crate::error::FusionError;
 use crate::memory::max_num_blocks;
 use crate::options::FusionOptions;
-use crate::views::View;
+use crate::view::View;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;

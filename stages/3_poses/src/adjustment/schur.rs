@@ -10,7 +10,7 @@
 //! `1 + λ`. The reduced matrix is dense: below some hundred views its factorisation costs less
 //! than its assembly.
 
-use super::{Bundle, Covariances, PRIOR_LOSS};
+use super::bundle::{Bundle, PRIOR_LOSS};
 use crate::projection::{NUM_INTRINSICS, project_with_jacobian};
 use faer::linalg::cholesky::llt::{factor, solve};
 use faer::{Mat, Par};
@@ -95,6 +95,14 @@ impl Step {
         let points: f64 = self.points.iter().map(Vector3::norm_squared).sum();
         (reduced + points).sqrt()
     }
+}
+
+/// Covariances in a fixed gauge.
+pub struct Covariances {
+    /// Per view, of `(ω, δ)`; zero for what is fixed.
+    pub poses: Vec<Matrix6<f64>>,
+    /// Per point.
+    pub points: Vec<Matrix3<f64>>,
 }
 
 /// Adds `value` to the row of a column, keeping rows ascending.

@@ -1,7 +1,10 @@
 //! The adjuster against a dense oracle, and on problems with known minimum.
 
+use super::bundle::PRIOR_LOSS;
 use super::*;
-use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
+use crate::projection::CenteredPose;
+use nalgebra::{DMatrix, DVector, Matrix3, Point3, UnitQuaternion, Vector3};
+use rilievo_scene::Intrinsics;
 
 /// Views on an arc, points in a cloud; residuals of up to `noise` pixels.
 fn bundle(noise: f64, refine: bool) -> Bundle {

@@ -8,7 +8,7 @@
 
 use super::grow::Node;
 use super::hull::Grid;
-use super::patch::PatchPlane;
+use super::plane::PatchPlane;
 use super::working::WorkingView;
 use nalgebra::Vector3;
 

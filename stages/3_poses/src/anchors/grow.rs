@@ -10,8 +10,9 @@
 //! then cell, then entry, so that the result does not depend on anything else.
 
 use super::hull::Grid;
-use super::pair::{PairGeometry, ray_angle};
-use super::patch::{Alignment, MAX_SOURCES, PatchOptions, PatchPlane, align};
+use super::pair::{MAX_SOURCES, PairGeometry, ray_angle};
+use super::patch::{Alignment, PatchOptions, align};
+use super::plane::PatchPlane;
 use super::sampling::Workspace;
 use super::working::WorkingView;
 use nalgebra::Point3;

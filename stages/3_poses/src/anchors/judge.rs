@@ -26,7 +26,7 @@
 use super::check::{Support, supports};
 use super::grow::Node;
 use super::hull::Grid;
-use super::patch::MAX_SOURCES;
+use super::pair::MAX_SOURCES;
 use super::working::WorkingView;
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;

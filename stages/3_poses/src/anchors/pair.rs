@@ -9,6 +9,9 @@
 use super::working::WorkingView;
 use nalgebra::{Matrix3, Point3, Vector3};
 
+/// Sources used for one patch at most.
+pub(super) const MAX_SOURCES: usize = 4;
+
 /// What is known of the offset between two log images, the logarithm of a gain in exposure.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OffsetPrior {

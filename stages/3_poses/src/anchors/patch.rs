@@ -17,13 +17,12 @@
 //! [`super::elimination`].
 
 use super::elimination::{Reduced, accumulate};
-use super::pair::PairGeometry;
+use super::pair::{MAX_SOURCES, PairGeometry};
+use super::plane::PatchPlane;
 use super::sampling::{LocalWarp, Workspace, sample_source};
 use super::working::WorkingView;
 use nalgebra::{Matrix3, Vector3};
 
-/// Sources used for one patch at most.
-pub(super) const MAX_SOURCES: usize = 4;
 /// Smallest share of the template's samples that must be usable in a source.
 const MIN_SOURCE_SHARE: f64 = 0.8;
 
@@ -64,21 +63,6 @@ pub(super) struct PatchOptions {
     pub min_num_sources: usize,
     /// A patch that strays this far from its start is given up, pixels of disparity.
     pub max_move_px: f64,
-}
-
-/// A plane through a reference pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct PatchPlane {
-    /// Column of the centre.
-    pub x: usize,
-    /// Row of the centre.
-    pub y: usize,
-    /// Inverse depth at the centre.
-    pub q: f64,
-    /// Change of the inverse depth per column.
-    pub qx: f64,
-    /// Change of the inverse depth per row.
-    pub qy: f64,
 }
 
 /// An aligned patch.

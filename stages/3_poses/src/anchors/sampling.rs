@@ -11,8 +11,8 @@
 //! and with small numbers, so that f32 suffices. The derivative by inverse depth there is
 //! `∂u/∂q = (b₁ − u₀ b₃ − du b₃)/(h₃ (1 + w·d))`.
 
-use super::pair::PairGeometry;
-use super::patch::{MAX_SOURCES, PatchPlane};
+use super::pair::{MAX_SOURCES, PairGeometry};
+use super::plane::PatchPlane;
 use super::working::{Texel, WorkingView};
 use nalgebra::Vector3;
 

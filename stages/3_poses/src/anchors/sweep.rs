@@ -14,8 +14,7 @@
 
 use super::filter::box_sum;
 use super::hull::Grid;
-use super::pair::PairGeometry;
-use super::patch::MAX_SOURCES;
+use super::pair::{MAX_SOURCES, PairGeometry};
 use super::sampling::LANES;
 use super::working::WorkingView;
 use nalgebra::Vector3;

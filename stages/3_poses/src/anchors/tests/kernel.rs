@@ -1,7 +1,8 @@
 //! The patch residual: its derivative, and its minimum from a displaced start.
 
 use super::super::pair::PairGeometry;
-use super::super::patch::{PatchOptions, PatchPlane, align};
+use super::super::patch::{PatchOptions, align};
+use super::super::plane::PatchPlane;
 use super::super::sampling::{LocalWarp, Workspace, sample_source};
 use super::super::working::WorkingView;
 use super::scene::{Scene, Settings, Shape, photograph};

@@ -1,0 +1,189 @@
+//! What is adjusted: cameras, views, points and their sightings, with its cost and its residuals.
+
+use crate::projection::{CenteredPose, NUM_INTRINSICS, retract_intrinsics};
+use nalgebra::{Point2, Point3};
+use rayon::prelude::*;
+use rilievo_numerics::robust::RobustLoss;
+use rilievo_scene::Intrinsics;
+
+/// Loss of the priors on intrinsics.
+pub(super) const PRIOR_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
+
+/// A camera shared by the views of its group.
+#[derive(Clone, Debug)]
+pub struct AdjustedCamera {
+    /// Where the adjustment starts, and the mean of the priors.
+    pub initial: Intrinsics,
+    /// Deviation from it: `ln f, cx, cy, k1, k2, p1, p2, k3`.
+    pub deviation: [f64; NUM_INTRINSICS],
+    /// Standard deviation of each parameter's prior; `None` keeps it fixed.
+    pub prior_sigma: [Option<f64>; NUM_INTRINSICS],
+}
+
+impl AdjustedCamera {
+    /// A camera that stays as it is, to the bit.
+    pub fn fixed(initial: Intrinsics) -> Self {
+        Self {
+            initial,
+            deviation: [0.0; NUM_INTRINSICS],
+            prior_sigma: [None; NUM_INTRINSICS],
+        }
+    }
+
+    /// The camera with its deviation applied.
+    pub fn current(&self) -> Intrinsics {
+        if self.deviation.iter().all(|&d| d == 0.0) {
+            self.initial
+        } else {
+            retract_intrinsics(&self.initial, &self.deviation)
+        }
+    }
+}
+
+/// A view of the problem.
+#[derive(Clone, Debug)]
+pub struct AdjustedView {
+    /// Index of its camera.
+    pub camera: usize,
+    /// Pose.
+    pub pose: CenteredPose,
+    /// Which of `(ω, δ)` may change.
+    pub free: [bool; 6],
+}
+
+/// One sighting of a point.
+#[derive(Clone, Copy, Debug)]
+pub struct Observation {
+    /// View.
+    pub view: usize,
+    /// Observed pixel.
+    pub pixel: Point2<f64>,
+    /// Weight: inverse variance, in px⁻².
+    pub weight: f64,
+}
+
+/// Cameras, views, points and what was seen of them.
+#[derive(Clone, Debug)]
+pub struct Bundle {
+    /// Cameras.
+    pub cameras: Vec<AdjustedCamera>,
+    /// Views.
+    pub views: Vec<AdjustedView>,
+    /// Points in the world frame.
+    pub points: Vec<Point3<f64>>,
+    /// Observations of all points, one point after the other.
+    pub observations: Vec<Observation>,
+    /// Where the observations of point `p` start; one more entry than points.
+    pub offsets: Vec<usize>,
+}
+
+/// Size of the residuals of a bundle.
+#[derive(Clone, Copy, Debug)]
+pub struct ResidualStatistics {
+    /// Root mean square of the coordinates, pixels.
+    pub rms_px: f64,
+    /// Standard deviation of an observation's coordinate, degrees of freedom counted, pixels.
+    pub sigma_px: f64,
+    /// The same for residuals over their standard deviations: 1 where these are right.
+    pub unit_sigma: f64,
+}
+
+impl Bundle {
+    /// Fixes the gauge: the first free view entirely, and one coordinate of the centre farthest
+    /// from it. Does nothing where two views are fixed already.
+    pub fn fix_gauge(&mut self) {
+        let fixed = |v: &AdjustedView| v.free.iter().all(|f| !f);
+        let num_fixed = self.views.iter().filter(|v| fixed(v)).count();
+        if num_fixed >= 2 || self.views.is_empty() {
+            return;
+        }
+        let anchor = self.views.iter().position(fixed).unwrap_or(0);
+        self.views[anchor].free = [false; 6];
+        let origin = self.views[anchor].pose.center;
+        let mut farthest = (0.0, anchor);
+        for (k, view) in self.views.iter().enumerate() {
+            let distance = (view.pose.center - origin).norm();
+            if distance > farthest.0 {
+                farthest = (distance, k);
+            }
+        }
+        if farthest.1 != anchor {
+            let axis = (self.views[farthest.1].pose.center - origin).iamax();
+            self.views[farthest.1].free[3 + axis] = false;
+        }
+    }
+
+    /// Cost at the current state, infinite when a point lies behind a camera that sees it.
+    pub(super) fn cost(&self, loss: RobustLoss) -> f64 {
+        let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
+        let chunks: Vec<f64> = self
+            .point_chunks()
+            .into_par_iter()
+            .map(|range| {
+                let mut sum = 0.0;
+                for p in range {
+                    for o in &self.observations[self.offsets[p]..self.offsets[p + 1]] {
+                        let view = &self.views[o.view];
+                        match cameras[view.camera].project(&view.pose.apply(&self.points[p])) {
+                            Some(seen) => {
+                                let root = o.weight.sqrt();
+                                sum += loss.cost(root * (seen - o.pixel).norm());
+                            }
+                            None => return f64::INFINITY,
+                        }
+                    }
+                }
+                sum
+            })
+            .collect();
+        chunks.iter().sum::<f64>() + self.prior_cost()
+    }
+
+    fn prior_cost(&self) -> f64 {
+        self.cameras
+            .iter()
+            .flat_map(|c| c.deviation.iter().zip(&c.prior_sigma))
+            .filter_map(|(d, sigma)| sigma.map(|s| PRIOR_LOSS.cost(d / s)))
+            .sum()
+    }
+
+    /// Ranges of points, cut so that they do not depend on the number of threads.
+    pub(super) fn point_chunks(&self) -> Vec<std::ops::Range<usize>> {
+        const NUM_CHUNKS: usize = 8;
+        let size = self.points.len().div_ceil(NUM_CHUNKS).max(1);
+        (0..self.points.len())
+            .step_by(size)
+            .map(|start| start..(start + size).min(self.points.len()))
+            .collect()
+    }
+
+    /// How large the residuals are.
+    pub fn residual_statistics(&self) -> ResidualStatistics {
+        let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
+        let (mut squares, mut weighted) = (0.0, 0.0);
+        for p in 0..self.points.len() {
+            for o in &self.observations[self.offsets[p]..self.offsets[p + 1]] {
+                let view = &self.views[o.view];
+                if let Some(seen) = cameras[view.camera].project(&view.pose.apply(&self.points[p]))
+                {
+                    squares += (seen - o.pixel).norm_squared();
+                    weighted += o.weight * (seen - o.pixel).norm_squared();
+                }
+            }
+        }
+        let num_residuals = 2 * self.observations.len();
+        let num_free = 3 * self.points.len()
+            + self
+                .views
+                .iter()
+                .flat_map(|v| v.free)
+                .filter(|&free| free)
+                .count();
+        let degrees = num_residuals.saturating_sub(num_free).max(1);
+        ResidualStatistics {
+            rms_px: (squares / num_residuals.max(1) as f64).sqrt(),
+            sigma_px: (squares / degrees as f64).sqrt(),
+            unit_sigma: (weighted / degrees as f64).sqrt(),
+        }
+    }
+}
