@@ -288,7 +288,7 @@ fn a_sphere_in_a_shadow_is_named_and_left_out() {
         ],
     );
     assert!(report.spheres[1].left_out && !report.spheres[0].left_out);
-    assert_eq!(calibration.unlike_spheres(), [1]);
+    assert_eq!(calibration.rejected_spheres(), [1]);
     let own = report.spheres[1].own_rms.unwrap();
     let other = report.spheres[1].other_rms.unwrap();
     assert!(own < 0.03 && other > 0.08, "own {own}, other {other}");
@@ -338,7 +338,7 @@ fn a_sphere_of_another_paint_counts_with_its_factor() {
         paints[0].as_ref().is_some_and(|p| *p == [1.0; 3]),
         "{paints:?}"
     );
-    assert!(calibration.unlike_spheres().is_empty(), "{paints:?}");
+    assert!(calibration.rejected_spheres().is_empty(), "{paints:?}");
     let options = LightingOptions::default();
     for overlay in overlays(&world.photos, &world.posed, &calibration, &options).unwrap() {
         let pixels = overlay.picture.data.chunks_exact(3);

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use rilievo_photometry::harmonics::{FitOptions, fit_robust};
-use rilievo_photometry::visibility::WarmSphere;
+use rilievo_photometry::visibility::EmittingSphere;
 use rilievo_scene::{LightKind, LightSample, Lighting, LightingCalibration, LocatedSphere};
 
 /// A point with a known normal and the intensity that a photo shows of it.
@@ -27,7 +27,7 @@ pub(crate) struct KnownGroup {
 #[derive(Clone, Debug)]
 pub(crate) struct KnownLight {
     pub kind: LightKind,
-    pub spheres: Vec<WarmSphere>,
+    pub spheres: Vec<EmittingSphere>,
     /// Of the spheres that see the object's light, and what was given.
     pub groups: Vec<KnownGroup>,
 }
@@ -40,7 +40,7 @@ impl KnownLight {
         spheres: &[LocatedSphere],
         gains: &[[f64; 3]],
     ) -> Self {
-        let unlike = lighting.unlike_spheres();
+        let rejected = lighting.rejected_spheres();
         let mut known = Self {
             kind: lighting.kind,
             spheres: Vec::new(),
@@ -52,16 +52,16 @@ impl KnownLight {
         };
         for (k, sphere) in spheres.iter().enumerate() {
             let points = points_of(Some(k));
-            let Some(warm) = warm(sphere, &points) else {
+            let Some(seen) = emitting(sphere, &points) else {
                 continue;
             };
-            if !unlike.contains(&k) {
+            if !rejected.contains(&k) {
                 known.groups.push(KnownGroup {
                     sphere: Some(known.spheres.len()),
                     points,
                 });
             }
-            known.spheres.push(warm);
+            known.spheres.push(seen);
         }
         let points = points_of(None);
         if !points.is_empty() {
@@ -84,7 +84,7 @@ fn point(sample: &LightSample, gains: &[[f64; 3]]) -> KnownPoint {
 }
 
 /// A sphere that sends what the photos show of it.
-fn warm(sphere: &LocatedSphere, points: &[KnownPoint]) -> Option<WarmSphere> {
+fn emitting(sphere: &LocatedSphere, points: &[KnownPoint]) -> Option<EmittingSphere> {
     let normals: Vec<Vector3<f64>> = points
         .iter()
         .map(|p| p.normal.map(f64::from).normalize())
@@ -95,7 +95,7 @@ fn warm(sphere: &LocatedSphere, points: &[KnownPoint]) -> Option<WarmSphere> {
         let fit = fit_robust(&normals, &values, None, &FitOptions::default()).ok()?;
         channels.push(fit.coefficients);
     }
-    Some(WarmSphere {
+    Some(EmittingSphere {
         center: Point3::from(sphere.center_in_world.map(|c| c as f32)),
         radius: sphere.radius as f32,
         radiance: Lighting { channels },

@@ -19,8 +19,8 @@ use rayon::prelude::*;
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::{FitOptions, fit_robust, rotate, rotate_harmonics};
 use rilievo_photometry::visibility::{
-    DepthView, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Transfer, Volume,
-    WarmSphere, directions, fit_environment, transfer,
+    DepthView, EmittingSphere, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Transfer,
+    Volume, directions, fit_environment, transfer,
 };
 use rilievo_scene::{Intrinsics, LightKind, Lighting, RigidTransform, SphericalHarmonics};
 
@@ -262,7 +262,7 @@ pub(crate) fn visible_on(
                 let rays = rays.of(p.view);
                 let t = match group.sphere {
                     Some(k) => {
-                        let WarmSphere { center, radius, .. } = &surroundings.spheres[k];
+                        let EmittingSphere { center, radius, .. } = &surroundings.spheres[k];
                         let at = center.coords + p.normal * *radius;
                         let offset = 0.02 * radius;
                         transfer(&surroundings, &at, &p.normal, rays, offset, Some(k))

@@ -188,18 +188,18 @@ pub(super) fn depths(world: &World, scene: &Scene) -> Vec<Vec<f64>> {
         .collect()
 }
 
-/// What the spheres tell, those in `unlike` left out.
+/// What the spheres tell, those in `rejected` left out.
 pub(super) fn known_light(
     photos: &PhotoSet,
     posed: &PosedViews,
     kind: LightKind,
-    unlike: &[usize],
+    rejected: &[usize],
 ) -> KnownLight {
     let mut lighting = of_spheres(photos, posed, kind);
     lighting.spheres = (0..posed.spheres.len())
         .map(|k| SphereLight {
             name: String::new(),
-            paint: (!unlike.contains(&k)).then(|| vec![1.0; 3]),
+            paint: (!rejected.contains(&k)).then(|| vec![1.0; 3]),
         })
         .collect();
     let gains = vec![[1.0; 3]; posed.views.len()];

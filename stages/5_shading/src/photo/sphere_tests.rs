@@ -57,8 +57,8 @@ fn a_sphere_of_another_light_hides_and_tells_nothing() {
     let truth = depths(&as_seen, &scene);
     let level = &scene.pyramid[0];
     assert_eq!(as_seen.posed.spheres.len(), 2);
-    let of = |world: &World, unlike: &[usize]| {
-        known_light(&world.photos, &world.posed, LightKind::World, unlike)
+    let of = |world: &World, rejected: &[usize]| {
+        known_light(&world.photos, &world.posed, LightKind::World, rejected)
     };
     let known = miss(level, &truth, &light(&scene, &truth, &of(&as_seen, &[])));
 

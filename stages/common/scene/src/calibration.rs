@@ -83,8 +83,12 @@ pub struct LightingCalibration {
 
 impl LightingCalibration {
     /// Indices of the posed spheres that see another light.
-    pub fn unlike_spheres(&self) -> Vec<usize> {
-        let unlike = |(k, sphere): (usize, &SphereLight)| sphere.paint.is_none().then_some(k);
-        self.spheres.iter().enumerate().filter_map(unlike).collect()
+    pub fn rejected_spheres(&self) -> Vec<usize> {
+        let rejected = |(k, sphere): (usize, &SphereLight)| sphere.paint.is_none().then_some(k);
+        self.spheres
+            .iter()
+            .enumerate()
+            .filter_map(rejected)
+            .collect()
     }
 }

@@ -1,5 +1,8 @@
 //! As many pixels as a vector register has lanes.
 
+// Arrays of lanes are indexed in parallel: zipped iterators would hide the lane.
+#![allow(clippy::needless_range_loop)]
+
 use super::pixel::{Pixel, Quadratic};
 use crate::paper::pixels::LANES;
 

@@ -20,6 +20,6 @@ mod transfer;
 mod volume;
 
 pub use environment::{EnvironmentFit, EnvironmentSample, fit_environment};
-pub use surroundings::{Ground, Surroundings, WarmSphere};
+pub use surroundings::{EmittingSphere, Ground, Surroundings};
 pub use transfer::{HORIZON, Transfer, directions, transfer};
 pub use volume::{DepthView, Volume};

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 /// A reference sphere with the radiance of its surface, as nine harmonics per channel of the world
 /// normal (a matte sphere under a distant light).
 #[derive(Clone, Debug)]
-pub struct WarmSphere {
+pub struct EmittingSphere {
     /// Centre, world.
     pub center: Point3<f32>,
     /// Radius, world's unit.
@@ -62,12 +62,12 @@ pub struct Surroundings {
     /// The object.
     pub volume: Volume,
     /// The reference spheres.
-    pub spheres: Vec<WarmSphere>,
+    pub spheres: Vec<EmittingSphere>,
     /// The ground, where it was found.
     pub ground: Option<Ground>,
 }
 
-impl WarmSphere {
+impl EmittingSphere {
     /// Distance at which a ray from outside meets it.
     pub fn meet(&self, start: &Vector3<f32>, direction: &Vector3<f32>) -> Option<f32> {
         let offset = start - self.center.coords;
@@ -129,9 +129,9 @@ mod tests {
         Intrinsics, Lighting, LinearImage, Raster, RigidTransform, SphericalHarmonics,
     };
 
-    fn ball(x: f32, radius: f32, radiance: f64) -> WarmSphere {
+    fn ball(x: f32, radius: f32, radiance: f64) -> EmittingSphere {
         let constant = SphericalHarmonics([0.0, 0.0, 0.0, radiance, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        WarmSphere {
+        EmittingSphere {
             center: Point3::new(x, 0.0, 0.0),
             radius,
             radiance: Lighting {

@@ -180,7 +180,7 @@ impl Transfer {
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
-    use super::super::{DepthView, Volume, WarmSphere};
+    use super::super::{DepthView, EmittingSphere, Volume};
     use super::*;
 
     #[test]
@@ -256,7 +256,7 @@ mod tests {
         glow.0[3] = 0.4;
         Surroundings {
             volume: Volume::carve(&[view], 32).unwrap(),
-            spheres: vec![WarmSphere {
+            spheres: vec![EmittingSphere {
                 center: nalgebra::Point3::new(0.5, 0.0, 1.4),
                 radius: 0.3,
                 radiance: rilievo_scene::Lighting {
