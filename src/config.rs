@@ -90,8 +90,30 @@ impl StageOptions {
 /// When it cannot be read, or a key is unknown or has a wrong value; names file, line and key.
 pub fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
     let text = read_regular_text(path).map_err(Failure::from)?;
-    toml::from_str(&text)
-        .map_err(|error| Failure::Usage(format!("config file {}: {error}", path.display())))
+    toml::from_str(&text).map_err(|error| {
+        Failure::Usage(format!(
+            "config file {}: {}",
+            path.display(),
+            told(&error, &text)
+        ))
+    })
+}
+
+/// The error as its library shows it, with the line of the file and a mark below; of endless lines the number
+/// and the beginning of the message.
+fn told(error: &toml::de::Error, text: &str) -> String {
+    const MAX_CHARS: usize = 1500;
+    let whole = error.to_string();
+    if whole.len() <= MAX_CHARS {
+        return whole;
+    }
+    let start = error.span().map_or(0, |span| span.start).min(text.len());
+    let line = 1 + text.as_bytes()[..start]
+        .iter()
+        .filter(|&&b| b == b'\n')
+        .count();
+    let message: String = error.message().chars().take(MAX_CHARS / 5).collect();
+    format!("line {line}, which is very long: {message}")
 }
 
 impl From<Encoding> for rilievo_photos::Encoding {
@@ -133,6 +155,17 @@ mod tests {
             "{message}"
         );
         assert!(read("[shadin]\n").is_err());
+    }
+
+    #[test]
+    fn an_endless_line_is_told_by_its_number() {
+        let error = read(&format!("[shading]\nnoise = {}\n", "[".repeat(100_000))).unwrap_err();
+        let message = error.to_string();
+        assert!(
+            message.len() < 1000 && message.contains("line 2"),
+            "{} bytes",
+            message.len()
+        );
     }
 
     #[test]
