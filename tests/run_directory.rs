@@ -62,6 +62,24 @@ fn a_second_run_does_nothing_and_dates_do_not_count() {
 }
 
 #[test]
+fn what_a_stopped_run_left_goes_when_its_stage_is_kept() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = noise_photos(dir.path(), 2);
+    let run_dir = dir.path().join("run");
+    two_stages(&photos, &run_dir, &[]);
+    for folder in ["1_photos/linear", "2_features.previous"] {
+        let folder = run_dir.join(".work").join(folder);
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("half.exr"), "half").unwrap();
+    }
+    std::fs::create_dir_all(run_dir.join(".old")).unwrap();
+    assert_eq!(two_stages(&photos, &run_dir, &[]), both(true, true));
+    for folder in [".work", ".old"] {
+        assert!(!run_dir.join(folder).exists(), "{folder} is still there");
+    }
+}
+
+#[test]
 fn threads_and_memory_redo_nothing_options_do() {
     let dir = tempfile::tempdir().unwrap();
     let photos = noise_photos(dir.path(), 2);

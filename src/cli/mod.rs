@@ -251,7 +251,7 @@ pub struct ReconstructArgs {
     /// Known lighting; NAME picks one of several in the file
     #[arg(long, value_name = "FILE[:NAME]", conflicts_with = "lighting_shape")]
     pub lighting: Option<String>,
-    /// Use the given light also where the photos contradict it
+    /// Use a given light, or a calibration photo's, also where the photos contradict it
     #[arg(long)]
     pub trust_lighting: bool,
     /// Fit the lighting on known depth maps, DIR/NAME_depth.exr

@@ -38,6 +38,7 @@ pub fn bring_up_to_date(
         let forced = range.redo_from.is_some_and(|from| stage >= from);
         let reason = match state {
             StageState::Valid if !forced => {
+                context.run.drop_unfinished(stage)?;
                 context.console.stage(stage, &StageNews::Reused);
                 continue;
             }

@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// Longer side of the pictures, pixels: all detail of usual photos, little space.
 const PREVIEW_SIDE: usize = 1600;
 
-/// What stage 5 tells, with the light of stage 4 held against its surface.
+/// What stage 5 found, and how the light that it used agrees with its surface.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ShadingFacts {
     /// The solver's report.
@@ -79,7 +79,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         samples: Vec::new(),
         ..lighting
     };
-    write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(from_io)?;
+    if !used.views.is_empty() {
+        write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(from_io)?;
+    }
     context
         .console
         .warn_all(StageId::Shading, &light_on_surface.advice);

@@ -191,6 +191,29 @@ impl RunDir {
                 std::fs::rename(&old, &place).map_err(StoreError::files("rename", &old))?;
             }
         }
+        // Fails where there is none.
+        let _ = std::fs::remove_dir(self.root.join(".old"));
+        Ok(())
+    }
+
+    /// Deletes what a stopped run left of a stage whose results are valid: it belongs to another request, and
+    /// takes space.
+    ///
+    /// # Errors
+    /// When it cannot be deleted.
+    pub fn drop_unfinished(&self, stage: StageId) -> Result<(), StoreError> {
+        let work = self.root.join(".work");
+        for name in [
+            stage.name().to_owned(),
+            format!("{}.previous", stage.name()),
+        ] {
+            let folder = work.join(name);
+            if folder.exists() {
+                std::fs::remove_dir_all(&folder).map_err(StoreError::files("delete", &folder))?;
+            }
+        }
+        // Fails where another stage still has something there, as it should.
+        let _ = std::fs::remove_dir(&work);
         Ok(())
     }
 }

@@ -4,6 +4,7 @@
 //! stands under `#[cfg(test)]` does not count. A folder's `mod.rs` is a file like others: what its children
 //! need stands in a file of its own.
 
+use super::is_tests_module;
 use super::sources::without_tests;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -73,7 +74,7 @@ fn modules(source: &Path) -> BTreeMap<Module, PathBuf> {
             if path.is_dir() {
                 collect(&path, &inside(), into);
             } else if path.extension().is_some_and(|ending| ending == "rs")
-                && !name.contains("test")
+                && !is_tests_module(&path)
             {
                 let is_folders_own = ["mod", "lib", "main"].contains(&name.as_str());
                 into.insert(

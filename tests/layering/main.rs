@@ -46,7 +46,6 @@ fn allowed(name: &str) -> BTreeSet<&'static str> {
         "rilievo-photometry" | "rilievo-numerics" | "rilievo-io" => {
             ["rilievo-scene", "rilievo-numerics"].into()
         }
-        "rilievo-synthetic" => ["rilievo-scene", "rilievo-photometry", "rilievo-numerics"].into(),
         _ => ["rilievo-scene", "rilievo-photometry", "rilievo-numerics"].into(),
     }
 }

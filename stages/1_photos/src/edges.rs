@@ -54,7 +54,7 @@ pub(crate) fn mask_edge_ratio(image: &LinearImage, mask: &Mask) -> Option<f64> {
         .flat_map(|share| {
             DIRECTIONS.map(|(x, y)| {
                 let length = share * diagonal / f64::from((x * x + y * y) as i32).sqrt();
-                let step = length.round() as isize;
+                let step = length.round().max(1.0) as isize;
                 (x * step, y * step)
             })
         })

@@ -95,7 +95,7 @@ pub(crate) fn check(
     Ok(())
 }
 
-/// How much a pixel tells of its neighbour, 0 to 1; `None` where the pixels looked at are all alike.
+/// How much a pixel tells of its neighbour: 1 where all, 0 where nothing; `None` where the pixels looked at are all alike.
 fn neighbour_correlation(mask: &Mask) -> Option<f64> {
     let (width, height) = (mask.width, mask.height);
     if width < 3 || height < 2 {

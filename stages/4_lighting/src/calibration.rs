@@ -108,7 +108,16 @@ fn calibration_samples(
                 .get(calibration.same_camera_as.0)
                 .map_or_else(String::new, |photo| photo.file_name.clone()),
         })?;
-    let clip_level = photos.photos[camera.photo.0].clip_level;
+    let photo = &photos.photos[camera.photo.0];
+    let num_channels = photo.linear()?.channels;
+    if calibration.image.channels != num_channels {
+        return Err(LightingError::CalibrationChannels {
+            name: calibration.name.clone(),
+            found: calibration.image.channels,
+            photos: num_channels,
+        });
+    }
+    let clip_level = photo.clip_level;
     let cone = match &calibration.mark {
         Some(mark) => {
             cone_from_mark(mark, &camera.intrinsics, &options.sphere)

@@ -62,6 +62,16 @@ pub enum LightingError {
         /// Their names.
         views: Vec<String>,
     },
+    /// A calibration photo has other channels than the photos.
+    #[error("{name} has {found} channel(s), the photos have {photos}: convert it to their kind")]
+    CalibrationChannels {
+        /// Its name.
+        name: String,
+        /// Its channels.
+        found: usize,
+        /// Those of the photos.
+        photos: usize,
+    },
     /// A shape has another size than its view.
     #[error("shape of {name} is {width}x{height}, the photo {photo_width}x{photo_height}")]
     ShapeSize {

@@ -14,7 +14,7 @@
 //! light fixed to the camera (turntable, flash) is one per view.
 //!
 //! # Steps
-//! 1. `samples`, `side`: usable pixels of the spheres: inside the frame, off the object, off the
+//! 1. `side`: usable pixels of the spheres: inside the frame, off the object, off the
 //!    outline, not clipped.
 //! 2. `sphere_light`: robust fits (`environment`), exposure gains of the photos (`gains`), the check
 //!    of the stated kind of light (`kind`), and of several spheres those that see one light
@@ -60,7 +60,6 @@ pub use report::{
 pub use request::LightingRequest;
 pub use shape::{fit_on_normals, fit_on_shape};
 
-use rilievo_photometry::samples::read_spheres;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 
 /// Raised with every change of the stage that changes its results.
@@ -86,8 +85,10 @@ pub fn run(
     match request {
         LightingRequest::Given(lightings) => {
             let (mut calibration, report) = request::given(posed, lightings)?;
-            let of_spheres = read_spheres(photos, posed, &options.sampling())?;
-            calibration.samples.extend(of_spheres);
+            // Of the spheres the solver needs to know what they hide and send.
+            let mut facts = LightingReport::default();
+            let side = side::collect(photos, posed, options, observer, &mut facts)?;
+            calibration.samples.extend(light_samples::of_spheres(&side));
             Ok((calibration, report))
         }
         LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, options, observer),

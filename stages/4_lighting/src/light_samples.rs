@@ -20,7 +20,12 @@ pub(crate) fn of_spheres(side: &Side) -> Vec<LightSample> {
         .flat_map(|patch| {
             let view = ViewIdx(side.views[patch.view]);
             let world_from_cam = &side.world_from_cam[patch.view];
-            light_samples(&patch.samples, world_from_cam, view, Some(patch.sphere))
+            light_samples(
+                &patch.samples,
+                world_from_cam,
+                view,
+                (Some(patch.sphere), true),
+            )
         })
         .collect()
 }
@@ -40,7 +45,7 @@ pub(crate) fn of_calibration(
     seen_by
         .flat_map(|view| {
             let world_from_cam = posed.views[view].cam_from_world.rotation.inverse();
-            light_samples(samples, &world_from_cam, ViewIdx(view), None)
+            light_samples(samples, &world_from_cam, ViewIdx(view), (None, false))
         })
         .collect()
 }
@@ -75,8 +80,9 @@ pub(crate) fn of_harmonics(
         samples.extend(facing[read].iter().map(|(entry, in_camera)| LightSample {
             view: entry.view,
             sphere: None,
-            normal_in_world: single(&normal),
+            normal_in_world: normal.map(|v| v as f32).into(),
             intensity: intensity(&entry.lighting, in_camera),
+            has_gain: true,
         }));
     }
     samples
@@ -86,8 +92,4 @@ pub(crate) fn of_harmonics(
 fn intensity(lighting: &Lighting, normal: &Vector3<f64>) -> [f32; 3] {
     let last = lighting.channels.len() - 1;
     std::array::from_fn(|c| lighting.channels[c.min(last)].evaluate(normal).max(0.0) as f32)
-}
-
-fn single(normal: &Vector3<f64>) -> [f32; 3] {
-    [normal.x as f32, normal.y as f32, normal.z as f32]
 }

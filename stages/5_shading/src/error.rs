@@ -1,6 +1,6 @@
 //! Why shading could not give a shape.
 
-use rilievo_scene::{Inconsistent, OptionError};
+use rilievo_scene::{Inconsistent, LightSource, OptionError};
 
 /// How badly a given light fits a view.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +19,26 @@ fn described(views: &[LightMisfit]) -> String {
         format!("{} ({given:.0} % against {fitted:.0} %)", m.view)
     };
     views.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+fn origin(source: LightSource) -> &'static str {
+    match source {
+        LightSource::CalibrationPhoto => "the light of the calibration photo",
+        _ => "the given light",
+    }
+}
+
+fn remedy(source: LightSource) -> &'static str {
+    match source {
+        LightSource::CalibrationPhoto => {
+            "take the calibration photo in the same light and from the same place, leave it out of the \
+             sphere file"
+        }
+        _ => {
+            "check that the file belongs to these photos, its frame (each view's own camera, x right, y \
+             down, z forward) and its order of coefficients, leave --lighting out"
+        }
+    }
 }
 
 /// Errors of stage 5; each carries the facts and says what to try.
@@ -125,13 +145,14 @@ pub enum ShadingError {
     },
     /// A light from elsewhere is not the light of the photos.
     #[error(
-        "the given light is not the light of these photos: in {} of {num_views} views it leaves far more of \
-         the brightness unexplained than a light fitted on them: {}; check that the file belongs to these \
-         photos, its frame (each view's own camera, x right, y down, z forward) and its order of \
-         coefficients, leave --lighting out, or say --trust-lighting to use it all the same",
-        views.len(), described(views)
+        "{} is not the light of these photos: in {} of {num_views} views it leaves far more of the \
+         brightness unexplained than a light fitted on them: {}; {}, or say --trust-lighting to use it all \
+         the same",
+        origin(*from), views.len(), described(views), remedy(*from)
     )]
     LightContradicts {
+        /// Where the light came from.
+        from: LightSource,
         /// The views that contradict it.
         views: Vec<LightMisfit>,
         /// Views that were compared.

@@ -22,10 +22,10 @@ pub enum ShadingModel {
 pub struct ShadingOptions {
     /// What explains the photos, for several posed views.
     pub model: ShadingModel,
-    /// The paper's model's, beside `model`.
+    /// Options of the paper's model, beside `model`.
     #[serde(flatten)]
     pub paper: PaperOptions,
-    /// The photo model's, in a table of their own.
+    /// Options of the photo model, in a table of their own.
     pub photo: PhotoOptions,
 }
 

@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 /// Facts on a run of the stage.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ShadingReport {
-    /// The paper's model's; empty where the other was used.
+    /// Facts of the paper's model; empty where the photo model was used.
     #[serde(flatten)]
     pub paper: PaperReport,
     /// The light that was used, of every posed view in its camera's frame, gains contained. Where the model
     /// allows for shadow, what falls on a surface in the open.
     pub light: Vec<ViewLighting>,
-    /// The photo model's, where it was used.
+    /// Facts of the photo model, where it was used.
     pub photo: Option<PhotoReport>,
 }

@@ -98,7 +98,7 @@ pub fn run(
     let outcome = reconcile::reconcile(&mut views, &neighbours, options, observer)?;
     report.layering_before = outcome.before;
     report.layering_after = outcome.after;
-    report.reconcile_iterations = outcome.num_laps;
+    report.reconcile_iterations = outcome.num_iterations;
     for (view, rms) in view_reports.iter_mut().zip(outcome.correction_rms) {
         view.correction_rms = rms;
     }

@@ -20,12 +20,12 @@ use crate::view::View;
 use rilievo_numerics::robust::{RobustLoss, SIGMA_FROM_MAD, median};
 use rilievo_scene::{Event, Flow, Observer, StageId};
 
-/// Laps of pairing and solving: the second sees what the first made visible, later ones move
+/// Iterations of pairing and solving: the second sees what the first made visible, later ones move
 /// nothing.
-const MAX_NUM_LAPS: usize = 4;
-/// Re-weightings in a lap.
+const MAX_NUM_ITERATIONS: usize = 4;
+/// Re-weightings in an iteration.
 const NUM_WEIGHTINGS: usize = 3;
-/// A lap that lowers the smooth distance by less than this share is the last.
+/// An iteration that lowers the smooth distance by less than this share is the last.
 const MIN_GAIN: f64 = 0.05;
 /// Spread of the distances, in footprints, below which nothing is gained by trusting them more.
 const MIN_SPREAD_PX: f64 = 0.02;
@@ -51,7 +51,7 @@ struct Grid {
 pub(crate) struct Reconciliation {
     pub before: Layering,
     pub after: Layering,
-    pub num_laps: usize,
+    pub num_iterations: usize,
     /// Root mean square correction of each view, world's unit.
     pub correction_rms: Vec<f64>,
 }
@@ -80,7 +80,7 @@ pub(crate) fn reconcile(
     let mut result = Reconciliation {
         before,
         after: before,
-        num_laps: 0,
+        num_iterations: 0,
         correction_rms: vec![0.0; views.len()],
     };
     if !options.reconcile || pairs.is_empty() {
@@ -89,14 +89,14 @@ pub(crate) fn reconcile(
     let grids = grids_of(views, options.reconcile_grid_px);
     let num_nodes = grids.iter().map(|g| g.columns * g.rows).sum();
     let mut total = vec![0.0; num_nodes];
-    for lap in 0..MAX_NUM_LAPS {
+    for iteration in 0..MAX_NUM_ITERATIONS {
         let step = solve(&pairs, &grids, &total, options, num_nodes);
         apply(views, &grids, &step, options.reconcile_grid_px);
         let moved = find_pairs(views, neighbours, stride, options);
         let after = layering(&moved, options);
         let gain = 1.0 - after.smooth_rms / result.after.smooth_rms;
         if gain.is_nan() || gain < 0.0 {
-            // A lap must never push the views apart.
+            // An iteration must never push the views apart.
             let back: Vec<f64> = step.iter().map(|u| -u).collect();
             apply(views, &grids, &back, options.reconcile_grid_px);
             break;
@@ -106,11 +106,11 @@ pub(crate) fn reconcile(
         }
         pairs = moved;
         result.after = after;
-        result.num_laps = lap + 1;
+        result.num_iterations = iteration + 1;
         let flow = observer.event(Event::Iteration {
             stage: StageId::Fusion,
-            iteration: lap,
-            max_num_iterations: MAX_NUM_LAPS,
+            iteration,
+            max_num_iterations: MAX_NUM_ITERATIONS,
             energy: after.smooth_rms,
             primal_residual: None,
             dual_residual: None,

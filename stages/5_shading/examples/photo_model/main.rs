@@ -90,7 +90,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         photo::run(photos, posed, &lighting, options, &Silent)?
     };
     let wall = began.elapsed().as_secs_f64();
-    for iteration in &report.outer_iterations {
+    for iteration in &report.steps {
         println!(
             "  level {} {:28} rounds {} moved {:.3} px, turned {:.2} deg, in all {:.2}, sigma_s {:.4} match {:.4}  {:.1} s",
             iteration.level,
@@ -98,7 +98,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             iteration.num_rounds,
             iteration.moved_px,
             iteration.turned_deg,
-            iteration.outer_turned_deg,
+            iteration.turned_in_all_deg,
             iteration.sigma_shading,
             iteration.match_residual.unwrap_or(f64::NAN),
             iteration.seconds

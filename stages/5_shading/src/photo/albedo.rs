@@ -23,7 +23,7 @@ use rilievo_scene::Raster;
 const BELL_PX: f64 = 16.0;
 /// Standard deviation of the Gaussian over chroma, pixels: photos hold it at half resolution, and noisy.
 const CHROMA_PX: f64 = 1.0;
-/// Depth difference, in pixel footprints, at which another view's albedo no more counts.
+/// Depth difference, in pixel footprints, at which another view's albedo no longer counts.
 const TOLERANCE_PX: f64 = 1.8;
 /// Largest `|u|` that counts as pigment: beyond it the light or the surface is wrong.
 const MAX_LOG: f32 = 0.7;

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use rilievo_scene::Raster;
 
 /// Standard deviation of the Gaussian, pixels.
-const BELL_PX: f64 = 12.0;
+const GAUSSIAN_PX: f64 = 12.0;
 /// Largest slow ratio: a factor of two is no pigment of a plain object, but a light that is wrong.
 const MAX_LOG: f32 = 0.7;
 
@@ -72,7 +72,7 @@ pub(crate) fn render(
                     })
                 })
                 .collect();
-            let slow = sampling::smooth(&view.pixels, &ratio, &weight, BELL_PX);
+            let slow = sampling::smooth(&view.pixels, &ratio, &weight, GAUSSIAN_PX);
             let albedo: Vec<[f32; 3]> = (0..target.len())
                 .map(|p| {
                     let known = pigment(p);

@@ -19,6 +19,7 @@ const NUM_PIXELS: usize = 4000;
 /// that by `SMALLEST_GAP` of the brightness. In single views of scenes with shadow, bounce and stains a sphere's
 /// or the true light left at most 1.38 times as much, one mirrored in one or two axes at least 1.63 times.
 const RATIO: f64 = 1.5;
+/// Below it noise of the normals decides.
 const SMALLEST_GAP: f64 = 0.06;
 
 /// Refuses a light that contradicts most of the views that it was given for.
@@ -51,6 +52,7 @@ pub(crate) fn refuse(
         .collect();
     if 2 * contradicted.len() > num_views {
         return Err(ShadingError::LightContradicts {
+            from: lighting.source,
             views: contradicted,
             num_views,
         });

@@ -5,7 +5,7 @@ use super::level::Level;
 use super::light::Light;
 use super::matching::MatchOptions;
 use super::plate;
-use super::report::OuterIterationReport;
+use super::report::StepReport;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
 use super::surfaces::Surfaces;
@@ -43,7 +43,7 @@ pub(crate) const PHOTOS_ONLY: IterationWeights = IterationWeights {
     shading: None,
 };
 
-/// Weights of the outer iterations with shading: it starts weak, on a light fitted to a rough shape, and grows.
+/// Weights of the outer iterations with shading: shading starts weak, on a light fitted to a rough shape, and grows.
 ///
 /// `σ_s = share · r (1 + (r/r₀)²)` of the light's median residual `r`: where the light explains the
 /// photos as well as it can (2 to 3 %), shading weighs fully; at a residual of 20 % (pigment, dirt,
@@ -52,7 +52,8 @@ pub(crate) const PHOTOS_ONLY: IterationWeights = IterationWeights {
 pub(crate) fn iteration_weights(iteration: usize, residual: f64) -> IterationWeights {
     // Residual at which the model's error outweighs relief.
     const LARGEST_RESIDUAL: f64 = 0.08;
-    // Share, correction's Gaussian in pixels, plate, its Huber threshold, consensus and visibility in footprints.
+    // Shading's share of the residual; the correction's sigma, pixels; the plate's weight and its Huber
+    // threshold; consensus and visibility, footprints.
     let table = [
         (0.57, 0.0, 30.0, 0.02, 0.9, 3.5),
         (0.6, 0.0, 30.0, 0.02, 0.9, 3.5),
@@ -120,12 +121,12 @@ impl Course<'_> {
     ) -> Result<f64, ShadingError> {
         let began = Instant::now();
         let options = self.step_options(at, weights);
-        let mut record = OuterIterationReport {
+        let mut record = StepReport {
             level: at,
             kind: kind.to_owned(),
             sigma_match: options.matching.sigma,
             sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
-            ..OuterIterationReport::default()
+            ..StepReport::default()
         };
         let start = depths.to_vec();
         let max_num_rounds = self.options.max_num_rounds;
@@ -211,9 +212,9 @@ impl Course<'_> {
             .map(|i| plate::mean_turn(&level.views[i], &start[i], &depths[i]))
             .collect();
         let turned = (turns.iter().sum::<f64>() / turns.len().max(1) as f64).to_degrees();
-        record.outer_turned_deg = turned;
+        record.turned_in_all_deg = turned;
         record.seconds = began.elapsed().as_secs_f64();
-        self.report.outer_iterations.push(record);
+        self.report.steps.push(record);
         self.show(at, kind, depths);
         Ok(turned)
     }

@@ -28,13 +28,13 @@ pub(crate) struct KnownGroup {
 pub(crate) struct KnownLight {
     pub kind: LightKind,
     pub spheres: Vec<EmittingSphere>,
-    /// Of the spheres that see the object's light, and what was given.
+    /// Of the spheres that see the object's light; what was given comes last.
     pub groups: Vec<KnownGroup>,
 }
 
 impl KnownLight {
-    /// From stage 4's samples; `gains` are the exposures of the views. A sphere that no photo shows well
-    /// enough is left out; one that sees another light than the object tells nothing of it.
+    /// From stage 4's samples; `gains` are the exposures of the views. A sphere of which nothing is
+    /// known is left out, and hides nothing; one that sees another light than the object tells nothing of it.
     pub fn new(
         lighting: &LightingCalibration,
         spheres: &[LocatedSphere],
@@ -78,7 +78,10 @@ fn point(sample: &LightSample, gains: &[[f64; 3]]) -> KnownPoint {
     let view = sample.view.0;
     KnownPoint {
         normal: Vector3::from(sample.normal_in_world),
-        intensity: std::array::from_fn(|c| sample.intensity[c] / gains[view][c] as f32),
+        intensity: std::array::from_fn(|c| {
+            let gain = if sample.has_gain { gains[view][c] } else { 1.0 };
+            sample.intensity[c] / gain as f32
+        }),
         view,
     }
 }

@@ -1,4 +1,4 @@
-//! The light of a outer iteration: nine coefficients per pixel of every view, fitted on the current shape.
+//! The light of an outer iteration: nine coefficients per pixel of every view, fitted on the current shape.
 //!
 //! Rays from the pixels of the next coarser level against the solid that the depth
 //! maps carve, the spheres and the ground; the environment fitted on object pixels and what stage 4 knows
@@ -9,7 +9,7 @@
 
 use super::albedo::{self, Albedo};
 use super::between_levels;
-use super::known_light::KnownLight;
+use super::known_light::{KnownGroup, KnownLight};
 use super::level::{Level, LevelView};
 use super::plate;
 use super::shading::{self, PixelHarmonics, PixelLight};
@@ -37,7 +37,7 @@ pub(crate) struct Light {
     pub in_the_open: Vec<Lighting>,
     /// Per view and masked pixel, how far shading may move the surface, 0 to 1; empty: everywhere.
     pub trust: Vec<Vec<f32>>,
-    /// Log depth difference at which another view's intensity no more counts; 0 where the views are lit
+    /// Log depth difference at which another view's intensity no longer counts; 0 where the views are lit
     /// differently.
     pub mean_tolerance: f64,
 }
@@ -45,7 +45,8 @@ pub(crate) struct Light {
 impl Light {
     /// Median over the views.
     pub fn residual(&self) -> f64 {
-        median(&mut self.residuals.clone()).unwrap_or(f64::NAN)
+        let known = self.residuals.iter().copied().filter(|r| r.is_finite());
+        median(&mut known.collect::<Vec<f64>>()).unwrap_or(1.0)
     }
 
     /// The light of a view's pixels.
@@ -280,6 +281,15 @@ pub(crate) fn visible_on(
             .collect();
         of_groups.push(samples.len()..samples.len() + extra.len());
         samples.extend(extra);
+    }
+    // What comes from elsewhere may be of another strength, which object and spheres tell.
+    let is_open = |(_, group): &(_, &KnownGroup)| group.sphere.is_none();
+    if let Some((range, _)) = of_groups.iter().zip(&known.groups).find(is_open) {
+        let of_scene = fit_environment(&samples[..range.start], rays.of(0), SMOOTHNESS)?;
+        let ratio = known_ratio(&samples[range.clone()], &of_scene);
+        for sample in &mut samples[range.clone()] {
+            sample.intensity = std::array::from_fn(|c| sample.intensity[c] / ratio[c].max(1e-6));
+        }
     }
     let mut fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
     let interpolated = |fit: &EnvironmentFit| -> Vec<Vec<PixelHarmonics>> {

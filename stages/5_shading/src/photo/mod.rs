@@ -68,7 +68,7 @@ mod views;
 
 pub use course::Probe;
 pub use options::PhotoOptions;
-pub use report::{OuterIterationReport, PhotoReport, PhotoViewReport};
+pub use report::{PhotoReport, PhotoViewReport, StepReport};
 pub use validation::ValidationReport;
 
 use crate::error::ShadingError;
@@ -76,8 +76,9 @@ use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedV
 
 /// Dense shape of all posed views, at least two.
 ///
-/// Of `lighting` the samples and the kind are used: the environment is fitted on them and on the object, with
-/// shadow and bounce, again after every change of the shape.
+/// Of `lighting` the samples, the kind and which spheres were rejected are used: the environment is fitted on
+/// samples and object, with shadow and bounce, again after every change of the shape. Its harmonics serve to
+/// refuse a light from elsewhere that the photos contradict (`contradiction`).
 ///
 /// # Errors
 /// See [`ShadingError`].
@@ -88,12 +89,7 @@ pub fn run(
     options: &PhotoOptions,
     observer: &dyn Observer,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
-    options.validate()?;
-    photos.check()?;
-    posed.check_with(photos)?;
-    lighting.check(posed)?;
-    let scene = views::load(photos, posed, options)?;
-    solve::solve(scene, posed, lighting, options, observer, None)
+    solved(photos, posed, lighting, options, (observer, None))
 }
 
 /// [`run`], with the shape after every step handed to `probe`: for measuring which step does what.
@@ -108,10 +104,20 @@ pub fn run_probed(
     observer: &dyn Observer,
     probe: &Probe,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+    solved(photos, posed, lighting, options, (observer, Some(probe)))
+}
+
+fn solved(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    lighting: &LightingCalibration,
+    options: &PhotoOptions,
+    (observer, probe): (&dyn Observer, Option<&Probe>),
+) -> Result<(ShadedViews, PhotoReport), ShadingError> {
     options.validate()?;
     photos.check()?;
     posed.check_with(photos)?;
     lighting.check(posed)?;
     let scene = views::load(photos, posed, options)?;
-    solve::solve(scene, posed, lighting, options, observer, Some(probe))
+    solve::solve(scene, posed, lighting, options, observer, probe)
 }

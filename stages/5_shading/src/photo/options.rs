@@ -20,10 +20,10 @@ pub struct PhotoOptions {
     /// the outer iteration may end. Too large leaves the surface on its way, too small costs rounds that change
     /// nothing that the photos tell.
     pub round_move_px: f64,
-    /// Mean turn of the normals in a round, degrees, below which a outer iteration with shading may end; a tenth of
+    /// Mean turn of the normals in a round, degrees, below which an outer iteration with shading may end; a tenth of
     /// what normals err in the end.
     pub round_turn_deg: f64,
-    /// Largest number of rounds of a outer iteration.
+    /// Largest number of rounds of an outer iteration.
     pub max_num_rounds: usize,
     /// Outer iterations of light and shape, from weak shading to its full weight; 0 leaves shading out.
     #[serde(alias = "num_laps")]

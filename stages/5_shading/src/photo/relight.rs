@@ -6,7 +6,7 @@ use super::distant;
 use super::iteration::IterationWeights;
 use super::known_light::KnownLight;
 use super::light::{self, Light, LightScene};
-use super::report::OuterIterationReport;
+use super::report::StepReport;
 use super::surround;
 use super::views::SolvedFrame;
 use super::{albedo, appearance, confidence, spread, validation};
@@ -84,14 +84,20 @@ impl Course<'_> {
         }
         if known.groups.is_empty() && light.is_some() {
             notes.push(
-                "no sphere: the light is read from the object's own surface, so that a light over \
+                "no sphere or given light could be used: the light is read from the object's own surface, so that a light over \
                  the whole object and its albedo cannot be told apart",
+            );
+        }
+        if !sees_shadows && !known.groups.is_empty() && light.is_some() {
+            notes.push(
+                "the distant light is fitted on the object alone: spheres and a given light are not used \
+                 by it",
             );
         }
         for note in notes {
             self.note(note);
         }
-        self.report.outer_iterations.push(OuterIterationReport {
+        self.report.steps.push(StepReport {
             level: at,
             kind: format!(
                 "light, residual {:.4}{}",
@@ -99,7 +105,7 @@ impl Course<'_> {
                 if ground.is_some() { ", ground" } else { "" }
             ),
             seconds: began.elapsed().as_secs_f64(),
-            ..OuterIterationReport::default()
+            ..StepReport::default()
         });
         Ok(light)
     }
@@ -135,11 +141,11 @@ impl Course<'_> {
         }
         light.trust = judged.trust;
         self.report.validation = Some(judged.report);
-        self.report.outer_iterations.push(OuterIterationReport {
+        self.report.steps.push(StepReport {
             level: at,
             kind: "cross-validation".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
-            ..OuterIterationReport::default()
+            ..StepReport::default()
         });
         Ok(())
     }

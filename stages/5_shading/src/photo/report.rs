@@ -30,9 +30,9 @@ pub struct PhotoViewReport {
     pub without_shading: Option<f64>,
 }
 
-/// One outer iteration.
+/// One step of the course: a search, a fit of the light, or an outer iteration.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct OuterIterationReport {
+pub struct StepReport {
     /// Pyramid level, 0 is full resolution.
     pub level: usize,
     /// What took part.
@@ -42,7 +42,7 @@ pub struct OuterIterationReport {
     /// Mean turn of the normals in the last round, degrees.
     pub turned_deg: f64,
     /// Mean turn of the normals in the whole outer iteration, degrees.
-    pub outer_turned_deg: f64,
+    pub turned_in_all_deg: f64,
     /// Rounds.
     pub num_rounds: usize,
     /// Relative standard deviation that the photos' agreement was given; 0 where it took no part.
@@ -60,8 +60,8 @@ pub struct OuterIterationReport {
 pub struct PhotoReport {
     /// Per view.
     pub views: Vec<PhotoViewReport>,
-    /// In order.
-    pub outer_iterations: Vec<OuterIterationReport>,
+    /// The steps, in order.
+    pub steps: Vec<StepReport>,
     /// Standard deviation of the log ratio between views at the same point.
     pub disagreement: f64,
     /// Standard deviation that follows for the match term.

@@ -10,7 +10,7 @@ use super::gains;
 use super::hull;
 use super::level::Level;
 use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
-use super::report::{OuterIterationReport, PhotoViewReport};
+use super::report::{PhotoViewReport, StepReport};
 use super::start::{self, Agreement};
 use crate::error::ShadingError;
 use nalgebra::Point3;
@@ -144,11 +144,11 @@ impl Course<'_> {
         self.sigma_match = SIGMA_SHARE * disagreement;
         self.report.disagreement = exposure.disagreement;
         self.report.sigma_match = self.sigma_match;
-        self.report.outer_iterations.push(OuterIterationReport {
+        self.report.steps.push(StepReport {
             level: at,
             kind: "exposure".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
-            ..OuterIterationReport::default()
+            ..StepReport::default()
         });
         self.report.views = self
             .scene
@@ -203,11 +203,11 @@ impl Course<'_> {
             let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
             self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
         }
-        self.report.outer_iterations.push(OuterIterationReport {
+        self.report.steps.push(StepReport {
             level: at,
             kind: "search".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
-            ..OuterIterationReport::default()
+            ..StepReport::default()
         });
         Ok(found.surface)
     }

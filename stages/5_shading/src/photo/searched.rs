@@ -11,7 +11,7 @@
 
 use super::course::Course;
 use super::patchmatch::{PatchCost, Planes};
-use super::report::OuterIterationReport;
+use super::report::StepReport;
 use super::solve::FUSION_PX;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
@@ -50,11 +50,11 @@ impl Course<'_> {
             surface = self.fused(at, &surface, SEARCHED_FUSION_PX)?;
         }
         self.report.finer_search_scatter_px = Some(found.scatter_px);
-        self.report.outer_iterations.push(OuterIterationReport {
+        self.report.steps.push(StepReport {
             level: at,
             kind: "finer search".to_owned(),
             seconds: began.elapsed().as_secs_f64(),
-            ..OuterIterationReport::default()
+            ..StepReport::default()
         });
         self.show(at, "searched, fused", &surface);
         Ok(surface)

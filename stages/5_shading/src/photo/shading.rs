@@ -62,7 +62,7 @@ pub(crate) struct PixelLight<'a> {
     pub pigment: Option<&'a [[f32; 3]]>,
     /// Scales each pixel's weight, 0 to 1.
     pub trust: Option<&'a [f32]>,
-    /// Log depth difference at which another view's intensity no more counts; 0: never counts.
+    /// Log depth difference at which another view's intensity no longer counts; 0: never counts.
     pub mean_tolerance: f64,
 }
 

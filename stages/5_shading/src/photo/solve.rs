@@ -14,7 +14,7 @@ use rilievo_scene::{
     Event, Flow, LightSource, LightingCalibration, Observer, PosedViews, ShadedViews, StageId,
 };
 
-/// A outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights
+/// An outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights
 /// is the last: light and shape oscillate, or pixels beside edges change sides.
 const SETTLING: f64 = 0.8;
 
@@ -99,7 +99,7 @@ impl Course<'_> {
                     let flow = self.observer.event(Event::Warning {
                         stage: StageId::Shading,
                         message:
-                            "the given light contradicts the photos, and is used all the same: \
+                            "the light from elsewhere contradicts the photos and is used all the same: \
                                   normals err towards it"
                                 .to_owned(),
                     });
@@ -119,7 +119,7 @@ impl Course<'_> {
         };
         // After them the surface is no rough start any more.
         let first_full = usize::from(num_half > 0 && options.num_outer_iterations > 1);
-        let num_outer_iterations = num_half + options.num_outer_iterations - first_full;
+        let num_planned = num_half + options.num_outer_iterations - first_full;
         let mut kept = None;
         if num_half > 0 {
             let reduced = self.reduced(*at, depths);
@@ -156,7 +156,7 @@ impl Course<'_> {
             } else {
                 iteration_weights(iteration - num_half + first_full, residual)
             };
-            if iteration + 1 >= num_outer_iterations {
+            if iteration + 1 >= num_planned {
                 if self.is_finest(*at) {
                     weights.consensus_px = FINEST_CONSENSUS_PX;
                 }
@@ -171,12 +171,12 @@ impl Course<'_> {
                 "light and shape",
             )?;
             iteration += 1;
-            if iteration >= num_outer_iterations {
+            if iteration >= num_planned {
                 let is_still = turned_deg < options.outer_turn_deg;
                 let keeps_turning = turned_deg > SETTLING * turned_before;
                 if is_still
                     || keeps_turning
-                    || iteration >= num_outer_iterations + options.max_more_iterations
+                    || iteration >= num_planned + options.max_more_iterations
                 {
                     return Ok((light, weights));
                 }

@@ -26,12 +26,12 @@ use rilievo_numerics::robust::median;
 use rilievo_scene::Raster;
 use serde::{Deserialize, Serialize};
 
-/// Steps of either kind: most of the way that a outer iteration goes.
+/// Steps of either kind: most of the way that an outer iteration goes.
 const NUM_STEPS: usize = 3;
-/// Bell of the brightness difference that counts as exposure, pixels.
+/// Gaussian of the brightness difference that counts as exposure, pixels.
 const GAIN_PX: f64 = 8.0;
-/// Bell of the judgement, pixels.
-const BELL_PX: f64 = 10.0;
+/// Gaussian of the judgement, pixels.
+const GAUSSIAN_PX: f64 = 10.0;
 /// Pixels over which residuals are correlated.
 const CORRELATED_PIXELS: f64 = 25.0;
 /// Largest log ratio that counts, in units of the median one: occluders are no evidence.
@@ -242,9 +242,9 @@ fn trust(
         .iter()
         .map(|s| [s[0] - s[1], (s[0] - s[1]).powi(2)])
         .collect();
-    let mean = sampling::smooth(&view.pixels, &values, &evidence.seen, BELL_PX);
+    let mean = sampling::smooth(&view.pixels, &values, &evidence.seen, GAUSSIAN_PX);
     let cover: Vec<[f32; 1]> = evidence.seen.iter().map(|&s| [s]).collect();
-    let cover = sampling::smooth(&view.pixels, &cover, &vec![1.0; n], BELL_PX);
+    let cover = sampling::smooth(&view.pixels, &cover, &vec![1.0; n], GAUSSIAN_PX);
     let usable: Vec<f32> = (0..n)
         .map(|p| f32::from(u8::from(view.is_usable(p))))
         .collect();
@@ -264,10 +264,11 @@ fn trust(
             [(sum / 3.0) as f32]
         })
         .collect();
-    let missed = sampling::smooth(&view.pixels, &missed, &usable, BELL_PX);
+    let missed = sampling::smooth(&view.pixels, &missed, &usable, GAUSSIAN_PX);
     let mut usual: Vec<f64> = missed.iter().map(|m| f64::from(m[0])).collect();
     let usual = median(&mut usual).unwrap_or(1.0).max(1e-8) as f32;
-    let independent = (4.0 * std::f64::consts::PI * BELL_PX * BELL_PX / CORRELATED_PIXELS) as f32;
+    let independent =
+        (4.0 * std::f64::consts::PI * GAUSSIAN_PX * GAUSSIAN_PX / CORRELATED_PIXELS) as f32;
     (0..n)
         .map(|p| {
             let variance = (mean[p][1] - mean[p][0].powi(2)).max(0.0);

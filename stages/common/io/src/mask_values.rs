@@ -36,16 +36,14 @@ pub(crate) const BRIGHT: u8 = 128;
 /// `levels`: `height * width`.
 pub(crate) fn check(path: &Path, levels: &[u8], width: usize) -> Result<(), IoError> {
     let histogram = histogram(levels);
-    let most_frequent = |range: std::ops::Range<u8>, last: u8| {
-        range
-            .chain([last])
-            .fold((0, 0), |best: (u8, usize), level| {
-                let count = histogram[usize::from(level)];
-                if count > best.1 { (level, count) } else { best }
-            })
+    let most_frequent = |range: std::ops::RangeInclusive<u8>| {
+        range.fold((0, 0), |best: (u8, usize), level| {
+            let count = histogram[usize::from(level)];
+            if count > best.1 { (level, count) } else { best }
+        })
     };
-    let (dark, num_dark) = most_frequent(0..BRIGHT - 1, BRIGHT - 1);
-    let (bright, num_bright) = most_frequent(BRIGHT..u8::MAX, u8::MAX);
+    let (dark, num_dark) = most_frequent(0..=BRIGHT - 1);
+    let (bright, num_bright) = most_frequent(BRIGHT..=u8::MAX);
     if num_dark == 0 || num_bright == 0 {
         return Ok(());
     }

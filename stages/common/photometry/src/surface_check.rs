@@ -202,7 +202,7 @@ impl Surface<'_> {
                 count += 1;
             }
         }
-        if count == 0 || ii <= 0.0 || ss <= 0.0 {
+        if count == 0 || ii <= 0.0 || ss <= 0.0 || si <= 0.0 {
             return None;
         }
         let square = |gain: f64| ((gain * gain * ss - 2.0 * gain * si + ii).max(0.0) / ii).sqrt();
@@ -244,13 +244,14 @@ fn one_view(
     used: Option<&Lighting>,
     options: &CheckOptions,
 ) -> Option<ViewSurfaceReport> {
-    let used = used.filter(|light| light.channels.len() == surface.image.channels);
+    // Grey photos are taken for three equal channels by the photo model.
+    let used = used.filter(|light| light.channels.len() >= surface.image.channels);
     let under = |light: &Lighting| surface.agreement(|at, c| light.channels[c].evaluate(&at.2));
     let refit = surface.refit(options);
     let with_refit = refit.as_ref().and_then(under);
     let is_whole = |rendered: &&LinearImage| {
-        let size = |image: &LinearImage| (image.width, image.height, image.channels);
-        size(rendered) == size(surface.image)
+        let size = |image: &LinearImage| (image.width, image.height);
+        size(rendered) == size(surface.image) && rendered.channels >= surface.image.channels
     };
     let with_used = match view.rendered.as_ref().filter(is_whole) {
         Some(rendered) => surface.agreement(|at, c| f64::from(rendered.pixel(at.0, at.1)[c])),
@@ -278,10 +279,16 @@ fn advice(
     albedo_factor: Option<f64>,
 ) -> Vec<String> {
     let mut advice = Vec::new();
+    let other_albedo = match source {
+        LightSource::Sphere | LightSource::CalibrationPhoto => {
+            "its albedo differs from the sphere's"
+        }
+        _ => "the light's strength is another",
+    };
     if let Some(factor) = albedo_factor.filter(|f| f.ln().abs() > OTHER_ALBEDO) {
         advice.push(format!(
             "the object is {factor:.2} times as bright as the light predicts, in all photos alike: \
-             its albedo differs from the sphere's, or it is dirty or in its own shadow"
+             {other_albedo}, or it is dirty or in its own shadow"
         ));
     }
     let suffering: Vec<String> = views
@@ -305,7 +312,10 @@ fn advice(
             LightSource::CalibrationPhoto => {
                 "the light changed between the calibration photo and these, or their exposure did"
             }
-            LightSource::Given | LightSource::Shape => {
+            LightSource::Shape => {
+                "the shape given does not lie where these photos show it, or they changed since"
+            }
+            LightSource::Given => {
                 "the light given is not the light of these photos; check file, frame and exposure"
             }
             LightSource::OwnShape => {
@@ -324,9 +334,8 @@ fn advice(
         .collect();
     if !shadowed.is_empty() {
         advice.push(format!(
-            "shape and light explain less than {:.0} % of the object to a tenth in {}: gloss, stains, or \
-             shadow and bounce light, which the paper's model does not allow for; softer light from several \
-             sides helps",
+            "shape and light explain less than {:.0} % of the object to a tenth in {}: gloss, stains, \
+             or shadow and bounce light; softer light from several sides helps",
             100.0 * (1.0 - MUCH_UNEXPLAINED),
             shadowed.join(", ")
         ));

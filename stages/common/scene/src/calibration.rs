@@ -52,12 +52,15 @@ pub struct LightSample {
     /// The view that shows it.
     pub view: ViewIdx,
     /// The posed sphere on which it lies, or `None` for a point in the object's place that nothing hides
-    /// and nothing stands beside, as of a calibration photo or of harmonics that were given.
+    /// and nothing stands beside, as on a calibration photo, or read from given harmonics.
     pub sphere: Option<usize>,
     /// Unit normal, world frame.
     pub normal_in_world: [f32; 3],
-    /// Linear intensity of the photo, its gain contained; grey photos have three equal values.
+    /// Linear intensity, never negative; grey photos have three equal values.
     pub intensity: [f32; 3],
+    /// Whether the intensity is at the view's own exposure, its gain contained; else at that of a photo of
+    /// gain 1, as a calibration photo's.
+    pub has_gain: bool,
 }
 
 /// Lighting of all views.

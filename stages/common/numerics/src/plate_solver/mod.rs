@@ -121,7 +121,7 @@ mod tests {
     #[test]
     fn conjugate_gradients_reach_what_the_factorisation_finds() {
         let numbering = disc();
-        // Stiff as in a lap: sixty times the hold of each pixel's own value.
+        // Stiff as in an outer iteration: sixty times the hold of each pixel's own value.
         let mut system = plate(&numbering);
         for row in &mut system.coefficients {
             *row = row.map(|c| 60.0 * c);

@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 const CELLS_PER_EDGE: usize = 12;
 /// Number of cells.
 pub const NUM_CELLS: usize = 6 * CELLS_PER_EDGE * CELLS_PER_EDGE;
+
 /// Cell of a unit normal on the cube around the sphere.
 pub fn cell_of(n: &Vector3<f64>) -> usize {
     let axis = n.iamax();
@@ -22,11 +23,12 @@ pub fn cell_of(n: &Vector3<f64>) -> usize {
 }
 
 /// Means of a sphere's pixels over cells of normals in the world; pixels with a clipped channel are left out.
+/// `has_gain` tells whether the photo is at its view's own exposure.
 pub fn light_samples(
     samples: &SphereSamples,
     world_from_cam: &UnitQuaternion<f64>,
     view: ViewIdx,
-    sphere: Option<usize>,
+    (sphere, has_gain): (Option<usize>, bool),
 ) -> Vec<LightSample> {
     let mut cells: BTreeMap<usize, (Vector3<f64>, [f64; 3], f64)> = BTreeMap::new();
     for (k, normal) in samples.normals.iter().enumerate() {
@@ -48,6 +50,7 @@ pub fn light_samples(
             sphere,
             normal_in_world: sum.normalize().map(|v| v as f32).into(),
             intensity: intensity.map(|v| (v / count).max(0.0) as f32),
+            has_gain,
         })
         .collect()
 }

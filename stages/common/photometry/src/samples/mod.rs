@@ -40,7 +40,7 @@ pub fn read_spheres(
                 &samples,
                 &world_from_cam,
                 ViewIdx(view),
-                Some(k),
+                (Some(k), true),
             ));
         }
     }

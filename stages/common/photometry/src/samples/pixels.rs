@@ -196,7 +196,7 @@ pub fn surface_pixels(
             }
         }
     }
-    // A stride coprime with the usual image widths, so that the samples do not fall into columns.
+    // An odd stride: in images of even width the samples do not fall into columns.
     let stride = pixels.len().div_ceil(max_num.max(1)).max(1);
     pixels.into_iter().step_by(stride | 1).collect()
 }

@@ -101,9 +101,9 @@ pub fn fit_environment(
         let mut sorted: Vec<f32> = fit.residuals.clone();
         sorted.sort_unstable_by(f32::total_cmp);
         // Huber at a little more than twice the median.
-        let knee = 2.25 * f64::from(sorted[sorted.len() / 2]).max(1e-6);
+        let threshold = 2.25 * f64::from(sorted[sorted.len() / 2]).max(1e-6);
         for (w, &r) in robust.iter_mut().zip(&fit.residuals) {
-            *w = (knee / f64::from(r).max(1e-9)).min(1.0);
+            *w = (threshold / f64::from(r).max(1e-9)).min(1.0);
         }
     }
     Some(fit)
