@@ -14,17 +14,22 @@ use rilievo_photos::PhotosReport;
 /// [`Failure::Input`] with every file that cannot be used, after the good ones were reported on.
 pub fn check(args: &CheckArgs) -> anyhow::Result<()> {
     reporting_found(args.work.json, |console| {
-        let mut report = None;
-        let outcome = look(args, console, &mut report);
-        (outcome, serde_json::json!({"report": report}))
+        let mut found = Found::default();
+        let outcome = look(args, console, &mut found);
+        let Found { report, warnings } = found;
+        let facts = serde_json::json!({"report": report, "warnings": warnings});
+        (outcome, facts)
     })
 }
 
-fn look(
-    args: &CheckArgs,
-    console: &Console,
-    told: &mut Option<PhotosReport>,
-) -> anyhow::Result<()> {
+/// What is known of the photos, whether all can be used or not.
+#[derive(Default)]
+struct Found {
+    report: Option<PhotosReport>,
+    warnings: Vec<String>,
+}
+
+fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Result<()> {
     let mut options = StageOptions::read(args.config.as_deref())?;
     options.override_with(None, None, args.encoding);
     options.validate()?;
@@ -40,13 +45,15 @@ fn look(
     for warning in &inputs.warnings {
         console.note(&format!("  warning: {warning}"));
     }
+    found.warnings.clone_from(&inputs.warnings);
     let resources = Resources::new(&args.work);
-    let (report, problems) = check_photos(&request, &inputs, resources, console)?;
-    for line in report.table().to_string().lines() {
+    let (report, warnings, problems) = check_photos(&request, &inputs, resources, console)?;
+    for line in report.table(&warnings).to_string().lines() {
         console.note(&format!("  {line}"));
     }
     let usable = report.photos.len();
-    *told = Some(report);
+    found.report = Some(report);
+    found.warnings.extend(warnings);
     if problems.is_empty() {
         console.note(&format!("all {usable} photos can be used"));
         return Ok(());

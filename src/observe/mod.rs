@@ -60,17 +60,7 @@ impl Console {
     /// A warning that is shown now and kept for the report.
     pub fn warn(&self, stage: StageId, message: impl Into<String>) {
         // Whether to stop is asked again by the next event.
-        let _ = self.event(Event::Warning {
-            stage,
-            message: message.into(),
-        });
-    }
-
-    /// The warnings of a stage's report, those that it did not tell while it worked.
-    pub fn warn_all(&self, stage: StageId, messages: &[String]) {
-        for message in messages {
-            self.warn(stage, message.clone());
-        }
+        let _ = Observer::warn(self, stage, message.into());
     }
 
     /// The last word, for scripts.
@@ -106,12 +96,7 @@ impl Observer for Console {
                 Ok(warnings) => warnings,
                 Err(poisoned) => poisoned.into_inner(),
             };
-            let told = (*stage, message.clone());
-            // A stage tells while it works, and its report tells again: once is enough.
-            if warnings.contains(&told) {
-                return self.flow();
-            }
-            warnings.push(told);
+            warnings.push((*stage, message.clone()));
         }
         self.with(|display| display.event(&event));
         self.flow()

@@ -6,6 +6,7 @@ use rilievo_fusion::FusionError;
 use rilievo_io::IoError;
 use rilievo_lighting::LightingError;
 use rilievo_photometry::surface_check::CheckError;
+use rilievo_photos::PhotosError;
 use rilievo_poses::PosesError;
 use rilievo_scene::Inconsistent;
 use rilievo_shading::ShadingError;
@@ -22,6 +23,14 @@ fn damaged(error: &Inconsistent) -> anyhow::Error {
         "{error}; `rilievo run {stage} RUN` makes them anew"
     ))
     .into()
+}
+
+/// Stage 1, of the set as a whole.
+pub fn from_photos(error: PhotosError) -> Failure {
+    match error {
+        PhotosError::Interrupted => Failure::Interrupted,
+        other => Failure::NoResult(other.to_string()),
+    }
 }
 
 /// Stage 2.

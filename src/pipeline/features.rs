@@ -58,9 +58,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         rilievo_features::match_photos(&photos, keypoints, options, context.console)
             .map_err(from_features)?;
     write_binary(writer, PAIRS, &matches.pairs)?;
-    context
-        .console
-        .warn_all(StageId::Features, &report.warnings);
     Ok(serde_json::to_value(report)?)
 }
 

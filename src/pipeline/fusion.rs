@@ -5,7 +5,7 @@ use super::errors::{from_fusion, from_io};
 use crate::exit::Failure;
 use crate::store::StageWriter;
 use rilievo_io::{ViewerFrame, write_cloud_ply, write_mesh_glb, write_mesh_obj, write_mesh_ply};
-use rilievo_scene::{FusedCloud, PosedViews, StageId};
+use rilievo_scene::{FusedCloud, PosedViews};
 use std::path::PathBuf;
 
 /// Fuses all views.
@@ -24,7 +24,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_fusion)?;
-    context.console.warn_all(StageId::Fusion, &report.warnings);
     write_surface(&fused, &views, &|name| Ok(writer.path(name)?))?;
     Ok(serde_json::to_value(report)?)
 }

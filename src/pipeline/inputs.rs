@@ -259,6 +259,7 @@ fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Fa
     files.sort();
     files.dedup();
     skipped.sort_by(|a, b| a.file.cmp(&b.file));
+    skipped.dedup();
     Ok((files, skipped))
 }
 

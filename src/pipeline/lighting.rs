@@ -33,9 +33,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_lighting)?;
-    context
-        .console
-        .warn_all(StageId::Lighting, &report.warnings);
     write_lighting(&writer.path("lighting.json")?, &calibration, &views).map_err(from_io)?;
     let options = &context.request.options.lighting;
     let overlays = rilievo_lighting::overlays(&photos, &views, &calibration, options)

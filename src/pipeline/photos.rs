@@ -2,7 +2,7 @@
 
 use super::artifacts::{checked_names, not_there};
 use super::context::Context;
-use super::errors::from_io;
+use super::errors::{from_io, from_photos};
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, map_items};
 use super::request::Request;
@@ -17,7 +17,7 @@ use rilievo_io::{
 use rilievo_photos::{
     GivenCamera, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
 };
-use rilievo_scene::{LinearImage, Observer, PhotoSet, StageId};
+use rilievo_scene::{LinearImage, Observer, PhotoSet, Recorder, Silent, StageId};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
@@ -57,7 +57,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     for problem in &inputs.skipped {
         context.console.warn(StageId::Photos, problem.to_string());
     }
-    context.console.warn_all(StageId::Photos, &inputs.warnings);
+    for warning in &inputs.warnings {
+        context.console.warn(StageId::Photos, warning);
+    }
     let options = serde_json::to_value(&context.request.options.photos)?;
     let prepared = map_photos(
         inputs,
@@ -110,9 +112,10 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         });
         return Err(Failure::Input(problems.collect()).into());
     }
-    let (_, mut report) = assemble(usable, context)?;
+    let options = &context.request.options.photos;
+    let (_, mut report) =
+        rilievo_photos::assemble(usable, options, context.console).map_err(from_photos)?;
     report.rejected = rejected;
-    context.console.warn_all(StageId::Photos, &report.warnings);
     preflight(&report, context.console);
     Ok(serde_json::to_value(report)?)
 }
@@ -136,8 +139,8 @@ pub fn map_photos<R: Send>(
     )
 }
 
-/// The preflight alone: what the photos are, and every file that cannot be used, without keeping
-/// anything.
+/// The preflight alone: what the photos are, what to warn of, and every file that cannot be used,
+/// without keeping anything.
 ///
 /// # Errors
 /// When the user asked to stop, or no photo is left to report on.
@@ -146,7 +149,7 @@ pub fn check(
     inputs: &Inputs,
     resources: Resources,
     console: &Console,
-) -> anyhow::Result<(PhotosReport, Vec<Problem>)> {
+) -> anyhow::Result<(PhotosReport, Vec<String>, Vec<Problem>)> {
     let checked = map_photos(inputs, resources, "reading photos", console, |photo| {
         // Only the facts are kept: a large set need not fit into memory.
         prepare(request, photo).map(|prepared| PreparedPhoto {
@@ -173,10 +176,12 @@ pub fn check(
     if usable.is_empty() {
         return Err(Failure::Input(problems).into());
     }
-    let (_, mut report) = rilievo_photos::assemble(usable, &request.options.photos)
-        .map_err(|error| Failure::NoResult(error.to_string()))?;
+    // The preflight's table has a place for them.
+    let told = Recorder::default();
+    let (_, mut report) =
+        rilievo_photos::assemble(usable, &request.options.photos, &told).map_err(from_photos)?;
     report.rejected = problems.iter().map(rejected_photo).collect();
-    Ok((report, problems))
+    Ok((report, told.warnings(), problems))
 }
 
 /// A photo's linear pixels, without keeping anything.
@@ -220,15 +225,10 @@ pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
             usable.push(from_disk(&dir, *facts, mask)?);
         }
     }
-    Ok(assemble(usable, context)?.0)
-}
-
-fn assemble(
-    usable: Vec<PreparedPhoto>,
-    context: &Context<'_>,
-) -> Result<(PhotoSet, PhotosReport), Failure> {
-    rilievo_photos::assemble(usable, &context.request.options.photos)
-        .map_err(|error| Failure::NoResult(error.to_string()))
+    // Stage 1 has told the warnings.
+    let options = &context.request.options.photos;
+    let (set, _) = rilievo_photos::assemble(usable, options, &Silent).map_err(from_photos)?;
+    Ok(set)
 }
 
 fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto, Failure> {

@@ -20,8 +20,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let photos = super::photos::load(context)?;
     let matches = super::features::load(context, &photos.photos)?;
     let (sphere, unused) = sphere_request(context, &photos)?;
-    let odd = &context.inputs.sphere_warnings;
-    context.console.warn_all(StageId::Poses, odd);
+    for warning in &context.inputs.sphere_warnings {
+        context.console.warn(StageId::Poses, warning);
+    }
     if !unused.is_empty() {
         context.console.warn(
             StageId::Poses,
@@ -39,7 +40,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_poses)?;
-    context.console.warn_all(StageId::Poses, &report.warnings);
     if let Some(why) = &mut views.no_sphere
         && !unused.is_empty()
     {

@@ -60,9 +60,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_shading)?;
-    context
-        .console
-        .warn_all(StageId::Shading, &report.paper.warnings);
     let light_on_surface = check(
         &photos,
         &views,
@@ -82,9 +79,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     if !used.views.is_empty() {
         write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(from_io)?;
     }
-    context
-        .console
-        .warn_all(StageId::Shading, &light_on_surface.advice);
+    for advice in &light_on_surface.advice {
+        context.console.warn(StageId::Shading, advice);
+    }
     let mut files = Vec::new();
     for view in &shaded.views {
         write_maps(&|file: &str| writer.path(file), view)?;

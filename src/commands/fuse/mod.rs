@@ -76,7 +76,6 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
             }
             (error, _) => from_fusion(error),
         })?;
-    console.warn_all(StageId::Fusion, &report.warnings);
     // All files are written before the first of an earlier surface is replaced.
     let writing = tempfile::tempdir_in(&args.output)
         .map_err(StoreError::files("write into", &args.output))?;

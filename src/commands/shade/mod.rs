@@ -41,7 +41,6 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
     console.stage(StageId::Shading, &StageNews::Started(started));
     let solution = rilievo_shading::paper::solve(&problem.problem, &options.shading.paper, console)
         .map_err(from_shading)?;
-    console.warn_all(StageId::Shading, &solution.report.warnings);
     for (index, view) in solution.views.into_iter().enumerate() {
         write_view(&args.output, index, view)?;
     }
@@ -50,6 +49,7 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
         "program": system::PROGRAM,
         "options": options.shading,
         "lighting": problem.lighting,
+        "warnings": console.take_warnings(StageId::Shading),
         "seconds": seconds,
         "report": solution.report,
     });

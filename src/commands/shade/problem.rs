@@ -151,7 +151,11 @@ fn read_view(
     let prior = prior_file.map(depth).transpose()?;
     let init_file = args.init.as_deref().or(view.init.as_deref());
     let init_file = init_file.filter(|init| !is_word(init));
-    let initial = init_file.map(|file| depth(file.as_ref())).transpose()?;
+    let initial = match init_file.map(Path::new) {
+        // Read, and told of, once.
+        same if same == prior_file => prior.clone(),
+        other => other.map(depth).transpose()?,
+    };
 
     let spec = args.lighting.as_deref().map(split_lighting_spec);
     let (lighting, source) = match spec.or_else(|| view.lighting.clone()) {

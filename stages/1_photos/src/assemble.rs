@@ -7,7 +7,7 @@ use crate::options::PhotosOptions;
 use crate::prepare::PreparedPhoto;
 use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
 use rilievo_numerics::robust::median;
-use rilievo_scene::{FocalSource, Photo, PhotoSet};
+use rilievo_scene::{FocalSource, Observer, Photo, PhotoSet, StageId};
 use std::sync::Arc;
 
 /// Ratio of colours between photos from which the user is warned: a tenth is a visible tint.
@@ -35,10 +35,12 @@ const MAX_NUM_FIGURES: usize = 3;
 /// Orders photos by file name, groups them by camera, and reports on the set.
 ///
 /// # Errors
-/// When no photo is left, two have the same name, or grey and colour photos are mixed.
+/// When no photo is left, two have the same name, grey and colour photos are mixed, or the observer
+/// asked to stop.
 pub fn assemble(
     mut photos: Vec<PreparedPhoto>,
     options: &PhotosOptions,
+    observer: &dyn Observer,
 ) -> Result<(PhotoSet, PhotosReport), PhotosError> {
     options.validate()?;
     photos.sort_by(|a, b| a.facts.file_name.cmp(&b.facts.file_name));
@@ -90,7 +92,7 @@ pub fn assemble(
     let level = |(i, f): (usize, &PhotoFacts)| f.median_level * gains.get(i).unwrap_or(&1.0);
     let levels: Vec<f64> = facts.iter().enumerate().map(level).collect();
     let coverages: Vec<f64> = facts.iter().filter_map(|f| f.mask_coverage).collect();
-    let mut report = PhotosReport {
+    let report = PhotosReport {
         rejected: Vec::new(),
         camera_groups: groups.into_iter().map(|(_, group)| group).collect(),
         num_masks: coverages.len(),
@@ -106,11 +108,13 @@ pub fn assemble(
         exposure_gains: gains,
         white_balance_spread: white_balance_spread(&facts),
         corner_falloff: middle(facts.iter().map(|f| f.corner_falloff)),
-        warnings: Vec::new(),
         photos: facts,
     };
     check_levels(&report, options)?;
-    report.warnings = warnings(&report, options);
+    for message in warnings(&report, options) {
+        let flow = observer.warn(StageId::Photos, message);
+        flow.ok_or(PhotosError::Interrupted)?;
+    }
     Ok((set, report))
 }
 
@@ -237,6 +241,7 @@ fn white_balance_spread(facts: &[PhotoFacts]) -> Option<f64> {
     Some(spread(0)?.max(spread(1)?))
 }
 
+/// What the user should know, each with the photo and what to try.
 fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
     let mut warnings = Vec::new();
     // One line for what concerns several photos: a list of five hundred is not read.

@@ -215,4 +215,7 @@ pub enum PhotosError {
     /// There is no usable photo.
     #[error("no usable photo")]
     NoPhotos,
+    /// The observer asked to stop.
+    #[error("interrupted")]
+    Interrupted,
 }

@@ -119,6 +119,4 @@ pub struct PhotosReport {
     pub white_balance_spread: Option<f64>,
     /// Median over the photos of the lens' fall-off.
     pub corner_falloff: f64,
-    /// What the user should know, each with the photo and what to try.
-    pub warnings: Vec<String>,
 }

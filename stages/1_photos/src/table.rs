@@ -4,15 +4,21 @@ use crate::report::{PhotoFacts, PhotosReport};
 use std::fmt;
 
 impl PhotosReport {
-    /// One line per photo, then the groups, the photos left out and the warnings.
-    pub fn table(&self) -> Table<'_> {
-        Table(self)
+    /// One line per photo, then the groups, the photos left out and what was warned of.
+    pub fn table<'a>(&'a self, warnings: &'a [String]) -> Table<'a> {
+        Table {
+            report: self,
+            warnings,
+        }
     }
 }
 
 /// A report that writes itself as text.
 #[derive(Clone, Copy, Debug)]
-pub struct Table<'a>(&'a PhotosReport);
+pub struct Table<'a> {
+    report: &'a PhotosReport,
+    warnings: &'a [String],
+}
 
 fn percent(share: Option<f64>) -> String {
     share.map_or_else(|| "-".to_owned(), |share| format!("{:.1}", 100.0 * share))
@@ -20,7 +26,7 @@ fn percent(share: Option<f64>) -> String {
 
 impl fmt::Display for Table<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let report = self.0;
+        let report = self.report;
         let width = report
             .photos
             .iter()
@@ -72,7 +78,7 @@ impl fmt::Display for Table<'_> {
         for photo in &report.rejected {
             writeln!(f, "left out: {}: {}", photo.file, photo.reason)?;
         }
-        for warning in &report.warnings {
+        for warning in self.warnings {
             writeln!(f, "warning: {warning}")?;
         }
         Ok(())

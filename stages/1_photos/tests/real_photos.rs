@@ -5,7 +5,7 @@ mod shared_data;
 
 use rilievo_io::{decode_photo, read_mask};
 use rilievo_photos::{PhotosOptions, assemble, prepare};
-use rilievo_scene::FocalSource;
+use rilievo_scene::{FocalSource, Recorder};
 use shared_data::data;
 
 #[test]
@@ -59,7 +59,8 @@ fn a_whole_folder_with_masks() {
             prepare(decoded, Some(mask), None, &options).unwrap()
         })
         .to_vec();
-    let (set, report) = assemble(photos, &options).unwrap();
+    let told = Recorder::default();
+    let (set, report) = assemble(photos, &options, &told).unwrap();
     assert_eq!(set.photos.len(), 2);
     assert_eq!(report.camera_groups.len(), 1);
     assert!(
@@ -69,9 +70,9 @@ fn a_whole_folder_with_masks() {
         "{report:?}"
     );
     assert!(
-        report.warnings.iter().any(|w| w.contains("guessed")),
+        told.warnings().iter().any(|w| w.contains("guessed")),
         "{:?}",
-        report.warnings
+        told.warnings()
     );
 }
 

@@ -6,7 +6,10 @@
 use rilievo_photos::{
     GivenCamera, PhotosError, PhotosOptions, PhotosReport, PreparedPhoto, assemble, prepare,
 };
-use rilievo_scene::{DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, Raster, Samples};
+use rilievo_scene::{
+    DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, PhotoSet, Raster, Recorder, Samples,
+    Silent,
+};
 
 fn photo(file_name: &str, exif: ExifFacts) -> DecodedPhoto {
     let (width, height) = (64, 48);
@@ -23,6 +26,16 @@ fn photo(file_name: &str, exif: ExifFacts) -> DecodedPhoto {
         alpha: None,
         exif,
     }
+}
+
+/// The set, its report, and what was warned of.
+fn assembled(
+    photos: Vec<PreparedPhoto>,
+    options: &PhotosOptions,
+) -> (PhotoSet, PhotosReport, Vec<String>) {
+    let told = Recorder::default();
+    let (set, report) = assemble(photos, options, &told).unwrap();
+    (set, report, told.warnings())
 }
 
 fn prepared(file_name: &str, exif: ExifFacts) -> PreparedPhoto {
@@ -57,7 +70,7 @@ fn photos_are_ordered_and_share_cameras_by_body_and_zoom() {
         prepared("a.jpg", zoom(20.0)),
         prepared("b.jpg", zoom(35.0)),
     ];
-    let (set, report) = assemble(photos, &PhotosOptions::default()).unwrap();
+    let (set, report, warnings) = assembled(photos, &PhotosOptions::default());
     let order: Vec<(&str, usize)> = set
         .photos
         .iter()
@@ -67,12 +80,11 @@ fn photos_are_ordered_and_share_cameras_by_body_and_zoom() {
     assert_eq!(report.camera_groups[0].photos, ["a.jpg", "c.jpg"]);
     assert_eq!(report.photos.len(), 3);
     // Nothing is wrong but that they have no masks.
-    let told: Vec<bool> = report
-        .warnings
+    let told: Vec<bool> = warnings
         .iter()
         .map(|w| w.contains("no photo has a mask"))
         .collect();
-    assert_eq!(told, [true], "{:?}", report.warnings);
+    assert_eq!(told, [true], "{:?}", warnings);
 }
 
 #[test]
@@ -83,8 +95,8 @@ fn photos_of_the_same_second_are_different_photos() {
         ..zoom(20.0)
     };
     let photos = ["b.jpg", "a.jpg"].map(|name| prepared(name, exif.clone()));
-    let (set, report) = assemble(photos.to_vec(), &PhotosOptions::default()).unwrap();
-    assert_eq!(set.photos.len(), 2, "{:?}", report.warnings);
+    let (set, report, warnings) = assembled(photos.to_vec(), &PhotosOptions::default());
+    assert_eq!(set.photos.len(), 2, "{:?}", warnings);
     assert_eq!(report.camera_groups.len(), 1);
 }
 
@@ -239,13 +251,13 @@ fn photos_that_cannot_be_used_are_named() {
 fn a_set_with_two_equal_names_or_no_photo_is_refused() {
     let options = PhotosOptions::default();
     let twins = vec![prepared("a.jpg", zoom(20.0)), prepared("a.png", zoom(20.0))];
-    let error = assemble(twins, &options).unwrap_err();
+    let error = assemble(twins, &options, &Silent).unwrap_err();
     assert!(
         matches!(error, PhotosError::DuplicateName { .. }),
         "{error}"
     );
     assert_eq!(
-        assemble(Vec::new(), &options).unwrap_err(),
+        assemble(Vec::new(), &options, &Silent).unwrap_err(),
         PhotosError::NoPhotos
     );
 }
@@ -269,21 +281,21 @@ fn exposure_that_varies_is_told() {
         ..zoom(20.0)
     };
     let photos = vec![prepared("a.jpg", with(0.01)), prepared("b.jpg", with(0.02))];
-    let (_, report) = assemble(photos, &PhotosOptions::default()).unwrap();
+    let (_, report, warnings) = assembled(photos, &PhotosOptions::default());
     let spread = report.exposure_spread_ev;
     assert!(
         spread.is_some_and(|s| (s - 1.0).abs() < 1e-12),
         "{spread:?}"
     );
     assert!(
-        report.warnings.iter().any(|w| w.contains("exposure")),
+        warnings.iter().any(|w| w.contains("exposure")),
         "{:?}",
-        report.warnings
+        warnings
     );
 }
 
 /// Photos of one scene at exposures of 1, 2 and 4, and what is left of the difference.
-fn bracketed(options: &PhotosOptions) -> (Vec<f32>, Vec<f32>, PhotosReport) {
+fn bracketed(options: &PhotosOptions) -> (Vec<f32>, Vec<f32>, PhotosReport, Vec<String>) {
     let photos = [0.01, 0.02, 0.04].into_iter().enumerate();
     let photos = photos.map(|(i, time)| {
         let exif = ExifFacts {
@@ -296,18 +308,19 @@ fn bracketed(options: &PhotosOptions) -> (Vec<f32>, Vec<f32>, PhotosReport) {
         photo.facts.clip_level = 1.0;
         photo
     });
-    let (set, report) = assemble(photos.collect(), options).unwrap();
+    let (set, report, warnings) = assembled(photos.collect(), options);
     let first = |p: &rilievo_scene::Photo| p.pixels.load().unwrap().data[200];
     (
         set.photos.iter().map(first).collect(),
         set.photos.iter().map(|p| p.clip_level).collect(),
         report,
+        warnings,
     )
 }
 
 #[test]
 fn exposures_that_exif_tells_are_evened_out() {
-    let (values, clip, report) = bracketed(&PhotosOptions::default());
+    let (values, clip, report, warnings) = bracketed(&PhotosOptions::default());
     for (i, value) in values.iter().enumerate() {
         let error = (value / values[1] - 1.0).abs();
         assert!(error < 1e-5, "{i}: {values:?}");
@@ -317,12 +330,12 @@ fn exposures_that_exif_tells_are_evened_out() {
     assert_eq!(report.exposure_gains, [2.0, 1.0, 0.5]);
     assert!(report.level_spread_ev.abs() < 1e-5, "{report:?}");
     assert!(
-        report.warnings.iter().any(|w| w.contains("evened out")),
+        warnings.iter().any(|w| w.contains("evened out")),
         "{:?}",
-        report.warnings
+        warnings
     );
     // Where EXIF is not to be trusted, the photos stay as they are.
-    let (values, _, report) = bracketed(&PhotosOptions {
+    let (values, _, report, _) = bracketed(&PhotosOptions {
         normalize_exposure: false,
         ..PhotosOptions::default()
     });
@@ -348,7 +361,7 @@ fn levels_that_no_fixed_exposure_explains_are_refused_unless_exif_tells_or_they_
             at_level("bright.exr", 0.9, exif.clone()),
         ]
     };
-    let error = assemble(set(&zoom(20.0)), &options)
+    let error = assemble(set(&zoom(20.0)), &options, &Silent)
         .unwrap_err()
         .to_string();
     for expected in ["dark.exr", "bright.exr", "6.5 EV", "max_level_spread_ev"] {
@@ -360,9 +373,9 @@ fn levels_that_no_fixed_exposure_explains_are_refused_unless_exif_tells_or_they_
         iso: Some(100.0),
         ..zoom(20.0)
     };
-    assert!(assemble(set(&told), &options).is_ok());
+    assert!(assemble(set(&told), &options, &Silent).is_ok());
     options.max_level_spread_ev = 10.0;
-    assert!(assemble(set(&zoom(20.0)), &options).is_ok());
+    assert!(assemble(set(&zoom(20.0)), &options, &Silent).is_ok());
 }
 
 #[test]
@@ -374,12 +387,12 @@ fn a_blurred_photo_among_sharp_ones_is_told() {
     let smooth = |i: usize| (100.0 + 80.0 * (i as f64 / 900.0).sin()) as u8;
     blurred.samples = Samples::U8((0..blurred.samples.len()).map(smooth).collect());
     photos.push(prepare(blurred, None, None, &PhotosOptions::default()).unwrap());
-    let (_, report) = assemble(photos, &PhotosOptions::default()).unwrap();
-    let told = report.warnings.iter().find(|w| w.contains("sharp"));
+    let (_, _, warnings) = assembled(photos, &PhotosOptions::default());
+    let told = warnings.iter().find(|w| w.contains("sharp"));
     assert!(
         told.is_some_and(|w| w.starts_with("d.jpg")),
         "{:?}",
-        report.warnings
+        warnings
     );
 }
 
@@ -392,8 +405,8 @@ fn the_table_names_every_photo_and_what_is_wrong() {
     };
     let with_mask = prepare(photo("b.jpg", zoom(20.0)), Some(disc()), None, &options).unwrap();
     let photos = vec![prepared("a long name.jpg", turned), with_mask];
-    let (_, report) = assemble(photos, &options).unwrap();
-    let table = report.table().to_string();
+    let (_, report, warnings) = assembled(photos, &options);
+    let table = report.table(&warnings).to_string();
     for expected in [
         "a long name.jpg",
         "64 x 48",

@@ -133,13 +133,10 @@ pub fn match_photos(
         .filter(|p: &PairMatches| !p.matches.is_empty())
         .collect();
     let report = summarize(photos, &keypoints, &pairs, pair_reports);
-    for message in &report.warnings {
-        let flow = observer.event(Event::Warning {
-            stage: StageId::Features,
-            message: message.clone(),
-        });
-        if flow == Flow::Stop {
-            return Err(FeaturesError::Interrupted);
+    for photo in &report.photos {
+        if let Some(message) = unmatched(photo) {
+            let flow = observer.warn(StageId::Features, message);
+            flow.ok_or(FeaturesError::Interrupted)?;
         }
     }
     Ok((
@@ -151,14 +148,13 @@ pub fn match_photos(
     ))
 }
 
-/// Counts per photo, and warnings for photos that cannot be posed.
+/// Counts per photo.
 fn summarize(
     photos: &PhotoSet,
     keypoints: &[PhotoKeypoints],
     pairs: &[PairMatches],
     pair_reports: Vec<PairReport>,
 ) -> FeaturesReport {
-    let mut warnings = Vec::new();
     let photos = photos
         .photos
         .iter()
@@ -169,18 +165,6 @@ fn summarize(
                 .iter()
                 .filter(|p| p.first.0 == idx || p.second.0 == idx)
                 .count();
-            if list.keypoints.len() < FEW_KEYPOINTS {
-                warnings.push(format!(
-                    "{}: only {} keypoints; is it sharp and well exposed?",
-                    photo.file_name,
-                    list.keypoints.len()
-                ));
-            } else if num_pairs == 0 {
-                warnings.push(format!(
-                    "{}: matches no other photo; it shows something else or is too far from its neighbours",
-                    photo.file_name
-                ));
-            }
             PhotoFeatures {
                 file_name: photo.file_name.clone(),
                 num_keypoints: list.keypoints.len(),
@@ -192,6 +176,25 @@ fn summarize(
     FeaturesReport {
         photos,
         pairs: pair_reports,
-        warnings,
     }
+}
+
+/// Why a photo cannot be posed.
+fn unmatched(photo: &PhotoFeatures) -> Option<String> {
+    let PhotoFeatures {
+        file_name,
+        num_keypoints,
+        num_pairs,
+        ..
+    } = photo;
+    if *num_keypoints < FEW_KEYPOINTS {
+        return Some(format!(
+            "{file_name}: only {num_keypoints} keypoints; is it sharp and well exposed?"
+        ));
+    }
+    (*num_pairs == 0).then(|| {
+        format!(
+            "{file_name}: matches no other photo; it shows something else or is too far from its neighbours"
+        )
+    })
 }

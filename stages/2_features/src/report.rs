@@ -38,6 +38,4 @@ pub struct FeaturesReport {
     pub photos: Vec<PhotoFeatures>,
     /// One entry per pair that was tried.
     pub pairs: Vec<PairReport>,
-    /// What the user should know.
-    pub warnings: Vec<String>,
 }

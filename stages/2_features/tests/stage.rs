@@ -8,7 +8,7 @@ use rand::{Rng, SeedableRng};
 use rilievo_features::{FeaturesOptions, detect, match_photos};
 use rilievo_scene::{
     FeatureMatches, FocalSource, InMemoryPixels, Intrinsics, LinearImage, PairMatches, Photo,
-    PhotoSet, Silent,
+    PhotoSet, Recorder,
 };
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -93,6 +93,11 @@ fn photos() -> Vec<Photo> {
 }
 
 fn matched(photos: Vec<Photo>) -> FeatureMatches {
+    matched_and_told(photos).0
+}
+
+/// The matches, and what was warned of.
+fn matched_and_told(photos: Vec<Photo>) -> (FeatureMatches, Vec<String>) {
     let set = PhotoSet { photos };
     let options = FeaturesOptions::default();
     let keypoints = set
@@ -100,7 +105,9 @@ fn matched(photos: Vec<Photo>) -> FeatureMatches {
         .iter()
         .map(|photo| detect(photo, &options).unwrap())
         .collect();
-    match_photos(&set, keypoints, &options, &Silent).unwrap().0
+    let told = Recorder::default();
+    let (found, _) = match_photos(&set, keypoints, &options, &told).unwrap();
+    (found, told.warnings())
 }
 
 /// The matches as pixels, those of the other photo first with `swap`.
@@ -142,6 +149,23 @@ fn bright_and_dark_blobs_match_where_the_photos_show_the_same() {
             "{num_bright} of {num}"
         );
     }
+}
+
+#[test]
+fn each_photo_that_cannot_be_posed_is_warned_of_once() {
+    let mut set = photos();
+    set.push(photo("flat", &[], &Matrix3::identity()));
+    let elsewhere: Vec<[f64; 4]> = painting()
+        .into_iter()
+        .map(|[x, y, sigma, height]| [y, 320.0 - 0.9 * x, 0.8 * sigma, -height])
+        .collect();
+    set.push(photo("other", &elsewhere, &Matrix3::identity()));
+    let (_, warnings) = matched_and_told(set);
+    let [flat, other] = &warnings[..] else {
+        panic!("{warnings:?}");
+    };
+    assert!(flat.starts_with("flat.png: only 0 keypoints"), "{flat}");
+    assert!(other.starts_with("other.png: matches no"), "{other}");
 }
 
 #[test]

@@ -42,8 +42,7 @@ use incremental::Reconstruction;
 use model::{AdjustmentScope, IntrinsicsScope};
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{
-    Event, FeatureMatches, Flow, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest,
-    StageId,
+    FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, StageId,
 };
 use scene::Scene;
 
@@ -75,7 +74,6 @@ pub fn run(
     let mut scene = Scene::new(photos, matches, options);
     let given = given::poses(photos, options);
     let keeps_given = given.is_some() && options.given_poses == GivenPoses::Keep;
-    let mut warnings = Vec::new();
     let (mut reconstruction, other_models) = match &given {
         Some(poses) => (given::reconstruct(&scene, poses, options)?, Vec::new()),
         None => {
@@ -102,35 +100,32 @@ pub fn run(
         options,
         &mut posed,
         &mut report,
-        &mut warnings,
+        observer,
     )?;
     report.vertical = vertical::find(photos, &posed);
-    if let Some(lens) = &report.lens {
-        warnings.push(lens.advice());
-    }
-    warnings.extend(contradicted_exif(&scene, &reconstruction));
-    warnings.extend(narrow::warning(&posed, options));
-    warnings.extend(
-        posed
-            .unregistered
-            .iter()
-            .map(|u| format!("{}: {}", u.file_name, u.reason)),
-    );
-    for message in &warnings {
-        let flow = observer.event(Event::Warning {
-            stage: StageId::Poses,
-            message: message.clone(),
-        });
-        if flow == Flow::Stop {
-            return Err(PosesError::Interrupted);
-        }
+    let left_out = posed.unregistered.iter();
+    let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));
+    for message in report
+        .lens
+        .iter()
+        .map(LensReport::advice)
+        .chain(contradicted_exif(&scene, &reconstruction))
+        .chain(narrow::warning(&posed, options))
+        .chain(left_out)
+    {
+        warn(observer, message)?;
     }
     let (anchors, anchor_report) =
         anchors::find(photos, matches, &posed, &options.anchors, observer)?;
     posed.anchors = anchors;
     report.anchors = Some(anchor_report);
-    report.warnings = warnings;
     Ok((posed, report))
+}
+
+/// Tells the user of something; the stage goes on.
+fn warn(observer: &dyn Observer, message: String) -> Result<(), PosesError> {
+    let flow = observer.warn(StageId::Poses, message);
+    flow.ok_or(PosesError::Interrupted)
 }
 
 /// A model with the photos of the others.

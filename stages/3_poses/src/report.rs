@@ -94,6 +94,4 @@ pub struct PosesReport {
     pub adjustments: Vec<AdjustmentReport>,
     /// Depth anchors.
     pub anchors: Option<AnchorReport>,
-    /// What the user should know.
-    pub warnings: Vec<String>,
 }

@@ -16,20 +16,21 @@
 use crate::error::PosesError;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
+use crate::warn;
 use nalgebra::Point3;
 use rilievo_photometry::sphere::{
     LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, WorldScale,
     locate_request,
 };
 use rilievo_scene::{
-    MarkedSphere, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
+    MarkedSphere, Observer, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
 };
 use std::collections::BTreeSet;
 
 /// Sets the scale and locates the spheres; what hinders a sphere becomes a warning.
 ///
 /// # Errors
-/// When a known distance cannot be found in the model.
+/// When a known distance cannot be found in the model, or the observer asked to stop.
 pub fn apply(
     photos: &PhotoSet,
     sphere: Option<&SphereRequest>,
@@ -37,7 +38,7 @@ pub fn apply(
     options: &PosesOptions,
     posed: &mut PosedViews,
     report: &mut PosesReport,
-    warnings: &mut Vec<String>,
+    observer: &dyn Observer,
 ) -> Result<(), PosesError> {
     if has_given_poses {
         posed.scale = Scale {
@@ -51,10 +52,11 @@ pub fn apply(
         if has_given_poses {
             let apart = (metres_per_unit - 1.0).abs();
             if apart > (3.0 * relative_sigma).max(0.01) {
-                warnings.push(format!(
+                let message = format!(
                     "the known distance is {:.1} % of what the given cameras say; check it, or their unit",
                     100.0 * metres_per_unit
-                ));
+                );
+                warn(observer, message)?;
             }
         } else {
             multiply(posed, report, metres_per_unit);
@@ -87,8 +89,11 @@ pub fn apply(
         };
         match found {
             Ok(located) => {
-                warnings.extend(warnings_of(photos, request, &located, is_metric));
-                warnings.extend(centers_of(request, &located, has_given_poses));
+                let mut told = warnings_of(photos, request, &located, is_metric);
+                told.extend(centers_of(request, &located, has_given_poses));
+                for message in told {
+                    warn(observer, message)?;
+                }
                 posed.spheres = located.fits.into_iter().map(|fit| fit.sphere).collect();
                 // Centres that were merely stated say nothing of the scale.
                 if let Some(estimate) = located.scale.estimate.filter(|_| !is_metric) {
@@ -102,10 +107,11 @@ pub fn apply(
             }
             Err(error) => {
                 let why = format!("{error}{}", of_photos(photos, &request.spheres, &error));
-                warnings.push(format!(
+                let message = format!(
                     "the reference sphere was not located, the scale stays {}: {why}",
                     if is_metric { "as it is" } else { "arbitrary" },
-                ));
+                );
+                warn(observer, message)?;
                 // Whoever needs the sphere later ends for this reason.
                 posed.no_sphere = Some(why);
             }
@@ -262,11 +268,16 @@ fn warnings_of(
             ));
         }
     }
+    let mut told = BTreeSet::new();
     for size in &located.other_sizes {
-        warnings.push(format!(
-            "a further sphere {size:.2} times as large was found and left, the one that is seen best \
-             was taken as that of the stated radius; give a sphere file to use both"
-        ));
+        let size = format!("{size:.2}");
+        // Several of one size are told of once.
+        if told.insert(size.clone()) {
+            warnings.push(format!(
+                "a further sphere {size} times as large was found and left, the one that is seen best \
+                 was taken as that of the stated radius; give a sphere file to use both"
+            ));
+        }
     }
     let contradictions = located.scale.contradictions.iter();
     warnings.extend(contradictions.map(|told| contradiction(told, is_metric)));

@@ -11,10 +11,18 @@ use rand_chacha::ChaCha8Rng;
 use rilievo_poses::{
     KnownDistance, MarkedPoints, PosesError, PosesOptions, PosesReport, VerticalSource, run,
 };
-use rilievo_scene::{FocalSource, PosedViews, ScaleSource, Silent, Unit};
+use rilievo_scene::{FocalSource, PosedViews, Recorder, ScaleSource, Silent, Unit};
 
 fn solve_with(world: &World, options: &PosesOptions) -> (PosedViews, PosesReport) {
-    run(&world.photos, &world.matches, None, options, &Silent).unwrap()
+    let (posed, report, _) = solve_and_tell(world, options);
+    (posed, report)
+}
+
+/// The result, its report, and what was warned of.
+fn solve_and_tell(world: &World, options: &PosesOptions) -> (PosedViews, PosesReport, Vec<String>) {
+    let told = Recorder::default();
+    let (posed, report) = run(&world.photos, &world.matches, None, options, &told).unwrap();
+    (posed, report, told.warnings())
 }
 
 #[test]
@@ -94,14 +102,14 @@ fn a_wrong_focal_length_in_exif_is_found_and_told() {
             photo.intrinsics.fy *= factor;
             photo.focal_source = FocalSource::Exif35mm;
         }
-        let (posed, report) = solve_with(&set, &options());
+        let (posed, _, warnings) = solve_and_tell(&set, &options());
         assert_eq!(posed.views.len(), 8, "{factor}");
         let focal = posed.views[0].intrinsics.fx;
         assert!((focal / 1300.0 - 1.0).abs() < 0.01, "{factor}: {focal}");
         assert!(
-            report.warnings.iter().any(|w| w.contains("EXIF")),
+            warnings.iter().any(|w| w.contains("EXIF")),
             "{factor}: {:?}",
-            report.warnings
+            warnings
         );
     }
 }
@@ -121,11 +129,11 @@ fn few_narrow_views_keep_to_the_focal_length_of_exif() {
         photo.intrinsics.fy *= 1.02;
         photo.focal_source = FocalSource::Exif35mm;
     }
-    let (posed, report) = solve_with(&set, &options());
+    let (posed, _, warnings) = solve_and_tell(&set, &options());
     assert_eq!(posed.views.len(), 3);
     let focal = posed.views[0].intrinsics.fx;
     assert!((focal / 1300.0 - 1.0).abs() < 0.05, "{focal}");
-    assert!(!report.warnings.iter().any(|w| w.contains("EXIF")));
+    assert!(!warnings.iter().any(|w| w.contains("EXIF")));
 }
 
 /// Keypoints moved by radial distortion that no camera states.
@@ -152,11 +160,11 @@ fn poses_allow_for_distortion_that_the_given_camera_does_not_state() {
     };
     let mut set = world(&settings);
     distort(&mut set, 0.1);
-    let (posed, report) = solve_with(&set, &options());
+    let (posed, report, warnings) = solve_and_tell(&set, &options());
     let lens = report.lens.unwrap();
     assert!((lens.k1[0] - 0.1).abs() < 0.003, "{lens:?}");
     assert!(lens.largest_px > 0.5 && lens.cost_drop > 0.1, "{lens:?}");
-    assert!(report.warnings.iter().any(|w| w.contains("distortion")));
+    assert!(warnings.iter().any(|w| w.contains("distortion")));
     // The camera stays as given, to the bit, and the poses are nearer to the truth.
     assert_eq!(posed.views[0].intrinsics, camera());
     let exact = PosesOptions {

@@ -8,10 +8,10 @@ use common::{World, WorldOptions, arc, from_truth, look_at, options, pose_errors
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rilievo_poses::{GivenPoses, PosesError, PosesReport, RefineIntrinsics, run};
+use rilievo_poses::{GivenPoses, PosesError, RefineIntrinsics, run};
 use rilievo_scene::{
-    Event, Flow, FocalSource, MarkedSphere, Observer, PhotoIdx, PosedViews, RigidTransform,
-    ScaleSource, Silent, SphereMark, SphereRequest, Unit,
+    Event, Flow, FocalSource, MarkedSphere, Observer, PhotoIdx, PosedViews, Recorder,
+    RigidTransform, ScaleSource, Silent, SphereMark, SphereRequest, Unit,
 };
 
 /// Keypoints are stored in single precision: 3e-5 px at 1000 px.
@@ -225,23 +225,25 @@ fn photos_within_a_few_degrees_are_posed_and_what_it_costs_is_told() {
         num_views: 3,
         ..WorldOptions::default()
     });
-    let (posed, report) = run(&near.photos, &near.matches, None, &options(), &Silent).unwrap();
+    let told = Recorder::default();
+    let (posed, _) = run(&near.photos, &near.matches, None, &options(), &told).unwrap();
     assert_eq!(posed.views.len(), 3);
     assert!(
-        report.warnings.iter().any(|w| w.contains("from within")),
+        told.warnings().iter().any(|w| w.contains("from within")),
         "{:?}",
-        report.warnings
+        told.warnings()
     );
     let wide = world(&WorldOptions {
         span_deg: 30.0,
         num_views: 3,
         ..WorldOptions::default()
     });
-    let (_, report) = run(&wide.photos, &wide.matches, None, &options(), &Silent).unwrap();
+    let told = Recorder::default();
+    run(&wide.photos, &wide.matches, None, &options(), &told).unwrap();
     assert!(
-        !report.warnings.iter().any(|w| w.contains("from within")),
+        !told.warnings().iter().any(|w| w.contains("from within")),
         "{:?}",
-        report.warnings
+        told.warnings()
     );
 }
 
@@ -360,18 +362,19 @@ fn ball(world: &World, name: &str, center: [f64; 3], stated_radius: f64) -> Mark
     }
 }
 
-/// The model under spheres, with the length between two of its cameras over the true one.
-fn with_spheres(world: &World, spheres: Vec<MarkedSphere>) -> (PosedViews, PosesReport, f64) {
+/// The model under spheres, what was warned of, and the length between two of its cameras over the true one.
+fn with_spheres(world: &World, spheres: Vec<MarkedSphere>) -> (PosedViews, Vec<String>, f64) {
     let request = SphereRequest {
         spheres,
         ..SphereRequest::default()
     };
-    let (posed, report) = run(
+    let told = Recorder::default();
+    let (posed, _) = run(
         &world.photos,
         &world.matches,
         Some(&request),
         &options(),
-        &Silent,
+        &told,
     )
     .unwrap();
     let distance = |a: &RigidTransform, b: &RigidTransform| {
@@ -382,20 +385,15 @@ fn with_spheres(world: &World, spheres: Vec<MarkedSphere>) -> (PosedViews, Poses
         &posed.views[5].cam_from_world,
     );
     let truth = distance(&world.cam_from_world[0], &world.cam_from_world[5]);
-    (posed, report, found / truth)
+    (posed, told.warnings(), found / truth)
 }
 
 #[test]
 fn the_sphere_makes_the_world_metric() {
     let world = world(&WorldOptions::default());
     let only = ball(&world, MarkedSphere::ONLY, [0.3, 0.2, 0.1], 0.25);
-    let (posed, report, scale) = with_spheres(&world, vec![only]);
-    assert_eq!(
-        posed.scale.source,
-        ScaleSource::Sphere,
-        "{:?}",
-        report.warnings
-    );
+    let (posed, warnings, scale) = with_spheres(&world, vec![only]);
+    assert_eq!(posed.scale.source, ScaleSource::Sphere, "{:?}", warnings);
     assert_eq!(posed.scale.unit, Unit::Metre);
     assert!((scale - 1.0).abs() < 2e-3, "{scale}");
     let radius = posed.spheres[0].radius;
@@ -411,25 +409,25 @@ fn two_spheres_share_a_scale_and_a_wrong_radius_is_told() {
         assert!(warnings.iter().any(told), "{parts:?} not in {warnings:?}");
     };
     let b = ball(&world, "b", [-0.4, 0.3, 0.0], 0.25);
-    let (posed, report, scale) = with_spheres(&world, vec![a.clone(), b]);
+    let (posed, warnings, scale) = with_spheres(&world, vec![a.clone(), b]);
     assert!((scale - 1.0).abs() < 2e-3, "{scale}");
     let names: Vec<&str> = posed.spheres.iter().map(|s| s.name.as_str()).collect();
-    assert_eq!(names, ["a", "b"], "{:?}", report.warnings);
+    assert_eq!(names, ["a", "b"], "{:?}", warnings);
     for sphere in &posed.spheres {
         let (radius, sigma) = (sphere.radius, sphere.center_sigma);
         assert!((radius - 0.25).abs() < 1e-3, "{radius}");
         assert!(sigma.iter().all(|s| *s > 0.0 && *s < 0.01), "{sigma:?}");
     }
     assert!(
-        !report.warnings.iter().any(|w| w.contains("scale")),
+        !warnings.iter().any(|w| w.contains("scale")),
         "{:?}",
-        report.warnings
+        warnings
     );
 
     let wrong = ball(&world, "b", [-0.4, 0.3, 0.0], 0.2625);
-    let (posed, report, scale) = with_spheres(&world, vec![a.clone(), wrong.clone()]);
+    let (posed, warnings, scale) = with_spheres(&world, vec![a.clone(), wrong.clone()]);
     told(
-        &report.warnings,
+        &warnings,
         &[
             "% of that of the other sphere",
             "one of the two radii is wrong",
@@ -440,9 +438,9 @@ fn two_spheres_share_a_scale_and_a_wrong_radius_is_told() {
     assert!((0.02..0.03).contains(&sigma), "{sigma}");
 
     let c = ball(&world, "c", [0.0, -0.5, 0.0], 0.25);
-    let (_, report, scale) = with_spheres(&world, vec![a.clone(), wrong, c]);
+    let (_, warnings, scale) = with_spheres(&world, vec![a.clone(), wrong, c]);
     told(
-        &report.warnings,
+        &warnings,
         &[
             "the scale that b gives is 10",
             "it is left out of the scale",
@@ -452,9 +450,9 @@ fn two_spheres_share_a_scale_and_a_wrong_radius_is_told() {
 
     // One in a unit of its own, and one that is marked nowhere.
     let centimetres = ball(&world, "b", [-0.4, 0.3, 0.0], 25.0);
-    let (posed, report, _) = with_spheres(&world, vec![a.clone(), centimetres]);
+    let (posed, warnings, _) = with_spheres(&world, vec![a.clone(), centimetres]);
     told(
-        &report.warnings,
+        &warnings,
         &[
             "the scale that b gives is 100",
             "in another unit, the scale stays arbitrary",
@@ -467,9 +465,9 @@ fn two_spheres_share_a_scale_and_a_wrong_radius_is_told() {
         name: "b".to_owned(),
         ..MarkedSphere::only(0.25, Vec::new())
     };
-    let (posed, report, scale) = with_spheres(&world, vec![nowhere, a]);
+    let (posed, warnings, scale) = with_spheres(&world, vec![nowhere, a]);
     told(
-        &report.warnings,
+        &warnings,
         &["b was not located, the others go on: the sphere is marked in no photo"],
     );
     assert!(

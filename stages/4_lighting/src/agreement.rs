@@ -16,16 +16,18 @@
 //! 4. Spheres that agree with it count, brightness divided by their paint where that is another's;
 //!    the others are left out, and said to be.
 
+use crate::error::LightingError;
 use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::residual::residual_of;
 use crate::side::{Patch, Side};
+use crate::warn;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;
 use rilievo_photometry::samples::{NUM_CELLS, cell_of};
-use rilievo_scene::{LightKind, Lighting};
+use rilievo_scene::{LightKind, Lighting, Observer};
 
 /// Residual on another sphere, beyond its own, below which two lights are one whatever their ratio:
 /// uneven paint and the mat's bounce light differ by this much between spheres that stand well.
@@ -71,18 +73,22 @@ impl Comparison {
 
 /// Compares the spheres, decides which count ([`Side::paint`]), and reports. `gains` per view of
 /// `side`.
+///
+/// # Errors
+/// [`LightingError::Interrupted`].
 pub(crate) fn judge(
     side: &mut Side,
     gains: &[Vec<f64>],
     kind: LightKind,
     options: &LightingOptions,
     report: &mut LightingReport,
-) {
+    observer: &dyn Observer,
+) -> Result<(), LightingError> {
     let num_spheres = side.paint.len();
     let seen = |k: usize| side.patches.iter().any(|patch| patch.sphere == k);
     let spheres: Vec<usize> = (0..num_spheres).filter(|&k| seen(k)).collect();
     if spheres.len() < 2 {
-        return;
+        return Ok(());
     }
     let frames = Frames { side, gains, kind };
     let groups = frames.groups(options);
@@ -99,7 +105,9 @@ pub(crate) fn judge(
         .iter()
         .map(|&k| (standing(k), k))
         .max_by(|(a, i), (b, j)| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(j.cmp(i)));
-    let Some((_, reference)) = best else { return };
+    let Some((_, reference)) = best else {
+        return Ok(());
+    };
     let mut verdicts = Vec::new();
     for &k in spheres.iter().filter(|&&k| k != reference) {
         verdicts.push((k, compare(k, reference)));
@@ -109,9 +117,10 @@ pub(crate) fn judge(
     for (k, verdict) in verdicts {
         let name = report.spheres[k].name.clone();
         let Some(found) = verdict else {
-            report.warnings.push(format!(
+            let message = format!(
                 "{name} and {by} show no common normals: whether they see one light is not known"
-            ));
+            );
+            warn(observer, message)?;
             continue;
         };
         let facts = &mut report.spheres[k];
@@ -126,20 +135,21 @@ pub(crate) fn judge(
             let direction = found.direction_deg.map_or(String::new(), |angle| {
                 format!(", from a direction {angle:.0} degrees away")
             });
-            report.warnings.push(format!(
+            let message = format!(
                 "{name} does not see the light that {by} sees: it is {:.2} times as bright at equal \
                  normals{direction}; {by}'s light leaves {:.1} % of it unexplained, its own {:.1} %: \
                  it stands in a shadow or bounce light, or the light is not distant; it is left out",
                 found.mean_ratio(),
                 100.0 * found.rms,
                 100.0 * found.own_rms,
-            ));
+            );
+            warn(observer, message)?;
         } else if found
             .ratio
             .iter()
             .any(|r| r.max(1e-6).ln().abs() > SAME_PAINT)
         {
-            report.warnings.push(format!(
+            let message = format!(
                 "{name} is {} times as bright as {by} at equal normals{}: another paint, or less \
                  light; it counts with that factor",
                 listed(&found.ratio),
@@ -148,11 +158,13 @@ pub(crate) fn judge(
                 } else {
                     ""
                 }
-            ));
+            );
+            warn(observer, message)?;
             paint[k] = Some(found.ratio);
         }
     }
     side.paint = paint;
+    Ok(())
 }
 
 fn listed(ratios: &[f64]) -> String {

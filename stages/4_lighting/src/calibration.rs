@@ -16,7 +16,7 @@ use nalgebra::UnitQuaternion;
 use rilievo_photometry::samples::{Shot, SphereSamples};
 use rilievo_photometry::sphere::{cone_from_mark, detect_in_photo};
 use rilievo_scene::{
-    LightKind, LightSource, LightingCalibration, PhotoSet, PosedViews, SphereCalibration,
+    LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, SphereCalibration,
     SphereRequest, ViewIdx, ViewLighting,
 };
 
@@ -27,6 +27,7 @@ pub(crate) fn from_calibration(
     side: &Side,
     options: &LightingOptions,
     mut report: LightingReport,
+    observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let mut pool = Pool::default();
     let mut points = light_samples::of_spheres(side);
@@ -49,12 +50,12 @@ pub(crate) fn from_calibration(
         ));
     }
     let fit = pool.fit("the calibration photo", options)?;
-    describe(&fit, &mut report);
+    describe(&fit, &mut report, observer)?;
     let (environment_in_world, views) = match report.kind {
         LightKind::World => {
             let applied = if side.views.len() > 1 {
                 let gains = gains_of(side, options)?;
-                report_gains(posed, side, &gains, num_channels, &mut report)
+                report_gains(posed, side, &gains, num_channels, &mut report, observer)?
             } else {
                 vec![ones(num_channels); posed.views.len()]
             };

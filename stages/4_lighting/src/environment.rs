@@ -8,8 +8,9 @@ use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport};
 use crate::residual::residual_in;
 use crate::side::Side;
+use crate::warn;
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
-use rilievo_scene::{LightSource, Lighting, PosedViews, ViewIdx, ViewLighting};
+use rilievo_scene::{LightSource, Lighting, Observer, PosedViews, ViewIdx, ViewLighting};
 
 /// Gains of one.
 pub(crate) fn ones(num_channels: usize) -> Vec<f64> {
@@ -52,7 +53,8 @@ pub(crate) fn report_gains(
     gains: &Gains,
     num_channels: usize,
     report: &mut LightingReport,
-) -> Vec<Vec<f64>> {
+    observer: &dyn Observer,
+) -> Result<Vec<Vec<f64>>, LightingError> {
     let mut applied = vec![ones(num_channels); posed.views.len()];
     for (k, &view) in side.views.iter().enumerate() {
         report.views[view].gain.clone_from(&gains.gain[k]);
@@ -68,14 +70,15 @@ pub(crate) fn report_gains(
             .map(|v| posed.views[v].name.as_str())
             .collect();
         if !untold.is_empty() {
-            report.warnings.push(format!(
+            let message = format!(
                 "the photos' exposures differ, but the sphere does not tell the gain of {}: taken \
                  as 1; fix exposure and white balance, or keep the sphere in every photo",
                 untold.join(", ")
-            ));
+            );
+            warn(observer, message)?;
         }
     }
-    applied
+    Ok(applied)
 }
 
 /// A lighting times a factor per channel.
@@ -121,14 +124,17 @@ pub(crate) fn views_from_environment(
 }
 
 /// Writes the fit of a light into the report.
-pub(crate) fn describe(fit: &LightingFit, report: &mut LightingReport) {
+pub(crate) fn describe(
+    fit: &LightingFit,
+    report: &mut LightingReport,
+    observer: &dyn Observer,
+) -> Result<(), LightingError> {
     report.channels = fit.channels.iter().map(ChannelReport::from).collect();
     report.dominant_direction = dominant_direction(&fit.lighting()).map(Into::into);
     if fit.channels.iter().any(|channel| channel.order == 1) {
-        report.warnings.push(
-            "the sphere's pixels do not determine nine harmonics, four were fitted: show more of \
-             it, or more views of it"
-                .to_owned(),
-        );
+        let message = "the sphere's pixels do not determine nine harmonics, four were fitted: show more of \
+             it, or more views of it";
+        warn(observer, message.to_owned())?;
     }
+    Ok(())
 }

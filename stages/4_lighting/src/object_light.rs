@@ -20,6 +20,7 @@ use crate::error::LightingError;
 use crate::options::{LightingOptions, ObjectLight};
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
+use crate::warn;
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_scene::{
@@ -133,7 +134,7 @@ pub(crate) fn confront(
         paints.flatten().for_each(|paint| *paint /= factor);
     }
     if !suffering.is_empty() && calibration.source == LightSource::Sphere {
-        report.warnings.push(format!(
+        let message = format!(
             "the sphere's light does not explain the object in {}: {}{}",
             suffering.join(", "),
             "the sphere stands in the object's shadow or bounce light. The photo model allows for \
@@ -144,7 +145,8 @@ pub(crate) fn confront(
             } else {
                 ""
             }
-        ));
+        );
+        warn(observer, message)?;
     }
     report.object = Some(ObjectReport {
         views,

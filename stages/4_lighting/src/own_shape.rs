@@ -18,6 +18,7 @@ use crate::kind;
 use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
+use crate::warn;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_scene::{
@@ -112,12 +113,10 @@ pub(crate) fn run(
         uncalibrated: true,
         ..LightingReport::default()
     };
-    report.warnings.push(
-        "the light is uncalibrated: fitted on the photos' own rough shape; brightness and albedo \
+    let message = "the light is uncalibrated: fitted on the photos' own rough shape; brightness and albedo \
          share one unknown factor, and where the shape is uncertain bumps and hollows may swap; \
-         put a matte sphere beside the object to be sure"
-            .to_owned(),
-    );
+         put a matte sphere beside the object to be sure";
+    warn(observer, message.to_owned())?;
     let gains = if kind == LightKind::World && options.gains != GainMode::Off {
         anchor_gains(&samples, num_channels)
     } else {

@@ -12,12 +12,12 @@ use rilievo_scene::{LocatedSphere, PosedViews};
 /// Ratio of distances beyond which the sphere cannot stand beside the object.
 const MAX_RATIO: f64 = 5.0;
 
-/// Warnings of the spheres that do not stand near the scene.
-pub(crate) fn warn(posed: &PosedViews) -> impl Iterator<Item = String> {
-    posed.spheres.iter().filter_map(|s| warn_of(posed, s))
+/// What to tell of the spheres that do not stand near the scene.
+pub(crate) fn odd(posed: &PosedViews) -> impl Iterator<Item = String> {
+    posed.spheres.iter().filter_map(|s| odd_sphere(posed, s))
 }
 
-fn warn_of(posed: &PosedViews, sphere: &LocatedSphere) -> Option<String> {
+fn odd_sphere(posed: &PosedViews, sphere: &LocatedSphere) -> Option<String> {
     let center = Point3::from(sphere.center_in_world);
     let mut ratios = Vec::new();
     let saw = |photo| sphere.seen_in.is_empty() || sphere.seen_in.iter().any(|(p, _)| *p == photo);

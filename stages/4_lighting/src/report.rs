@@ -160,10 +160,8 @@ pub struct LightingReport {
     pub object: Option<ObjectReport>,
     /// Whether gains were applied.
     pub gains_applied: bool,
-    /// Whether the light is uncalibrated: only known up to the ambiguities named in `warnings`.
+    /// Whether the light is uncalibrated: only known up to the ambiguities that a warning names.
     pub uncalibrated: bool,
-    /// What the user should know, and what to try.
-    pub warnings: Vec<String>,
 }
 
 impl Default for LightingReport {
@@ -179,7 +177,6 @@ impl Default for LightingReport {
             object: None,
             gains_applied: false,
             uncalibrated: false,
-            warnings: Vec::new(),
         }
     }
 }

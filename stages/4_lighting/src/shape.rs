@@ -12,6 +12,7 @@ use crate::kind;
 use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
+use crate::warn;
 use nalgebra::{Point2, Vector3};
 use rilievo_photometry::harmonics::LightingFit;
 use rilievo_photometry::samples::surface_pixels;
@@ -161,10 +162,11 @@ pub(crate) fn run(
         let mut facts = ViewLightReport::named(&view.name);
         let Some((_, depth)) = shapes.iter().find(|(shape, _)| shape.0 == idx) else {
             facts.left_out = Some("no shape given".to_owned());
-            report.warnings.push(format!(
+            let message = format!(
                 "{}: no shape was given, so it has no lighting and is not shaded",
                 view.name
-            ));
+            );
+            warn(observer, message)?;
             report.views.push(facts);
             continue;
         };
@@ -178,7 +180,7 @@ pub(crate) fn run(
             Ok(fit) => fit,
             Err(LightingError::Fit { source, .. }) => {
                 facts.left_out = Some(source.to_string());
-                report.warnings.push(format!("{}: {source}", view.name));
+                warn(observer, format!("{}: {source}", view.name))?;
                 report.views.push(facts);
                 continue;
             }

@@ -22,7 +22,7 @@ use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::residual::residual_in;
 use crate::side::{Side, collect};
-use crate::{agreement, kind, light_samples, place};
+use crate::{agreement, kind, light_samples, place, warn};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::harmonics::LightingFit;
 use rilievo_scene::{
@@ -49,8 +49,9 @@ pub(crate) fn run(
     let side = collect(photos, posed, options, observer, &mut report)?;
     report.kind_check = kind::check(&side, request.light);
     report.kind = kind::settled(request.light, report.kind_check.as_ref());
-    warn_of_kind(&mut report);
-    report.warnings.extend(place::warn(posed));
+    for message in wrong_kind(&report).into_iter().chain(place::odd(posed)) {
+        warn(observer, message)?;
+    }
     if request.calibration.is_empty() {
         if side.views.is_empty() {
             return Err(LightingError::SphereUnusable {
@@ -58,12 +59,12 @@ pub(crate) fn run(
             });
         }
         match report.kind {
-            LightKind::World => from_side_world(posed, side, options, report),
-            LightKind::Camera => from_side_camera(posed, side, options, report),
+            LightKind::World => from_side_world(posed, side, options, report, observer),
+            LightKind::Camera => from_side_camera(posed, side, options, report, observer),
         }
     } else {
         report.source = LightSource::CalibrationPhoto;
-        from_calibration(photos, posed, request, &side, options, report)
+        from_calibration(photos, posed, request, &side, options, report, observer)
     }
 }
 
@@ -75,25 +76,22 @@ fn reasons(report: &LightingReport) -> Vec<String> {
         .collect()
 }
 
-fn warn_of_kind(report: &mut LightingReport) {
-    let Some(check) = report.kind_check.as_ref().filter(|c| c.contradicts) else {
-        return;
-    };
-    let (Some(stated), Some(fits)) = (check.stated, check.fits) else {
-        return;
-    };
+/// What to tell of a stated kind of light that the spheres contradict.
+fn wrong_kind(report: &LightingReport) -> Option<String> {
+    let check = report.kind_check.as_ref().filter(|c| c.contradicts)?;
+    let (stated, fits) = (check.stated?, check.fits?);
     let word = |kind| match kind {
         LightKind::World => "fixed in the world (\"world\")",
         LightKind::Camera => "fixed to the camera (\"camera\")",
     };
-    report.warnings.push(format!(
+    Some(format!(
         "the light is stated as {}, but the sphere's brightness scatters by {:.1} % at equal \
          normals in the world and by {:.1} % at equal normals in the camera: it is {}",
         word(stated),
         100.0 * check.scatter_world,
         100.0 * check.scatter_camera,
         word(fits)
-    ));
+    ))
 }
 
 fn from_side_world(
@@ -101,14 +99,22 @@ fn from_side_world(
     mut side: Side,
     options: &LightingOptions,
     mut report: LightingReport,
+    observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let gains = gains_of(&side, options)?;
     let num_channels = gains.gain[0].len();
-    let applied = report_gains(posed, &side, &gains, num_channels, &mut report);
+    let applied = report_gains(posed, &side, &gains, num_channels, &mut report, observer)?;
     let in_side: Vec<Vec<f64>> = side.views.iter().map(|&v| applied[v].clone()).collect();
-    agreement::judge(&mut side, &in_side, LightKind::World, options, &mut report);
+    agreement::judge(
+        &mut side,
+        &in_side,
+        LightKind::World,
+        options,
+        &mut report,
+        observer,
+    )?;
     let fit = pool_in_world(&side, &in_side, options).fit("the sphere", options)?;
-    describe(&fit, &mut report);
+    describe(&fit, &mut report, observer)?;
     let environment = fit.lighting();
     let views = views_from_environment(posed, &environment, &applied, &side, &mut report);
     Ok((
@@ -129,9 +135,17 @@ fn from_side_camera(
     mut side: Side,
     options: &LightingOptions,
     mut report: LightingReport,
+    observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let gains = vec![ones(side.num_channels()); side.views.len()];
-    agreement::judge(&mut side, &gains, LightKind::Camera, options, &mut report);
+    agreement::judge(
+        &mut side,
+        &gains,
+        LightKind::Camera,
+        options,
+        &mut report,
+        observer,
+    )?;
     let mut fits: Vec<(usize, LightingFit)> = Vec::new();
     for &view in &side.views {
         let patches = side.counted_in(view);
@@ -160,18 +174,19 @@ fn from_side_camera(
             reasons: reasons(&report),
         });
     };
-    describe(&worst.clone(), &mut report);
+    describe(&worst.clone(), &mut report, observer)?;
     let mut views = Vec::with_capacity(posed.views.len());
     for idx in 0..posed.views.len() {
         let Some((source, fit)) = fits.iter().min_by_key(|(view, _)| view.abs_diff(idx)) else {
             continue;
         };
         if *source != idx {
-            report.warnings.push(format!(
+            let message = format!(
                 "{}: no usable sphere, lighting taken from {}; right only if nothing changed \
                  between the two",
                 posed.views[idx].name, posed.views[*source].name
-            ));
+            );
+            warn(observer, message)?;
         }
         let lighting = fit.lighting();
         views.push(ViewLighting {

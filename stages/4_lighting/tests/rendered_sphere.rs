@@ -9,8 +9,8 @@ use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_scene::{
     FocalSource, InMemoryPixels, Intrinsics, LightKind, Lighting, LinearImage, MarkedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform, Silent, SphereMark, SphereRequest,
-    SphericalHarmonics,
+    PhotoIdx, PhotoSet, PosedView, PosedViews, Recorder, RigidTransform, Silent, SphereMark,
+    SphereRequest, SphericalHarmonics,
 };
 use std::sync::Arc;
 
@@ -366,16 +366,17 @@ fn equal_exposures_are_left_alone_and_wrongly_stated_kinds_are_named() {
         let (photos, posed, _) = around(true_kind, [1.0; 5]);
         let options = LightingOptions::default();
         let wrong = LightingRequest::Sphere(request(stated, Vec::new()));
-        let (_, report) = run(&photos, &posed, &wrong, &options, &Silent).unwrap();
+        let told = Recorder::default();
+        let (_, report) = run(&photos, &posed, &wrong, &options, &told).unwrap();
         let check = report.kind_check.clone().unwrap();
         assert!(
             check.contradicts && check.fits == Some(true_kind),
             "{check:?}"
         );
         assert!(
-            report.warnings.iter().any(|w| w.contains("stated")),
+            told.warnings().iter().any(|w| w.contains("stated")),
             "{:?}",
-            report.warnings
+            told.warnings()
         );
         let stated = request(true_kind, Vec::new());
         let unstated = SphereRequest {

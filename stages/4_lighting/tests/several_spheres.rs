@@ -10,7 +10,7 @@ use rilievo_photometry::sphere::{
 };
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, Lighting, LightingCalibration, MarkedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Silent, SphereMark, SphereRequest,
+    PhotoIdx, PhotoSet, PosedView, PosedViews, Recorder, SphereMark, SphereRequest,
 };
 use rilievo_synthetic::{
     BallOptions, LightModel, ReferenceSphere, RenderOptions, Renderer, Scene, SceneOptions, Subject,
@@ -146,12 +146,19 @@ fn errors(world: &World, found: &LocatedSpheres) -> (f64, Vec<(f64, f64)>) {
     ((scale * SHRINK - 1.0).abs(), centers.collect())
 }
 
-fn lit(world: &mut World, request: SphereRequest) -> (LightingCalibration, LightingReport) {
+/// The light, its report, and what was warned of.
+fn lit(
+    world: &mut World,
+    request: SphereRequest,
+) -> (LightingCalibration, LightingReport, Vec<String>) {
     let found = located(world, &request);
     world.posed.spheres = found.fits.into_iter().map(|fit| fit.sphere).collect();
     let request = LightingRequest::Sphere(request);
     let options = LightingOptions::default();
-    run(&world.photos, &world.posed, &request, &options, &Silent).unwrap()
+    let told = Recorder::default();
+    let (calibration, report) =
+        run(&world.photos, &world.posed, &request, &options, &told).unwrap();
+    (calibration, report, told.warnings())
 }
 
 /// Largest relative difference (root mean square over the visible half) from a view's true light.
@@ -174,13 +181,9 @@ fn light_error(world: &World, calibration: &LightingCalibration) -> f64 {
     found.zip(&world.lights).map(of_view).fold(0.0, f64::max)
 }
 
-fn told(report: &LightingReport, parts: &[&str]) {
+fn told(warnings: &[String], parts: &[&str]) {
     let told = |w: &String| parts.iter().all(|part| w.contains(part));
-    assert!(
-        report.warnings.iter().any(told),
-        "{parts:?} not in {:?}",
-        report.warnings
-    );
+    assert!(warnings.iter().any(told), "{parts:?} not in {warnings:?}");
 }
 
 #[test]
@@ -207,10 +210,10 @@ fn two_spheres_of_different_size_give_one_scale_and_one_light() {
             "centre off by {error} m, stated {sigma}"
         );
     }
-    let (calibration, report) = lit(&mut world, request);
+    let (calibration, report, warnings) = lit(&mut world, request);
     let error = light_error(&world, &calibration);
     assert!(error < 3e-3, "light off by {error}");
-    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    assert!(warnings.is_empty(), "{:?}", warnings);
     let views: Vec<usize> = report.spheres.iter().map(|s| s.views.len()).collect();
     assert_eq!(views, [4, 4]);
     let compared: Vec<_> = report.spheres.iter().filter_map(|s| s.other_rms).collect();
@@ -242,7 +245,7 @@ fn noise_stays_within_the_stated_deviations() {
     for (error, sigma) in centers {
         assert!(error < 4.0 * sigma, "centre off by {error}, stated {sigma}");
     }
-    let (calibration, _) = lit(&mut world, request);
+    let (calibration, _, _) = lit(&mut world, request);
     let error = light_error(&world, &calibration);
     assert!(error < 0.01, "light off by {error}");
 }
@@ -279,9 +282,9 @@ fn a_sphere_in_a_shadow_is_named_and_left_out() {
         [1.0 - 0.35 * (1.0 + n.x + 0.3 * n.z).max(0.0); 3]
     });
     let request = marked(&world, [RADIUS, 0.02]);
-    let (calibration, report) = lit(&mut world, request.clone());
+    let (calibration, report, warnings) = lit(&mut world, request.clone());
     told(
-        &report,
+        &warnings,
         &[
             "right does not see the light that left sees",
             "it is left out",
@@ -294,14 +297,14 @@ fn a_sphere_in_a_shadow_is_named_and_left_out() {
     assert!(own < 0.03 && other > 0.08, "own {own}, other {other}");
     let error = light_error(&world, &calibration);
     assert!(error < 0.01, "light off by {error}");
-    let (_, report) = lit(
+    let (_, _, warnings) = lit(
         &mut world,
         SphereRequest {
             light: Some(LightKind::Camera),
             ..request
         },
     );
-    told(&report, &["right does not see the light that left sees"]);
+    told(&warnings, &["right does not see the light that left sees"]);
 }
 
 #[test]
@@ -309,7 +312,7 @@ fn a_contact_shadow_on_each_is_rejected_in_the_common_fit() {
     let below = |n: &Vector3<f64>| if n.z < -0.35 { [0.3; 3] } else { [1.0; 3] };
     let mut world = world(0.02, 0.004, below);
     let request = marked(&world, [RADIUS, 0.02]);
-    let (calibration, report) = lit(&mut world, request);
+    let (calibration, report, _) = lit(&mut world, request);
     assert!(
         report.spheres.iter().all(|s| !s.left_out),
         "{:?}",
@@ -324,9 +327,9 @@ fn a_sphere_of_another_paint_counts_with_its_factor() {
     let paint = [0.7, 0.75, 0.8];
     let mut world = world(0.02, 0.004, |_| paint);
     let request = marked(&world, [RADIUS, 0.02]);
-    let (calibration, report) = lit(&mut world, request);
+    let (calibration, report, warnings) = lit(&mut world, request);
     told(
-        &report,
+        &warnings,
         &[
             "right is 0.70, 0.75, 0.80 times as bright as left",
             "per channel",
@@ -381,7 +384,7 @@ fn a_radius_in_another_unit_costs_the_scale_but_not_the_light() {
         .map(|c| c.outcome)
         .collect();
     assert_eq!(outcomes, [ScaleOutcome::NoScale]);
-    let (calibration, _) = lit(&mut world, request);
+    let (calibration, _, _) = lit(&mut world, request);
     let error = light_error(&world, &calibration);
     assert!(error < 3e-3, "light off by {error}");
 }

@@ -13,8 +13,8 @@ use rilievo_photometry::surface_check::check;
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, DepthMap, FocalSource, InMemoryPixels, Intrinsics,
     LightKind, Lighting, LightingCalibration, LinearImage, LocatedSphere, MarkedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, RigidTransform, ShadedView, ShadedViews,
-    Silent, SphereRequest, SphericalHarmonics, ViewIdx,
+    PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, Recorder, RigidTransform, ShadedView,
+    ShadedViews, Silent, SphereRequest, SphericalHarmonics, ViewIdx,
 };
 use std::sync::Arc;
 
@@ -262,15 +262,11 @@ fn a_known_shape_gives_its_light_and_other_sizes_are_refused() {
     assert!(matches!(result, Err(LightingError::ShapeSize { .. })));
     let shapes = vec![(ViewIdx(0), made.depths[0].clone())];
     let request = LightingRequest::Shape(shapes);
-    let (calibration, report) =
-        run(&made.photos, &made.posed, &request, &options, &Silent).unwrap();
+    let told = Recorder::default();
+    let (calibration, _) = run(&made.photos, &made.posed, &request, &options, &told).unwrap();
     assert_eq!(calibration.views.len(), 1);
-    assert_eq!(
-        report.warnings.len(),
-        NUM_VIEWS - 1,
-        "{:?}",
-        report.warnings
-    );
+    let warnings = told.warnings();
+    assert_eq!(warnings.len(), NUM_VIEWS - 1, "{warnings:?}");
 }
 
 #[test]
@@ -316,9 +312,9 @@ fn anchors_alone_give_a_light_that_is_marked_uncalibrated() {
     let made = world(&light, &light, 1.0);
     let options = LightingOptions::default();
     let request = LightingRequest::OwnShape;
-    let (calibration, report) =
-        run(&made.photos, &made.posed, &request, &options, &Silent).unwrap();
-    assert!(report.uncalibrated && !report.warnings.is_empty());
+    let told = Recorder::default();
+    let (calibration, report) = run(&made.photos, &made.posed, &request, &options, &told).unwrap();
+    assert!(report.uncalibrated && !told.warnings().is_empty());
     for view in &calibration.views {
         let rms = residual(&made, view.view.0, &view.lighting);
         assert!(rms < 0.05, "view {}: {rms}", view.view);
@@ -329,20 +325,21 @@ fn anchors_alone_give_a_light_that_is_marked_uncalibrated() {
 fn a_sphere_in_another_light_is_overruled_by_the_object_and_said_so() {
     let made = world(&environment(0.0), &environment(-0.25), 1.0);
     let options = LightingOptions::default();
+    let told = Recorder::default();
     let (corrected, report) = run(
         &made.photos,
         &made.posed,
         &sphere_request(),
         &options,
-        &Silent,
+        &told,
     )
     .unwrap();
     let object = report.object.clone().unwrap();
     assert!(object.light_replaced, "{object:?}");
     assert!(
-        report.warnings.iter().any(|w| w.contains("shadow")),
+        told.warnings().iter().any(|w| w.contains("shadow")),
         "{:?}",
-        report.warnings
+        told.warnings()
     );
     let untouched = LightingOptions {
         object_light: ObjectLight::Off,

@@ -35,8 +35,8 @@ pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
 
 use color::ColorSource;
 use rilievo_scene::{
-    CloudPoint, Event, Flow, FusedCloud, MapSource, Mesh, Observer, PhotoSet, PointCloud,
-    PosedViews, StageId, Unit,
+    CloudPoint, FusedCloud, MapSource, Mesh, Observer, PhotoSet, PointCloud, PosedViews, StageId,
+    Unit,
 };
 
 /// Raised with every change of the stage that changes its results.
@@ -63,16 +63,9 @@ pub fn run(
     photos.check()?;
     posed.check()?;
     let mut report = FusionReport::default();
-    let warn = |report: &mut FusionReport, message: String| {
-        let flow = observer.event(Event::Warning {
-            stage: StageId::Fusion,
-            message: message.clone(),
-        });
-        report.warnings.push(message);
-        match flow {
-            Flow::Stop => Err(FusionError::Interrupted),
-            Flow::Continue => Ok(()),
-        }
+    let warn = |message: String| {
+        let flow = observer.warn(StageId::Fusion, message);
+        flow.ok_or(FusionError::Interrupted)
     };
 
     let (mut views, mut view_reports) = views::prepare(posed, maps, options)?;
@@ -84,14 +77,14 @@ pub fn run(
              for more detail",
             report.maps_reduced_by, options.memory_mib
         );
-        warn(&mut report, message)?;
+        warn(message)?;
     }
     if views.len() < options.min_num_views {
         let message = format!(
             "only {} view has depth: nothing confirms its points",
             views.len()
         );
-        warn(&mut report, message)?;
+        warn(message)?;
     }
 
     let neighbours = pairs::neighbours(&views, NUM_NEIGHBOURS);
@@ -108,7 +101,7 @@ pub fn run(
              can mend: look at the poses",
             outcome.after.smooth_rms / outcome.after.footprint
         );
-        warn(&mut report, message)?;
+        warn(message)?;
     }
 
     let colors = ColorSource::new(photos, posed, maps, &views, options)?;
@@ -118,7 +111,7 @@ pub fn run(
             colors.num_missing(),
             views.len()
         );
-        warn(&mut report, message)?;
+        warn(message)?;
     }
     let points = points::gather(
         &views,
@@ -130,7 +123,7 @@ pub fn run(
     )?;
     drop(colors);
     if let Some(message) = coarse(&points, posed.scale.unit, options) {
-        warn(&mut report, message)?;
+        warn(message)?;
     }
     report.num_points = points.len();
     report.mean_num_views =
@@ -154,7 +147,7 @@ pub fn run(
                  raise the memory for more detail",
                 mesh_report.coarsened_by, options.memory_mib
             );
-            warn(&mut report, message)?;
+            warn(message)?;
         }
         report.mesh = Some(mesh_report);
     }

@@ -84,6 +84,4 @@ pub struct FusionReport {
     pub views: Vec<ViewFusion>,
     /// The mesh, where one was made.
     pub mesh: Option<MeshReport>,
-    /// What the user should know.
-    pub warnings: Vec<String>,
 }

@@ -7,8 +7,8 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
 use rilievo_fusion::{FusionError, FusionOptions, FusionReport, run};
 use rilievo_scene::{
     ConfidenceMap, DepthMap, Event, Flow, FusedCloud, InMemoryPixels, Intrinsics, LinearImage,
-    Mesh, NormalMap, Observer, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform,
-    ShadedView, ShadedViews, Silent, ViewIdx,
+    Mesh, NormalMap, Observer, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, Recorder,
+    RigidTransform, ShadedView, ShadedViews, Silent, ViewIdx,
 };
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -280,8 +280,9 @@ fn a_spacing_that_leaves_nothing_is_told() {
             mesh: false,
             ..FusionOptions::default()
         };
-        let (_, report) = fuse(&posed, &shaded, &options).expect("fused");
-        report.warnings.iter().any(|w| w.contains("a spacing of"))
+        let told = Recorder::default();
+        run(&PhotoSet::default(), &posed, &shaded, &options, &told).expect("fused");
+        told.warnings().iter().any(|w| w.contains("a spacing of"))
     };
     assert!(!told(4.0 * footprint()));
     // Millimetres where metres are meant.
@@ -300,13 +301,12 @@ fn maps_that_exceed_the_memory_are_fused_at_half_their_resolution() {
     // Enough views to exceed the least memory that can be asked for.
     let repeated: Vec<f64> = ARC.iter().copied().cycle().take(8 * ARC.len()).collect();
     let (posed, shaded) = views(&repeated, 1.0);
-    let (reduced, report) = fuse(&posed, &shaded, &options).expect("fused");
-    assert_eq!(report.maps_reduced_by, 2, "{:?}", report.warnings);
-    assert!(
-        report.warnings.iter().any(|w| w.contains("1/2")),
-        "{:?}",
-        report.warnings
-    );
+    let told = Recorder::default();
+    let result = run(&PhotoSet::default(), &posed, &shaded, &options, &told);
+    let (reduced, report) = result.expect("fused");
+    let warnings = told.warnings();
+    assert_eq!(report.maps_reduced_by, 2, "{warnings:?}");
+    assert!(warnings.iter().any(|w| w.contains("1/2")), "{warnings:?}");
     // Pixels four times as large, on the same surface.
     assert!(
         reduced.cloud.points.len() * 2 < full.cloud.points.len(),
@@ -344,9 +344,10 @@ fn colours_come_from_the_photos_and_low_confidence_widens() {
             given_cam_from_world: None,
         });
     }
-    let result = run(&photos, &posed, &shaded, &FusionOptions::default(), &Silent);
-    let (fused, report) = result.expect("fused");
-    assert!(report.warnings.is_empty(), "{:?}", report.warnings);
+    let told = Recorder::default();
+    let result = run(&photos, &posed, &shaded, &FusionOptions::default(), &told);
+    let (fused, _) = result.expect("fused");
+    assert!(told.warnings().is_empty(), "{:?}", told.warnings());
     assert!(fused.cloud.points.iter().all(|p| p.color == [128, 0, 255]));
     assert!(fused.mesh.colors.iter().all(|c| *c == [128, 0, 255]));
     assert!(fused.cloud.points.iter().all(|p| p.confidence <= 0.5));
@@ -355,17 +356,19 @@ fn colours_come_from_the_photos_and_low_confidence_widens() {
 #[test]
 fn one_view_alone_is_fused_with_a_warning() {
     let (posed, shaded) = views(&ARC[..1], 1.0);
-    let (fused, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    let (options, told) = (FusionOptions::default(), Recorder::default());
+    let result = run(&PhotoSet::default(), &posed, &shaded, &options, &told);
+    let (fused, _) = result.expect("fused");
     assert!(
         fused.cloud.points.len() > 2000,
         "{}",
         fused.cloud.points.len()
     );
     assert!(!fused.mesh.triangles.is_empty());
+    let warnings = told.warnings();
     assert!(
-        report.warnings.iter().any(|w| w.contains("only 1 view")),
-        "{:?}",
-        report.warnings
+        warnings.iter().any(|w| w.contains("only 1 view")),
+        "{warnings:?}"
     );
 }
 

@@ -63,7 +63,7 @@ use rilievo_scene::{Anchor, Event, FeatureMatches, Flow, Observer, PhotoSet, Pos
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Finds the depth anchors of posed views. Too few views, no overlap or no contrast give an empty
-/// result with a warning in the report.
+/// result with a warning.
 ///
 /// # Errors
 /// When an option is out of range, a photo cannot be read, or the observer asked to stop.
@@ -90,16 +90,11 @@ pub fn find(
         }
         AnchorMode::Guided | AnchorMode::Grown => aligned(photos, posed, options, observer)?,
     };
-    let report = report::report(photos, posed, options.mode, &anchors, facts);
-    for message in &report.warnings {
-        let warning = Event::Warning {
-            stage: StageId::Poses,
-            message: message.clone(),
-        };
-        if observer.event(warning) == Flow::Stop {
-            return Err(PosesError::Interrupted);
-        }
+    if anchors.is_empty() && !facts.warned {
+        let message = "no depth anchors: nothing on the object matches between the views; take photos closer together, or light it so that its shading shows";
+        crate::warn(observer, message.to_owned())?;
     }
+    let report = report::report(photos, posed, options.mode, &anchors, facts);
     Ok((anchors, report))
 }
 
@@ -111,7 +106,7 @@ fn aligned(
     observer: &dyn Observer,
 ) -> Result<(Vec<Anchor>, Facts), PosesError> {
     let mut facts = Facts::default();
-    let Some(scene) = prepare(photos, posed, options, &mut facts)? else {
+    let Some(scene) = prepare(photos, posed, options, &mut facts, observer)? else {
         return Ok((Vec::new(), facts));
     };
     let num_views = scene.views.len();

@@ -11,7 +11,7 @@ use crate::error::PosesError;
 use crate::loading::map_few_at_once;
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{Mask, PhotoSet, PosedViews, ViewIdx};
+use rilievo_scene::{Mask, Observer, PhotoSet, PosedViews, ViewIdx};
 
 /// What every view needs of the whole scene.
 pub(super) struct Scene<'a> {
@@ -40,6 +40,7 @@ pub(super) fn prepare<'a>(
     posed: &PosedViews,
     options: &'a AnchorOptions,
     facts: &mut Facts,
+    observer: &dyn Observer,
 ) -> Result<Option<Scene<'a>>, PosesError> {
     let loaded = map_few_at_once(&posed.views, |view| {
         let photo = &photos.photos[view.photo.0];
@@ -59,19 +60,21 @@ pub(super) fn prepare<'a>(
         }
     }
     if views.len() < 2 {
-        facts.warn(format!(
+        let message = format!(
             "no depth anchors: {} view(s) with a pose and the object in it, at least 2 are needed",
             views.len()
-        ));
+        );
+        facts.warn(observer, message)?;
         return Ok(None);
     }
     let without_mask = views.iter().filter(|view| !view.has_mask).count();
     if without_mask > 0 {
         facts.unmasked_views = without_mask;
-        facts.warn(format!(
+        let message = format!(
             "{without_mask} of {} views have no mask: anchors cover everything that they show, background too",
             views.len()
-        ));
+        );
+        facts.warn(observer, message)?;
     }
     let points: Vec<(Point3<f64>, Vec<ViewIdx>)> = posed
         .points
@@ -83,10 +86,8 @@ pub(super) fn prepare<'a>(
         .collect();
     let positions: Vec<Point3<f64>> = points.iter().map(|p| p.0).collect();
     let Some(ball) = bounding_ball(&views, &positions) else {
-        facts.warn(
-            "no depth anchors: neither masks nor sparse points tell where the object is; give masks"
-                .into(),
-        );
+        let message = "no depth anchors: neither masks nor sparse points tell where the object is; give masks";
+        facts.warn(observer, message.to_owned())?;
         return Ok(None);
     };
     let spacing = grid_spacing(&views, options.spacing_px);

@@ -2,7 +2,8 @@
 
 use super::grow::Node;
 use super::options::AnchorMode;
-use rilievo_scene::{Anchor, AnchorObservation, PhotoSet, PosedViews};
+use crate::error::PosesError;
+use rilievo_scene::{Anchor, AnchorObservation, Observer, PhotoSet, PosedViews};
 use serde::{Deserialize, Serialize};
 
 /// Anchors of one view.
@@ -37,8 +38,6 @@ pub struct AnchorReport {
     pub noise_factor: Option<f64>,
     /// Views without a mask, in which anchors may lie on the background.
     pub unmasked_views: usize,
-    /// What the user should know.
-    pub warnings: Vec<String>,
 }
 
 /// Facts gathered on the way to the anchors.
@@ -49,13 +48,15 @@ pub(super) struct Facts {
     pub rms_residual: Option<f64>,
     pub noise_factor: Option<f64>,
     pub unmasked_views: usize,
-    pub warnings: Vec<String>,
+    /// Whether the user was told of something that may leave no anchors.
+    pub warned: bool,
 }
 
 impl Facts {
-    /// Adds a warning.
-    pub fn warn(&mut self, message: String) {
-        self.warnings.push(message);
+    /// Tells the user of something that may leave no anchors.
+    pub fn warn(&mut self, observer: &dyn Observer, message: String) -> Result<(), PosesError> {
+        self.warned = true;
+        crate::warn(observer, message)
     }
 
     /// Counts patches and averages their residuals.
@@ -120,13 +121,6 @@ pub(super) fn report(
             }
         })
         .collect();
-    let mut warnings = facts.warnings;
-    if anchors.is_empty() && warnings.is_empty() {
-        warnings.push(
-            "no depth anchors: nothing on the object matches between the views; take photos closer together, or light it so that its shading shows"
-                .into(),
-        );
-    }
     AnchorReport {
         mode,
         num_anchors: anchors.len(),
@@ -136,6 +130,5 @@ pub(super) fn report(
         rms_residual: facts.rms_residual,
         noise_factor: facts.noise_factor,
         unmasked_views: facts.unmasked_views,
-        warnings,
     }
 }

@@ -13,7 +13,9 @@ use data::Set;
 use rilievo_lighting::{LightingOptions, LightingRequest, overlays, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_photometry::surface_check::check;
-use rilievo_scene::{LightKind, MarkedSphere, Scale, ScaleSource, Silent, SphereRequest, Unit};
+use rilievo_scene::{
+    LightKind, MarkedSphere, Recorder, Scale, ScaleSource, Silent, SphereRequest, Unit,
+};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -141,7 +143,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     } else {
         LightingRequest::Sphere(request)
     };
-    let (calibration, report) = run(&set.photos, &set.posed, &request, &options, &Silent)?;
+    let told = Recorder::default();
+    let (calibration, report) = run(&set.photos, &set.posed, &request, &options, &told)?;
     println!(
         "light in {:.2} s from {:?}",
         start.elapsed().as_secs_f64(),
@@ -189,7 +192,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for view in &surface.views {
         println!("  {view:?}");
     }
-    for line in report.warnings.iter().chain(&surface.advice) {
+    for line in told.warnings().iter().chain(&surface.advice) {
         println!("  ! {line}");
     }
     Ok(())

@@ -3,6 +3,7 @@
 use super::options::PaperOptions;
 use super::problem::{DepthAnchor, ShadingProblem, ShadingView, ViewLight};
 use super::solution::{PaperReport, SolvedView};
+use super::warn;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
 use crate::rectify::Rectification;
@@ -33,13 +34,17 @@ pub(crate) fn run(
                 view: posed_view.name.clone(),
             })?;
         let image = photo.linear()?;
-        let mask = photo.mask.as_deref().cloned().unwrap_or_else(|| {
-            report.warnings.push(format!(
-                "{}: no mask, the whole frame is taken for the object",
-                posed_view.name
-            ));
-            Mask::filled(image.width, image.height, true)
-        });
+        let mask = match photo.mask.as_deref() {
+            Some(mask) => mask.clone(),
+            None => {
+                let message = format!(
+                    "{}: no mask, the whole frame is taken for the object",
+                    posed_view.name
+                );
+                warn(observer, message)?;
+                Mask::filled(image.width, image.height, true)
+            }
+        };
         let rectification = Rectification::new(&posed_view.intrinsics);
         let (straight_image, straight_mask) = if rectification.is_identity() {
             (image.clone(), mask.clone())
@@ -66,12 +71,11 @@ pub(crate) fn run(
             Ok(solution) => solution,
             Err(ShadingError::Interrupted) => return Err(ShadingError::Interrupted),
             Err(error) => {
-                report.warnings.push(format!("left out: {error}"));
+                warn(observer, format!("left out: {error}"))?;
                 continue;
             }
         };
         report.views.extend(solution.report.views);
-        report.warnings.extend(solution.report.warnings);
         for solved in solution.views {
             let SolvedView {
                 mut depth,

@@ -121,6 +121,4 @@ pub struct PaperReport {
     pub num_matches_rejected: usize,
     /// Estimated standard deviation of a match, pixels.
     pub match_sigma_px: Option<f64>,
-    /// What the user should know.
-    pub warnings: Vec<String>,
 }

@@ -14,6 +14,7 @@ use super::solution::{PaperReport, ShadingSolution, SolvedView, Termination, Vie
 use super::splitting::{self, Course, Setting, Ties, slopes};
 use super::start;
 use super::theta::{ThetaProblem, ThetaTerms, theta_step};
+use super::warn;
 use crate::error::ShadingError;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{DepthMap, Observer};
@@ -55,11 +56,12 @@ pub(crate) fn solve(
         let anchors: Vec<DepthAnchor> = view.anchors.iter().chain(from_matches).copied().collect();
         let (solved, facts) = solve_view(view, &anchors, options, observer)?;
         if known_depth(view, &anchors).is_none() {
-            report.warnings.push(format!(
+            let message = format!(
                 "{}: nothing tells its depth: shape is known up to one factor, and the middle of the \
                  object is put at depth 1",
                 view.name
-            ));
+            );
+            warn(observer, message)?;
         }
         views.push(solved);
         report.views.push(facts);

@@ -1,10 +1,10 @@
 //! What the general problem contains: known albedo, weights, one light, first order, a depth prior.
 
-use crate::solved;
 use crate::surface::Surface;
-use rilievo_scene::{DepthMap, Lighting, LinearImage, Raster, SphericalHarmonics};
+use crate::{problem, solved};
+use rilievo_scene::{DepthMap, Lighting, LinearImage, Raster, Recorder, SphericalHarmonics};
 use rilievo_shading::paper::{
-    DepthPrior, HarmonicOrder, PaperOptions, ShadingView, StartShape, ViewLight,
+    DepthPrior, HarmonicOrder, PaperOptions, ShadingView, StartShape, ViewLight, solve,
 };
 use std::sync::Arc;
 
@@ -78,9 +78,10 @@ fn a_view_without_any_depth_is_shaped_from_a_plane_up_to_one_factor() {
         start: StartShape::Plane,
         ..PaperOptions::default()
     };
-    let solution = solved(view, &options);
+    let told = Recorder::default();
+    let solution = solve(&problem(view), &options, &told).expect("a valid problem");
     let angle = surface.mean_angle(&solution);
-    let warnings = &solution.report.warnings;
+    let warnings = told.warnings();
     assert!(angle < 0.5, "{angle}");
     assert!(
         warnings.len() == 1 && warnings[0].contains("up to one factor"),

@@ -419,7 +419,11 @@ fn entry(
             if let (SphereMark::Mask(mask), Some(file)) = (&mark, named.files.last())
                 && let Some(reason) = unusable(mask)
             {
-                named.left_out.push((file.clone(), reason));
+                let left_out = (file.clone(), reason);
+                // One file may stand for several photos.
+                if !named.left_out.contains(&left_out) {
+                    named.left_out.push(left_out);
+                }
                 continue;
             }
             views.push((name.to_owned(), mark));

@@ -1,6 +1,7 @@
 //! Typed events that stages emit; the program renders them as bars, lines or JSON.
 
 use serde::{Deserialize, Serialize};
+use std::sync::{Mutex, PoisonError};
 
 /// The six stages, in the order in which data flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -106,6 +107,19 @@ pub enum Flow {
     Stop,
 }
 
+impl Flow {
+    /// The stage's `Interrupted` error where it should stop.
+    ///
+    /// # Errors
+    /// `interrupted`, for [`Flow::Stop`].
+    pub fn ok_or<E>(self, interrupted: E) -> Result<(), E> {
+        match self {
+            Self::Continue => Ok(()),
+            Self::Stop => Err(interrupted),
+        }
+    }
+}
+
 /// Receives events, from any thread.
 pub trait Observer: Sync {
     /// Takes one event; [`Flow::Stop`] asks the stage to end with its `Interrupted` error.
@@ -114,6 +128,12 @@ pub trait Observer: Sync {
     /// Whether the stage should stop, without telling anything.
     fn flow(&self) -> Flow {
         Flow::Continue
+    }
+
+    /// Tells the user of something; the only way that a warning takes. Each is told once, in an order
+    /// that does not depend on threads.
+    fn warn(&self, stage: StageId, message: String) -> Flow {
+        self.event(Event::Warning { stage, message })
     }
 }
 
@@ -124,5 +144,61 @@ pub struct Silent;
 impl Observer for Silent {
     fn event(&self, _event: Event) -> Flow {
         Flow::Continue
+    }
+}
+
+/// An observer that keeps the warnings and ignores everything else, for callers without a terminal.
+#[derive(Debug, Default)]
+pub struct Recorder {
+    warnings: Mutex<Vec<String>>,
+}
+
+impl Recorder {
+    /// The messages of all warnings so far, in their order.
+    pub fn warnings(&self) -> Vec<String> {
+        let warnings = self.warnings.lock();
+        warnings.unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Observer for Recorder {
+    fn event(&self, event: Event) -> Flow {
+        if let Event::Warning { message, .. } = event {
+            let warnings = self.warnings.lock();
+            warnings
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(message);
+        }
+        Flow::Continue
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recorder_keeps_each_warning_as_often_as_it_was_told_and_nothing_else() {
+        let told = Recorder::default();
+        let progress = Event::Progress {
+            stage: StageId::Photos,
+            step: "reading".to_owned(),
+            done: 1,
+            total: 2,
+        };
+        for message in ["b", "a", "b"] {
+            assert_eq!(
+                told.warn(StageId::Poses, message.to_owned()),
+                Flow::Continue
+            );
+            assert_eq!(told.event(progress.clone()), Flow::Continue);
+        }
+        assert_eq!(told.warnings(), ["b", "a", "b"]);
+    }
+
+    #[test]
+    fn only_stop_is_an_error() {
+        assert_eq!(Flow::Continue.ok_or("stopped"), Ok(()));
+        assert_eq!(Flow::Stop.ok_or("stopped"), Err("stopped"));
     }
 }

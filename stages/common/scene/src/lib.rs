@@ -35,7 +35,7 @@ pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
 pub use consistency::{Inconsistent, check_descriptors, check_keypoints};
 pub use decoded::{DecodedPhoto, ExifFacts, Samples};
-pub use events::{Event, Flow, Observer, Silent, StageId};
+pub use events::{Event, Flow, Observer, Recorder, Silent, StageId};
 pub use ids::{PhotoIdx, PointIdx, ViewIdx};
 pub use lighting::{Lighting, SphericalHarmonics};
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};

@@ -9,7 +9,7 @@ use super::{AnchorMode, AnchorOptions, AnchorReport, find};
 use crate::error::PosesError;
 use nalgebra::Point3;
 use rilievo_numerics::robust::quantile;
-use rilievo_scene::{Anchor, Distortion, Event, FeatureMatches, Flow, Observer, Silent};
+use rilievo_scene::{Anchor, Distortion, Event, FeatureMatches, Flow, Observer, Recorder};
 use scene::{Scene, Settings, Shape, photograph};
 
 const BALL: Shape = Shape::Sphere {
@@ -23,14 +23,25 @@ const SQUARE: Shape = Shape::Square {
 };
 
 fn anchors_with(scene: &Scene, options: &AnchorOptions) -> (Vec<Anchor>, AnchorReport) {
-    find(
+    let (anchors, report, _) = anchors_and_told(scene, options);
+    (anchors, report)
+}
+
+/// The anchors, their report, and what was warned of.
+fn anchors_and_told(
+    scene: &Scene,
+    options: &AnchorOptions,
+) -> (Vec<Anchor>, AnchorReport, Vec<String>) {
+    let told = Recorder::default();
+    let (anchors, report) = find(
         &scene.photos,
         &FeatureMatches::default(),
         &scene.posed,
         options,
-        &Silent,
+        &told,
     )
-    .unwrap()
+    .unwrap();
+    (anchors, report, told.warnings())
 }
 
 fn anchors(scene: &Scene) -> (Vec<Anchor>, AnchorReport) {
@@ -253,9 +264,9 @@ fn modes_differ_as_they_say() {
 
 /// An empty result with a warning, never an error.
 fn assert_empty(scene: &Scene, reason: &str) {
-    let (anchors, report) = anchors(scene);
+    let (anchors, _, warnings) = anchors_and_told(scene, &AnchorOptions::default());
     assert!(anchors.is_empty(), "{reason}: {} anchors", anchors.len());
-    assert!(!report.warnings.is_empty(), "{reason}: no warning");
+    assert!(!warnings.is_empty(), "{reason}: no warning");
 }
 
 #[test]
@@ -307,7 +318,7 @@ fn without_masks_the_sparse_points_bound_the_search() {
             track: Vec::new(),
         });
     }
-    let (anchors, report) = anchors(&scene);
+    let (anchors, report, warnings) = anchors_and_told(&scene, &AnchorOptions::default());
     // Just outside its outline the square still fills half of a patch.
     let mut on_square = errors(&scene, &anchors);
     let all = on_square.len();
@@ -318,7 +329,7 @@ fn without_masks_the_sparse_points_bound_the_search() {
         "{} of {all} observations on the square, 95 % within {most:.2e}",
         on_square.len()
     );
-    assert!(report.unmasked_views == 5 && !report.warnings.is_empty());
+    assert!(report.unmasked_views == 5 && !warnings.is_empty());
 }
 
 #[test]
