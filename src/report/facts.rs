@@ -4,7 +4,6 @@ use super::outcome::Outcome;
 use crate::pipeline::{Plan, Request, ShadingFacts, StageState};
 use crate::store::{Ingredients, Look, Manifest, RunDir};
 use crate::system;
-use anyhow::Context;
 use rilievo_features::FeaturesReport;
 use rilievo_fusion::FusionReport;
 use rilievo_lighting::LightingReport;
@@ -191,8 +190,15 @@ impl Gathered<'_> {
         self.threads = Some(manifest.threads);
         self.peak_memory_bytes = manifest.peak_memory_bytes.max(self.peak_memory_bytes);
         let state = self.plan.map(|plan| plan.state(self.run, id, Look::Sizes));
-        let report = serde_json::from_value(manifest.report.take())
-            .with_context(|| format!("reading the report of stage {id}"))?;
+        let report = match serde_json::from_value(manifest.report.take()) {
+            Ok(report) => report,
+            // JSON has no number that is not finite: the results stand, the findings cannot be shown.
+            Err(error) => {
+                let message = format!("the findings of {id} cannot be shown: {error}");
+                self.warnings.push(Warning { stage: id, message });
+                return Ok(None);
+            }
+        };
         Ok(Some(Stage {
             state: state.transpose()?,
             made: Made { manifest },

@@ -50,6 +50,18 @@ pub fn is_whole(page: &[u8]) -> bool {
     std::str::from_utf8(page).is_ok_and(|page| sealed(page) == page)
 }
 
+/// In place of pictures whose files a stage left and something else damaged.
+fn unreadable(error: &anyhow::Error) -> Markup {
+    html! {
+        section {
+            h2 { "Not to be read" }
+            p { "Results cannot be shown: " (format!("{error:#}")) ". "
+                code { "rilievo status --verify" } " tells what is damaged, "
+                code { "rilievo reconstruct" } " makes it again." }
+        }
+    }
+}
+
 /// The page.
 ///
 /// # Errors
@@ -62,8 +74,8 @@ pub fn page(run: &RunDir, facts: &Facts) -> anyhow::Result<String> {
     let overview = overview::section(run, facts, posed.as_ref())?;
     let (viewer, views) = match &posed {
         Some(posed) => (
-            viewer::section(run, posed)?,
-            views::section(run, facts, posed)?,
+            viewer::section(run, posed).unwrap_or_else(|error| unreadable(&error)),
+            views::section(run, facts, posed).unwrap_or_else(|error| unreadable(&error)),
         ),
         None => Default::default(),
     };

@@ -17,7 +17,7 @@ use rilievo_shading::ShadingModel;
 /// When a map cannot be read.
 pub fn section(run: &RunDir, facts: &Facts, posed: Option<&PosedViews>) -> anyhow::Result<Markup> {
     let Judgement { verdict, reasons } = Judgement::of(facts);
-    let picture = picture_of_result(run, posed)?;
+    let picture = picture_of_result(run, posed);
     Ok(html! {
         header { h1 { "rilievo report" } }
         section.overview {
@@ -50,17 +50,20 @@ pub fn section(run: &RunDir, facts: &Facts, posed: Option<&PosedViews>) -> anyho
     })
 }
 
-fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> anyhow::Result<Option<String>> {
+fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String> {
     let dir = run.stage_dir(StageId::Shading);
     for view in posed.map_or(&[][..], |posed| &posed.views) {
         let normal = dir.join(format!("normal/{}.exr", view.name));
         let depth = dir.join(format!("depth/{}.exr", view.name));
         if normal.exists() && depth.exists() {
-            let window = Window::around(&read_depth(&depth)?);
-            return Ok(Some(picture::normals(&read_normal(&normal)?, window)));
+            // A damaged map is told of where the views are shown.
+            let (Ok(depth), Ok(normal)) = (read_depth(&depth), read_normal(&normal)) else {
+                continue;
+            };
+            return Some(picture::normals(&normal, Window::around(&depth)));
         }
     }
-    Ok(None)
+    None
 }
 
 fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 10] {

@@ -49,6 +49,17 @@ pub enum PhotosError {
         /// The photo.
         photo: String,
     },
+    /// A value that no photo holds.
+    #[error(
+        "{photo}: holds the value {value:e} where white is 1, which no photo does; export it anew from the \
+         original"
+    )]
+    Beyond {
+        /// The photo.
+        photo: String,
+        /// The value.
+        value: f32,
+    },
     /// Every pixel is black.
     #[error("{photo}: every pixel is black; is the lens cap off?")]
     Black {

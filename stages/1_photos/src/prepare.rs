@@ -12,6 +12,10 @@ use rilievo_scene::{
 };
 use std::sync::Arc;
 
+/// Largest linear value, white being 1: more than the sun's disc beside a shaded wall. Squares of it still have
+/// a sum in single precision.
+const MAX_VALUE: f32 = 1e12;
+
 /// A camera that the user gave for a photo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GivenCamera {
@@ -89,6 +93,11 @@ pub fn prepare(
         });
     }
 
+    let beyond = |value: &&f32| value.abs() > MAX_VALUE;
+    if let Some(&value) = image.data.iter().find(beyond) {
+        let photo = decoded.file_name;
+        return Err(PhotosError::Beyond { photo, value });
+    }
     let measured = measures::measure(&image, mask.as_ref(), clip_level);
     let facts = PhotoFacts {
         name: name_of(&decoded.file_name).to_owned(),

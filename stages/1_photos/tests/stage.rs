@@ -210,6 +210,15 @@ fn photos_that_cannot_be_used_are_named() {
             "finite numbers",
             "lens cap",
         ),
+        (
+            Samples::F32(
+                (0..64 * 48 * 3)
+                    .map(|i| if i == 9 { 3e38 } else { 0.5 })
+                    .collect(),
+            ),
+            "3e38",
+            "lens cap",
+        ),
     ] {
         let mut empty = photo("empty.tif", ExifFacts::default());
         empty.samples = samples;

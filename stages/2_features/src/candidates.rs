@@ -39,7 +39,9 @@ pub fn pairs(photos: &[PhotoKeypoints], options: &FeaturesOptions) -> Vec<(usize
                 .into_iter()
                 .take(options.num_similar_neighbors)
                 .map(|(_, j)| j);
-            let next = (1..=options.num_sequential_neighbors).map(move |step| (i + step) % num);
+            // Around the end of the folder, but never to the photo itself.
+            let num_next = options.num_sequential_neighbors.min(num - 1);
+            let next = (1..=num_next).map(move |step| (i + step) % num);
             similar
                 .chain(next)
                 .map(|j| (i.min(j), i.max(j)))
@@ -161,5 +163,15 @@ mod tests {
         assert!(many.windows(2).all(|w| w[0] < w[1]));
         // The ring is closed: first and last are neighbours.
         assert!(many.contains(&(0, 79)));
+    }
+
+    #[test]
+    fn no_photo_is_matched_with_itself_where_all_are_neighbours() {
+        let options = FeaturesOptions {
+            max_num_exhaustive_photos: 1,
+            ..FeaturesOptions::default()
+        };
+        let found = pairs(&ring(4), &options);
+        assert_eq!(found, [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]);
     }
 }
