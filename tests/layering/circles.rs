@@ -113,6 +113,8 @@ fn imports(module: &Module, text: &str, files: &BTreeMap<Module, PathBuf>) -> BT
     let is_word = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
     let words = rest.split(|c: char| !is_word(c));
     paths.extend(words.filter(|word| word.contains("::")).map(str::to_owned));
+    // All that is above a module inside a file is the file itself.
+    paths.retain(|path| path != "super::*");
     let mut found = BTreeSet::new();
     for path in paths {
         if let Some(imported) = resolve(module, &path, files)

@@ -1,6 +1,6 @@
 //! Errors of stage 3.
 
-use rilievo_scene::{Inconsistent, OptionError, PixelError};
+use rilievo_scene::{Inconsistent, Observer, OptionError, PixelError, StageId};
 
 /// Why stage 3 failed.
 #[derive(Debug, thiserror::Error)]
@@ -152,4 +152,10 @@ mod tests {
             "{poor}"
         );
     }
+}
+
+/// Tells the user of something; the stage goes on.
+pub(crate) fn warn(observer: &dyn Observer, message: String) -> Result<(), PosesError> {
+    let flow = observer.warn(StageId::Poses, message);
+    flow.ok_or(PosesError::Interrupted)
 }

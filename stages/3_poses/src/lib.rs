@@ -41,9 +41,7 @@ use adjustment::BundleOptions;
 use incremental::Reconstruction;
 use model::{AdjustmentScope, IntrinsicsScope};
 use rilievo_numerics::robust::RobustLoss;
-use rilievo_scene::{
-    FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, StageId,
-};
+use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest};
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
@@ -113,19 +111,13 @@ pub fn run(
         .chain(narrow::warning(&posed, options))
         .chain(left_out)
     {
-        warn(observer, message)?;
+        error::warn(observer, message)?;
     }
     let (anchors, anchor_report) =
         anchors::find(photos, matches, &posed, &options.anchors, observer)?;
     posed.anchors = anchors;
     report.anchors = Some(anchor_report);
     Ok((posed, report))
-}
-
-/// Tells the user of something; the stage goes on.
-fn warn(observer: &dyn Observer, message: String) -> Result<(), PosesError> {
-    let flow = observer.warn(StageId::Poses, message);
-    flow.ok_or(PosesError::Interrupted)
 }
 
 /// A model with the photos of the others.

@@ -14,9 +14,9 @@
 //! 0.08 mm there).
 
 use crate::error::PosesError;
+use crate::error::warn;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
-use crate::warn;
 use nalgebra::Point3;
 use rilievo_photometry::sphere::{
     LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, WorldScale,

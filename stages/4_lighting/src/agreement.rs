@@ -17,12 +17,12 @@
 //!    the others are left out, and said to be.
 
 use crate::error::LightingError;
+use crate::error::warn;
 use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::residual::residual_of;
 use crate::side::{Patch, Side};
-use crate::warn;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;

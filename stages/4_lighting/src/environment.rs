@@ -2,13 +2,13 @@
 //! that it is fitted on, and the lighting of every view from it.
 
 use crate::error::LightingError;
+use crate::error::warn;
 use crate::gains::{self, Gains};
 use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport};
 use crate::residual::residual_in;
 use crate::side::Side;
-use crate::warn;
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_scene::{LightSource, Lighting, Observer, PosedViews, ViewIdx, ViewLighting};
 

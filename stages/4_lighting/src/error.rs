@@ -2,7 +2,7 @@
 
 use rilievo_photometry::harmonics::FitError;
 use rilievo_photometry::sphere::SphereError;
-use rilievo_scene::{Inconsistent, OptionError, PixelError};
+use rilievo_scene::{Inconsistent, Observer, OptionError, PixelError, StageId};
 
 /// Failures of stage 4.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -106,4 +106,10 @@ pub enum LightingError {
     /// The observer asked to stop.
     #[error("interrupted")]
     Interrupted,
+}
+
+/// Tells the user of something; the stage goes on.
+pub(crate) fn warn(observer: &dyn Observer, message: String) -> Result<(), LightingError> {
+    let flow = observer.warn(StageId::Lighting, message);
+    flow.ok_or(LightingError::Interrupted)
 }

@@ -60,7 +60,7 @@ pub use report::{
 pub use request::LightingRequest;
 pub use shape::{fit_on_normals, fit_on_shape};
 
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, StageId};
+use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 
 /// Raised with every change of the stage that changes its results.
 pub const VERSION: u32 = 6;
@@ -101,10 +101,4 @@ pub fn run(
         }
         LightingRequest::OwnShape => own_shape::run(photos, posed, options, observer),
     }
-}
-
-/// Tells the user of something; the stage goes on.
-fn warn(observer: &dyn Observer, message: String) -> Result<(), LightingError> {
-    let flow = observer.warn(StageId::Lighting, message);
-    flow.ok_or(LightingError::Interrupted)
 }

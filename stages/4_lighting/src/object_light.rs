@@ -17,10 +17,10 @@
 use crate::anchor_normals::AnchorSamples;
 use crate::environment::scaled;
 use crate::error::LightingError;
+use crate::error::warn;
 use crate::options::{LightingOptions, ObjectLight};
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
-use crate::warn;
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_scene::{

@@ -14,11 +14,11 @@
 use crate::anchor_normals::{AnchorSamples, orient, seen_by};
 use crate::cells::{CellMean, two_way};
 use crate::error::LightingError;
+use crate::error::warn;
 use crate::kind;
 use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
-use crate::warn;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_scene::{

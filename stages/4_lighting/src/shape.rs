@@ -8,11 +8,11 @@
 //! tangent crosses them.
 
 use crate::error::LightingError;
+use crate::error::warn;
 use crate::kind;
 use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
-use crate::warn;
 use nalgebra::{Point2, Vector3};
 use rilievo_photometry::harmonics::LightingFit;
 use rilievo_photometry::samples::surface_pixels;

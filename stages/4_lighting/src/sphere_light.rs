@@ -17,12 +17,13 @@ use crate::environment::{
     describe, gains_of, ones, pool_in_world, report_gains, views_from_environment,
 };
 use crate::error::LightingError;
+use crate::error::warn;
 use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::residual::residual_in;
 use crate::side::{Side, collect};
-use crate::{agreement, kind, light_samples, place, warn};
+use crate::{agreement, kind, light_samples, place};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::harmonics::LightingFit;
 use rilievo_scene::{

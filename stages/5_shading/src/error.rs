@@ -1,6 +1,6 @@
 //! Why shading could not give a shape.
 
-use rilievo_scene::{Inconsistent, LightSource, OptionError};
+use rilievo_scene::{Inconsistent, LightSource, Observer, OptionError, StageId};
 
 /// How badly a given light fits a view.
 #[derive(Debug, Clone, PartialEq)]
@@ -169,4 +169,10 @@ pub enum ShadingError {
         /// What failed.
         reason: String,
     },
+}
+
+/// Tells the user of something; the stage goes on.
+pub(crate) fn warn(observer: &dyn Observer, message: String) -> Result<(), ShadingError> {
+    let flow = observer.warn(StageId::Shading, message);
+    flow.ok_or(ShadingError::Interrupted)
 }

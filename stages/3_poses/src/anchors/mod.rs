@@ -92,7 +92,7 @@ pub fn find(
     };
     if anchors.is_empty() && !facts.warned {
         let message = "no depth anchors: nothing on the object matches between the views; take photos closer together, or light it so that its shading shows";
-        crate::warn(observer, message.to_owned())?;
+        crate::error::warn(observer, message.to_owned())?;
     }
     let report = report::report(photos, posed, options.mode, &anchors, facts);
     Ok((anchors, report))

@@ -56,7 +56,7 @@ impl Facts {
     /// Tells the user of something that may leave no anchors.
     pub fn warn(&mut self, observer: &dyn Observer, message: String) -> Result<(), PosesError> {
         self.warned = true;
-        crate::warn(observer, message)
+        crate::error::warn(observer, message)
     }
 
     /// Counts patches and averages their residuals.

@@ -50,7 +50,7 @@ pub use solution::{
 };
 
 use crate::error::ShadingError;
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews, StageId};
+use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
 
 /// Solves the views of a problem.
 ///
@@ -80,10 +80,4 @@ pub fn run(
     posed.check_with(photos)?;
     lighting.check(posed)?;
     posed::run(photos, posed, lighting, options, observer)
-}
-
-/// Tells the user of something; the stage goes on.
-fn warn(observer: &dyn Observer, message: String) -> Result<(), ShadingError> {
-    let flow = observer.warn(StageId::Shading, message);
-    flow.ok_or(ShadingError::Interrupted)
 }

@@ -3,8 +3,7 @@
 use super::options::PaperOptions;
 use super::problem::{DepthAnchor, ShadingProblem, ShadingView, ViewLight};
 use super::solution::{PaperReport, SolvedView};
-use super::warn;
-use crate::error::ShadingError;
+use crate::error::{ShadingError, warn};
 use crate::photo_of::photo_of;
 use crate::rectify::Rectification;
 use rilievo_scene::{

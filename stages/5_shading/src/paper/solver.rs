@@ -14,8 +14,7 @@ use super::solution::{PaperReport, ShadingSolution, SolvedView, Termination, Vie
 use super::splitting::{self, Course, Setting, Ties, slopes};
 use super::start;
 use super::theta::{ThetaProblem, ThetaTerms, theta_step};
-use super::warn;
-use crate::error::ShadingError;
+use crate::error::{ShadingError, warn};
 use rilievo_numerics::robust::median;
 use rilievo_scene::{DepthMap, Observer};
 use std::time::Instant;
