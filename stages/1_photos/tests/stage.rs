@@ -221,6 +221,7 @@ fn photos_that_cannot_be_used_are_named() {
         ),
     ] {
         let mut empty = photo("empty.tif", ExifFacts::default());
+        empty.linear_by_metadata = matches!(samples, Samples::F32(_));
         empty.samples = samples;
         let error = prepare(empty, None, None, &options)
             .unwrap_err()

@@ -127,7 +127,9 @@ fn in_known_frame(
     request: &SphereRequest,
     has_given_poses: bool,
 ) -> (SphereRequest, Vec<(String, SphereError)>) {
-    let is_placed = |sphere: &MarkedSphere| has_given_poses || !sphere.marks.is_empty();
+    let is_placed = |sphere: &MarkedSphere| {
+        has_given_poses || !sphere.marks.is_empty() || sphere.center_in_world.is_none()
+    };
     let (placed, frameless): (Vec<MarkedSphere>, Vec<MarkedSphere>) =
         request.spheres.iter().cloned().partition(is_placed);
     // Where the poses were found, a centre cannot stand in for marks either.
