@@ -54,11 +54,7 @@ impl Estimate {
             expected,
             maps: run.stage_dir(StageId::Shading),
             cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
-            light: [StageId::Shading, StageId::Lighting]
-                .map(|stage| run.stage_dir(stage).join("lighting.json"))
-                .into_iter()
-                .find(|file| file.exists())
-                .unwrap_or_default(),
+            light: run.stage_dir(StageId::Lighting).join("lighting.json"),
             photos: run.stage_dir(StageId::Photos).join("linear"),
             gains,
             _run: Some(run),

@@ -12,7 +12,7 @@ pub struct ShadingReport {
     #[serde(flatten)]
     pub paper: PaperReport,
     /// The light that was used, of every posed view in its camera's frame, gains contained. Where the model
-    /// allows for shadow, what falls on a surface in the open.
+    /// allows for shadow, what falls on a surface in the open, without what ground and spheres send.
     pub light: Vec<ViewLighting>,
     /// Facts of the photo model, where it was used.
     pub photo: Option<PhotoReport>,
