@@ -18,7 +18,7 @@ pub struct SolvedView {
     pub confidence: Option<ConfidenceMap>,
 }
 
-/// Result of [`crate::solve`].
+/// Result of [`super::solve`].
 #[derive(Clone, Debug)]
 pub struct ShadingSolution {
     /// One entry per view of the problem, in its order.
