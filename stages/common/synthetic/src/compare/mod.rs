@@ -10,6 +10,7 @@ mod cloud;
 mod evaluation;
 mod maps;
 mod nearest;
+mod relief;
 mod truth;
 
 pub use align::{
@@ -19,4 +20,5 @@ pub use appearance::{AppearanceComparison, ImageErrors, LightComparison, compare
 pub use cloud::{CloudComparison, MeshDistance, ThresholdShares, TrueSurface, compare_cloud};
 pub use evaluation::{Evaluation, evaluate};
 pub use maps::{MapComparison, NormalSource, PixelErrors, aggregate, compare_maps, plane_normals};
+pub use relief::{BandSums, ReliefBand, relief_bands, relief_sums};
 pub use truth::{TruthMaps, TruthView};
