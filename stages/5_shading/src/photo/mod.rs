@@ -21,35 +21,27 @@
 
 mod albedo;
 mod appearance;
-mod between_levels;
-mod camera;
 mod chroma;
 mod confidence;
-mod consensus;
+#[cfg(test)]
+mod consensus_tests;
 mod contradiction;
 mod course;
 #[cfg(test)]
 mod derivative_tests;
 mod distant;
-mod edges;
-mod gains;
-mod hull;
 mod iteration;
 mod known_light;
-mod level;
 mod light;
 #[cfg(test)]
 mod light_tests;
 mod matching;
 mod options;
 mod output;
-mod patchmatch;
-mod plate;
 mod relight;
 #[cfg(test)]
 mod rendered_tests;
 mod report;
-mod sampling;
 mod search;
 mod searched;
 mod shading;
@@ -58,10 +50,7 @@ mod solve;
 mod solvers_tests;
 #[cfg(test)]
 mod sphere_tests;
-mod spread;
-mod start;
 mod step;
-mod surfaces;
 mod surround;
 mod validation;
 mod views;

@@ -4,8 +4,8 @@
 //! centroids, and the largest extent that a mask subtends there; or, without masks, the depths of
 //! the sparse points. Per pixel, inverse depths are sampled and kept while all masks contain them.
 
-use super::camera::{Camera, Warp};
-use super::level::LevelView;
+use crate::camera::{Camera, Warp};
+use crate::level::LevelView;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
@@ -16,13 +16,15 @@ const NUM_SAMPLES: usize = 256;
 
 /// Inverse depths between which a view's surface lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct InverseDepthRange {
+pub struct InverseDepthRange {
+    /// That of the farthest point, one over the world's unit.
     pub low: f32,
+    /// That of the nearest point.
     pub high: f32,
 }
 
 /// Range of each view from masks (`masked`) or from points in the world.
-pub(crate) fn object_ranges(
+pub fn object_ranges(
     views: &[LevelView],
     masked: bool,
     points: &[Point3<f64>],
@@ -49,7 +51,7 @@ pub(crate) fn object_ranges(
 }
 
 /// Centre and radius of a ball around the object, from the masks.
-pub(crate) fn object_ball(views: &[LevelView]) -> Option<(Point3<f64>, f64)> {
+pub fn object_ball(views: &[LevelView]) -> Option<(Point3<f64>, f64)> {
     let mut normal = Matrix3::zeros();
     let mut rhs = Vector3::zeros();
     let mut extents = Vec::new();
@@ -105,7 +107,7 @@ fn range_of_points(
 }
 
 /// Range of every masked pixel of view `index`; the whole range where the masks contradict.
-pub(crate) fn pixel_ranges(
+pub fn pixel_ranges(
     views: &[LevelView],
     masks: &[Mask],
     index: usize,
@@ -152,7 +154,7 @@ pub(crate) fn pixel_ranges(
 }
 
 /// A mask grown by `radius` pixels (square neighbourhood).
-pub(crate) fn dilate(mask: &Mask, radius: usize) -> Mask {
+pub fn dilate(mask: &Mask, radius: usize) -> Mask {
     let mut rows = mask.clone();
     for y in 0..mask.height {
         for x in 0..mask.width {

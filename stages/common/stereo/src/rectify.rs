@@ -4,12 +4,15 @@ use rilievo_scene::{DepthMap, Distortion, Intrinsics, LinearImage, Mask, NormalM
 
 /// A photo's camera and the pinhole of the same matrix.
 #[derive(Clone, Debug)]
-pub(crate) struct Rectification {
+pub struct Rectification {
+    /// The photo's own camera.
     pub original: Intrinsics,
+    /// The same matrix without distortion.
     pub pinhole: Intrinsics,
 }
 
 impl Rectification {
+    /// From the photo's camera.
     pub fn new(intrinsics: &Intrinsics) -> Self {
         Self {
             original: *intrinsics,
@@ -20,6 +23,7 @@ impl Rectification {
         }
     }
 
+    /// Whether the photo has no distortion: then it is its own pinhole image.
     pub fn is_identity(&self) -> bool {
         self.original.distortion.is_none()
     }
@@ -102,7 +106,7 @@ impl Rectification {
 
     /// Values on the photo's own pixels from those on the straightened ones, `depth` telling where
     /// there are any; zero elsewhere.
-    pub(crate) fn bend_values_back<const N: usize>(
+    pub fn bend_values_back<const N: usize>(
         &self,
         mask: &Mask,
         depth: &DepthMap,

@@ -1,13 +1,13 @@
 //! A view at one resolution: linear image, usable pixels, mask and camera, cropped to the object.
 
-use super::camera::{Camera, Warp};
-use super::sampling;
-use nalgebra::Vector3;
+use crate::camera::{Camera, Warp};
+use crate::sampling;
+use nalgebra::{Point3, Vector3};
 use rilievo_numerics::plate_system::PixelNumbering;
 use rilievo_scene::{LinearImage, Mask, Raster};
 
 /// Steps `(dx, dy)` to a pixel's eight neighbours.
-pub(crate) const NEIGHBOURS: [(i32, i32); 8] = [
+pub const NEIGHBOURS: [(i32, i32); 8] = [
     (1, 0),
     (-1, 0),
     (0, 1),
@@ -23,14 +23,18 @@ const MARGIN_PX: usize = 8;
 
 /// One view at one pyramid level.
 #[derive(Clone, Debug)]
-pub(crate) struct LevelView {
+pub struct LevelView {
+    /// Camera of the crop.
     pub camera: Camera,
     /// Three channels; grey photos are repeated.
     pub image: LinearImage,
+    /// Mean of the channels.
     pub grey: Raster<f32>,
     /// 1 where no channel is clipped.
     pub usable: Raster<f32>,
+    /// The object.
     pub mask: Mask,
+    /// Numbers of the masked pixels, row by row.
     pub pixels: PixelNumbering,
     /// Whether the mask touches the photo's frame.
     pub cut_by_frame: bool,
@@ -213,8 +217,9 @@ impl LevelView {
             .filter(|_| sampling::bilinear(&self.usable, x, y) > 0.999)
     }
 
+    /// Whether the four values around a position, which must be [`sampling::inside`], are of one surface.
     #[inline]
-    pub(crate) fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+    pub fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
         f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX
     }
 
@@ -230,13 +235,15 @@ impl LevelView {
 
 /// All views at one resolution, with the sources of each: the views it is compared with.
 #[derive(Clone, Debug)]
-pub(crate) struct Level {
+pub struct Level {
+    /// The views.
     pub views: Vec<LevelView>,
     /// For every view, its sources (best first) and the warps into them.
     pub sources: Vec<Vec<(usize, Warp)>>,
 }
 
 impl Level {
+    /// Views with their sources, each a list of indices, best first.
     pub fn new(views: Vec<LevelView>, sources: &[Vec<usize>]) -> Self {
         let sources = sources
             .iter()
@@ -265,8 +272,46 @@ impl Level {
     }
 }
 
+/// For every view the others whose line of sight to a point `target` in the world differs by about 20°,
+/// best first.
+///
+/// A narrow angle says little about depth, a wide one sees another side.
+pub fn choose_sources(
+    views: &[LevelView],
+    target: &Point3<f64>,
+    max_num_sources: usize,
+) -> Vec<Vec<usize>> {
+    let directions: Vec<_> = views
+        .iter()
+        .map(|v| (v.camera.center - target).normalize())
+        .collect();
+    (0..views.len())
+        .map(|i| {
+            let mut ranked: Vec<(f64, usize)> = (0..views.len())
+                .filter(|&j| j != i)
+                .map(|j| {
+                    let angle = directions[i].dot(&directions[j]).clamp(-1.0, 1.0).acos();
+                    let degrees = angle.to_degrees();
+                    let misfit = if degrees < 20.0 {
+                        (20.0 - degrees) / 10.0
+                    } else {
+                        (degrees - 20.0) / 25.0
+                    };
+                    (misfit, j)
+                })
+                .collect();
+            ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            ranked
+                .into_iter()
+                .take(max_num_sources)
+                .map(|(_, j)| j)
+                .collect()
+        })
+        .collect()
+}
+
 /// Log depth of every view's raster (0 outside), for sampling by other views.
-pub(crate) fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
+pub fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
     use rayon::prelude::*;
     level
         .views
@@ -278,11 +323,11 @@ pub(crate) fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f3
 
 /// Difference of log depth between neighbours beyond which they belong to different surfaces, pixel
 /// footprints: no view tells much of a surface that it sees at 80° and more.
-pub(crate) const MAX_STEP_PX: f64 = 8.0;
+pub const MAX_STEP_PX: f64 = 8.0;
 
 /// A wholly masked grey view at the origin that looks along +z, for tests.
 #[cfg(test)]
-pub(crate) fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
+pub fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
     let camera = Camera {
         width,
         height,
@@ -292,7 +337,7 @@ pub(crate) fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
         cy: 0.5 * (height as f64 - 1.0),
         rotation: nalgebra::Matrix3::identity(),
         translation: Vector3::zeros(),
-        center: nalgebra::Point3::origin(),
+        center: Point3::origin(),
     };
     let image = LinearImage::filled(width, height, 3, 0.5);
     let mask = Raster::filled(width, height, true);

@@ -9,21 +9,29 @@ use rilievo_scene::{Intrinsics, RigidTransform};
 
 /// A pinhole without distortion, with its pose.
 #[derive(Clone, Debug)]
-pub(crate) struct Camera {
+pub struct Camera {
+    /// Columns of the image.
     pub width: usize,
+    /// Rows of the image.
     pub height: usize,
+    /// Focal length along x, pixels.
     pub fx: f64,
+    /// Focal length along y, pixels.
     pub fy: f64,
+    /// Column of the principal point.
     pub cx: f64,
+    /// Row of the principal point.
     pub cy: f64,
-    /// `cam_from_world`.
+    /// Rotation of `cam_from_world`.
     pub rotation: Matrix3<f64>,
+    /// Translation of `cam_from_world`, the world's unit.
     pub translation: Vector3<f64>,
     /// Centre in the world.
     pub center: Point3<f64>,
 }
 
 impl Camera {
+    /// The camera of a photo without distortion, at a pose `cam_from_world`.
     pub fn new(intrinsics: &Intrinsics, pose: &RigidTransform) -> Self {
         Self {
             width: intrinsics.width,
@@ -62,6 +70,7 @@ impl Camera {
         }
     }
 
+    /// Mean of both focal lengths, pixels.
     pub fn focal(&self) -> f64 {
         0.5 * (self.fx + self.fy)
     }
@@ -98,25 +107,32 @@ impl Camera {
 
 /// Maps pixels of one view at an inverse depth into another.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Warp {
+pub struct Warp {
+    /// `K_j R_ji K_i⁻¹`.
     pub a: Matrix3<f64>,
+    /// `K_j t_ji`.
     pub b: Vector3<f64>,
 }
 
 /// Where a pixel lands, and how that depends on `ζ`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Landing {
+pub struct Landing {
+    /// Column in the other view.
     pub u: f64,
+    /// Row in the other view.
     pub v: f64,
     /// Log depth in the other view.
     pub zeta: f64,
-    /// `∂u/∂ζ`, `∂v/∂ζ`, `∂ζ_other/∂ζ`.
+    /// `∂u/∂ζ`.
     pub du: f64,
+    /// `∂v/∂ζ`.
     pub dv: f64,
+    /// `∂ζ_other/∂ζ`.
     pub dzeta: f64,
 }
 
 impl Warp {
+    /// The warp between two cameras; `None` where the first one's matrix is singular.
     pub fn between(from: &Camera, to: &Camera) -> Option<Self> {
         let inverse = from.matrix().try_inverse()?;
         let rotation = to.rotation * from.rotation.transpose();
