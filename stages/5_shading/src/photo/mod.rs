@@ -9,7 +9,9 @@
 //! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
 //! views' surfaces (`consensus` tells `w`), a weak robust thin plate.
 //!
-//! Steps: dense search inside the visual hull (`hull`, `patchmatch`); exposure gains and the
+//! What needs no light stands in `rilievo_stereo`.
+//!
+//! Steps: dense search inside the visual hull (`search`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
 //! and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and

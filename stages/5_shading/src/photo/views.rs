@@ -166,7 +166,8 @@ fn object_center(views: &[LevelView], posed: &PosedViews) -> Point3<f64> {
             [0, 1, 2].map(|k| rilievo_numerics::robust::median(&mut coordinates[k]).unwrap_or(0.0));
         return Point3::from(middle);
     }
-    rilievo_stereo::hull::object_ball(views)
+    let outlines: Vec<_> = views.iter().map(|view| view.outline(true)).collect();
+    rilievo_stereo::hull::object_ball(&outlines)
         .map(|(center, _)| center)
         .unwrap_or_else(Point3::origin)
 }

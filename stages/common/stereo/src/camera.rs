@@ -57,15 +57,16 @@ impl Camera {
         }
     }
 
-    /// The camera of the image at half resolution (2×2 blocks).
-    pub fn halved(&self) -> Self {
+    /// The camera of the image reduced by blocks of `factor × factor` pixels; incomplete ones are dropped.
+    pub fn reduced(&self, factor: usize) -> Self {
+        let s = factor as f64;
         Self {
-            width: self.width / 2,
-            height: self.height / 2,
-            fx: 0.5 * self.fx,
-            fy: 0.5 * self.fy,
-            cx: 0.5 * (self.cx + 0.5) - 0.5,
-            cy: 0.5 * (self.cy + 0.5) - 0.5,
+            width: self.width / factor,
+            height: self.height / factor,
+            fx: self.fx / s,
+            fy: self.fy / s,
+            cx: (self.cx + 0.5) / s - 0.5,
+            cy: (self.cy + 0.5) / s - 0.5,
             ..self.clone()
         }
     }
@@ -143,11 +144,17 @@ impl Warp {
         })
     }
 
+    /// Homogeneous pixel `P` of the other view; its third component times the depth is the depth there.
+    #[inline]
+    pub fn at(&self, x: f64, y: f64, inverse_depth: f64) -> Vector3<f64> {
+        self.a * Vector3::new(x, y, 1.0) + self.b * inverse_depth
+    }
+
     /// Lands pixel `(x, y)` with log depth `zeta`; `None` behind the other camera.
     #[inline]
     pub fn land(&self, x: f64, y: f64, zeta: f64) -> Option<Landing> {
         let w = (-zeta).exp();
-        let p = self.a * Vector3::new(x, y, 1.0) + self.b * w;
+        let p = self.at(x, y, w);
         if p.z.is_nan() || p.z <= 1e-9 {
             return None;
         }

@@ -5,7 +5,6 @@
 //! the sparse points. Per pixel, inverse depths are sampled and kept while all masks contain them.
 
 use crate::camera::{Camera, Warp};
-use crate::level::LevelView;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
@@ -13,6 +12,38 @@ use rilievo_scene::Mask;
 
 /// Samples along a ray.
 const NUM_SAMPLES: usize = 256;
+
+/// What a view says of where the object is.
+#[derive(Clone, Copy, Debug)]
+pub struct Outline<'a> {
+    /// The view's camera, of the mask's size.
+    pub camera: &'a Camera,
+    /// The object, or all pixels where there is no mask.
+    pub mask: &'a Mask,
+    /// Whether there is one.
+    pub is_masked: bool,
+    /// First and last column and row (`[x0, y0]`, `[x1, y1]`) of the whole photo, beyond which the object may
+    /// reach; `None` where it ends with the mask.
+    pub frame: Option<[[f64; 2]; 2]>,
+}
+
+impl Outline<'_> {
+    /// Whether a point at a homogeneous pixel may belong to the object.
+    #[inline]
+    fn allows(&self, p: &Vector3<f64>) -> bool {
+        if p.z.is_nan() || p.z <= 0.0 {
+            return self.frame.is_some();
+        }
+        let (u, v) = (p.x / p.z, p.y / p.z);
+        if let Some([low, high]) = self.frame
+            && !(u >= low[0] && v >= low[1] && u <= high[0] && v <= high[1])
+        {
+            return true;
+        }
+        let (u, v) = (u + 0.5, v + 0.5);
+        u >= 0.0 && v >= 0.0 && self.mask.contains(u as isize, v as isize)
+    }
+}
 
 /// Inverse depths between which a view's surface lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,57 +54,60 @@ pub struct InverseDepthRange {
     pub high: f32,
 }
 
-/// Range of each view from masks (`masked`) or from points in the world.
+/// Range of each view, `None` where it is not known: from two masks and more, else from points in the world.
 pub fn object_ranges(
-    views: &[LevelView],
-    masked: bool,
+    outlines: &[Outline],
     points: &[Point3<f64>],
-) -> Option<Vec<InverseDepthRange>> {
-    if masked && views.len() > 1 {
-        let (center, radius) = object_ball(views)?;
-        views
+) -> Vec<Option<InverseDepthRange>> {
+    let masked: Vec<Outline> = outlines.iter().copied().filter(|o| o.is_masked).collect();
+    if masked.len() < 2 {
+        return outlines
             .iter()
-            .map(|view| {
-                let (_, _, depth) = view.camera.project(&center)?;
-                let near = (depth - 1.3 * radius).max(0.15 * depth);
-                Some(InverseDepthRange {
-                    low: (1.0 / (depth + 1.3 * radius)) as f32,
-                    high: (1.0 / near) as f32,
-                })
-            })
-            .collect()
-    } else {
-        views
-            .iter()
-            .map(|view| range_of_points(&view.camera, &view.mask, points))
-            .collect()
+            .map(|outline| range_of_points(outline, points))
+            .collect();
     }
+    let ball = object_ball(&masked);
+    outlines
+        .iter()
+        .map(|outline| {
+            let (center, radius) = ball?;
+            let (_, _, depth) = outline.camera.project(&center)?;
+            let near = (depth - 1.3 * radius).max(0.15 * depth);
+            Some(InverseDepthRange {
+                low: (1.0 / (depth + 1.3 * radius)) as f32,
+                high: (1.0 / near) as f32,
+            })
+        })
+        .collect()
 }
 
 /// Centre and radius of a ball around the object, from the masks.
-pub fn object_ball(views: &[LevelView]) -> Option<(Point3<f64>, f64)> {
+pub fn object_ball(outlines: &[Outline]) -> Option<(Point3<f64>, f64)> {
     let mut normal = Matrix3::zeros();
     let mut rhs = Vector3::zeros();
     let mut extents = Vec::new();
-    for view in views {
-        let n = view.pixels.len();
-        if n == 0 {
+    for Outline { camera, mask, .. } in outlines {
+        let inside = || {
+            let at = |i: usize| ((i % mask.width) as f64, (i / mask.width) as f64);
+            let set = mask.data.iter().enumerate().filter(|&(_, &inside)| inside);
+            set.map(move |(i, _)| at(i))
+        };
+        let (mut x, mut y, mut n) = (0.0, 0.0, 0.0);
+        for (px, py) in inside() {
+            (x, y, n) = (x + px, y + py, n + 1.0);
+        }
+        if n == 0.0 {
             continue;
         }
-        let mean = |values: &[u32]| values.iter().map(|&v| f64::from(v)).sum::<f64>() / n as f64;
-        let (x, y) = (mean(&view.pixels.xs), mean(&view.pixels.ys));
-        let camera = &view.camera;
+        let (x, y) = (x / n, y / n);
         let direction = camera.rotation.tr_mul(&camera.ray(x, y)).normalize();
         let across = Matrix3::identity() - direction * direction.transpose();
         normal += across;
         rhs += across * camera.center.coords;
-        let farthest = (0..n)
-            .map(|i| {
-                let (px, py) = view.xy(i);
-                ((px - x) / camera.fx).hypot((py - y) / camera.fy)
-            })
+        let farthest = inside()
+            .map(|(px, py)| ((px - x) / camera.fx).hypot((py - y) / camera.fy))
             .fold(0.0, f64::max);
-        extents.push((camera.clone(), farthest));
+        extents.push((camera, farthest));
     }
     let center = Point3::from(normal.try_inverse()? * rhs);
     let mut radius = 0.0_f64;
@@ -84,15 +118,14 @@ pub fn object_ball(views: &[LevelView]) -> Option<(Point3<f64>, f64)> {
     Some((center, radius))
 }
 
-fn range_of_points(
-    camera: &Camera,
-    mask: &Mask,
-    points: &[Point3<f64>],
-) -> Option<InverseDepthRange> {
+fn range_of_points(outline: &Outline, points: &[Point3<f64>]) -> Option<InverseDepthRange> {
     let mut inverse: Vec<f64> = points
         .iter()
-        .filter_map(|p| camera.project(p))
-        .filter(|&(x, y, _)| mask.contains(x.round() as isize, y.round() as isize))
+        .filter_map(|p| outline.camera.project(p))
+        .filter(|&(x, y, _)| {
+            let mask = outline.mask;
+            mask.contains(x.round() as isize, y.round() as isize)
+        })
         .map(|(_, _, z)| 1.0 / z)
         .collect();
     if inverse.len() < 3 {
@@ -106,27 +139,25 @@ fn range_of_points(
     })
 }
 
-/// Range of every masked pixel of view `index`; the whole range where the masks contradict.
-pub fn pixel_ranges(
-    views: &[LevelView],
-    masks: &[Mask],
+/// Part of `range` that all outlines but view `index`'s own allow, at each of its pixels `positions`; `None`
+/// where they contradict each other.
+pub fn ranges_inside(
+    outlines: &[Outline],
     index: usize,
+    positions: &[(f64, f64)],
     range: InverseDepthRange,
-) -> Vec<InverseDepthRange> {
-    let view = &views[index];
-    let others: Vec<(Warp, &Mask)> = views
+) -> Vec<Option<InverseDepthRange>> {
+    let camera = outlines[index].camera;
+    let others: Vec<(Warp, &Outline)> = outlines
         .iter()
         .enumerate()
         .filter(|&(j, _)| j != index)
-        .filter_map(|(j, other)| {
-            Warp::between(&view.camera, &other.camera).map(|warp| (warp, &masks[j]))
-        })
+        .filter_map(|(_, other)| Warp::between(camera, other.camera).map(|warp| (warp, other)))
         .collect();
     let step = (range.high - range.low) / (NUM_SAMPLES - 1) as f32;
-    (0..view.pixels.len())
-        .into_par_iter()
-        .map(|i| {
-            let (x, y) = view.xy(i);
+    positions
+        .par_iter()
+        .map(|&(x, y)| {
             let bases: Vec<Vector3<f64>> = others
                 .iter()
                 .map(|(warp, _)| warp.a * Vector3::new(x, y, 1.0))
@@ -134,21 +165,17 @@ pub fn pixel_ranges(
             let inverse_depth = |k: usize| range.low + step * k as f32;
             let is_seen = |&k: &usize| {
                 let w = f64::from(inverse_depth(k));
-                others.iter().zip(&bases).all(|((warp, mask), base)| {
-                    let p = base + warp.b * w;
-                    let (u, v) = (p.x / p.z + 0.5, p.y / p.z + 0.5);
-                    p.z > 0.0 && u >= 0.0 && v >= 0.0 && mask.contains(u as isize, v as isize)
-                })
+                others
+                    .iter()
+                    .zip(&bases)
+                    .all(|((warp, other), base)| other.allows(&(base + warp.b * w)))
             };
-            let first = (0..NUM_SAMPLES).find(is_seen);
-            let last = first.and_then(|first| (first..NUM_SAMPLES).rev().find(is_seen));
-            match (first, last) {
-                (Some(low), Some(high)) => InverseDepthRange {
-                    low: inverse_depth(low) - 2.0 * step,
-                    high: inverse_depth(high) + 2.0 * step,
-                },
-                _ => range,
-            }
+            let low = (0..NUM_SAMPLES).find(is_seen)?;
+            let high = (low..NUM_SAMPLES).rev().find(is_seen)?;
+            Some(InverseDepthRange {
+                low: inverse_depth(low) - 2.0 * step,
+                high: inverse_depth(high) + 2.0 * step,
+            })
         })
         .collect()
 }
@@ -170,4 +197,18 @@ pub fn dilate(mask: &Mask, radius: usize) -> Mask {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dilation_reaches_as_far_as_asked() {
+        let mut mask = Mask::filled(9, 9, false);
+        *mask.at_mut(4, 4) = true;
+        let wide = dilate(&mask, 2);
+        assert_eq!(wide.count(), 25);
+        assert!(*wide.at(2, 6) && !*wide.at(1, 4));
+    }
 }

@@ -1,7 +1,9 @@
 //! A view at one resolution: linear image, usable pixels, mask and camera, cropped to the object.
 
 use crate::camera::{Camera, Warp};
+use crate::hull::Outline;
 use crate::sampling;
+use crate::window::{Window, block_mean, blocks_where};
 use nalgebra::{Point3, Vector3};
 use rilievo_numerics::plate_system::PixelNumbering;
 use rilievo_scene::{LinearImage, Mask, Raster};
@@ -50,19 +52,19 @@ impl LevelView {
         mask: &Mask,
         clip_level: f32,
     ) -> (Self, (usize, usize)) {
-        let (mut x0, mut y0, mut x1, mut y1) = (mask.width, mask.height, 0, 0);
-        for y in 0..mask.height {
-            for x in 0..mask.width {
-                if *mask.at(x, y) {
-                    (x0, x1) = (x0.min(x), x1.max(x));
-                    (y0, y1) = (y0.min(y), y1.max(y));
-                }
-            }
-        }
-        let cut_by_frame = x0 == 0 || y0 == 0 || x1 + 1 == mask.width || y1 + 1 == mask.height;
-        let (x0, y0) = (x0.saturating_sub(MARGIN_PX), y0.saturating_sub(MARGIN_PX));
-        let width = (x1 + 1 + MARGIN_PX).min(mask.width).saturating_sub(x0);
-        let height = (y1 + 1 + MARGIN_PX).min(mask.height).saturating_sub(y0);
+        let cut_by_frame = Window::around(mask, 0).is_some_and(|tight| {
+            tight.x0 == 0
+                || tight.y0 == 0
+                || tight.x0 + tight.width == mask.width
+                || tight.y0 + tight.height == mask.height
+        });
+        let window = Window::around(mask, MARGIN_PX).unwrap_or_default();
+        let Window {
+            x0,
+            y0,
+            width,
+            height,
+        } = window;
         let mut data = Vec::with_capacity(width * height * 3);
         let mut usable = Vec::with_capacity(width * height);
         for y in y0..y0 + height {
@@ -80,7 +82,6 @@ impl LevelView {
                 }
             }
         }
-        let cropped = Raster::from_fn(width, height, |x, y| *mask.at(x + x0, y + y0));
         let image = LinearImage {
             width,
             height,
@@ -94,7 +95,7 @@ impl LevelView {
         };
         let camera = camera.cropped(x0, y0, width, height);
         (
-            Self::assemble(camera, image, usable, cropped, cut_by_frame),
+            Self::assemble(camera, image, usable, window.cut(mask), cut_by_frame),
             (x0, y0),
         )
     }
@@ -120,29 +121,29 @@ impl LevelView {
 
     /// The view at half resolution; a pixel is masked where all four of its parents are.
     pub fn halved(&self) -> Self {
-        let camera = self.camera.halved();
-        let (width, height) = (camera.width, camera.height);
-        let mut image = LinearImage::filled(width, height, 3, 0.0);
-        for y in 0..height {
-            for x in 0..width {
-                for c in 0..3 {
-                    let sum: f32 = [(0, 0), (1, 0), (0, 1), (1, 1)]
-                        .iter()
-                        .map(|&(dx, dy)| self.image.pixel(2 * x + dx, 2 * y + dy)[c])
-                        .sum();
-                    image.pixel_mut(x, y)[c] = 0.25 * sum;
-                }
-            }
-        }
-        let all = |x: usize, y: usize, f: &dyn Fn(usize, usize) -> bool| {
-            f(2 * x, 2 * y) && f(2 * x + 1, 2 * y) && f(2 * x, 2 * y + 1) && f(2 * x + 1, 2 * y + 1)
+        let is_usable = blocks_where(&self.usable, 2, |&v| v > 0.5);
+        let usable = Raster {
+            width: is_usable.width,
+            height: is_usable.height,
+            data: is_usable
+                .data
+                .into_iter()
+                .map(|v| f32::from(u8::from(v)))
+                .collect(),
         };
-        let mask = Raster::from_fn(width, height, |x, y| all(x, y, &|a, b| *self.mask.at(a, b)));
-        let usable = Raster::from_fn(width, height, |x, y| {
-            let ok = all(x, y, &|a, b| *self.usable.at(a, b) > 0.5);
-            if ok { 1.0 } else { 0.0 }
-        });
+        let (camera, image) = (self.camera.reduced(2), block_mean(&self.image, 2));
+        let mask = blocks_where(&self.mask, 2, |&v| v);
         Self::assemble(camera, image, usable, mask, self.cut_by_frame)
+    }
+
+    /// What the view says of where the object is; without masks every pixel may show it.
+    pub fn outline(&self, is_masked: bool) -> Outline<'_> {
+        Outline {
+            camera: &self.camera,
+            mask: &self.mask,
+            is_masked,
+            frame: None,
+        }
     }
 
     /// Divides the image by a gain.

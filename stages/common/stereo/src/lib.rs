@@ -2,7 +2,7 @@
 //!
 //! * [`camera`], [`rectify`]: pinholes, the warp between two of them, and lens distortion.
 //! * [`level`], [`between_levels`], [`spread`]: photos cropped to the object, at every resolution.
-//! * [`sampling`]: interpolation in rasters and smoothing inside a mask.
+//! * [`sampling`], [`window`]: interpolation in rasters, smoothing inside a mask, crops and block means.
 //! * [`hull`], [`patchmatch`], [`search`]: dense search inside the visual hull.
 //! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
 //! * [`gains`]: exposure of the photos, and how far they disagree.
@@ -27,3 +27,4 @@ pub mod search;
 pub mod spread;
 pub mod start;
 pub mod surfaces;
+pub mod window;

@@ -30,8 +30,18 @@ impl Rectification {
 
     /// Straightened image and mask. Pixels that come from outside the photo are not masked.
     pub fn straighten(&self, image: &LinearImage, mask: &Mask) -> (LinearImage, Mask) {
+        let (image, [mask]) = self.straighten_with(image, [mask]);
+        (image, mask)
+    }
+
+    /// Straightened image and masks. Pixels that come from outside the photo are set in none of them.
+    pub fn straighten_with<const N: usize>(
+        &self,
+        image: &LinearImage,
+        masks: [&Mask; N],
+    ) -> (LinearImage, [Mask; N]) {
         let mut out = LinearImage::filled(image.width, image.height, image.channels, 0.0);
-        let mut out_mask = Mask::filled(image.width, image.height, false);
+        let mut out_masks = masks.map(|_| Mask::filled(image.width, image.height, false));
         for y in 0..image.height {
             for x in 0..image.width {
                 let (xs, ys) = self.bent(x as f64, y as f64);
@@ -42,11 +52,13 @@ impl Rectification {
                         None => complete = false,
                     }
                 }
-                *out_mask.at_mut(x, y) =
-                    complete && mask.contains(xs.round() as isize, ys.round() as isize);
+                for (out_mask, mask) in out_masks.iter_mut().zip(masks) {
+                    *out_mask.at_mut(x, y) =
+                        complete && mask.contains(xs.round() as isize, ys.round() as isize);
+                }
             }
         }
-        (out, out_mask)
+        (out, out_masks)
     }
 
     /// Pixel of the photo that shows a pixel of the pinhole image.

@@ -1,6 +1,6 @@
 //! Dense search over all views of a level, inside their visual hull, and what the views confirm of it.
 
-use crate::hull;
+use crate::hull::{self, Outline};
 use crate::level::Level;
 use crate::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
 use crate::start::{self, Agreement};
@@ -55,12 +55,20 @@ pub fn search_views(
     start: Option<&[Planes]>,
     options: &SearchOptions,
 ) -> Option<Vec<Planes>> {
-    let ranges = hull::object_ranges(&level.views, masked, points)?;
+    let outlines: Vec<Outline> = level.views.iter().map(|v| v.outline(masked)).collect();
+    let ranges: Vec<_> = hull::object_ranges(&outlines, points)
+        .into_iter()
+        .collect::<Option<_>>()?;
     // A pixel of slack: masks of different views never meet exactly.
     let masks: Vec<Mask> = level
         .views
         .iter()
         .map(|v| hull::dilate(&v.mask, 1))
+        .collect();
+    let outlines: Vec<Outline> = outlines
+        .iter()
+        .zip(&masks)
+        .map(|(outline, mask)| Outline { mask, ..*outline })
         .collect();
     let num_sources = level.sources.iter().map(Vec::len).max().unwrap_or(1);
     let options = options.of_view(num_sources, start.is_some());
@@ -68,7 +76,13 @@ pub fn search_views(
         .into_par_iter()
         .with_max_len(1)
         .map(|i| {
-            let ranges = hull::pixel_ranges(&level.views, &masks, i, ranges[i]);
+            let view = &level.views[i];
+            let positions: Vec<_> = (0..view.pixels.len()).map(|p| view.xy(p)).collect();
+            // The whole range where the masks contradict each other.
+            let ranges: Vec<_> = hull::ranges_inside(&outlines, i, &positions, ranges[i])
+                .into_iter()
+                .map(|range| range.unwrap_or(ranges[i]))
+                .collect();
             patchmatch::search(level, i, &masks, &ranges, start.map(|s| &s[i]), &options)
         })
         .collect();
