@@ -45,7 +45,7 @@ use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews,
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 7;
+pub const VERSION: u32 = 8;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;

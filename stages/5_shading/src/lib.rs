@@ -18,7 +18,6 @@ mod options;
 pub mod paper;
 pub mod photo;
 mod photo_of;
-mod rectify;
 mod report;
 
 pub use error::{LightMisfit, ShadingError};

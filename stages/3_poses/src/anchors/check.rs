@@ -1,16 +1,14 @@
 //! Cross-view check: patches of other views must predict a patch's depth.
 //!
-//! A patch of view `i` puts a point `X` on the surface. Where a view `j` has a patch near the image
-//! of `X`, that patch's plane `m·X_j = 1` (`X_j` in `j`'s camera frame; `m = Kᵀ (q_x, q_y, q − q_x x −
-//! q_y y)`, since inverse depth is affine in the pixel) cuts the ray of `i` at the inverse depth
-//! `q' = m·R r / (1 − m·t)`. The difference in pixels of disparity says whether the two agree.
+//! A patch of view `i` puts a point on the surface at its pixel `x` and inverse depth. Where a view `j` has a
+//! patch near the image of that point, inverse depth is the linear function `n·(u, v, 1)` of its pixels on that
+//! patch. With the warp `P = A x + q b` from `i` to `j` the patch cuts the ray of `x` at the inverse depth
+//! `q' = n·A x / (1 − n·b)`. The difference in pixels of disparity says whether the two agree.
 //! A point that `j` sees behind its own surface is hidden there, which is no contradiction.
 
+use super::grid::Grid;
 use super::grow::Node;
-use super::hull::Grid;
-use super::plane::PatchPlane;
-use super::working::WorkingView;
-use nalgebra::Vector3;
+use rilievo_stereo::camera::Warp;
 
 /// What one view says of another view's patch.
 #[derive(Clone, Copy, Debug)]
@@ -25,12 +23,6 @@ pub(super) struct Support {
     pub gain: f64,
     /// Difference to the patch's own inverse depth, pixels of disparity.
     pub difference_px: f64,
-}
-
-/// Plane of a patch in its camera frame, `m·X = 1`.
-pub(super) fn plane_in_camera(view: &WorkingView, plane: &PatchPlane) -> Vector3<f64> {
-    let at_origin = plane.q - plane.qx * plane.x as f64 - plane.qy * plane.y as f64;
-    view.k.transpose() * Vector3::new(plane.qx, plane.qy, at_origin)
 }
 
 /// Nearest patch of a view around a position, within a radius.
@@ -56,55 +48,44 @@ fn nearest(grid: &Grid, nodes: &[Option<Node>], x: f64, y: f64, radius: f64) -> 
     best.map(|(_, cell)| cell)
 }
 
-/// What the other views say of a patch; `radius` in working pixels of the other view.
+/// What the other views say of a patch; `warps` lead to them, `radius` is in working pixels there.
 pub(super) fn supports(
-    views: &[WorkingView],
+    warps: &[(usize, Warp)],
     grids: &[Grid],
     nodes: &[Vec<Option<Node>>],
-    view_idx: usize,
     node: &Node,
     radius: f64,
-    out: &mut Vec<Support>,
-) {
-    out.clear();
-    let view = &views[view_idx];
+) -> Vec<Support> {
     let plane = &node.alignment.plane;
-    let point = view.point(plane.x as f64, plane.y as f64, plane.q);
-    for (other_idx, other) in views.iter().enumerate() {
-        if other_idx == view_idx {
+    let (x, y) = (plane.x as f64, plane.y as f64);
+    let mut out = Vec::new();
+    for &(view, ref warp) in warps {
+        let landing = warp.at(x, y, plane.q);
+        if landing.z.is_nan() || landing.z <= 0.0 {
             continue;
         }
-        let Some((u, v, z)) = other.project(&point) else {
+        let pixel = landing / landing.z;
+        let found = nearest(&grids[view], &nodes[view], pixel.x, pixel.y, radius);
+        let Some((cell, there)) = found.and_then(|cell| Some((cell, nodes[view][cell].as_ref()?)))
+        else {
             continue;
         };
-        let Some(cell) = nearest(&grids[other_idx], &nodes[other_idx], u, v, radius) else {
-            continue;
-        };
-        let Some(there) = nodes[other_idx][cell].as_ref() else {
-            continue;
-        };
-        let m = plane_in_camera(other, &there.alignment.plane);
-        let other_from_view = other.cam_from_world.compose(&view.cam_from_world.inverse());
-        let ray = other_from_view.rotation * view.ray(plane.x as f64, plane.y as f64);
-        let t = other_from_view.translation;
-        let denominator = 1.0 - m.dot(&t);
-        let q = m.dot(&ray) / denominator;
+        let n = there.alignment.plane.of_pixel();
+        let denominator = 1.0 - n.dot(&warp.b);
+        let q = n.dot(&warp.at(x, y, 0.0)) / denominator;
         if !q.is_finite() || q <= 0.0 {
             continue;
         }
-        // One unit of the other patch's inverse depth moves m by e₃.
-        let gain = (ray.z + q * t.z) / denominator;
         // Compared where the other view measures: along its own ray, in its widest pair.
-        let there_q = there.alignment.plane.q
-            + there.alignment.plane.qx * (u - there.alignment.plane.x as f64)
-            + there.alignment.plane.qy * (v - there.alignment.plane.y as f64);
-        let difference_px = (1.0 / z - there_q) * there.alignment.px_per_q;
+        let difference = plane.q / landing.z - n.dot(&pixel);
         out.push(Support {
-            view: other_idx,
+            view,
             cell,
             q,
-            gain,
-            difference_px,
+            // One unit of the other patch's inverse depth moves n by e₃.
+            gain: warp.at(x, y, q).z / denominator,
+            difference_px: difference * there.alignment.px_per_q,
         });
     }
+    out
 }

@@ -21,7 +21,7 @@ pub(super) fn cover(scene: &Scene<'_>, index: usize) -> Vec<Option<Node>> {
     let ranges = &scene.ranges[index];
     let mut pairs: Vec<PairGeometry> = (0..scene.views.len())
         .filter(|&source| source != index)
-        .map(|source| PairGeometry::new(view, source, &scene.views[source]))
+        .filter_map(|source| PairGeometry::new(view, source, &scene.views[source]))
         .collect();
     let mut nodes = vec![None; grid.len()];
     let mut ws = Workspace::default();
@@ -79,7 +79,9 @@ fn seed_of_search(
     let range = reference.ranges[cell]?;
     let (x, y) = reference.grid.pixel(cell);
     let view = &reference.views[reference.index];
-    let middle = view.point(x as f64, y as f64, 0.5 * (range.0 + range.1));
+    let middle = view
+        .camera
+        .unproject(x as f64, y as f64, 2.0 / (range.0 + range.1));
     let (sources, count) = reference.sources(&middle, scene.grow.angles_rad);
     let q = search(
         &scene.details,
@@ -106,7 +108,7 @@ fn seeds_of_points(scene: &Scene<'_>, index: usize) -> Vec<Seed> {
         .iter()
         .filter(|(_, seen)| seen.contains(&id))
         .filter_map(|(point, _)| {
-            let (x, y, depth) = view.project(point)?;
+            let (x, y, depth) = view.camera.project(point)?;
             let cell = grid.cell(x, y).filter(|_| view.on_object(x, y))?;
             scene.ranges[index][cell]?;
             Some(Seed {

@@ -1,6 +1,6 @@
-//! Small filters on rasters: Gaussian blur, box mean and square dilation.
+//! Small filters on rasters: Gaussian blur and box sums.
 
-use rilievo_scene::{Mask, Raster};
+use rilievo_scene::Raster;
 
 /// Gaussian blur of deviation `sigma_px`, cut at three deviations; the border is repeated.
 pub(super) fn gaussian_blur(raster: &Raster<f32>, sigma_px: f32) -> Raster<f32> {
@@ -84,21 +84,6 @@ pub(super) fn box_sum(raster: &Raster<f32>, radius: usize) -> Raster<f32> {
     total
 }
 
-/// Pixels within `radius` columns and rows of a set one.
-pub(super) fn box_dilate(mask: &Mask, radius: usize) -> Mask {
-    let ones = Raster {
-        width: mask.width,
-        height: mask.height,
-        data: mask.data.iter().map(|&m| f32::from(u8::from(m))).collect(),
-    };
-    let sums = box_sum(&ones, radius);
-    Mask {
-        width: mask.width,
-        height: mask.height,
-        data: sums.data.iter().map(|&s| s > 0.5).collect(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -130,14 +115,5 @@ mod tests {
                 assert!((fast - plain).abs() < 1e-4, "{x} {y}: {fast} {plain}");
             }
         }
-    }
-
-    #[test]
-    fn dilation_reaches_as_far_as_asked() {
-        let mut mask = Mask::filled(9, 9, false);
-        *mask.at_mut(4, 4) = true;
-        let wide = box_dilate(&mask, 2);
-        assert_eq!(wide.count(), 25);
-        assert!(*wide.at(2, 6) && !*wide.at(1, 4));
     }
 }

@@ -9,7 +9,7 @@
 //! A cell is tried a few times at most, from different neighbours. The queue is ordered by priority,
 //! then cell, then entry, so that the result does not depend on anything else.
 
-use super::hull::Grid;
+use super::grid::Grid;
 use super::pair::{MAX_SOURCES, PairGeometry, ray_angle};
 use super::patch::{Alignment, PatchOptions, align};
 use super::plane::PatchPlane;
@@ -95,9 +95,9 @@ impl<'a> Reference<'a> {
         let mut chosen = [&self.pairs[0]; MAX_SOURCES];
         let mut angles = [f64::INFINITY; MAX_SOURCES];
         let mut count = 0;
-        let own = &self.views[self.index].center;
+        let own = &self.views[self.index].camera.center;
         for pair in self.pairs {
-            let angle = ray_angle(point, own, &self.views[pair.source].center);
+            let angle = ray_angle(point, own, &self.views[pair.source].camera.center);
             if !(angles_rad.0..=angles_rad.1).contains(&angle) {
                 continue;
             }
@@ -127,7 +127,7 @@ impl<'a> Reference<'a> {
     ) -> Option<Alignment> {
         let view = &self.views[self.index];
         let (x, y) = (start.x as f64, start.y as f64);
-        let point = view.point(x, y, start.q);
+        let point = view.camera.unproject(x, y, 1.0 / start.q);
         let (sources, count) = self.sources(&point, options.angles_rad);
         let found = align(
             self.views,
@@ -139,7 +139,7 @@ impl<'a> Reference<'a> {
         )?;
         let px = found.px_per_q;
         let plane = &found.plane;
-        let tilt = plane.qx.hypot(plane.qy) / plane.q * view.focal();
+        let tilt = plane.qx.hypot(plane.qy) / plane.q * view.camera.focal();
         let (far, near) = self.ranges[cell]?;
         let wanted = if found.num_sources < 2 {
             options.lone_correlation.max(min_correlation)

@@ -24,12 +24,13 @@
 //! rendered and real objects with known depth.
 
 use super::check::{Support, supports};
+use super::grid::Grid;
 use super::grow::Node;
-use super::hull::Grid;
 use super::pair::MAX_SOURCES;
 use super::working::WorkingView;
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
+use rilievo_stereo::camera::Warp;
 
 /// Correlation between two views' estimates of one depth that rest on the same photos. Raw errors
 /// correlate by 0.76 to 0.9 on rendered objects; with this value predicted and true errors agree there.
@@ -90,14 +91,20 @@ pub(super) fn all_supports(
     (0..views.len())
         .into_par_iter()
         .map(|view| {
+            let warps: Vec<(usize, Warp)> = (0..views.len())
+                .filter(|&other| other != view)
+                .filter_map(|other| {
+                    Some((
+                        other,
+                        Warp::between(&views[view].camera, &views[other].camera)?,
+                    ))
+                })
+                .collect();
             nodes[view]
                 .iter()
-                .map(|node| {
-                    let mut out = Vec::new();
-                    if let Some(node) = node {
-                        supports(views, grids, nodes, view, node, radius_px, &mut out);
-                    }
-                    out
+                .map(|node| match node {
+                    Some(node) => supports(&warps, grids, nodes, node, radius_px),
+                    None => Vec::new(),
                 })
                 .collect()
         })

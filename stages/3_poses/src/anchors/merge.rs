@@ -11,13 +11,13 @@
 //! off by that over `|n·r_j|`: `σ(ln z_j) = σ(ln z_i) · D_i |n·r_i| / (D_j |n·r_j|)`, `D` the
 //! distance, `r` the unit rays, `n` the patch's normal.
 
-use super::check::plane_in_camera;
+use super::grid::Grid;
 use super::grow::Node;
-use super::hull::Grid;
 use super::judge::Estimate;
 use super::working::WorkingView;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rilievo_scene::{Anchor, AnchorObservation, ViewIdx};
+use rilievo_stereo::camera::Camera;
 
 /// Deviation across the ray, working pixels: the position is defined on the ray of a whole pixel;
 /// this keeps the covariance invertible.
@@ -50,9 +50,13 @@ pub(super) fn merge(
         let view = &views[own];
         let plane = &node.alignment.plane;
         let (x, y) = (plane.x as f64, plane.y as f64);
-        let position = view.point(x, y, estimate.q);
+        let position = view.camera.unproject(x, y, 1.0 / estimate.q);
         // m·X = 1 with m towards the surface: the normal up to sign and length.
-        let normal = (view.rotation.transpose() * plane_in_camera(view, plane)).normalize();
+        let normal = view
+            .camera
+            .rotation
+            .tr_mul(&plane.in_camera(&view.camera))
+            .normalize();
         let lever = |center: &Point3<f64>| (position - center).dot(&normal).abs();
         let own_sigma = estimate.sigma_q / estimate.q;
         let pixel = view.photo_pixel(x, y);
@@ -64,10 +68,10 @@ pub(super) fn merge(
         }];
         for &other_idx in &estimate.agreeing {
             let other = &views[other_idx];
-            let Some((u, v, depth)) = other.project(&position) else {
+            let Some((u, v, depth)) = other.camera.project(&position) else {
                 continue;
             };
-            let sigma = own_sigma * lever(&view.center) / lever(&other.center);
+            let sigma = own_sigma * lever(&view.camera.center) / lever(&other.camera.center);
             let Some(there) = grids[other_idx].cell(u, v) else {
                 continue;
             };
@@ -91,7 +95,7 @@ pub(super) fn merge(
         observations.sort_by_key(|o| o.view);
         anchors.push(Anchor {
             position: [position.x, position.y, position.z],
-            covariance: covariance(view, &position, own_sigma),
+            covariance: covariance(&view.camera, &position, 1.0 / estimate.q, own_sigma),
             origin: node.origin,
             observations,
         });
@@ -99,14 +103,18 @@ pub(super) fn merge(
     anchors
 }
 
-/// Covariance of a point known along its ray.
-fn covariance(view: &WorkingView, position: &Point3<f64>, sigma_ln_depth: f64) -> [f64; 6] {
-    let offset: Vector3<f64> = position - view.center;
+/// Covariance of a point of a camera's depth, known along its ray.
+fn covariance(
+    camera: &Camera,
+    position: &Point3<f64>,
+    depth: f64,
+    sigma_ln_depth: f64,
+) -> [f64; 6] {
+    let offset: Vector3<f64> = position - camera.center;
     let distance = offset.norm();
     let ray = offset / distance;
     let along = (distance * sigma_ln_depth).powi(2);
-    let depth = view.cam_from_world.apply(position).z;
-    let across = (LATERAL_SIGMA_PX * depth / view.focal()).powi(2);
+    let across = (LATERAL_SIGMA_PX * depth / camera.focal()).powi(2);
     let c = Matrix3::identity() * across + ray * ray.transpose() * (along - across).max(0.0);
     [
         c[(0, 0)],

@@ -6,7 +6,7 @@
 //!
 //! # Steps
 //! 1. Photos to log images without distortion, cropped to the mask (`working`).
-//! 2. Range of depth per cell from the other masks (`hull`).
+//! 2. Range of depth per cell from the other masks (`grid`).
 //! 3. Seeds by epipolar search in all sources at once (`sweep`), and the sparse points.
 //! 4. Alignment of patches over inverse depth and slopes (`patch`, `sampling`, `elimination`), what
 //!    exposure did between the photos (`exposure`), growing over the surface from the seeds (`grow`).
@@ -31,8 +31,8 @@ mod cover;
 mod elimination;
 mod exposure;
 mod filter;
+mod grid;
 mod grow;
-mod hull;
 mod judge;
 mod merge;
 pub(crate) mod options;
@@ -143,7 +143,7 @@ fn aligned(
         .map(|view| {
             judge(
                 view,
-                scene.views[view].focal(),
+                scene.views[view].camera.focal(),
                 &scene.grids[view],
                 &nodes,
                 &lists,

@@ -1,13 +1,13 @@
 //! Geometry between two working views.
 //!
 //! A pixel `x` of the reference at inverse depth `q` is seen by the source at
-//! `h = A (x, y, 1)ᵀ + q b`, `u = h₁/h₃`, `v = h₂/h₃`, with `A = K_s R K_r⁻¹` and `b = K_s t`,
-//! `(R, t)` = `source_from_reference`. Inverse depth of a plane is affine in the pixel,
+//! `h = A (x, y, 1)ᵀ + q b`, `u = h₁/h₃`, `v = h₂/h₃` ([`Warp`]). Inverse depth of a plane is affine in the pixel,
 //! `q(x₀ + d) = q₀ + q_x d_x + q_y d_y`, so the patch maps by the homography
 //! `H = [A₁ + q_x b, A₂ + q_y b, A x₀ + q₀ b]` of the offset `(d_x, d_y, 1)`.
 
 use super::working::WorkingView;
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::Point3;
+use rilievo_stereo::camera::Warp;
 
 /// Sources used for one patch at most.
 pub(super) const MAX_SOURCES: usize = 4;
@@ -26,33 +26,27 @@ pub(super) struct OffsetPrior {
 pub(super) struct PairGeometry {
     /// Index of the source among the working views.
     pub source: usize,
-    /// Homography of the plane at infinity, `K_s R K_r⁻¹`.
-    pub a: Matrix3<f64>,
-    /// Direction of the epipole, `K_s t`.
-    pub b: Vector3<f64>,
+    /// The warp into it.
+    pub warp: Warp,
     /// Offset of the source's log image against the reference's; unknown at first.
     pub offset: Option<OffsetPrior>,
 }
 
 impl PairGeometry {
-    /// Geometry from a reference to a source view.
-    pub fn new(reference: &WorkingView, source_idx: usize, source: &WorkingView) -> Self {
-        let source_from_reference = source
-            .cam_from_world
-            .compose(&reference.cam_from_world.inverse());
-        Self {
+    /// Geometry from a reference to a source view; `None` for a camera without a focal length.
+    pub fn new(reference: &WorkingView, source_idx: usize, source: &WorkingView) -> Option<Self> {
+        Some(Self {
             source: source_idx,
-            a: source.k * source_from_reference.rotation_matrix() * reference.k_inv,
-            b: source.k * source_from_reference.translation,
+            warp: Warp::between(&reference.camera, &source.camera)?,
             offset: None,
-        }
+        })
     }
 
     /// Length of the source pixel's derivative by the inverse depth: pixels of disparity per unit.
     pub fn px_per_inverse_depth(&self, x: f64, y: f64, inverse_depth: f64) -> f64 {
-        let h = self.a * Vector3::new(x, y, 1.0) + self.b * inverse_depth;
+        let (h, b) = (self.warp.at(x, y, inverse_depth), &self.warp.b);
         let (u, v) = (h.x / h.z, h.y / h.z);
-        (self.b.x - u * self.b.z).hypot(self.b.y - v * self.b.z) / h.z.abs()
+        (b.x - u * b.z).hypot(b.y - v * b.z) / h.z.abs()
     }
 }
 

@@ -137,8 +137,11 @@ pub(super) fn align(
             let Some(warp) = LocalWarp::new(sources[s], &plane) else {
                 continue;
             };
-            if !warp.fits(options.radius_px, source_view.width, source_view.height)
-                || sample_source(source_view, &warp, ws, s) < MIN_SOURCE_SHARE
+            if !warp.fits(
+                options.radius_px,
+                source_view.camera.width,
+                source_view.camera.height,
+            ) || sample_source(source_view, &warp, ws, s) < MIN_SOURCE_SHARE
             {
                 continue;
             }
@@ -167,7 +170,7 @@ pub(super) fn align(
         residual_variance = normal.residual_variance();
         let slopes = SlopePrior {
             start,
-            sigma: options.slope_sigma * plane.q / view.focal(),
+            sigma: options.slope_sigma * plane.q / view.camera.focal(),
             radius: w,
         };
         let mut solved = slopes.solve(&normal, &plane)?;

@@ -1,7 +1,7 @@
 //! What all views share before any patch is aligned: working images, cells, ranges of depth.
 
+use super::grid::{CellRanges, Grid, depth_ranges, grid_spacing};
 use super::grow::GrowOptions;
-use super::hull::{Grid, bounding_ball, depth_ranges, grid_spacing, widened_masks};
 use super::options::AnchorOptions;
 use super::patch::PatchOptions;
 use super::report::Facts;
@@ -11,7 +11,7 @@ use crate::error::PosesError;
 use crate::loading::map_few_at_once;
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{Mask, Observer, PhotoSet, PosedViews, ViewIdx};
+use rilievo_scene::{Observer, PhotoSet, PosedViews, ViewIdx};
 
 /// What every view needs of the whole scene.
 pub(super) struct Scene<'a> {
@@ -26,7 +26,7 @@ pub(super) struct Scene<'a> {
     /// Cells per view.
     pub grids: Vec<Grid>,
     /// Range of inverse depth per view and cell.
-    pub ranges: Vec<Vec<Option<(f64, f64)>>>,
+    pub ranges: Vec<CellRanges>,
     /// Sparse points in the world with the posed views that see them.
     pub points: Vec<(Point3<f64>, Vec<ViewIdx>)>,
     /// Criteria of growing.
@@ -85,18 +85,13 @@ pub(super) fn prepare<'a>(
         })
         .collect();
     let positions: Vec<Point3<f64>> = points.iter().map(|p| p.0).collect();
-    let Some(ball) = bounding_ball(&views, &positions) else {
+    let spacing = grid_spacing(&views, options.spacing_px);
+    let grids: Vec<Grid> = views.iter().map(|view| Grid::new(view, spacing)).collect();
+    let Some(ranges) = depth_ranges(&views, &grids, &positions) else {
         let message = "no depth anchors: neither masks nor sparse points tell where the object is; give masks";
         facts.warn(observer, message.to_owned())?;
         return Ok(None);
     };
-    let spacing = grid_spacing(&views, options.spacing_px);
-    let grids: Vec<Grid> = views.iter().map(|view| Grid::new(view, spacing)).collect();
-    let masks: Vec<Option<Mask>> = widened_masks(&views);
-    let ranges = (0..views.len())
-        .into_par_iter()
-        .map(|view| depth_ranges(&views, view, &grids[view], &ball, &masks))
-        .collect();
     let details = views
         .par_iter()
         .map(|view| DetailImage::new(view, if spacing < 12 { 2 } else { 4 }))

@@ -14,7 +14,6 @@
 use super::pair::{MAX_SOURCES, PairGeometry};
 use super::plane::PatchPlane;
 use super::working::{Texel, WorkingView};
-use nalgebra::Vector3;
 
 /// Lanes of the sums.
 pub(super) const LANES: usize = 8;
@@ -102,7 +101,7 @@ impl Workspace {
 
     /// Fills the template around a pixel; `None` where too little is usable.
     pub fn load_template(&mut self, view: &WorkingView, x: usize, y: usize) -> Option<()> {
-        let (width, height) = (view.width as i32, view.height as i32);
+        let (width, height) = (view.camera.width as i32, view.camera.height as i32);
         let mut n = 0;
         let mut mean = 0.0_f64;
         let mut num_even = 0;
@@ -170,13 +169,13 @@ pub(super) struct LocalWarp {
 impl LocalWarp {
     /// The warp of a plane; `None` behind the source.
     pub fn new(pair: &PairGeometry, plane: &PatchPlane) -> Option<Self> {
-        let center = Vector3::new(plane.x as f64, plane.y as f64, 1.0);
-        let h0 = pair.a * center + pair.b * plane.q;
+        let warp = &pair.warp;
+        let h0 = warp.at(plane.x as f64, plane.y as f64, plane.q);
         if h0.z.is_nan() || h0.z <= 0.0 {
             return None;
         }
-        let h1 = pair.a.column(0) + pair.b * plane.qx;
-        let h2 = pair.a.column(1) + pair.b * plane.qy;
+        let h1 = warp.a.column(0) + warp.b * plane.qx;
+        let h2 = warp.a.column(1) + warp.b * plane.qy;
         let (u0, v0) = (h0.x / h0.z, h0.y / h0.z);
         let z = 1.0 / h0.z;
         Some(Self {
@@ -192,9 +191,9 @@ impl LocalWarp {
             ],
             w_by: [(h1.z * z) as f32, (h2.z * z) as f32],
             b: [
-                ((pair.b.x - u0 * pair.b.z) * z) as f32,
-                ((pair.b.y - v0 * pair.b.z) * z) as f32,
-                (pair.b.z * z) as f32,
+                ((warp.b.x - u0 * warp.b.z) * z) as f32,
+                ((warp.b.y - v0 * warp.b.z) * z) as f32,
+                (warp.b.z * z) as f32,
             ],
         })
     }
@@ -242,7 +241,7 @@ pub(super) fn sample_source(
     let fy = (warp.v0 - by) as f32 + COORDINATE_SHIFT;
     let shift = COORDINATE_SHIFT as isize;
     let (ox, oy) = (bx as isize - shift, by as isize - shift);
-    let width = view.width;
+    let width = view.camera.width;
     let texels: &[Texel] = &view.texels;
     let (center_x, center_y) = warp.center();
     let center = view.texel(center_x, center_y)[0];

@@ -13,11 +13,10 @@
 //! clearly more unexplained, `(1 − ρ₁)/(1 − ρ₂) ≤ ratio`.
 
 use super::filter::box_sum;
-use super::hull::Grid;
+use super::grid::Grid;
 use super::pair::{MAX_SOURCES, PairGeometry};
 use super::sampling::LANES;
 use super::working::WorkingView;
-use nalgebra::Vector3;
 use rilievo_scene::Raster;
 
 /// Radius of the disc compared, reduced pixels.
@@ -45,7 +44,10 @@ pub(super) struct DetailImage {
 impl DetailImage {
     /// The detail of a working view.
     pub fn new(view: &WorkingView, reduction: usize) -> Self {
-        let (width, height) = (view.width / reduction, view.height / reduction);
+        let (width, height) = (
+            view.camera.width / reduction,
+            view.camera.height / reduction,
+        );
         let scale = 1.0 / (reduction * reduction) as f32;
         let at = |x: usize, y: usize, c: usize| {
             let mut sum = 0.0;
@@ -259,7 +261,7 @@ fn correlation(
     q: f64,
     scratch: &SweepScratch,
 ) -> Option<f32> {
-    let h0 = pair.a * Vector3::new(x as f64, y as f64, 1.0) + pair.b * q;
+    let h0 = pair.warp.at(x as f64, y as f64, q);
     if h0.z.is_nan() || h0.z <= 0.0 || detail.width < 2 || detail.height < 2 {
         return None;
     }
@@ -267,7 +269,7 @@ fn correlation(
     let shrink = 1.0 / detail.reduction as f64;
     // Affine part of the warp: enough for a search.
     let by = |column: usize| {
-        let h = pair.a.column(column);
+        let h = pair.warp.a.column(column);
         (
             (shrink * (h.x - u0 * h.z) / h0.z) as f32,
             (shrink * (h.y - v0 * h.z) / h0.z) as f32,

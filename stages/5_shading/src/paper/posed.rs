@@ -5,11 +5,11 @@ use super::problem::{DepthAnchor, ShadingProblem, ShadingView, ViewLight};
 use super::solution::{PaperReport, SolvedView};
 use crate::error::{ShadingError, warn};
 use crate::photo_of::photo_of;
-use crate::rectify::Rectification;
 use rilievo_scene::{
     DepthMap, LightingCalibration, LinearImage, Mask, Observer, PhotoSet, PosedViews, Raster,
     ShadedView, ShadedViews, ViewIdx,
 };
+use rilievo_stereo::rectify::Rectification;
 use std::sync::Arc;
 
 /// Builds the problem, solves it, and gives the maps back on the photos' own pixels.

@@ -13,11 +13,12 @@
 //! coloured light keep their shading. Slow changes are left to the shading term's own correction.
 //! The albedo sits on the surface: every pixel takes the mean over the views that see its point.
 
-use super::level::{Level, LevelView};
-use super::{plate, sampling, shading};
+use super::shading;
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
+use rilievo_stereo::level::{Level, LevelView};
+use rilievo_stereo::{plate, sampling};
 
 /// Standard deviation of the Gaussian that separates stains from slow changes, pixels.
 const BELL_PX: f64 = 16.0;
@@ -59,7 +60,7 @@ pub(crate) fn estimate(
     harmonics: &[Vec<shading::PixelHarmonics>],
     mean_tolerance: f64,
 ) -> Albedo {
-    let rasters = super::level::depth_rasters(level, depths);
+    let rasters = rilievo_stereo::level::depth_rasters(level, depths);
     let ratios: Vec<Ratios> = (0..level.views.len())
         .into_par_iter()
         .with_max_len(1)

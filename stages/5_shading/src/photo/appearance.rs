@@ -5,11 +5,12 @@
 //! gain is the rendered image, in the photo's own linear units; what it leaves of the photo is what
 //! shape and light do not explain. Clipped and dark pixels take the albedo of their neighbours.
 
-use super::level::Level;
 use super::light::Light;
-use super::{plate, sampling, shading};
+use super::shading;
 use rayon::prelude::*;
 use rilievo_scene::Raster;
+use rilievo_stereo::level::Level;
+use rilievo_stereo::{plate, sampling};
 
 /// Standard deviation of the Gaussian, pixels.
 const GAUSSIAN_PX: f64 = 12.0;

@@ -12,8 +12,8 @@
 //! Gaussian: median absolute deviations, and the correlation of clipped values. `k` is the factor by which
 //! brightness, too, is held tighter or looser than its residual.
 
-use super::level::LevelView;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
+use rilievo_stereo::level::LevelView;
 
 /// Chroma noise below which rounding to eight bits would be taken for a signal.
 const MIN_NOISE: f64 = 2e-3;

@@ -15,10 +15,10 @@
 //! there: the light's error is systematic, and the equations do not know it.
 
 use super::appearance::Appearance;
-use super::level::Level;
-use super::{plate, sampling};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
+use rilievo_stereo::level::Level;
+use rilievo_stereo::{plate, sampling};
 
 /// Error of a frontal normal that several views agree on, radians: 5.5 degrees.
 const FRONTAL_ERROR: f64 = 0.096;

@@ -5,13 +5,13 @@
 //! the view itself. The second holds what no distant light explains (shadow, bounce, pigment, errors of the
 //! normals), so that a right light comes near it, and one from another side does not.
 
-use super::level::Level;
-use super::plate;
 use crate::error::{LightMisfit, ShadingError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_photometry::harmonics::{FitOptions, fit_robust};
 use rilievo_scene::{Lighting, LightingCalibration, SphericalHarmonics};
+use rilievo_stereo::level::Level;
+use rilievo_stereo::plate;
 
 /// Pixels of a view that are compared.
 const NUM_PIXELS: usize = 4000;

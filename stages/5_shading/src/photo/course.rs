@@ -1,18 +1,18 @@
 //! What the steps of a run share: views, options, observer, report.
 
-use super::between_levels;
-use super::consensus;
 use super::options::PhotoOptions;
 use super::output;
 use super::report::PhotoReport;
-use super::surfaces::Reading;
 use super::views::Scene;
-use super::{spread, start};
 use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::{Event, Flow, Observer, ShadedViews, StageId};
+use rilievo_stereo::between_levels;
+use rilievo_stereo::consensus;
+use rilievo_stereo::surfaces::Reading;
+use rilievo_stereo::{spread, start};
 
 /// Receives the shape after each step, for measurement.
 pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;

@@ -4,12 +4,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::level::{Level, depth_rasters};
 use super::matching::{self, MatchOptions};
-use super::plate;
 use super::rendered_tests::{depths, loaded, options, photographed};
-use super::surfaces::{Reading, Surfaces};
 use rilievo_numerics::robust::{median, quantile};
+use rilievo_stereo::level::{Level, depth_rasters};
+use rilievo_stereo::plate;
+use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_synthetic::{LightModel, Subject};
 
 /// Two views, one the other's source, and log depths that are off by up to a pixel's footprint.

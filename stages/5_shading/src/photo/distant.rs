@@ -1,13 +1,14 @@
 //! Nine distant harmonics for all pixels, fitted robustly on the current normals: of all views
 //! together when the light is fixed in the world, of each view when it is fixed to the camera.
 
-use super::level::Level;
+use super::albedo;
 use super::light::{FIT_PIXELS, Light, rotation, with_residuals};
-use super::{albedo, plate};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_photometry::harmonics::{FitOptions, fit_robust, rotate};
 use rilievo_scene::{LightKind, Lighting, SphericalHarmonics};
+use rilievo_stereo::level::Level;
+use rilievo_stereo::plate;
 
 /// Nine distant harmonics on the current shape.
 pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option<Light> {

@@ -1,18 +1,18 @@
 //! One outer iteration: Gauss-Newton rounds over all views under fixed weights and a fixed light.
 
 use super::course::Course;
-use super::level::Level;
 use super::light::Light;
 use super::matching::MatchOptions;
-use super::plate;
 use super::report::StepReport;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
-use super::surfaces::Surfaces;
 use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
+use rilievo_stereo::level::Level;
+use rilievo_stereo::plate;
+use rilievo_stereo::surfaces::Surfaces;
 use std::time::Instant;
 
 /// Weights of one outer iteration.

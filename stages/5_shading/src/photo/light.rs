@@ -8,12 +8,8 @@
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
 use super::albedo::{self, Albedo};
-use super::between_levels;
 use super::known_light::{KnownGroup, KnownLight};
-use super::level::{Level, LevelView};
-use super::plate;
 use super::shading::{self, PixelHarmonics, PixelLight};
-use super::spread;
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
@@ -23,6 +19,10 @@ use rilievo_photometry::visibility::{
     Volume, directions, fit_environment, transfer,
 };
 use rilievo_scene::{Intrinsics, LightKind, Lighting, RigidTransform, SphericalHarmonics};
+use rilievo_stereo::between_levels;
+use rilievo_stereo::level::{Level, LevelView};
+use rilievo_stereo::plate;
+use rilievo_stereo::spread;
 
 /// The light of all views at one level.
 #[derive(Clone, Debug)]
@@ -407,7 +407,7 @@ fn known_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] 
 }
 
 fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
-    let weights = super::surfaces::incidence_weights(level, depths);
+    let weights = rilievo_stereo::surfaces::incidence_weights(level, depths);
     level
         .views
         .iter()

@@ -8,10 +8,10 @@
 //! A source counts where its own depth agrees with the point's (no occluder), and where neither
 //! pixel is clipped.
 
-use super::level::Level;
-use super::sampling;
 use rayon::prelude::*;
 use rilievo_scene::Raster;
+use rilievo_stereo::level::Level;
+use rilievo_stereo::sampling;
 
 /// How the photos are compared.
 #[derive(Clone, Copy, Debug)]
@@ -138,7 +138,7 @@ fn darkest(values: &[[f32; 3]]) -> f32 {
 }
 
 fn gain_field(
-    view: &super::level::LevelView,
+    view: &rilievo_stereo::level::LevelView,
     here: &[[f32; 3]],
     samples: &[Sample],
     floor: f32,

@@ -9,7 +9,9 @@
 //! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
 //! views' surfaces (`consensus` tells `w`), a weak robust thin plate.
 //!
-//! Steps: dense search inside the visual hull (`hull`, `patchmatch`); exposure gains and the
+//! What needs no light stands in `rilievo_stereo`.
+//!
+//! Steps: dense search inside the visual hull (`search`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
 //! and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
@@ -21,35 +23,27 @@
 
 mod albedo;
 mod appearance;
-mod between_levels;
-mod camera;
 mod chroma;
 mod confidence;
-mod consensus;
+#[cfg(test)]
+mod consensus_tests;
 mod contradiction;
 mod course;
 #[cfg(test)]
 mod derivative_tests;
 mod distant;
-mod edges;
-mod gains;
-mod hull;
 mod iteration;
 mod known_light;
-mod level;
 mod light;
 #[cfg(test)]
 mod light_tests;
 mod matching;
 mod options;
 mod output;
-mod patchmatch;
-mod plate;
 mod relight;
 #[cfg(test)]
 mod rendered_tests;
 mod report;
-mod sampling;
 mod search;
 mod searched;
 mod shading;
@@ -58,10 +52,7 @@ mod solve;
 mod solvers_tests;
 #[cfg(test)]
 mod sphere_tests;
-mod spread;
-mod start;
 mod step;
-mod surfaces;
 mod surround;
 mod validation;
 mod views;

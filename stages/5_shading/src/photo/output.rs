@@ -1,14 +1,14 @@
 //! Maps on the photos' own pixels.
 
 use super::appearance::Appearance;
-use super::between_levels;
-use super::level::{LevelView, NEIGHBOURS};
 use super::views::Scene;
-use super::{plate, spread};
 use rayon::prelude::*;
 use rilievo_scene::{
     ConfidenceMap, DepthMap, LinearImage, NormalMap, Raster, ShadedView, ShadedViews,
 };
+use rilievo_stereo::between_levels;
+use rilievo_stereo::level::{LevelView, NEIGHBOURS};
+use rilievo_stereo::{plate, spread};
 
 /// Maps of all views from log depths of a level, and from appearances where there are any; coarser
 /// levels are interpolated, and the rim that has no parents continues its neighbours.

@@ -9,12 +9,13 @@ use super::light::{self, Light, LightScene};
 use super::report::StepReport;
 use super::surround;
 use super::views::SolvedFrame;
-use super::{albedo, appearance, confidence, spread, validation};
+use super::{albedo, appearance, confidence, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LightKind, Lighting, LightingCalibration, PosedViews, ViewLighting};
+use rilievo_stereo::spread;
 use std::time::Instant;
 
 impl Course<'_> {
@@ -193,7 +194,7 @@ impl Course<'_> {
         light: Option<&Light>,
     ) -> Vec<Appearance> {
         let level = &self.scene.pyramid[at];
-        let rasters = super::level::depth_rasters(level, depths);
+        let rasters = rilievo_stereo::level::depth_rasters(level, depths);
         let mut views = match light {
             Some(light) => appearance::render(level, depths, &rasters, light),
             None => vec![Appearance::default(); level.views.len()],

@@ -3,13 +3,12 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use super::known_light::KnownLight;
-use super::level::Level;
 use super::light::{self, Light, LightScene};
 use super::options::PhotoOptions;
 use super::report::PhotoReport;
 use super::validation::validate;
 use super::views::{self, Scene};
-use super::{distant, plate, shading};
+use super::{distant, shading};
 use nalgebra::{Point2, Point3};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
@@ -18,6 +17,8 @@ use rilievo_scene::{
     MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
     SphereLight,
 };
+use rilievo_stereo::level::Level;
+use rilievo_stereo::plate;
 use rilievo_synthetic::{LightModel, RenderOptions, RenderedView, Renderer, SceneOptions, Subject};
 use std::sync::Arc;
 
@@ -239,7 +240,7 @@ pub(super) fn miss(level: &Level, depths: &[Vec<f64>], light: &Light) -> f64 {
     for (i, view) in level.views.iter().enumerate() {
         let normals = plate::normals(view, &depths[i]);
         for p in (0..view.pixels.len()).step_by(3) {
-            if super::surfaces::is_rim(view, p) {
+            if rilievo_stereo::surfaces::is_rim(view, p) {
                 continue;
             }
             let s = shading::render(&light.harmonics[i][p], normals[p]);

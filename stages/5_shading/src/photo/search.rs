@@ -6,17 +6,15 @@
 //! is as good as constant.
 
 use super::course::Course;
-use super::gains;
-use super::hull;
-use super::level::Level;
-use super::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
 use super::report::{PhotoViewReport, StepReport};
-use super::start::{self, Agreement};
 use crate::error::ShadingError;
 use nalgebra::Point3;
-use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_scene::{LightKind, Mask, PosedViews};
+use rilievo_scene::{LightKind, PosedViews};
+use rilievo_stereo::gains;
+use rilievo_stereo::patchmatch::{self, PatchCost, Planes};
+use rilievo_stereo::search::{self, Found, SearchOptions};
+use rilievo_stereo::start;
 use std::time::Instant;
 
 /// Relative noise of 8-bit photographs: no photos agree better than this.
@@ -29,40 +27,7 @@ const LARGE_DISAGREEMENT: f64 = 0.055;
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
 
-/// What a search found.
-pub(crate) struct Found {
-    /// Log depths of every view, continued over its mask.
-    pub surface: Vec<Vec<f64>>,
-    /// Which depths the views confirmed.
-    pub agreement: Vec<Agreement>,
-    /// Distance between the views' searched depths, pixel footprints.
-    pub scatter_px: f64,
-}
-
 impl Course<'_> {
-    /// Size of a search; one with a start needs its planes spread and polished only.
-    fn patch_options(&self, cost: PatchCost, is_started: bool) -> PatchMatchOptions {
-        let num_sweeps = self.options.num_sweeps;
-        let num_sources = self.scene.sources.iter().map(Vec::len).max().unwrap_or(1);
-        PatchMatchOptions {
-            cost,
-            num_sweeps: if is_started {
-                num_sweeps.div_ceil(2)
-            } else {
-                num_sweeps
-            },
-            num_trials: 6,
-            // Beside an edge some sources see another surface: the better half tells depth (Kang, Szeliski,
-            // Chai, CVPR 2001). Differences need more, and so does a search without a start.
-            num_best: if is_started && cost == PatchCost::Correlation {
-                num_sources.div_ceil(2)
-            } else {
-                3
-            },
-            seed: self.options.seed,
-        }
-    }
-
     /// Whether brightness is far enough from constant for correlation to tell more than differences.
     pub(crate) fn photos_disagree(&self) -> bool {
         self.report.disagreement >= LARGE_DISAGREEMENT
@@ -76,34 +41,23 @@ impl Course<'_> {
         cost: PatchCost,
         start: Option<&[Planes]>,
     ) -> Result<Vec<Planes>, ShadingError> {
-        let level = &self.scene.pyramid[at];
         let points: Vec<Point3<f64>> = posed
             .points
             .iter()
             .map(|p| Point3::from(p.position))
             .chain(posed.anchors.iter().map(|a| Point3::from(a.position)))
             .collect();
-        let ranges =
-            hull::object_ranges(&level.views, self.scene.masked, &points).ok_or_else(|| {
-                ShadingError::NoDepth {
-                    view: self.scene.frames[0].name.clone(),
-                }
-            })?;
-        // A pixel of slack: masks of different views never meet exactly.
-        let masks: Vec<Mask> = level
-            .views
-            .iter()
-            .map(|v| hull::dilate(&v.mask, 1))
-            .collect();
-        let options = self.patch_options(cost, start.is_some());
-        Ok((0..level.views.len())
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|i| {
-                let ranges = hull::pixel_ranges(&level.views, &masks, i, ranges[i]);
-                patchmatch::search(level, i, &masks, &ranges, start.map(|s| &s[i]), &options)
-            })
-            .collect())
+        let options = SearchOptions {
+            cost,
+            num_sweeps: self.options.num_sweeps,
+            seed: self.options.seed,
+        };
+        let level = &self.scene.pyramid[at];
+        search::search_views(level, self.scene.masked, &points, start, &options).ok_or_else(|| {
+            ShadingError::NoDepth {
+                view: self.scene.frames[0].name.clone(),
+            }
+        })
     }
 
     /// Gains of the photos, divided out of every level, and the weight of the match term. Returns the
@@ -122,7 +76,7 @@ impl Course<'_> {
         let planes = self.dense_search(at, posed, PatchCost::Correlation, None)?;
         let level = &self.scene.pyramid[at];
         let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
-        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
+        let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
         let mut exposure = gains::estimate(level, &depths, &agreement);
         if kind == LightKind::Camera {
             exposure.gains.fill([1.0; 3]);
@@ -219,33 +173,6 @@ impl Course<'_> {
         solvers: &[PlateSolver],
         planes: &[Planes],
     ) -> Result<Found, ShadingError> {
-        let level = &self.scene.pyramid[at];
-        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
-        let agreement = start::agreement(level, &depths, agreement_tolerance(level));
-        let footprint = 1.0 / level.focal();
-        let surfaces: Vec<_> = level
-            .views
-            .par_iter()
-            .enumerate()
-            .map(|(i, view)| {
-                let weight = agreement[i].weights();
-                start::continued(view, &solvers[i], &depths[i], &weight, footprint)
-            })
-            .collect();
-        let surface = surfaces
-            .into_iter()
-            .enumerate()
-            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
-            .collect::<Result<_, _>>()?;
-        Ok(Found {
-            surface,
-            scatter_px: start::scatter(level, &depths),
-            agreement,
-        })
+        search::found(&self.scene.pyramid[at], solvers, planes).map_err(|(i, e)| self.failed(i, &e))
     }
-}
-
-/// Relative depth within which two views' dense depths agree: a few pixels of the level.
-fn agreement_tolerance(level: &Level) -> f64 {
-    2.7 / level.focal()
 }

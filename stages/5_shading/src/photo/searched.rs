@@ -10,12 +10,12 @@
 //! surfaces are continued (`edges`).
 
 use super::course::Course;
-use super::patchmatch::{PatchCost, Planes};
 use super::report::StepReport;
 use super::solve::FUSION_PX;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::PosedViews;
+use rilievo_stereo::patchmatch::{PatchCost, Planes};
 use std::time::Instant;
 
 /// Fusions of the searched surfaces: every view's search errs by itself, their mean errs less. The second

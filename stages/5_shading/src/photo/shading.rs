@@ -8,13 +8,13 @@
 //! model and a uniform albedo miss on a larger scale moves no surface.
 
 use super::chroma::{self, Whitening};
-use super::level::{Level, LevelView};
-use super::plate;
-use super::sampling;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::PlateSystem;
 use rilievo_scene::{Raster, SphericalHarmonics};
+use rilievo_stereo::level::{Level, LevelView};
+use rilievo_stereo::plate;
+use rilievo_stereo::sampling;
 
 /// Nine coefficients for each of three channels, camera frame.
 pub(crate) type PixelHarmonics = [[f32; 9]; 3];

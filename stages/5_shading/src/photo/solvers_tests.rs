@@ -11,19 +11,19 @@
 #[path = "../../tests/solver/surface.rs"]
 mod surface;
 
-use super::camera::Camera;
 use super::chroma::Whitening;
-use super::level::{Level, LevelView};
 use super::matching::MatchOptions;
 use super::shading::{PixelHarmonics, ShadingTerm};
 use super::step::{self, StepOptions};
-use super::surfaces::{Reading, Surfaces};
 use crate::paper::{
     DepthPrior, PaperOptions, PixelLighting, ShadingProblem, ShadingView, ViewLight, solve,
 };
 use nalgebra::Vector3;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, RigidTransform, Silent};
+use rilievo_stereo::camera::Camera;
+use rilievo_stereo::level::{Level, LevelView};
+use rilievo_stereo::surfaces::{Reading, Surfaces};
 use std::sync::Arc;
 use std::time::Instant;
 use surface::Surface;
@@ -188,7 +188,7 @@ impl Case {
             let surfaces = Surfaces::new(&level, &depths, Reading::Bilinear);
             let outcome =
                 step::improve(&surfaces, 0, &solver, &depth, Some(&term), &options).unwrap();
-            let turned = super::plate::mean_turn(&level.views[0], &depth, &outcome.depth);
+            let turned = rilievo_stereo::plate::mean_turn(&level.views[0], &depth, &outcome.depth);
             depth = outcome.depth;
             num_steps += 1;
             if turned.to_degrees() < still_deg {
@@ -198,7 +198,7 @@ impl Case {
         let mut map = NormalMap::filled(size, size, [0.0; 3]);
         for (&i, n) in pixels
             .iter()
-            .zip(super::plate::normals(&level.views[0], &depth))
+            .zip(rilievo_stereo::plate::normals(&level.views[0], &depth))
         {
             map.data[i] = n.map(|v| v as f32);
         }

@@ -3,13 +3,13 @@
 //! `min_ζ Σ ρ(r_match) + Σ ρ(r_consensus) + Σ ρ(r_shading) + α Σ ρ(bends)`; every term is linearised
 //! around the current depth and the increment solves the thirteen-point normal equations.
 
-use super::consensus;
 use super::matching::{self, MatchOptions, MatchTerms};
-use super::plate::{self, RobustPlate};
 use super::shading::ShadingTerm;
-use super::surfaces::Surfaces;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PlateError, PlateSystem};
+use rilievo_stereo::consensus;
+use rilievo_stereo::plate::{self, RobustPlate};
+use rilievo_stereo::surfaces::Surfaces;
 
 /// Weights of a step.
 #[derive(Clone, Copy, Debug)]

@@ -1,10 +1,10 @@
 //! What stands around the object, as the photos show it: small whole photos, and the ground under the
 //! object with its texture.
 
-use super::camera::Camera;
 use nalgebra::{Point3, Vector3};
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LinearImage, Mask};
+use rilievo_stereo::camera::Camera;
 
 /// Longest side of the small photos: the surroundings are needed at a few millimetres only.
 const MAX_SIDE: usize = 480;
@@ -60,7 +60,7 @@ impl SmallPhoto {
         Self {
             camera,
             image: small,
-            object: super::hull::dilate(&object, 1),
+            object: rilievo_stereo::hull::dilate(&object, 1),
         }
     }
 

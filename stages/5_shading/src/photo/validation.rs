@@ -13,17 +13,18 @@
 //!
 //! With two views nothing can be left out; the light's residual alone decides then.
 
-use super::level::Level;
 use super::light::Light;
+use super::shading;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
-use super::surfaces::{Reading, Surfaces};
-use super::{plate, sampling, shading};
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
 use rilievo_scene::Raster;
+use rilievo_stereo::level::Level;
+use rilievo_stereo::surfaces::{Reading, Surfaces};
+use rilievo_stereo::{plate, sampling};
 use serde::{Deserialize, Serialize};
 
 /// Steps of either kind: most of the way that an outer iteration goes.

@@ -1,16 +1,16 @@
 //! From photos and poses to the views that are solved: linear images cropped to the object, their
 //! pyramid, and the choice of the views with which each is compared.
 
-use super::camera::Camera;
-use super::level::{Level, LevelView};
 use super::options::PhotoOptions;
 use super::surround::SmallPhoto;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
-use crate::rectify::Rectification;
 use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_scene::{Mask, PhotoSet, PosedViews, ViewIdx};
+use rilievo_stereo::camera::Camera;
+use rilievo_stereo::level::{self, Level, LevelView};
+use rilievo_stereo::rectify::Rectification;
 
 /// One posed view with everything that leads back to its photo.
 #[derive(Debug)]
@@ -116,7 +116,7 @@ pub(crate) fn load(
         masked &= own_mask;
     }
     let target = object_center(&views, posed);
-    let sources = choose_sources(&views, &target, options.max_num_sources);
+    let sources = level::choose_sources(&views, &target, options.max_num_sources);
     let mut pyramid = vec![Level::new(views, &sources)];
     loop {
         let last = &pyramid[pyramid.len() - 1];
@@ -166,44 +166,8 @@ fn object_center(views: &[LevelView], posed: &PosedViews) -> Point3<f64> {
             [0, 1, 2].map(|k| rilievo_numerics::robust::median(&mut coordinates[k]).unwrap_or(0.0));
         return Point3::from(middle);
     }
-    super::hull::object_ball(views)
+    let outlines: Vec<_> = views.iter().map(|view| view.outline(true)).collect();
+    rilievo_stereo::hull::object_ball(&outlines)
         .map(|(center, _)| center)
         .unwrap_or_else(Point3::origin)
-}
-
-/// For every view the others whose line of sight differs by about 20°, best first.
-///
-/// A narrow angle says little about depth, a wide one sees another side.
-fn choose_sources(
-    views: &[LevelView],
-    target: &Point3<f64>,
-    max_num_sources: usize,
-) -> Vec<Vec<usize>> {
-    let directions: Vec<_> = views
-        .iter()
-        .map(|v| (v.camera.center - target).normalize())
-        .collect();
-    (0..views.len())
-        .map(|i| {
-            let mut ranked: Vec<(f64, usize)> = (0..views.len())
-                .filter(|&j| j != i)
-                .map(|j| {
-                    let angle = directions[i].dot(&directions[j]).clamp(-1.0, 1.0).acos();
-                    let degrees = angle.to_degrees();
-                    let misfit = if degrees < 20.0 {
-                        (20.0 - degrees) / 10.0
-                    } else {
-                        (degrees - 20.0) / 25.0
-                    };
-                    (misfit, j)
-                })
-                .collect();
-            ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            ranked
-                .into_iter()
-                .take(max_num_sources)
-                .map(|(_, j)| j)
-                .collect()
-        })
-        .collect()
 }

@@ -54,14 +54,14 @@ fn true_plane(scene: &Scene, view: &WorkingView, x: usize, y: usize) -> PatchPla
 fn derivatives_of_the_residual_agree_with_differences() {
     let (scene, mut views) = square();
     // On a ramp, interpolation and Sobel differences are exact: what remains is the warp.
-    let (width, height) = (views[1].width, views[1].height);
+    let (width, height) = (views[1].camera.width, views[1].camera.height);
     for y in 0..height {
         for x in 0..width {
             views[1].texels[y * width + x] = [0.01 * x as f32 - 0.02 * y as f32, 0.01, -0.02, 1.0];
         }
     }
-    let pair = PairGeometry::new(&views[0], 1, &views[1]);
-    let (x, y) = (views[0].width / 2, views[0].height / 2);
+    let pair = PairGeometry::new(&views[0], 1, &views[1]).unwrap();
+    let (x, y) = (views[0].camera.width / 2, views[0].camera.height / 2);
     let plane = true_plane(&scene, &views[0], x, y);
     let mut ws = Workspace::default();
     ws.prepare(10);
@@ -79,13 +79,11 @@ fn derivatives_of_the_residual_agree_with_differences() {
     let residual = |p: &[f64], dx: f32, dy: f32| {
         let plane = at(p);
         let q = plane.q + plane.qx * f64::from(dx) + plane.qy * f64::from(dy);
-        let h = pair.a
-            * nalgebra::Vector3::new(
-                plane.x as f64 + f64::from(dx),
-                plane.y as f64 + f64::from(dy),
-                1.0,
-            )
-            + pair.b * q;
+        let (x, y) = (
+            plane.x as f64 + f64::from(dx),
+            plane.y as f64 + f64::from(dy),
+        );
+        let h = pair.warp.at(x, y, q);
         0.01 * h.x / h.z - 0.02 * h.y / h.z
     };
     let start = [1.0, 0.0, 0.0];
@@ -125,7 +123,7 @@ fn derivatives_of_the_residual_agree_with_differences() {
 fn alignment_finds_the_plane_from_a_displaced_start() {
     let (scene, views) = square();
     let pairs: Vec<PairGeometry> = (1..3)
-        .map(|k| PairGeometry::new(&views[0], k, &views[k]))
+        .map(|k| PairGeometry::new(&views[0], k, &views[k]).unwrap())
         .collect();
     let sources: Vec<&PairGeometry> = pairs.iter().collect();
     let options = PatchOptions {
@@ -139,7 +137,10 @@ fn alignment_finds_the_plane_from_a_displaced_start() {
         max_move_px: 4.0,
     };
     let mut ws = Workspace::default();
-    let (x, y) = (views[0].width / 2 + 9, views[0].height / 2 - 5);
+    let (x, y) = (
+        views[0].camera.width / 2 + 9,
+        views[0].camera.height / 2 - 5,
+    );
     let truth = true_plane(&scene, &views[0], x, y);
     let px = pairs[0].px_per_inverse_depth(x as f64, y as f64, truth.q);
     let start = PatchPlane {
@@ -150,8 +151,8 @@ fn alignment_finds_the_plane_from_a_displaced_start() {
     };
     let found = align(&views, 0, &sources, &start, &options, &mut ws).unwrap();
     let error_px = (found.plane.q - truth.q).abs() * px;
-    let slope_error =
-        (found.plane.qx - truth.qx).hypot(found.plane.qy - truth.qy) / truth.q * views[0].focal();
+    let slope_error = (found.plane.qx - truth.qx).hypot(found.plane.qy - truth.qy) / truth.q
+        * views[0].camera.focal();
     assert!(
         error_px < 0.02 && slope_error < 0.02,
         "{error_px:.4} px, slope {slope_error:.4}"

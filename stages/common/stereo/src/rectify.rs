@@ -4,12 +4,15 @@ use rilievo_scene::{DepthMap, Distortion, Intrinsics, LinearImage, Mask, NormalM
 
 /// A photo's camera and the pinhole of the same matrix.
 #[derive(Clone, Debug)]
-pub(crate) struct Rectification {
+pub struct Rectification {
+    /// The photo's own camera.
     pub original: Intrinsics,
+    /// The same matrix without distortion.
     pub pinhole: Intrinsics,
 }
 
 impl Rectification {
+    /// From the photo's camera.
     pub fn new(intrinsics: &Intrinsics) -> Self {
         Self {
             original: *intrinsics,
@@ -20,14 +23,25 @@ impl Rectification {
         }
     }
 
+    /// Whether the photo has no distortion: then it is its own pinhole image.
     pub fn is_identity(&self) -> bool {
         self.original.distortion.is_none()
     }
 
     /// Straightened image and mask. Pixels that come from outside the photo are not masked.
     pub fn straighten(&self, image: &LinearImage, mask: &Mask) -> (LinearImage, Mask) {
+        let (image, [mask]) = self.straighten_with(image, [mask]);
+        (image, mask)
+    }
+
+    /// Straightened image and masks. Pixels that come from outside the photo are set in none of them.
+    pub fn straighten_with<const N: usize>(
+        &self,
+        image: &LinearImage,
+        masks: [&Mask; N],
+    ) -> (LinearImage, [Mask; N]) {
         let mut out = LinearImage::filled(image.width, image.height, image.channels, 0.0);
-        let mut out_mask = Mask::filled(image.width, image.height, false);
+        let mut out_masks = masks.map(|_| Mask::filled(image.width, image.height, false));
         for y in 0..image.height {
             for x in 0..image.width {
                 let (xs, ys) = self.bent(x as f64, y as f64);
@@ -38,11 +52,13 @@ impl Rectification {
                         None => complete = false,
                     }
                 }
-                *out_mask.at_mut(x, y) =
-                    complete && mask.contains(xs.round() as isize, ys.round() as isize);
+                for (out_mask, mask) in out_masks.iter_mut().zip(masks) {
+                    *out_mask.at_mut(x, y) =
+                        complete && mask.contains(xs.round() as isize, ys.round() as isize);
+                }
             }
         }
-        (out, out_mask)
+        (out, out_masks)
     }
 
     /// Pixel of the photo that shows a pixel of the pinhole image.
@@ -102,7 +118,7 @@ impl Rectification {
 
     /// Values on the photo's own pixels from those on the straightened ones, `depth` telling where
     /// there are any; zero elsewhere.
-    pub(crate) fn bend_values_back<const N: usize>(
+    pub fn bend_values_back<const N: usize>(
         &self,
         mask: &Mask,
         depth: &DepthMap,

@@ -1,9 +1,9 @@
 //! Start surface: what the views' dense depths agree on, continued by a robust thin plate.
 
-use super::edges;
-use super::level::{Level, LevelView};
-use super::patchmatch::Planes;
-use super::plate;
+use crate::edges;
+use crate::level::{Level, LevelView};
+use crate::patchmatch::Planes;
+use crate::plate;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{
@@ -16,7 +16,7 @@ const MAX_SCATTER_PX: f64 = 10.0;
 
 /// Agreement of every masked pixel of every view with its sources.
 #[derive(Clone, Debug)]
-pub(crate) struct Agreement {
+pub struct Agreement {
     /// Number of sources whose depth agrees.
     pub count: Vec<u8>,
     /// Bit `k` is set where the `k`-th source agrees.
@@ -38,7 +38,7 @@ impl Agreement {
 }
 
 /// Compares log depths between the views; `tolerance` is relative depth.
-pub(crate) fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Agreement> {
+pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Agreement> {
     level
         .views
         .par_iter()
@@ -81,7 +81,7 @@ fn nearest(pixels: &PixelNumbering, u: f64, v: f64) -> Option<usize> {
 
 /// How far the views' searched depths lie apart: the median difference of log depth times the focal
 /// length, in pixel footprints. Differences beyond [`MAX_SCATTER_PX`] are occluders.
-pub(crate) fn scatter(level: &Level, depths: &[Vec<f64>]) -> f64 {
+pub fn scatter(level: &Level, depths: &[Vec<f64>]) -> f64 {
     let focal = level.focal();
     let mut all: Vec<f64> = (0..level.views.len())
         .into_par_iter()
@@ -103,7 +103,7 @@ pub(crate) fn scatter(level: &Level, depths: &[Vec<f64>]) -> f64 {
 }
 
 /// Log depths of planes.
-pub(crate) fn log_depths(planes: &Planes) -> Vec<f64> {
+pub fn log_depths(planes: &Planes) -> Vec<f64> {
     planes
         .inverse_depth
         .iter()
@@ -117,7 +117,7 @@ pub(crate) fn log_depths(planes: &Planes) -> Vec<f64> {
 /// Where other views look past an edge they cannot confirm what lies beside it: such a gap belongs to
 /// the farther side. A plate alone would bridge it with a ramp along their lines of sight.
 /// `footprint` is a pixel's relative footprint, the standard deviation of a confirmed log depth.
-pub(crate) fn continued(
+pub fn continued(
     view: &LevelView,
     solver: &PlateSolver,
     depth: &[f64],
@@ -158,7 +158,7 @@ pub(crate) fn continued(
 /// Robust thin plate through weighted log depths: `Σ w ρ(ζ − ζ₀) + α |D² ζ|²`, slopes in units of
 /// the focal length; points farther than `sigma` (log depth) from the plate lose their weight.
 /// Cut bends hardly count.
-pub(crate) fn fill(
+pub fn fill(
     view: &LevelView,
     solver: &PlateSolver,
     depth: &[f64],
@@ -207,7 +207,7 @@ pub(crate) fn fill(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photo::level::flat_view;
+    use crate::level::flat_view;
 
     /// A near block before a far plane, four pixels of the plane beside it unconfirmed.
     #[test]

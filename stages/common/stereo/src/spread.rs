@@ -1,13 +1,13 @@
 //! Per-pixel values at a finer level: bilinear over the masked parents, the nearest one where there
 //! is none.
 
-use super::level::LevelView;
+use crate::level::LevelView;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::Raster;
 
 /// Interpolates `N` values a pixel from a level to the next finer one (or the same).
-pub(crate) fn spread<const N: usize>(
+pub fn spread<const N: usize>(
     coarse: &LevelView,
     fine: &LevelView,
     values: &[[f32; N]],

@@ -4,14 +4,14 @@
 //! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1 for a
 //! surface that both face. One Newton step gives the depth that view j proposes, `ζ − r / (∂r/∂ζ)`.
 
-use super::level::{self, Level, LevelView};
-use super::{plate, sampling};
+use crate::level::{self, Level, LevelView};
+use crate::{plate, sampling};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
 
 /// How a surface is read between its pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Reading {
+pub enum Reading {
     /// Averages neighbours: flattens detail, and noise.
     Bilinear,
     /// Keeps detail. Bilinear beside borders and breaks, over which the spline would swing.
@@ -23,7 +23,8 @@ pub(crate) enum Reading {
 const CUBIC_RANGE_PX: f64 = 2.0 * level::MAX_STEP_PX;
 
 /// Log depths of all views with their weights, for the other views to read.
-pub(crate) struct Surfaces<'a> {
+pub struct Surfaces<'a> {
+    /// The views.
     pub level: &'a Level,
     /// Log depth of every view.
     pub rasters: Vec<Raster<f32>>,
@@ -33,7 +34,7 @@ pub(crate) struct Surfaces<'a> {
 }
 
 /// What a source's surface says about a pixel of another view.
-pub(crate) struct Proposal {
+pub struct Proposal {
     /// `r`, how much farther than the source's surface the pixel's point lies, log depth.
     pub r: f64,
     /// `∂r/∂ζ`.
@@ -106,7 +107,7 @@ impl<'a> Surfaces<'a> {
 }
 
 /// Weight of every view's own pixels: cos² of the angle of incidence, small at the mask's rim.
-pub(crate) fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
+pub fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
     level
         .views
         .par_iter()
@@ -126,7 +127,7 @@ pub(crate) fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raste
 }
 
 /// Whether the mask ends within two pixels.
-pub(crate) fn is_rim(view: &LevelView, pixel: usize) -> bool {
+pub fn is_rim(view: &LevelView, pixel: usize) -> bool {
     [
         (2, 0),
         (-2, 0),

@@ -5,7 +5,7 @@ use rilievo_scene::{LinearImage, Mask, Raster};
 
 /// Whether the four pixels around a position are masked.
 #[inline]
-pub(crate) fn inside(mask: &Mask, x: f64, y: f64) -> bool {
+pub fn inside(mask: &Mask, x: f64, y: f64) -> bool {
     if !(x >= 0.0 && y >= 0.0 && x < (mask.width - 1) as f64 && y < (mask.height - 1) as f64) {
         return false;
     }
@@ -18,7 +18,7 @@ pub(crate) fn inside(mask: &Mask, x: f64, y: f64) -> bool {
 
 /// Bilinear value; the position must be [`inside`].
 #[inline]
-pub(crate) fn bilinear(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
+pub fn bilinear(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
     let (x0, y0) = (x as usize, y as usize);
     let (a, b) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
     let base = y0 * raster.width + x0;
@@ -31,7 +31,7 @@ pub(crate) fn bilinear(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
 
 /// Largest less smallest of the four values around a position, which must be [`inside`].
 #[inline]
-pub(crate) fn range_around(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
+pub fn range_around(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
     let base = y as usize * raster.width + x as usize;
     let d = &raster.data;
     let below = base + raster.width;
@@ -41,7 +41,7 @@ pub(crate) fn range_around(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
 
 /// Bilinear value and its derivatives along x and y; the position must be [`inside`].
 #[inline]
-pub(crate) fn bilinear_with_slope(raster: &Raster<f32>, x: f64, y: f64) -> (f64, f64, f64) {
+pub fn bilinear_with_slope(raster: &Raster<f32>, x: f64, y: f64) -> (f64, f64, f64) {
     let (x0, y0) = (x as usize, y as usize);
     let (a, b) = (x - x0 as f64, y - y0 as f64);
     let base = y0 * raster.width + x0;
@@ -80,7 +80,7 @@ fn catmull_rom(t: f32) -> ([f32; 4], [f32; 4]) {
 /// Catmull-Rom value and its derivatives along x and y, where all sixteen pixels are masked and their
 /// values span at most `max_range`.
 #[inline]
-pub(crate) fn cubic_with_slope(
+pub fn cubic_with_slope(
     raster: &Raster<f32>,
     mask: &Mask,
     x: f64,
@@ -128,7 +128,7 @@ pub(crate) fn cubic_with_slope(
 /// Three channels at a position, with their derivatives along x and y (Catmull-Rom).
 /// Positions closer than a pixel to the raster's edge repeat the edge.
 #[inline]
-pub(crate) fn bicubic(image: &LinearImage, x: f64, y: f64) -> ([f32; 3], [f32; 3], [f32; 3]) {
+pub fn bicubic(image: &LinearImage, x: f64, y: f64) -> ([f32; 3], [f32; 3], [f32; 3]) {
     let (x0, y0) = (x.floor(), y.floor());
     let (wx, gx) = catmull_rom((x - x0) as f32);
     let (wy, gy) = catmull_rom((y - y0) as f32);
@@ -158,7 +158,7 @@ pub(crate) fn bicubic(image: &LinearImage, x: f64, y: f64) -> ([f32; 3], [f32; 3
 ///
 /// `values` holds `weights.len()` rows of `N`; pixels of zero weight receive the mean of the others.
 /// The Gaussian is three passes of a box with running sums: cost independent of its width.
-pub(crate) fn smooth<const N: usize>(
+pub fn smooth<const N: usize>(
     pixels: &PixelNumbering,
     values: &[[f32; N]],
     weights: &[f32],

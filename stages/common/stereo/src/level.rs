@@ -1,13 +1,15 @@
 //! A view at one resolution: linear image, usable pixels, mask and camera, cropped to the object.
 
-use super::camera::{Camera, Warp};
-use super::sampling;
-use nalgebra::Vector3;
+use crate::camera::{Camera, Warp};
+use crate::hull::Outline;
+use crate::sampling;
+use crate::window::{Window, block_mean, blocks_where};
+use nalgebra::{Point3, Vector3};
 use rilievo_numerics::plate_system::PixelNumbering;
 use rilievo_scene::{LinearImage, Mask, Raster};
 
 /// Steps `(dx, dy)` to a pixel's eight neighbours.
-pub(crate) const NEIGHBOURS: [(i32, i32); 8] = [
+pub const NEIGHBOURS: [(i32, i32); 8] = [
     (1, 0),
     (-1, 0),
     (0, 1),
@@ -23,14 +25,18 @@ const MARGIN_PX: usize = 8;
 
 /// One view at one pyramid level.
 #[derive(Clone, Debug)]
-pub(crate) struct LevelView {
+pub struct LevelView {
+    /// Camera of the crop.
     pub camera: Camera,
     /// Three channels; grey photos are repeated.
     pub image: LinearImage,
+    /// Mean of the channels.
     pub grey: Raster<f32>,
     /// 1 where no channel is clipped.
     pub usable: Raster<f32>,
+    /// The object.
     pub mask: Mask,
+    /// Numbers of the masked pixels, row by row.
     pub pixels: PixelNumbering,
     /// Whether the mask touches the photo's frame.
     pub cut_by_frame: bool,
@@ -46,19 +52,19 @@ impl LevelView {
         mask: &Mask,
         clip_level: f32,
     ) -> (Self, (usize, usize)) {
-        let (mut x0, mut y0, mut x1, mut y1) = (mask.width, mask.height, 0, 0);
-        for y in 0..mask.height {
-            for x in 0..mask.width {
-                if *mask.at(x, y) {
-                    (x0, x1) = (x0.min(x), x1.max(x));
-                    (y0, y1) = (y0.min(y), y1.max(y));
-                }
-            }
-        }
-        let cut_by_frame = x0 == 0 || y0 == 0 || x1 + 1 == mask.width || y1 + 1 == mask.height;
-        let (x0, y0) = (x0.saturating_sub(MARGIN_PX), y0.saturating_sub(MARGIN_PX));
-        let width = (x1 + 1 + MARGIN_PX).min(mask.width).saturating_sub(x0);
-        let height = (y1 + 1 + MARGIN_PX).min(mask.height).saturating_sub(y0);
+        let cut_by_frame = Window::around(mask, 0).is_some_and(|tight| {
+            tight.x0 == 0
+                || tight.y0 == 0
+                || tight.x0 + tight.width == mask.width
+                || tight.y0 + tight.height == mask.height
+        });
+        let window = Window::around(mask, MARGIN_PX).unwrap_or_default();
+        let Window {
+            x0,
+            y0,
+            width,
+            height,
+        } = window;
         let mut data = Vec::with_capacity(width * height * 3);
         let mut usable = Vec::with_capacity(width * height);
         for y in y0..y0 + height {
@@ -76,7 +82,6 @@ impl LevelView {
                 }
             }
         }
-        let cropped = Raster::from_fn(width, height, |x, y| *mask.at(x + x0, y + y0));
         let image = LinearImage {
             width,
             height,
@@ -90,7 +95,7 @@ impl LevelView {
         };
         let camera = camera.cropped(x0, y0, width, height);
         (
-            Self::assemble(camera, image, usable, cropped, cut_by_frame),
+            Self::assemble(camera, image, usable, window.cut(mask), cut_by_frame),
             (x0, y0),
         )
     }
@@ -116,29 +121,29 @@ impl LevelView {
 
     /// The view at half resolution; a pixel is masked where all four of its parents are.
     pub fn halved(&self) -> Self {
-        let camera = self.camera.halved();
-        let (width, height) = (camera.width, camera.height);
-        let mut image = LinearImage::filled(width, height, 3, 0.0);
-        for y in 0..height {
-            for x in 0..width {
-                for c in 0..3 {
-                    let sum: f32 = [(0, 0), (1, 0), (0, 1), (1, 1)]
-                        .iter()
-                        .map(|&(dx, dy)| self.image.pixel(2 * x + dx, 2 * y + dy)[c])
-                        .sum();
-                    image.pixel_mut(x, y)[c] = 0.25 * sum;
-                }
-            }
-        }
-        let all = |x: usize, y: usize, f: &dyn Fn(usize, usize) -> bool| {
-            f(2 * x, 2 * y) && f(2 * x + 1, 2 * y) && f(2 * x, 2 * y + 1) && f(2 * x + 1, 2 * y + 1)
+        let is_usable = blocks_where(&self.usable, 2, |&v| v > 0.5);
+        let usable = Raster {
+            width: is_usable.width,
+            height: is_usable.height,
+            data: is_usable
+                .data
+                .into_iter()
+                .map(|v| f32::from(u8::from(v)))
+                .collect(),
         };
-        let mask = Raster::from_fn(width, height, |x, y| all(x, y, &|a, b| *self.mask.at(a, b)));
-        let usable = Raster::from_fn(width, height, |x, y| {
-            let ok = all(x, y, &|a, b| *self.usable.at(a, b) > 0.5);
-            if ok { 1.0 } else { 0.0 }
-        });
+        let (camera, image) = (self.camera.reduced(2), block_mean(&self.image, 2));
+        let mask = blocks_where(&self.mask, 2, |&v| v);
         Self::assemble(camera, image, usable, mask, self.cut_by_frame)
+    }
+
+    /// What the view says of where the object is; without masks every pixel may show it.
+    pub fn outline(&self, is_masked: bool) -> Outline<'_> {
+        Outline {
+            camera: &self.camera,
+            mask: &self.mask,
+            is_masked,
+            frame: None,
+        }
     }
 
     /// Divides the image by a gain.
@@ -213,8 +218,9 @@ impl LevelView {
             .filter(|_| sampling::bilinear(&self.usable, x, y) > 0.999)
     }
 
+    /// Whether the four values around a position, which must be [`sampling::inside`], are of one surface.
     #[inline]
-    pub(crate) fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+    pub fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
         f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX
     }
 
@@ -230,13 +236,15 @@ impl LevelView {
 
 /// All views at one resolution, with the sources of each: the views it is compared with.
 #[derive(Clone, Debug)]
-pub(crate) struct Level {
+pub struct Level {
+    /// The views.
     pub views: Vec<LevelView>,
     /// For every view, its sources (best first) and the warps into them.
     pub sources: Vec<Vec<(usize, Warp)>>,
 }
 
 impl Level {
+    /// Views with their sources, each a list of indices, best first.
     pub fn new(views: Vec<LevelView>, sources: &[Vec<usize>]) -> Self {
         let sources = sources
             .iter()
@@ -265,8 +273,46 @@ impl Level {
     }
 }
 
+/// For every view the others whose line of sight to a point `target` in the world differs by about 20°,
+/// best first.
+///
+/// A narrow angle says little about depth, a wide one sees another side.
+pub fn choose_sources(
+    views: &[LevelView],
+    target: &Point3<f64>,
+    max_num_sources: usize,
+) -> Vec<Vec<usize>> {
+    let directions: Vec<_> = views
+        .iter()
+        .map(|v| (v.camera.center - target).normalize())
+        .collect();
+    (0..views.len())
+        .map(|i| {
+            let mut ranked: Vec<(f64, usize)> = (0..views.len())
+                .filter(|&j| j != i)
+                .map(|j| {
+                    let angle = directions[i].dot(&directions[j]).clamp(-1.0, 1.0).acos();
+                    let degrees = angle.to_degrees();
+                    let misfit = if degrees < 20.0 {
+                        (20.0 - degrees) / 10.0
+                    } else {
+                        (degrees - 20.0) / 25.0
+                    };
+                    (misfit, j)
+                })
+                .collect();
+            ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            ranked
+                .into_iter()
+                .take(max_num_sources)
+                .map(|(_, j)| j)
+                .collect()
+        })
+        .collect()
+}
+
 /// Log depth of every view's raster (0 outside), for sampling by other views.
-pub(crate) fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
+pub fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
     use rayon::prelude::*;
     level
         .views
@@ -278,11 +324,11 @@ pub(crate) fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f3
 
 /// Difference of log depth between neighbours beyond which they belong to different surfaces, pixel
 /// footprints: no view tells much of a surface that it sees at 80° and more.
-pub(crate) const MAX_STEP_PX: f64 = 8.0;
+pub const MAX_STEP_PX: f64 = 8.0;
 
 /// A wholly masked grey view at the origin that looks along +z, for tests.
 #[cfg(test)]
-pub(crate) fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
+pub fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
     let camera = Camera {
         width,
         height,
@@ -292,7 +338,7 @@ pub(crate) fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
         cy: 0.5 * (height as f64 - 1.0),
         rotation: nalgebra::Matrix3::identity(),
         translation: Vector3::zeros(),
-        center: nalgebra::Point3::origin(),
+        center: Point3::origin(),
     };
     let image = LinearImage::filled(width, height, 3, 0.5);
     let mask = Raster::filled(width, height, true);

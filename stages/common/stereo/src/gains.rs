@@ -5,16 +5,16 @@
 //! spread, largest gain 1); the median absolute deviation that is left is the photos' disagreement,
 //! from which every photometric weight follows.
 
-use super::level::Level;
-use super::sampling;
-use super::start::Agreement;
+use crate::level::Level;
+use crate::sampling;
+use crate::start::Agreement;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
 
 /// Exposure gains and the disagreement that they leave.
 #[derive(Clone, Debug)]
-pub(crate) struct Exposure {
+pub struct Exposure {
     /// Gain of every photo and channel; dividing by it makes brightness constant.
     pub gains: Vec<[f64; 3]>,
     /// Standard deviation of the log ratio between views at the same point, after the gains.
@@ -35,7 +35,7 @@ struct Pair {
 }
 
 /// Compares all pairs of views at the points on which they agree.
-pub(crate) fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Agreement]) -> Exposure {
+pub fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Agreement]) -> Exposure {
     let num_views = level.views.len();
     let pairs: Vec<Pair> = (0..num_views)
         .into_par_iter()

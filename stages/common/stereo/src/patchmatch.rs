@@ -10,16 +10,16 @@
 //! Hypotheses spread from neighbours in alternating raster sweeps and are perturbed
 //! with shrinking normal steps (Bleyer, Rhemann, Rother, BMVC 2011).
 
-use super::camera::Warp;
-use super::hull::InverseDepthRange;
-use super::level::{Level, LevelView};
-use super::plate;
+use crate::camera::Warp;
+use crate::hull::InverseDepthRange;
+use crate::level::{Level, LevelView};
+use crate::plate;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::{Mask, Raster};
 
 /// How patches are compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum PatchCost {
+pub enum PatchCost {
     /// One minus the zero-mean normalised correlation.
     Correlation,
     /// Bounded squared differences, with the relative standard deviation of intensities.
@@ -31,21 +31,27 @@ pub(crate) enum PatchCost {
 
 /// Size of the search.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct PatchMatchOptions {
+pub struct PatchMatchOptions {
+    /// How patches are compared.
     pub cost: PatchCost,
+    /// Raster sweeps, to and fro in turn.
     pub num_sweeps: usize,
     /// Random trials per pixel and sweep.
     pub num_trials: usize,
     /// Sources that count: the best ones.
     pub num_best: usize,
+    /// Seed of the random trials.
     pub seed: u64,
 }
 
 /// Inverse depth and plane slopes of every masked pixel.
 #[derive(Clone, Debug)]
-pub(crate) struct Planes {
+pub struct Planes {
+    /// `w₀`, one over the world's unit.
     pub inverse_depth: Vec<f32>,
+    /// `sx`, per pixel.
     pub slope_x: Vec<f32>,
+    /// `sy`, per pixel.
     pub slope_y: Vec<f32>,
 }
 
@@ -365,11 +371,11 @@ impl Map {
 }
 
 /// Largest number of sources of a view.
-pub(crate) const MAX_SOURCES: usize = 8;
+pub const MAX_SOURCES: usize = 8;
 
 /// Searches one view. `ranges` bounds every masked pixel, `masks` are the (grown) masks of all
 /// views, `start` an earlier result.
-pub(crate) fn search(
+pub fn search(
     level: &Level,
     index: usize,
     masks: &[Mask],
@@ -510,7 +516,7 @@ pub(crate) fn search(
 }
 
 /// Starts a finer level from a coarser result: the nearest parent's plane.
-pub(crate) fn refine_start(coarse: &LevelView, fine: &LevelView, planes: &Planes) -> Planes {
+pub fn refine_start(coarse: &LevelView, fine: &LevelView, planes: &Planes) -> Planes {
     let n = fine.pixels.len();
     let mut out = Planes {
         inverse_depth: Vec::with_capacity(n),
@@ -566,7 +572,7 @@ pub(crate) fn refine_start(coarse: &LevelView, fine: &LevelView, planes: &Planes
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photo::camera::Camera;
+    use crate::camera::Camera;
     use nalgebra::{Matrix3, Point3, Vector3};
     use rilievo_scene::LinearImage;
 

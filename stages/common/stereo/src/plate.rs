@@ -3,7 +3,7 @@
 //! Slopes are dimensionless, `p = fx ∂ζ/∂x`, `q = fy ∂ζ/∂y`: central where the surface is smooth,
 //! one-sided where it breaks and at the mask's edge, zero where a pixel stands alone.
 
-use super::level::LevelView;
+use crate::level::LevelView;
 use rilievo_numerics::plate_system::{Functional, PlateSystem};
 
 /// Change of slope from a pixel to the next, from which the surface breaks between them; from half of
@@ -17,7 +17,7 @@ const BREAK: f64 = 1.0;
 /// difference on the pixel's own side counts (Harten, Engquist, Osher, Chakravarthy 1987, with smooth
 /// weights, so that no pixel swaps sides for ever). The shares are those of `depth`: a step holds them fixed.
 #[inline]
-pub(crate) fn slopes(view: &LevelView, pixel: usize, depth: &[f64]) -> (Functional, Functional) {
+pub fn slopes(view: &LevelView, pixel: usize, depth: &[f64]) -> (Functional, Functional) {
     let one = |dx: i32, dy: i32, focal: f64| {
         let before = view.pixels.neighbour(pixel, -dx, -dy);
         let behind = view.pixels.neighbour(pixel, dx, dy);
@@ -59,7 +59,7 @@ fn share_before(u: f64, v: f64) -> f64 {
 /// Visits the second differences (times the focal length) that are complete inside the mask:
 /// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block.
 #[inline]
-pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)) {
+pub fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)) {
     let focal = view.camera.focal();
     let mixed = std::f64::consts::SQRT_2 * focal;
     for i in 0..view.pixels.len() {
@@ -91,7 +91,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)
 }
 
 /// How a bend is weighed around the current surface.
-pub(crate) struct RobustPlate<'a> {
+pub struct RobustPlate<'a> {
     /// Current log depths; the system is for their increment.
     pub depth: &'a [f64],
     /// Bend (slope per pixel) above which the penalty grows only linearly.
@@ -99,7 +99,7 @@ pub(crate) struct RobustPlate<'a> {
 }
 
 /// Adds `weight |bends|²`; cut bends keep a trace of it, so that no pixel is left without a hold.
-pub(crate) fn add_plate(
+pub fn add_plate(
     view: &LevelView,
     system: &mut PlateSystem,
     weight: f64,
@@ -120,7 +120,7 @@ const HOLD: f64 = 0.25;
 
 /// Adds `weight |bends|²` for the increment of a surface, linear beyond the Huber threshold, and weak where the
 /// surface is torn, as beside an edge of depth.
-pub(crate) fn add_robust_plate(
+pub fn add_robust_plate(
     view: &LevelView,
     system: &mut PlateSystem,
     weight: f64,
@@ -137,7 +137,7 @@ pub(crate) fn add_robust_plate(
 /// Unit normal (camera frame, towards the camera) of a pixel with slopes `p`, `q`, and its
 /// derivatives along them: `n ∝ (p, q, −1 − X p − Y q)`, `(X, Y, 1)` the pixel's ray.
 #[inline]
-pub(crate) fn normal_with_derivatives(
+pub fn normal_with_derivatives(
     view: &LevelView,
     pixel: usize,
     p: f64,
@@ -159,13 +159,13 @@ pub(crate) fn normal_with_derivatives(
 }
 
 /// Mean distance between two surfaces of a view, log depth.
-pub(crate) fn mean_move(from: &[f64], to: &[f64]) -> f64 {
+pub fn mean_move(from: &[f64], to: &[f64]) -> f64 {
     let sum: f64 = to.iter().zip(from).map(|(a, b)| (a - b).abs()).sum();
     sum / from.len().max(1) as f64
 }
 
 /// Mean angle between the normals of two surfaces of a view, radians.
-pub(crate) fn mean_turn(view: &LevelView, from: &[f64], to: &[f64]) -> f64 {
+pub fn mean_turn(view: &LevelView, from: &[f64], to: &[f64]) -> f64 {
     let sum: f64 = normals(view, from)
         .iter()
         .zip(normals(view, to))
@@ -179,7 +179,7 @@ pub(crate) fn mean_turn(view: &LevelView, from: &[f64], to: &[f64]) -> f64 {
 }
 
 /// Normals of a whole view.
-pub(crate) fn normals(view: &LevelView, depth: &[f64]) -> Vec<[f64; 3]> {
+pub fn normals(view: &LevelView, depth: &[f64]) -> Vec<[f64; 3]> {
     (0..view.pixels.len())
         .map(|i| {
             let (p, q) = slopes(view, i, depth);
@@ -191,7 +191,7 @@ pub(crate) fn normals(view: &LevelView, depth: &[f64]) -> Vec<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photo::level::flat_view;
+    use crate::level::flat_view;
 
     #[test]
     fn slopes_are_central_where_smooth_and_the_own_sides_beside_a_step() {

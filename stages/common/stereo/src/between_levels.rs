@@ -1,12 +1,12 @@
 //! Log depths from one level of the pyramid to the next.
 
-use super::level::{LevelView, MAX_STEP_PX};
-use super::plate;
-use super::sampling;
+use crate::level::{LevelView, MAX_STEP_PX};
+use crate::plate;
+use crate::sampling;
 use rilievo_numerics::plate_system::Functional;
 
 /// Log depth at the next coarser level: mean of the four children (all are masked).
-pub(crate) fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
+pub fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
     (0..coarse.pixels.len())
         .map(|p| {
             let x = 2 * coarse.pixels.xs[p] as usize;
@@ -25,11 +25,7 @@ pub(crate) fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec
 /// Log depth of a finer level from a coarser one: bilinear where all four parents are masked; between
 /// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
 /// Returns the values and where they are known.
-pub(crate) fn upsample(
-    coarse: &LevelView,
-    fine: &LevelView,
-    values: &[f64],
-) -> (Vec<f64>, Vec<bool>) {
+pub fn upsample(coarse: &LevelView, fine: &LevelView, values: &[f64]) -> (Vec<f64>, Vec<bool>) {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();
     let raster = coarse.spread(&centred, 0.0);
@@ -65,7 +61,7 @@ fn on_nearest_plane(view: &LevelView, depth: &[f64], x: f64, y: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photo::level::flat_view;
+    use crate::level::flat_view;
 
     /// Two planes with a step between them: no pixel of the finer level lies between both.
     #[test]

@@ -9,21 +9,29 @@ use rilievo_scene::{Intrinsics, RigidTransform};
 
 /// A pinhole without distortion, with its pose.
 #[derive(Clone, Debug)]
-pub(crate) struct Camera {
+pub struct Camera {
+    /// Columns of the image.
     pub width: usize,
+    /// Rows of the image.
     pub height: usize,
+    /// Focal length along x, pixels.
     pub fx: f64,
+    /// Focal length along y, pixels.
     pub fy: f64,
+    /// Column of the principal point.
     pub cx: f64,
+    /// Row of the principal point.
     pub cy: f64,
-    /// `cam_from_world`.
+    /// Rotation of `cam_from_world`.
     pub rotation: Matrix3<f64>,
+    /// Translation of `cam_from_world`, the world's unit.
     pub translation: Vector3<f64>,
     /// Centre in the world.
     pub center: Point3<f64>,
 }
 
 impl Camera {
+    /// The camera of a photo without distortion, at a pose `cam_from_world`.
     pub fn new(intrinsics: &Intrinsics, pose: &RigidTransform) -> Self {
         Self {
             width: intrinsics.width,
@@ -49,19 +57,21 @@ impl Camera {
         }
     }
 
-    /// The camera of the image at half resolution (2×2 blocks).
-    pub fn halved(&self) -> Self {
+    /// The camera of the image reduced by blocks of `factor × factor` pixels; incomplete ones are dropped.
+    pub fn reduced(&self, factor: usize) -> Self {
+        let s = factor as f64;
         Self {
-            width: self.width / 2,
-            height: self.height / 2,
-            fx: 0.5 * self.fx,
-            fy: 0.5 * self.fy,
-            cx: 0.5 * (self.cx + 0.5) - 0.5,
-            cy: 0.5 * (self.cy + 0.5) - 0.5,
+            width: self.width / factor,
+            height: self.height / factor,
+            fx: self.fx / s,
+            fy: self.fy / s,
+            cx: (self.cx + 0.5) / s - 0.5,
+            cy: (self.cy + 0.5) / s - 0.5,
             ..self.clone()
         }
     }
 
+    /// Mean of both focal lengths, pixels.
     pub fn focal(&self) -> f64 {
         0.5 * (self.fx + self.fy)
     }
@@ -98,25 +108,32 @@ impl Camera {
 
 /// Maps pixels of one view at an inverse depth into another.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Warp {
+pub struct Warp {
+    /// `K_j R_ji K_i⁻¹`.
     pub a: Matrix3<f64>,
+    /// `K_j t_ji`.
     pub b: Vector3<f64>,
 }
 
 /// Where a pixel lands, and how that depends on `ζ`.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Landing {
+pub struct Landing {
+    /// Column in the other view.
     pub u: f64,
+    /// Row in the other view.
     pub v: f64,
     /// Log depth in the other view.
     pub zeta: f64,
-    /// `∂u/∂ζ`, `∂v/∂ζ`, `∂ζ_other/∂ζ`.
+    /// `∂u/∂ζ`.
     pub du: f64,
+    /// `∂v/∂ζ`.
     pub dv: f64,
+    /// `∂ζ_other/∂ζ`.
     pub dzeta: f64,
 }
 
 impl Warp {
+    /// The warp between two cameras; `None` where the first one's matrix is singular.
     pub fn between(from: &Camera, to: &Camera) -> Option<Self> {
         let inverse = from.matrix().try_inverse()?;
         let rotation = to.rotation * from.rotation.transpose();
@@ -127,11 +144,17 @@ impl Warp {
         })
     }
 
+    /// Homogeneous pixel `P` of the other view; its third component times the depth is the depth there.
+    #[inline]
+    pub fn at(&self, x: f64, y: f64, inverse_depth: f64) -> Vector3<f64> {
+        self.a * Vector3::new(x, y, 1.0) + self.b * inverse_depth
+    }
+
     /// Lands pixel `(x, y)` with log depth `zeta`; `None` behind the other camera.
     #[inline]
     pub fn land(&self, x: f64, y: f64, zeta: f64) -> Option<Landing> {
         let w = (-zeta).exp();
-        let p = self.a * Vector3::new(x, y, 1.0) + self.b * w;
+        let p = self.at(x, y, w);
         if p.z.is_nan() || p.z <= 1e-9 {
             return None;
         }

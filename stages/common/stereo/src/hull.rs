@@ -1,0 +1,214 @@
+//! Where along its ray a pixel's surface point may lie: inside every view's mask.
+//!
+//! The range of the whole object comes first: the point nearest to the rays through the masks'
+//! centroids, and the largest extent that a mask subtends there; or, without masks, the depths of
+//! the sparse points. Per pixel, inverse depths are sampled and kept while all masks contain them.
+
+use crate::camera::{Camera, Warp};
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+use rilievo_numerics::robust::quantile;
+use rilievo_scene::Mask;
+
+/// Samples along a ray.
+const NUM_SAMPLES: usize = 256;
+
+/// What a view says of where the object is.
+#[derive(Clone, Copy, Debug)]
+pub struct Outline<'a> {
+    /// The view's camera, of the mask's size.
+    pub camera: &'a Camera,
+    /// The object, or all pixels where there is no mask.
+    pub mask: &'a Mask,
+    /// Whether there is one.
+    pub is_masked: bool,
+    /// First and last column and row (`[x0, y0]`, `[x1, y1]`) of the whole photo, beyond which the object may
+    /// reach; `None` where it ends with the mask.
+    pub frame: Option<[[f64; 2]; 2]>,
+}
+
+impl Outline<'_> {
+    /// Whether a point at a homogeneous pixel may belong to the object.
+    #[inline]
+    fn allows(&self, p: &Vector3<f64>) -> bool {
+        if p.z.is_nan() || p.z <= 0.0 {
+            return self.frame.is_some();
+        }
+        let (u, v) = (p.x / p.z, p.y / p.z);
+        if let Some([low, high]) = self.frame
+            && !(u >= low[0] && v >= low[1] && u <= high[0] && v <= high[1])
+        {
+            return true;
+        }
+        let (u, v) = (u + 0.5, v + 0.5);
+        u >= 0.0 && v >= 0.0 && self.mask.contains(u as isize, v as isize)
+    }
+}
+
+/// Inverse depths between which a view's surface lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InverseDepthRange {
+    /// That of the farthest point, one over the world's unit.
+    pub low: f32,
+    /// That of the nearest point.
+    pub high: f32,
+}
+
+/// Range of each view, `None` where it is not known: from two masks and more, else from points in the world.
+pub fn object_ranges(
+    outlines: &[Outline],
+    points: &[Point3<f64>],
+) -> Vec<Option<InverseDepthRange>> {
+    let masked: Vec<Outline> = outlines.iter().copied().filter(|o| o.is_masked).collect();
+    if masked.len() < 2 {
+        return outlines
+            .iter()
+            .map(|outline| range_of_points(outline, points))
+            .collect();
+    }
+    let ball = object_ball(&masked);
+    outlines
+        .iter()
+        .map(|outline| {
+            let (center, radius) = ball?;
+            let (_, _, depth) = outline.camera.project(&center)?;
+            let near = (depth - 1.3 * radius).max(0.15 * depth);
+            Some(InverseDepthRange {
+                low: (1.0 / (depth + 1.3 * radius)) as f32,
+                high: (1.0 / near) as f32,
+            })
+        })
+        .collect()
+}
+
+/// Centre and radius of a ball around the object, from the masks.
+pub fn object_ball(outlines: &[Outline]) -> Option<(Point3<f64>, f64)> {
+    let mut normal = Matrix3::zeros();
+    let mut rhs = Vector3::zeros();
+    let mut extents = Vec::new();
+    for Outline { camera, mask, .. } in outlines {
+        let inside = || {
+            let at = |i: usize| ((i % mask.width) as f64, (i / mask.width) as f64);
+            let set = mask.data.iter().enumerate().filter(|&(_, &inside)| inside);
+            set.map(move |(i, _)| at(i))
+        };
+        let (mut x, mut y, mut n) = (0.0, 0.0, 0.0);
+        for (px, py) in inside() {
+            (x, y, n) = (x + px, y + py, n + 1.0);
+        }
+        if n == 0.0 {
+            continue;
+        }
+        let (x, y) = (x / n, y / n);
+        let direction = camera.rotation.tr_mul(&camera.ray(x, y)).normalize();
+        let across = Matrix3::identity() - direction * direction.transpose();
+        normal += across;
+        rhs += across * camera.center.coords;
+        let farthest = inside()
+            .map(|(px, py)| ((px - x) / camera.fx).hypot((py - y) / camera.fy))
+            .fold(0.0, f64::max);
+        extents.push((camera, farthest));
+    }
+    let center = Point3::from(normal.try_inverse()? * rhs);
+    let mut radius = 0.0_f64;
+    for (camera, farthest) in extents {
+        let (_, _, depth) = camera.project(&center)?;
+        radius = radius.max(farthest * depth);
+    }
+    Some((center, radius))
+}
+
+fn range_of_points(outline: &Outline, points: &[Point3<f64>]) -> Option<InverseDepthRange> {
+    let mut inverse: Vec<f64> = points
+        .iter()
+        .filter_map(|p| outline.camera.project(p))
+        .filter(|&(x, y, _)| {
+            let mask = outline.mask;
+            mask.contains(x.round() as isize, y.round() as isize)
+        })
+        .map(|(_, _, z)| 1.0 / z)
+        .collect();
+    if inverse.len() < 3 {
+        return None;
+    }
+    let (low, high) = (quantile(&mut inverse, 0.01)?, quantile(&mut inverse, 0.99)?);
+    let margin = 0.3 * (high - low) + 0.02 * high;
+    Some(InverseDepthRange {
+        low: (low - margin).max(0.2 * low) as f32,
+        high: (high + margin) as f32,
+    })
+}
+
+/// Part of `range` that all outlines but view `index`'s own allow, at each of its pixels `positions`; `None`
+/// where they contradict each other.
+pub fn ranges_inside(
+    outlines: &[Outline],
+    index: usize,
+    positions: &[(f64, f64)],
+    range: InverseDepthRange,
+) -> Vec<Option<InverseDepthRange>> {
+    let camera = outlines[index].camera;
+    let others: Vec<(Warp, &Outline)> = outlines
+        .iter()
+        .enumerate()
+        .filter(|&(j, _)| j != index)
+        .filter_map(|(_, other)| Warp::between(camera, other.camera).map(|warp| (warp, other)))
+        .collect();
+    let step = (range.high - range.low) / (NUM_SAMPLES - 1) as f32;
+    positions
+        .par_iter()
+        .map(|&(x, y)| {
+            let bases: Vec<Vector3<f64>> = others
+                .iter()
+                .map(|(warp, _)| warp.a * Vector3::new(x, y, 1.0))
+                .collect();
+            let inverse_depth = |k: usize| range.low + step * k as f32;
+            let is_seen = |&k: &usize| {
+                let w = f64::from(inverse_depth(k));
+                others
+                    .iter()
+                    .zip(&bases)
+                    .all(|((warp, other), base)| other.allows(&(base + warp.b * w)))
+            };
+            let low = (0..NUM_SAMPLES).find(is_seen)?;
+            let high = (low..NUM_SAMPLES).rev().find(is_seen)?;
+            Some(InverseDepthRange {
+                low: inverse_depth(low) - 2.0 * step,
+                high: inverse_depth(high) + 2.0 * step,
+            })
+        })
+        .collect()
+}
+
+/// A mask grown by `radius` pixels (square neighbourhood).
+pub fn dilate(mask: &Mask, radius: usize) -> Mask {
+    let mut rows = mask.clone();
+    for y in 0..mask.height {
+        for x in 0..mask.width {
+            let range = x.saturating_sub(radius)..=(x + radius).min(mask.width - 1);
+            *rows.at_mut(x, y) = range.into_iter().any(|a| *mask.at(a, y));
+        }
+    }
+    let mut out = rows.clone();
+    for y in 0..mask.height {
+        let range = y.saturating_sub(radius)..=(y + radius).min(mask.height - 1);
+        for x in 0..mask.width {
+            *out.at_mut(x, y) = range.clone().any(|b| *rows.at(x, b));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dilation_reaches_as_far_as_asked() {
+        let mut mask = Mask::filled(9, 9, false);
+        *mask.at_mut(4, 4) = true;
+        let wide = dilate(&mask, 2);
+        assert_eq!(wide.count(), 25);
+        assert!(*wide.at(2, 6) && !*wide.at(1, 4));
+    }
+}

@@ -1,0 +1,30 @@
+//! Multi-view stereo: what the photos of several cameras tell of depth before any light is known.
+//!
+//! * [`camera`], [`rectify`]: pinholes, the warp between two of them, and lens distortion.
+//! * [`level`], [`between_levels`], [`spread`]: photos cropped to the object, at every resolution.
+//! * [`sampling`], [`window`]: interpolation in rasters, smoothing inside a mask, crops and block means.
+//! * [`hull`], [`patchmatch`], [`search`]: dense search inside the visual hull.
+//! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
+//! * [`gains`]: exposure of the photos, and how far they disagree.
+//! * [`surfaces`], [`consensus`]: what the views' surfaces say of each other, and their fusion.
+//!
+//! Depth `z` is along the optical axis, `ζ = ln z`; per-pixel lists hold a value for every masked pixel of a
+//! view, in the order of its [`PixelNumbering`](rilievo_numerics::plate_system::PixelNumbering). A pixel's
+//! relative footprint is one over the focal length. Shared by stages 3 (anchors) and 5 (the photo model).
+
+pub mod between_levels;
+pub mod camera;
+pub mod consensus;
+pub mod edges;
+pub mod gains;
+pub mod hull;
+pub mod level;
+pub mod patchmatch;
+pub mod plate;
+pub mod rectify;
+pub mod sampling;
+pub mod search;
+pub mod spread;
+pub mod start;
+pub mod surfaces;
+pub mod window;
