@@ -10,6 +10,7 @@
 //! Pixels without a value are black in depth and normals, grey in error maps.
 
 use crate::error::IoError;
+use crate::files::OutputFile;
 use crate::mask::encode_png;
 use image::ExtendedColorType;
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster, srgb};
@@ -89,8 +90,7 @@ pub fn write_preview_png(
     preview: Preview<'_>,
     max_side: usize,
 ) -> Result<(), IoError> {
-    std::fs::write(path, encode_preview_png(preview, max_side))
-        .map_err(|error| IoError::write(path, error))
+    OutputFile::new(path, encode_preview_png(preview, max_side)).write()
 }
 
 /// The same as bytes of a PNG file, to embed elsewhere; a map without pixels gives one black pixel.

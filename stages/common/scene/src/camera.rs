@@ -88,13 +88,18 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// A camera without distortion.
+    /// A camera of one focal length, without distortion.
     pub fn pinhole(width: usize, height: usize, focal_px: f64, cx: f64, cy: f64) -> Self {
+        Self::undistorted((width, height), [focal_px, focal_px, cx, cy])
+    }
+
+    /// A camera of two focal lengths, without distortion.
+    pub fn undistorted((width, height): (usize, usize), [fx, fy, cx, cy]: [f64; 4]) -> Self {
         Self {
             width,
             height,
-            fx: focal_px,
-            fy: focal_px,
+            fx,
+            fy,
             cx,
             cy,
             distortion: Distortion::default(),

@@ -31,13 +31,13 @@ use crate::files::read_regular;
 use alpha::alpha_mask;
 use guard::guarded;
 use image::ImageFormat;
-use names::{FOREIGN_ENDINGS, ending, file_name};
+use names::{FOREIGN_ENDINGS, ending};
 use rilievo_scene::{DecodedPhoto, ExifFacts, Samples};
 use std::path::Path;
 
 pub use guard::decoder_is_guarded;
 pub use names::is_photo_name;
-pub(crate) use names::is_raw_name;
+pub(crate) use names::{file_name, is_raw_name};
 pub use raw_decoder::{RawDecoder, decode_raw_here, set_raw_decoder};
 pub use size::photo_size;
 
