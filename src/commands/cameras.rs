@@ -7,8 +7,8 @@ use crate::pipeline::{from_io, load_poses};
 use crate::store::RunDir;
 use rilievo_io::colmap::{ColmapModel, binary_files, text_files};
 use rilievo_io::{
-    CameraFile, CameraFormat, LightFormat, camera_files, cameras_file, import_cameras,
-    import_cameras_with_photos, is_diligent, light_file, read_lighting,
+    CameraFile, CameraFormat, LightFormat, camera_files, cameras_file, import_cameras_with_photos,
+    is_diligent, light_file, read_lighting,
 };
 use rilievo_scene::StageId;
 use std::path::Path;
@@ -155,9 +155,6 @@ fn read(
             ));
         }
     };
-    let cameras = match photos {
-        Some(photos) => import_cameras_with_photos(source, format, photos),
-        None => import_cameras(source, format),
-    };
-    Ok((cameras.map_err(from_io)?, format))
+    let cameras = import_cameras_with_photos(source, format, photos).map_err(from_io)?;
+    Ok((cameras, format))
 }

@@ -14,15 +14,15 @@
 //! 4. Where that is clearly better in the median over the views, the anchors' light replaces the
 //!    sphere's; else only the common factor is applied. Both are reported.
 
-use crate::anchor_normals::AnchorSamples;
-use crate::environment::scaled;
+use crate::anchor_normals::{AnchorReading, half};
+use crate::environment::{in_view, scaled};
 use crate::error::LightingError;
 use crate::error::warn;
 use crate::options::{LightingOptions, ObjectLight};
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
 use rilievo_numerics::robust::median;
-use rilievo_photometry::harmonics::{dominant_direction, rotate};
+use rilievo_photometry::harmonics::dominant_direction;
 use rilievo_scene::{
     LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet, PosedViews,
 };
@@ -47,18 +47,15 @@ pub(crate) fn confront(
         return Ok(());
     }
     let samples = anchor_samples(photos, posed, options, observer)?;
-    let sightings: usize = samples.iter().map(|s| s.normals.len()).sum();
+    let sightings: usize = samples.iter().map(Vec::len).sum();
     if sightings < MIN_SIGHTINGS {
         return Ok(());
     }
     let gains: Vec<Vec<f64>> = calibration.views.iter().map(|v| v.gain.clone()).collect();
     let all: Vec<usize> = (0..posed.views.len()).collect();
     // The common factor, and the residuals that it leaves.
-    let used: Vec<Lighting> = calibration
-        .views
-        .iter()
-        .map(|v| v.lighting.clone())
-        .collect();
+    let lightings = calibration.views.iter().map(|v| v.lighting.clone());
+    let used: Vec<Lighting> = lightings.collect();
     let mut factors: Vec<f64> = samples
         .iter()
         .zip(&used)
@@ -66,7 +63,7 @@ pub(crate) fn confront(
         .collect();
     let factor = median(&mut factors).unwrap_or(1.0);
     let halves = [0, 1].map(|parity| {
-        let half: Vec<AnchorSamples> = samples.iter().map(|s| s.half(parity)).collect();
+        let half: Vec<_> = samples.iter().map(|s| half(s, parity)).collect();
         pool(posed, &half, &gains, &all, options).map(|fit| fit.lighting())
     });
     let [Ok(even), Ok(odd)] = halves else {
@@ -74,18 +71,14 @@ pub(crate) fn confront(
     };
     let mut views = Vec::with_capacity(samples.len());
     for (idx, view) in posed.views.iter().enumerate() {
-        let in_camera = |environment: &Lighting| {
-            scaled(
-                rotate(environment, &view.cam_from_world.rotation),
-                &gains[idx],
-            )
-        };
-        let with_factor = scaled(used[idx].clone(), &vec![factor; used[idx].channels.len()]);
-        let cross = [(0, &odd), (1, &even)]
-            .map(|(parity, other)| squares(&samples[idx].half(parity), &in_camera(other)));
+        let with_factor = times(&used[idx], factor);
+        let cross = [(0, &odd), (1, &even)].map(|(parity, other)| {
+            let predicted = in_view(other, view, &gains[idx]);
+            squares(&half(&samples[idx], parity), &predicted)
+        });
         views.push(ViewObjectReport {
             name: view.name.clone(),
-            num_anchors: samples[idx].normals.len(),
+            num_anchors: samples[idx].len(),
             used_rms: relative(squares(&samples[idx], &used[idx])),
             used_rms_after_albedo: relative(squares(&samples[idx], &with_factor)),
             cross_validated_rms: relative(cross.concat()),
@@ -109,20 +102,17 @@ pub(crate) fn confront(
         let fit = pool(posed, &samples, &gains, &all, options)?;
         let environment = fit.lighting();
         for (idx, light) in calibration.views.iter_mut().enumerate() {
-            let rotation = &posed.views[idx].cam_from_world.rotation;
-            light.lighting = scaled(rotate(&environment, rotation), &gains[idx]);
+            light.lighting = in_view(&environment, &posed.views[idx], &gains[idx]);
             light.residual = views[idx].cross_validated_rms;
         }
         report.dominant_direction = dominant_direction(&environment).map(Into::into);
         calibration.environment_in_world = Some(environment);
     } else if scaled_by_factor {
         for light in &mut calibration.views {
-            let factors = vec![factor; light.lighting.channels.len()];
-            light.lighting = scaled(light.lighting.clone(), &factors);
+            light.lighting = times(&light.lighting, factor);
         }
         if let Some(environment) = &mut calibration.environment_in_world {
-            let factors = vec![factor; environment.channels.len()];
-            *environment = scaled(environment.clone(), &factors);
+            *environment = times(environment, factor);
         }
     }
     if replaced || scaled_by_factor {
@@ -157,18 +147,20 @@ pub(crate) fn confront(
     Ok(())
 }
 
+/// A lighting times one factor for all channels.
+fn times(lighting: &Lighting, factor: f64) -> Lighting {
+    scaled(lighting.clone(), &vec![factor; lighting.channels.len()])
+}
+
 /// Median over the sightings of brightness over prediction.
-fn best_factor(sample: &AnchorSamples, light: &Lighting) -> Option<f64> {
+fn best_factor(seen: &[AnchorReading], light: &Lighting) -> Option<f64> {
     let mut ratios = Vec::new();
-    for k in 0..sample.normals.len() {
-        let predicted: f64 = light
-            .channels
-            .iter()
-            .map(|l| l.evaluate(&sample.normals[k]))
-            .sum();
-        let seen: f64 = sample.values[k].iter().sum();
-        if !sample.usable[k].contains(&false) && predicted > 0.0 && seen > 0.0 {
-            ratios.push(seen / predicted);
+    for AnchorReading { reading, .. } in seen {
+        let channels = light.channels.iter();
+        let predicted: f64 = channels.map(|l| l.evaluate(&reading.normal)).sum();
+        let brightness = reading.brightness();
+        if reading.is_whole() && predicted > 0.0 && brightness > 0.0 {
+            ratios.push(brightness / predicted);
         }
     }
     // A handful of anchors would let one view's shadow speak for its albedo.
@@ -179,13 +171,13 @@ fn best_factor(sample: &AnchorSamples, light: &Lighting) -> Option<f64> {
 }
 
 /// Squared errors and squared values of all unclipped channels.
-fn squares(sample: &AnchorSamples, light: &Lighting) -> Vec<(f64, f64)> {
+fn squares(seen: &[AnchorReading], light: &Lighting) -> Vec<(f64, f64)> {
     let mut pairs = Vec::new();
-    for k in 0..sample.normals.len() {
+    for AnchorReading { reading, .. } in seen {
         for (channel, l) in light.channels.iter().enumerate() {
-            if sample.usable[k][channel] {
-                let value = sample.values[k][channel];
-                let error = l.evaluate(&sample.normals[k]) - value;
+            if reading.usable[channel] {
+                let value = reading.values[channel];
+                let error = l.evaluate(&reading.normal) - value;
                 pairs.push((error * error, value * value));
             }
         }

@@ -47,17 +47,8 @@ pub fn overlays(
         let photo = &photos.photos[view.photo.0];
         let image = photo.linear()?;
         let light = calibration.views.iter().find(|light| light.view.0 == idx);
-        let shot = Shot {
-            image: &image,
-            object: photo.mask.as_deref(),
-            clip_level: photo.clip_level,
-            intrinsics: &view.intrinsics,
-        };
-        let spheres: Vec<SphereInCamera> = posed
-            .spheres
-            .iter()
-            .map(|sphere| SphereInCamera::seen(sphere, &view.cam_from_world))
-            .collect();
+        let shot = Shot::new(photo, &image, view);
+        let spheres = SphereInCamera::all_seen(posed, view);
         let rows: Vec<LinearImage> = (0..spheres.len())
             .filter_map(|k| {
                 let paint = calibration.spheres.get(k).and_then(|s| s.paint.as_deref());
@@ -157,15 +148,15 @@ fn crops(
         put(2, pixel.x, pixel.y, [0.2; 3]);
     }
     let samples = shot.samples(sphere, spheres, &options.sampling());
-    for (k, &(x, y)) in samples.positions.iter().enumerate() {
+    for (reading, &(x, y)) in samples.readings.iter().zip(&samples.positions) {
         let is_far = lighting.is_some_and(|light| {
-            let channels = light.channels.iter().zip(&samples.values[k]);
+            let channels = light.channels.iter().zip(&reading.values);
             channels
-                .map(|(l, v)| (l.evaluate(&samples.normals[k]) - v).abs() / v.max(1e-4))
+                .map(|(l, v)| (l.evaluate(&reading.normal) - v).abs() / v.max(1e-4))
                 .fold(0.0, f64::max)
                 > FAR
         });
-        let color = if samples.usable[k].contains(&false) {
+        let color = if !reading.is_whole() {
             [0.9, 0.0, 0.6]
         } else if is_far {
             [0.05, 0.1, 0.9]

@@ -11,8 +11,9 @@
 //!    point has one brightness in all photos.
 //! 3. Robust fit of one environment, or of one lighting per view.
 
-use crate::anchor_normals::{AnchorSamples, orient, seen_by};
-use crate::cells::{CellMean, two_way};
+use crate::anchor_normals::{AnchorReading, orient, seen_by};
+use crate::cells::{CellMean, TwoWay, two_way};
+use crate::environment::{in_view, ones};
 use crate::error::LightingError;
 use crate::error::warn;
 use crate::kind;
@@ -20,10 +21,10 @@ use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
+use rilievo_photometry::harmonics::{LightingFit, Reading, dominant_direction};
 use rilievo_scene::{
-    Event, Flow, LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet,
-    PosedViews, StageId, ViewIdx, ViewLighting,
+    LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, StageId, ViewIdx,
+    ViewLighting,
 };
 
 /// Fewest anchors with a normal.
@@ -39,19 +40,16 @@ pub(crate) fn anchor_samples(
     posed: &PosedViews,
     options: &LightingOptions,
     observer: &dyn Observer,
-) -> Result<Vec<AnchorSamples>, LightingError> {
+) -> Result<Vec<Vec<AnchorReading>>, LightingError> {
     let oriented = orient(posed);
     let mut samples = Vec::with_capacity(posed.views.len());
     for (idx, view) in posed.views.iter().enumerate() {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Lighting,
-            step: "reading brightness at the anchors".to_owned(),
-            done: idx,
-            total: posed.views.len(),
-        });
-        if flow == Flow::Stop {
-            return Err(LightingError::Interrupted);
-        }
+        let flow = observer.progress(
+            StageId::Lighting,
+            "reading brightness at the anchors",
+            (idx, posed.views.len()),
+        );
+        flow.ok_or(LightingError::Interrupted)?;
         let photo = &photos.photos[view.photo.0];
         let image = photo.linear()?;
         let limit = f64::from(photo.clip_level) * options.clip_share;
@@ -60,25 +58,37 @@ pub(crate) fn anchor_samples(
     Ok(samples)
 }
 
+fn num_channels(samples: &[Vec<AnchorReading>]) -> Option<usize> {
+    let first = samples.iter().flatten().next()?;
+    Some(first.reading.values.len())
+}
+
+/// Compares what the views show of each anchor: `value` tells it of a reading, where it counts.
+fn compare_anchors(
+    samples: &[Vec<AnchorReading>],
+    value: impl Fn(&Reading) -> Option<f64>,
+) -> TwoWay {
+    let mut means = Vec::new();
+    for (view, seen) in samples.iter().enumerate() {
+        for AnchorReading { anchor, reading } in seen {
+            let value = value(reading).filter(|v| *v > 0.0 && v.is_finite());
+            means.extend(value.map(|value| CellMean {
+                view,
+                cell: *anchor,
+                value: value.ln(),
+            }));
+        }
+    }
+    two_way(samples.len(), &means)
+}
+
 /// Gain per view and channel from the anchors; 1 where a view shares too few with the others.
-pub(crate) fn anchor_gains(samples: &[AnchorSamples], num_channels: usize) -> Vec<Vec<f64>> {
-    let mut gains = vec![vec![1.0; num_channels]; samples.len()];
+pub(crate) fn anchor_gains(samples: &[Vec<AnchorReading>], num_channels: usize) -> Vec<Vec<f64>> {
+    let mut gains = vec![ones(num_channels); samples.len()];
     for channel in 0..num_channels {
-        let means: Vec<CellMean> = samples
-            .iter()
-            .enumerate()
-            .flat_map(|(view, sample)| {
-                (0..sample.values.len()).filter_map(move |k| {
-                    let value = sample.values[k][channel];
-                    (sample.usable[k][channel] && value > 0.0).then(|| CellMean {
-                        view,
-                        cell: sample.anchors[k],
-                        value: value.ln(),
-                    })
-                })
-            })
-            .collect();
-        let fit = two_way(samples.len(), &means);
+        let fit = compare_anchors(samples, |reading| {
+            reading.usable[channel].then(|| reading.values[channel])
+        });
         for (gain, ln_gain) in gains.iter_mut().zip(&fit.ln_gain) {
             gain[channel] = ln_gain.exp();
         }
@@ -93,17 +103,14 @@ pub(crate) fn run(
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let samples = anchor_samples(photos, posed, options, observer)?;
-    let available = samples.iter().map(|s| s.normals.len()).sum::<usize>();
+    let available = samples.iter().map(Vec::len).sum::<usize>();
     if available < MIN_ANCHORS {
         return Err(LightingError::TooFewAnchors {
             available,
             needed: MIN_ANCHORS,
         });
     }
-    let num_channels = samples
-        .iter()
-        .find_map(|s| s.values.first().map(Vec::len))
-        .unwrap_or(1);
+    let num_channels = num_channels(&samples).unwrap_or(1);
     let kind_check = check_kind(posed, &samples, options);
     let kind = kind::settled(options.own_shape_light, kind_check.as_ref());
     let mut report = LightingReport {
@@ -120,12 +127,12 @@ pub(crate) fn run(
     let gains = if kind == LightKind::World && options.gains != GainMode::Off {
         anchor_gains(&samples, num_channels)
     } else {
-        vec![vec![1.0; num_channels]; samples.len()]
+        vec![ones(num_channels); samples.len()]
     };
     report.gains_applied = gains.iter().flatten().any(|g| (g - 1.0).abs() > 0.0);
     for (view, (sample, gain)) in posed.views.iter().zip(samples.iter().zip(&gains)) {
         report.views.push(ViewLightReport {
-            num_pixels: sample.normals.len(),
+            num_pixels: sample.len(),
             gain: gain.clone(),
             ..ViewLightReport::named(&view.name)
         });
@@ -144,10 +151,7 @@ pub(crate) fn run(
         let in_world = own
             .as_ref()
             .map_or(environment.clone(), LightingFit::lighting);
-        let mut lighting: Lighting = rotate(&in_world, &view.cam_from_world.rotation);
-        for (channel, g) in lighting.channels.iter_mut().zip(&gains[idx]) {
-            channel.0.iter_mut().for_each(|l| *l *= g);
-        }
+        let lighting = in_view(&in_world, view, &gains[idx]);
         let residual = own.as_ref().unwrap_or(&pooled).relative_rms();
         report.views[idx].relative_rms = Some(residual);
         views.push(ViewLighting {
@@ -173,36 +177,21 @@ pub(crate) fn run(
 /// differ by a gain a photo.
 fn check_kind(
     posed: &PosedViews,
-    samples: &[AnchorSamples],
+    samples: &[Vec<AnchorReading>],
     options: &LightingOptions,
 ) -> Option<KindCheck> {
-    let num_channels = samples
-        .iter()
-        .find_map(|s| s.values.first().map(Vec::len))?;
+    let num_channels = num_channels(samples)?;
     let everything: Vec<usize> = (0..samples.len()).collect();
-    let gains = vec![vec![1.0; num_channels]; samples.len()];
+    let gains = vec![ones(num_channels); samples.len()];
     let as_seen = |_: usize| UnitQuaternion::identity();
     let on_camera = pool_in(samples, &gains, &everything, options, as_seen)
         .ok()?
         .lighting();
     let scatter = |predicted: &dyn Fn(&Vector3<f64>) -> f64| {
-        let means: Vec<CellMean> = samples
-            .iter()
-            .enumerate()
-            .flat_map(|(view, sample)| {
-                (0..sample.values.len()).filter_map(move |k| {
-                    let ratio =
-                        sample.values[k].iter().sum::<f64>() / predicted(&sample.normals[k]);
-                    let is_usable = !sample.usable[k].contains(&false) && ratio > 0.0;
-                    (is_usable && ratio.is_finite()).then(|| CellMean {
-                        view,
-                        cell: sample.anchors[k],
-                        value: ratio.ln(),
-                    })
-                })
-            })
-            .collect();
-        two_way(samples.len(), &means)
+        compare_anchors(samples, |reading| {
+            let ratio = || reading.brightness() / predicted(&reading.normal);
+            reading.is_whole().then(ratio)
+        })
     };
     let at_rest = scatter(&|_| 1.0);
     let moving = scatter(&|n| on_camera.channels.iter().map(|l| l.evaluate(n)).sum());
@@ -220,7 +209,7 @@ fn check_kind(
 /// Robust fit over the anchors of some views, in the world frame.
 pub(crate) fn pool(
     posed: &PosedViews,
-    samples: &[AnchorSamples],
+    samples: &[Vec<AnchorReading>],
     gains: &[Vec<f64>],
     views: &[usize],
     options: &LightingOptions,
@@ -232,7 +221,7 @@ pub(crate) fn pool(
 
 /// [`pool`], in the frame to which `turn` takes each view's normals.
 fn pool_in(
-    samples: &[AnchorSamples],
+    samples: &[Vec<AnchorReading>],
     gains: &[Vec<f64>],
     views: &[usize],
     options: &LightingOptions,
@@ -241,14 +230,8 @@ fn pool_in(
     let mut pool = Pool::default();
     for &view in views {
         let turn = turn(view);
-        let sample = &samples[view];
-        for k in 0..sample.normals.len() {
-            let values = sample.values[k].iter().zip(&gains[view]);
-            pool.push(
-                turn * sample.normals[k],
-                values.map(|(v, g)| v / g).collect(),
-                sample.usable[k].clone(),
-            );
+        for seen in &samples[view] {
+            pool.push(seen.reading.turned(&turn, &gains[view]));
         }
     }
     pool.fit("the program's own shape", options)

@@ -56,6 +56,14 @@ impl<'a> Bytes<'a> {
         }
     }
 
+    pub(crate) fn numbers<const N: usize>(&mut self) -> Result<[f64; N], IoError> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.number()?;
+        }
+        Ok(values)
+    }
+
     pub(crate) fn size(&mut self) -> Result<usize, IoError> {
         let value = self.u64()?;
         usize::try_from(value).map_err(|_| self.refuse(format!("{value} is too large")))
@@ -101,5 +109,12 @@ impl<'a> Bytes<'a> {
         let length = self.size()?;
         let piece = self.piece(length)?;
         String::from_utf8(piece.to_vec()).map_err(|_| self.refuse("a text is none"))
+    }
+}
+
+/// Appends numbers, little endian.
+pub(crate) fn put<'a>(data: &mut Vec<u8>, values: impl IntoIterator<Item = &'a f64>) {
+    for value in values {
+        data.extend(value.to_le_bytes());
     }
 }

@@ -7,6 +7,7 @@
 //! Source: Adobe, Digital Negative Specification 1.4, chapter 4.
 
 use crate::error::IoError;
+use crate::files::OutputFile;
 use exif::experimental::Writer;
 use exif::{Context, Field, In, Rational, SRational, Tag, Value};
 use rilievo_scene::{ExifFacts, LinearImage};
@@ -53,7 +54,7 @@ pub fn write_photo_dng(
     writer
         .write(&mut bytes, true)
         .map_err(|error| IoError::write(path, error))?;
-    std::fs::write(path, bytes.into_inner()).map_err(|error| IoError::write(path, error))
+    OutputFile::new(path, bytes.into_inner()).write()
 }
 
 /// Samples of the sensor, 16 bits each, little endian.

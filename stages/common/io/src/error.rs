@@ -39,14 +39,18 @@ impl std::fmt::Display for IoError {
 impl std::error::Error for IoError {}
 
 impl IoError {
-    /// Content that cannot be used.
-    pub fn input(path: &Path, reason: impl Into<String>) -> Self {
+    fn new(path: &Path, kind: IoErrorKind, reason: impl Into<String>) -> Self {
         Self {
             path: path.to_path_buf(),
-            kind: IoErrorKind::Input,
+            kind,
             reason: reason.into(),
             hint: None,
         }
+    }
+
+    /// Content that cannot be used.
+    pub fn input(path: &Path, reason: impl Into<String>) -> Self {
+        Self::new(path, IoErrorKind::Input, reason)
     }
 
     /// A failed read; a file that does not exist, or cannot by its name, is unusable input.
@@ -62,22 +66,13 @@ impl IoError {
             }
             _ => (IoErrorKind::Read, format!("cannot be read: {error}")),
         };
-        Self {
-            path: path.to_path_buf(),
-            kind,
-            reason,
-            hint: None,
-        }
+        Self::new(path, kind, reason)
     }
 
     /// A failed write.
     pub fn write(path: &Path, error: impl std::fmt::Display) -> Self {
-        Self {
-            path: path.to_path_buf(),
-            kind: IoErrorKind::Write,
-            reason: format!("cannot be written: {error}"),
-            hint: None,
-        }
+        let reason = format!("cannot be written: {error}");
+        Self::new(path, IoErrorKind::Write, reason)
     }
 
     /// Adds what to try.

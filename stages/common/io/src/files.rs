@@ -9,7 +9,7 @@
 
 use crate::error::IoError;
 use std::fs::{File, FileType, Metadata, OpenOptions};
-use std::io::Read;
+use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// More bytes than any file has that is read as a whole: a hundred megapixels of three 32-bit floats
@@ -40,6 +40,19 @@ impl OutputFile {
     pub fn write(&self) -> Result<(), IoError> {
         std::fs::write(&self.path, &self.content).map_err(|error| IoError::write(&self.path, error))
     }
+}
+
+/// Writes a large file piece by piece, into a folder that exists.
+pub(crate) fn write_pieces(
+    path: &Path,
+    body: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
+) -> Result<(), IoError> {
+    let write = || {
+        let mut out = BufWriter::new(File::create(path)?);
+        body(&mut out)?;
+        out.flush()
+    };
+    write().map_err(|error| IoError::write(path, error))
 }
 
 /// Writes files with the folders that they need.
@@ -82,7 +95,7 @@ pub fn open_regular(path: &Path) -> Result<File, IoError> {
 /// As [`open_regular`]; and when it is larger than any file that is read as a whole.
 pub fn read_regular(path: &Path) -> Result<Vec<u8>, IoError> {
     let failed = |error: std::io::Error| IoError::read(path, &error);
-    let mut file = open_regular(path)?;
+    let file = open_regular(path)?;
     let size = file.metadata().map_err(failed)?.len();
     if size > MAX_BYTES {
         let reason = format!("has {size} bytes, more than any file of its kind");
@@ -95,10 +108,7 @@ pub fn read_regular(path: &Path) -> Result<Vec<u8>, IoError> {
     })?;
     // A file that grows while it is read ends where it did, or is found too large.
     let limit = MAX_BYTES + 1;
-    file.by_ref()
-        .take(limit)
-        .read_to_end(&mut bytes)
-        .map_err(failed)?;
+    file.take(limit).read_to_end(&mut bytes).map_err(failed)?;
     if bytes.len() as u64 == limit {
         return Err(IoError::input(path, "has more bytes than its size tells"));
     }

@@ -88,6 +88,20 @@ impl<'a> Node<'a> {
             .map(|value| self.child(name, value)))
     }
 
+    /// What a member holds, where it is there.
+    pub fn opt_as<T>(
+        &self,
+        name: &str,
+        read: impl FnOnce(&Node<'a>) -> Result<T, IoError>,
+    ) -> Result<Option<T>, IoError> {
+        self.opt(name)?.as_ref().map(read).transpose()
+    }
+
+    /// The entries of a list that may be absent.
+    pub fn list(&self, name: &str) -> Result<Vec<Node<'a>>, IoError> {
+        Ok(self.opt_as(name, Node::array)?.unwrap_or_default())
+    }
+
     pub fn get(&self, name: &str) -> Result<Node<'a>, IoError> {
         self.opt(name)?.ok_or_else(|| {
             let place = match self.key.as_str() {
@@ -146,7 +160,11 @@ impl<'a> Node<'a> {
 
     /// A positive whole number.
     pub fn count(&self) -> Result<usize, IoError> {
-        let number = self.number()?;
+        self.whole(self.number()?)
+    }
+
+    /// The positive whole number that the value was read as.
+    pub fn whole(&self, number: f64) -> Result<usize, IoError> {
         if number >= 1.0 && number <= f64::from(u32::MAX) && number.fract() == 0.0 {
             Ok(number as usize)
         } else {
@@ -169,15 +187,10 @@ impl<'a> Node<'a> {
     /// A 3 x 3 matrix, row by row.
     pub fn matrix(&self) -> Result<nalgebra::Matrix3<f64>, IoError> {
         let rows = self.array()?;
-        if rows.len() != 3 {
+        let [first, second, third] = &rows[..] else {
             return Err(self.refuse(format!("has {} rows, not 3", rows.len())));
-        }
-        let mut matrix = nalgebra::Matrix3::zeros();
-        for (i, row) in rows.iter().enumerate() {
-            for (j, number) in row.numbers::<3>()?.into_iter().enumerate() {
-                matrix[(i, j)] = number;
-            }
-        }
-        Ok(matrix)
+        };
+        let rows: [[f64; 3]; 3] = [first.numbers()?, second.numbers()?, third.numbers()?];
+        Ok(nalgebra::Matrix3::from_row_slice(rows.as_flattened()))
     }
 }

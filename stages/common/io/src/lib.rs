@@ -14,12 +14,11 @@
 //! | the data sets DiLiGenT and DiLiGenT-MV, MATLAB's arrays | [`read_diligent`], [`read_mat`] |
 //! | the reference spheres | [`read_sphere_file`] |
 //! | lighting | [`read_lighting`], [`write_lighting`] |
-//! | lighting for other programs | [`write_lights`] |
+//! | lighting for other programs | [`light_file`] |
 //! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
 //! | point clouds and meshes as PLY | [`ply`] |
 //! | meshes as OBJ and GLB | [`mesh`] |
 //! | depth and normal maps of COLMAP and OpenMVS | [`dense`] |
-//! | depth as PFM | [`pfm`] |
 //! | pictures for people | [`write_preview_png`] |
 //! | any regular file, and no other | [`open_regular`], [`read_regular`], [`read_regular_text`] |
 //!
@@ -47,7 +46,6 @@ mod mask_values;
 pub mod mat;
 pub mod mesh;
 mod names;
-pub mod pfm;
 pub mod photo;
 pub mod photo_writer;
 pub mod ply;
@@ -55,7 +53,6 @@ pub mod preview;
 pub mod scene_file;
 pub mod sphere_file;
 mod words;
-mod xml;
 
 pub use adapters::{
     CameraFormat, camera_files, export_cameras, import_cameras, import_cameras_with_photos,
@@ -75,10 +72,10 @@ pub use exr_maps::{
     write_channel, write_depth, write_linear, write_linear_half, write_normal,
 };
 pub use files::{OutputFile, open_regular, read_regular, read_regular_text};
-pub use light_export::{LightFormat, light_file, lp_file, write_lights};
+pub use light_export::{LightFormat, light_file, lp_file};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{mask_file, read_mask, write_mask};
-pub use mask_names::{MaskNames, expected_mask_name, masks_among};
+pub use mask_names::{MaskNames, masks_among};
 pub use mat::{MatArray, read_mat};
 pub use mesh::{ViewerFrame, write_mesh_glb, write_mesh_obj};
 pub use photo::{

@@ -52,18 +52,6 @@ fn lamp(lighting: &Lighting) -> Option<(Vector3<f64>, Vec<f64>)> {
     Some((direction, strengths.collect()))
 }
 
-/// Writes the lamps of photos, by file name.
-///
-/// # Errors
-/// As [`light_file`]; and when the file cannot be written.
-pub fn write_lights(
-    path: &Path,
-    format: LightFormat,
-    photos: &[(String, Lighting)],
-) -> Result<(), IoError> {
-    light_file(path, format, photos)?.write()
-}
-
 /// The lamps of photos, by file name, to be written.
 ///
 /// # Errors
@@ -144,7 +132,8 @@ mod tests {
         };
         let photos = [("IMG_0001.jpg".to_owned(), lighting)];
         let lp = folder.path().join("lights.lp");
-        write_lights(&lp, LightFormat::Lp, &photos).unwrap();
+        let write = |file: OutputFile| file.write().unwrap();
+        write(light_file(&lp, LightFormat::Lp, &photos).unwrap());
         let text = std::fs::read_to_string(&lp).unwrap();
         let words: Vec<&str> = text.split_whitespace().collect();
         assert_eq!(&words[..2], ["1", "IMG_0001.jpg"]);
@@ -153,7 +142,7 @@ mod tests {
             assert!((found - expected).abs() < 1e-12, "{text}");
         }
         let path = folder.path().join("lights.json");
-        write_lights(&path, LightFormat::AliceVision, &photos).unwrap();
+        write(light_file(&path, LightFormat::AliceVision, &photos).unwrap());
         let value = json::read(&path).unwrap();
         let number = |value: &serde_json::Value| value.as_str().unwrap().parse::<f64>().unwrap();
         let lamp = &value["lights"][0];
@@ -175,7 +164,7 @@ mod tests {
             channels: vec![SphericalHarmonics(ambient)],
         };
         let photos = [("dome.jpg".to_owned(), lighting)];
-        let error = write_lights(Path::new("x.lp"), LightFormat::Lp, &photos).unwrap_err();
+        let error = light_file(Path::new("x.lp"), LightFormat::Lp, &photos).unwrap_err();
         assert!(error.to_string().contains("dome.jpg"), "{error}");
     }
 }

@@ -94,11 +94,6 @@ fn parent(path: &str) -> Option<&str> {
     path.rsplit('/').nth(1)
 }
 
-/// A name under which a mask of a photo would be found, for messages.
-pub fn expected_mask_name(photo: &str) -> String {
-    format!("{}.png", split(last_part(photo)).0)
-}
-
 /// Which of the files lying among photos are other photos' masks by their names (`x_mask.png` or
 /// `x.jpg.png` beside `x.jpg`), and not photos themselves.
 pub fn masks_among(files: &[String]) -> Vec<bool> {

@@ -2,6 +2,7 @@
 //! developed RAW file.
 
 use crate::error::IoError;
+use crate::files::OutputFile;
 use image::codecs::jpeg::JpegEncoder;
 use image::{DynamicImage, ExtendedColorType, ImageBuffer, ImageFormat};
 use rilievo_scene::{LinearImage, srgb};
@@ -38,7 +39,7 @@ pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result
         path: path.to_path_buf(),
         ..error
     })?;
-    std::fs::write(path, bytes).map_err(|error| IoError::write(path, error))
+    OutputFile::new(path, bytes).write()
 }
 
 /// Formats of 16-bit photos.

@@ -11,7 +11,7 @@
 
 use crate::cameras::stem;
 use crate::error::IoError;
-use crate::files::read_regular_text;
+use crate::files::{OutputFile, read_regular_text};
 use crate::json::{self, Node};
 use crate::lighting_file::split_lighting_spec;
 use std::collections::HashSet;
@@ -77,55 +77,38 @@ pub fn read_scene(path: &Path) -> Result<SceneFile, IoError> {
     if scene.views.is_empty() {
         return Err(IoError::input(path, "views: [] holds no view"));
     }
-    if let Some(list) = root.opt("matches")? {
-        for node in list.array()? {
-            let names = node.get("views")?;
-            let texts = names
-                .array()?
-                .iter()
-                .map(|name| name.text().map(str::to_owned))
-                .collect::<Result<Vec<String>, _>>()?;
-            let Ok(views) = <[String; 2]>::try_from(texts) else {
-                return Err(names.refuse("does not name two views"));
-            };
-            if views[0] == views[1] || !views.iter().all(|name| known.contains(name)) {
-                return Err(names.refuse("does not name two of the scene's views"));
-            }
-            scene.matches.push(SceneMatches {
-                views,
-                file: folder.join(node.get("file")?.text()?),
-            });
+    for node in root.list("matches")? {
+        let names = node.get("views")?;
+        let list = names.array()?;
+        let [first, second] = &list[..] else {
+            return Err(names.refuse("does not name two views"));
+        };
+        let views = [first.text()?, second.text()?].map(str::to_owned);
+        if views[0] == views[1] || !views.iter().all(|name| known.contains(name)) {
+            return Err(names.refuse("does not name two of the scene's views"));
         }
+        scene.matches.push(SceneMatches {
+            views,
+            file: folder.join(node.get("file")?.text()?),
+        });
     }
     Ok(scene)
 }
 
 fn view(node: &Node<'_>, folder: &Path) -> Result<SceneView, IoError> {
-    let file = |key: &str| -> Result<Option<PathBuf>, IoError> {
-        match node.opt(key)? {
-            Some(value) => Ok(Some(folder.join(value.text()?))),
-            None => Ok(None),
-        }
-    };
+    let file = |key: &str| node.opt_as(key, |value| Ok(folder.join(value.text()?)));
     let image = folder.join(node.get("image")?.text()?);
     let name = match node.opt("name")? {
         Some(name) => name.text()?.to_owned(),
         None => stem(&image.to_string_lossy()).to_owned(),
     };
-    let lighting = match node.opt("lighting")? {
-        Some(spec) => {
-            let joined = folder.join(spec.text()?);
-            Some(split_lighting_spec(&joined.to_string_lossy()))
-        }
-        None => None,
-    };
-    let init = match node.opt("init")? {
-        None => None,
-        Some(init) => Some(match init.text()? {
+    let lighting = file("lighting")?.map(|spec| split_lighting_spec(&spec.to_string_lossy()));
+    let init = node.opt_as("init", |init| {
+        Ok(match init.text()? {
             word @ ("plane" | "anchors") => word.to_owned(),
             file => folder.join(file).to_string_lossy().into_owned(),
-        }),
-    };
+        })
+    })?;
     Ok(SceneView {
         name,
         image,
@@ -184,10 +167,9 @@ pub fn write_matches_csv(path: &Path, matches: &[[f64; 4]]) -> Result<(), IoErro
     let rows = matches
         .iter()
         .map(|[x1, y1, x2, y2]| format!("{x1:.6},{y1:.6},{x2:.6},{y2:.6}\n"));
-    let text: String = std::iter::once("x1,y1,x2,y2\n".to_owned())
-        .chain(rows)
-        .collect();
-    std::fs::write(path, text).map_err(|error| IoError::write(path, error))
+    let header = std::iter::once("x1,y1,x2,y2\n".to_owned());
+    let text: String = header.chain(rows).collect();
+    OutputFile::new(path, text).write()
 }
 
 #[cfg(test)]

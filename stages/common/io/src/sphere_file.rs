@@ -22,7 +22,7 @@ use crate::json::{self, Node};
 use crate::mask::read_mask;
 use nalgebra::Point3;
 use rilievo_scene::{
-    LightKind, LinearImage, MarkedSphere, Mask, PhotoIdx, PhotoSet, SphereCalibration, SphereMark,
+    LightKind, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, SphereCalibration, SphereMark,
     SphereRequest, Unit,
 };
 use std::collections::HashSet;
@@ -232,8 +232,11 @@ fn check_frame(mark: &SphereMark, width: usize, height: usize) -> Result<(), Str
     }
 }
 
-/// Why a mask is no mark of a sphere.
-fn unusable(mask: &Mask) -> Option<String> {
+/// Why a mask is no mark of a sphere; other marks are.
+fn unusable(mark: &SphereMark) -> Option<String> {
+    let SphereMark::Mask(mask) = mark else {
+        return None;
+    };
     let count = mask.count();
     if count < MIN_NUM_POINTS {
         Some(format!("the sphere's mask has {count} white pixels"))
@@ -258,41 +261,28 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
         Some(_) => crate::cameras::unit(&root)?,
         None => Unit::Metre,
     };
-    let light = match root.opt("light")? {
-        None => None,
-        Some(node) => match node.text()? {
-            "world" => Some(LightKind::World),
-            "camera" => Some(LightKind::Camera),
-            _ => return Err(node.refuse("is neither \"world\" nor \"camera\"")),
-        },
-    };
-    let radius = match root.opt("radius")? {
-        Some(node) => Some(radius_of(&node)?),
-        None => None,
-    };
+    let light = root.opt_as("light", |node| match node.text()? {
+        "world" => Ok(LightKind::World),
+        "camera" => Ok(LightKind::Camera),
+        _ => Err(node.refuse("is neither \"world\" nor \"camera\"")),
+    })?;
+    let radius = root.opt_as("radius", radius_of)?;
     let spheres = spheres(&root, radius, folder, &mut named)?;
     let mut calibration = Vec::new();
-    if let Some(list) = root.opt("calibration")? {
-        for node in list.array()? {
-            let image = folder.join(node.get("image")?.text()?);
-            named.files.push(image.clone());
-            let own_radius = match node.opt("radius")? {
-                Some(node) => Some(radius_of(&node)?),
-                None => radius,
-            };
-            let mark = mark(&node, folder, &mut named.files)?;
-            if let (Some(SphereMark::Mask(mask)), Some(file)) = (&mark, named.files.last())
-                && let Some(reason) = unusable(mask)
-            {
-                return Err(IoError::input(file, reason));
-            }
-            calibration.push(SphereFileCalibration {
-                image,
-                same_camera_as: node.get("same_camera_as")?.text()?.to_owned(),
-                radius: own_radius.ok_or_else(|| node.refuse("has no \"radius\""))?,
-                mark,
-            });
+    for node in root.list("calibration")? {
+        let image = folder.join(node.get("image")?.text()?);
+        named.files.push(image.clone());
+        let own_radius = node.opt_as("radius", radius_of)?.or(radius);
+        let mark = mark(&node, folder, &mut named.files)?;
+        if let (Some(reason), Some(file)) = (mark.as_ref().and_then(unusable), named.files.last()) {
+            return Err(IoError::input(file, reason));
         }
+        calibration.push(SphereFileCalibration {
+            image,
+            same_camera_as: node.get("same_camera_as")?.text()?.to_owned(),
+            radius: own_radius.ok_or_else(|| node.refuse("has no \"radius\""))?,
+            mark,
+        });
     }
     if spheres.is_empty() && calibration.is_empty() {
         return Err(IoError::input(
@@ -355,13 +345,8 @@ fn spheres(
     named: &mut Named,
 ) -> Result<Vec<SphereFileEntry>, IoError> {
     let Some(list) = root.opt("spheres")? else {
-        let only = entry(
-            root,
-            MarkedSphere::ONLY.to_owned(),
-            common_radius,
-            folder,
-            named,
-        )?;
+        let name = MarkedSphere::ONLY.to_owned();
+        let only = entry(root, name, common_radius, folder, named)?;
         return Ok(only.into_iter().collect());
     };
     if root.opt("views")?.is_some() || root.opt("center")?.is_some() {
@@ -409,42 +394,32 @@ fn entry(
     named: &mut Named,
 ) -> Result<Option<SphereFileEntry>, IoError> {
     let mut views = Vec::new();
-    let mut is_marked = false;
-    if let Some(list) = node.opt("views")? {
-        for (name, node) in list.members()? {
-            let mark = mark(&node, folder, &mut named.files)?.ok_or_else(|| {
-                node.refuse("has none of \"mask\", \"ellipse\", \"circle\" and \"points\"")
-            })?;
-            is_marked = true;
-            if let (SphereMark::Mask(mask), Some(file)) = (&mark, named.files.last())
-                && let Some(reason) = unusable(mask)
-            {
-                let left_out = (file.clone(), reason);
-                // One file may stand for several photos.
-                if !named.left_out.contains(&left_out) {
-                    named.left_out.push(left_out);
-                }
-                continue;
+    let list = node.opt_as("views", Node::members)?.unwrap_or_default();
+    let is_marked = !list.is_empty();
+    for (name, node) in list {
+        let mark = mark(&node, folder, &mut named.files)?.ok_or_else(|| {
+            node.refuse("has none of \"mask\", \"ellipse\", \"circle\" and \"points\"")
+        })?;
+        if let (Some(reason), Some(file)) = (unusable(&mark), named.files.last()) {
+            let left_out = (file.clone(), reason);
+            // One file may stand for several photos.
+            if !named.left_out.contains(&left_out) {
+                named.left_out.push(left_out);
             }
-            views.push((name.to_owned(), mark));
+            continue;
         }
+        views.push((name.to_owned(), mark));
     }
-    let center = match node.opt("center")? {
-        Some(node) => {
-            let center: [f64; 3] = node.numbers()?;
-            if center.iter().any(|x| x.abs() > MAX_COORDINATE) {
-                return Err(node.refuse(format!(
-                    "is no place beside the object: a coordinate exceeds {MAX_COORDINATE:e}"
-                )));
-            }
-            Some(center)
+    let center = node.opt_as("center", |node| {
+        let center: [f64; 3] = node.numbers()?;
+        if center.iter().any(|x| x.abs() > MAX_COORDINATE) {
+            return Err(node.refuse(format!(
+                "is no place beside the object: a coordinate exceeds {MAX_COORDINATE:e}"
+            )));
         }
-        None => None,
-    };
-    let radius = match node.opt("radius")? {
-        Some(node) => Some(radius_of(&node)?),
-        None => common_radius,
-    };
+        Ok(center)
+    })?;
+    let radius = node.opt_as("radius", radius_of)?.or(common_radius);
     if !is_marked && center.is_none() {
         return Ok(None);
     }
@@ -484,14 +459,18 @@ fn mark(
         files.push(file);
         marks.push(SphereMark::Mask(pixels));
     }
+    let check_size = |node: &Node<'_>, size: f64, what: &str| {
+        if size <= 0.0 {
+            return Err(node.refuse(format!("has a {what} that is not greater than zero")));
+        }
+        if size < MIN_OUTLINE_PX {
+            return Err(node.refuse(format!("has a {what} of less than a pixel")));
+        }
+        Ok(())
+    };
     if let Some(ellipse) = node.opt("ellipse")? {
         let [cx, cy, a, b, angle_deg] = ellipse.numbers()?;
-        if a <= 0.0 || b <= 0.0 {
-            return Err(ellipse.refuse("has a semi-axis that is not greater than zero"));
-        }
-        if a.min(b) < MIN_OUTLINE_PX {
-            return Err(ellipse.refuse("has a semi-axis of less than a pixel"));
-        }
+        check_size(&ellipse, a.min(b), "semi-axis")?;
         marks.push(SphereMark::Ellipse {
             center_px: [cx, cy],
             semi_axes_px: [a, b],
@@ -500,12 +479,7 @@ fn mark(
     }
     if let Some(circle) = node.opt("circle")? {
         let [cx, cy, radius_px] = circle.numbers()?;
-        if radius_px <= 0.0 {
-            return Err(circle.refuse("has a radius that is not greater than zero"));
-        }
-        if radius_px < MIN_OUTLINE_PX {
-            return Err(circle.refuse("has a radius of less than a pixel"));
-        }
+        check_size(&circle, radius_px, "radius")?;
         marks.push(SphereMark::Circle {
             center_px: [cx, cy],
             radius_px,

@@ -57,6 +57,21 @@ impl<'a> Line<'a> {
     }
 }
 
+/// Numbers with a space between them.
+pub(crate) fn spaced<'a>(values: impl IntoIterator<Item = &'a f64>) -> String {
+    let words: Vec<String> = values.into_iter().map(f64::to_string).collect();
+    words.join(" ")
+}
+
+/// The next line, which must be there.
+pub(crate) fn next_line<'a>(
+    lines: &mut impl Iterator<Item = Line<'a>>,
+    file: &Path,
+) -> Result<Line<'a>, IoError> {
+    let line = lines.next();
+    line.ok_or_else(|| IoError::input(file, "the file ends too early"))
+}
+
 /// Lines that carry data; empty ones stay where `keep_empty` says that they mean something.
 pub(crate) fn lines<'a>(
     file: &'a Path,

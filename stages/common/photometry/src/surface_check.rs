@@ -7,12 +7,12 @@
 //! the views from the side that the object hides from the sphere. A light with shadow and bounce leaves less
 //! than the third number.
 
-use crate::harmonics::{FitOptions, dominant_direction, fit_lighting};
+use crate::harmonics::{FitOptions, Reading, dominant_direction, fit_lighting};
 use crate::samples::surface_pixels;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_scene::{
-    Event, Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError,
+    Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError,
     PosedViews, ShadedView, ShadedViews, StageId, ViewLighting,
 };
 use serde::{Deserialize, Serialize};
@@ -107,15 +107,12 @@ pub fn check(
 ) -> Result<SurfaceReport, CheckError> {
     photos.check()?;
     posed.check_with(photos)?;
-    let flow = observer.event(Event::Progress {
-        stage: StageId::Shading,
-        step: "comparing the light with the surface".to_owned(),
-        done: 0,
-        total: shaded.views.len(),
-    });
-    if flow == Flow::Stop {
-        return Err(CheckError::Interrupted);
-    }
+    let flow = observer.progress(
+        StageId::Shading,
+        "comparing the light with the surface",
+        (0, shaded.views.len()),
+    );
+    flow.ok_or(CheckError::Interrupted)?;
     let views: Vec<Option<ViewSurfaceReport>> = shaded
         .views
         .par_iter()
@@ -217,23 +214,12 @@ impl Surface<'_> {
 
     /// Nine harmonics fitted on the surface.
     fn refit(&self, options: &CheckOptions) -> Option<Lighting> {
-        let normals: Vec<Vector3<f64>> = self.pixels.iter().map(|at| at.2).collect();
-        let values: Vec<Vec<f64>> = self
+        let readings: Vec<Reading> = self
             .pixels
             .iter()
-            .map(|at| {
-                self.image
-                    .pixel(at.0, at.1)
-                    .iter()
-                    .map(|&v| f64::from(v))
-                    .collect()
-            })
+            .map(|&(x, y, normal)| Reading::of_pixel(normal, self.image.pixel(x, y), self.limit))
             .collect();
-        let usable: Vec<Vec<bool>> = values
-            .iter()
-            .map(|pixel| pixel.iter().map(|&v| v < self.limit).collect())
-            .collect();
-        let fit = fit_lighting(&normals, &values, &usable, &options.fit);
+        let fit = fit_lighting(&readings, &options.fit);
         fit.ok().map(|fit| fit.lighting())
     }
 }

@@ -88,17 +88,33 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// A camera without distortion.
+    /// A camera of one focal length, without distortion.
     pub fn pinhole(width: usize, height: usize, focal_px: f64, cx: f64, cy: f64) -> Self {
+        Self::undistorted((width, height), [focal_px, focal_px, cx, cy])
+    }
+
+    /// A camera of two focal lengths, without distortion.
+    pub fn undistorted((width, height): (usize, usize), [fx, fy, cx, cy]: [f64; 4]) -> Self {
         Self {
             width,
             height,
-            fx: focal_px,
-            fy: focal_px,
+            fx,
+            fy,
             cx,
             cy,
             distortion: Distortion::default(),
         }
+    }
+
+    /// All numbers as bits: equal for equal cameras.
+    pub fn key(&self) -> [u64; 11] {
+        let d = &self.distortion;
+        let [fx, fy, cx, cy] = [self.fx, self.fy, self.cx, self.cy];
+        // Zero has two signs, and is one number.
+        let [fx, fy, cx, cy, k1, k2, p1, p2, k3] =
+            [fx, fy, cx, cy, d.k1, d.k2, d.p1, d.p2, d.k3].map(|value| (value + 0.0).to_bits());
+        let (width, height) = (self.width as u64, self.height as u64);
+        [width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3]
     }
 
     /// Focal lengths over the frame's longer side that a lens can have: from 157 degrees across the frame

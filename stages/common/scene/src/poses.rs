@@ -17,6 +17,16 @@ pub enum Unit {
     Arbitrary,
 }
 
+impl Unit {
+    /// Name, as in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Metre => "metre",
+            Self::Arbitrary => "arbitrary",
+        }
+    }
+}
+
 /// What fixed the scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

@@ -11,10 +11,9 @@ use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_camera_pose}
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
 use crate::names::Names;
-use crate::words::{Line, lines};
+use crate::words::{lines, next_line, spaced};
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, Unit};
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 /// How far fx may be from fy, or the principal point from the middle, to count as the same:
@@ -23,6 +22,11 @@ const SAME_PX: f64 = 1e-6;
 
 fn list_of(path: &Path) -> PathBuf {
     path.with_file_name("list.txt")
+}
+
+/// The middle of an image, which is Bundler's principal point.
+fn middle(width: usize, height: usize) -> [f64; 2] {
+    [width, height].map(|side| 0.5 * (side as f64 - 1.0))
 }
 
 pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
@@ -35,10 +39,7 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
 
     let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
-    let mut next = || {
-        rest.next()
-            .ok_or_else(|| IoError::input(path, "ends before its last camera"))
-    };
+    let mut next = || next_line(&mut rest, path);
     let num_cameras: usize = next()?.parse("the number of cameras")?;
     if num_cameras != names.len() {
         return Err(IoError::input(
@@ -50,111 +51,68 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
     for name in names {
         let mut first = next()?;
         let [f, k1, k2]: [f64; 3] = first.numbers("f k1 k2")?;
-        let mut rotation = Matrix3::zeros();
-        for i in 0..3 {
-            let row: [f64; 3] = next()?.numbers("a row of R")?;
-            rotation.set_row(i, &nalgebra::RowVector3::from(row));
-        }
-        let mut last = next()?;
-        let translation = Vector3::from(last.numbers::<3>("t")?);
+        let mut row = || next()?.numbers::<3>("a row of R");
+        let rotation = Matrix3::from_row_slice([row()?, row()?, row()?].as_flattened());
+        let translation = Vector3::from(next()?.numbers::<3>("t")?);
         let image = last_part(name).to_owned();
         if f == 0.0 {
             file.unregistered
                 .push((image, "no pose in Bundler".to_owned()));
             continue;
         }
-        let entry = camera(&first, f, [k1, k2], &rotation, &translation, || {
-            let found = photos
-                .find(name)
-                .or_else(|| photos.find(&image))
-                .map_or_else(|| photos.named(&list, name), Ok)?;
-            size_of(&found)
-        })?;
-        file.cameras.push(CameraEntry {
-            image: Some(image),
-            ..entry
-        });
+        if f < 0.0 {
+            return Err(first.refuse(format!("the focal length is {f}")));
+        }
+        let (width, height) = size_of(&photos.named(&list, &[name, &image])?)?;
+        let [cx, cy] = middle(width, height);
+        let pose = rigid_from_camera_pose(&(flip() * rotation), &(flip() * translation))
+            .map_err(|reason| first.refuse(format!("the rotation {reason}")))?;
+        let mut intrinsics = Intrinsics::pinhole(width, height, f, cx, cy);
+        (intrinsics.distortion.k1, intrinsics.distortion.k2) = (k1, k2);
+        file.cameras
+            .push(CameraEntry::posed(image, intrinsics, pose));
     }
     Ok(file)
 }
 
-fn camera(
-    line: &Line<'_>,
-    f: f64,
-    [k1, k2]: [f64; 2],
-    rotation: &Matrix3<f64>,
-    translation: &Vector3<f64>,
-    size: impl FnOnce() -> Result<(usize, usize), IoError>,
-) -> Result<CameraEntry, IoError> {
-    if f < 0.0 {
-        return Err(line.refuse(format!("the focal length is {f}")));
+/// What of a camera Bundler has no place for.
+fn obstacle(camera: &Intrinsics) -> Option<&'static str> {
+    let [x, y] = middle(camera.width, camera.height);
+    let Distortion { p1, p2, k3, .. } = camera.distortion;
+    if (camera.fx - camera.fy).abs() > SAME_PX {
+        Some("two focal lengths")
+    } else if (camera.cx - x).abs().max((camera.cy - y).abs()) > SAME_PX {
+        Some("a principal point off the middle")
+    } else if [p1, p2, k3] != [0.0; 3] {
+        Some("lens coefficients beyond k1 and k2")
+    } else {
+        None
     }
-    let (width, height) = size()?;
-    let pose = rigid_from_camera_pose(&(flip() * rotation), &(flip() * translation))
-        .map_err(|reason| line.refuse(format!("the rotation {reason}")))?;
-    Ok(CameraEntry {
-        image: None,
-        intrinsics: Intrinsics {
-            distortion: Distortion {
-                k1,
-                k2,
-                ..Distortion::default()
-            },
-            ..Intrinsics::pinhole(
-                width,
-                height,
-                f,
-                0.5 * (width as f64 - 1.0),
-                0.5 * (height as f64 - 1.0),
-            )
-        },
-        cam_from_world: Some(pose),
-    })
 }
 
 pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>, IoError> {
     let list_path = list_of(path);
-    let mut text = String::from("# Bundle file v0.3\n");
+    let mut text = format!("# Bundle file v0.3\n{} 0\n", cameras.cameras.len());
     let mut list = String::new();
-    // Writing into a String cannot fail, hence the ignored results.
-    let _ = writeln!(text, "{} 0", cameras.cameras.len());
     for entry in &cameras.cameras {
         let image = entry.name();
         Names::Word.check(&list_path, "Bundler's list", image)?;
         Names::Path.check(&list_path, "Bundler's list", image)?;
-        let _ = writeln!(list, "{image}");
+        list += &format!("{image}\n");
         let Some(pose) = entry.cam_from_world else {
             text.push_str("0 0 0\n0 0 0\n0 0 0\n0 0 0\n0 0 0\n");
             continue;
         };
-        let (i, d) = (&entry.intrinsics, &entry.intrinsics.distortion);
-        let off_center = (i.cx - 0.5 * (i.width as f64 - 1.0))
-            .abs()
-            .max((i.cy - 0.5 * (i.height as f64 - 1.0)).abs());
-        let reason = if (i.fx - i.fy).abs() > SAME_PX {
-            Some("two focal lengths")
-        } else if off_center > SAME_PX {
-            Some("a principal point off the middle")
-        } else if d.p1 != 0.0 || d.p2 != 0.0 || d.k3 != 0.0 {
-            Some("lens coefficients beyond k1 and k2")
-        } else {
-            None
-        };
-        if let Some(reason) = reason {
+        if let Some(reason) = obstacle(&entry.intrinsics) {
             let reason = format!("Bundler has no place for {reason}, which {image} has");
             return Err(IoError::input(path, reason).with_hint("choose another format"));
         }
-        let rotation = flip() * pose.rotation_matrix();
-        let translation = flip() * pose.translation;
-        let _ = writeln!(text, "{} {} {}", i.fx, d.k1, d.k2);
-        for row in rotation.row_iter() {
-            let _ = writeln!(text, "{} {} {}", row[0], row[1], row[2]);
+        let d = &entry.intrinsics.distortion;
+        text += &format!("{}\n", spaced(&[entry.intrinsics.fx, d.k1, d.k2]));
+        for row in (flip() * pose.rotation_matrix()).row_iter() {
+            text += &format!("{}\n", spaced(row.iter()));
         }
-        let _ = writeln!(
-            text,
-            "{} {} {}",
-            translation.x, translation.y, translation.z
-        );
+        text += &format!("{}\n", spaced((flip() * pose.translation).iter()));
     }
     if cameras.unit == Unit::Metre {
         text.push_str("# unit metre\n");

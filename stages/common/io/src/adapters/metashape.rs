@@ -15,37 +15,67 @@ use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, rigid_from_world_
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
 use crate::names::Names;
-use crate::xml::{self, Element};
+use crate::words::spaced;
 use nalgebra::Matrix3;
 use rilievo_scene::{Distortion, Intrinsics, Unit};
+use roxmltree::{Document, Node};
 use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
+fn child<'a, 'input>(node: Node<'a, 'input>, name: &str) -> Option<Node<'a, 'input>> {
+    node.children().find(|child| child.has_tag_name(name))
+}
+
+/// All elements of a name below one, at any depth, in order.
+fn below<'a, 'input>(node: Node<'a, 'input>, name: &str) -> impl Iterator<Item = Node<'a, 'input>> {
+    node.descendants()
+        .skip(1)
+        .filter(move |node| node.has_tag_name(name))
+}
+
+fn numbers<const N: usize>(node: Node<'_, '_>) -> Result<[f64; N], String> {
+    let text = node.text().unwrap_or_default();
+    let values: Option<Vec<f64>> = text
+        .split_whitespace()
+        .map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()))
+        .collect();
+    values
+        .and_then(|values| <[f64; N]>::try_from(values).ok())
+        .ok_or_else(|| {
+            let name = node.tag_name().name();
+            format!("<{name}> is \"{}\", not {N} numbers", text.trim())
+        })
+}
+
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
-    let refuse = |reason: String| IoError::input(path, reason);
-    let document = xml::parse(&read_regular_text(path)?).map_err(refuse)?;
-    let chunks = document.descendants("chunk");
-    let chunk = match (document.name.as_str(), &chunks[..]) {
-        ("document", [chunk]) => *chunk,
-        ("document", []) => return Err(refuse("has no <chunk>".to_owned())),
-        ("document", _) => return Err(refuse("has several chunks; export one".to_owned())),
-        (name, _) => return Err(refuse(format!("<{name}> is not Metashape's <document>"))),
+    parse(&read_regular_text(path)?).map_err(|reason| IoError::input(path, reason))
+}
+
+fn parse(text: &str) -> Result<CameraFile, String> {
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    let document = Document::parse(text).map_err(|error| format!("broken XML: {error}"))?;
+    let root = document.root_element();
+    let name = root.tag_name().name();
+    if name != "document" {
+        return Err(format!("<{name}> is not Metashape's <document>"));
+    }
+    let chunks: Vec<Node<'_, '_>> = below(root, "chunk").collect();
+    let chunk = match chunks[..] {
+        [chunk] => chunk,
+        [] => return Err("has no <chunk>".to_owned()),
+        _ => return Err("has several chunks; export one".to_owned()),
     };
     let mut sensors = HashMap::new();
-    for sensor in chunk.descendants("sensor") {
+    for sensor in below(chunk, "sensor") {
         let id = sensor.attribute("id").unwrap_or_default();
-        let camera = intrinsics(sensor).map_err(|reason| refuse(format!("sensor {id}: {reason}")));
+        let camera = intrinsics(sensor).map_err(|reason| format!("sensor {id}: {reason}"));
         sensors.entry(id).or_insert(camera);
     }
-    let scale = chunk
-        .child("transform")
-        .and_then(|transform| transform.child("scale"))
-        .map(|node| numbers::<1>(node).map(|[scale]| scale))
-        .transpose()
-        .map_err(refuse)?;
+    let scale = child(chunk, "transform").and_then(|transform| child(transform, "scale"));
+    let scale = scale.map(numbers::<1>).transpose()?.map(|[scale]| scale);
     if let Some(scale) = scale.filter(|&scale| scale <= 0.0) {
-        return Err(refuse(format!("the chunk's scale is {scale}")));
+        return Err(format!("the chunk's scale is {scale}"));
     }
     let mut file = CameraFile {
         unit: match scale {
@@ -54,47 +84,33 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         },
         ..CameraFile::default()
     };
-    for camera in chunk.descendants("camera") {
+    for camera in below(chunk, "camera") {
         let label = camera.attribute("label").unwrap_or_default().to_owned();
-        let Some(transform) = camera.child("transform") else {
+        let Some(transform) = child(camera, "transform") else {
             file.unregistered
                 .push((label, "not aligned in Metashape".to_owned()));
             continue;
         };
         let m: [f64; 16] =
-            numbers(transform).map_err(|reason| refuse(format!("camera {label}: {reason}")))?;
+            numbers(transform).map_err(|reason| format!("camera {label}: {reason}"))?;
         let rotation = Matrix3::from_fn(|i, j| m[4 * i + j]);
         let center = [m[3], m[7], m[11]].map(|value| value * scale.unwrap_or(1.0));
         let pose = rigid_from_world_pose(&rotation, center)
-            .map_err(|reason| refuse(format!("the transform of camera {label} {reason}")))?;
+            .map_err(|reason| format!("the transform of camera {label} {reason}"))?;
         let sensor_id = camera.attribute("sensor_id").unwrap_or_default();
         let sensor = sensors
             .get(sensor_id)
-            .ok_or_else(|| refuse(format!("camera {label} names no sensor \"{sensor_id}\"")))?;
-        file.cameras.push(CameraEntry {
-            image: Some(label),
-            intrinsics: sensor.clone()?,
-            cam_from_world: Some(pose),
-        });
+            .ok_or_else(|| format!("camera {label} names no sensor \"{sensor_id}\""))?;
+        file.cameras
+            .push(CameraEntry::posed(label, sensor.clone()?, pose));
     }
     Ok(file)
 }
 
-fn numbers<const N: usize>(node: &Element) -> Result<[f64; N], String> {
-    let values: Option<Vec<f64>> = node
-        .text
-        .split_whitespace()
-        .map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()))
-        .collect();
-    values
-        .and_then(|values| <[f64; N]>::try_from(values).ok())
-        .ok_or_else(|| format!("<{}> is \"{}\", not {N} numbers", node.name, node.text))
-}
-
-fn intrinsics(sensor: &Element) -> Result<Intrinsics, String> {
-    let calibrations = sensor.descendants("calibration");
+fn intrinsics(sensor: Node<'_, '_>) -> Result<Intrinsics, String> {
+    let calibrations: Vec<Node<'_, '_>> = below(sensor, "calibration").collect();
     // The adjusted one, where both are there.
-    let calibration = calibrations
+    let calibration = *calibrations
         .iter()
         .find(|node| node.attribute("class") != Some("initial"))
         .or(calibrations.first())
@@ -106,28 +122,25 @@ fn intrinsics(sensor: &Element) -> Result<Intrinsics, String> {
     if kind != "frame" {
         return Err(format!("the camera type \"{kind}\" is not supported"));
     }
+    let resolution = child(calibration, "resolution").or(child(sensor, "resolution"));
     let size = |name: &str| -> Result<usize, String> {
-        calibration
-            .child("resolution")
-            .or(sensor.child("resolution"))
+        resolution
             .and_then(|node| node.attribute(name))
             .and_then(|text| text.parse().ok())
             .filter(|&value| value > 0)
             .ok_or_else(|| format!("has no {name} in <resolution>"))
     };
     let (width, height) = (size("width")?, size("height")?);
-    let value = |name: &str| -> Result<f64, String> {
-        match calibration.child(name) {
-            Some(node) => numbers::<1>(node).map(|[value]| value),
-            None => Ok(0.0),
-        }
+    let value = |name: &str| match child(calibration, name) {
+        Some(node) => numbers::<1>(node).map(|[value]| value),
+        None => Ok(0.0),
     };
     for name in ["k4", "b2", "p3", "p4"] {
         if value(name)? != 0.0 {
             return Err(format!("<{name}> is not zero, which is not supported"));
         }
     }
-    let f = match calibration.child("f") {
+    let f = match child(calibration, "f") {
         Some(_) => value("f")?,
         None => value("fy")?,
     };
@@ -135,13 +148,9 @@ fn intrinsics(sensor: &Element) -> Result<Intrinsics, String> {
     if f <= 0.0 || fx <= 0.0 {
         return Err(format!("the focal length is {f}"));
     }
+    let cx = 0.5 * width as f64 + value("cx")? - 0.5;
+    let cy = 0.5 * height as f64 + value("cy")? - 0.5;
     Ok(Intrinsics {
-        width,
-        height,
-        fx,
-        fy: f,
-        cx: 0.5 * width as f64 + value("cx")? - 0.5,
-        cy: 0.5 * height as f64 + value("cy")? - 0.5,
         distortion: Distortion {
             k1: value("k1")?,
             k2: value("k2")?,
@@ -149,7 +158,23 @@ fn intrinsics(sensor: &Element) -> Result<Intrinsics, String> {
             p2: value("p1")?,
             k3: value("k3")?,
         },
+        ..Intrinsics::undistorted((width, height), [fx, f, cx, cy])
     })
+}
+
+/// Text that may stand in an attribute. White space but the plain one is written as its number, since
+/// readers make a space of it otherwise.
+fn escaped(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '<' | '>' | '"' | '\'' | '&' | '\t' | '\n' | '\r' => {
+                escaped += &format!("&#{};", u32::from(c));
+            }
+            _ => escaped.push(c),
+        }
+    }
+    escaped
 }
 
 pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
@@ -159,25 +184,17 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
     for (i, entry) in cameras.cameras.iter().enumerate() {
         let sensor = sensors.place(&entry.intrinsics);
         Names::Xml.check(path, "Metashape's XML", entry.name())?;
-        let label = xml::encode(entry.name());
+        let label = escaped(entry.name());
         let _ = write!(
             entries,
             "      <camera id=\"{i}\" sensor_id=\"{sensor}\" label=\"{label}\">"
         );
         if let Some(pose) = entry.cam_from_world {
             let (r, c) = (pose.inverse().rotation_matrix(), pose.center_in_source());
-            entries.push_str("<transform>");
-            for row in 0..3 {
-                let _ = write!(
-                    entries,
-                    "{} {} {} {} ",
-                    r[(row, 0)],
-                    r[(row, 1)],
-                    r[(row, 2)],
-                    c[row]
-                );
-            }
-            entries.push_str("0 0 0 1</transform>");
+            let rows = r.row_iter().zip(c.iter());
+            let rows: Vec<String> = rows.map(|(row, t)| spaced(row.iter().chain([t]))).collect();
+            let rows = rows.join(" ");
+            entries += &format!("<transform>{rows} 0 0 0 1</transform>");
         }
         entries.push_str("</camera>\n");
     }
@@ -214,4 +231,41 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
     }
     text.push_str("  </chunk>\n</document>\n");
     Ok(OutputFile::new(path, text))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_escaped_as_readers_take_them_back() {
+        assert_eq!(escaped("a\nb"), "a&#10;b");
+        for text in ["<\"&'ä>&lt;", "a\nb\tc\r", "&", "&#65", "a & b; c"] {
+            let document = format!("<a x=\"{}\"/>", escaped(text));
+            let document = Document::parse(&document).unwrap();
+            assert_eq!(document.root_element().attribute("x"), Some(text));
+        }
+    }
+
+    #[test]
+    fn broken_documents_are_refused_and_never_panic() {
+        let whole = "<?xml version=\"1.0\"?>\n<!-- <no> -->\n<a x='1' y = \"b &lt; c\">\n\
+            <b/><c><b z=\"ä\">1 2\n3</b></c> t&amp;lt; </a>";
+        for end in (0..=whole.len()).filter(|&end| whole.is_char_boundary(end)) {
+            assert!(parse(&whole[..end]).is_err(), "{end}");
+        }
+        for text in [
+            "",
+            "text",
+            "<a></b>",
+            "<a b></a>",
+            "<a/><b/>",
+            "</a>",
+            "<a x=1/>",
+            "< >",
+        ] {
+            assert!(parse(text).is_err(), "{text}");
+        }
+        assert!(parse(&"<a>".repeat(100_000)).is_err());
+    }
 }

@@ -37,8 +37,6 @@ use crate::error::IoError;
 use crate::files::{OutputFile, write_all};
 use std::path::{Path, PathBuf};
 
-pub use mvsnet::MvsnetDepthRange;
-
 /// A format of camera files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraFormat {
@@ -67,6 +65,24 @@ pub enum CameraFormat {
     /// IDR's and NeuS's `cameras.npz`.
     Npz,
 }
+
+/// Files by which a folder tells its format; the first that is there counts.
+const FILES_OF_FOLDERS: [(&str, CameraFormat); 4] = [
+    ("cameras.bin", CameraFormat::ColmapBinary),
+    ("cameras.txt", CameraFormat::Colmap),
+    ("transforms.json", CameraFormat::Transforms),
+    ("bundle.out", CameraFormat::Bundler),
+];
+
+/// Endings of names by which a file tells its format.
+const ENDINGS: [(&str, CameraFormat); 6] = [
+    (".sfm", CameraFormat::SfmData),
+    (".mvs", CameraFormat::OpenMvs),
+    (".npz", CameraFormat::Npz),
+    (".xml", CameraFormat::Metashape),
+    ("_par.txt", CameraFormat::Middlebury),
+    (".out", CameraFormat::Bundler),
+];
 
 impl CameraFormat {
     /// All formats.
@@ -111,20 +127,12 @@ impl CameraFormat {
     /// The format of a file or folder, by its name and its first words.
     pub fn detect(path: &Path) -> Option<Self> {
         if path.is_dir() {
-            let has = |name: &str| path.join(name).is_file();
-            return if has("cameras.bin") {
-                Some(Self::ColmapBinary)
-            } else if has("cameras.txt") {
-                Some(Self::Colmap)
-            } else if has("transforms.json") {
-                Some(Self::Transforms)
-            } else if has("bundle.out") {
-                Some(Self::Bundler)
-            } else if mvsnet::camera_files(path).is_ok_and(|files| !files.is_empty()) {
-                Some(Self::Mvsnet)
-            } else {
-                None
-            };
+            let mut files = FILES_OF_FOLDERS.iter();
+            let found = files.find(|(name, _)| path.join(name).is_file());
+            return found.map(|(_, format)| *format).or_else(|| {
+                let files = mvsnet::camera_files(path).ok()?;
+                (!files.is_empty()).then_some(Self::Mvsnet)
+            });
         }
         let name = path.file_name()?.to_string_lossy().to_lowercase();
         if name.ends_with(".json") {
@@ -135,28 +143,13 @@ impl CameraFormat {
                 Self::CamerasJson
             });
         }
-        if name.ends_with(".sfm") {
-            return Some(Self::SfmData);
+        let mut known = ENDINGS.iter();
+        if let Some((_, format)) = known.find(|(ending, _)| name.ends_with(ending)) {
+            return Some(*format);
         }
-        if name.ends_with(".mvs") {
-            return Some(Self::OpenMvs);
-        }
-        if name.ends_with(".npz") {
-            return Some(Self::Npz);
-        }
-        if name.ends_with(".xml") {
-            return Some(Self::Metashape);
-        }
-        if name.ends_with("_par.txt") {
-            return Some(Self::Middlebury);
-        }
-        if name.ends_with(".out") {
-            return Some(Self::Bundler);
-        }
-        if name.contains("pose") || name.contains("traj") || name.contains("groundtruth") {
-            return Some(Self::Tum);
-        }
-        None
+        let trajectory = ["pose", "traj", "groundtruth"];
+        let is_one = trajectory.iter().any(|word| name.contains(word));
+        is_one.then_some(Self::Tum)
     }
 }
 
@@ -166,22 +159,18 @@ impl CameraFormat {
 /// # Errors
 /// When a file cannot be read or refuses to be a camera; names file, place and value.
 pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, IoError> {
-    import(path, format, None)
+    import_cameras_with_photos(path, format, None)
 }
 
-/// The same, where the photos are in a folder of their own.
+/// The same, where the photos may be in a folder of their own.
 ///
 /// # Errors
 /// As [`import_cameras`].
 pub fn import_cameras_with_photos(
     path: &Path,
     format: CameraFormat,
-    photos: &Path,
+    photos: Option<&Path>,
 ) -> Result<CameraFile, IoError> {
-    import(path, format, Some(photos))
-}
-
-fn import(path: &Path, format: CameraFormat, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     match format {
         CameraFormat::CamerasJson | CameraFormat::Colmap | CameraFormat::ColmapBinary => {
             read_cameras(path)
@@ -222,32 +211,21 @@ pub fn camera_files(
     cameras: &CameraFile,
 ) -> Result<Vec<OutputFile>, IoError> {
     let model = || colmap::ColmapModel::from_cameras(cameras);
-    match format {
-        CameraFormat::CamerasJson => Ok(vec![cameras_file(path, cameras)?]),
-        CameraFormat::Colmap => colmap::text_files(path, &model()),
-        CameraFormat::ColmapBinary => colmap::binary_files(path, &model()),
-        CameraFormat::Transforms => Ok(vec![transforms::file(path, cameras)?]),
-        CameraFormat::Bundler => bundler::files(path, cameras),
-        CameraFormat::Mvsnet => mvsnet::files(path, cameras, None),
-        CameraFormat::Middlebury => Ok(vec![middlebury::file(path, cameras)?]),
-        CameraFormat::Metashape => Ok(vec![metashape::file(path, cameras)?]),
-        CameraFormat::Tum => tum::files(path, cameras),
-        CameraFormat::SfmData => Ok(vec![sfm_data::file(path, cameras)?]),
-        CameraFormat::OpenMvs => Ok(vec![openmvs::file(path, cameras)?]),
-        CameraFormat::Npz => npz::files(path, cameras),
-    }
-}
-
-/// Writes an MVSNet folder with the range of depths that its plane sweep needs.
-///
-/// # Errors
-/// As [`export_cameras`].
-pub fn export_mvsnet(
-    folder: &Path,
-    cameras: &CameraFile,
-    range: MvsnetDepthRange,
-) -> Result<(), IoError> {
-    write_all(&mvsnet::files(folder, cameras, Some(range))?)
+    let file = match format {
+        CameraFormat::CamerasJson => cameras_file(path, cameras),
+        CameraFormat::Transforms => transforms::file(path, cameras),
+        CameraFormat::Middlebury => middlebury::file(path, cameras),
+        CameraFormat::Metashape => metashape::file(path, cameras),
+        CameraFormat::SfmData => sfm_data::file(path, cameras),
+        CameraFormat::OpenMvs => openmvs::file(path, cameras),
+        CameraFormat::Colmap => return colmap::text_files(path, &model()),
+        CameraFormat::ColmapBinary => return colmap::binary_files(path, &model()),
+        CameraFormat::Bundler => return bundler::files(path, cameras),
+        CameraFormat::Mvsnet => return mvsnet::files(path, cameras),
+        CameraFormat::Tum => return tum::files(path, cameras),
+        CameraFormat::Npz => return npz::files(path, cameras),
+    };
+    Ok(vec![file?])
 }
 
 fn inside(path: &Path, name: &str) -> PathBuf {

@@ -6,25 +6,29 @@
 //! forward. `P` is parted by the RQ decomposition of its first three columns (Hartley and Zisserman,
 //! Multiple View Geometry, A4.1).
 //!
-//! Read are arrays of 32 or 64 bits in files that `numpy.savez` writes (ZIP without compression).
+//! Read are arrays of 32 or 64 bits, as `numpy.savez` and `numpy.savez_compressed` write them.
 
-use super::photos::{Photos, folder_of, size_of};
+use super::photos::{Photos, folder_of, listed_names, size_of};
 use super::undistorted::refuse_distortion;
-use crate::bytes::Bytes;
-use crate::cameras::{CameraEntry, CameraFile, rigid_from_world_pose};
+use crate::bytes::{Bytes, put};
+use crate::cameras::{CameraEntry, CameraFile, intrinsics_of, matrix_of, rigid_from_world_pose};
 use crate::error::IoError;
-use crate::files::{OutputFile, read_regular, read_regular_text};
+use crate::files::{OutputFile, read_regular};
 use crate::names::Names;
+use crate::photo::{file_name, is_photo_name};
 use nalgebra::{Matrix3, Matrix4, Vector3};
-use rilievo_scene::{Distortion, Intrinsics};
-use std::collections::HashMap;
+use std::io::{Cursor, Read, Write};
 use std::path::{Path, PathBuf};
-
-/// Skew over focal length beyond which `P` is of no camera of ours; arrays of 32 bits leave 1e-7.
-const MAX_SKEW: f64 = 1e-4;
+use zip::result::ZipError;
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 /// Two arrays a camera, and as many arrays as a ZIP file of the plain kind counts.
 const MAX_CAMERAS: usize = u16::MAX as usize / 2;
+
+/// Bytes that are read of an array: sixteen numbers and a header of the longest kind in use. A compressed
+/// one may claim gigabytes.
+const MAX_ARRAY_BYTES: u64 = 1 << 16;
 
 pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     let data = read_regular(path)?;
@@ -46,28 +50,10 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
         let refuse = |reason: String| IoError::input(path, format!("world_mat_{index} {reason}"));
         let (k, rotation, center) =
             parted(matrix).ok_or_else(|| refuse("is no projection".to_owned()))?;
-        let (fx, fy, skew) = (k[(0, 0)], k[(1, 1)], k[(0, 1)]);
-        if skew.abs() > MAX_SKEW * fx {
-            return Err(refuse(format!("has the skew {skew}")));
-        }
+        let intrinsics = intrinsics_of(&k, size_of(image)?).map_err(refuse)?;
         let pose = rigid_from_world_pose(&rotation.transpose(), center.into()).map_err(refuse)?;
-        let (width, height) = size_of(image)?;
-        let name = image
-            .file_name()
-            .map(|name| name.to_string_lossy().into_owned());
-        file.cameras.push(CameraEntry {
-            image: name,
-            intrinsics: Intrinsics {
-                width,
-                height,
-                fx,
-                fy,
-                cx: k[(0, 2)],
-                cy: k[(1, 2)],
-                distortion: Distortion::default(),
-            },
-            cam_from_world: Some(pose),
-        });
+        file.cameras
+            .push(CameraEntry::posed(file_name(image), intrinsics, pose));
     }
     Ok(file)
 }
@@ -77,24 +63,14 @@ fn names_of(path: &Path) -> PathBuf {
     path.with_extension("names.txt")
 }
 
-/// Names of the photos in the cameras' order, where this program wrote the file.
-fn listed_names(path: &Path) -> Result<Option<Vec<String>>, IoError> {
-    let list = names_of(path);
-    if !list.is_file() {
-        return Ok(None);
-    }
-    let text = read_regular_text(&list)?;
-    let names = text.lines().filter_map(|line| line.split_once(' '));
-    Ok(Some(names.map(|(_, name)| name.to_owned()).collect()))
-}
-
 /// The photos in the cameras' order: those that are listed, where all of them are there; else all of the
 /// first folder that is there, by name.
 fn images(path: &Path, photos: &Photos, num: usize) -> Result<Vec<PathBuf>, IoError> {
     let missing = || photos.missing(path, "a folder image of the photos, in the cameras' order,");
-    if let Some(names) = listed_names(path)?.filter(|names| names.len() == num) {
-        let beside = |name: &String| Some(path.with_file_name(name)).filter(|path| path.is_file());
-        let found = |name: &String| photos.find(name).or_else(|| beside(name));
+    let names = listed_names(&names_of(path))?;
+    if names.len() == num {
+        let beside = |name: &str| Some(path.with_file_name(name)).filter(|path| path.is_file());
+        let found = |(_, name): &(String, String)| photos.find(name).or_else(|| beside(name));
         if let Some(images) = names.iter().map(found).collect() {
             return Ok(images);
         }
@@ -104,7 +80,7 @@ fn images(path: &Path, photos: &Photos, num: usize) -> Result<Vec<PathBuf>, IoEr
     let mut images: Vec<PathBuf> = std::fs::read_dir(folder)
         .map_err(|error| IoError::read(folder, &error))?
         .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|path| crate::photo::is_photo_name(path))
+        .filter(|path| is_photo_name(path))
         .collect();
     images.sort();
     Ok(images)
@@ -140,61 +116,24 @@ fn parted(p: &Matrix4<f64>) -> Option<(Matrix3<f64>, Matrix3<f64>, Vector3<f64>)
 
 /// The arrays `world_mat_0`, `world_mat_1`, ... of a file.
 fn parse(path: &Path, data: &[u8]) -> Result<Vec<Matrix4<f64>>, IoError> {
-    // Of entries of one name the first counts.
-    let entries: HashMap<String, &[u8]> = entries(path, data)?.into_iter().rev().collect();
+    let refuse = |reason: String| IoError::input(path, reason);
+    let mut archive = ZipArchive::new(Cursor::new(data))
+        .map_err(|error| refuse(format!("is no NumPy file (.npz): {error}")))?;
     let mut matrices = Vec::new();
     loop {
         let name = format!("world_mat_{}.npy", matrices.len());
-        match entries.get(&name) {
-            Some(array) => matrices.push(array_4x4(path, &name, array)?),
-            None if matrices.is_empty() => {
-                return Err(IoError::input(path, "holds no array world_mat_0"));
+        let mut array = Vec::new();
+        match archive.by_name(&name) {
+            Ok(entry) => entry.take(MAX_ARRAY_BYTES).read_to_end(&mut array),
+            Err(ZipError::FileNotFound) if !matrices.is_empty() => return Ok(matrices),
+            Err(ZipError::FileNotFound) => {
+                return Err(refuse("holds no array world_mat_0".to_owned()));
             }
-            None => return Ok(matrices),
+            Err(error) => return Err(refuse(format!("{name}: {error}"))),
         }
+        .map_err(|error| refuse(format!("{name}: {error}")))?;
+        matrices.push(array_4x4(path, &name, &array)?);
     }
-}
-
-/// Names and contents of a ZIP file's entries, by its directory at the end (PKWARE's APPNOTE,
-/// 4.3.12 and 4.3.16).
-fn entries<'a>(path: &'a Path, data: &'a [u8]) -> Result<Vec<(String, &'a [u8])>, IoError> {
-    let refuse = |reason: &str| IoError::input(path, reason.to_owned());
-    let end = data
-        .windows(4)
-        .rposition(|four| four == b"PK\x05\x06")
-        .ok_or_else(|| refuse("is no NumPy file (.npz)"))?;
-    let mut directory = Bytes::new(path, data);
-    directory.go_to(end + 10);
-    let num = directory.u16()?;
-    directory.u32()?;
-    let start = directory.u32()? as usize;
-    directory.go_to(start);
-    let mut entries = Vec::new();
-    for _ in 0..num {
-        if directory.take()? != *b"PK\x01\x02" {
-            return Err(directory.refuse("an entry of the file's directory is damaged"));
-        }
-        directory.take::<6>()?;
-        let method = directory.u16()?;
-        directory.take::<8>()?;
-        let stored = directory.u32()? as usize;
-        directory.u32()?;
-        let lengths = [directory.u16()?, directory.u16()?, directory.u16()?].map(usize::from);
-        directory.take::<8>()?;
-        let local = directory.u32()? as usize;
-        let name = directory.piece(lengths[0])?;
-        let name = String::from_utf8_lossy(name).into_owned();
-        directory.piece(lengths[1] + lengths[2])?;
-        if method != 0 {
-            return Err(refuse("is compressed").with_hint("save it with numpy.savez"));
-        }
-        let mut entry = Bytes::new(path, data);
-        entry.go_to(local + 26);
-        let skip = usize::from(entry.u16()?) + usize::from(entry.u16()?);
-        entry.piece(skip)?;
-        entries.push((name, entry.piece(stored)?));
-    }
-    Ok(entries)
 }
 
 /// A 4 x 4 (or 3 x 4) array, row by row (NumPy's format, versions 1 to 3).
@@ -237,116 +176,46 @@ fn array_4x4(path: &Path, name: &str, data: &[u8]) -> Result<Matrix4<f64>, IoErr
 
 pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>, IoError> {
     let list = names_of(path);
-    let mut zip = Zip::default();
-    let posed = cameras
-        .cameras
-        .iter()
-        .filter_map(|entry| Some((entry, entry.cam_from_world?)));
+    let mut arrays = Vec::new();
     let mut names = String::new();
-    for (index, (entry, pose)) in posed.enumerate() {
+    for (index, (entry, pose)) in cameras.posed().enumerate() {
         if index == MAX_CAMERAS {
             let reason = format!("a NumPy file has no place for more than {MAX_CAMERAS} cameras");
             return Err(IoError::input(path, reason).with_hint("choose another format"));
         }
         refuse_distortion(path, entry, "IDR's and NeuS's format")?;
-        let i = &entry.intrinsics;
-        let k = Matrix3::new(i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0);
-        let mut world = Matrix4::identity();
-        world
-            .fixed_view_mut::<3, 3>(0, 0)
-            .copy_from(&(k * pose.rotation_matrix()));
-        world
-            .fixed_view_mut::<3, 1>(0, 3)
-            .copy_from(&(k * pose.translation));
-        zip.add(&format!("world_mat_{index}.npy"), &npy(&world));
-        zip.add(
-            &format!("scale_mat_{index}.npy"),
-            &npy(&Matrix4::identity()),
-        );
+        let k = matrix_of(&entry.intrinsics);
+        let mut world = (k * pose.rotation_matrix()).to_homogeneous();
+        let mut last = world.fixed_view_mut::<3, 1>(0, 3);
+        last.copy_from(&(k * pose.translation));
+        arrays.push((format!("world_mat_{index}.npy"), world));
+        arrays.push((format!("scale_mat_{index}.npy"), Matrix4::identity()));
         Names::Line.check(&list, "the list of the photos", entry.name())?;
         names += &format!("{index:06} {}\n", entry.name());
     }
+    let archive = archive(&arrays).map_err(|error| IoError::write(path, error))?;
     Ok(vec![
-        OutputFile::new(path, zip.finish()),
+        OutputFile::new(path, archive),
         OutputFile::new(list, names),
     ])
 }
 
+/// A ZIP file of arrays, without compression.
+fn archive(arrays: &[(String, Matrix4<f64>)]) -> Result<Vec<u8>, ZipError> {
+    let options = SimpleFileOptions::default().compression_method(CompressionMethod::Stored);
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, matrix) in arrays {
+        zip.start_file(name, options)?;
+        zip.write_all(&npy(matrix))?;
+    }
+    Ok(zip.finish()?.into_inner())
+}
+
 fn npy(matrix: &Matrix4<f64>) -> Vec<u8> {
-    let mut header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 4), }".to_owned();
+    let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (4, 4), }";
     // Magic, version and length take ten bytes; the array begins at a multiple of 64.
-    while !(10 + header.len() + 1).is_multiple_of(64) {
-        header.push(' ');
-    }
-    header.push('\n');
-    let mut data = b"\x93NUMPY\x01\x00".to_vec();
-    data.extend((header.len() as u16).to_le_bytes());
-    data.extend(header.as_bytes());
-    for value in matrix.transpose().iter() {
-        data.extend(value.to_le_bytes());
-    }
+    let mut data = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    data.extend(format!("{header:117}\n").as_bytes());
+    put(&mut data, matrix.transpose().iter());
     data
-}
-
-/// A ZIP file without compression.
-#[derive(Default)]
-struct Zip {
-    data: Vec<u8>,
-    directory: Vec<u8>,
-    num: u16,
-}
-
-impl Zip {
-    fn add(&mut self, name: &str, content: &[u8]) {
-        let local = self.data.len() as u32;
-        // Version needed, flags, method, time, date (1 January 1980), sums and lengths.
-        let mut common = Vec::new();
-        for word in [20u16, 0, 0, 0, 0x21] {
-            common.extend(word.to_le_bytes());
-        }
-        common.extend(crc32(content).to_le_bytes());
-        common.extend((content.len() as u32).to_le_bytes());
-        common.extend((content.len() as u32).to_le_bytes());
-        common.extend((name.len() as u16).to_le_bytes());
-        common.extend(0u16.to_le_bytes());
-        self.data.extend(b"PK\x03\x04");
-        self.data.extend(&common);
-        self.data.extend(name.as_bytes());
-        self.data.extend(content);
-        self.directory.extend(b"PK\x01\x02\x14\x00");
-        self.directory.extend(&common);
-        // Comment, disk, internal and external attributes: none.
-        self.directory.extend([0; 10]);
-        self.directory.extend(local.to_le_bytes());
-        self.directory.extend(name.as_bytes());
-        self.num += 1;
-    }
-
-    fn finish(mut self) -> Vec<u8> {
-        let start = self.data.len() as u32;
-        self.data.extend(&self.directory);
-        self.data.extend(b"PK\x05\x06\0\0\0\0");
-        self.data.extend(self.num.to_le_bytes());
-        self.data.extend(self.num.to_le_bytes());
-        self.data
-            .extend((self.directory.len() as u32).to_le_bytes());
-        self.data.extend(start.to_le_bytes());
-        self.data.extend(0u16.to_le_bytes());
-        self.data
-    }
-}
-
-/// The check sum of ZIP (ISO 3309).
-fn crc32(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(u32::MAX, |mut crc, &byte| {
-        crc ^= u32::from(byte);
-        for _ in 0..8 {
-            crc = if crc & 1 == 1 {
-                0xEDB8_8320 ^ (crc >> 1)
-            } else {
-                crc >> 1
-            };
-        }
-        crc
-    })
 }

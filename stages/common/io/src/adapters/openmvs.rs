@@ -9,15 +9,17 @@
 //!
 //! Source: OpenMVS, `libs/MVS/Interface.h`, versions 0 to 7.
 
-use super::photos::{Photos, folder_of};
+use super::photos::{Photos, folder_of, size_of};
 use super::undistorted::refuse_distortion;
-use crate::bytes::Bytes;
-use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
+use crate::bytes::{Bytes, put};
+use crate::cameras::{
+    CameraEntry, CameraFile, DistinctCameras, intrinsics_of, last_part, matrix_of,
+    rigid_from_world_pose,
+};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular};
 use crate::names::Names;
 use nalgebra::{Matrix3, Vector3};
-use rilievo_scene::{Distortion, Intrinsics};
 use std::path::Path;
 
 /// First bytes of the file.
@@ -45,19 +47,11 @@ struct Platform {
 }
 
 fn matrix(bytes: &mut Bytes<'_>) -> Result<Matrix3<f64>, IoError> {
-    let mut matrix = Matrix3::zeros();
-    for i in 0..9 {
-        matrix[(i / 3, i % 3)] = bytes.number()?;
-    }
-    Ok(matrix)
+    Ok(Matrix3::from_row_slice(&bytes.numbers::<9>()?))
 }
 
 fn vector(bytes: &mut Bytes<'_>) -> Result<Vector3<f64>, IoError> {
-    Ok(Vector3::new(
-        bytes.number()?,
-        bytes.number()?,
-        bytes.number()?,
-    ))
+    Ok(bytes.numbers::<3>()?.into())
 }
 
 pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
@@ -116,19 +110,16 @@ fn parse(path: &Path, data: &[u8], photos: &Photos) -> Result<CameraFile, IoErro
                     .map_err(|reason| bytes.refuse(format!("the pose of {name} {reason}")))?,
             )
         };
-        let (intrinsics, skew) = match camera.size {
-            Some(size) => intrinsics(&camera.k, size, 1.0),
+        let (size, scale) = match camera.size {
+            Some(size) => (size, 1.0),
             None => {
-                let (width, height) = photos.size(path, last_part(&name))?;
-                intrinsics(&camera.k, (width, height), width.max(height) as f64)
+                let size = size_of(&photos.named(path, &[last_part(&name)])?)?;
+                (size, size.0.max(size.1) as f64)
             }
         };
-        let (fx, fy) = (intrinsics.fx, intrinsics.fy);
-        if !(fx > 0.0 && fy > 0.0 && skew.abs() <= 1e-6 * fx) {
-            return Err(bytes.refuse(format!(
-                "the camera of {name} has focal lengths {fx}, {fy} and skew {skew}"
-            )));
-        }
+        let in_pixels = Matrix3::from_diagonal(&Vector3::new(scale, scale, 1.0));
+        let intrinsics = intrinsics_of(&(in_pixels * camera.k), size)
+            .map_err(|reason| bytes.refuse(format!("K of {name} {reason}")))?;
         file.cameras.push(CameraEntry {
             image: Some(last_part(&name).to_owned()),
             intrinsics,
@@ -169,42 +160,26 @@ fn platform(bytes: &mut Bytes<'_>, version: u32) -> Result<Platform, IoError> {
     Ok(Platform { cameras, poses })
 }
 
-/// The camera of a `K` over `scale` pixels, and its skew.
-fn intrinsics(k: &Matrix3<f64>, (width, height): (usize, usize), scale: f64) -> (Intrinsics, f64) {
-    let camera = Intrinsics {
-        width,
-        height,
-        fx: k[(0, 0)] * scale,
-        fy: k[(1, 1)] * scale,
-        cx: k[(0, 2)] * scale,
-        cy: k[(1, 2)] * scale,
-        distortion: Distortion::default(),
-    };
-    (camera, k[(0, 1)] * scale)
-}
-
 pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
     let mut known = DistinctCameras::default();
     let mut images = Vec::new();
     let mut poses = Vec::new();
-    let posed = cameras
-        .cameras
-        .iter()
-        .filter_map(|entry| Some((entry, entry.cam_from_world?)));
-    for (index, (entry, pose)) in (0u32..).zip(posed) {
+    let mut num_images = 0_u32;
+    for (entry, pose) in cameras.posed() {
         refuse_distortion(path, entry, "OpenMVS")?;
         let camera = known.place(&entry.intrinsics);
         Names::Path.check(path, "OpenMVS", entry.name())?;
         put_text(&mut images, entry.name());
-        for number in [0, camera as u32, index, index] {
+        for number in [0, camera as u32, num_images, num_images] {
             images.extend(number.to_le_bytes());
         }
         // Row by row, which is column by column of the transpose.
         let rotation = pose.rotation_matrix().transpose();
         let center = pose.center_in_source();
         put(&mut poses, rotation.iter().chain(center.iter()));
+        num_images += 1;
     }
-    let num_images = images_count(cameras);
+    let num_images = u64::from(num_images);
     let mut data = MAGIC.to_vec();
     data.extend(VERSION.to_le_bytes());
     data.extend(0u32.to_le_bytes());
@@ -216,8 +191,7 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
         put_text(&mut data, "");
         data.extend((camera.width as u32).to_le_bytes());
         data.extend((camera.height as u32).to_le_bytes());
-        let (fx, fy, cx, cy) = (camera.fx, camera.fy, camera.cx, camera.cy);
-        put(&mut data, &[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]);
+        put(&mut data, matrix_of(camera).transpose().iter());
         put(&mut data, Matrix3::<f64>::identity().iter());
         put(&mut data, &[0.0; 3]);
     }
@@ -229,17 +203,6 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
     data.extend([0; 6 * 8]);
     put(&mut data, nalgebra::Matrix4::<f64>::identity().iter());
     Ok(OutputFile::new(path, data))
-}
-
-fn images_count(cameras: &CameraFile) -> u64 {
-    let posed = |entry: &&CameraEntry| entry.cam_from_world.is_some();
-    cameras.cameras.iter().filter(posed).count() as u64
-}
-
-fn put<'a>(data: &mut Vec<u8>, values: impl IntoIterator<Item = &'a f64>) {
-    for value in values {
-        data.extend(value.to_le_bytes());
-    }
 }
 
 fn put_text(data: &mut Vec<u8>, text: &str) {

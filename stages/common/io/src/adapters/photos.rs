@@ -2,6 +2,7 @@
 //! headers.
 
 use crate::error::IoError;
+use crate::files::{open_regular, read_regular_text};
 use crate::photo::{decode_photo, is_raw_name, photo_size};
 use std::path::{Path, PathBuf};
 
@@ -58,16 +59,25 @@ impl Photos {
         IoError::input(file, reason).with_hint(HINT)
     }
 
-    /// The photo of a name, or the refusal of the camera file that names it.
-    pub(super) fn named(&self, file: &Path, name: &str) -> Result<PathBuf, IoError> {
-        self.find(name)
-            .ok_or_else(|| self.missing(file, &format!("the photo {name}")))
+    /// The photo of the first of its names that is there, or the refusal of the camera file that names it.
+    pub(super) fn named(&self, file: &Path, names: &[&str]) -> Result<PathBuf, IoError> {
+        let found = names.iter().find_map(|name| self.find(name));
+        found.ok_or_else(|| self.missing(file, &format!("the photo {}", names[0])))
     }
+}
 
-    /// Columns and rows of the photo of a name.
-    pub(super) fn size(&self, file: &Path, name: &str) -> Result<(usize, usize), IoError> {
-        size_of(&self.named(file, name)?)
+/// Number and name of each photo, as a list beside the cameras tells, where this program wrote one: for
+/// formats that know their photos by numbers alone.
+pub(super) fn listed_names(list: &Path) -> Result<Vec<(String, String)>, IoError> {
+    if !list.is_file() {
+        return Ok(Vec::new());
     }
+    let text = read_regular_text(list)?;
+    let pairs = text.lines().filter_map(|line| line.split_once(' '));
+    Ok(pairs
+        .filter(|(_, name)| !name.is_empty())
+        .map(|(number, name)| (number.to_owned(), name.to_owned()))
+        .collect())
 }
 
 /// Columns and rows of a photo: by its header, or, where that tells of a preview, of its pixels.
@@ -80,7 +90,7 @@ pub(super) fn size_of(path: &Path) -> Result<(usize, usize), IoError> {
         return Ok((photo.width, photo.height));
     }
     // Why it cannot be opened, where that is the reason.
-    crate::files::open_regular(path)?;
+    open_regular(path)?;
     let reason = "its size cannot be read: it is no photo, or damaged";
     Err(IoError::input(path, reason))
 }

@@ -38,21 +38,20 @@ fn number(node: &Node<'_>) -> Result<f64, IoError> {
     }
 }
 
+/// Whether a list is empty, which is written as an empty text.
+fn is_empty(node: &Node<'_>) -> bool {
+    node.value.as_str() == Some("")
+}
+
 fn numbers(node: &Node<'_>) -> Result<Vec<f64>, IoError> {
-    // An empty list is written as an empty text.
-    if node.value.as_str() == Some("") {
+    if is_empty(node) {
         return Ok(Vec::new());
     }
     node.array()?.iter().map(number).collect()
 }
 
 fn size(node: &Node<'_>) -> Result<usize, IoError> {
-    let value = number(node)?;
-    if value >= 1.0 && value <= f64::from(u32::MAX) && value.fract() == 0.0 {
-        Ok(value as usize)
-    } else {
-        Err(node.refuse("is not a positive whole number"))
-    }
+    node.whole(number(node)?)
 }
 
 /// An identifier, which is written as a text or a number.
@@ -65,13 +64,11 @@ fn id(node: &Node<'_>) -> String {
 pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     let value = json::read(path)?;
     let root = Node::root(path, &value);
-    let version = match root.opt("version")? {
-        Some(node) => numbers(&node)?,
-        None => VERSION.map(f64::from).to_vec(),
-    };
+    let version = root.opt_as("version", numbers)?;
+    let version = version.unwrap_or_else(|| VERSION.map(f64::from).to_vec());
     let before = |minor: f64, patch: f64| version.as_slice() < [1.0, minor, patch].as_slice();
     let list = |name: &str| match root.opt(name)? {
-        Some(node) if node.value.as_str() != Some("") => node.array(),
+        Some(node) if !is_empty(&node) => node.array(),
         _ => Ok(Vec::new()),
     };
 
@@ -102,9 +99,8 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
                 "refers to the intrinsics {key}, which are not there"
             )));
         };
-        let pose = node
-            .opt("poseId")?
-            .and_then(|pose| poses.get(&id(&pose)).copied());
+        let pose = node.opt("poseId")?;
+        let pose = pose.and_then(|pose| poses.get(&id(&pose)).copied());
         file.cameras.push(CameraEntry {
             image: Some(last_part(image).to_owned()),
             intrinsics: *camera,
@@ -120,7 +116,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
 
 fn read_camera(node: &Node<'_>, before: &dyn Fn(f64, f64) -> bool) -> Result<Intrinsics, IoError> {
     let (width, height) = (size(&node.get("width")?)?, size(&node.get("height")?)?);
-    let member = |name: &str| node.opt(name)?.as_ref().map(number).transpose();
+    let member = |name: &str| node.opt_as(name, number);
     let pair = |name: &str| -> Result<(f64, f64), IoError> {
         let inner = node.get(name)?;
         match numbers(&inner)?.as_slice() {
@@ -137,14 +133,8 @@ fn read_camera(node: &Node<'_>, before: &dyn Fn(f64, f64) -> bool) -> Result<Int
         let focal_mm = number(&node.get("focalLength")?)?;
         let fx = focal_mm / member("sensorWidth")?.unwrap_or(SENSOR_WIDTH_MM) * width as f64;
         let ratio = member("pixelRatio")?.unwrap_or(1.0);
-        (
-            fx,
-            if before(2.0, 5.0) {
-                fx / ratio
-            } else {
-                fx * ratio
-            },
-        )
+        let is_inverse = before(2.0, 5.0);
+        (fx, if is_inverse { fx / ratio } else { fx * ratio })
     };
     if !(fx.is_finite() && fy.is_finite() && fx > 0.0 && fy > 0.0) {
         return Err(node.refuse(format!("has the focal lengths {fx}, {fy}")));
@@ -154,44 +144,25 @@ fn read_camera(node: &Node<'_>, before: &dyn Fn(f64, f64) -> bool) -> Result<Int
         cx += 0.5 * width as f64;
         cy += 0.5 * height as f64;
     }
-    let params = match node.opt("distortionParams")? {
-        Some(params) => numbers(&params)?,
-        None => Vec::new(),
-    };
+    let params = node.opt_as("distortionParams", numbers)?;
+    let params = params.unwrap_or_default();
     let kind = match node.opt("distortionType")? {
         Some(kind) => kind.text()?,
         None => node.get("type")?.text()?,
     };
-    let none = Distortion::default();
-    let distortion = match (kind, params.as_slice()) {
-        (_, params) if params.iter().all(|&k| k == 0.0) => none,
-        ("radial1" | "radialk1", [k1]) => Distortion { k1: *k1, ..none },
-        ("radial3" | "radialk3", [k1, k2, k3]) => Distortion {
-            k1: *k1,
-            k2: *k2,
-            k3: *k3,
-            ..none
-        },
-        ("brown", [k1, k2, k3, p1, p2]) => Distortion {
-            k1: *k1,
-            k2: *k2,
-            k3: *k3,
-            p1: *p1,
-            p2: *p2,
-        },
+    let [k1, k2, k3, p1, p2] = match (kind, params.as_slice()) {
+        (_, params) if params.iter().all(|&k| k == 0.0) => [0.0; 5],
+        ("radial1" | "radialk1", &[k1]) => [k1, 0.0, 0.0, 0.0, 0.0],
+        ("radial3" | "radialk3", &[k1, k2, k3]) => [k1, k2, k3, 0.0, 0.0],
+        ("brown", &[k1, k2, k3, p1, p2]) => [k1, k2, k3, p1, p2],
         (kind, _) => {
             let reason = format!("has the lens model {kind}, which is not supported");
             return Err(node.refuse(reason));
         }
     };
     Ok(Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx,
-        cy,
-        distortion,
+        distortion: Distortion { k1, k2, p1, p2, k3 },
+        ..Intrinsics::undistorted((width, height), [fx, fy, cx, cy])
     })
 }
 

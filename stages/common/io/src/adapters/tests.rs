@@ -7,6 +7,7 @@ use crate::cameras::tests::largest_projection_difference;
 use crate::mask::encode_png;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, RigidTransform, Unit};
+use std::io::{Read as _, Write as _};
 
 /// Largest difference of projections that counts as the same, pixels.
 const SAME_PX: f64 = 1e-6;
@@ -223,13 +224,17 @@ fn metashape_by_its_manuals_formula() {
     };
     let (text, entry) = written(CameraFormat::Metashape, bent, "cameras.xml");
     let (world, pixel) = point_and_pixel(&entry);
-    let document = crate::xml::parse(&text).unwrap();
-    let value = |name: &str| -> f64 { document.descendants(name)[0].text.parse().unwrap() };
-    let camera = document.descendants("camera")[1];
-    let m: Vec<f64> = camera
-        .child("transform")
+    let document = roxmltree::Document::parse(&text).unwrap();
+    let named = |name: &'static str| document.descendants().filter(move |n| n.has_tag_name(name));
+    let value = |name: &'static str| -> f64 {
+        let node = named(name).next().unwrap();
+        node.text().unwrap().parse().unwrap()
+    };
+    let m: Vec<f64> = named("transform")
+        .nth(1)
         .unwrap()
-        .text
+        .text()
+        .unwrap()
         .split_whitespace()
         .map(|word| word.parse().unwrap())
         .collect();
@@ -469,16 +474,24 @@ fn a_projection_matrix_of_any_sign_and_scale_is_parted() {
     }
     let original = cameras(plain());
     export_cameras(&path, CameraFormat::Npz, &original).unwrap();
-    let mut bytes = std::fs::read(&path).unwrap();
-    // The first array's numbers, turned to the other sign: the same camera.
-    let at = bytes
-        .windows(6)
-        .position(|six| six == b"\x93NUMPY")
-        .unwrap()
-        + 128;
-    for i in 0..12 {
-        bytes[at + 8 * i + 7] ^= 0x80;
+    // The first array's numbers, turned to the other sign: the same camera. Compressed, as
+    // `numpy.savez_compressed` writes it.
+    let mut plain = zip::ZipArchive::new(std::fs::File::open(&path).unwrap()).unwrap();
+    let mut turned = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for index in 0..plain.len() {
+        let mut entry = plain.by_index(index).unwrap();
+        let name = entry.name().unwrap().into_owned();
+        let mut array = Vec::new();
+        entry.read_to_end(&mut array).unwrap();
+        for i in (0..12).filter(|_| name == "world_mat_0.npy") {
+            array[128 + 8 * i + 7] ^= 0x80;
+        }
+        let options = zip::write::SimpleFileOptions::default();
+        let options = options.compression_method(zip::CompressionMethod::Deflated);
+        turned.start_file(name, options).unwrap();
+        turned.write_all(&array).unwrap();
     }
+    let bytes = turned.finish().unwrap().into_inner();
     std::fs::write(&path, &bytes).unwrap();
     let back = import_cameras(&path, CameraFormat::Npz).unwrap();
     let worst = largest_projection_difference(&original, &back);
@@ -543,7 +556,7 @@ fn photos_that_tell_sizes_may_be_in_a_folder_of_their_own() {
                 && message.contains("--photos DIR"),
             "{format:?}: {message}"
         );
-        let back = import_cameras_with_photos(&path, format, photos.path()).unwrap();
+        let back = import_cameras_with_photos(&path, format, Some(photos.path())).unwrap();
         let worst = largest_projection_difference(&original, &back);
         assert!(worst < SAME_PX, "{format:?}: {worst}");
         for (a, b) in original.cameras.iter().zip(&back.cameras) {
@@ -582,7 +595,7 @@ fn names_come_back_or_are_refused() {
             let path = path_of(&folder, format);
             match export_cameras(&path, format, &original) {
                 Ok(()) => {
-                    let back = import_cameras_with_photos(&path, format, photos.path());
+                    let back = import_cameras_with_photos(&path, format, Some(photos.path()));
                     let back = back.unwrap_or_else(|error| panic!("{format:?} {name:?}: {error}"));
                     let known = |entry: &CameraEntry| entry.image.as_deref() == Some(name);
                     assert!(back.cameras.iter().any(known), "{format:?} {name:?}");

@@ -16,7 +16,7 @@ use crate::files::OutputFile;
 use crate::json::{self, Node};
 use crate::names::Names;
 use nalgebra::Matrix3;
-use rilievo_scene::{Distortion, Intrinsics, Unit};
+use rilievo_scene::{Distortion, Intrinsics};
 use serde_json::json;
 use std::path::Path;
 
@@ -39,20 +39,17 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
         if !(3..=4).contains(&rows.len()) {
             return Err(node.refuse("is not a matrix of 4 rows"));
         }
-        let mut rotation = Matrix3::zeros();
-        let mut center = [0.0; 3];
-        for (i, row) in rows.iter().take(3).enumerate() {
-            let [a, b, c, d] = row.numbers()?;
-            rotation.set_row(i, &nalgebra::RowVector3::new(a, b, c));
-            center[i] = d;
-        }
+        let row = |i: usize| rows[i].numbers::<4>();
+        let m = [row(0)?, row(1)?, row(2)?];
+        let rotation = Matrix3::from_fn(|i, j| m[i][j]);
+        let center = m.map(|[.., last]| last);
         let pose = rigid_from_world_pose(&(rotation * flip()), center)
             .map_err(|reason| node.refuse(reason))?;
-        file.cameras.push(CameraEntry {
-            image: Some(last_part(name).to_owned()),
+        file.cameras.push(CameraEntry::posed(
+            last_part(name).to_owned(),
             intrinsics,
-            cam_from_world: Some(pose),
-        });
+            pose,
+        ));
     }
     Ok(file)
 }
@@ -85,13 +82,7 @@ fn intrinsics(
     };
     let (width, height) = match (key(root, frame, "w")?, key(root, frame, "h")?) {
         (Some(w), Some(h)) => (w.count()?, h.count()?),
-        _ => {
-            let image = photos
-                .find(name)
-                .or_else(|| photos.find(last_part(name)))
-                .map_or_else(|| photos.named(frame.file, name), Ok)?;
-            size_of(&image)?
-        }
+        _ => size_of(&photos.named(frame.file, &[name, last_part(name)])?)?,
     };
     let fx = match (number("fl_x")?, number("camera_angle_x")?) {
         (Some(fx), _) => fx,
@@ -108,13 +99,9 @@ fn intrinsics(
         }
     }
     let coefficient = |name: &str| number(name).map(|value| value.unwrap_or(0.0));
+    let cx = number("cx")?.unwrap_or(0.5 * width as f64) - 0.5;
+    let cy = number("cy")?.unwrap_or(0.5 * height as f64) - 0.5;
     Ok(Intrinsics {
-        width,
-        height,
-        fx,
-        fy,
-        cx: number("cx")?.unwrap_or(0.5 * width as f64) - 0.5,
-        cy: number("cy")?.unwrap_or(0.5 * height as f64) - 0.5,
         distortion: Distortion {
             k1: coefficient("k1")?,
             k2: coefficient("k2")?,
@@ -122,6 +109,7 @@ fn intrinsics(
             p2: coefficient("p2")?,
             k3: coefficient("k3")?,
         },
+        ..Intrinsics::undistorted((width, height), [fx, fy, cx, cy])
     })
 }
 
@@ -129,35 +117,24 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
     for entry in &cameras.cameras {
         Names::Path.check(path, "transforms.json", entry.name())?;
     }
-    let frames: Vec<serde_json::Value> = cameras
-        .cameras
-        .iter()
-        .filter_map(|entry| {
-            let pose = entry.cam_from_world?;
-            let rotation = pose.inverse().rotation_matrix() * flip();
-            let center = pose.center_in_source();
-            let row = |i: usize| {
-                [
-                    rotation[(i, 0)],
-                    rotation[(i, 1)],
-                    rotation[(i, 2)],
-                    center[i],
-                ]
-            };
-            let (i, d) = (&entry.intrinsics, &entry.intrinsics.distortion);
-            Some(json!({
-                "file_path": entry.name(),
-                "w": i.width, "h": i.height,
-                "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx + 0.5, "cy": i.cy + 0.5,
-                "k1": d.k1, "k2": d.k2, "p1": d.p1, "p2": d.p2, "k3": d.k3,
-                "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
-            }))
+    let frames = cameras.posed().map(|(entry, pose)| {
+        let rotation = pose.inverse().rotation_matrix() * flip();
+        let center = pose.center_in_source();
+        let row = |i: usize| {
+            let [x, y, z] = [0, 1, 2].map(|j| rotation[(i, j)]);
+            [x, y, z, center[i]]
+        };
+        let (i, d) = (&entry.intrinsics, &entry.intrinsics.distortion);
+        json!({
+            "file_path": entry.name(),
+            "w": i.width, "h": i.height,
+            "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx + 0.5, "cy": i.cy + 0.5,
+            "k1": d.k1, "k2": d.k2, "p1": d.p1, "p2": d.p2, "k3": d.k3,
+            "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
         })
-        .collect();
-    let unit = match cameras.unit {
-        Unit::Metre => "metre",
-        Unit::Arbitrary => "arbitrary",
-    };
+    });
+    let frames: Vec<serde_json::Value> = frames.collect();
+    let unit = cameras.unit.name();
     json::file(
         path,
         &json!({"camera_model": "OPENCV", "unit": unit, "frames": frames}),

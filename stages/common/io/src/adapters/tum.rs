@@ -6,79 +6,65 @@
 
 use super::photos::{Photos, folder_of, size_of};
 use super::undistorted::refuse_distortion;
-use crate::cameras::{CameraEntry, CameraFile};
+use crate::cameras::{CameraEntry, CameraFile, intrinsics_of, matrix_of, stem};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
 use crate::names::Names;
-use crate::photo::is_photo_name;
-use crate::words::lines;
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use rilievo_scene::{Distortion, Intrinsics, RigidTransform};
+use crate::photo::{file_name, is_photo_name};
+use crate::words::{lines, next_line, spaced};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
+use rilievo_scene::{Intrinsics, RigidTransform};
 use std::collections::HashMap;
-use std::ffi::OsStr;
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-fn intrinsics_of(path: &Path) -> PathBuf {
+fn intrinsics_path(path: &Path) -> PathBuf {
     path.with_file_name("intrinsics.txt")
 }
 
 /// The photos of folders, by name.
 struct Listed {
-    paths: Vec<PathBuf>,
+    /// In alphabetical order, each with its file's name.
+    photos: Vec<(PathBuf, String)>,
     /// Places by name, with and without ending.
     places: HashMap<String, usize>,
 }
 
 impl Listed {
     fn new(folders: &[PathBuf]) -> Self {
-        let mut paths: Vec<PathBuf> = folders
+        let mut photos: Vec<(PathBuf, String)> = folders
             .iter()
             .filter_map(|name| std::fs::read_dir(name).ok())
             .flat_map(|entries| entries.filter_map(|entry| Some(entry.ok()?.path())))
             .filter(|path| is_photo_name(path))
+            .map(|path| (path.clone(), file_name(&path)))
             .collect();
-        paths.sort();
+        photos.sort();
         let mut places = HashMap::new();
-        for (place, path) in paths.iter().enumerate() {
-            for known in [path.file_name(), path.file_stem()] {
-                places.entry(text_of(known)).or_insert(place);
+        for (place, (_, name)) in photos.iter().enumerate() {
+            for known in [name, stem(name)] {
+                places.entry(known.to_owned()).or_insert(place);
             }
         }
-        Self { paths, places }
+        Self { photos, places }
     }
 
     /// The photo whose name is an id, or ends in it.
-    fn find(&self, id: &str) -> Option<&Path> {
-        let ends = |path: &&PathBuf| text_of(path.file_stem()).ends_with(id);
-        let named = self.places.get(id).and_then(|&place| self.paths.get(place));
-        named
-            .or_else(|| self.paths.iter().find(ends))
-            .map(PathBuf::as_path)
+    fn find(&self, id: &str) -> Option<&(PathBuf, String)> {
+        let named = self.places.get(id).and_then(|&at| self.photos.get(at));
+        named.or_else(|| {
+            let mut photos = self.photos.iter();
+            photos.find(|(_, name)| stem(name).ends_with(id))
+        })
     }
-}
-
-fn text_of(name: Option<&OsStr>) -> String {
-    name.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 
 pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
-    let k_path = intrinsics_of(path);
+    let k_path = intrinsics_path(path);
     let k_text = read_regular_text(&k_path)?;
     let mut k_lines = lines(&k_path, &k_text, false);
-    let mut row = || -> Result<[f64; 3], IoError> {
-        k_lines
-            .next()
-            .ok_or_else(|| IoError::input(&k_path, "has not three rows"))?
-            .numbers("an entry of K")
-    };
-    let ([fx, _, cx], [_, fy, cy]) = (row()?, row()?);
-    if fx <= 0.0 || fy <= 0.0 {
-        return Err(IoError::input(
-            &k_path,
-            format!("the focal lengths are {fx}, {fy}"),
-        ));
-    }
+    let mut row = || next_line(&mut k_lines, &k_path)?.numbers::<3>("an entry of K");
+    let k = [row()?, row()?, [0.0, 0.0, 1.0]];
+    let k = Matrix3::from_row_slice(k.as_flattened());
     let inside = ["photos", "images", "rgb", "color", ""];
     let photos = Photos::new(photos, folder_of(path), &inside);
     let listed = Listed::new(photos.folders());
@@ -92,27 +78,18 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
         if !(0.5..=2.0).contains(&quaternion.norm()) {
             return Err(line.refuse(format!("the quaternion {x} {y} {z} {w} is no rotation")));
         }
-        let photo = listed
+        let (photo, name) = listed
             .find(id)
             .ok_or_else(|| photos.missing(path, &format!("a photo whose name ends in {id}")))?;
-        let (width, height) = size_of(photo)?;
+        let intrinsics = intrinsics_of(&k, size_of(photo)?)
+            .map_err(|reason| IoError::input(&k_path, format!("K {reason}")))?;
         let world_from_cam = RigidTransform {
             rotation: UnitQuaternion::from_quaternion(quaternion),
             translation,
         };
-        file.cameras.push(CameraEntry {
-            image: Some(text_of(photo.file_name())),
-            intrinsics: Intrinsics {
-                width,
-                height,
-                fx,
-                fy,
-                cx,
-                cy,
-                distortion: Distortion::default(),
-            },
-            cam_from_world: Some(world_from_cam.inverse()),
-        });
+        let pose = world_from_cam.inverse();
+        file.cameras
+            .push(CameraEntry::posed(name.clone(), intrinsics, pose));
     }
     Ok(file)
 }
@@ -120,10 +97,7 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
 pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>, IoError> {
     let mut text = String::from("# image tx ty tz qx qy qz qw (world from camera)\n");
     let mut shared: Option<Intrinsics> = None;
-    for entry in &cameras.cameras {
-        let Some(pose) = entry.cam_from_world else {
-            continue;
-        };
+    for (entry, pose) in cameras.posed() {
         refuse_distortion(path, entry, "TUM's format")?;
         if shared.get_or_insert(entry.intrinsics) != &entry.intrinsics {
             return Err(
@@ -131,21 +105,19 @@ pub(super) fn files(path: &Path, cameras: &CameraFile) -> Result<Vec<OutputFile>
                     .with_hint("choose another format"),
             );
         }
-        let world = pose.inverse();
-        let (t, q) = (&world.translation, world.rotation.quaternion());
         let name = entry.name();
         Names::Word.check(path, "TUM's format", name)?;
-        // Writing into a String cannot fail, hence the ignored result.
-        let _ = writeln!(
-            text,
-            "{} {} {} {} {} {} {} {}",
-            name, t.x, t.y, t.z, q.i, q.j, q.k, q.w
-        );
+        let world = pose.inverse();
+        // A quaternion's coordinates are i, j, k and w, in this order.
+        let numbers = world.translation.iter().chain(&world.rotation.coords);
+        text += &format!("{name} {}\n", spaced(numbers));
     }
     let mut files = vec![OutputFile::new(path, text)];
-    if let Some(k) = shared {
-        let text = format!("{} 0 {}\n0 {} {}\n0 0 1\n", k.fx, k.cx, k.fy, k.cy);
-        files.push(OutputFile::new(intrinsics_of(path), text));
+    if let Some(camera) = shared {
+        let rows = matrix_of(&camera);
+        let rows = rows.row_iter().map(|row| spaced(row.iter()) + "\n");
+        let text: String = rows.collect();
+        files.push(OutputFile::new(intrinsics_path(path), text));
     }
     Ok(files)
 }

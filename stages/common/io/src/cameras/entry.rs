@@ -27,6 +27,14 @@ pub struct CameraFile {
 }
 
 impl CameraEntry {
+    pub(crate) fn posed(image: String, intrinsics: Intrinsics, pose: RigidTransform) -> Self {
+        Self {
+            image: Some(image),
+            intrinsics,
+            cam_from_world: Some(pose),
+        }
+    }
+
     /// The photo's file name, or a word for it.
     pub(crate) fn name(&self) -> &str {
         self.image.as_deref().unwrap_or("image")
@@ -36,23 +44,23 @@ impl CameraEntry {
 impl CameraFile {
     /// What stage 3 writes: every posed view, and the photos that got no pose.
     pub fn from_posed_views(views: &PosedViews) -> Self {
+        let cameras = views.views.iter().map(|view| {
+            CameraEntry::posed(view.file_name.clone(), view.intrinsics, view.cam_from_world)
+        });
+        let unregistered = views.unregistered.iter();
         Self {
             unit: views.scale.unit,
-            cameras: views
-                .views
-                .iter()
-                .map(|view| CameraEntry {
-                    image: Some(view.file_name.clone()),
-                    intrinsics: view.intrinsics,
-                    cam_from_world: Some(view.cam_from_world),
-                })
-                .collect(),
-            unregistered: views
-                .unregistered
-                .iter()
+            cameras: cameras.collect(),
+            unregistered: unregistered
                 .map(|photo| (photo.file_name.clone(), photo.reason.clone()))
                 .collect(),
             extra: serde_json::Map::new(),
         }
+    }
+
+    /// The cameras that have a pose, with it.
+    pub(crate) fn posed(&self) -> impl Iterator<Item = (&CameraEntry, RigidTransform)> {
+        let cameras = self.cameras.iter();
+        cameras.filter_map(|entry| Some((entry, entry.cam_from_world?)))
     }
 }

@@ -19,7 +19,9 @@ pub use index::CameraIndex;
 pub(crate) use index::DistinctCameras;
 pub(crate) use photo_names::{last_part, stem};
 pub use read::read_cameras;
-pub(crate) use read::{rigid_from_camera_pose, rigid_from_world_pose, unit};
+pub(crate) use read::{
+    intrinsics_of, matrix_of, rigid_from_camera_pose, rigid_from_world_pose, unit,
+};
 pub use write::{cameras_file, write_cameras};
 
 #[cfg(test)]

@@ -13,6 +13,9 @@ use std::path::Path;
 /// orthonormal, anything scaled, sheared or transposed row by row does not.
 const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
 
+/// Skew over focal length beyond which `K` is of no camera of ours; matrices of 32 bits leave 1e-7.
+const MAX_SKEW: f64 = 1e-4;
+
 /// Reads `cameras.json`, a `camera.json` of one view, or a COLMAP model folder (text or binary).
 ///
 /// # Errors
@@ -27,18 +30,15 @@ pub fn read_cameras(path: &Path) -> Result<CameraFile, IoError> {
     let is_single = ["K", "width", "height"]
         .iter()
         .any(|&key| object.contains_key(key));
-    if is_single && root.opt("cameras")?.is_none() {
-        return Ok(CameraFile {
-            unit: unit(&root)?,
-            cameras: vec![camera(&root)?],
-            ..CameraFile::default()
-        });
-    }
-
     let mut file = CameraFile {
         unit: unit(&root)?,
         ..CameraFile::default()
     };
+    if is_single && root.opt("cameras")?.is_none() {
+        file.cameras.push(camera(&root)?);
+        return Ok(file);
+    }
+
     let mut names = HashSet::new();
     for node in root.get("cameras")?.array()? {
         let entry = camera(&node)?;
@@ -48,15 +48,11 @@ pub fn read_cameras(path: &Path) -> Result<CameraFile, IoError> {
         }
         file.cameras.push(entry);
     }
-    if let Some(list) = root.opt("unregistered")? {
-        for node in list.array()? {
-            let reason = match node.opt("reason")? {
-                Some(reason) => reason.text()?.to_owned(),
-                None => String::new(),
-            };
-            file.unregistered
-                .push((node.get("image")?.text()?.to_owned(), reason));
-        }
+    for node in root.list("unregistered")? {
+        let reason = node.opt_as("reason", Node::text)?.unwrap_or_default();
+        let image = node.get("image")?.text()?;
+        file.unregistered
+            .push((image.to_owned(), reason.to_owned()));
     }
     file.extra = object
         .iter()
@@ -79,13 +75,12 @@ pub(crate) fn unit(root: &Node<'_>) -> Result<Unit, IoError> {
 }
 
 fn camera(node: &Node<'_>) -> Result<CameraEntry, IoError> {
-    let image = match node.opt("image")? {
-        Some(name) => Some(name.text()?.to_owned()),
-        None => None,
-    };
+    let image = node.opt_as("image", |name| name.text().map(str::to_owned))?;
+    let k = node.get("K")?;
+    let size = (node.get("width")?.count()?, node.get("height")?.count()?);
     let intrinsics = Intrinsics {
         distortion: distortion(node)?,
-        ..pinhole(node)?
+        ..intrinsics_of(&k.matrix()?, size).map_err(|reason| k.refuse(reason))?
     };
     let rotation = node.opt("world_from_camera_rotation")?;
     let center = node.opt("camera_center")?;
@@ -107,31 +102,33 @@ fn camera(node: &Node<'_>) -> Result<CameraEntry, IoError> {
     })
 }
 
-fn pinhole(node: &Node<'_>) -> Result<Intrinsics, IoError> {
-    let k_node = node.get("K")?;
-    let k = k_node.matrix()?;
+/// The camera of a matrix `K`, without distortion; the reason where it is none.
+pub(crate) fn intrinsics_of(k: &Matrix3<f64>, size: (usize, usize)) -> Result<Intrinsics, String> {
     let (fx, fy) = (k[(0, 0)], k[(1, 1)]);
-    if fx <= 0.0 || fy <= 0.0 {
-        return Err(k_node.refuse(
-            "has a focal length that is not greater than zero (axes are x right, y down, z \
-             forward: nothing is mirrored in K)",
+    // Written so that NaN is refused too.
+    if !(fx > 0.0 && fy > 0.0) {
+        return Err(format!(
+            "has a focal length that is not greater than zero, {fx} or {fy} (axes are x right, y \
+             down, z forward: nothing is mirrored in K)"
         ));
     }
-    if k[(0, 1)].abs() > 1e-9 * fx {
-        return Err(k_node.refuse("has skew, which no photo's pixels have"));
+    let skew = k[(0, 1)];
+    if skew.abs() > MAX_SKEW * fx {
+        return Err(format!("has the skew {skew}, which no photo's pixels have"));
     }
-    if k[(1, 0)] != 0.0 || k[(2, 0)] != 0.0 || k[(2, 1)] != 0.0 || k[(2, 2)] != 1.0 {
-        return Err(k_node.refuse("is not of the form [[fx,0,cx],[0,fy,cy],[0,0,1]]"));
+    if [k[(1, 0)], k[(2, 0)], k[(2, 1)], k[(2, 2)]] != [0.0, 0.0, 0.0, 1.0] {
+        return Err("is not of the form [[fx,0,cx],[0,fy,cy],[0,0,1]]".to_owned());
     }
-    Ok(Intrinsics {
-        width: node.get("width")?.count()?,
-        height: node.get("height")?.count()?,
-        fx,
-        fy,
-        cx: k[(0, 2)],
-        cy: k[(1, 2)],
-        distortion: Distortion::default(),
-    })
+    Ok(Intrinsics::undistorted(
+        size,
+        [fx, fy, k[(0, 2)], k[(1, 2)]],
+    ))
+}
+
+/// The matrix `K` of a camera.
+pub(crate) fn matrix_of(camera: &Intrinsics) -> Matrix3<f64> {
+    let Intrinsics { fx, fy, cx, cy, .. } = *camera;
+    Matrix3::new(fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0)
 }
 
 fn distortion(node: &Node<'_>) -> Result<Distortion, IoError> {

@@ -2,11 +2,10 @@
 
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
 use super::text::pose;
-use crate::bytes::Bytes;
+use crate::bytes::{Bytes, put};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular};
 use crate::names::Names;
-use nalgebra::Vector3;
 use std::path::Path;
 
 /// COLMAP's number for "no point".
@@ -63,19 +62,13 @@ pub(super) fn parse_images(
     let mut bytes = Bytes::new(file, data);
     for _ in 0..bytes.u64()? {
         let id = bytes.u32()?;
-        let q = [
-            bytes.number()?,
-            bytes.number()?,
-            bytes.number()?,
-            bytes.number()?,
-        ];
-        let translation = Vector3::new(bytes.number()?, bytes.number()?, bytes.number()?);
+        let (q, translation) = (bytes.numbers()?, bytes.numbers()?);
         let cam_from_world = pose(q, translation).map_err(|reason| bytes.refuse(reason))?;
         let camera_id = bytes.u32()?;
         let name = bytes.name()?;
         let mut points2d = Vec::new();
         for _ in 0..bytes.u64()? {
-            let pixel = [bytes.number()?, bytes.number()?];
+            let pixel = bytes.numbers()?;
             let point = bytes.u64()?;
             points2d.push((pixel, (point != NO_POINT).then_some(point)));
         }
@@ -99,7 +92,7 @@ pub(super) fn parse_points(
     for _ in 0..bytes.u64()? {
         let mut point = ColmapPoint {
             id: bytes.u64()?,
-            position: [bytes.number()?, bytes.number()?, bytes.number()?],
+            position: bytes.numbers()?,
             color: bytes.take()?,
             error_px: bytes.number()?,
             track: Vec::new(),
@@ -123,13 +116,10 @@ pub fn binary_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile
     let mut data = (model.cameras.len() as u64).to_le_bytes().to_vec();
     for camera in &model.cameras {
         data.extend(camera.id.to_le_bytes());
-        data.extend(camera.model.number().to_le_bytes());
+        data.extend((camera.model as i32).to_le_bytes());
         data.extend((camera.width as u64).to_le_bytes());
         data.extend((camera.height as u64).to_le_bytes());
-        camera
-            .params
-            .iter()
-            .for_each(|param| data.extend(param.to_le_bytes()));
+        put(&mut data, &camera.params);
     }
     save("cameras.bin", data);
 
@@ -139,16 +129,13 @@ pub fn binary_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile
         let q = image.cam_from_world.rotation.quaternion();
         let t = &image.cam_from_world.translation;
         data.extend(image.id.to_le_bytes());
-        for value in [q.w, q.i, q.j, q.k, t.x, t.y, t.z] {
-            data.extend(value.to_le_bytes());
-        }
+        put(&mut data, &[q.w, q.i, q.j, q.k, t.x, t.y, t.z]);
         data.extend(image.camera_id.to_le_bytes());
         data.extend(image.name.as_bytes());
         data.push(0);
         data.extend((image.points2d.len() as u64).to_le_bytes());
-        for ([x, y], point) in &image.points2d {
-            data.extend(x.to_le_bytes());
-            data.extend(y.to_le_bytes());
+        for (pixel, point) in &image.points2d {
+            put(&mut data, pixel);
             data.extend(point.unwrap_or(NO_POINT).to_le_bytes());
         }
     }
@@ -157,10 +144,7 @@ pub fn binary_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile
     let mut data = (model.points.len() as u64).to_le_bytes().to_vec();
     for point in &model.points {
         data.extend(point.id.to_le_bytes());
-        point
-            .position
-            .iter()
-            .for_each(|value| data.extend(value.to_le_bytes()));
+        put(&mut data, &point.position);
         data.extend(point.color);
         data.extend(point.error_px.to_le_bytes());
         data.extend((point.track.len() as u64).to_le_bytes());

@@ -30,53 +30,27 @@ impl ColmapCamera {
         if let Some(value) = p.iter().find(|value| !value.is_finite()) {
             return Err(format!("camera {} has the parameter {value}", self.id));
         }
-        let none = Distortion::default();
-        let (fx, fy, cx, cy, distortion) = match self.model {
-            CameraModel::SimplePinhole => (p[0], p[0], p[1], p[2], none),
-            CameraModel::Pinhole => (p[0], p[1], p[2], p[3], none),
-            CameraModel::SimpleRadial => (p[0], p[0], p[1], p[2], Distortion { k1: p[3], ..none }),
-            CameraModel::Radial => (
-                p[0],
-                p[0],
-                p[1],
-                p[2],
-                Distortion {
-                    k1: p[3],
-                    k2: p[4],
-                    ..none
-                },
-            ),
-            CameraModel::Opencv | CameraModel::FullOpencv => {
-                if let Some(k) = p.iter().skip(9).find(|&&k| k != 0.0) {
-                    return Err(format!(
-                        "camera {} has the coefficient {k} beyond k3, which is not supported",
-                        self.id
-                    ));
-                }
-                let distortion = Distortion {
-                    k1: p[4],
-                    k2: p[5],
-                    p1: p[6],
-                    p2: p[7],
-                    k3: p.get(8).copied().unwrap_or(0.0),
-                };
-                (p[0], p[1], p[2], p[3], distortion)
-            }
-        };
+        // Focal lengths, principal point, then k1 k2 p1 p2 k3 as far as the model goes.
+        let (focals, rest) = p.split_at(self.model.num_focals());
+        let (fx, fy) = (focals[0], focals[focals.len() - 1]);
         if fx <= 0.0 || fy <= 0.0 || self.width == 0 || self.height == 0 {
             return Err(format!(
                 "camera {} has focal lengths {fx}, {fy} and {} x {} pixels",
                 self.id, self.width, self.height
             ));
         }
+        if let Some(k) = rest.iter().skip(2 + 5).find(|&&k| k != 0.0) {
+            return Err(format!(
+                "camera {} has the coefficient {k} beyond k3, which is not supported",
+                self.id
+            ));
+        }
+        let coefficient = |i: usize| rest.get(2 + i).copied().unwrap_or(0.0);
+        let [k1, k2, p1, p2, k3] = [0, 1, 2, 3, 4].map(coefficient);
+        let (cx, cy) = (rest[0] - HALF_PIXEL, rest[1] - HALF_PIXEL);
         Ok(Intrinsics {
-            width: self.width,
-            height: self.height,
-            fx,
-            fy,
-            cx: cx - HALF_PIXEL,
-            cy: cy - HALF_PIXEL,
-            distortion,
+            distortion: Distortion { k1, k2, p1, p2, k3 },
+            ..Intrinsics::undistorted((self.width, self.height), [fx, fy, cx, cy])
         })
     }
 
@@ -123,22 +97,19 @@ impl ColmapModel {
         }
         let mut cameras = Vec::with_capacity(self.images.len());
         for image in &self.images {
-            let camera = by_id.get(&image.camera_id).ok_or_else(|| {
-                IoError::input(
-                    folder,
-                    format!(
-                        "{} refers to camera {}, which is not there",
-                        image.name, image.camera_id
-                    ),
-                )
+            let (name, id) = (&image.name, image.camera_id);
+            let camera = by_id.get(&id).ok_or_else(|| {
+                let reason = format!("{name} refers to camera {id}, which is not there");
+                IoError::input(folder, reason)
             })?;
-            cameras.push(CameraEntry {
-                image: Some(image.name.clone()),
-                intrinsics: camera
-                    .intrinsics()
-                    .map_err(|reason| IoError::input(folder, reason))?,
-                cam_from_world: Some(image.cam_from_world),
-            });
+            let intrinsics = camera
+                .intrinsics()
+                .map_err(|reason| IoError::input(folder, reason))?;
+            cameras.push(CameraEntry::posed(
+                name.clone(),
+                intrinsics,
+                image.cam_from_world,
+            ));
         }
         cameras.sort_by(|a, b| a.image.cmp(&b.image));
         Ok(CameraFile {
@@ -153,10 +124,7 @@ impl ColmapModel {
     pub fn from_cameras(cameras: &CameraFile) -> Self {
         let mut model = Self::default();
         let mut known = DistinctCameras::default();
-        for entry in &cameras.cameras {
-            let Some(cam_from_world) = entry.cam_from_world else {
-                continue;
-            };
+        for (entry, cam_from_world) in cameras.posed() {
             let camera = known.place(&entry.intrinsics);
             model.images.push(ColmapImage {
                 id: model.images.len() as u32 + 1,

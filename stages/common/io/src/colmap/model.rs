@@ -2,21 +2,21 @@
 
 use rilievo_scene::RigidTransform;
 
-/// The camera models that can be converted.
+/// The camera models that can be converted, by their numbers in binary files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraModel {
     /// f cx cy
-    SimplePinhole,
+    SimplePinhole = 0,
     /// fx fy cx cy
-    Pinhole,
+    Pinhole = 1,
     /// f cx cy k
-    SimpleRadial,
+    SimpleRadial = 2,
     /// f cx cy k1 k2
-    Radial,
+    Radial = 3,
     /// fx fy cx cy k1 k2 p1 p2
-    Opencv,
+    Opencv = 4,
     /// fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
-    FullOpencv,
+    FullOpencv = 6,
 }
 
 /// Every model that COLMAP knows, by its number in binary files.
@@ -42,23 +42,27 @@ const NAMES: [&str; 18] = [
 ];
 
 impl CameraModel {
+    const ALL: [Self; 6] = [
+        Self::SimplePinhole,
+        Self::Pinhole,
+        Self::SimpleRadial,
+        Self::Radial,
+        Self::Opencv,
+        Self::FullOpencv,
+    ];
+
     /// The model of a name.
     ///
     /// # Errors
     /// The reason, with the name.
     pub fn from_name(name: &str) -> Result<Self, String> {
-        match name {
-            "SIMPLE_PINHOLE" => Ok(Self::SimplePinhole),
-            "PINHOLE" => Ok(Self::Pinhole),
-            "SIMPLE_RADIAL" => Ok(Self::SimpleRadial),
-            "RADIAL" => Ok(Self::Radial),
-            "OPENCV" => Ok(Self::Opencv),
-            "FULL_OPENCV" => Ok(Self::FullOpencv),
-            name => Err(format!(
+        let known = Self::ALL.into_iter().find(|model| model.name() == name);
+        known.ok_or_else(|| {
+            format!(
                 "the camera model {name} is not supported; undistort the images with COLMAP, or \
                  use OPENCV"
-            )),
-        }
+            )
+        })
     }
 
     /// The model of a number in a binary file.
@@ -71,18 +75,14 @@ impl CameraModel {
 
     /// Its name.
     pub fn name(self) -> &'static str {
-        NAMES[self.number() as usize]
+        NAMES[self as usize]
     }
 
-    /// Its number in binary files.
-    pub(super) fn number(self) -> i32 {
+    /// How many of its parameters are focal lengths.
+    pub(super) fn num_focals(self) -> usize {
         match self {
-            Self::SimplePinhole => 0,
-            Self::Pinhole => 1,
-            Self::SimpleRadial => 2,
-            Self::Radial => 3,
-            Self::Opencv => 4,
-            Self::FullOpencv => 6,
+            Self::SimplePinhole | Self::SimpleRadial | Self::Radial => 1,
+            Self::Pinhole | Self::Opencv | Self::FullOpencv => 2,
         }
     }
 

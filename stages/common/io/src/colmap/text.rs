@@ -4,8 +4,8 @@ use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPo
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
 use crate::names::Names;
-use crate::words::{Line, lines};
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use crate::words::{Line, lines, spaced};
+use nalgebra::{Quaternion, UnitQuaternion};
 use rilievo_scene::{PosedViews, RigidTransform};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -31,17 +31,10 @@ pub fn text_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile>,
     // Writing into a String cannot fail, hence the ignored results below.
     let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
     for camera in &model.cameras {
+        let (id, model) = (camera.id, camera.model.name());
         let (width, height) = (camera.width, camera.height);
-        let _ = write!(
-            text,
-            "{} {} {width} {height}",
-            camera.id,
-            camera.model.name()
-        );
-        for param in &camera.params {
-            let _ = write!(text, " {param}");
-        }
-        text.push('\n');
+        let params = spaced(&camera.params);
+        let _ = writeln!(text, "{id} {model} {width} {height} {params}");
     }
     save("cameras.txt", text);
 
@@ -53,11 +46,9 @@ pub fn text_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile>,
         Names::Line.check(&images_path, "COLMAP's text", &image.name)?;
         let q = image.cam_from_world.rotation.quaternion();
         let t = &image.cam_from_world.translation;
-        let _ = writeln!(
-            text,
-            "{} {} {} {} {} {} {} {} {} {}",
-            image.id, q.w, q.i, q.j, q.k, t.x, t.y, t.z, image.camera_id, image.name
-        );
+        let (id, camera_id, name) = (image.id, image.camera_id, &image.name);
+        let pose = spaced(&[q.w, q.i, q.j, q.k, t.x, t.y, t.z]);
+        let _ = writeln!(text, "{id} {pose} {camera_id} {name}");
         for (i, ([x, y], point)) in image.points2d.iter().enumerate() {
             let gap = if i == 0 { "" } else { " " };
             let _ = match point {
@@ -123,7 +114,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
         let mut image = read_image(&mut line)?;
         if let Some(mut line) = image_lines.next() {
             while !line.is_done() {
-                let pixel = [line.number("X")?, line.number("Y")?];
+                let pixel = line.numbers("X, Y")?;
                 let point: i64 = line.parse("POINT3D_ID")?;
                 image.points2d.push((pixel, u64::try_from(point).ok()));
             }
@@ -136,7 +127,7 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
         for mut line in lines(&path, &read_regular_text(&path)?, false) {
             let mut point = ColmapPoint {
                 id: line.parse("POINT3D_ID")?,
-                position: [line.number("X")?, line.number("Y")?, line.number("Z")?],
+                position: line.numbers("X, Y, Z")?,
                 color: [line.parse("R")?, line.parse("G")?, line.parse("B")?],
                 error_px: line.number("ERROR")?,
                 track: Vec::new(),
@@ -153,11 +144,8 @@ pub(super) fn read(folder: &Path) -> Result<ColmapModel, IoError> {
 
 fn read_image(line: &mut Line<'_>) -> Result<ColmapImage, IoError> {
     let id = line.parse("IMAGE_ID")?;
-    let mut q = [0.0; 4];
-    for (value, what) in q.iter_mut().zip(["QW", "QX", "QY", "QZ"]) {
-        *value = line.number(what)?;
-    }
-    let translation = Vector3::new(line.number("TX")?, line.number("TY")?, line.number("TZ")?);
+    let q = line.numbers("QW, QX, QY, QZ")?;
+    let translation = line.numbers("TX, TY, TZ")?;
     let camera_id = line.parse("CAMERA_ID")?;
     let name = line.rest.trim().to_owned();
     if name.is_empty() {
@@ -173,10 +161,10 @@ fn read_image(line: &mut Line<'_>) -> Result<ColmapImage, IoError> {
 }
 
 /// The pose of a quaternion `w x y z` and a translation.
-pub(super) fn pose(q: [f64; 4], translation: Vector3<f64>) -> Result<RigidTransform, String> {
+pub(super) fn pose(q: [f64; 4], translation: [f64; 3]) -> Result<RigidTransform, String> {
     let quaternion = Quaternion::new(q[0], q[1], q[2], q[3]);
     let norm = quaternion.norm();
-    if !(0.5..=2.0).contains(&norm) || !translation.iter().all(|t| t.is_finite()) {
+    if !(0.5..=2.0).contains(&norm) {
         return Err(format!(
             "the pose {q:?}, {translation:?} is no rigid motion"
         ));
@@ -189,6 +177,6 @@ pub(super) fn pose(q: [f64; 4], translation: Vector3<f64>) -> Result<RigidTransf
     };
     Ok(RigidTransform {
         rotation,
-        translation,
+        translation: translation.into(),
     })
 }

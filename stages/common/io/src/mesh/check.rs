@@ -5,7 +5,7 @@ use rilievo_scene::Mesh;
 use std::path::Path;
 
 /// Refuses a mesh whose attributes are not one per vertex, or whose triangles name none.
-pub(super) fn check(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
+pub(crate) fn check(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
     let num = mesh.vertices.len();
     for (what, len) in [
         ("normals", mesh.normals.len()),
@@ -16,16 +16,12 @@ pub(super) fn check(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
             return Err(IoError::write(path, reason));
         }
     }
-    match mesh
-        .triangles
-        .iter()
-        .flatten()
-        .find(|&&v| v as usize >= num)
-    {
-        Some(v) => Err(IoError::write(
-            path,
-            format!("a triangle names vertex {v} of {num}"),
-        )),
+    let mut corners = mesh.triangles.iter().flatten();
+    match corners.find(|&&v| v as usize >= num) {
+        Some(v) => {
+            let reason = format!("a triangle names vertex {v} of {num}");
+            Err(IoError::write(path, reason))
+        }
         None => Ok(()),
     }
 }

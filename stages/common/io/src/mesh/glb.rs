@@ -11,11 +11,11 @@
 
 use super::check::check;
 use crate::error::IoError;
+use crate::files::write_pieces;
 use nalgebra::{Matrix3, Vector3};
 use rilievo_scene::{Mesh, PosedViews, Unit, srgb};
 use serde_json::{Value, json};
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 const MAGIC: u32 = 0x4654_6c67;
@@ -101,8 +101,7 @@ pub fn write_mesh_glb(
     };
     let (total, text_length, binary_length) =
         (length(total)?, length(text.len())?, length(num_bytes)?);
-    let write = || -> std::io::Result<()> {
-        let mut out = BufWriter::new(File::create(path)?);
+    write_pieces(path, |out| {
         for word in [MAGIC, VERSION, total, text_length, CHUNK_JSON] {
             out.write_all(&word.to_le_bytes())?;
         }
@@ -123,9 +122,8 @@ pub fn write_mesh_glb(
         for v in mesh.triangles.iter().flatten() {
             out.write_all(&v.to_le_bytes())?;
         }
-        out.flush()
-    };
-    write().map_err(|error| IoError::write(path, error))
+        Ok(())
+    })
 }
 
 /// The JSON chunk, padded, and the length of the binary one.
@@ -177,7 +175,7 @@ fn description(mesh: &Mesh, positions: &[[f32; 3]], unit: Unit) -> (String, usiz
     add("", 4 * num_indices, ELEMENTS, accessor);
     let indices = accessors.len() - 1;
     let unit = match unit {
-        Unit::Metre => "metre",
+        Unit::Metre => unit.name(),
         Unit::Arbitrary => "arbitrary: the scale is unknown",
     };
     let document = json!({

@@ -5,7 +5,7 @@
 //! | OBJ | that of `cameras.json` | that of `cameras.json`, told in a comment | after the position, 0 to 1, sRGB |
 //! | GLB | y up, front towards z ([`ViewerFrame`]) | metres; unknown units are told in `asset.extras` | `COLOR_0`, linear |
 
-mod check;
+pub(crate) mod check;
 mod glb;
 mod obj;
 

@@ -8,9 +8,9 @@
 
 use super::check::check;
 use crate::error::IoError;
+use crate::files::write_pieces;
 use rilievo_scene::{Mesh, Unit};
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 /// Writes a mesh as OBJ, in the frame of `cameras.json`.
@@ -19,12 +19,8 @@ use std::path::Path;
 /// When the file cannot be written, or the mesh is inconsistent.
 pub fn write_mesh_obj(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoError> {
     check(path, mesh)?;
-    let write = || -> std::io::Result<()> {
-        let mut out = BufWriter::new(File::create(path)?);
-        let unit = match unit {
-            Unit::Metre => "metre",
-            Unit::Arbitrary => "arbitrary",
-        };
+    write_pieces(path, |out| {
+        let unit = unit.name();
         writeln!(
             out,
             "# unit {unit}\n# frame world of cameras.json\no object"
@@ -51,7 +47,6 @@ pub fn write_mesh_obj(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoErro
                 writeln!(out, "f {a}//{a} {b}//{b} {c}//{c}")?;
             }
         }
-        out.flush()
-    };
-    write().map_err(|error| IoError::write(path, error))
+        Ok(())
+    })
 }

@@ -46,7 +46,7 @@ pub fn is_photo_name(path: &Path) -> bool {
 }
 
 /// A photo's file name, as results name it.
-pub(super) fn file_name(path: &Path) -> String {
+pub(crate) fn file_name(path: &Path) -> String {
     path.file_name().map_or_else(
         || path.display().to_string(),
         |name| name.to_string_lossy().into_owned(),

@@ -1,32 +1,17 @@
 //! Writing clouds and meshes.
 
 use crate::error::IoError;
-use crate::files::OutputFile;
+use crate::files::{OutputFile, write_pieces};
+use crate::mesh::check::check;
 use rilievo_scene::{Mesh, PointCloud, Unit};
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
-fn save(
-    path: &Path,
-    body: impl FnOnce(&mut BufWriter<File>) -> std::io::Result<()>,
-) -> Result<(), IoError> {
-    let write = || {
-        let mut out = BufWriter::new(File::create(path)?);
-        body(&mut out)?;
-        out.flush()
-    };
-    write().map_err(|error| IoError::write(path, error))
-}
-
 fn preamble(unit: Unit) -> String {
-    let unit = match unit {
-        Unit::Metre => "metre",
-        Unit::Arbitrary => "arbitrary",
-    };
     format!(
-        "ply\nformat binary_little_endian 1.0\ncomment unit {unit}\n\
-         comment frame world of cameras.json\n"
+        "ply\nformat binary_little_endian 1.0\ncomment unit {}\n\
+         comment frame world of cameras.json\n",
+        unit.name()
     )
 }
 
@@ -41,7 +26,7 @@ fn put(out: &mut impl Write, values: [f32; 3]) -> std::io::Result<()> {
 /// # Errors
 /// When the file cannot be written.
 pub fn write_cloud_ply(path: &Path, cloud: &PointCloud, unit: Unit) -> Result<(), IoError> {
-    save(path, |out| {
+    write_pieces(path, |out| {
         out.write_all(preamble(unit).as_bytes())?;
         writeln!(out, "element vertex {}", cloud.points.len())?;
         for name in ["x", "y", "z", "nx", "ny", "nz"] {
@@ -65,37 +50,21 @@ pub fn write_cloud_ply(path: &Path, cloud: &PointCloud, unit: Unit) -> Result<()
 /// Writes a mesh: binary little endian, with normals and colours where the mesh has them.
 ///
 /// # Errors
-/// When the file cannot be written, or normals or colours are not one per vertex.
+/// When the file cannot be written, or the mesh is inconsistent.
 pub fn write_mesh_ply(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoError> {
-    check_mesh(path, mesh)?;
-    save(path, |out| put_mesh(out, mesh, unit))
+    check(path, mesh)?;
+    write_pieces(path, |out| put_mesh(out, mesh, unit))
 }
 
 /// The same, to be written.
 ///
 /// # Errors
-/// When normals or colours are not one per vertex.
+/// When the mesh is inconsistent.
 pub fn mesh_ply_file(path: &Path, mesh: &Mesh, unit: Unit) -> Result<OutputFile, IoError> {
-    check_mesh(path, mesh)?;
+    check(path, mesh)?;
     let mut content = Vec::new();
     put_mesh(&mut content, mesh, unit).map_err(|error| IoError::write(path, error))?;
     Ok(OutputFile::new(path, content))
-}
-
-fn check_mesh(path: &Path, mesh: &Mesh) -> Result<(), IoError> {
-    let num_vertices = mesh.vertices.len();
-    for (what, len) in [
-        ("normals", mesh.normals.len()),
-        ("colours", mesh.colors.len()),
-    ] {
-        if len != 0 && len != num_vertices {
-            return Err(IoError::write(
-                path,
-                format!("{len} {what} for {num_vertices} vertices"),
-            ));
-        }
-    }
-    Ok(())
 }
 
 fn put_mesh(out: &mut impl Write, mesh: &Mesh, unit: Unit) -> std::io::Result<()> {
