@@ -3,14 +3,13 @@
 #![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
 
 mod common;
-#[path = "../stages/common/mat_writer.rs"]
-mod mat_writer;
 
 use common::{arg, run};
 use rilievo_io::{
     DeepFormat, read_cameras, read_linear, read_mask, read_normal, write_mask, write_photo_deep,
 };
 use rilievo_scene::{LinearImage, Mask};
+use rilievo_synthetic::testing::mat_file;
 use std::path::Path;
 
 const SIZE: (usize, usize) = (40, 30);
@@ -19,10 +18,8 @@ const SIZE: (usize, usize) = (40, 30);
 fn write_mat(path: &Path, arrays: &[(&str, &[i32], Vec<f64>)]) {
     let arrays = arrays
         .iter()
-        .map(|(name, dims, values)| mat_writer::array(name, dims, values));
-    let parts: Vec<Vec<u8>> = std::iter::once(mat_writer::header())
-        .chain(arrays)
-        .collect();
+        .map(|(name, dims, values)| mat_file::array(name, dims, values));
+    let parts: Vec<Vec<u8>> = std::iter::once(mat_file::header()).chain(arrays).collect();
     std::fs::write(path, parts.concat()).expect("a file");
 }
 

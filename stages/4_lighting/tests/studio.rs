@@ -5,20 +5,19 @@
 #[path = "../examples/sphere_report/data.rs"]
 #[allow(dead_code)]
 mod data;
-#[path = "../../common/shared_data.rs"]
-mod shared_data;
 
 use data::Set;
 use rilievo_lighting::{LightingOptions, LightingRequest, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_photometry::surface_check::check;
 use rilievo_scene::{ShadedViews, Silent, SphereRequest};
+use rilievo_synthetic::testing::shared_data;
 
 /// The world's unknown unit: poses without scale.
 const SHRINK: f64 = 0.37;
 
 fn set(name: &str) -> Option<Set> {
-    Some(Set::load(&shared_data::data(name)?, false).unwrap())
+    Some(Set::load(&shared_data(name)?, false).unwrap())
 }
 
 fn find(radius: f64) -> SphereRequest {

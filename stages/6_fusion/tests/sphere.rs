@@ -3,15 +3,14 @@
 // Helpers outside the test functions may fail as these may.
 #![allow(clippy::expect_used, clippy::panic)]
 
-use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
+use nalgebra::{Point3, Vector3};
 use rilievo_fusion::{FusionError, FusionOptions, FusionReport, run};
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, Event, Flow, FusedCloud, InMemoryPixels, Intrinsics, LinearImage,
-    Mesh, NormalMap, Observer, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, Recorder,
-    RigidTransform, ShadedView, ShadedViews, Silent, ViewIdx,
+    ConfidenceMap, Event, Flow, FusedCloud, Intrinsics, LinearImage, Mesh, NormalMap, Observer,
+    PhotoSet, PosedViews, Recorder, ShadedViews, Silent,
 };
+use rilievo_synthetic::testing::{Maps, look_at, on_sphere, photo, posed_view};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 const WIDTH: usize = 160;
 const HEIGHT: usize = 120;
@@ -26,38 +25,15 @@ fn views(azimuths_deg: &[f64], radius: f64) -> (PosedViews, ShadedViews) {
     for (i, azimuth) in azimuths_deg.iter().enumerate() {
         let a = azimuth.to_radians();
         let center = Point3::new(a.sin(), -0.3, -a.cos()) * (DISTANCE * radius);
-        let forward = -center.coords.normalize();
-        let right = Vector3::y().cross(&forward).normalize();
-        let axes = Matrix3::from_columns(&[right, forward.cross(&right), forward]);
-        let pose = RigidTransform::from_world_pose(Rotation3::from_matrix_unchecked(axes), center);
-        let sphere_in_cam = pose.apply(&Point3::origin()).coords;
-        let hit = |x: usize, y: usize| -> Option<(f64, Vector3<f64>)> {
-            let ray = camera.ray(&Point2::new(x as f64, y as f64));
-            let (along, square) = (ray.dot(&sphere_in_cam), ray.norm_squared());
-            let rest = sphere_in_cam.norm_squared() - radius * radius;
-            let root = along * along - square * rest;
-            let z = (along - (root > 0.0).then(|| root.sqrt())?) / square;
-            Some((z, (ray * z - sphere_in_cam) / radius))
-        };
+        let pose = look_at(center, Point3::origin(), -Vector3::y());
+        let maps = Maps::of(&camera, |pixel| {
+            on_sphere(&pose.translation, radius, &camera, pixel)
+        });
         let name = format!("IMG_{i:04}");
-        posed.views.push(PosedView {
-            photo: PhotoIdx(i),
-            name: name.clone(),
-            file_name: format!("{name}.png"),
-            intrinsics: camera,
-            cam_from_world: pose,
-        });
-        shaded.views.push(ShadedView {
-            view: ViewIdx(i),
-            name,
-            depth: DepthMap::from_fn(WIDTH, HEIGHT, |x, y| hit(x, y).map_or(0.0, |h| h.0 as f32)),
-            normal: NormalMap::from_fn(WIDTH, HEIGHT, |x, y| {
-                hit(x, y).map_or([0.0; 3], |h| h.1.map(|c| c as f32).into())
-            }),
-            confidence: None,
-            rendered: None,
-            albedo: None,
-        });
+        posed
+            .views
+            .push(posed_view(i, &format!("{name}.png"), camera, pose));
+        shaded.views.push(maps.shaded(i, &name));
     }
     (posed, shaded)
 }
@@ -331,18 +307,9 @@ fn colours_come_from_the_photos_and_low_confidence_widens() {
         for pixel in image.data.chunks_exact_mut(3) {
             pixel.copy_from_slice(&[0.216, 0.0, 1.0]);
         }
-        photos.photos.push(Photo {
-            file_name: view.file_name.clone(),
-            name: view.name.clone(),
-            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            intrinsics: view.intrinsics,
-            focal_source: rilievo_scene::FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: None,
-            clip_level: 1.0,
-            given_cam_from_world: None,
-        });
+        photos
+            .photos
+            .push(photo(&view.file_name, image, view.intrinsics));
     }
     let told = Recorder::default();
     let result = run(&photos, &posed, &shaded, &FusionOptions::default(), &told);

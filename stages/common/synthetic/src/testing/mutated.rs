@@ -1,5 +1,4 @@
-//! Data that went wrong in one place, for tests of what consumers make of it; included by path, since
-//! tests of several crates need it.
+//! Data that went wrong in one place, for tests of what consumers make of it.
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -9,6 +8,7 @@ use toml::Value;
 pub struct Random(pub u64);
 
 impl Random {
+    /// The next number, from 0 to under `end`.
     pub fn below(&mut self, end: usize) -> usize {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
