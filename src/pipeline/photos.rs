@@ -2,7 +2,7 @@
 
 use super::artifacts::{checked_names, not_there};
 use super::context::Context;
-use super::errors::{from_io, from_photos};
+use super::errors::from_photos;
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, map_items};
 use super::request::Request;
@@ -233,9 +233,7 @@ pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
 
 fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto, Failure> {
     let mask = if mask {
-        Some(Arc::new(
-            read_mask(&dir.join(mask_file(&facts.name))).map_err(from_io)?,
-        ))
+        Some(Arc::new(read_mask(&dir.join(mask_file(&facts.name)))?))
     } else {
         None
     };
@@ -316,7 +314,7 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
                 Trouble::Photo(format!("{}{hint}", error.reason))
             }
             // Not the photo's fault: to leave it out would be remembered.
-            IoErrorKind::Read | IoErrorKind::Write => Trouble::Fatal(from_io(error).into()),
+            IoErrorKind::Read | IoErrorKind::Write => Trouble::Fatal(Failure::from(error).into()),
         })?;
     decoded.file_name.clone_from(&photo.file_name);
     let mut mask_path = photo.path.clone();
@@ -388,7 +386,7 @@ fn write(
         .pixels
         .load()
         .map_err(|error| Trouble::Fatal(error.into()))?;
-    let fatal = |error| Trouble::Fatal(from_io(error).into());
+    let fatal = |error| Trouble::Fatal(Failure::from(error).into());
     let linear = linear_file(&name);
     let write_image = if prepared.facts.bits == 8 {
         // A clipped value may be stored a little lower; the code below it lies much lower still.

@@ -2,7 +2,7 @@
 
 use super::error::StoreError;
 use super::evaluation::drop_evaluation;
-use super::files::{hash_file, is_inside, write_atomically};
+use super::files::{create_folder, hash_file, is_inside, write_atomically};
 use super::manifest::{FileRecord, Item, MANIFEST, Manifest};
 use rayon::prelude::*;
 use rilievo_scene::StageId;
@@ -44,7 +44,7 @@ impl StageWriter {
         // The rest would only fill the disk.
         keep_only(&previous, "", &files_of(&finished))?;
         let items_dir = work.join(ITEMS);
-        std::fs::create_dir_all(&items_dir).map_err(StoreError::files("create", &items_dir))?;
+        create_folder(&items_dir)?;
 
         let committed = root.join(stage.name());
         let mut reusable = BTreeMap::new();
@@ -73,7 +73,7 @@ impl StageWriter {
     pub fn path(&self, relative: &str) -> Result<PathBuf, StoreError> {
         let path = self.work.join(relative);
         if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+            create_folder(folder)?;
         }
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -178,7 +178,7 @@ impl StageWriter {
         let old = self.root.join(".old").join(self.stage.name());
         if place.exists() {
             let folder = self.root.join(".old");
-            std::fs::create_dir_all(&folder).map_err(StoreError::files("create", &folder))?;
+            create_folder(&folder)?;
             std::fs::rename(&place, &old).map_err(StoreError::files("rename", &place))?;
         }
         std::fs::rename(&self.work, &place).map_err(StoreError::files("rename", &self.work))?;
@@ -215,7 +215,7 @@ fn take_along(older: &Path, newer: &Path) -> Result<(), StoreError> {
         for file in item.files.iter().chain([&record]) {
             let (source, target) = (older.join(file), newer.join(file));
             if let Some(folder) = target.parent() {
-                std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+                create_folder(folder)?;
             }
             match std::fs::rename(&source, &target) {
                 // A file that is gone is found out by its hash when the item is asked for.
@@ -324,7 +324,6 @@ mod tests {
             fingerprint: ingredients.fingerprint(),
             ingredients,
             items: BTreeMap::new(),
-            seed: 0,
             seconds: 0.0,
             threads: 1,
             peak_memory_bytes: None,
