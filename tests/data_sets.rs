@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{arg, run};
+use common::{arg, done, run};
 use rilievo_io::{
     DeepFormat, read_cameras, read_linear, read_mask, read_normal, write_mask, write_photo_deep,
 };
@@ -63,8 +63,7 @@ fn diligent_mv_becomes_photos_masks_cameras_and_normals() {
     }
     write_mat(&object.join("Calib_Results.mat"), &arrays);
     let out = dir.path().join("set");
-    let (code, stdout, stderr) = run(&["import", arg(&object), "-o", arg(&out)]);
-    assert_eq!(code, 0, "{stderr}");
+    let stdout = done(&["import", arg(&object), "-o", arg(&out)]);
     assert!(
         stdout.contains("2 views") && stdout.contains("\"camera\""),
         "{stdout}"
@@ -130,8 +129,7 @@ fn one_lamp_is_picked_and_one_view_is_told_to_be_one() {
         "-o",
         arg(&out),
     ];
-    let (code, stdout, stderr) = run(&[&import[..], &["--lamp", "1"]].concat());
-    assert_eq!(code, 0, "{stderr}");
+    let stdout = done(&[&import[..], &["--lamp", "1"]].concat());
     assert!(stdout.contains("one view without a camera"), "{stdout}");
     let photo = read_linear(&out.join("photos/catPNG.exr")).unwrap();
     assert!(

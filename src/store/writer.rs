@@ -9,7 +9,7 @@ use rilievo_scene::StageId;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 
 /// Folder of finished items' records inside the work folder; not part of the result.
 const ITEMS: &str = ".items";
@@ -141,10 +141,7 @@ impl StageWriter {
         let record = self.work.join(record_of(name));
         let text = serde_json::to_vec(&(name, &item)).unwrap_or_default();
         write_atomically(&record, &text)?;
-        let mut items = match self.items.lock() {
-            Ok(items) => items,
-            Err(poisoned) => poisoned.into_inner(),
-        };
+        let mut items = self.items.lock().unwrap_or_else(PoisonError::into_inner);
         items.insert(name.to_owned(), item);
         Ok(())
     }

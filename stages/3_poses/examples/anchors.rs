@@ -7,6 +7,7 @@
 //! 3 px in the nearest views or 1 % of depth), depth errors after one scale, and the ratio of the
 //! 68th percentile of |error| to the predicted deviation in quintiles of the prediction.
 
+use nalgebra::Point3;
 use rilievo_io::{decode_photo, read_cameras, read_depth, read_mask};
 use rilievo_poses::anchors::{AnchorOptions, find};
 use rilievo_scene::{FeatureMatches, Photo, PhotoSet, PosedViews, Raster, Silent, ViewIdx};

@@ -11,30 +11,13 @@ use rilievo_scene::{
     Intrinsics, LightKind, Lighting, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, PosedViews,
     Recorder, RigidTransform, Silent, SphereMark, SphereRequest,
 };
-use rilievo_synthetic::testing::{PosedPhotos, look_at, photo, tinted_light};
+use rilievo_synthetic::testing::{PosedPhotos, Random, look_at, photo, tinted_light};
 
 const RADIUS: f64 = 0.04;
 
 /// A light from above left, in a frame with y down.
 fn light() -> Lighting {
     tinted_light([-0.2, -0.3, -0.25, 0.42, 0.03, 0.02, 0.05, -0.03, 0.02])
-}
-
-/// A stream of normal deviates that is the same in every run.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f64 {
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            self.0 = self
-                .0
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            sum += (self.0 >> 11) as f64 / (1_u64 << 53) as f64;
-        }
-        sum
-    }
 }
 
 /// What is put into a photo.
@@ -58,7 +41,7 @@ impl Shot<'_> {
     }
 
     /// Sixteen rays a pixel; a grey, gently varying ground.
-    fn render(&self, noise: &mut Noise) -> LinearImage {
+    fn render(&self, noise: &mut Random) -> LinearImage {
         let camera = &self.intrinsics;
         let sphere = self.sphere();
         let at = camera.project(&sphere.center).unwrap();
@@ -88,7 +71,7 @@ impl Shot<'_> {
                 }
                 for (value, s) in image.pixel_mut(x, y).iter_mut().zip(sum) {
                     let clean = self.gain * s / (per_axis * per_axis) as f64;
-                    *value = (clean * (1.0 + self.noise * noise.next())).clamp(0.0, 1.0) as f32;
+                    *value = (clean * (1.0 + self.noise * noise.normal())).clamp(0.0, 1.0) as f32;
                 }
             }
         }
@@ -97,7 +80,7 @@ impl Shot<'_> {
 }
 
 fn set_of(shots: &[Shot]) -> (PhotoSet, PosedViews) {
-    let mut noise = Noise(11);
+    let mut noise = Random(11);
     let mut set = PosedPhotos::default();
     for (k, shot) in shots.iter().enumerate() {
         let image = shot.render(&mut noise);

@@ -15,7 +15,7 @@ use rilievo_scene::{
     PosedViews, Recorder, ShadedView, ShadedViews, Silent, SphereRequest, ViewIdx,
 };
 use rilievo_synthetic::testing::{
-    Maps, PosedPhotos, anchors_on_grid, in_memory, look_at, painted, photo, tinted_light,
+    Maps, PosedPhotos, Random, anchors_on_grid, in_memory, look_at, painted, photo, tinted_light,
     true_sphere,
 };
 use std::sync::Arc;
@@ -101,13 +101,10 @@ fn lit(on_object: &Lighting, on_ball: &Lighting, albedo: f64, kind: LightKind) -
     let PosedPhotos { photos, mut posed } = made;
     let center = ball_center().coords.into();
     posed.spheres.push(true_sphere(center, BALL_RADIUS));
-    let mut state = 5_u64;
+    let mut random = Random(5);
     // Half a thousandth of noise in depth.
     posed.anchors = anchors_on_grid(&posed, &depths, 6, 0.01, || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1);
-        1.0 + 1e-3 * ((state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5)
+        1.0 + 1e-3 * (random.unit() - 0.5)
     });
     World {
         photos,

@@ -9,7 +9,7 @@ use rilievo_scene::{
     SphericalHarmonics, ViewIdx, ViewLighting,
 };
 use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
-use rilievo_synthetic::testing::{Maps, PosedPhotos, on_sphere, painted, photo};
+use rilievo_synthetic::testing::{Maps, PAPER_LIGHT, PosedPhotos, on_sphere, painted, photo};
 use std::sync::Arc;
 
 const SIZE: usize = 96;
@@ -32,12 +32,7 @@ fn sphere(pose: &RigidTransform, pixel: [f64; 2]) -> Option<(f64, Vector3<f64>)>
 }
 
 fn world() -> World {
-    let rows = [
-        [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
-        [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
-        [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
-    ]
-    .map(|row| SphericalHarmonics(row.map(|l| 0.5 * l)));
+    let rows = PAPER_LIGHT.map(|row| SphericalHarmonics(row.map(|l| 0.5 * l)));
     let mut lighting = LightingCalibration {
         source: LightSource::Given,
         kind: LightKind::Camera,

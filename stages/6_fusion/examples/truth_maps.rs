@@ -11,7 +11,7 @@ use rilievo_scene::{PhotoSet, PosedViews, Raster, ShadedView, ShadedViews, Silen
 use rilievo_synthetic::compare::{
     MeshDistance, Similarity, TrueSurface, TruthMaps, TruthView, compare_cloud,
 };
-use rilievo_synthetic::testing::posed_view;
+use rilievo_synthetic::testing::{Random, posed_view};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
@@ -27,16 +27,7 @@ fn smooth(view: usize, x: f64, y: f64) -> f64 {
 
 /// White noise of unit variance from integers.
 fn white(view: usize, i: usize) -> f64 {
-    let mut h = (view as u64) << 40 | i as u64;
-    let mut uniform = || {
-        h = h.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = h;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ z >> 31) as f64 / u64::MAX as f64
-    };
-    // Twelve uniform numbers have unit variance and are near enough to normal.
-    (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+    Random((view as u64) << 40 | i as u64).normal()
 }
 
 fn main() -> Fallible<()> {

@@ -6,10 +6,10 @@
 use nalgebra::{Point3, Vector3};
 use rilievo_fusion::{FusionError, FusionOptions, FusionReport, run};
 use rilievo_scene::{
-    ConfidenceMap, Event, Flow, FusedCloud, Intrinsics, LinearImage, Mesh, NormalMap, Observer,
-    PhotoSet, PosedViews, Recorder, ShadedViews, Silent,
+    ConfidenceMap, FusedCloud, Intrinsics, LinearImage, Mesh, NormalMap, PhotoSet, PosedViews,
+    Recorder, ShadedViews, Silent,
 };
-use rilievo_synthetic::testing::{Maps, look_at, on_sphere, photo, posed_view};
+use rilievo_synthetic::testing::{Impatient, Maps, Random, look_at, on_sphere, photo, posed_view};
 use std::collections::BTreeMap;
 
 const WIDTH: usize = 160;
@@ -83,10 +83,7 @@ fn num_open_edges(mesh: &Mesh) -> usize {
 
 /// White noise between -1 and 1 from integers.
 fn noise(view: usize, i: usize) -> f64 {
-    let mut z = ((view as u64) << 32 | i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-    2.0 * (z ^ z >> 31) as f64 / u64::MAX as f64 - 1.0
+    2.0 * Random((view as u64) << 32 | i as u64).unit() - 1.0
 }
 
 #[test]
@@ -390,13 +387,7 @@ fn what_cannot_be_fused_is_named() {
         "{error:?}"
     );
 
-    struct Stopper;
-    impl Observer for Stopper {
-        fn event(&self, _: Event) -> Flow {
-            Flow::Stop
-        }
-    }
-    let error = run(&PhotoSet::default(), &posed, &shaded, &options, &Stopper).err();
+    let error = run(&PhotoSet::default(), &posed, &shaded, &options, &Impatient).err();
     assert!(matches!(error, Some(FusionError::Interrupted)), "{error:?}");
 }
 

@@ -1,7 +1,8 @@
 //! A small world that stages 4 to 6 can all work on: a unit sphere beside a smaller reference sphere, seen by
 //! three cameras.
 
-use super::{Maps, PosedPhotos, on_sphere, painted, photo, tinted_light, true_sphere};
+use super::photos::{PosedPhotos, photo, tinted_light, true_sphere};
+use super::surfaces::{Maps, on_sphere, painted};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, Intrinsics, LightKind, LightSource,
