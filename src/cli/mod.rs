@@ -21,7 +21,7 @@ use rilievo_shading::ShadingModel;
 use rilievo_shading::paper::{Projection, Splitting};
 use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::PathBuf;
-use words::{alignments, anchors, colors, encodings, models, projections, splittings};
+use words::{ALIGNMENTS, ANCHORS, COLORS, ENCODINGS, MODELS, PROJECTIONS, SPLITTINGS, words};
 
 /// Photographs of a plain, matte object to an accurate, finely detailed 3D model, by shading.
 #[derive(Debug, Parser)]
@@ -137,7 +137,7 @@ pub struct CheckArgs {
     #[arg(long, value_name = "FILE|DIR")]
     pub cameras: Option<PathBuf>,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING", value_parser = encodings())]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     /// Options of the stages, as TOML
     #[arg(long, value_name = "FILE.toml")]
@@ -159,7 +159,7 @@ pub struct MaskArgs {
     #[arg(long)]
     pub overwrite: bool,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING", value_parser = encodings())]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     #[command(flatten)]
     pub work: WorkArgs,
@@ -266,13 +266,13 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "DIR")]
     pub lighting_shape: Option<PathBuf>,
     /// What explains the photos: photo (visibility and the photos' agreement) or paper
-    #[arg(long, value_name = "MODEL", value_parser = models())]
+    #[arg(long, value_name = "MODEL", value_parser = words(MODELS))]
     pub model: Option<ShadingModel>,
     /// How depth anchors are found
-    #[arg(long, value_name = "MODE", value_parser = anchors())]
+    #[arg(long, value_name = "MODE", value_parser = words(ANCHORS))]
     pub anchors: Option<AnchorMode>,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING", value_parser = encodings())]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     #[command(flatten)]
     pub surface: SurfaceArgs,
@@ -304,7 +304,7 @@ pub struct SurfaceArgs {
     #[arg(long)]
     pub watertight: bool,
     /// Colours as photographed, or with light and shadow taken out
-    #[arg(long, value_name = "COLOR", value_parser = colors())]
+    #[arg(long, value_name = "COLOR", value_parser = words(COLORS))]
     pub color: Option<ColorMode>,
 }
 
@@ -418,16 +418,16 @@ pub struct ShadeArgs {
     #[arg(long, value_name = "W")]
     pub area_weight: Option<f64>,
     /// How slopes and depth are separated: full, as in the paper, or not at all
-    #[arg(long, value_name = "SPLITTING", value_parser = splittings())]
+    #[arg(long, value_name = "SPLITTING", value_parser = words(SPLITTINGS))]
     pub splitting: Option<Splitting>,
     /// Order of the harmonics
     #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2))]
     pub order: Option<u8>,
     /// How a pixel's ray is modelled
-    #[arg(long, value_name = "PROJECTION", value_parser = projections())]
+    #[arg(long, value_name = "PROJECTION", value_parser = words(PROJECTIONS))]
     pub projection: Option<Projection>,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING", value_parser = encodings())]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     /// Options, as TOML: tables `photos`, `shading` and `lighting`
     #[arg(long, value_name = "FILE.toml")]
@@ -457,7 +457,7 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "DIR")]
     pub truth: PathBuf,
     /// How the frames are brought together before comparing
-    #[arg(long, value_name = "ALIGNMENT", default_value = "auto", value_parser = alignments())]
+    #[arg(long, value_name = "ALIGNMENT", default_value = "auto", value_parser = words(ALIGNMENTS))]
     pub align: AlignmentRequest,
     /// As JSON on stdout
     #[arg(long)]
