@@ -1,6 +1,5 @@
 //! Options of all stages, from defaults, `--config FILE.toml` and the command line.
 
-use crate::cli::{Anchors, Encoding, Model};
 use crate::exit::Failure;
 use rilievo_features::FeaturesOptions;
 use rilievo_fusion::FusionOptions;
@@ -8,9 +7,8 @@ use rilievo_io::read_regular_text;
 use rilievo_lighting::LightingOptions;
 use rilievo_photos::PhotosOptions;
 use rilievo_poses::PosesOptions;
-use rilievo_poses::anchors::AnchorMode;
 use rilievo_scene::InTable;
-use rilievo_shading::{ShadingModel, ShadingOptions};
+use rilievo_shading::ShadingOptions;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -41,29 +39,6 @@ impl StageOptions {
         path.map_or_else(|| Ok(Self::default()), read_toml)
     }
 
-    /// Takes over what the command line says.
-    pub fn override_with(
-        &mut self,
-        model: Option<Model>,
-        anchors: Option<Anchors>,
-        encoding: Option<Encoding>,
-    ) {
-        match model {
-            Some(Model::Photo) => self.shading.model = ShadingModel::Photo,
-            Some(Model::Paper) => self.shading.model = ShadingModel::Paper,
-            None => {}
-        }
-        match anchors {
-            Some(Anchors::Grown) => self.poses.anchors.mode = AnchorMode::Grown,
-            Some(Anchors::Guided) => self.poses.anchors.mode = AnchorMode::Guided,
-            Some(Anchors::Sift) => self.poses.anchors.mode = AnchorMode::Sift,
-            None => {}
-        }
-        if let Some(encoding) = encoding {
-            self.photos.encoding = encoding.into();
-        }
-    }
-
     /// Checks the values of all stages, so that a wrong one is told before hours of work.
     ///
     /// # Errors
@@ -84,12 +59,19 @@ impl StageOptions {
     }
 }
 
+/// Replaces an option by what the command line says of it, if anything.
+pub fn take_over<T>(option: &mut T, given: Option<T>) {
+    if let Some(given) = given {
+        *option = given;
+    }
+}
+
 /// Reads options from a TOML file.
 ///
 /// # Errors
 /// When it cannot be read, or a key is unknown or has a wrong value; names file, line and key.
 pub fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
-    let text = read_regular_text(path).map_err(Failure::from)?;
+    let text = read_regular_text(path)?;
     toml::from_str(&text).map_err(|error| {
         Failure::Usage(format!(
             "config file {}: {}",
@@ -114,16 +96,6 @@ fn told(error: &toml::de::Error, text: &str) -> String {
         .count();
     let message: String = error.message().chars().take(MAX_CHARS / 5).collect();
     format!("line {line}, which is very long: {message}")
-}
-
-impl From<Encoding> for rilievo_photos::Encoding {
-    fn from(encoding: Encoding) -> Self {
-        match encoding {
-            Encoding::Auto => Self::Auto,
-            Encoding::Srgb => Self::Srgb,
-            Encoding::Linear => Self::Linear,
-        }
-    }
 }
 
 #[cfg(test)]

@@ -102,16 +102,23 @@ impl From<StoreError> for Failure {
     }
 }
 
+impl From<IoError> for Problem {
+    fn from(error: IoError) -> Self {
+        let reason = match error.hint {
+            Some(hint) => format!("{} ({hint})", error.reason),
+            None => error.reason,
+        };
+        Self {
+            file: error.path,
+            reason,
+        }
+    }
+}
+
 impl From<IoError> for Failure {
     fn from(error: IoError) -> Self {
         match error.kind {
-            IoErrorKind::Input => {
-                let reason = match error.hint {
-                    Some(hint) => format!("{} ({hint})", error.reason),
-                    None => error.reason,
-                };
-                Self::input(error.path, reason)
-            }
+            IoErrorKind::Input => Self::Input(vec![error.into()]),
             IoErrorKind::Read | IoErrorKind::Write => Self::ReadOrWrite(error.to_string()),
         }
     }

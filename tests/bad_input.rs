@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{arg, noise_photos, reconstruct_until, run, synthetic_set, write_noise_photo};
+use common::{
+    arg, done, noise_photos, noise_run, reconstruct_until, run, synthetic_set, write_noise_photo,
+};
 use rilievo_io::{write_depth, write_linear, write_mask, write_photo_jpeg};
 use rilievo_scene::{DepthMap, LinearImage, Mask};
 use std::path::Path;
@@ -253,9 +255,7 @@ fn an_unknown_key_in_a_config_file_is_wrong_usage_and_named() {
 
 #[test]
 fn photos_that_share_nothing_allow_no_result_and_keep_what_was_done() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     let (code, _, stderr) = run(&["reconstruct", arg(&photos), "-o", arg(&run_dir)]);
     assert_eq!(code, 4, "{stderr}");
     assert!(stderr.contains("match"), "{stderr}");
@@ -296,9 +296,7 @@ fn foreign_and_newer_folders_are_left_alone() {
 
 #[test]
 fn a_run_in_use_is_refused_with_its_owner() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     std::fs::create_dir(&run_dir).unwrap();
     let held = std::fs::File::create(run_dir.join(".lock")).unwrap();
     held.lock().unwrap();
@@ -371,9 +369,7 @@ fn two_photos_of_one_name_are_refused() {
 
 #[test]
 fn an_evaluation_of_nothing_is_a_failure_with_its_reason() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (dir, photos, run_dir) = noise_run(2);
     let (code, _, stderr) = first_stage(&photos, &run_dir, &[]);
     assert_eq!(code, 0, "{stderr}");
     let page = std::fs::read(run_dir.join("report.html")).unwrap();
@@ -450,8 +446,7 @@ fn cameras_are_exported_into_folders_that_are_made() {
         ("cameras", "c.json"),
     ] {
         let to = dir.path().join(format!("not/there/{format}/{name}"));
-        let (code, _, stderr) = run(&["export", arg(&cameras), "--format", format, "-o", arg(&to)]);
-        assert_eq!(code, 0, "{stderr}");
+        done(&["export", arg(&cameras), "--format", format, "-o", arg(&to)]);
         assert!(to.exists());
     }
     for (command, format) in [("import", "diligent"), ("export", "alicevision-lights")] {

@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{arg, run, synthetic_set};
+use common::{arg, done, json_of, run, synthetic_set};
 use rilievo_io::{
     CameraFile, CameraFormat, export_cameras, read_cameras, read_depth, read_normal, write_cameras,
     write_depth, write_normal,
@@ -78,8 +78,7 @@ fn colmap_workspace(folder: &Path) {
 }
 
 fn num_points(out: &Path) -> u64 {
-    let text = std::fs::read(out.join("report.json")).expect("a report");
-    let report: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
+    let report = json_of(&out.join("report.json"));
     report["report"]["num_points"].as_u64().expect("a number")
 }
 
@@ -89,7 +88,7 @@ fn maps_of_two_programs_give_one_surface() {
     let (truth, _) = truth();
     let exr = dir.path().join("exr");
     let photos = synthetic_set().join("photos");
-    let (code, _, stderr) = run(&[
+    done(&[
         "fuse",
         arg(&truth),
         "--photos",
@@ -97,7 +96,6 @@ fn maps_of_two_programs_give_one_surface() {
         "-o",
         arg(&exr),
     ]);
-    assert_eq!(code, 0, "{stderr}");
     for file in ["cloud.ply", "mesh.ply", "mesh.obj", "mesh.glb"] {
         assert!(exr.join(file).exists(), "{file}");
     }
@@ -105,8 +103,7 @@ fn maps_of_two_programs_give_one_surface() {
     colmap_workspace(&workspace);
     let colmap = dir.path().join("colmap");
     let arguments = ["fuse", arg(&workspace), "-o", arg(&colmap)];
-    let (code, _, stderr) = run(&[&arguments[..], &["--scale", "1"]].concat());
-    assert_eq!(code, 0, "{stderr}");
+    done(&[&arguments[..], &["--scale", "1"]].concat());
     assert_eq!(num_points(&exr), num_points(&colmap));
 
     // Without a scale the unit is unknown, and said to be; wider spacing leaves fewer points.

@@ -5,7 +5,10 @@
 
 mod common;
 
-use common::{arg, noise_photos, reconstruct_until, rilievo, run, with_exif, write_noise_photo};
+use common::{
+    arg, done, noise_photos, reconstruct_until, reconstructed_until, rilievo, run, with_exif,
+    write_noise_photo,
+};
 use rilievo_io::{read_mask, write_mask, write_photo_jpeg};
 use rilievo_scene::{LinearImage, Mask};
 use std::path::Path;
@@ -32,8 +35,7 @@ fn all_orientations_keep_the_sensors_frame() {
     }
     let run_dir = dir.path().join("run");
     let more = ["--masks", arg(&masks)];
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &more);
-    assert_eq!(code, 0, "{stderr}");
+    let stderr = reconstructed_until("1_photos", &photos, &run_dir, &more);
     assert!(stderr.contains("used as stored"), "{stderr}");
     let linear = |n: u16| {
         std::fs::read(run_dir.join(format!("1_photos/linear/turned{n}.exr"))).expect("a result")
@@ -97,8 +99,7 @@ fn spaces_and_any_script_are_names_like_others() {
     }
     let run_dir = dir.path().join("résultat 1");
     let more = ["--masks", arg(&masks)];
-    let (code, _, stderr) = reconstruct_until("1_photos", &folder, &run_dir, &more);
-    assert_eq!(code, 0, "{stderr}");
+    let stderr = reconstructed_until("1_photos", &folder, &run_dir, &more);
     assert!(run_dir.join("1_photos/linear/横から見た.exr").exists());
     assert!(stderr.contains("3/3"), "{stderr}");
 }
@@ -109,8 +110,7 @@ fn a_line_break_in_a_name_costs_that_photo_alone() {
     let photos = noise_photos(dir.path(), 2);
     std::fs::rename(photos.join("p1.jpg"), photos.join("line\nbreak.jpg")).unwrap();
     let run_dir = dir.path().join("run");
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    let stderr = reconstructed_until("1_photos", &photos, &run_dir, &[]);
     assert!(
         stderr.contains("break.jpg is left out") && stderr.contains("rename the photo"),
         "{stderr}"
@@ -245,8 +245,7 @@ fn masks_are_proposed_shown_and_never_written_over() {
         assert!(overlay.exists(), "{}", overlay.display());
     }
     // What it proposes is what the other commands accept.
-    let (code, _, stderr) = run(&["check", arg(&photos), "--masks", arg(&masks)]);
-    assert_eq!(code, 0, "{stderr}");
+    done(&["check", arg(&photos), "--masks", arg(&masks)]);
 
     // Corrected by hand, and another photo that allows no mask.
     write_mask(&masks.join("dark.png"), &object()).unwrap();

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{arg, noise_photos, reconstruct_until, run};
+use common::{arg, done, json_of, noise_photos, reconstructed_until, run};
 use rilievo_io::{
     DeepFormat, read_linear, read_mask, read_normal, write_linear, write_photo_deep,
     write_photo_dng, write_photo_jpeg,
@@ -25,11 +25,8 @@ impl View {
         let dir = tempfile::tempdir().expect("a folder");
         let set = dir.path().join("set");
         let synth = ["synth", arg(&set), "--views", "2", "--size", "320x240"];
-        let (code, _, stderr) = run(&[&synth[..], &["--format", "exr"]].concat());
-        assert_eq!(code, 0, "{stderr}");
-        let text = std::fs::read(set.join("truth/cameras.json")).expect("cameras");
-        let cameras: Value = serde_json::from_slice(&text).expect("JSON");
-        let mut camera = cameras["cameras"][0].clone();
+        done(&[&synth[..], &["--format", "exr"]].concat());
+        let mut camera = json_of(&set.join("truth/cameras.json"))["cameras"][0].clone();
         camera.as_object_mut().expect("a camera").remove("image");
         std::fs::write(dir.path().join("camera.json"), camera.to_string()).expect("a file");
         let mut image = read_linear(&set.join("photos/IMG_0001.exr")).expect("a photo");
@@ -80,7 +77,7 @@ impl View {
         let (image, camera) = (self.path(photo), self.path("camera.json"));
         let mask = set.join("masks/IMG_0001.png");
         let init = set.join("truth/IMG_0001_depth.exr");
-        let (code, _, stderr) = run(&[
+        done(&[
             "shade",
             "--image",
             arg(&image),
@@ -95,7 +92,6 @@ impl View {
             "-o",
             arg(&output),
         ]);
-        assert_eq!(code, 0, "{stderr}");
         let name = photo.split('.').next().unwrap_or_default();
         read_normal(&output.join(format!("normal/{name}.exr"))).expect("normals")
     }
@@ -193,8 +189,7 @@ fn raw_photos_are_checked_and_become_linear_with_their_exif() {
         assert!(stderr.contains(part), "{part}: {stderr}");
     }
     let run_dir = dir.path().join("run");
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    reconstructed_until("1_photos", &photos, &run_dir, &[]);
     let linear = read_linear(&run_dir.join("1_photos/linear/a.exr")).unwrap();
     let worst = worst_inside(&linear, &image);
     assert!(worst < 1e-3, "{worst}");
@@ -240,8 +235,7 @@ fn a_raw_file_that_ends_its_decoder_costs_one_photo() {
     let exif = ExifFacts::default();
     write_photo_dng(&photos.join("good.dng"), &smooth(64, 48), [1.0; 3], &exif).unwrap();
     let run_dir = dir.path().join("run");
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    let stderr = reconstructed_until("1_photos", &photos, &run_dir, &[]);
     let told = |line: &str| line.contains("endless.dng") && line.contains("cannot be decoded");
     assert!(stderr.lines().any(told), "{stderr}");
     for foreign in ["allocation", "panicked", "backtrace"] {
@@ -307,8 +301,7 @@ fn a_photo_whose_decoder_was_killed_is_tried_again() {
         stderr.contains("large.dng") && stderr.contains("SIGKILL"),
         "{stderr}"
     );
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    reconstructed_until("1_photos", &photos, &run_dir, &[]);
     assert!(run_dir.join("1_photos/linear/large.exr").exists());
 }
 
@@ -329,8 +322,7 @@ fn worst_inside(found: &LinearImage, truth: &LinearImage) -> f32 {
 
 #[cfg(feature = "raw")]
 fn facts_of(run_dir: &Path, name: &str) -> Value {
-    let text = std::fs::read(run_dir.join("1_photos/manifest.json")).expect("a manifest");
-    let manifest: Value = serde_json::from_slice(&text).expect("JSON");
+    let manifest = json_of(&run_dir.join("1_photos/manifest.json"));
     let photos = manifest["report"]["photos"].as_array().expect("photos");
     let found = photos.iter().find(|photo| photo["name"] == name);
     found.expect("the photo").clone()

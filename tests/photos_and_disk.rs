@@ -6,8 +6,8 @@
 mod common;
 
 use common::{
-    SmallDisk, arg, differences, noise_photos, reconstruct_until, rilievo, run, synthetic_set,
-    with_exposure, write_noise_photo,
+    SmallDisk, arg, differences, json_of, noise_photos, reconstruct_until, reconstructed_until,
+    rilievo, run, synthetic_set, with_exposure, write_noise_photo,
 };
 use rilievo_io::{
     DeepFormat, encode_photo_jpeg, read_linear, write_linear, write_photo_deep, write_photo_jpeg,
@@ -43,8 +43,7 @@ fn one_photo_in_every_format_is_the_same_light() {
     write_linear(&photos.join("exr.exr"), &image).unwrap();
     write_photo_jpeg(&photos.join("jpeg.jpg"), &image, 95).unwrap();
     let run_dir = dir.path().join("run");
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    reconstructed_until("1_photos", &photos, &run_dir, &[]);
     // Half a step of 16 bits, of the half floats that results are kept in, and of sRGB in 8 bits with
     // JPEG's own rounding.
     for (name, tolerance) in [("tiff", 6e-4), ("png", 6e-4), ("exr", 6e-4), ("jpeg", 0.02)] {
@@ -75,10 +74,8 @@ fn exposures_are_evened_out_by_exif() {
         .unwrap();
     }
     let run_dir = dir.path().join("run");
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
-    let manifest = std::fs::read(run_dir.join("1_photos/manifest.json")).expect("a manifest");
-    let manifest: serde_json::Value = serde_json::from_slice(&manifest).expect("JSON");
+    reconstructed_until("1_photos", &photos, &run_dir, &[]);
+    let manifest = json_of(&run_dir.join("1_photos/manifest.json"));
     assert_eq!(
         manifest["report"]["exposure_gains"],
         serde_json::json!([1.0, 2.0, 1.0])
@@ -132,8 +129,7 @@ fn a_photo_replaced_while_the_program_runs_is_told() {
         "{stderr}"
     );
     // The same command takes the photo as it is now.
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    reconstructed_until("1_photos", &photos, &run_dir, &[]);
     assert!(run_dir.join("1_photos/linear/z.exr").exists());
 }
 
@@ -151,11 +147,9 @@ fn a_full_disk_ends_the_run_and_loses_nothing() {
     assert!(stderr.to_lowercase().contains("no space left"), "{stderr}");
     // With room the same command goes on to what an undisturbed run gives.
     disk.grow(64 << 10);
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    reconstructed_until("1_photos", &photos, &run_dir, &[]);
     let undisturbed = dir.path().join("undisturbed");
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &undisturbed, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    reconstructed_until("1_photos", &photos, &undisturbed, &[]);
     assert_eq!(differences(&run_dir, &undisturbed), Vec::<String>::new());
 }
 

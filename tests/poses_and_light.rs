@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{arg, reconstruct_arguments, run, synthetic_set};
+use common::{arg, done, json_of, reconstruct_arguments, run, synthetic_set};
 use serde_json::Value;
 use std::path::Path;
 
@@ -23,16 +23,12 @@ fn until_lighting(run_dir: &Path, sphere: bool, more: &[&str]) -> (i32, String) 
     (code, stderr)
 }
 
-fn json(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
-}
-
 #[test]
 fn anchors_and_sphere_pictures_are_written_and_shown() {
     let folder = tempfile::tempdir().unwrap();
     let (code, stderr) = until_lighting(folder.path(), true, &[]);
     assert_eq!(code, 0, "{stderr}");
-    let table = json(&folder.path().join("3_poses/anchors.json"));
+    let table = json_of(&folder.path().join("3_poses/anchors.json"));
     let anchors = table["anchors"].as_array().unwrap();
     assert!(anchors.len() > 50, "{} anchors", anchors.len());
     assert_eq!(table["unit"], "metre");
@@ -69,11 +65,11 @@ fn without_a_sphere_the_light_is_marked_and_a_distance_gives_the_size() {
     assert!(stderr.contains("uncalibrated"), "{stderr}");
     let page = std::fs::read_to_string(folder.path().join("report.html")).unwrap();
     assert!(page.contains("Uncalibrated"));
-    let report = json(&folder.path().join("report.json"));
+    let report = json_of(&folder.path().join("report.json"));
     let scale = &report["stages"]["3_poses"]["report"]["scale"];
     assert_eq!(scale["source"], "known_distance", "{scale}");
     assert!(scale["relative_sigma"].as_f64().unwrap() < 0.01, "{scale}");
-    let cameras = json(&folder.path().join("3_poses/cameras.json"));
+    let cameras = json_of(&folder.path().join("3_poses/cameras.json"));
     let center = |k: usize| -> Vec<f64> {
         let values = cameras["cameras"][k]["camera_center"].as_array().unwrap();
         values.iter().map(|v| v.as_f64().unwrap()).collect()
@@ -112,15 +108,14 @@ fn a_known_distance_that_names_no_photo_is_refused() {
 
 /// Mean error of all normals, degrees.
 fn normal_error(run_dir: &Path, truth: &Path) -> f64 {
-    let (code, stdout, stderr) = run(&["evaluate", arg(run_dir), "--truth", arg(truth), "--json"]);
-    assert_eq!(code, 0, "{stderr}");
+    let stdout = done(&["evaluate", arg(run_dir), "--truth", arg(truth), "--json"]);
     let found: Value = serde_json::from_str(&stdout).unwrap();
     found["all"]["normal_mae_deg"].as_f64().unwrap()
 }
 
 /// A lighting file as seen in a mirror that swaps left with right and up with down.
 fn mirrored(lighting: &Path, to: &Path) {
-    let mut file = json(lighting);
+    let mut file = json_of(lighting);
     for rows in file["views"].as_object_mut().unwrap().values_mut() {
         for row in rows.as_array_mut().unwrap() {
             for odd in [0, 1, 5, 6] {
@@ -136,8 +131,7 @@ fn mirrored(lighting: &Path, to: &Path) {
 fn a_given_light_lights_the_surface_and_one_that_the_photos_contradict_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let set = folder.path().join("set");
-    let (code, _, stderr) = run(&["synth", arg(&set), "--views", "3", "--size", "240x180"]);
-    assert_eq!(code, 0, "{stderr}");
+    done(&["synth", arg(&set), "--views", "3", "--size", "240x180"]);
     let run_dir = folder.path().join("run");
     let truth = set.join("truth");
     let shaded = |light: [&str; 2], more: &[&str]| {

@@ -4,7 +4,10 @@
 
 mod common;
 
-use common::{arg, noise_photos, reconstruct_until, run, write_noise_photo};
+use common::{
+    arg, done, json_of, noise_photos, noise_run, reconstruct_until, reconstructed_until, run,
+    write_noise_photo,
+};
 use std::path::Path;
 
 /// Brings the first two stages up to date; `(stage, reused)` in order.
@@ -44,9 +47,7 @@ fn identity(path: &Path) -> u64 {
 
 #[test]
 fn a_second_run_does_nothing_and_dates_do_not_count() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 3);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(3);
     assert_eq!(two_stages(&photos, &run_dir, &[]), both(false, false));
     assert_eq!(two_stages(&photos, &run_dir, &[]), both(true, true));
 
@@ -63,9 +64,7 @@ fn a_second_run_does_nothing_and_dates_do_not_count() {
 
 #[test]
 fn what_a_stopped_run_left_goes_when_its_stage_is_kept() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     for folder in ["1_photos/linear", "2_features.previous"] {
         let folder = run_dir.join(".work").join(folder);
@@ -81,9 +80,7 @@ fn what_a_stopped_run_left_goes_when_its_stage_is_kept() {
 
 #[test]
 fn threads_and_memory_redo_nothing_options_do() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let other_work = ["--threads", "1", "--memory", "1G"];
     assert_eq!(two_stages(&photos, &run_dir, &other_work), both(true, true));
@@ -125,9 +122,7 @@ fn threads_and_memory_redo_nothing_options_do() {
 
 #[test]
 fn a_replaced_photo_redoes_its_own_and_a_new_one_adds_its_own() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 3);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(3);
     two_stages(&photos, &run_dir, &[]);
     let keypoints = |name: &str| run_dir.join(format!("2_features/keypoints/{name}.bin"));
     let before = ["p0", "p1", "p2"].map(|name| identity(&keypoints(name)));
@@ -148,9 +143,7 @@ fn a_replaced_photo_redoes_its_own_and_a_new_one_adds_its_own() {
 
 #[test]
 fn clean_and_damage_are_repaired() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let (code, _, _) = run(&["clean", arg(&run_dir), "2_features"]);
     assert_eq!(code, 0);
@@ -180,9 +173,7 @@ fn clean_and_damage_are_repaired() {
 
 #[test]
 fn a_stage_without_its_input_is_told_and_a_damaged_one_hides_no_other() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let (code, stdout, _) = run(&["clean", arg(&run_dir), "1_photos"]);
     assert_eq!(code, 0);
@@ -208,9 +199,7 @@ fn a_stage_without_its_input_is_told_and_a_damaged_one_hides_no_other() {
 
 #[test]
 fn an_evaluation_goes_with_the_results_that_it_judged() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let cloud = run_dir.join("evaluation/deviation.ply");
     let evaluated = || {
@@ -235,20 +224,16 @@ fn an_evaluation_goes_with_the_results_that_it_judged() {
     evaluated();
     two_stages(&photos, &run_dir, &[]);
     assert_eq!(stands(), (true, true), "nothing was redone");
-    let (code, _, stderr) = run(&["run", "2_features", arg(&run_dir)]);
-    assert_eq!(code, 0, "{stderr}");
+    done(&["run", "2_features", arg(&run_dir)]);
     assert_eq!(stands(), (false, false));
     evaluated();
-    let (code, _, stderr) = run(&["clean", arg(&run_dir), "2_features"]);
-    assert_eq!(code, 0, "{stderr}");
+    done(&["clean", arg(&run_dir), "2_features"]);
     assert_eq!(stands(), (false, false));
 }
 
 #[test]
 fn damage_of_the_same_size_is_found_and_mended() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let file = run_dir.join("2_features/pairs.bin");
     let whole = std::fs::read(&file).unwrap();
@@ -298,8 +283,7 @@ fn a_run_that_is_moved_with_its_photos_is_still_valid() {
     let moved = dir.path().join("elsewhere/moved");
     std::fs::create_dir_all(moved.parent().unwrap()).unwrap();
     std::fs::rename(&project, &moved).unwrap();
-    let (code, stdout, stderr) = run(&["status", arg(&moved.join("run"))]);
-    assert_eq!(code, 0, "{stderr}");
+    let stdout = done(&["status", arg(&moved.join("run"))]);
     assert_eq!(stdout.matches(" valid").count(), 2, "{stdout}");
     let with = masks(&moved);
     assert_eq!(
@@ -321,9 +305,7 @@ fn a_run_that_is_moved_with_its_photos_is_still_valid() {
 
 #[test]
 fn a_run_of_other_photos_is_not_replaced_unasked() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let others = dir.path().join("others");
     std::fs::create_dir(&others).unwrap();
@@ -427,8 +409,7 @@ fn names_that_no_result_can_have_are_left_out_at_once() {
     let photos = noise_photos(dir.path(), 2);
     write_noise_photo(&photos.join(format!("{}.jpg", "x".repeat(251))), 5);
     write_noise_photo(&photos.join("two\nlines.jpg"), 6);
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &dir.path().join("run"), &[]);
-    assert_eq!(code, 0, "{stderr}");
+    let stderr = reconstructed_until("1_photos", &photos, &dir.path().join("run"), &[]);
     assert!(stderr.contains("its name has 251 bytes"), "{stderr}");
     assert!(stderr.contains("control character"), "{stderr}");
 }
@@ -443,8 +424,7 @@ fn what_is_no_file_is_left_out_and_does_not_hang() {
     std::os::unix::fs::symlink("/dev/zero", photos.join("zero.jpg")).unwrap();
     let _socket = std::os::unix::net::UnixListener::bind(photos.join("socket.jpg")).unwrap();
     let run_dir = dir.path().join("run");
-    let (code, _, stderr) = reconstruct_until("1_photos", &photos, &run_dir, &[]);
-    assert_eq!(code, 0, "{stderr}");
+    let stderr = reconstructed_until("1_photos", &photos, &run_dir, &[]);
     for name in ["pipe.jpg", "zero.jpg", "socket.jpg"] {
         let told = stderr.lines().any(|line| {
             line.contains(name) && (line.contains("not a file") || line.contains("not to a file"))
@@ -460,16 +440,13 @@ fn what_is_no_file_is_left_out_and_does_not_hang() {
 
 #[test]
 fn from_redoes_valid_stages_and_run_needs_what_it_reads() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     assert_eq!(
         two_stages(&photos, &run_dir, &["--from", "features"]),
         both(true, false)
     );
-    let (code, _, stderr) = run(&["run", "2_features", arg(&run_dir)]);
-    assert_eq!(code, 0, "{stderr}");
+    done(&["run", "2_features", arg(&run_dir)]);
     let (code, _, stderr) = run(&["run", "4_lighting", arg(&run_dir)]);
     assert_eq!(code, 5, "{stderr}");
     assert!(stderr.contains("3_poses"), "{stderr}");
@@ -477,9 +454,7 @@ fn from_redoes_valid_stages_and_run_needs_what_it_reads() {
 
 #[test]
 fn json_lines_are_events_that_end_with_the_outcome() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     let (code, stdout, _) = run(&["reconstruct", arg(&photos), "-o", arg(&run_dir), "--json"]);
     assert_eq!(code, 4, "noise has no poses");
     let events: Vec<serde_json::Value> = stdout
@@ -510,9 +485,7 @@ fn json_lines_are_events_that_end_with_the_outcome() {
 
 #[test]
 fn options_of_matching_keep_the_keypoints() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let keypoints = run_dir.join("2_features/keypoints/p0.bin");
     let before = identity(&keypoints);
@@ -528,13 +501,8 @@ fn options_of_matching_keep_the_keypoints() {
 
 #[test]
 fn the_report_of_a_failed_run_does_not_outlive_it() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
-    let report = || -> serde_json::Value {
-        let text = std::fs::read(run_dir.join("report.json")).unwrap();
-        serde_json::from_slice(&text).unwrap()
-    };
+    let (_dir, photos, run_dir) = noise_run(2);
+    let report = || json_of(&run_dir.join("report.json"));
     let (code, _, _) = run(&["reconstruct", arg(&photos), "-o", arg(&run_dir)]);
     assert_eq!(code, 4, "noise has no poses");
     assert_eq!(report()["outcome"]["exit_code"], 4);
@@ -544,9 +512,7 @@ fn the_report_of_a_failed_run_does_not_outlive_it() {
 
 #[test]
 fn a_request_that_cannot_be_used_leaves_the_run_as_it_was() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let asked = std::fs::read(run_dir.join("run.json")).unwrap();
     let lighting = dir.path().join("lighting.json");
@@ -566,9 +532,7 @@ fn a_request_that_cannot_be_used_leaves_the_run_as_it_was() {
 
 #[test]
 fn a_damaged_request_is_asked_anew_and_the_results_are_kept() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let [file, copy] = ["run.json", ".run.json"].map(|name| run_dir.join(name));
     let whole = std::fs::read_to_string(&file).unwrap();
@@ -601,8 +565,7 @@ fn a_damaged_request_is_asked_anew_and_the_results_are_kept() {
     assert_eq!(code, 5, "{stderr}");
     assert!(stderr.contains("but results of one"), "{stderr}");
     assert_eq!(two_stages(&photos, &run_dir, &[]), both(true, true));
-    let (code, _, stderr) = run(&["status", arg(&run_dir)]);
-    assert_eq!(code, 0, "{stderr}");
+    done(&["status", arg(&run_dir)]);
 }
 
 #[test]
@@ -622,9 +585,7 @@ fn a_photo_that_cannot_be_read_is_left_out() {
 
 #[test]
 fn a_reader_that_goes_away_is_no_failure() {
-    let dir = tempfile::tempdir().unwrap();
-    let photos = noise_photos(dir.path(), 2);
-    let run_dir = dir.path().join("run");
+    let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);

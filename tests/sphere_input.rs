@@ -4,11 +4,13 @@
 
 mod common;
 
-use common::{arg, noise_photos, reconstruct_until, run, synthetic_set};
+use common::{
+    arg, done, json_of, noise_photos, reconstruct_until, reconstructed_until, run, synthetic_set,
+};
 use rilievo_io::{decode_photo, read_mask, write_mask, write_photo_jpeg};
 use rilievo_scene::{LinearImage, Mask};
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A copy of the synthetic set whose photos, masks, cameras and sphere file may be spoilt.
 struct Set {
@@ -98,10 +100,6 @@ impl Set {
         }
         json!({"radius": 0.03, "unit": "metre", "light": "world", "views": views})
     }
-}
-
-fn json_of(path: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
 fn told(stderr: &str, parts: &[&str]) {
@@ -467,7 +465,7 @@ fn a_radius_that_is_likely_in_another_unit_and_one_that_is_not_used_are_told() {
     let set = Set::new();
     let file = set.path("marks.json");
     std::fs::write(&file, set.circles().to_string()).unwrap();
-    let (code, _, stderr) = reconstruct_until(
+    let stderr = reconstructed_until(
         "3_poses",
         &set.path("photos"),
         &set.path("run"),
@@ -484,7 +482,6 @@ fn a_radius_that_is_likely_in_another_unit_and_one_that_is_not_used_are_told() {
             "sift",
         ],
     );
-    assert_eq!(code, 0, "{stderr}");
     told(&stderr, &["the sphere is stated as 30 m", "in metres?"]);
     told(
         &stderr,
@@ -579,7 +576,7 @@ fn two_spheres_are_both_used_and_what_is_wrong_with_one_is_told() {
     let config = beside.path().join("two.toml");
     let scene = "[scene]\nmore_spheres = [{at_m = [-0.2, -0.05], radius_m = 0.025}]\n";
     std::fs::write(&config, scene).unwrap();
-    let (code, _, stderr) = run(&[
+    done(&[
         "synth",
         arg(set.folder.path()),
         "--views",
@@ -589,7 +586,6 @@ fn two_spheres_are_both_used_and_what_is_wrong_with_one_is_told() {
         "--config",
         arg(&config),
     ]);
-    assert_eq!(code, 0, "{stderr}");
     let good = json_of(&set.path("sphere.json"));
     let (code, stderr) = set.light("intrinsics.json", &good);
     assert_eq!(code, 0, "{stderr}");

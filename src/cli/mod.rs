@@ -3,7 +3,9 @@
 mod examples;
 mod formats;
 mod parse;
+mod words;
 
+use crate::config::take_over;
 use crate::raw_child::DecodeRawArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use formats::{ExportFormat, ImportFormat};
@@ -11,9 +13,15 @@ use parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
 };
 use rilievo_fusion::{ColorMode, FusionOptions};
+use rilievo_photos::Encoding;
 use rilievo_poses::KnownDistance;
+use rilievo_poses::anchors::AnchorMode;
 use rilievo_scene::StageId;
+use rilievo_shading::ShadingModel;
+use rilievo_shading::paper::{Projection, Splitting};
+use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::PathBuf;
+use words::{ALIGNMENTS, ANCHORS, COLORS, ENCODINGS, MODELS, PROJECTIONS, SPLITTINGS, words};
 
 /// Photographs of a plain, matte object to an accurate, finely detailed 3D model, by shading.
 #[derive(Debug, Parser)]
@@ -129,7 +137,7 @@ pub struct CheckArgs {
     #[arg(long, value_name = "FILE|DIR")]
     pub cameras: Option<PathBuf>,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING")]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     /// Options of the stages, as TOML
     #[arg(long, value_name = "FILE.toml")]
@@ -151,7 +159,7 @@ pub struct MaskArgs {
     #[arg(long)]
     pub overwrite: bool,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING")]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     #[command(flatten)]
     pub work: WorkArgs,
@@ -258,13 +266,13 @@ pub struct ReconstructArgs {
     #[arg(long, value_name = "DIR")]
     pub lighting_shape: Option<PathBuf>,
     /// What explains the photos: photo (visibility and the photos' agreement) or paper
-    #[arg(long, value_name = "MODEL")]
-    pub model: Option<Model>,
+    #[arg(long, value_name = "MODEL", value_parser = words(MODELS))]
+    pub model: Option<ShadingModel>,
     /// How depth anchors are found
-    #[arg(long, value_name = "MODE")]
-    pub anchors: Option<Anchors>,
+    #[arg(long, value_name = "MODE", value_parser = words(ANCHORS))]
+    pub anchors: Option<AnchorMode>,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING")]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     #[command(flatten)]
     pub surface: SurfaceArgs,
@@ -284,26 +292,6 @@ pub struct ReconstructArgs {
     pub work: WorkArgs,
 }
 
-/// `--model`
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Model {
-    /// Shading with visibility, and the photos' agreement with each other
-    Photo,
-    /// Distant harmonics and depth anchors only
-    Paper,
-}
-
-/// `--anchors`
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Anchors {
-    /// Grown over the surface from refined matches
-    Grown,
-    /// Matched along epipolar lines and refined
-    Guided,
-    /// Keypoint tracks alone
-    Sift,
-}
-
 /// What the fused surface shall be like.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct SurfaceArgs {
@@ -316,32 +304,17 @@ pub struct SurfaceArgs {
     #[arg(long)]
     pub watertight: bool,
     /// Colours as photographed, or with light and shadow taken out
-    #[arg(long, value_name = "COLOR")]
-    pub color: Option<Color>,
+    #[arg(long, value_name = "COLOR", value_parser = words(COLORS))]
+    pub color: Option<ColorMode>,
 }
 
 impl SurfaceArgs {
     /// Takes over what the command line says.
     pub fn apply(self, options: &mut FusionOptions) {
-        if let Some(spacing) = self.spacing {
-            options.spacing = spacing;
-        }
+        take_over(&mut options.spacing, self.spacing);
         options.watertight |= self.watertight;
-        match self.color {
-            Some(Color::Photographed) => options.color = ColorMode::Photographed,
-            Some(Color::Albedo) => options.color = ColorMode::Albedo,
-            None => {}
-        }
+        take_over(&mut options.color, self.color);
     }
-}
-
-/// `--color`
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Color {
-    /// The mean of the photos
-    Photographed,
-    /// The surface's own colour
-    Albedo,
 }
 
 /// `rilievo fuse`
@@ -373,17 +346,6 @@ pub struct FuseArgs {
     pub output: PathBuf,
     #[command(flatten)]
     pub work: WorkArgs,
-}
-
-/// `--encoding`
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Encoding {
-    /// By format and metadata
-    Auto,
-    /// The sRGB curve
-    Srgb,
-    /// Proportional to light
-    Linear,
 }
 
 /// `rilievo run`
@@ -456,16 +418,16 @@ pub struct ShadeArgs {
     #[arg(long, value_name = "W")]
     pub area_weight: Option<f64>,
     /// How slopes and depth are separated: full, as in the paper, or not at all
-    #[arg(long, value_name = "SPLITTING")]
+    #[arg(long, value_name = "SPLITTING", value_parser = words(SPLITTINGS))]
     pub splitting: Option<Splitting>,
     /// Order of the harmonics
     #[arg(long, value_name = "1|2", value_parser = clap::value_parser!(u8).range(1..=2))]
     pub order: Option<u8>,
     /// How a pixel's ray is modelled
-    #[arg(long, value_name = "PROJECTION")]
+    #[arg(long, value_name = "PROJECTION", value_parser = words(PROJECTIONS))]
     pub projection: Option<Projection>,
     /// How samples relate to light
-    #[arg(long, value_name = "ENCODING")]
+    #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
     /// Options, as TOML: tables `photos`, `shading` and `lighting`
     #[arg(long, value_name = "FILE.toml")]
@@ -477,17 +439,6 @@ pub struct ShadeArgs {
     pub work: WorkArgs,
 }
 
-/// `--splitting`
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Splitting {
-    /// The whole shading term on the slopes
-    Full,
-    /// Frozen linearisation, as in the paper
-    Paper,
-    /// The plain fixed point without splitting, for comparison only
-    FixedPoint,
-}
-
 /// `--depth-order`
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum DepthOrder {
@@ -495,15 +446,6 @@ pub enum DepthOrder {
     Rows,
     /// Column by column
     Columns,
-}
-
-/// `--projection`
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Projection {
-    /// Pinhole
-    Perspective,
-    /// Parallel rays
-    Orthographic,
 }
 
 /// `rilievo evaluate`
@@ -515,24 +457,11 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "DIR")]
     pub truth: PathBuf,
     /// How the frames are brought together before comparing
-    #[arg(long, value_name = "ALIGNMENT", default_value = "auto")]
-    pub align: Align,
+    #[arg(long, value_name = "ALIGNMENT", default_value = "auto", value_parser = words(ALIGNMENTS))]
+    pub align: AlignmentRequest,
     /// As JSON on stdout
     #[arg(long)]
     pub json: bool,
-}
-
-/// `--align`
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum Align {
-    /// None where the cameras stand in the truth's frame already, else a similarity; it is said
-    Auto,
-    /// None
-    None,
-    /// Rotation and translation
-    Se3,
-    /// Rotation, translation and scale
-    Sim3,
 }
 
 /// `rilievo synth`

@@ -1,7 +1,7 @@
 //! Values of the command line that are more than a number or a path.
 
 use super::formats::{ExportFormat, ImportFormat};
-use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use rilievo_io::{CameraFormat, LightFormat};
 use rilievo_poses::KnownDistance;
 use rilievo_scene::StageId;
@@ -22,40 +22,27 @@ pub(super) fn parse_stage(text: &str) -> Result<StageId, String> {
 
 /// A camera format, or `diligent`.
 pub(super) fn import_formats() -> impl TypedValueParser<Value = ImportFormat> {
-    let formats = cameras(ImportFormat::Cameras)
-        .into_iter()
-        .chain([("diligent", ImportFormat::Diligent)]);
-    one_of(formats.collect())
+    let diligent = ("diligent".into(), ImportFormat::Diligent);
+    let cameras = CameraFormat::ALL.map(|f| (f.name().into(), ImportFormat::Cameras(f)));
+    one_of(cameras.into_iter().chain([diligent]).collect())
 }
 
 /// A camera format, or one of lights.
 pub(super) fn export_formats() -> impl TypedValueParser<Value = ExportFormat> {
-    let lights = LightFormat::ALL.map(|format| (format.name(), ExportFormat::Lights(format)));
-    one_of(
-        cameras(ExportFormat::Cameras)
-            .into_iter()
-            .chain(lights)
-            .collect(),
-    )
-}
-
-fn cameras<T>(wrap: fn(CameraFormat) -> T) -> Vec<(&'static str, T)> {
-    CameraFormat::ALL
-        .map(|format| (format.name(), wrap(format)))
-        .into()
+    let cameras = CameraFormat::ALL.map(|f| (f.name().into(), ExportFormat::Cameras(f)));
+    let lights = LightFormat::ALL.map(|f| (f.name().into(), ExportFormat::Lights(f)));
+    one_of(cameras.into_iter().chain(lights).collect())
 }
 
 /// Values by their names, which the help lists.
-fn one_of<T: Clone + Send + Sync + 'static>(
-    values: Vec<(&'static str, T)>,
-) -> impl TypedValueParser<Value = T> {
-    let names: Vec<_> = values.iter().map(|(name, _)| *name).collect();
+pub(super) fn one_of<T>(values: Vec<(PossibleValue, T)>) -> impl TypedValueParser<Value = T>
+where
+    T: Copy + Send + Sync + 'static,
+{
+    let names: Vec<_> = values.iter().map(|(name, _)| name.clone()).collect();
     PossibleValuesParser::new(names).try_map(move |text| {
-        let found = values.iter().find(|(name, _)| *name == text);
-        found.map_or_else(
-            || Err(format!("{text} is no format")),
-            |(_, value)| Ok(value.clone()),
-        )
+        let found = values.iter().find(|(name, _)| name.get_name() == text);
+        found.map(|(_, value)| *value).ok_or("is none of the words")
     })
 }
 

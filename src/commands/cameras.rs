@@ -3,7 +3,7 @@
 use super::{diligent, output_files};
 use crate::cli::{ExportArgs, ExportFormat, ImportArgs, ImportFormat};
 use crate::exit::Failure;
-use crate::pipeline::{from_io, load_poses};
+use crate::pipeline::load_poses;
 use crate::store::RunDir;
 use rilievo_io::colmap::{ColmapModel, binary_files, text_files};
 use rilievo_io::{
@@ -40,7 +40,7 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
     }
     let output = output("cameras.json");
     let (cameras, format) = read(&args.source, format, args.photos.as_deref())?;
-    let file = cameras_file(&output, &cameras).map_err(from_io)?;
+    let file = cameras_file(&output, &cameras).map_err(Failure::from)?;
     output_files::write(&[file], args.overwrite)?;
     let posed = cameras
         .cameras
@@ -93,7 +93,7 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
             (cameras, 0, files)
         }
     };
-    output_files::write(&files.map_err(from_io)?, args.overwrite)?;
+    output_files::write(&files.map_err(Failure::from)?, args.overwrite)?;
     let points = match num_points {
         0 => String::new(),
         num => format!(" and {num} points"),
@@ -115,7 +115,7 @@ fn export_lights(
 ) -> anyhow::Result<()> {
     let run = run.ok_or_else(|| Failure::input(&args.source, "is no run directory"))?;
     let file = run.stage_dir(StageId::Lighting).join("lighting.json");
-    let lighting = read_lighting(&file, None).map_err(from_io)?;
+    let lighting = read_lighting(&file, None).map_err(Failure::from)?;
     let lights: Vec<_> = load_poses(run)?
         .views
         .iter()
@@ -124,7 +124,7 @@ fn export_lights(
             Some((view.file_name.clone(), light.clone()))
         })
         .collect();
-    let file = light_file(&args.output, format, &lights).map_err(from_io)?;
+    let file = light_file(&args.output, format, &lights).map_err(Failure::from)?;
     output_files::write(&[file], args.overwrite)?;
     say!(
         "{} lights are in {} ({})",
@@ -155,6 +155,5 @@ fn read(
             ));
         }
     };
-    let cameras = import_cameras_with_photos(source, format, photos).map_err(from_io)?;
-    Ok((cameras, format))
+    Ok((import_cameras_with_photos(source, format, photos)?, format))
 }

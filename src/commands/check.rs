@@ -2,7 +2,7 @@
 
 use super::reporting::reporting_found;
 use crate::cli::CheckArgs;
-use crate::config::StageOptions;
+use crate::config::{StageOptions, take_over};
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, check_photos};
@@ -31,7 +31,7 @@ struct Found {
 
 fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Result<()> {
     let mut options = StageOptions::read(args.config.as_deref())?;
-    options.override_with(None, None, args.encoding);
+    take_over(&mut options.photos.encoding, args.encoding);
     options.validate()?;
     let request = Request {
         masks: args.masks.clone(),

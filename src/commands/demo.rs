@@ -9,7 +9,7 @@ use crate::cli::{DemoArgs, SynthFormat};
 use crate::config::StageOptions;
 use crate::observe::Console;
 use crate::pipeline::{Range, Request, SphereInput};
-use crate::store::{RunDir, StoreError};
+use crate::store::{RunDir, absolute};
 use rilievo_scene::StageId;
 use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::Path;
@@ -24,8 +24,7 @@ pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
 }
 
 fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
-    let folder =
-        std::path::absolute(&args.output).map_err(StoreError::files("find", &args.output))?;
+    let folder = absolute(&args.output)?;
     let set = folder.join("photographed");
     let run = folder.join("run");
     if !is_set(&set) && !is_new(&folder)? {

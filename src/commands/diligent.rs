@@ -15,7 +15,6 @@
 use super::output_files;
 use crate::cli::ImportArgs;
 use crate::exit::Failure;
-use crate::pipeline::from_io;
 use rilievo_io::diligent::METRES_PER_MM;
 use rilievo_io::{
     CameraEntry, CameraFile, DiligentObject, DiligentView, OutputFile, cameras_file, linear_file,
@@ -30,7 +29,7 @@ use std::path::Path;
 /// # Errors
 /// When a file of the object cannot be used, there is no such lamp, or the folder cannot be written.
 pub fn import(args: &ImportArgs, output: &Path) -> anyhow::Result<()> {
-    let object = read_diligent(&args.source).map_err(from_io)?;
+    let object = read_diligent(&args.source).map_err(Failure::from)?;
     let mut cameras = CameraFile {
         unit: Unit::Metre,
         ..CameraFile::default()
@@ -47,15 +46,15 @@ pub fn import(args: &ImportArgs, output: &Path) -> anyhow::Result<()> {
     }
     if !cameras.cameras.is_empty() {
         let path = output.join("truth/cameras.json");
-        files.push(cameras_file(&path, &cameras).map_err(from_io)?);
+        files.push(cameras_file(&path, &cameras).map_err(Failure::from)?);
     }
     if let Some(path) = &object.mesh {
-        let mut mesh = read_mesh_ply(path).map_err(from_io)?;
+        let mut mesh = read_mesh_ply(path).map_err(Failure::from)?;
         for vertex in &mut mesh.vertices {
             vertex.iter_mut().for_each(|x| *x *= METRES_PER_MM as f32);
         }
         let path = output.join("truth/mesh.ply");
-        files.push(mesh_ply_file(&path, &mesh, Unit::Metre).map_err(from_io)?);
+        files.push(mesh_ply_file(&path, &mesh, Unit::Metre).map_err(Failure::from)?);
     }
     output_files::write(&files, args.overwrite)?;
     say!("{}", summary(&object, output))?;
@@ -78,7 +77,7 @@ fn view_files(
     };
     let mut mean: Option<LinearImage> = None;
     for photo in photos {
-        let image = read_diligent_photo(photo).map_err(from_io)?;
+        let image = read_diligent_photo(photo)?;
         let Some(sum) = &mut mean else {
             mean = Some(image);
             continue;
@@ -123,7 +122,10 @@ fn view_files(
         let path = output.join(format!("truth/{name}_normal.exr"));
         files.push(normal_file(&path, normal));
     }
-    files.into_iter().collect::<Result<_, _>>().map_err(from_io)
+    files
+        .into_iter()
+        .collect::<Result<_, _>>()
+        .map_err(Failure::from)
 }
 
 /// What was written, and what it is good for.

@@ -9,11 +9,11 @@
 
 use super::reporting::reporting_found;
 use crate::cli::MaskArgs;
-use crate::config::StageOptions;
+use crate::config::{StageOptions, take_over};
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
-use crate::pipeline::{Inputs, Request, Resources, from_io, linear_photo, map_photos};
-use crate::store::StoreError;
+use crate::pipeline::{Inputs, Request, Resources, linear_photo, map_photos};
+use crate::store::create_folder;
 use rilievo_io::{Preview, write_mask, write_preview_png};
 use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
 use rilievo_scene::{LinearImage, Mask};
@@ -56,7 +56,7 @@ fn propose(
     told: &mut Vec<serde_json::Value>,
 ) -> anyhow::Result<()> {
     let mut options = StageOptions::default();
-    options.override_with(None, None, args.encoding);
+    take_over(&mut options.photos.encoding, args.encoding);
     let request = Request::of_photos(args.photos.clone(), options);
     let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {
@@ -79,13 +79,13 @@ fn propose(
                 .map_err(|error| Failure::NoResult(error.to_string()))?;
             // Made only now, so that nothing is left where no mask is found.
             for folder in [&args.output, &overlays] {
-                std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+                create_folder(folder)?;
             }
-            write_mask(&target, &proposal.mask).map_err(from_io)?;
+            write_mask(&target, &proposal.mask).map_err(Failure::from)?;
             let overlay = overlay(&image, &proposal.mask);
             let picture = overlays.join(format!("{}.png", photo.name));
             write_preview_png(&picture, Preview::Linear(&overlay), OVERLAY_SIDE_PX)
-                .map_err(from_io)?;
+                .map_err(Failure::from)?;
             Ok(Proposed::Written(proposal))
         },
     )

@@ -2,7 +2,7 @@
 //! there.
 
 use crate::exit::Failure;
-use crate::store::{RunDir, StoreError, write_atomically};
+use crate::store::{RunDir, StoreError, absolute, create_folder, write_atomically};
 use rilievo_io::{OutputFile, read_regular};
 use rilievo_scene::StageId;
 use std::path::{Path, PathBuf};
@@ -37,7 +37,7 @@ pub fn write(files: &[OutputFile], overwrite: bool) -> Result<(), Failure> {
     }
     for (place, file) in wanted {
         if let Some(folder) = place.parent() {
-            std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+            create_folder(folder)?;
         }
         write_atomically(&place, &file.content)?;
     }
@@ -73,7 +73,7 @@ fn found(place: &Path, content: &[u8]) -> Result<Found, Failure> {
 
 /// The place that a path leads to, by whatever links; what does not exist yet is taken as it stands.
 fn resolved(path: &Path) -> Result<PathBuf, Failure> {
-    let absolute = std::path::absolute(path).map_err(StoreError::files("find", path))?;
+    let absolute = absolute(path)?;
     let mut missing = Vec::new();
     let mut there = absolute.as_path();
     loop {

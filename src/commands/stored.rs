@@ -3,7 +3,7 @@
 use crate::exit::Failure;
 use crate::paths;
 use crate::pipeline::Request;
-use crate::store::{RunDir, StoreError};
+use crate::store::{RunDir, StoreError, absolute};
 
 /// The request that a run directory was made for, as it stands where the run is now; a damage of
 /// `run.json` is told.
@@ -18,7 +18,7 @@ pub fn stored_request(run: &RunDir) -> Result<Request, Failure> {
             reason: error.to_string(),
         })
     })?;
-    let place = std::path::absolute(run.root()).map_err(StoreError::files("find", run.root()))?;
+    let place = absolute(run.root())?;
     Ok(match paths::from_json(&found.root) {
         Some(before) if before != place => request.moved(&before, &place),
         _ => request,

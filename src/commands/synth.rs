@@ -14,18 +14,20 @@
 
 use super::reporting::reporting;
 use crate::cli::{SynthArgs, SynthFormat};
-use crate::config::read_toml;
+use crate::config::{read_toml, take_over};
 use crate::exit::Failure;
-use crate::pipeline::from_io;
-use crate::store::StoreError;
+use crate::store::{StoreError, create_folder};
 use rilievo_io::{
     CameraEntry, CameraFile, DeepFormat, read_mesh_ply, write_cameras, write_depth, write_linear,
     write_mask, write_matches_csv, write_mesh_ply, write_normal, write_photo_deep, write_photo_dng,
     write_photo_jpeg,
 };
 use rilievo_scene::{ExifFacts, InTable, LinearImage, NormalMap, Observer, StageId, Unit};
-use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions, true_tracks};
+use rilievo_synthetic::{
+    RenderOptions, RenderedView, Renderer, Scene, SceneOptions, SyntheticError, true_tracks,
+};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
 use std::path::Path;
 
 /// JPEG quality of the photos: a camera's usual "fine".
@@ -63,7 +65,7 @@ impl SynthOptions {
 /// # Errors
 /// Unusable options, or a folder that holds something else or cannot be written.
 pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
-    let facts = serde_json::json!({"folder": args.output.display().to_string()});
+    let facts = json!({"folder": args.output.display().to_string()});
     reporting(args.json, facts, |console| {
         let options = options(args)?;
         if !is_set(&args.output) && !is_new(&args.output)? {
@@ -91,14 +93,11 @@ fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
         None => SynthOptions::default(),
         Some(path) => read_toml(path)?,
     };
-    if let Some(seed) = args.seed {
-        options.scene.seed = seed;
-    }
-    if let Some(num_views) = args.views {
-        options.photographs.num_views = num_views;
-    }
+    let photographs = &mut options.photographs;
+    take_over(&mut options.scene.seed, args.seed);
+    take_over(&mut photographs.num_views, args.views);
     if let Some((width, height)) = args.size {
-        (options.photographs.width, options.photographs.height) = (width, height);
+        (photographs.width, photographs.height) = (width, height);
     }
     options.validate()?;
     Ok(options)
@@ -145,104 +144,130 @@ pub fn write_set(
     mesh: Option<&Path>,
     observer: &dyn Observer,
 ) -> anyhow::Result<()> {
-    let usage = |error: rilievo_synthetic::SyntheticError| Failure::Usage(error.to_string());
     let scene = match mesh {
         None => Scene::new(options.scene.clone()).map_err(usage)?,
         Some(path) => {
-            let mesh = read_mesh_ply(path).map_err(from_io)?;
+            let mesh = read_mesh_ply(path).map_err(Failure::from)?;
             Scene::with_mesh(options.scene.clone(), mesh)
                 .map_err(|error| Failure::input(path, error.to_string()))?
         }
     };
     let renderer = Renderer::new(&scene, &options.photographs).map_err(usage)?;
-    std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+    create_folder(folder)?;
     write_json(&folder.join(SET_FILE), &serde_json::to_value(options)?)?;
     let kinds = ["photos", "masks", "truth", "truth/matches"].map(str::to_owned);
-    for name in kinds
-        .into_iter()
-        .chain((0..scene.spheres.len().max(1)).map(mask_folder))
-    {
-        let path = folder.join(name);
-        std::fs::create_dir_all(&path).map_err(StoreError::files("create", &path))?;
+    let sphere_masks = (0..scene.spheres.len().max(1)).map(mask_folder);
+    for name in kinds.into_iter().chain(sphere_masks) {
+        create_folder(&folder.join(name))?;
     }
+    let mut taken = Taken::of(&scene);
     let total = renderer.num_views();
-    let mut cameras = CameraFile {
-        unit: Unit::Metre,
-        ..CameraFile::default()
-    };
-    let mut sphere_views = vec![serde_json::Map::new(); scene.spheres.len()];
-    let mut lighting = serde_json::Map::new();
-    let mut gains = serde_json::Map::new();
-    let mut views = Vec::new();
     for index in 0..total {
         let view = renderer.render(index).map_err(usage)?;
         write_view(folder, &view, format)?;
-        let file_name = format!("{}.{}", view.name, ending(format));
-        for (k, mask) in view.sphere_masks.iter().enumerate() {
-            if mask.count() > 0 {
-                let file = format!("{}/{}.png", mask_folder(k), view.name);
-                sphere_views[k].insert(file_name.clone(), serde_json::json!({"mask": file}));
-            }
-        }
-        lighting.insert(view.name.clone(), serde_json::to_value(&view.lighting)?);
-        gains.insert(file_name.clone(), view.gain.into());
-        cameras.cameras.push(CameraEntry {
-            image: Some(file_name),
-            intrinsics: view.intrinsics,
-            cam_from_world: Some(view.cam_from_world),
-        });
-        // Matches need no pixels.
-        views.push(RenderedView {
-            image: LinearImage::filled(0, 0, 3, 0.0),
-            albedo: LinearImage::filled(0, 0, 3, 0.0),
-            normal: NormalMap::filled(0, 0, [0.0; 3]),
-            ..view
-        });
+        taken.add(view, ending(format))?;
         let flow = observer.progress(
             StageId::Photos,
             "photographing the scene",
             (index + 1, total),
         );
-        flow.ok_or(Failure::Interrupted.into())?;
+        flow.ok_or(Failure::Interrupted)?;
     }
-    cameras
-        .extra
-        .insert("exposure_gains".to_owned(), gains.into());
-    cameras
-        .extra
-        .insert("albedo".to_owned(), serde_json::json!(options.scene.albedo));
-    let spheres: Vec<serde_json::Value> = scene
-        .spheres
-        .iter()
-        .map(|s| serde_json::json!({"center": s.center_in_world, "radius": s.radius}))
-        .collect();
-    if let Some(first) = spheres.first() {
-        cameras.extra.insert("sphere".to_owned(), first.clone());
+    taken.write(folder, &scene, options.photographs.turntable)?;
+    write_mesh_ply(&folder.join("truth/mesh.ply"), &scene.mesh, Unit::Metre)
+        .map_err(Failure::from)?;
+    write_matches(folder, &scene, &taken.views)
+}
+
+fn usage(error: SyntheticError) -> Failure {
+    Failure::Usage(error.to_string())
+}
+
+/// What is written of all photos together, once all are taken.
+struct Taken {
+    cameras: CameraFile,
+    /// Every sphere's mask in every photo that shows it.
+    sphere_views: Vec<Map<String, Value>>,
+    lighting: Map<String, Value>,
+    gains: Map<String, Value>,
+    /// Without pixels.
+    views: Vec<RenderedView>,
+}
+
+impl Taken {
+    fn of(scene: &Scene) -> Self {
+        Self {
+            cameras: CameraFile {
+                unit: Unit::Metre,
+                ..CameraFile::default()
+            },
+            sphere_views: vec![Map::new(); scene.spheres.len()],
+            lighting: Map::new(),
+            gains: Map::new(),
+            views: Vec::new(),
+        }
     }
-    if spheres.len() > 1 {
-        cameras.extra.insert("spheres".to_owned(), spheres.into());
+
+    fn add(&mut self, view: RenderedView, ending: &str) -> anyhow::Result<()> {
+        let file_name = format!("{}.{ending}", view.name);
+        for (k, mask) in view.sphere_masks.iter().enumerate() {
+            if mask.count() > 0 {
+                let file = format!("{}/{}.png", mask_folder(k), view.name);
+                self.sphere_views[k].insert(file_name.clone(), json!({"mask": file}));
+            }
+        }
+        let lighting = serde_json::to_value(&view.lighting)?;
+        self.lighting.insert(view.name.clone(), lighting);
+        self.gains.insert(file_name.clone(), view.gain.into());
+        self.cameras.cameras.push(CameraEntry {
+            image: Some(file_name),
+            intrinsics: view.intrinsics,
+            cam_from_world: Some(view.cam_from_world),
+        });
+        // Matches need no pixels.
+        self.views.push(RenderedView {
+            image: LinearImage::filled(0, 0, 3, 0.0),
+            albedo: LinearImage::filled(0, 0, 3, 0.0),
+            normal: NormalMap::filled(0, 0, [0.0; 3]),
+            ..view
+        });
+        Ok(())
     }
-    write_cameras(&folder.join("truth/cameras.json"), &cameras).map_err(from_io)?;
-    cameras.extra.clear();
-    for camera in &mut cameras.cameras {
-        camera.cam_from_world = None;
+
+    /// Cameras, spheres and light.
+    fn write(&mut self, folder: &Path, scene: &Scene, turns: bool) -> anyhow::Result<()> {
+        let cameras = &mut self.cameras;
+        let mut extra = |key: &str, value: Value| cameras.extra.insert(key.to_owned(), value);
+        extra("exposure_gains", std::mem::take(&mut self.gains).into());
+        extra("albedo", json!(scene.options.albedo));
+        let spheres = scene.spheres.iter();
+        let spheres: Vec<Value> = spheres
+            .map(|s| json!({"center": s.center_in_world, "radius": s.radius}))
+            .collect();
+        if let Some(first) = spheres.first() {
+            extra("sphere", first.clone());
+        }
+        if spheres.len() > 1 {
+            extra("spheres", spheres.into());
+        }
+        write_cameras(&folder.join("truth/cameras.json"), cameras).map_err(Failure::from)?;
+        cameras.extra.clear();
+        for camera in &mut cameras.cameras {
+            camera.cam_from_world = None;
+        }
+        write_cameras(&folder.join("intrinsics.json"), cameras).map_err(Failure::from)?;
+        if !scene.spheres.is_empty() {
+            let file = sphere_file(scene, std::mem::take(&mut self.sphere_views), turns);
+            write_json(&folder.join("sphere.json"), &file)?;
+        }
+        let lighting = json!({
+            "basis": rilievo_scene::SphericalHarmonics::BASIS,
+            "frame": "camera",
+            "includes_albedo": true,
+            "views": self.lighting,
+        });
+        write_json(&folder.join("truth/lighting.json"), &lighting)
     }
-    write_cameras(&folder.join("intrinsics.json"), &cameras).map_err(from_io)?;
-    if !scene.spheres.is_empty() {
-        write_json(
-            &folder.join("sphere.json"),
-            &sphere_file(&scene, sphere_views, options.photographs.turntable),
-        )?;
-    }
-    let lighting = serde_json::json!({
-        "basis": rilievo_scene::SphericalHarmonics::BASIS,
-        "frame": "camera",
-        "includes_albedo": true,
-        "views": lighting,
-    });
-    write_json(&folder.join("truth/lighting.json"), &lighting)?;
-    write_mesh_ply(&folder.join("truth/mesh.ply"), &scene.mesh, Unit::Metre).map_err(from_io)?;
-    write_matches(folder, &scene, &views)
 }
 
 /// Folder of a sphere's masks.
@@ -254,20 +279,16 @@ fn mask_folder(sphere: usize) -> String {
 }
 
 /// The sphere file: one sphere at its top, several in a list; `turns` for an object on a turntable.
-fn sphere_file(
-    scene: &Scene,
-    views: Vec<serde_json::Map<String, serde_json::Value>>,
-    turns: bool,
-) -> serde_json::Value {
-    let mut entries: Vec<serde_json::Value> = scene
+fn sphere_file(scene: &Scene, views: Vec<Map<String, Value>>, turns: bool) -> Value {
+    let mut entries: Vec<Value> = scene
         .spheres
         .iter()
         .zip(views)
-        .map(|(sphere, views)| serde_json::json!({"radius": sphere.radius, "views": views}))
+        .map(|(sphere, views)| json!({"radius": sphere.radius, "views": views}))
         .collect();
     let mut file = match entries.len() {
         1 => entries.swap_remove(0),
-        _ => serde_json::json!({"spheres": entries}),
+        _ => json!({"spheres": entries}),
     };
     file["unit"] = "metre".into();
     file["light"] = if turns { "camera" } else { "world" }.into();
@@ -288,7 +309,7 @@ fn write_matches(folder: &Path, scene: &Scene, views: &[RenderedView]) -> anyhow
                 })
                 .collect();
             let file = format!("truth/matches/{}_{}.csv", first.name, second.name);
-            write_matches_csv(&folder.join(file), &matches).map_err(from_io)?;
+            write_matches_csv(&folder.join(file), &matches).map_err(Failure::from)?;
         }
     }
     Ok(())
@@ -314,23 +335,22 @@ fn write_view(folder: &Path, view: &RenderedView, format: SynthFormat) -> Result
         SynthFormat::Png => write_photo_deep(&photo, &view.image, DeepFormat::Png),
         SynthFormat::Exr => write_linear(&photo, &view.image),
         SynthFormat::Dng => write_photo_dng(&photo, &view.image, [1.0; 3], &ExifFacts::default()),
-    }
-    .map_err(from_io)?;
+    }?;
     let albedo = folder.join(format!("truth/{name}_albedo.exr"));
-    write_linear(&albedo, &view.albedo).map_err(from_io)?;
+    write_linear(&albedo, &view.albedo)?;
     let mask = folder.join(format!("masks/{name}.png"));
-    write_mask(&mask, &view.object_mask).map_err(from_io)?;
+    write_mask(&mask, &view.object_mask)?;
     for (k, mask) in view.sphere_masks.iter().enumerate() {
         let sphere = folder.join(format!("{}/{name}.png", mask_folder(k)));
-        write_mask(&sphere, mask).map_err(from_io)?;
+        write_mask(&sphere, mask)?;
     }
     let depth = folder.join(format!("truth/{name}_depth.exr"));
-    write_depth(&depth, &view.depth).map_err(from_io)?;
+    write_depth(&depth, &view.depth)?;
     let normal = folder.join(format!("truth/{name}_normal.exr"));
-    write_normal(&normal, &view.normal).map_err(from_io)
+    write_normal(&normal, &view.normal).map_err(Failure::from)
 }
 
-fn write_json(path: &Path, value: &serde_json::Value) -> anyhow::Result<()> {
+fn write_json(path: &Path, value: &Value) -> anyhow::Result<()> {
     std::fs::write(path, serde_json::to_vec_pretty(value)?)
         .map_err(StoreError::files("write", path))?;
     Ok(())

@@ -14,6 +14,14 @@ pub struct Lines {
     pace: Option<Pace>,
 }
 
+impl Lines {
+    /// The pace of a step, which is new where another one was at hand.
+    fn pace(&mut self, step: &str, done: usize) -> &mut Pace {
+        self.pace = self.pace.take().filter(|pace| pace.is_of(step));
+        self.pace.get_or_insert_with(|| Pace::new(step, done))
+    }
+}
+
 impl Display for Lines {
     fn stage(&mut self, stage: StageId, news: &StageNews) {
         self.pace = None;
@@ -39,11 +47,7 @@ impl Display for Lines {
                 energy,
                 ..
             } => {
-                let pace = match &mut self.pace {
-                    Some(pace) if pace.is_of("iterating") => pace,
-                    slot => slot.insert(Pace::new("iterating", *iteration)),
-                };
-                if pace.due(INTERVAL) {
+                if self.pace("iterating", *iteration).due(INTERVAL) {
                     tell!(
                         "{stage}: iteration {} of at most {max_num_iterations}, energy {energy:.4e}",
                         iteration + 1
@@ -55,10 +59,7 @@ impl Display for Lines {
     }
 
     fn progress(&mut self, of: &str, step: &str, done: usize, total: usize) {
-        let pace = match &mut self.pace {
-            Some(pace) if pace.is_of(step) => pace,
-            slot => slot.insert(Pace::new(step, done)),
-        };
+        let pace = self.pace(step, done);
         if pace.due(INTERVAL) || done == total {
             let left = pace.left(done, total).filter(|_| done < total);
             let left = left.map_or(String::new(), |d| format!(", {} left", in_words(d)));

@@ -15,7 +15,7 @@ use crate::interrupt;
 use display::Display;
 use rilievo_scene::{Event, Flow, Observer, StageId};
 use std::io::IsTerminal;
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// The observer of a whole command.
 pub struct Console {
@@ -70,10 +70,7 @@ impl Console {
 
     /// Takes the warnings of a stage out, for its manifest.
     pub fn take_warnings(&self, stage: StageId) -> Vec<String> {
-        let mut warnings = match self.warnings.lock() {
-            Ok(warnings) => warnings,
-            Err(poisoned) => poisoned.into_inner(),
-        };
+        let mut warnings = locked(&self.warnings);
         let (taken, kept) = warnings.drain(..).partition(|(of, _)| *of == stage);
         *warnings = kept;
         let taken: Vec<(StageId, String)> = taken;
@@ -81,22 +78,19 @@ impl Console {
     }
 
     fn with(&self, show: impl FnOnce(&mut dyn Display)) {
-        let mut display = match self.display.lock() {
-            Ok(display) => display,
-            Err(poisoned) => poisoned.into_inner(),
-        };
-        show(display.as_mut());
+        show(locked(&self.display).as_mut());
     }
+}
+
+/// What a mutex guards, also after a thread that held it panicked: what it says is still worth showing.
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Observer for Console {
     fn event(&self, event: Event) -> Flow {
         if let Event::Warning { stage, message } = &event {
-            let mut warnings = match self.warnings.lock() {
-                Ok(warnings) => warnings,
-                Err(poisoned) => poisoned.into_inner(),
-            };
-            warnings.push((*stage, message.clone()));
+            locked(&self.warnings).push((*stage, message.clone()));
         }
         self.with(|display| display.event(&event));
         self.flow()

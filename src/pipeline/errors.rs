@@ -1,20 +1,14 @@
-//! Errors of stages and formats as failures with an exit code.
+//! Errors of stages as failures with an exit code.
 
 use crate::exit::Failure;
 use rilievo_features::FeaturesError;
 use rilievo_fusion::FusionError;
-use rilievo_io::IoError;
 use rilievo_lighting::LightingError;
 use rilievo_photometry::surface_check::CheckError;
 use rilievo_photos::PhotosError;
 use rilievo_poses::PosesError;
 use rilievo_scene::Inconsistent;
 use rilievo_shading::ShadingError;
-
-/// A file that could not be read, used or written.
-pub fn from_io(error: IoError) -> Failure {
-    error.into()
-}
 
 /// Results of an earlier stage that cannot be as that stage left them.
 fn damaged(error: &Inconsistent) -> anyhow::Error {

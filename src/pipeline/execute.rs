@@ -93,7 +93,6 @@ pub fn run_stage(
         fingerprint: ingredients.fingerprint(),
         ingredients,
         items: Default::default(),
-        seed: context.request.options.poses.seed,
         seconds,
         threads: rayon::current_num_threads(),
         peak_memory_bytes: system::peak_memory(),

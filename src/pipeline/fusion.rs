@@ -1,7 +1,7 @@
 //! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, `mesh.obj` and `mesh.glb`.
 
 use super::context::Context;
-use super::errors::{from_fusion, from_io};
+use super::errors::from_fusion;
 use crate::exit::Failure;
 use crate::store::StageWriter;
 use rilievo_io::{ViewerFrame, write_cloud_ply, write_mesh_glb, write_mesh_obj, write_mesh_ply};
@@ -38,13 +38,13 @@ pub fn write_surface(
     path: &dyn Fn(&str) -> Result<PathBuf, Failure>,
 ) -> Result<(), Failure> {
     let unit = views.scale.unit;
-    write_cloud_ply(&path("cloud.ply")?, &fused.cloud, unit).map_err(from_io)?;
-    write_mesh_ply(&path("mesh.ply")?, &fused.mesh, unit).map_err(from_io)?;
+    write_cloud_ply(&path("cloud.ply")?, &fused.cloud, unit)?;
+    write_mesh_ply(&path("mesh.ply")?, &fused.mesh, unit)?;
     // An empty mesh is valid PLY, and nothing that a viewer could show.
     if !fused.mesh.triangles.is_empty() {
-        write_mesh_obj(&path("mesh.obj")?, &fused.mesh, unit).map_err(from_io)?;
+        write_mesh_obj(&path("mesh.obj")?, &fused.mesh, unit)?;
         let frame = ViewerFrame::from_views(views);
-        write_mesh_glb(&path("mesh.glb")?, &fused.mesh, unit, &frame).map_err(from_io)?;
+        write_mesh_glb(&path("mesh.glb")?, &fused.mesh, unit, &frame)?;
     }
     Ok(())
 }

@@ -1,6 +1,5 @@
 //! The files that a request names, found and checked before anything is computed.
 
-use super::errors::from_io;
 use super::request::{LightingInput, Request};
 use super::spheres::SphereInputs;
 use crate::exit::{Failure, Problem};
@@ -60,103 +59,12 @@ impl Inputs {
     /// [`Failure::Input`] with every file that makes the request impossible.
     pub fn scan(request: &Request) -> Result<Self, Failure> {
         let (paths, skipped) = photo_files(&request.photos)?;
-        let cameras = request
-            .cameras
-            .as_deref()
-            .map(any_cameras)
-            .transpose()
-            .map_err(from_io)?;
-        let camera_index = cameras.as_ref().map(CameraFile::index);
+        let cameras = request.cameras.as_deref().map(any_cameras).transpose()?;
         let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
-
-        let mut problems = Vec::new();
-        let mut unreadable = Vec::new();
-        let mut photos = Vec::with_capacity(paths.len());
-        let mut by_name = BTreeMap::<String, PathBuf>::new();
-        let hashes: Vec<_> = paths.par_iter().map(|path| hash_file(path)).collect();
-        for (path, hash) in paths.into_iter().zip(hashes) {
-            let file_name = text_of(path.file_name());
-            let name = text_of(path.file_stem());
-            if let Some(other) = by_name.insert(name.clone(), path.clone()) {
-                problems.push(Problem {
-                    file: path,
-                    reason: format!(
-                        "has the same name as {}; names tell results apart, so rename one",
-                        other.display()
-                    ),
-                });
-                continue;
-            }
-            let hash = match (hash, unfit_name(&name)) {
-                (Ok(hash), None) => hash,
-                (Err(error), _) => {
-                    let reason = format!("cannot be read: {}", error.reason);
-                    unreadable.push(Problem { file: path, reason });
-                    continue;
-                }
-                (_, Some(reason)) => {
-                    unreadable.push(Problem { file: path, reason });
-                    continue;
-                }
-            };
-            // The photo's own folder tells two masks of one name apart.
-            let with_folder = Path::new(&text_of(path.parent().and_then(Path::file_name)))
-                .join(&file_name)
-                .to_string_lossy()
-                .into_owned();
-            // Without one, it may also be the photo's own alpha channel, which only decoding shows.
-            let mask = masks.as_ref().and_then(|folder| folder.find(&with_folder));
-            let mask = match mask {
-                Some(mask) => {
-                    let hash = hash_file(&mask).map_err(from_io)?;
-                    Some((mask, hash))
-                }
-                None => None,
-            };
-            let camera = camera_index
-                .as_ref()
-                .and_then(|index| index.find(&file_name).cloned());
-            photos.push(PhotoInput {
-                path,
-                file_name,
-                name,
-                hash,
-                mask,
-                camera,
-            });
-        }
-        if !problems.is_empty() {
-            problems.extend(unreadable);
-            return Err(Failure::Input(problems));
-        }
-        if photos.is_empty() {
-            return Err(Failure::Input(unreadable));
-        }
-        photos.sort_by(|a, b| a.file_name.cmp(&b.file_name));
-
+        let (photos, unreadable) = photo_inputs(paths, cameras.as_ref(), masks.as_ref())?;
         let mut warnings = Vec::new();
-        if let Some(cameras) = &cameras {
-            let without: Vec<&str> = photos
-                .iter()
-                .filter(|photo| photo.camera.is_none())
-                .map(|photo| photo.file_name.as_str())
-                .collect();
-            if without.len() == photos.len() {
-                return Err(Failure::input(
-                    request.cameras.clone().unwrap_or_default(),
-                    format!(
-                        "none of its {} cameras belongs to a photo; the key \"image\" must be a \
-                         photo's file name",
-                        cameras.cameras.len()
-                    ),
-                ));
-            }
-            if !without.is_empty() {
-                warnings.push(format!(
-                    "the camera file has no entry for {}; their focal length comes from EXIF",
-                    without.join(", ")
-                ));
-            }
+        if let (Some(cameras), Some(path)) = (&cameras, &request.cameras) {
+            warnings.extend(without_camera(&photos, cameras, path)?);
         }
         warnings.extend(twins(&photos));
         let spheres = SphereInputs::scan(&request.sphere)?;
@@ -182,6 +90,104 @@ impl Inputs {
         let mask = photo.mask.as_ref().map(|(_, hash)| hash);
         hash_json(&(&photo.file_name, &photo.hash, mask, camera))
     }
+}
+
+/// The photos that can be read, ordered by file name, with their masks and cameras; and those that
+/// cannot.
+fn photo_inputs(
+    paths: Vec<PathBuf>,
+    cameras: Option<&CameraFile>,
+    masks: Option<&MaskFolder>,
+) -> Result<(Vec<PhotoInput>, Vec<Problem>), Failure> {
+    let cameras = cameras.map(CameraFile::index);
+    let mut problems = Vec::new();
+    let mut unreadable = Vec::new();
+    let mut photos = Vec::with_capacity(paths.len());
+    let mut by_name = BTreeMap::<String, PathBuf>::new();
+    let hashes: Vec<_> = paths.par_iter().map(|path| hash_file(path)).collect();
+    for (path, hash) in paths.into_iter().zip(hashes) {
+        let file_name = text_of(path.file_name());
+        let name = text_of(path.file_stem());
+        if let Some(other) = by_name.insert(name.clone(), path.clone()) {
+            problems.push(Problem {
+                file: path,
+                reason: format!(
+                    "has the same name as {}; names tell results apart, so rename one",
+                    other.display()
+                ),
+            });
+            continue;
+        }
+        let hash = match (hash, unfit_name(&name)) {
+            (Ok(hash), None) => hash,
+            (Err(error), _) => {
+                let reason = format!("cannot be read: {}", error.reason);
+                unreadable.push(Problem { file: path, reason });
+                continue;
+            }
+            (_, Some(reason)) => {
+                unreadable.push(Problem { file: path, reason });
+                continue;
+            }
+        };
+        // The photo's own folder tells two masks of one name apart.
+        let with_folder = Path::new(&text_of(path.parent().and_then(Path::file_name)))
+            .join(&file_name)
+            .to_string_lossy()
+            .into_owned();
+        // Without one, it may also be the photo's own alpha channel, which only decoding shows.
+        let mask = masks.and_then(|folder| folder.find(&with_folder));
+        let hashed = |mask: PathBuf| hash_file(&mask).map(|hash| (mask, hash));
+        let mask = mask.map(hashed).transpose()?;
+        let camera = cameras.as_ref();
+        let camera = camera.and_then(|index| index.find(&file_name).cloned());
+        photos.push(PhotoInput {
+            path,
+            file_name,
+            name,
+            hash,
+            mask,
+            camera,
+        });
+    }
+    if !problems.is_empty() {
+        problems.extend(unreadable);
+        return Err(Failure::Input(problems));
+    }
+    if photos.is_empty() {
+        return Err(Failure::Input(unreadable));
+    }
+    photos.sort_by(|a, b| a.file_name.cmp(&b.file_name));
+    Ok((photos, unreadable))
+}
+
+/// A warning of the photos that a camera file says nothing of.
+fn without_camera(
+    photos: &[PhotoInput],
+    cameras: &CameraFile,
+    path: &Path,
+) -> Result<Option<String>, Failure> {
+    let without: Vec<&str> = photos
+        .iter()
+        .filter(|photo| photo.camera.is_none())
+        .map(|photo| photo.file_name.as_str())
+        .collect();
+    if without.len() == photos.len() {
+        return Err(Failure::input(
+            path,
+            format!(
+                "none of its {} cameras belongs to a photo; the key \"image\" must be a photo's \
+                 file name",
+                cameras.cameras.len()
+            ),
+        ));
+    }
+    Ok((!without.is_empty()).then(|| {
+        format!(
+            "the camera file has no entry for {}; their focal length comes from EXIF",
+            without.join(", ")
+        )
+    }))
 }
 
 /// Cameras of any format that can be told by its name and first words.
@@ -328,7 +334,7 @@ fn lighting_inputs(
     match lighting {
         LightingInput::Found => {}
         LightingInput::File { path, name } => {
-            let file = read_lighting(path, name.as_deref()).map_err(from_io)?;
+            let file = read_lighting(path, name.as_deref())?;
             if !photos
                 .iter()
                 .any(|photo| file.for_view(&photo.name).is_some())
@@ -338,7 +344,7 @@ fn lighting_inputs(
                     "holds no lighting of any photo; its views go by the photos' names (--lighting)",
                 ));
             }
-            hashes.insert("lighting file".into(), hash_file(path).map_err(from_io)?);
+            hashes.insert("lighting file".into(), hash_file(path)?);
             if let Some(name) = name {
                 hashes.insert("lighting name".into(), name.clone());
             }
@@ -350,7 +356,7 @@ fn lighting_inputs(
                 if file.exists() {
                     found += 1;
                     let role = format!("shape of {}", photo.name);
-                    hashes.insert(role, hash_file(&file).map_err(from_io)?);
+                    hashes.insert(role, hash_file(&file)?);
                 }
             }
             if found == 0 {

@@ -4,7 +4,7 @@
 
 use super::artifacts::{read_json, write_text};
 use super::context::Context;
-use super::errors::{from_io, from_lighting};
+use super::errors::from_lighting;
 use super::inputs::shape_file;
 use super::request::LightingInput;
 use crate::exit::Failure;
@@ -33,13 +33,13 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_lighting)?;
-    write_lighting(&writer.path("lighting.json")?, &calibration, &views).map_err(from_io)?;
+    write_lighting(&writer.path("lighting.json")?, &calibration, &views).map_err(Failure::from)?;
     let options = &context.request.options.lighting;
     let overlays = rilievo_lighting::overlays(&photos, &views, &calibration, options)
         .map_err(from_lighting)?;
     for overlay in &overlays {
         let path = writer.path(&format!("overlay/{}.png", overlay.name))?;
-        write_preview_png(&path, Preview::Linear(&overlay.picture), 0).map_err(from_io)?;
+        write_preview_png(&path, Preview::Linear(&overlay.picture), 0).map_err(Failure::from)?;
     }
     write_text(writer, CALIBRATION, &calibration)?;
     Ok(serde_json::to_value(report)?)
@@ -60,12 +60,12 @@ fn lighting_request(
 ) -> Result<LightingRequest, Failure> {
     match &context.request.lighting {
         LightingInput::File { path, name } => {
-            let file = read_lighting(path, name.as_deref()).map_err(from_io)?;
+            let file = read_lighting(path, name.as_deref())?;
             let lit = |name: &str| Some((name.to_owned(), file.for_view(name)?.clone()));
             let names = || views.views.iter().map(|view| view.name.as_str());
             let missing: Vec<&str> = names().filter(|name| lit(name).is_none()).collect();
             if !missing.is_empty() {
-                return Err(from_io(IoError {
+                return Err(IoError {
                     path: path.clone(),
                     kind: IoErrorKind::Input,
                     reason: format!("has no lighting for {}", missing.join(", ")),
@@ -73,7 +73,8 @@ fn lighting_request(
                         "its views go by the photos' names; FILE:NAME picks one lighting for all views"
                             .to_owned(),
                     ),
-                }));
+                }
+                .into());
             }
             let given = names().filter_map(lit).collect();
             Ok(LightingRequest::Given(given))
@@ -83,7 +84,7 @@ fn lighting_request(
             for (index, view) in views.views.iter().enumerate() {
                 let file = shape_file(folder, &view.name);
                 if file.exists() {
-                    let depth = read_depth(&file).map_err(from_io)?;
+                    let depth = read_depth(&file)?;
                     shapes.push((ViewIdx(index), depth));
                 }
             }

@@ -21,7 +21,7 @@ mod shading;
 mod spheres;
 
 pub use context::Context;
-pub use errors::{from_fusion, from_io, from_lighting, from_shading};
+pub use errors::{from_fusion, from_lighting, from_shading};
 pub use execute::{Range, bring_up_to_date, run_stage};
 pub use features::{load_keypoints, load_pairs};
 pub use fusion::write_surface;

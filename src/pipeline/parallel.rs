@@ -2,7 +2,7 @@
 
 use crate::cli::WorkArgs;
 use rayon::prelude::*;
-use rilievo_scene::{Event, Flow, Observer, StageId};
+use rilievo_scene::{Flow, Observer, StageId};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Threads and memory of a command; results do not depend on either.

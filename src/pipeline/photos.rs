@@ -2,7 +2,7 @@
 
 use super::artifacts::{checked_names, not_there};
 use super::context::Context;
-use super::errors::{from_io, from_photos};
+use super::errors::from_photos;
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, map_items};
 use super::request::Request;
@@ -35,7 +35,7 @@ enum Kept {
 /// Why one photo could not be prepared.
 enum Trouble {
     /// The photo is left out; the others go on.
-    Photo(String),
+    Photo(Problem),
     /// A mask or camera that was asked for cannot be used: never go on silently without it.
     Request(Problem),
     /// The program or the disk failed.
@@ -82,16 +82,13 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let mut usable = Vec::new();
     let mut rejected: Vec<RejectedPhoto> = inputs.unreadable.iter().map(rejected_photo).collect();
     let mut problems = Vec::new();
-    for (photo, outcome) in inputs.photos.iter().zip(prepared) {
+    for outcome in prepared {
         match outcome {
             Ok(Kept::Usable { facts, mask }) => {
                 usable.push(from_disk(writer.dir(), *facts, mask)?);
             }
             Ok(Kept::Rejected(photo)) => rejected.push(photo),
-            Err(Trouble::Photo(reason)) => rejected.push(RejectedPhoto {
-                file: photo.path.display().to_string(),
-                reason,
-            }),
+            Err(Trouble::Photo(problem)) => rejected.push(rejected_photo(&problem)),
             Err(Trouble::Request(problem)) => problems.push(problem),
             Err(Trouble::Fatal(error)) => return Err(error),
         }
@@ -162,14 +159,10 @@ pub fn check(
     .ok_or(Failure::Interrupted)?;
     let mut usable = Vec::new();
     let mut problems = inputs.unreadable.clone();
-    for (photo, outcome) in inputs.photos.iter().zip(checked) {
+    for outcome in checked {
         match outcome {
             Ok(prepared) => usable.push(prepared),
-            Err(Trouble::Photo(reason)) => problems.push(Problem {
-                file: photo.path.clone(),
-                reason,
-            }),
-            Err(Trouble::Request(problem)) => problems.push(problem),
+            Err(Trouble::Photo(problem) | Trouble::Request(problem)) => problems.push(problem),
             Err(Trouble::Fatal(error)) => return Err(error),
         }
     }
@@ -191,8 +184,9 @@ pub fn check(
 pub fn linear_photo(request: &Request, photo: &PhotoInput) -> anyhow::Result<Arc<LinearImage>> {
     match prepare(request, photo) {
         Ok(prepared) => Ok(prepared.pixels.load()?),
-        Err(Trouble::Photo(reason)) => Err(Failure::input(&photo.path, reason).into()),
-        Err(Trouble::Request(problem)) => Err(Failure::Input(vec![problem]).into()),
+        Err(Trouble::Photo(problem) | Trouble::Request(problem)) => {
+            Err(Failure::Input(vec![problem]).into())
+        }
         Err(Trouble::Fatal(error)) => Err(error),
     }
 }
@@ -233,9 +227,7 @@ pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
 
 fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto, Failure> {
     let mask = if mask {
-        Some(Arc::new(
-            read_mask(&dir.join(mask_file(&facts.name))).map_err(from_io)?,
-        ))
+        Some(Arc::new(read_mask(&dir.join(mask_file(&facts.name)))?))
     } else {
         None
     };
@@ -277,13 +269,7 @@ fn one(
     }
     let (kept, files) = match prepare(context.request, photo) {
         Ok(prepared) => write(writer, prepared)?,
-        Err(Trouble::Photo(reason)) => {
-            let rejected = RejectedPhoto {
-                file: photo.path.display().to_string(),
-                reason,
-            };
-            (Kept::Rejected(rejected), Vec::new())
-        }
+        Err(Trouble::Photo(problem)) => (Kept::Rejected(rejected_photo(&problem)), Vec::new()),
         Err(other) => return Err(other),
     };
     let facts = serde_json::to_value(&kept).map_err(|error| Trouble::Fatal(error.into()))?;
@@ -298,52 +284,38 @@ fn one(
 }
 
 fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Trouble> {
+    let of_photo = |reason: String| Problem {
+        file: photo.path.clone(),
+        reason,
+    };
     let bytes = std::fs::read(&photo.path)
-        .map_err(|error| Trouble::Photo(format!("cannot be read: {error}")))?;
+        .map_err(|error| Trouble::Photo(of_photo(format!("cannot be read: {error}"))))?;
     // The key of the photo's share holds the hash from the scan: refuse a file that changed since.
     if hash_bytes(&bytes) != photo.hash {
-        return Err(Trouble::Request(Problem {
-            file: photo.path.clone(),
-            reason: "was replaced while it was read; run the same command again".to_owned(),
-        }));
+        let reason = "was replaced while it was read; run the same command again";
+        return Err(Trouble::Request(of_photo(reason.to_owned())));
     }
     let mut decoded =
         decode_photo_bytes(&photo.path, &bytes).map_err(|error| match error.kind {
-            IoErrorKind::Input => {
-                let hint = error
-                    .hint
-                    .map_or(String::new(), |hint| format!(" ({hint})"));
-                Trouble::Photo(format!("{}{hint}", error.reason))
-            }
+            IoErrorKind::Input => Trouble::Photo(of_photo(Problem::from(error).reason)),
             // Not the photo's fault: to leave it out would be remembered.
-            IoErrorKind::Read | IoErrorKind::Write => Trouble::Fatal(from_io(error).into()),
+            IoErrorKind::Read | IoErrorKind::Write => Trouble::Fatal(Failure::from(error).into()),
         })?;
     decoded.file_name.clone_from(&photo.file_name);
     let mut mask_path = photo.path.clone();
     let mask = match &photo.mask {
         Some((path, _)) => {
             mask_path = path.clone();
-            Some(read_mask(path).map_err(|error| {
-                let hint = error
-                    .hint
-                    .map_or(String::new(), |hint| format!(" ({hint})"));
-                Trouble::Request(Problem {
-                    file: error.path,
-                    reason: format!("{}{hint}", error.reason),
-                })
-            })?)
+            Some(read_mask(path).map_err(|error| Trouble::Request(error.into()))?)
         }
         None if decoded.alpha.is_some() => decoded.alpha.clone(),
         None => match &request.masks {
             Some(folder) => {
-                return Err(Trouble::Request(Problem {
-                    file: photo.path.clone(),
-                    reason: format!(
-                        "has no mask in {}; name it {}.png",
-                        folder.display(),
-                        photo.name
-                    ),
-                }));
+                return Err(Trouble::Request(of_photo(format!(
+                    "has no mask in {}; name it {}.png",
+                    folder.display(),
+                    photo.name
+                ))));
             }
             None => None,
         },
@@ -372,7 +344,7 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
                 reason: error.to_string(),
             })
         }
-        other => Trouble::Photo(other.to_string()),
+        other => Trouble::Photo(of_photo(other.to_string())),
     })
 }
 
@@ -388,7 +360,7 @@ fn write(
         .pixels
         .load()
         .map_err(|error| Trouble::Fatal(error.into()))?;
-    let fatal = |error| Trouble::Fatal(from_io(error).into());
+    let fatal = |error| Trouble::Fatal(Failure::from(error).into());
     let linear = linear_file(&name);
     let write_image = if prepared.facts.bits == 8 {
         // A clipped value may be stored a little lower; the code below it lies much lower still.

@@ -3,7 +3,7 @@
 
 use super::artifacts::{checked_names, read_json, write_json};
 use super::context::Context;
-use super::errors::{from_io, from_poses};
+use super::errors::from_poses;
 use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
@@ -61,9 +61,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         &writer.path("cameras.json")?,
         &CameraFile::from_posed_views(&views),
     )
-    .map_err(from_io)?;
+    .map_err(Failure::from)?;
     let sparse = writer.path("sparse/cameras.txt")?;
-    write_colmap_text(sparse.parent().unwrap_or(writer.dir()), &views).map_err(from_io)?;
+    write_colmap_text(sparse.parent().unwrap_or(writer.dir()), &views).map_err(Failure::from)?;
     super::anchors::write(writer, &views)?;
     write_json(writer, POSED_VIEWS, &views)?;
     Ok(serde_json::to_value(report)?)
@@ -106,7 +106,7 @@ pub fn sphere_request(
         .iter()
         .map(|calibration| calibration_image(context, &calibration.image))
         .collect::<Result<Vec<_>, _>>()?;
-    let (request, missing) = file.to_request(photos, images).map_err(from_io)?;
+    let (request, missing) = file.to_request(photos, images)?;
     Ok((Some(request), missing))
 }
 
@@ -114,7 +114,7 @@ fn calibration_image(
     context: &Context<'_>,
     path: &std::path::Path,
 ) -> Result<LinearImage, Failure> {
-    let decoded = decode_photo(path).map_err(from_io)?;
+    let decoded = decode_photo(path)?;
     let encoding = context.request.options.photos.encoding;
     Ok(rilievo_photos::linearize(&decoded, encoding).0)
 }

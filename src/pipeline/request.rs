@@ -2,7 +2,7 @@
 //! `why` and `run` need only the run directory.
 
 use crate::cli::ReconstructArgs;
-use crate::config::StageOptions;
+use crate::config::{StageOptions, take_over};
 use crate::exit::Failure;
 use crate::paths;
 use rilievo_io::split_lighting_spec;
@@ -114,7 +114,9 @@ impl Request {
     /// Contradictory or invalid options, and paths that do not exist.
     pub fn from_args(args: &ReconstructArgs) -> Result<Self, Failure> {
         let mut options = StageOptions::read(args.config.as_deref())?;
-        options.override_with(args.model, args.anchors, args.encoding);
+        take_over(&mut options.shading.model, args.model);
+        take_over(&mut options.poses.anchors.mode, args.anchors);
+        take_over(&mut options.photos.encoding, args.encoding);
         options.shading.photo.trust_lighting |= args.trust_lighting;
         if let Some(known) = &args.known_distance {
             options.poses.known_distance = Some(known.clone());

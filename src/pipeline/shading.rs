@@ -3,7 +3,7 @@
 
 use super::artifacts::{checked_names, read_json, write_text};
 use super::context::Context;
-use super::errors::{from_check, from_io, from_shading};
+use super::errors::{from_check, from_shading};
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter, StoreError};
 use rilievo_io::{
@@ -77,7 +77,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         ..lighting
     };
     if !used.views.is_empty() {
-        write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(from_io)?;
+        write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(Failure::from)?;
     }
     for advice in &light_on_surface.advice {
         context.console.warn(StageId::Shading, advice);
@@ -110,22 +110,22 @@ pub fn write_maps(
     view: &ShadedView,
 ) -> Result<(), Failure> {
     let file = |kind: &str, ending: &str| path(&format!("{kind}/{}.{ending}", view.name));
-    write_depth(&file("depth", "exr")?, &view.depth).map_err(from_io)?;
-    write_normal(&file("normal", "exr")?, &view.normal).map_err(from_io)?;
+    write_depth(&file("depth", "exr")?, &view.depth)?;
+    write_normal(&file("normal", "exr")?, &view.normal)?;
     if let Some(confidence) = &view.confidence {
-        write_channel(&file("confidence", "exr")?, "C", confidence).map_err(from_io)?;
+        write_channel(&file("confidence", "exr")?, "C", confidence)?;
     }
     let picture = |kind: &str, preview: Preview<'_>| {
-        write_preview_png(&file(kind, "png")?, preview, PREVIEW_SIDE).map_err(from_io)
+        write_preview_png(&file(kind, "png")?, preview, PREVIEW_SIDE).map_err(Failure::from)
     };
     picture("depth", Preview::Depth(&view.depth))?;
     picture("normal", Preview::Normal(&view.normal))?;
     if let Some(rendered) = &view.rendered {
-        write_linear(&file("rendered", "exr")?, rendered).map_err(from_io)?;
+        write_linear(&file("rendered", "exr")?, rendered)?;
         picture("rendered", Preview::Linear(rendered))?;
     }
     if let Some(albedo) = &view.albedo {
-        write_linear(&file("albedo", "exr")?, albedo).map_err(from_io)?;
+        write_linear(&file("albedo", "exr")?, albedo)?;
         picture("albedo", Preview::Linear(&shown_albedo(albedo)))?;
     }
     if let Some(map) = &view.confidence {

@@ -1,6 +1,5 @@
 //! What the user says of the reference spheres: read, hashed, and looked at for slips of the unit.
 
-use super::errors::from_io;
 use super::request::SphereInput;
 use crate::exit::{Failure, Problem};
 use crate::paths::text_of;
@@ -39,9 +38,9 @@ impl SphereInputs {
                 warnings.extend(odd_radius("the sphere", *radius));
             }
             SphereInput::File { path, radius } => {
-                let mut file = read_sphere_file(path).map_err(from_io)?;
+                let mut file = read_sphere_file(path)?;
                 if let Some(radius) = radius {
-                    let stated = file.replace_radius(*radius).map_err(from_io)?;
+                    let stated = file.replace_radius(*radius)?;
                     hashes.insert("sphere radius".into(), hash_json(radius));
                     if let Some(stated) = stated.filter(|stated| stated != radius) {
                         warnings.push(format!(
@@ -61,13 +60,13 @@ impl SphereInputs {
                     let odd = |sphere: &SphereFileEntry| odd_radius(&sphere.name, sphere.radius);
                     warnings.extend(file.spheres.iter().filter_map(odd));
                 }
-                hashes.insert("sphere file".into(), hash_file(path).map_err(from_io)?);
+                hashes.insert("sphere file".into(), hash_file(path)?);
                 // By the paths that the file gives them: the whole may move.
                 let folder = path.parent().unwrap_or(path);
                 for named in &file.files {
                     let stated = named.strip_prefix(folder).unwrap_or(named);
                     let role = format!("sphere's {}", text_of(Some(stated.as_os_str())));
-                    hashes.insert(role, hash_file(named).map_err(from_io)?);
+                    hashes.insert(role, hash_file(named)?);
                 }
                 inputs.file = Some(file);
             }

@@ -97,7 +97,6 @@ impl<R: Serialize> Serialize for Stage<R> {
         map.serialize_entry("seconds", &manifest.seconds)?;
         map.serialize_entry("fingerprint", &manifest.fingerprint)?;
         map.serialize_entry("program", &manifest.program)?;
-        map.serialize_entry("seed", &manifest.seed)?;
         map.serialize_entry("options", &manifest.ingredients.options)?;
         map.serialize_entry("inputs", &manifest.ingredients.inputs)?;
         map.serialize_entry("files", &manifest.files)?;

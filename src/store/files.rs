@@ -7,7 +7,7 @@ use super::error::StoreError;
 use rilievo_io::{IoError, open_regular, read_regular};
 use std::io::Write;
 use std::io::{Error, ErrorKind};
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 
 /// What the names of files begin with while they are written.
 pub const WRITING: &str = ".writing-";
@@ -50,6 +50,22 @@ pub fn own_folder(path: &Path) -> Result<(), StoreError> {
         Err(error) if !is_absent(&error) => Err(StoreError::files("read", path)(error)),
         _ => Ok(()),
     }
+}
+
+/// Makes a folder with all above it, where it is not there.
+///
+/// # Errors
+/// When it cannot be made.
+pub fn create_folder(path: &Path) -> Result<(), StoreError> {
+    std::fs::create_dir_all(path).map_err(StoreError::files("create", path))
+}
+
+/// A path from the root on, without looking whether it is there.
+///
+/// # Errors
+/// When there is no working directory to start from, or no path at all.
+pub fn absolute(path: &Path) -> Result<PathBuf, StoreError> {
+    std::path::absolute(path).map_err(StoreError::files("find", path))
 }
 
 fn is_absent(error: &Error) -> bool {

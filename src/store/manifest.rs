@@ -58,8 +58,6 @@ pub struct Manifest {
     pub ingredients: Ingredients,
     /// Photo by photo results, by photo name.
     pub items: BTreeMap<String, Item>,
-    /// Seed of every random stream.
-    pub seed: u64,
     /// Wall time of the stage, seconds.
     pub seconds: f64,
     /// Threads that worked on it.

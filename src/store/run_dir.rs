@@ -2,7 +2,7 @@
 
 use super::error::StoreError;
 use super::evaluation::drop_evaluation;
-use super::files::{WRITING, own_file, own_folder};
+use super::files::{WRITING, create_folder, own_file, own_folder};
 use super::lock::Lock;
 use super::manifest::Manifest;
 use super::run_file::RunFile;
@@ -53,7 +53,7 @@ impl RunDir {
                 });
             }
         }
-        std::fs::create_dir_all(root).map_err(StoreError::files("create", root))?;
+        create_folder(root)?;
         Self::lock(root)
     }
 

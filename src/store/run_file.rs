@@ -1,7 +1,7 @@
 //! `run.json`: what was asked for. It is kept twice, since without it no stage can be continued.
 
 use super::error::StoreError;
-use super::files::{own_file, write_atomically};
+use super::files::{absolute, own_file, write_atomically};
 use super::manifest::FORMAT_VERSION;
 use super::sealed::{seal, unseal};
 use serde::Serialize;
@@ -62,7 +62,7 @@ impl RunFile {
     /// When it cannot be written.
     pub fn write(root: &Path, request: &impl Serialize) -> Result<(), StoreError> {
         let file = root.join(RUN_FILE);
-        let place = std::path::absolute(root).map_err(StoreError::files("find", root))?;
+        let place = absolute(root)?;
         let text = seal(&serde_json::json!({
             "program": "rilievo",
             "format_version": FORMAT_VERSION,

@@ -2,14 +2,14 @@
 
 use super::error::StoreError;
 use super::evaluation::drop_evaluation;
-use super::files::{hash_file, is_inside, write_atomically};
+use super::files::{create_folder, hash_file, is_inside, write_atomically};
 use super::manifest::{FileRecord, Item, MANIFEST, Manifest};
 use rayon::prelude::*;
 use rilievo_scene::StageId;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 
 /// Folder of finished items' records inside the work folder; not part of the result.
 const ITEMS: &str = ".items";
@@ -44,7 +44,7 @@ impl StageWriter {
         // The rest would only fill the disk.
         keep_only(&previous, "", &files_of(&finished))?;
         let items_dir = work.join(ITEMS);
-        std::fs::create_dir_all(&items_dir).map_err(StoreError::files("create", &items_dir))?;
+        create_folder(&items_dir)?;
 
         let committed = root.join(stage.name());
         let mut reusable = BTreeMap::new();
@@ -73,7 +73,7 @@ impl StageWriter {
     pub fn path(&self, relative: &str) -> Result<PathBuf, StoreError> {
         let path = self.work.join(relative);
         if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+            create_folder(folder)?;
         }
         match std::fs::remove_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
@@ -141,10 +141,7 @@ impl StageWriter {
         let record = self.work.join(record_of(name));
         let text = serde_json::to_vec(&(name, &item)).unwrap_or_default();
         write_atomically(&record, &text)?;
-        let mut items = match self.items.lock() {
-            Ok(items) => items,
-            Err(poisoned) => poisoned.into_inner(),
-        };
+        let mut items = self.items.lock().unwrap_or_else(PoisonError::into_inner);
         items.insert(name.to_owned(), item);
         Ok(())
     }
@@ -178,7 +175,7 @@ impl StageWriter {
         let old = self.root.join(".old").join(self.stage.name());
         if place.exists() {
             let folder = self.root.join(".old");
-            std::fs::create_dir_all(&folder).map_err(StoreError::files("create", &folder))?;
+            create_folder(&folder)?;
             std::fs::rename(&place, &old).map_err(StoreError::files("rename", &place))?;
         }
         std::fs::rename(&self.work, &place).map_err(StoreError::files("rename", &self.work))?;
@@ -215,7 +212,7 @@ fn take_along(older: &Path, newer: &Path) -> Result<(), StoreError> {
         for file in item.files.iter().chain([&record]) {
             let (source, target) = (older.join(file), newer.join(file));
             if let Some(folder) = target.parent() {
-                std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+                create_folder(folder)?;
             }
             match std::fs::rename(&source, &target) {
                 // A file that is gone is found out by its hash when the item is asked for.
@@ -324,7 +321,6 @@ mod tests {
             fingerprint: ingredients.fingerprint(),
             ingredients,
             items: BTreeMap::new(),
-            seed: 0,
             seconds: 0.0,
             threads: 1,
             peak_memory_bytes: None,

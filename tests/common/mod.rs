@@ -5,6 +5,8 @@
 use assert_cmd::Command;
 use rilievo_io::write_photo_jpeg;
 use rilievo_scene::LinearImage;
+use rilievo_synthetic::testing::Random;
+use serde_json::Value;
 use std::path::{Path, PathBuf};
 
 /// The program, without anything inherited that could change its output.
@@ -46,6 +48,28 @@ pub fn reconstruct_until(
     run(&arguments)
 }
 
+/// Runs the program, which must succeed; its stdout.
+#[track_caller]
+pub fn done(arguments: &[&str]) -> String {
+    let (code, stdout, stderr) = run(arguments);
+    assert_eq!(code, 0, "{stderr}");
+    stdout
+}
+
+/// Reconstructs up to a stage, which must succeed; what stderr says.
+#[track_caller]
+pub fn reconstructed_until(stage: &str, photos: &Path, run_dir: &Path, more: &[&str]) -> String {
+    let (code, _, stderr) = reconstruct_until(stage, photos, run_dir, more);
+    assert_eq!(code, 0, "{stderr}");
+    stderr
+}
+
+/// A JSON file.
+pub fn json_of(path: &Path) -> Value {
+    let text = std::fs::read(path).expect("a file");
+    serde_json::from_slice(&text).expect("JSON")
+}
+
 /// A path as an argument.
 pub fn arg(path: &Path) -> &str {
     path.to_str().expect("test paths are UTF-8")
@@ -53,14 +77,10 @@ pub fn arg(path: &Path) -> &str {
 
 /// A photo of noise: cheap, decodable, and like no other photo with another seed.
 pub fn write_noise_photo(path: &Path, seed: u64) {
-    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut random = Random(seed);
     let mut image = LinearImage::filled(160, 120, 3, 0.0);
     for value in &mut image.data {
-        // xorshift64: any sequence without structure will do.
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        *value = 0.05 + 0.8 * (state >> 40) as f32 / (1u64 << 24) as f32;
+        *value = 0.05 + 0.8 * random.unit() as f32;
     }
     write_photo_jpeg(path, &image, 90).expect("a photo can be written");
 }
@@ -173,6 +193,14 @@ pub fn noise_photos(folder: &Path, count: usize) -> PathBuf {
     photos
 }
 
+/// A folder that goes with its guard, `count` photos of noise in it, and the place of their run.
+pub fn noise_run(count: usize) -> (tempfile::TempDir, PathBuf, PathBuf) {
+    let dir = tempfile::tempdir().expect("a folder");
+    let photos = noise_photos(dir.path(), count);
+    let run_dir = dir.path().join("run");
+    (dir, photos, run_dir)
+}
+
 /// The synthetic set of the tests, made once per build of the program: photos, masks, sphere,
 /// truth.
 pub fn synthetic_set() -> PathBuf {
@@ -191,15 +219,8 @@ pub fn synthetic_set() -> PathBuf {
             }
         }
         let making = tempfile::tempdir_in(root).expect("a folder can be made");
-        let (code, _, stderr) = run(&[
-            "synth",
-            arg(making.path()),
-            "--views",
-            "4",
-            "--size",
-            "480x360",
-        ]);
-        assert_eq!(code, 0, "{stderr}");
+        let folder = arg(making.path());
+        done(&["synth", folder, "--views", "4", "--size", "480x360"]);
         // Another test may have been faster; its set is as good.
         let _ = std::fs::rename(making.path(), &set);
     }

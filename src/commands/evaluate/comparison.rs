@@ -7,7 +7,7 @@ use super::truth::Truth;
 use super::{appearance, errors};
 use crate::exit::Failure;
 use crate::report;
-use crate::store::{StoreError, deviation_file, drop_evaluation};
+use crate::store::{create_folder, deviation_file, drop_evaluation};
 use rilievo_io::read_cloud_ply;
 use rilievo_scene::{Mesh, PointCloud, RigidTransform};
 use rilievo_synthetic::compare::{
@@ -160,7 +160,7 @@ impl Comparison {
         let deviations = errors::deviations(cloud, surface, &similarity, max / 3.0);
         let path = deviation_file(&self.run);
         let folder = path.parent().unwrap_or(&self.run);
-        std::fs::create_dir_all(folder).map_err(StoreError::files("create", folder))?;
+        create_folder(folder)?;
         errors::write_deviations(&path, cloud, &deviations, max, self.truth.cameras.unit)?;
         tell!(
             "signed distances of the cloud, blue inside to red outside at {:.2} mm, are in {}",

@@ -6,7 +6,6 @@
 
 use super::estimate::Estimate;
 use crate::exit::Failure;
-use crate::pipeline::from_io;
 use crate::report::ViewErrors;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -108,7 +107,7 @@ pub(super) fn write_deviations(
     let colored = PointCloud {
         points: points.collect(),
     };
-    write_cloud_ply(path, &colored, unit).map_err(from_io)
+    write_cloud_ply(path, &colored, unit).map_err(Failure::from)
 }
 
 /// Blue at −1, white at 0, red at 1: told apart by the colour-blind too.

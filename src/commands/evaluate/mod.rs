@@ -12,9 +12,8 @@ mod truth;
 pub use comparison::Comparison;
 pub use table::table;
 
-use crate::cli::{Align, EvaluateArgs};
+use crate::cli::EvaluateArgs;
 use crate::exit::Failure;
-use rilievo_synthetic::compare::AlignmentRequest;
 
 /// Runs the command.
 ///
@@ -24,13 +23,7 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
     if !args.truth.is_dir() {
         return Err(Failure::input(&args.truth, "there is no such folder (--truth)").into());
     }
-    let request = match args.align {
-        Align::Auto => AlignmentRequest::Auto,
-        Align::None => AlignmentRequest::None,
-        Align::Se3 => AlignmentRequest::Se3,
-        Align::Sim3 => AlignmentRequest::Sim3,
-    };
-    let comparison = Comparison::open(&args.run, &args.truth, request)?;
+    let comparison = Comparison::open(&args.run, &args.truth, args.align)?;
     if let Some(failure) = comparison.nothing_in_common()? {
         // Programs get their nulls with the reasons all the same.
         if args.json

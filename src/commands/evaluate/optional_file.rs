@@ -1,7 +1,6 @@
 //! Files that a run or a truth may lack.
 
 use crate::exit::Failure;
-use crate::pipeline::from_io;
 use rilievo_io::IoError;
 use std::path::Path;
 
@@ -16,5 +15,5 @@ pub(super) fn read_if_there<T>(
     if !path.exists() {
         return Ok(None);
     }
-    read(path).map(Some).map_err(from_io)
+    read(path).map(Some).map_err(Failure::from)
 }

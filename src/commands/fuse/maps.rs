@@ -7,7 +7,6 @@
 //! | OpenEXR | `depth/NAME.exr`, or `NAME_depth.exr` | `cameras.json` beside them, or `--cameras` |
 
 use crate::exit::{Failure, Problem};
-use crate::pipeline::from_io;
 use nalgebra::Vector3;
 use rilievo_io::{
     CameraFile, CameraFormat, import_cameras, read_channel, read_colmap_depth, read_colmap_normal,
@@ -132,20 +131,20 @@ impl Maps {
     fn read(format: Format, files: &Files, camera: &Intrinsics) -> Result<Self, Failure> {
         let (depth, normal) = match format {
             Format::OpenMvs => {
-                let file = read_dmap(&files.depth).map_err(from_io)?;
+                let file = read_dmap(&files.depth)?;
                 (file.depth, file.normal)
             }
             Format::Colmap => {
-                let depth = read_colmap_depth(&files.depth).map_err(from_io)?;
+                let depth = read_colmap_depth(&files.depth)?;
                 let there = files.normal.exists();
                 let normal = there.then(|| read_colmap_normal(&files.normal));
-                (depth, normal.transpose().map_err(from_io)?)
+                (depth, normal.transpose()?)
             }
             Format::OpenExr => {
-                let depth = read_depth(&files.depth).map_err(from_io)?;
+                let depth = read_depth(&files.depth)?;
                 let there = files.normal.exists();
                 let normal = there.then(|| read_normal(&files.normal));
-                (depth, normal.transpose().map_err(from_io)?)
+                (depth, normal.transpose()?)
             }
         };
         same_size(&files.depth, (depth.width, depth.height), camera)?;
@@ -153,7 +152,7 @@ impl Maps {
         let normal = normal.unwrap_or_else(|| slopes(&depth, camera));
         same_size(&files.normal, (normal.width, normal.height), camera)?;
         let confidence = files.confidence.as_ref().map(|path| {
-            let map = read_channel(path, "C").map_err(from_io)?;
+            let map = read_channel(path, "C")?;
             same_size(path, (map.width, map.height), camera)?;
             Ok::<_, Failure>(map)
         });
@@ -202,7 +201,7 @@ fn files_ending(folder: &Path, ending: &str) -> Result<Vec<PathBuf>, Failure> {
 fn of_openmvs(files: &[PathBuf]) -> Result<Views, Failure> {
     let mut views = Vec::new();
     for path in files {
-        let file = read_dmap(path).map_err(from_io)?;
+        let file = read_dmap(path)?;
         let files = Files {
             depth: path.clone(),
             normal: path.clone(),
@@ -296,7 +295,7 @@ fn read_cameras_of(
     };
     let format = CameraFormat::detect(&path)
         .ok_or_else(|| Failure::input(&path, "is no camera file of a known format (--cameras)"))?;
-    import_cameras(&path, format).map_err(from_io)
+    import_cameras(&path, format).map_err(Failure::from)
 }
 
 /// Views of all cameras that have a pose and maps.

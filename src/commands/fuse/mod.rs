@@ -9,7 +9,7 @@ use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
 use crate::pipeline::{from_fusion, write_surface};
-use crate::store::{StoreError, own_file, write_atomically};
+use crate::store::{StoreError, create_folder, own_file, write_atomically};
 use crate::system;
 use maps::Views;
 use rilievo_fusion::FusionError;
@@ -64,7 +64,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         Some(folder) => photos::find(folder, &mut posed)?,
         None => PhotoSet::default(),
     };
-    std::fs::create_dir_all(&args.output).map_err(StoreError::files("create", &args.output))?;
+    create_folder(&args.output)?;
 
     let began = Instant::now();
     let started = format!("{} views of {}", posed.views.len(), views.format());

@@ -12,7 +12,6 @@
 use crate::cli::DepthOrder;
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::from_io;
 use rilievo_io::read_depth;
 use rilievo_scene::{DepthMap, StageId};
 use std::path::Path;
@@ -33,7 +32,7 @@ pub fn read(
     order: Option<DepthOrder>,
     console: &Console,
 ) -> Result<DepthMap, Failure> {
-    let map = read_depth(path).map_err(from_io)?;
+    let map = read_depth(path)?;
     match order {
         Some(DepthOrder::Rows) => Ok(map),
         Some(DepthOrder::Columns) => Ok(by_columns(&map)),

@@ -8,12 +8,12 @@ mod depth_order;
 mod problem;
 
 use super::reporting::reporting;
-use crate::cli::{Projection, ShadeArgs, Splitting};
-use crate::config::StageOptions;
+use crate::cli::ShadeArgs;
+use crate::config::{StageOptions, take_over};
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
 use crate::pipeline::{Resources, from_shading, write_maps};
-use crate::store::{StoreError, write_atomically};
+use crate::store::{create_folder, write_atomically};
 use crate::system;
 use rilievo_scene::{ShadedView, StageId, ViewIdx};
 use rilievo_shading::paper::{HarmonicOrder, SolvedView, StartShape};
@@ -34,7 +34,7 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
     let _ = Resources::new(&args.work);
     let options = options(args)?;
     let problem = problem::build(args, &options, console)?;
-    std::fs::create_dir_all(&args.output).map_err(StoreError::files("create", &args.output))?;
+    create_folder(&args.output)?;
 
     let began = Instant::now();
     let started = format!("solving {} view(s)", problem.problem.views.len());
@@ -70,42 +70,22 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
 
 fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
     let mut options = StageOptions::read(args.config.as_deref())?;
-    options.override_with(None, None, args.encoding);
-    match args.splitting {
-        Some(Splitting::Full) => {
-            options.shading.paper.splitting = rilievo_shading::paper::Splitting::Full
-        }
-        Some(Splitting::Paper) => {
-            options.shading.paper.splitting = rilievo_shading::paper::Splitting::Paper
-        }
-        Some(Splitting::FixedPoint) => {
-            options.shading.paper.splitting = rilievo_shading::paper::Splitting::FixedPoint;
-        }
-        None => {}
-    }
-    match args.order {
-        Some(1) => options.shading.paper.order = HarmonicOrder::First,
-        Some(_) => options.shading.paper.order = HarmonicOrder::Second,
-        None => {}
-    }
-    match args.projection {
-        Some(Projection::Perspective) => {
-            options.shading.paper.projection = rilievo_shading::paper::Projection::Perspective;
-        }
-        Some(Projection::Orthographic) => {
-            options.shading.paper.projection = rilievo_shading::paper::Projection::Orthographic;
-        }
-        None => {}
-    }
-    match args.init.as_deref() {
-        None => {}
-        Some("plane") => options.shading.paper.start = StartShape::Plane,
-        Some("anchors") => options.shading.paper.start = StartShape::Anchors,
-        Some(_) => options.shading.paper.start = StartShape::Given,
-    }
-    if let Some(weight) = args.area_weight {
-        options.shading.paper.area_weight = weight;
-    }
+    take_over(&mut options.photos.encoding, args.encoding);
+    let paper = &mut options.shading.paper;
+    take_over(&mut paper.splitting, args.splitting);
+    take_over(&mut paper.projection, args.projection);
+    take_over(&mut paper.area_weight, args.area_weight);
+    let order = args.order.map(|order| match order {
+        1 => HarmonicOrder::First,
+        _ => HarmonicOrder::Second,
+    });
+    take_over(&mut paper.order, order);
+    let start = args.init.as_deref().map(|init| match init {
+        "plane" => StartShape::Plane,
+        "anchors" => StartShape::Anchors,
+        _ => StartShape::Given,
+    });
+    take_over(&mut paper.start, start);
     options.validate()?;
     Ok(options)
 }
@@ -124,7 +104,7 @@ fn write_view(folder: &Path, index: usize, view: SolvedView) -> anyhow::Result<(
     let path = |file: &str| {
         let path = folder.join(file);
         let dir = path.parent().unwrap_or(folder);
-        std::fs::create_dir_all(dir).map_err(StoreError::files("create", dir))?;
+        create_folder(dir)?;
         Ok(path)
     };
     write_maps(&path, &shaded)?;

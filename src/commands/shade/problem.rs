@@ -5,7 +5,7 @@ use crate::cli::ShadeArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{from_io, from_lighting};
+use crate::pipeline::from_lighting;
 use rilievo_io::{
     LightingFile, SceneFile, SceneView, decode_photo, read_cameras, read_lighting, read_mask,
     read_matches_csv, read_scene, split_lighting_spec,
@@ -33,7 +33,7 @@ pub fn build(
     console: &Console,
 ) -> anyhow::Result<Described> {
     let scene = match (&args.scene, &args.image, &args.camera) {
-        (Some(path), _, _) => read_scene(path).map_err(from_io)?,
+        (Some(path), _, _) => read_scene(path).map_err(Failure::from)?,
         (None, Some(image), Some(camera)) => single(args, image.clone(), camera.clone()),
         _ => {
             let usage = "give SCENE.json for several views, or --image PHOTO with --camera CAMERA.json \
@@ -63,7 +63,7 @@ pub fn build(
         };
         problem.matches.push(ViewMatches {
             views: [index(&matches.views[0])?, index(&matches.views[1])?],
-            pixels: read_matches_csv(&matches.file).map_err(from_io)?,
+            pixels: read_matches_csv(&matches.file).map_err(Failure::from)?,
         });
     }
     if problem.matches.is_empty() && problem.views.len() > 1 {
@@ -123,19 +123,19 @@ fn read_view(
     options: &StageOptions,
     console: &Console,
 ) -> anyhow::Result<(ShadingView, String)> {
-    let decoded = decode_photo(&view.image).map_err(from_io)?;
+    let decoded = decode_photo(&view.image).map_err(Failure::from)?;
     let measured_as_float = decoded.samples.bits() == 32;
     let (image, _) = rilievo_photos::linearize(&decoded, options.photos.encoding);
     // A float image may hold any value; integers end at white, where they are clipped.
     let clip_level = (!measured_as_float).then_some(options.photos.clip_fraction as f32);
-    let cameras = read_cameras(&view.camera).map_err(from_io)?;
+    let cameras = read_cameras(&view.camera).map_err(Failure::from)?;
     let camera = cameras
         .cameras
         .first()
         .ok_or_else(|| Failure::input(&view.camera, "holds no camera"))?;
     let mask_file = args.mask.as_ref().or(view.mask.as_ref());
     let mask = match mask_file {
-        Some(path) => read_mask(path).map_err(from_io)?,
+        Some(path) => read_mask(path).map_err(Failure::from)?,
         None => Mask::filled(image.width, image.height, true),
     };
     if !(mask.width == image.width && mask.height == image.height) {
@@ -194,7 +194,7 @@ fn given_lighting(
     name: Option<String>,
     view: &str,
 ) -> Result<(Lighting, String), Failure> {
-    let file = read_lighting(&path, name.as_deref()).map_err(from_io)?;
+    let file = read_lighting(&path, name.as_deref())?;
     let source = match &name {
         Some(name) => format!("{name} of {}", path.display()),
         None => format!("of {}", path.display()),

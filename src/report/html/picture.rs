@@ -1,7 +1,6 @@
 //! Maps and photos as pictures inside the page, cut to the object so that detail shows.
 
 use crate::exit::Failure;
-use crate::pipeline::from_io;
 use rilievo_io::{Preview, encode_photo_jpeg, encode_preview_png};
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster};
 
@@ -89,7 +88,7 @@ pub fn photo_at(
             }
         }
     }
-    let bytes = encode_photo_jpeg(&small, JPEG_QUALITY).map_err(from_io)?;
+    let bytes = encode_photo_jpeg(&small, JPEG_QUALITY)?;
     Ok(format!("data:image/jpeg;base64,{}", base64(&bytes)))
 }
 

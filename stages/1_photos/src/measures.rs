@@ -130,28 +130,16 @@ fn second_difference(grey: &Raster<f32>, index: usize) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Normal numbers from a small generator of its own: the sum of twelve uniform ones.
-    fn normal(state: &mut u64) -> f64 {
-        (0..12)
-            .map(|_| {
-                *state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1_442_695_040_888_963_407);
-                (*state >> 11) as f64 / (1u64 << 53) as f64
-            })
-            .sum::<f64>()
-            - 6.0
-    }
+    use rilievo_synthetic::testing::Random;
 
     #[test]
     fn noise_on_a_ramp_is_measured_within_a_few_per_cent() {
-        let mut state = 7;
+        let mut random = Random(7);
         let mut image = LinearImage::filled(200, 150, 1, 0.0);
         for y in 0..150 {
             for x in 0..200 {
                 let ramp = 0.2 + 1e-3 * x as f64 + 2e-3 * y as f64;
-                image.pixel_mut(x, y)[0] = (ramp + 0.01 * normal(&mut state)) as f32;
+                image.pixel_mut(x, y)[0] = (ramp + 0.01 * random.normal()) as f32;
             }
         }
         let found = measure(&image, None, f32::MAX);

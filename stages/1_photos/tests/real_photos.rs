@@ -1,16 +1,15 @@
 //! Stage 1 on the photographs in the shared folder beside the repository, where it is there.
 
-#[path = "../../common/shared_data.rs"]
-mod shared_data;
-
 use rilievo_io::{decode_photo, read_mask};
 use rilievo_photos::{PhotosOptions, assemble, prepare};
 use rilievo_scene::{FocalSource, Recorder};
-use shared_data::data;
+use rilievo_synthetic::testing::shared_data;
 
 #[test]
 fn focal_length_of_a_compact_camera_from_exif() {
-    let Some(folder) = data("sceaux") else { return };
+    let Some(folder) = shared_data("sceaux") else {
+        return;
+    };
     let decoded = decode_photo(&folder.join("100_7100.JPG")).unwrap();
     let done = prepare(decoded, None, None, &PhotosOptions::default()).unwrap();
     assert_eq!(done.facts.focal_source, FocalSource::Exif35mm);
@@ -21,7 +20,7 @@ fn focal_length_of_a_compact_camera_from_exif() {
 
 #[test]
 fn the_same_scene_from_jpeg_and_from_16_bit() {
-    let Some(folder) = data("studio_stone") else {
+    let Some(folder) = shared_data("studio_stone") else {
         return;
     };
     let options = PhotosOptions::default();
@@ -48,7 +47,7 @@ fn the_same_scene_from_jpeg_and_from_16_bit() {
 
 #[test]
 fn a_whole_folder_with_masks() {
-    let Some(folder) = data("sokrates8") else {
+    let Some(folder) = shared_data("sokrates8") else {
         return;
     };
     let options = PhotosOptions::default();
@@ -86,7 +85,9 @@ fn every_given_mask_passes() {
         "studio_fine",
         "sokrates8",
     ] {
-        let Some(folder) = data(set) else { return };
+        let Some(folder) = shared_data(set) else {
+            return;
+        };
         for entry in std::fs::read_dir(folder.join("photos")).unwrap() {
             let path = entry.unwrap().path();
             let stem = path.file_stem().unwrap().to_string_lossy().into_owned();
@@ -116,7 +117,9 @@ fn photos_given_as_masks_are_refused_and_most_masks_of_other_photos_told() {
     let options = PhotosOptions::default();
     let (mut num_pairs, mut num_told) = (0, 0);
     for set in ["studio_stone", "studio_smooth", "sokrates8"] {
-        let Some(folder) = data(set) else { return };
+        let Some(folder) = shared_data(set) else {
+            return;
+        };
         let mut paths: Vec<_> = std::fs::read_dir(folder.join("photos"))
             .unwrap()
             .map(|entry| entry.unwrap().path())

@@ -157,7 +157,7 @@ fn sift(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rilievo_scene::{FocalSource, InMemoryPixels, Intrinsics, Mask};
+    use rilievo_scene::{FocalSource, Intrinsics, Mask};
     use std::sync::{Arc, Barrier};
 
     const BLOBS: [(f64, f64, f64); 4] = [
@@ -180,19 +180,13 @@ mod tests {
                 }
             }
         }
+        let camera = Intrinsics::pinhole(width, height, 200.0, 75.0, 65.0);
         Photo {
-            file_name: "blobs.png".into(),
-            name: "blobs".into(),
-            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            intrinsics: Intrinsics::pinhole(width, height, 200.0, 75.0, 65.0),
             focal_source: FocalSource::Guess,
-            camera_group: 0,
-            orientation: 1,
             mask: Some(Arc::new(Mask::from_fn(width, height, |x, _| {
                 x < 75 * scale
             }))),
-            clip_level: 1.0,
-            given_cam_from_world: None,
+            ..rilievo_synthetic::testing::photo("blobs.png", image, camera)
         }
     }
 

@@ -26,7 +26,7 @@ use matching::{PhotoDescriptors, match_descriptors};
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_scene::{
-    Event, FeatureMatches, Flow, Observer, PairMatches, PhotoIdx, PhotoKeypoints, PhotoSet,
+    FeatureMatches, Flow, Observer, PairMatches, Photo, PhotoIdx, PhotoKeypoints, PhotoSet,
     StageId, check_descriptors, check_keypoints,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -51,79 +51,26 @@ pub fn match_photos(
     photos.check()?;
     check_keypoints(&keypoints, photos)?;
     check_descriptors(&keypoints, photos)?;
-    let descriptors: Vec<PhotoDescriptors> =
-        keypoints.par_iter().map(PhotoDescriptors::new).collect();
-    let normalized: Vec<Vec<Point2<f64>>> = keypoints
-        .par_iter()
-        .zip(&photos.photos)
-        .map(|(list, photo)| {
-            list.keypoints
-                .iter()
-                .map(|k| {
-                    photo
-                        .intrinsics
-                        .normalized(&Point2::new(f64::from(k.x), f64::from(k.y)))
-                })
-                .collect()
-        })
-        .collect();
+    let matcher = Matcher::new(photos, &keypoints, options);
     let tried = candidates::pairs(&keypoints, options);
-    let widest_ratio = options.max_ratio.max(options.max_verified_ratio);
     let num_done = AtomicUsize::new(0);
-    let matched: Vec<(PairMatches, PairReport)> = tried
+    let matched: Vec<PairMatches> = tried
         .par_iter()
         .map(|&(first, second)| {
             if observer.flow() == Flow::Stop {
                 return Err(FeaturesError::Interrupted);
             }
-            let putative =
-                match_descriptors(&descriptors[first], &descriptors[second], widest_ratio);
-            let pick = |side: usize, photo: usize| -> Vec<Point2<f64>> {
-                putative
-                    .iter()
-                    .map(|m| normalized[photo][m.pair[side] as usize])
-                    .collect()
-            };
-            let focal_px = 0.5
-                * (photos.photos[first].intrinsics.focal_px()
-                    + photos.photos[second].intrinsics.focal_px());
-            let distinctive: Vec<usize> = (0..putative.len())
-                .filter(|&k| putative[k].ratio < options.max_ratio)
-                .collect();
-            let geometry = two_view::verify(
-                &pick(0, first),
-                &pick(1, second),
-                &distinctive,
-                focal_px,
-                options,
-            )?;
-            let pair = PairMatches {
-                first: PhotoIdx(first),
-                second: PhotoIdx(second),
-                matches: geometry.as_ref().map_or(Vec::new(), |g| {
-                    g.inliers.iter().map(|&k| putative[k].pair).collect()
-                }),
-                essential: geometry.as_ref().map(|g| g.essential),
-                homography_share: geometry.as_ref().map_or(0.0, |g| g.homography_share),
-                num_putative: distinctive.len(),
-            };
-            let report = PairReport {
-                first: pair.first,
-                second: pair.second,
-                num_putative: pair.num_putative,
-                num_verified: pair.matches.len(),
-                homography_share: pair.homography_share,
-            };
+            let pair = matcher.pair(first, second)?;
             let done = num_done.fetch_add(1, Ordering::Relaxed) + 1;
             let flow = observer.progress(StageId::Features, "matching pairs", (done, tried.len()));
             flow.ok_or(FeaturesError::Interrupted)?;
-            Ok((pair, report))
+            Ok(pair)
         })
         .collect::<Result<_, _>>()?;
-    let (pairs, pair_reports): (Vec<_>, Vec<_>) = matched.into_iter().unzip();
-    let pairs: Vec<PairMatches> = pairs
+    let pair_reports = matched.iter().map(PairReport::of).collect();
+    let pairs: Vec<PairMatches> = matched
         .into_iter()
-        .filter(|p: &PairMatches| !p.matches.is_empty())
+        .filter(|p| !p.matches.is_empty())
         .collect();
     let report = summarize(photos, &keypoints, &pairs, pair_reports);
     for photo in &report.photos {
@@ -139,6 +86,74 @@ pub fn match_photos(
         },
         report,
     ))
+}
+
+/// What every pair of photos is matched from.
+struct Matcher<'a> {
+    photos: &'a PhotoSet,
+    options: &'a FeaturesOptions,
+    descriptors: Vec<PhotoDescriptors>,
+    /// Keypoints as viewing rays `(x/z, y/z)`.
+    normalized: Vec<Vec<Point2<f64>>>,
+}
+
+impl<'a> Matcher<'a> {
+    fn new(
+        photos: &'a PhotoSet,
+        keypoints: &[PhotoKeypoints],
+        options: &'a FeaturesOptions,
+    ) -> Self {
+        let normalized = |(list, photo): (&PhotoKeypoints, &Photo)| {
+            let pixels = list.keypoints.iter();
+            let pixels = pixels.map(|k| Point2::new(f64::from(k.x), f64::from(k.y)));
+            pixels.map(|p| photo.intrinsics.normalized(&p)).collect()
+        };
+        Self {
+            photos,
+            options,
+            descriptors: keypoints.par_iter().map(PhotoDescriptors::new).collect(),
+            normalized: keypoints
+                .par_iter()
+                .zip(&photos.photos)
+                .map(normalized)
+                .collect(),
+        }
+    }
+
+    /// Matches of two photos that agree with a two-view geometry; none where nothing agrees.
+    fn pair(&self, first: usize, second: usize) -> Result<PairMatches, FeaturesError> {
+        let options = self.options;
+        let widest_ratio = options.max_ratio.max(options.max_verified_ratio);
+        let [a, b] = [first, second].map(|photo| &self.descriptors[photo]);
+        let putative = match_descriptors(a, b, widest_ratio);
+        let pick = |side: usize, photo: usize| -> Vec<Point2<f64>> {
+            putative
+                .iter()
+                .map(|m| self.normalized[photo][m.pair[side] as usize])
+                .collect()
+        };
+        let focal_px = |photo: usize| self.photos.photos[photo].intrinsics.focal_px();
+        let distinctive: Vec<usize> = (0..putative.len())
+            .filter(|&k| putative[k].ratio < options.max_ratio)
+            .collect();
+        let geometry = two_view::verify(
+            &pick(0, first),
+            &pick(1, second),
+            &distinctive,
+            0.5 * (focal_px(first) + focal_px(second)),
+            options,
+        )?;
+        Ok(PairMatches {
+            first: PhotoIdx(first),
+            second: PhotoIdx(second),
+            matches: geometry.as_ref().map_or(Vec::new(), |g| {
+                g.inliers.iter().map(|&k| putative[k].pair).collect()
+            }),
+            essential: geometry.as_ref().map(|g| g.essential),
+            homography_share: geometry.as_ref().map_or(0.0, |g| g.homography_share),
+            num_putative: distinctive.len(),
+        })
+    }
 }
 
 /// Counts per photo.

@@ -1,6 +1,6 @@
 //! Facts about a run of stage 2.
 
-use rilievo_scene::PhotoIdx;
+use rilievo_scene::{PairMatches, PhotoIdx};
 use serde::{Deserialize, Serialize};
 
 /// Keypoints of one photo.
@@ -29,6 +29,19 @@ pub struct PairReport {
     pub num_verified: usize,
     /// Share of the verified matches that a homography explains as well.
     pub homography_share: f64,
+}
+
+impl PairReport {
+    /// The facts of a pair's matches.
+    pub(crate) fn of(pair: &PairMatches) -> Self {
+        Self {
+            first: pair.first,
+            second: pair.second,
+            num_putative: pair.num_putative,
+            num_verified: pair.matches.len(),
+            homography_share: pair.homography_share,
+        }
+    }
 }
 
 /// Facts about a run of stage 2.

@@ -7,11 +7,10 @@ use nalgebra::Matrix3;
 use rand::{Rng, SeedableRng};
 use rilievo_features::{FeaturesOptions, detect, match_photos};
 use rilievo_scene::{
-    FeatureMatches, FocalSource, InMemoryPixels, Intrinsics, LinearImage, PairMatches, Photo,
-    PhotoSet, Recorder,
+    FeatureMatches, FocalSource, Intrinsics, LinearImage, PairMatches, Photo, PhotoSet, Recorder,
 };
+use rilievo_synthetic::testing;
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
 const WIDTH: usize = 320;
 const HEIGHT: usize = 240;
@@ -57,17 +56,10 @@ fn photo(name: &str, painting: &[[f64; 4]], painting_from_pixel: &Matrix3<f64>) 
             image.pixel_mut(x, y)[0] += value as f32;
         }
     }
+    let camera = Intrinsics::pinhole(WIDTH, HEIGHT, 400.0, 159.5, 119.5);
     Photo {
-        file_name: format!("{name}.png"),
-        name: name.to_owned(),
-        pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-        intrinsics: Intrinsics::pinhole(WIDTH, HEIGHT, 400.0, 159.5, 119.5),
         focal_source: FocalSource::Guess,
-        camera_group: 0,
-        orientation: 1,
-        mask: None,
-        clip_level: 1.0,
-        given_cam_from_world: None,
+        ..testing::photo(&format!("{name}.png"), image, camera)
     }
 }
 

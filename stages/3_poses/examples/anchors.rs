@@ -7,50 +7,16 @@
 //! 3 px in the nearest views or 1 % of depth), depth errors after one scale, and the ratio of the
 //! 68th percentile of |error| to the predicted deviation in quintiles of the prediction.
 
-use nalgebra::{Matrix3, Point3, Rotation3};
+use nalgebra::Point3;
+use rilievo_io::{decode_photo, read_cameras, read_depth, read_mask};
 use rilievo_poses::anchors::{AnchorOptions, find};
-use rilievo_scene::{
-    FeatureMatches, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Photo, PhotoIdx,
-    PhotoSet, PosedView, PosedViews, Raster, RigidTransform, Silent, ViewIdx, srgb,
-};
+use rilievo_scene::{FeatureMatches, Photo, PhotoSet, PosedViews, Raster, Silent, ViewIdx};
+use rilievo_synthetic::testing::{PosedPhotos, linear_of, photo};
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 
 type Failure = Box<dyn Error + Send + Sync>;
-
-fn read_photo(path: &Path, linear: bool) -> Result<LinearImage, Failure> {
-    let image = image::open(path)?.into_rgb32f();
-    let (width, height) = (image.width() as usize, image.height() as usize);
-    let mut data = image.into_raw();
-    if !linear {
-        data.iter_mut()
-            .for_each(|v| *v = srgb::decode(f64::from(*v)) as f32);
-    }
-    Ok(LinearImage {
-        width,
-        height,
-        channels: 3,
-        data,
-    })
-}
-
-fn read_depth(path: &Path) -> Result<Raster<f32>, Failure> {
-    let image = exr::prelude::read_first_flat_layer_from_file(path)?;
-    let size = image.layer_data.size;
-    let channel = image
-        .layer_data
-        .channel_data
-        .list
-        .iter()
-        .find(|c| c.name.to_string() == "Z")
-        .ok_or("no channel Z")?;
-    Ok(Raster {
-        width: size.width(),
-        height: size.height(),
-        data: channel.sample_data.values_as_f32().collect(),
-    })
-}
 
 struct Truth {
     photos: PhotoSet,
@@ -59,79 +25,36 @@ struct Truth {
 }
 
 fn load(dir: &Path, wanted: &[usize], linear: bool) -> Result<Truth, Failure> {
-    let text = std::fs::read_to_string(dir.join("truth/cameras.json"))?;
-    let json: serde_json::Value = serde_json::from_str(&text)?;
-    let mut truth = Truth {
-        photos: PhotoSet::default(),
-        posed: PosedViews::default(),
-        depths: Vec::new(),
-    };
-    for camera in json["cameras"].as_array().ok_or("no cameras")? {
-        let file = camera["image"].as_str().ok_or("no image")?.to_owned();
-        let name = file
-            .rsplit_once('.')
-            .map_or(file.as_str(), |p| p.0)
-            .to_owned();
+    let cameras = read_cameras(&dir.join("truth/cameras.json"))?;
+    let (mut taken, mut depths) = (PosedPhotos::default(), Vec::new());
+    for camera in cameras.cameras {
+        let file = camera.image.ok_or("no image")?;
+        let name = file.rsplit_once('.').map_or(file.as_str(), |p| p.0);
         let digits: String = name.chars().filter(char::is_ascii_digit).collect();
         if !wanted.is_empty() && !wanted.contains(&digits.parse::<usize>()?) {
             continue;
         }
-        let number = |v: &serde_json::Value| v.as_f64().ok_or("not a number");
-        let matrix = |v: &serde_json::Value| -> Result<Matrix3<f64>, Failure> {
-            let mut m = Matrix3::zeros();
-            for r in 0..3 {
-                for c in 0..3 {
-                    m[(r, c)] = number(&v[r][c])?;
-                }
-            }
-            Ok(m)
-        };
         let path = if linear {
             dir.join("linear").join(format!("{name}.png"))
         } else {
             dir.join("photos").join(&file)
         };
-        let pixels = read_photo(&path, linear)?;
-        let k = matrix(&camera["K"])?;
-        let intrinsics = Intrinsics {
-            fy: k[(1, 1)],
-            ..Intrinsics::pinhole(pixels.width, pixels.height, k[(0, 0)], k[(0, 2)], k[(1, 2)])
-        };
-        let c = &camera["camera_center"];
-        let cam_from_world = RigidTransform::from_world_pose(
-            Rotation3::from_matrix(&matrix(&camera["world_from_camera_rotation"])?),
-            Point3::new(number(&c[0])?, number(&c[1])?, number(&c[2])?),
-        );
-        let mask = image::open(dir.join("masks").join(format!("{name}.png")))?.into_luma8();
-        let mask = Mask {
-            width: mask.width() as usize,
-            height: mask.height() as usize,
-            data: mask.into_raw().into_iter().map(|v| v > 127).collect(),
-        };
-        truth.posed.views.push(PosedView {
-            photo: PhotoIdx(truth.photos.photos.len()),
-            name: name.clone(),
-            file_name: file.clone(),
-            intrinsics,
-            cam_from_world,
-        });
-        truth.photos.photos.push(Photo {
-            file_name: file,
-            name: name.clone(),
-            pixels: Arc::new(InMemoryPixels(Arc::new(pixels))),
-            intrinsics,
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
+        let mask = read_mask(&dir.join("masks").join(format!("{name}.png")))?;
+        let image = linear_of(&decode_photo(&path)?);
+        let photo = Photo {
             mask: Some(Arc::new(mask)),
             clip_level: 0.99,
-            given_cam_from_world: None,
-        });
-        truth.depths.push(read_depth(
-            &dir.join("truth").join(format!("{name}_depth.exr")),
-        )?);
+            ..photo(&file, image, camera.intrinsics)
+        };
+        taken.push(photo, camera.cam_from_world.ok_or("no pose")?);
+        let truth = dir.join("truth").join(format!("{name}_depth.exr"));
+        depths.push(read_depth(&truth)?);
     }
-    Ok(truth)
+    Ok(Truth {
+        photos: taken.photos,
+        posed: taken.posed,
+        depths,
+    })
 }
 
 /// Replaces the true poses by those of a run, matched by file name.

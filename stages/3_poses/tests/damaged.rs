@@ -3,13 +3,11 @@
 #![allow(clippy::unwrap_used)]
 
 mod common;
-#[path = "../../common/mutated.rs"]
-mod mutated;
 
 use common::{WorldOptions, options, world};
-use mutated::{Random, mutated};
 use rilievo_poses::{PosesError, run};
 use rilievo_scene::{FeatureMatches, PhotoIdx, Silent, StageId};
+use rilievo_synthetic::testing::{Random, mutated};
 
 #[test]
 fn matches_that_contradict_the_keypoints_are_named() {

@@ -10,9 +10,10 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rilievo_poses::{GivenPoses, PosesError, RefineIntrinsics, run};
 use rilievo_scene::{
-    Event, Flow, FocalSource, MarkedSphere, Observer, PhotoIdx, PosedViews, Recorder,
-    RigidTransform, ScaleSource, Silent, SphereMark, SphereRequest, Unit,
+    FocalSource, MarkedSphere, PhotoIdx, PosedViews, Recorder, RigidTransform, ScaleSource, Silent,
+    SphereMark, SphereRequest, Unit,
 };
+use rilievo_synthetic::testing::Impatient;
 
 /// Keypoints are stored in single precision: 3e-5 px at 1000 px.
 const EXACT: f64 = 1e-6;
@@ -478,14 +479,8 @@ fn two_spheres_share_a_scale_and_a_wrong_radius_is_told() {
 
 #[test]
 fn an_observer_can_stop_the_stage() {
-    struct Stop;
-    impl Observer for Stop {
-        fn event(&self, _event: Event) -> Flow {
-            Flow::Stop
-        }
-    }
     let world = world(&WorldOptions::default());
-    let result = run(&world.photos, &world.matches, None, &options(), &Stop);
+    let result = run(&world.photos, &world.matches, None, &options(), &Impatient);
     assert!(matches!(result, Err(PosesError::Interrupted)));
 }
 

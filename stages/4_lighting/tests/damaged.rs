@@ -3,16 +3,10 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-#[path = "../../common/mutated.rs"]
-mod mutated;
-#[path = "../../common/posed_sphere.rs"]
-mod posed_sphere;
-
-use mutated::{Random, mutated};
-use posed_sphere::world;
 use rilievo_lighting::{LightingError, LightingOptions, LightingRequest, overlays, run};
 use rilievo_photometry::surface_check::check;
 use rilievo_scene::{Silent, SphereRequest, StageId};
+use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
 fn options() -> LightingOptions {
     LightingOptions {
@@ -23,7 +17,7 @@ fn options() -> LightingOptions {
 
 #[test]
 fn the_undamaged_world_has_a_light() {
-    let world = world();
+    let world = sphere_world();
     let request = LightingRequest::Sphere(SphereRequest::default());
     let found = run(&world.photos, &world.posed, &request, &options(), &Silent);
     assert_eq!(found.unwrap().0.views.len(), 3);
@@ -31,7 +25,7 @@ fn the_undamaged_world_has_a_light() {
 
 #[test]
 fn a_pose_that_belongs_to_no_photo_is_named() {
-    let world = world();
+    let world = sphere_world();
     let mut posed = world.posed.clone();
     posed.views[1].photo.0 = 7;
     let request = LightingRequest::OwnShape;
@@ -46,7 +40,7 @@ fn a_pose_that_belongs_to_no_photo_is_named() {
 
 #[test]
 fn poses_and_light_changed_at_random_never_end_in_a_panic() {
-    let world = world();
+    let world = sphere_world();
     let mut random = Random(4);
     let (mut tried, mut refused) = (0, 0);
     while tried < 50 {

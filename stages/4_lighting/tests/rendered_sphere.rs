@@ -8,40 +8,16 @@ use rilievo_lighting::{GainMode, LightingError, LightingOptions, LightingRequest
 use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_scene::{
-    FocalSource, InMemoryPixels, Intrinsics, LightKind, Lighting, LinearImage, MarkedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Recorder, RigidTransform, Silent, SphereMark,
-    SphereRequest, SphericalHarmonics,
+    Intrinsics, LightKind, Lighting, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, PosedViews,
+    Recorder, RigidTransform, Silent, SphereMark, SphereRequest,
 };
-use std::sync::Arc;
+use rilievo_synthetic::testing::{PosedPhotos, Random, look_at, photo, tinted_light};
 
 const RADIUS: f64 = 0.04;
 
 /// A light from above left, in a frame with y down.
 fn light() -> Lighting {
-    let base = [-0.2, -0.3, -0.25, 0.42, 0.03, 0.02, 0.05, -0.03, 0.02];
-    Lighting {
-        channels: [1.0, 0.9, 0.8]
-            .iter()
-            .map(|tint| SphericalHarmonics(base.map(|l| l * tint)))
-            .collect(),
-    }
-}
-
-/// A stream of normal deviates that is the same in every run.
-struct Noise(u64);
-
-impl Noise {
-    fn next(&mut self) -> f64 {
-        let mut sum = -6.0;
-        for _ in 0..12 {
-            self.0 = self
-                .0
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1_442_695_040_888_963_407);
-            sum += (self.0 >> 11) as f64 / (1_u64 << 53) as f64;
-        }
-        sum
-    }
+    tinted_light([-0.2, -0.3, -0.25, 0.42, 0.03, 0.02, 0.05, -0.03, 0.02])
 }
 
 /// What is put into a photo.
@@ -65,7 +41,7 @@ impl Shot<'_> {
     }
 
     /// Sixteen rays a pixel; a grey, gently varying ground.
-    fn render(&self, noise: &mut Noise) -> LinearImage {
+    fn render(&self, noise: &mut Random) -> LinearImage {
         let camera = &self.intrinsics;
         let sphere = self.sphere();
         let at = camera.project(&sphere.center).unwrap();
@@ -95,7 +71,7 @@ impl Shot<'_> {
                 }
                 for (value, s) in image.pixel_mut(x, y).iter_mut().zip(sum) {
                     let clean = self.gain * s / (per_axis * per_axis) as f64;
-                    *value = (clean * (1.0 + self.noise * noise.next())).clamp(0.0, 1.0) as f32;
+                    *value = (clean * (1.0 + self.noise * noise.normal())).clamp(0.0, 1.0) as f32;
                 }
             }
         }
@@ -104,31 +80,14 @@ impl Shot<'_> {
 }
 
 fn set_of(shots: &[Shot]) -> (PhotoSet, PosedViews) {
-    let mut noise = Noise(11);
-    let (mut photos, mut posed) = (PhotoSet::default(), PosedViews::default());
+    let mut noise = Random(11);
+    let mut set = PosedPhotos::default();
     for (k, shot) in shots.iter().enumerate() {
-        let name = format!("view{k}");
-        posed.views.push(PosedView {
-            photo: PhotoIdx(k),
-            name: name.clone(),
-            file_name: format!("{name}.png"),
-            intrinsics: shot.intrinsics,
-            cam_from_world: shot.cam_from_world,
-        });
-        photos.photos.push(Photo {
-            file_name: format!("{name}.png"),
-            name,
-            pixels: Arc::new(InMemoryPixels(Arc::new(shot.render(&mut noise)))),
-            intrinsics: shot.intrinsics,
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: None,
-            clip_level: 1.0,
-            given_cam_from_world: None,
-        });
+        let image = shot.render(&mut noise);
+        let photo = photo(&format!("view{k}.png"), image, shot.intrinsics);
+        set.push(photo, shot.cam_from_world);
     }
-    (photos, posed)
+    (set.photos, set.posed)
 }
 
 fn request(light: LightKind, marks: Vec<(PhotoIdx, SphereMark)>) -> SphereRequest {
@@ -265,11 +224,7 @@ fn around(kind: LightKind, gains: [f64; 5]) -> (PhotoSet, PosedViews, Lighting) 
         .map(|k| {
             let angle = -0.7 + 0.35 * f64::from(k);
             let eye = center + Vector3::new(angle.sin(), 0.25, angle.cos()) * 0.7;
-            let forward = (center - eye).normalize();
-            let right = forward.cross(&Vector3::y()).normalize();
-            let down = forward.cross(&right);
-            let world_from_cam = Rotation3::from_basis_unchecked(&[right, down, forward]);
-            RigidTransform::from_world_pose(world_from_cam, eye)
+            look_at(eye, center, Vector3::y())
         })
         .collect();
     let lights: Vec<Lighting> = poses

@@ -9,13 +9,13 @@ use rilievo_photometry::sphere::{
     LocatedSpheres, ScaleOutcome, SphereInCamera, SphereOptions, WorldScale, locate_request,
 };
 use rilievo_scene::{
-    FocalSource, InMemoryPixels, LightKind, Lighting, LightingCalibration, MarkedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Recorder, SphereMark, SphereRequest,
+    LightKind, Lighting, LightingCalibration, MarkedSphere, PhotoIdx, PhotoSet, PosedViews,
+    Recorder, SphereMark, SphereRequest,
 };
+use rilievo_synthetic::testing::{PosedPhotos, rendered_photo};
 use rilievo_synthetic::{
     BallOptions, LightModel, ReferenceSphere, RenderOptions, Renderer, Scene, SceneOptions, Subject,
 };
-use std::sync::Arc;
 
 /// The world's unknown unit: poses without scale.
 const SHRINK: f64 = 0.37;
@@ -55,13 +55,8 @@ fn world(second_radius: f64, noise: f64, tint: impl Fn(&Vector3<f64>) -> [f64; 3
         ..RenderOptions::default()
     };
     let renderer = Renderer::new(&scene, &options).unwrap();
-    let mut world = World {
-        photos: PhotoSet::default(),
-        posed: PosedViews::default(),
-        spheres: scene.spheres.clone(),
-        lights: Vec::new(),
-        masks: Vec::new(),
-    };
+    let mut made = PosedPhotos::default();
+    let (mut lights, mut masks) = (Vec::new(), Vec::new());
     for k in 0..options.num_views {
         let mut view = renderer.render(k).unwrap();
         let second = SphereInCamera {
@@ -84,29 +79,18 @@ fn world(second_radius: f64, noise: f64, tint: impl Fn(&Vector3<f64>) -> [f64; 3
         }
         let mut cam_from_world = view.cam_from_world;
         cam_from_world.translation *= SHRINK;
-        world.posed.views.push(PosedView {
-            photo: PhotoIdx(k),
-            name: view.name.clone(),
-            file_name: format!("{}.png", view.name),
-            intrinsics: view.intrinsics,
-            cam_from_world,
-        });
-        world.photos.photos.push(Photo {
-            file_name: format!("{}.png", view.name),
-            name: view.name,
-            pixels: Arc::new(InMemoryPixels(Arc::new(view.image))),
-            intrinsics: view.intrinsics,
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: Some(Arc::new(view.object_mask)),
-            clip_level: 1.0,
-            given_cam_from_world: None,
-        });
-        world.lights.push(view.lighting);
-        world.masks.push(view.sphere_masks);
+        let photo = rendered_photo(&format!("{}.png", view.name), &view);
+        made.push(photo, cam_from_world);
+        lights.push(view.lighting);
+        masks.push(view.sphere_masks);
     }
-    world
+    World {
+        photos: made.photos,
+        posed: made.posed,
+        spheres: scene.spheres,
+        lights,
+        masks,
+    }
 }
 
 /// Both spheres, marked in the first and the last photo, with the radii stated.

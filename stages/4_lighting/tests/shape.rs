@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use nalgebra::{Point2, Point3, Rotation3, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
 use rilievo_lighting::{
     LightingError, LightingOptions, LightingRequest, ObjectLight, fit_on_shape, run,
 };
@@ -11,10 +11,12 @@ use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_photometry::surface_check::check;
 use rilievo_scene::{
-    Anchor, AnchorObservation, AnchorOrigin, DepthMap, FocalSource, InMemoryPixels, Intrinsics,
-    LightKind, Lighting, LightingCalibration, LinearImage, LocatedSphere, MarkedSphere, Photo,
-    PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, Recorder, RigidTransform, ShadedView,
-    ShadedViews, Silent, SphereRequest, SphericalHarmonics, ViewIdx,
+    DepthMap, Intrinsics, LightKind, Lighting, LightingCalibration, NormalMap, Photo, PhotoSet,
+    PosedViews, Recorder, ShadedView, ShadedViews, Silent, SphereRequest, ViewIdx,
+};
+use rilievo_synthetic::testing::{
+    Maps, PosedPhotos, Random, anchors_on_grid, in_memory, look_at, painted, photo, tinted_light,
+    true_sphere,
 };
 use std::sync::Arc;
 
@@ -28,23 +30,8 @@ fn ball_center() -> Point3<f64> {
 }
 
 fn environment(tilt: f64) -> Lighting {
-    let base = [
-        0.15 + tilt,
-        0.3,
-        0.25 - tilt,
-        0.45,
-        0.03,
-        0.04,
-        0.02,
-        -0.03,
-        0.02,
-    ];
-    Lighting {
-        channels: [1.0, 0.9, 0.8]
-            .iter()
-            .map(|tint| SphericalHarmonics(base.map(|l| l * tint)))
-            .collect(),
-    }
+    let (x, z) = (0.15 + tilt, 0.25 - tilt);
+    tinted_light([x, 0.3, z, 0.45, 0.03, 0.04, 0.02, -0.03, 0.02])
 }
 
 /// Distance along a ray to the object, and its normal, both in the world.
@@ -64,7 +51,7 @@ struct World {
     photos: PhotoSet,
     posed: PosedViews,
     depths: Vec<DepthMap>,
-    normals: Vec<Raster<[f32; 3]>>,
+    normals: Vec<NormalMap>,
 }
 
 /// The object under one light, a sphere beside it under another, both at rest.
@@ -74,134 +61,57 @@ fn world(on_object: &Lighting, on_ball: &Lighting, albedo: f64) -> World {
 
 /// [`world`], with the lights fixed to the world or the camera.
 fn lit(on_object: &Lighting, on_ball: &Lighting, albedo: f64, kind: LightKind) -> World {
-    let intrinsics = Intrinsics::pinhole(260, 200, 420.0, 129.5, 99.5);
-    let mut made = World {
-        photos: PhotoSet::default(),
-        posed: PosedViews::default(),
-        depths: Vec::new(),
-        normals: Vec::new(),
-    };
+    let camera = Intrinsics::pinhole(260, 200, 420.0, 129.5, 99.5);
+    let mut made = PosedPhotos::default();
+    let (mut depths, mut normals) = (Vec::new(), Vec::new());
     for k in 0..NUM_VIEWS {
         let angle = -0.6 + 0.4 * k as f64;
         let eye = Point3::new(angle.sin() + 0.05, 0.2, angle.cos()) * 0.8;
-        let forward = (Point3::new(0.06, 0.0, 0.0) - eye).normalize();
-        let right = forward.cross(&Vector3::y()).normalize();
-        let world_from_cam =
-            Rotation3::from_basis_unchecked(&[right, forward.cross(&right), forward]);
-        let pose = RigidTransform::from_world_pose(world_from_cam, eye);
+        let pose = look_at(eye, Point3::new(0.06, 0.0, 0.0), Vector3::y());
         let ball = SphereInCamera {
             center: pose.apply(&ball_center()),
             radius: BALL_RADIUS,
         };
-        let mut image = LinearImage::filled(intrinsics.width, intrinsics.height, 3, 0.1);
-        let mut depth = DepthMap::filled(intrinsics.width, intrinsics.height, 0.0);
-        let mut normals = Raster::filled(intrinsics.width, intrinsics.height, [0.0; 3]);
-        let mut mask = Raster::filled(intrinsics.width, intrinsics.height, false);
-        for y in 0..intrinsics.height {
-            for x in 0..intrinsics.width {
-                let pixel = Point2::new(x as f64, y as f64);
-                let ray_in_cam = intrinsics.ray(&pixel).normalize();
-                let ray = pose.rotation.inverse() * ray_in_cam;
-                let mut paint = |light: &Lighting, n: &Vector3<f64>, factor: f64| {
-                    let n = &match kind {
-                        LightKind::World => *n,
-                        LightKind::Camera => pose.rotation * n,
-                    };
-                    for (value, l) in image.pixel_mut(x, y).iter_mut().zip(&light.channels) {
-                        *value = (factor * l.evaluate(n)).max(0.0) as f32;
-                    }
-                };
-                if let Some((t, n)) = hit_object(&eye, &ray) {
-                    paint(on_object, &n, albedo);
-                    *depth.at_mut(x, y) = (ray_in_cam.z * t) as f32;
-                    let n = pose.rotation * n;
-                    *normals.at_mut(x, y) = [n.x as f32, n.y as f32, n.z as f32];
-                    *mask.at_mut(x, y) = true;
-                } else if let Some(n) = ball.normal_at(&intrinsics, &pixel) {
-                    paint(on_ball, &(pose.rotation.inverse() * n), 1.0);
-                }
-            }
-        }
-        let name = format!("view{k}");
-        made.posed.views.push(PosedView {
-            photo: PhotoIdx(k),
-            name: name.clone(),
-            file_name: format!("{name}.png"),
-            intrinsics,
-            cam_from_world: pose,
+        let object = |[x, y]: [f64; 2]| {
+            let ray_in_cam = camera.ray(&Point2::new(x, y)).normalize();
+            let (t, n) = hit_object(&eye, &(pose.rotation.inverse() * ray_in_cam))?;
+            Some((ray_in_cam.z * t, pose.rotation * n))
+        };
+        let image = painted(&camera, 0.1, |pixel| {
+            let (light, n, factor) = match object(pixel) {
+                Some((_, n)) => (on_object, n, albedo),
+                None => (on_ball, ball.normal_at(&camera, &pixel.into())?, 1.0),
+            };
+            let n = match kind {
+                LightKind::World => pose.rotation.inverse() * n,
+                LightKind::Camera => n,
+            };
+            let channel = |c: usize| (factor * light.channels[c].evaluate(&n)).max(0.0);
+            Some([channel(0), channel(1), channel(2)])
         });
-        made.photos.photos.push(Photo {
-            file_name: format!("{name}.png"),
-            name,
-            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            intrinsics,
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: Some(Arc::new(mask)),
-            clip_level: 1.0,
-            given_cam_from_world: None,
-        });
-        made.depths.push(depth);
-        made.normals.push(normals);
+        let maps = Maps::of(&camera, object);
+        let photo = Photo {
+            mask: Some(Arc::new(maps.mask)),
+            ..photo(&format!("view{k}.png"), image, camera)
+        };
+        made.push(photo, pose);
+        depths.push(maps.depth);
+        normals.push(maps.normal);
     }
-    made.posed.spheres.push(LocatedSphere {
-        name: MarkedSphere::ONLY.to_owned(),
-        center_in_world: ball_center().coords.into(),
-        radius: BALL_RADIUS,
-        center_sigma: [0.0; 3],
-        seen_in: Vec::new(),
+    let PosedPhotos { photos, mut posed } = made;
+    let center = ball_center().coords.into();
+    posed.spheres.push(true_sphere(center, BALL_RADIUS));
+    let mut random = Random(5);
+    // Half a thousandth of noise in depth.
+    posed.anchors = anchors_on_grid(&posed, &depths, 6, 0.01, || {
+        1.0 + 1e-3 * (random.unit() - 0.5)
     });
-    made.posed.anchors = anchors(&made);
-    made
-}
-
-/// Anchors on a grid of pixels, half a thousandth of noise in depth.
-fn anchors(made: &World) -> Vec<Anchor> {
-    let mut state = 5_u64;
-    let mut anchors = Vec::new();
-    for (first, view) in made.posed.views.iter().enumerate() {
-        for y in (0..200).step_by(6) {
-            for x in (0..260).step_by(6) {
-                let z = f64::from(*made.depths[first].at(x, y));
-                if z == 0.0 {
-                    continue;
-                }
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1);
-                let noise = 1e-3 * ((state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5);
-                let pixel = Point2::new(x as f64, y as f64);
-                let in_camera = view.intrinsics.unproject(&pixel, z * (1.0 + noise));
-                let point = view.cam_from_world.inverse().apply(&in_camera);
-                let observations: Vec<AnchorObservation> = (0..NUM_VIEWS)
-                    .filter_map(|other| {
-                        let seen = &made.posed.views[other];
-                        let p = seen.cam_from_world.apply(&point);
-                        let at = seen.intrinsics.project(&p)?;
-                        let there =
-                            made.depths[other].get(at.x.round() as isize, at.y.round() as isize)?;
-                        let visible = (f64::from(*there) / p.z).ln().abs() < 0.01;
-                        visible.then_some(AnchorObservation {
-                            view: ViewIdx(other),
-                            pixel: [at.x, at.y],
-                            depth: p.z,
-                            sigma_ln_depth: 1e-3,
-                        })
-                    })
-                    .collect();
-                if observations.len() >= 2 {
-                    anchors.push(Anchor {
-                        position: point.coords.into(),
-                        covariance: [0.0; 6],
-                        origin: AnchorOrigin::Grown,
-                        observations,
-                    });
-                }
-            }
-        }
+    World {
+        photos,
+        posed,
+        depths,
+        normals,
     }
-    anchors
 }
 
 /// Relative residual of a lighting on the true normals.
@@ -281,7 +191,7 @@ fn a_known_shape_and_given_lightings_tell_what_the_light_is_fixed_to() {
             for (j, value) in image.data.iter_mut().enumerate() {
                 *value *= gain * (1.0 + 0.05 * (12.9 * j as f32).sin());
             }
-            photo.pixels = Arc::new(InMemoryPixels(Arc::new(image)));
+            photo.pixels = in_memory(image);
         }
         let run = |request: &LightingRequest| {
             let options = LightingOptions::default();

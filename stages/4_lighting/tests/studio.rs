@@ -5,20 +5,19 @@
 #[path = "../examples/sphere_report/data.rs"]
 #[allow(dead_code)]
 mod data;
-#[path = "../../common/shared_data.rs"]
-mod shared_data;
 
 use data::Set;
 use rilievo_lighting::{LightingOptions, LightingRequest, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_photometry::surface_check::check;
 use rilievo_scene::{ShadedViews, Silent, SphereRequest};
+use rilievo_synthetic::testing::{Random, shared_data};
 
 /// The world's unknown unit: poses without scale.
 const SHRINK: f64 = 0.37;
 
 fn set(name: &str) -> Option<Set> {
-    Some(Set::load(&shared_data::data(name)?, false).unwrap())
+    Some(Set::load(&shared_data(name)?, false).unwrap())
 }
 
 fn find(radius: f64) -> SphereRequest {
@@ -101,14 +100,9 @@ fn the_sphere_of_a_smooth_object_is_found_in_all_photos() {
 
 /// The shape with normals tilted at random by `tilt` (radians, root mean square).
 fn roughened(shape: &ShadedViews, tilt: f32) -> ShadedViews {
-    let mut state = 11_u64;
+    let mut random = Random(11);
     // Uniform deviates of unit variance.
-    let mut deviate = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 40) as f32 / (1_u32 << 24) as f32 - 0.5) * 12.0_f32.sqrt()
-    };
+    let mut deviate = || (random.unit() as f32 - 0.5) * 12.0_f32.sqrt();
     let mut rough = shape.clone();
     for view in &mut rough.views {
         for normal in view.normal.data.iter_mut().filter(|n| n[2] != 0.0) {

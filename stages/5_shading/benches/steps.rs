@@ -6,10 +6,9 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::CornerPoisson;
-use rilievo_scene::{
-    DepthMap, Intrinsics, Lighting, LinearImage, Mask, Silent, SphericalHarmonics,
-};
+use rilievo_scene::{DepthMap, Intrinsics, Lighting, Mask, Silent, SphericalHarmonics};
 use rilievo_shading::paper::{PaperOptions, ShadingProblem, ShadingView, ViewLight, solve};
+use rilievo_synthetic::testing::{PAPER_LIGHT, painted};
 use std::hint::black_box;
 use std::sync::Arc;
 use std::time::Instant;
@@ -18,28 +17,19 @@ use std::time::Instant;
 const SIZE: usize = 400;
 
 fn problem() -> ShadingProblem {
-    let rows = [
-        [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
-        [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
-        [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
-    ]
-    .map(SphericalHarmonics);
-    let mut image = LinearImage::filled(SIZE, SIZE, 3, 0.0);
-    for y in 0..SIZE {
-        for x in 0..SIZE {
-            let (p, q) = ((x as f64 / 23.0).sin(), 0.7 * (y as f64 / 31.0).cos());
-            let n = nalgebra::Vector3::new(p, q, -1.0).normalize();
-            for (c, row) in rows.iter().enumerate() {
-                image.pixel_mut(x, y)[c] = row.evaluate(&n) as f32;
-            }
-        }
-    }
+    let rows = PAPER_LIGHT.map(SphericalHarmonics);
     let centre = SIZE as f64 / 2.0;
+    let camera = Intrinsics::pinhole(SIZE, SIZE, 3.0 * SIZE as f64, centre, centre);
+    let image = painted(&camera, 0.0, |[x, y]| {
+        let (p, q) = ((x / 23.0).sin(), 0.7 * (y / 31.0).cos());
+        let n = nalgebra::Vector3::new(p, q, -1.0).normalize();
+        Some(rows.map(|row| row.evaluate(&n)))
+    });
     let mut view = ShadingView::new(
         "bench",
         Arc::new(image),
         Mask::filled(SIZE, SIZE, true),
-        Intrinsics::pinhole(SIZE, SIZE, 3.0 * SIZE as f64, centre, centre),
+        camera,
         ViewLight::Uniform(Lighting {
             channels: rows.to_vec(),
         }),

@@ -4,12 +4,11 @@
 //! by 300 matches between neighbours (eq. 15 itself with `--literal`).
 
 use nalgebra::{Point3, Rotation3, Vector3};
-use rilievo_scene::{
-    Intrinsics, Lighting, LinearImage, Mask, RigidTransform, Silent, SphericalHarmonics,
-};
+use rilievo_scene::{Intrinsics, Lighting, Mask, RigidTransform, Silent, SphericalHarmonics};
 use rilievo_shading::paper::{
     Coupling, DepthAnchor, PaperOptions, ShadingProblem, ShadingView, ViewLight, ViewMatches, solve,
 };
+use rilievo_synthetic::testing::{PAPER_LIGHT, painted};
 use std::sync::Arc;
 
 type Failure = Box<dyn std::error::Error>;
@@ -69,21 +68,11 @@ impl Relief {
     }
 
     fn view(&self, index: usize) -> ShadingView {
-        let rows = [
-            [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
-            [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
-            [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
-        ]
-        .map(SphericalHarmonics);
-        let mut image = LinearImage::filled(self.width, self.height, 3, 0.0);
-        for y in 0..self.height {
-            for x in 0..self.width {
-                let (_, n) = self.seen(index, x as f64, y as f64);
-                for (c, row) in rows.iter().enumerate() {
-                    image.pixel_mut(x, y)[c] = row.evaluate(&n) as f32;
-                }
-            }
-        }
+        let rows = PAPER_LIGHT.map(SphericalHarmonics);
+        let image = painted(&self.camera(), 0.0, |[x, y]| {
+            let (_, n) = self.seen(index, x, y);
+            Some(rows.map(|row| row.evaluate(&n)))
+        });
         let mut view = ShadingView::new(
             format!("view{index}"),
             Arc::new(image),

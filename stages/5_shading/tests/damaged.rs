@@ -3,15 +3,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-#[path = "../../common/mutated.rs"]
-mod mutated;
-#[path = "../../common/posed_sphere.rs"]
-mod posed_sphere;
-
-use mutated::{Random, mutated};
-use posed_sphere::world;
 use rilievo_scene::{Silent, StageId};
 use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
+use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
 /// Both models with the least work.
 fn models() -> [ShadingOptions; 2] {
@@ -32,7 +26,7 @@ fn models() -> [ShadingOptions; 2] {
 
 #[test]
 fn the_undamaged_world_has_a_shape() {
-    let world = world();
+    let world = sphere_world();
     for options in models() {
         let (shaded, _) = run(
             &world.photos,
@@ -48,7 +42,7 @@ fn the_undamaged_world_has_a_shape() {
 
 #[test]
 fn an_anchor_in_no_view_is_named() {
-    let world = world();
+    let world = sphere_world();
     let mut posed = world.posed.clone();
     posed.anchors[4].observations[1].view.0 = 3;
     for options in models() {
@@ -64,7 +58,7 @@ fn an_anchor_in_no_view_is_named() {
 
 #[test]
 fn poses_and_light_changed_at_random_never_end_in_a_panic() {
-    let world = world();
+    let world = sphere_world();
     let mut random = Random(5);
     let (mut tried, mut refused) = (0, 0);
     while tried < 12 {

@@ -2,12 +2,12 @@
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{
-    DepthMap, FocalSource, InMemoryPixels, Intrinsics, LightKind, LightSource, LightingCalibration,
-    LinearImage, Mask, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform,
-    Silent,
+    Intrinsics, LightKind, LightSource, LightingCalibration, Photo, PhotoSet, PosedViews,
+    RigidTransform, Silent,
 };
 use rilievo_shading::ShadingError;
 use rilievo_shading::photo::{self, PhotoOptions};
+use rilievo_synthetic::testing::{Maps, PosedPhotos, on_sphere, painted, photo};
 use std::sync::Arc;
 
 const SIDE: usize = 120;
@@ -16,7 +16,7 @@ const FOCAL_PX: f64 = 260.0;
 struct Rendered {
     photos: PhotoSet,
     posed: PosedViews,
-    truth: Vec<(DepthMap, NormalMap)>,
+    truth: Vec<Maps>,
 }
 
 /// Albedo of a surface point: smooth stains of several sizes.
@@ -28,11 +28,7 @@ fn albedo(n: &Vector3<f64>) -> f64 {
 /// Views of a ball of radius 0.5 from a circle of radius 2, exposures as given.
 fn ball(exposures: &[f64]) -> Rendered {
     let light = Vector3::new(0.3, -0.8, -0.5).normalize();
-    let mut out = Rendered {
-        photos: PhotoSet::default(),
-        posed: PosedViews::default(),
-        truth: Vec::new(),
-    };
+    let (mut made, mut truth) = (PosedPhotos::default(), Vec::new());
     let middle = (SIDE as f64 - 1.0) / 2.0;
     let camera = Intrinsics::pinhole(SIDE, SIDE, FOCAL_PX * 0.75, middle, middle);
     for (i, exposure) in exposures.iter().enumerate() {
@@ -40,52 +36,26 @@ fn ball(exposures: &[f64]) -> Rendered {
         let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), angle);
         let center = Point3::from(turn * Vector3::new(0.0, 0.0, -2.0));
         let pose = RigidTransform::from_world_pose(turn, center);
-        let mut image = LinearImage::filled(SIDE, SIDE, 1, 0.0);
-        let mut mask = Mask::filled(SIDE, SIDE, false);
-        let mut depth = DepthMap::filled(SIDE, SIDE, 0.0);
-        let mut normal = NormalMap::filled(SIDE, SIDE, [0.0; 3]);
-        for y in 0..SIDE {
-            for x in 0..SIDE {
-                let ray = camera.ray(&nalgebra::Point2::new(x as f64, y as f64));
-                let d = turn * ray;
-                let (a, b) = (d.norm_squared(), center.coords.dot(&d));
-                let discriminant = b * b - a * (center.coords.norm_squared() - 0.25);
-                if discriminant <= 0.0 {
-                    continue;
-                }
-                let z = (-b - discriminant.sqrt()) / a;
-                let n = (center.coords + d * z) / 0.5;
-                let shade = 0.3 + 0.6 * (0.5 + 0.5 * n.dot(&light));
-                image.pixel_mut(x, y)[0] = (exposure * shade * albedo(&n)) as f32;
-                *mask.at_mut(x, y) = true;
-                *depth.at_mut(x, y) = z as f32;
-                let m = turn.inverse() * n;
-                *normal.at_mut(x, y) = [m.x as f32, m.y as f32, m.z as f32];
-            }
-        }
-        let name = format!("view{i}");
-        out.photos.photos.push(Photo {
-            file_name: format!("{name}.png"),
-            name: name.clone(),
-            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            intrinsics: camera,
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: Some(Arc::new(mask)),
-            clip_level: 1.0,
-            given_cam_from_world: None,
+        let surface = |pixel| on_sphere(&pose.translation, 0.5, &camera, pixel);
+        let image = painted(&camera, 0.0, |pixel| {
+            let (_, normal) = surface(pixel)?;
+            let n = turn * normal;
+            let shade = 0.3 + 0.6 * (0.5 + 0.5 * n.dot(&light));
+            Some([exposure * shade * albedo(&n)])
         });
-        out.posed.views.push(PosedView {
-            photo: PhotoIdx(i),
-            name: name.clone(),
-            file_name: format!("{name}.png"),
-            intrinsics: camera,
-            cam_from_world: pose,
-        });
-        out.truth.push((depth, normal));
+        let maps = Maps::of(&camera, surface);
+        let photo = Photo {
+            mask: Some(Arc::new(maps.mask.clone())),
+            ..photo(&format!("view{i}.png"), image, camera)
+        };
+        made.push(photo, pose);
+        truth.push(maps);
     }
-    out
+    Rendered {
+        photos: made.photos,
+        posed: made.posed,
+        truth,
+    }
 }
 
 fn no_light() -> LightingCalibration {
@@ -120,7 +90,7 @@ fn a_stained_ball_is_found_with_its_exposures() {
         panic!("{:?}", result.err())
     };
     let (mut ratios, mut angles) = (Vec::new(), Vec::new());
-    for (view, (depth, normal)) in shaded.views.iter().zip(&scene.truth) {
+    for (view, Maps { depth, normal, .. }) in shaded.views.iter().zip(&scene.truth) {
         for p in 0..depth.data.len() {
             if depth.data[p] > 0.0 {
                 assert!(view.depth.data[p] > 0.0, "{} has a hole at {p}", view.name);

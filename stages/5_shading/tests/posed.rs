@@ -4,12 +4,12 @@
 
 use nalgebra::{Point2, UnitQuaternion, Vector3};
 use rilievo_scene::{
-    Anchor, AnchorObservation, AnchorOrigin, FocalSource, InMemoryPixels, Intrinsics, LightKind,
-    LightSource, Lighting, LightingCalibration, LinearImage, Mask, Photo, PhotoIdx, PhotoSet,
-    PosedView, PosedViews, Recorder, RigidTransform, Silent, SphericalHarmonics, ViewIdx,
-    ViewLighting,
+    Anchor, AnchorObservation, AnchorOrigin, Intrinsics, LightKind, LightSource, Lighting,
+    LightingCalibration, Photo, PhotoSet, PosedViews, Recorder, RigidTransform, Silent,
+    SphericalHarmonics, ViewIdx, ViewLighting,
 };
 use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
+use rilievo_synthetic::testing::{Maps, PAPER_LIGHT, PosedPhotos, on_sphere, painted, photo};
 use std::sync::Arc;
 
 const SIZE: usize = 96;
@@ -28,84 +28,43 @@ fn camera() -> Intrinsics {
 
 /// Depth and normal (camera frame) of the sphere at a pixel.
 fn sphere(pose: &RigidTransform, pixel: [f64; 2]) -> Option<(f64, Vector3<f64>)> {
-    let ray = camera().ray(&Point2::new(pixel[0], pixel[1]));
-    let center = pose.translation;
-    let (a, b, c) = (
-        ray.norm_squared(),
-        ray.dot(&center),
-        center.norm_squared() - 1.0,
-    );
-    let root = b * b - a * c;
-    (root > 0.0).then(|| {
-        let z = (b - root.sqrt()) / a;
-        (z, ray * z - center)
-    })
+    on_sphere(&pose.translation, 1.0, &camera(), pixel)
 }
 
 fn world() -> World {
-    let rows = [
-        [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
-        [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
-        [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
-    ]
-    .map(|row| SphericalHarmonics(row.map(|l| 0.5 * l)));
-    let lighting = Lighting {
-        channels: rows.to_vec(),
+    let rows = PAPER_LIGHT.map(|row| SphericalHarmonics(row.map(|l| 0.5 * l)));
+    let mut lighting = LightingCalibration {
+        source: LightSource::Given,
+        kind: LightKind::Camera,
+        environment_in_world: None,
+        views: Vec::new(),
+        spheres: Vec::new(),
+        samples: Vec::new(),
     };
-    let mut world = World {
-        photos: PhotoSet::default(),
-        posed: PosedViews::default(),
-        lighting: LightingCalibration {
-            source: LightSource::Given,
-            kind: LightKind::Camera,
-            environment_in_world: None,
-            views: Vec::new(),
-            spheres: Vec::new(),
-            samples: Vec::new(),
-        },
-    };
+    let mut made = PosedPhotos::default();
     for (index, angle) in [0.0, 0.35].into_iter().enumerate() {
         let pose = RigidTransform {
             rotation: UnitQuaternion::from_euler_angles(0.0, angle, 0.0),
             translation: Vector3::new(0.0, 0.0, 4.0),
         };
         // The rim, where slopes grow without bound, is left out of the mask.
-        let mask = Mask::from_fn(SIZE, SIZE, |x, y| {
-            sphere(&pose, [x as f64, y as f64]).is_some_and(|(_, n)| n.z < -0.35)
+        let maps = Maps::of(&camera(), |pixel| {
+            sphere(&pose, pixel).filter(|(_, n)| n.z < -0.35)
         });
-        let mut image = LinearImage::filled(SIZE, SIZE, 3, 0.0);
-        for y in 0..SIZE {
-            for x in 0..SIZE {
-                if let Some((_, n)) = sphere(&pose, [x as f64, y as f64]) {
-                    for (c, row) in rows.iter().enumerate() {
-                        image.pixel_mut(x, y)[c] = row.evaluate(&n) as f32;
-                    }
-                }
-            }
-        }
-        let name = format!("view{index}");
-        world.photos.photos.push(Photo {
-            file_name: format!("{name}.png"),
-            name: name.clone(),
-            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            intrinsics: camera(),
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: Some(Arc::new(mask.clone())),
+        let image = painted(&camera(), 0.0, |pixel| {
+            sphere(&pose, pixel).map(|(_, n)| rows.map(|row| row.evaluate(&n)))
+        });
+        let photo = Photo {
+            mask: Some(Arc::new(maps.mask)),
             clip_level: 5.0,
-            given_cam_from_world: None,
-        });
-        world.posed.views.push(PosedView {
-            photo: PhotoIdx(index),
-            name: name.clone(),
-            file_name: format!("{name}.png"),
-            intrinsics: camera(),
-            cam_from_world: pose,
-        });
-        world.lighting.views.push(ViewLighting {
+            ..photo(&format!("view{index}.png"), image, camera())
+        };
+        made.push(photo, pose);
+        lighting.views.push(ViewLighting {
             view: ViewIdx(index),
-            lighting: lighting.clone(),
+            lighting: Lighting {
+                channels: rows.to_vec(),
+            },
             residual: None,
             gain: vec![1.0; 3],
         });
@@ -113,7 +72,7 @@ fn world() -> World {
             let pixel = [30.0 + ((k * 17) % 36) as f64, 30.0 + ((k * 23) % 36) as f64];
             if let Some((depth, _)) = sphere(&pose, pixel) {
                 let in_cam = camera().unproject(&Point2::new(pixel[0], pixel[1]), depth);
-                world.posed.anchors.push(Anchor {
+                made.posed.anchors.push(Anchor {
                     position: pose.inverse().apply(&in_cam).into(),
                     covariance: [1e-8, 0.0, 0.0, 1e-8, 0.0, 1e-8],
                     origin: AnchorOrigin::Guided,
@@ -127,7 +86,11 @@ fn world() -> World {
             }
         }
     }
-    world
+    World {
+        photos: made.photos,
+        posed: made.posed,
+        lighting,
+    }
 }
 
 fn paper() -> ShadingOptions {

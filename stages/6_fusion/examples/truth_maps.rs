@@ -4,91 +4,19 @@
 //! `truth_maps DATA [BIAS_MM NOISE_MM]`: `DATA/truth` holds `cameras.json`, `NAME_depth.exr`,
 //! `NAME_normal.exr` and `mesh.ply`; every view gets a smooth bias and white noise of these sizes.
 
-use exr::prelude::{ReadChannels, ReadLayers, read};
-use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use nalgebra::{Point3, Vector3};
 use rilievo_fusion::{FusionOptions, run};
-use rilievo_scene::{
-    Intrinsics, Mesh, NormalMap, PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, RigidTransform,
-    ShadedView, ShadedViews, Silent, ViewIdx,
-};
+use rilievo_io::{read_cameras, read_depth, read_mesh_ply, read_normal};
+use rilievo_scene::{PhotoSet, PosedViews, Raster, ShadedView, ShadedViews, Silent, ViewIdx};
 use rilievo_synthetic::compare::{
     MeshDistance, Similarity, TrueSurface, TruthMaps, TruthView, compare_cloud,
 };
-use serde_json::Value;
+use rilievo_synthetic::testing::{Random, posed_view};
 use std::error::Error;
 use std::path::Path;
 use std::time::Instant;
 
 type Fallible<T> = Result<T, Box<dyn Error>>;
-
-/// One channel of an EXR file.
-fn channel(path: &Path, name: &str) -> Fallible<Raster<f32>> {
-    let image = read()
-        .no_deep_data()
-        .largest_resolution_level()
-        .all_channels()
-        .first_valid_layer()
-        .all_attributes()
-        .from_file(path)?;
-    let layer = &image.layer_data;
-    let found = layer
-        .channel_data
-        .list
-        .iter()
-        .find(|c| c.name.to_string() == name)
-        .ok_or_else(|| format!("{} has no channel {name}", path.display()))?;
-    let data = found.sample_data.values_as_f32().collect::<Vec<f32>>();
-    Raster::from_vec(layer.size.width(), layer.size.height(), data).ok_or_else(|| "size".into())
-}
-
-fn number(value: &Value) -> f64 {
-    value.as_f64().unwrap_or(f64::NAN)
-}
-
-/// Vertices, normals and triangles of a binary PLY whose vertices are floats only.
-fn read_ply(path: &Path) -> Fallible<Mesh> {
-    let bytes = std::fs::read(path)?;
-    let end = b"end_header\n";
-    let start = bytes
-        .windows(end.len())
-        .position(|w| w == end)
-        .ok_or("no header")?
-        + end.len();
-    let header = std::str::from_utf8(&bytes[..start])?;
-    let count = |element: &str| -> Fallible<usize> {
-        let line = header
-            .lines()
-            .find_map(|l| l.strip_prefix(&format!("element {element} ")))
-            .ok_or("no such element")?;
-        Ok(line.trim().parse()?)
-    };
-    let floats = header
-        .lines()
-        .filter(|l| l.starts_with("property float "))
-        .count();
-    let at = |offset: usize| -> [u8; 4] {
-        [
-            bytes[offset],
-            bytes[offset + 1],
-            bytes[offset + 2],
-            bytes[offset + 3],
-        ]
-    };
-    let mut mesh = Mesh::default();
-    for v in 0..count("vertex")? {
-        let value = |k: usize| f32::from_le_bytes(at(start + 4 * (v * floats + k)));
-        mesh.vertices.push([value(0), value(1), value(2)]);
-        if floats >= 6 {
-            mesh.normals.push([value(3), value(4), value(5)]);
-        }
-    }
-    let faces = start + 4 * floats * mesh.vertices.len();
-    for f in 0..count("face")? {
-        let corner = |k: usize| u32::from_le_bytes(at(faces + 13 * f + 1 + 4 * k));
-        mesh.triangles.push([corner(0), corner(1), corner(2)]);
-    }
-    Ok(mesh)
-}
 
 /// A smooth field of unit amplitude, another one for every view.
 fn smooth(view: usize, x: f64, y: f64) -> f64 {
@@ -99,16 +27,7 @@ fn smooth(view: usize, x: f64, y: f64) -> f64 {
 
 /// White noise of unit variance from integers.
 fn white(view: usize, i: usize) -> f64 {
-    let mut h = (view as u64) << 40 | i as u64;
-    let mut uniform = || {
-        h = h.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = h;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ z >> 31) as f64 / u64::MAX as f64
-    };
-    // Twelve uniform numbers have unit variance and are near enough to normal.
-    (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+    Random((view as u64) << 40 | i as u64).normal()
 }
 
 fn main() -> Fallible<()> {
@@ -121,37 +40,19 @@ fn main() -> Fallible<()> {
             .unwrap_or(0.0)
     };
     let (bias, noise) = (1e-3 * size(1), 1e-3 * size(2));
-    let cameras: Value = serde_json::from_slice(&std::fs::read(data.join("cameras.json"))?)?;
+    let cameras = read_cameras(&data.join("cameras.json"))?;
     let mut posed = PosedViews::default();
     let mut shaded = ShadedViews::default();
     let mut truth = Vec::new();
-    for (idx, camera) in cameras["cameras"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .enumerate()
-    {
-        let file_name = camera["image"].as_str().ok_or("image")?.to_owned();
-        let name = file_name.split('.').next().unwrap_or_default().to_owned();
-        let k = |i: usize, j: usize| number(&camera["K"][i][j]);
-        let depth = channel(&data.join(format!("{name}_depth.exr")), "Z")?;
-        let intrinsics = Intrinsics {
-            fy: k(1, 1),
-            ..Intrinsics::pinhole(depth.width, depth.height, k(0, 0), k(0, 2), k(1, 2))
-        };
-        let rotation = Matrix3::from_fn(|i, j| number(&camera["world_from_camera_rotation"][i][j]));
-        let center = Point3::from(Vector3::from_fn(|i, _| number(&camera["camera_center"][i])));
-        let cam_from_world =
-            RigidTransform::from_world_pose(Rotation3::from_matrix(&rotation), center);
-        let path = data.join(format!("{name}_normal.exr"));
-        let axes = [
-            channel(&path, "N.X")?,
-            channel(&path, "N.Y")?,
-            channel(&path, "N.Z")?,
-        ];
-        let normal = NormalMap::from_fn(depth.width, depth.height, |x, y| {
-            std::array::from_fn(|c| *axes[c].at(x, y))
-        });
+    for (idx, camera) in cameras.cameras.into_iter().enumerate() {
+        let file_name = camera.image.ok_or("image")?;
+        let intrinsics = camera.intrinsics;
+        let cam_from_world = camera.cam_from_world.ok_or("pose")?;
+        let view = posed_view(idx, &file_name, intrinsics, cam_from_world);
+        let name = view.name.clone();
+        posed.views.push(view);
+        let depth = read_depth(&data.join(format!("{name}_depth.exr")))?;
+        let normal = read_normal(&data.join(format!("{name}_normal.exr")))?;
         let disturbed = Raster::from_fn(depth.width, depth.height, |x, y| {
             let z = *depth.at(x, y);
             if z <= 0.0 {
@@ -159,13 +60,6 @@ fn main() -> Fallible<()> {
             }
             let i = y * depth.width + x;
             z + (bias * smooth(idx, x as f64, y as f64) + noise * white(idx, i)) as f32
-        });
-        posed.views.push(PosedView {
-            photo: PhotoIdx(idx),
-            name: name.clone(),
-            file_name,
-            intrinsics,
-            cam_from_world,
         });
         shaded.views.push(ShadedView {
             view: ViewIdx(idx),
@@ -185,7 +79,7 @@ fn main() -> Fallible<()> {
             },
         ));
     }
-    let surface = read_ply(&data.join("mesh.ply"))?;
+    let surface = read_mesh_ply(&data.join("mesh.ply"))?;
 
     let start = Instant::now();
     let (fused, report) = run(

@@ -278,10 +278,8 @@ mod tests {
     use super::*;
     use crate::views::prepare;
     use nalgebra::{Point2, UnitQuaternion};
-    use rilievo_scene::{
-        DepthMap, Intrinsics, NormalMap, PhotoIdx, PosedView, PosedViews, RigidTransform,
-        ShadedView, ShadedViews, ViewIdx,
-    };
+    use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, ShadedViews};
+    use rilievo_synthetic::testing::{Maps, posed_view};
 
     /// Two views of the plane `n·X = -2`, the depths of view `v` multiplied by `factors[v]`.
     fn views(factors: [f64; 2]) -> Vec<View> {
@@ -297,25 +295,13 @@ mod tests {
             let normal_in_cam = pose.rotation * normal;
             let offset = normal_in_cam.dot(&pose.translation) - 2.0;
             let name = format!("IMG_{v}");
-            posed.views.push(PosedView {
-                photo: PhotoIdx(v),
-                name: name.clone(),
-                file_name: name.clone(),
-                intrinsics: camera,
-                cam_from_world: pose,
+            posed.views.push(posed_view(v, &name, camera, pose));
+            let maps = Maps::of(&camera, |[x, y]| {
+                let ray = camera.ray(&Point2::new(x, y));
+                let depth = factor * offset / normal_in_cam.dot(&ray);
+                Some((depth, normal_in_cam))
             });
-            shaded.views.push(ShadedView {
-                view: ViewIdx(v),
-                name,
-                depth: DepthMap::from_fn(64, 48, |x, y| {
-                    let ray = camera.ray(&Point2::new(x as f64, y as f64));
-                    (factor * offset / normal_in_cam.dot(&ray)) as f32
-                }),
-                normal: NormalMap::filled(64, 48, normal_in_cam.map(|c| c as f32).into()),
-                confidence: None,
-                rendered: None,
-                albedo: None,
-            });
+            shaded.views.push(maps.shaded(v, &name));
         }
         prepare(&posed, &shaded, &FusionOptions::default())
             .expect("sound maps")

@@ -3,19 +3,13 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-#[path = "../../common/mutated.rs"]
-mod mutated;
-#[path = "../../common/posed_sphere.rs"]
-mod posed_sphere;
-
-use mutated::{Random, mutated};
-use posed_sphere::world;
 use rilievo_fusion::{FusionError, FusionOptions, run};
 use rilievo_scene::{ShadedViews, Silent, StageId};
+use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
 #[test]
 fn a_pose_that_is_no_number_is_named() {
-    let mut world = world();
+    let mut world = sphere_world();
     world.posed.views[2].cam_from_world.translation.y = f64::NAN;
     let options = FusionOptions::default();
     match run(
@@ -66,7 +60,7 @@ fn damage(shaded: &mut ShadedViews, random: &mut Random) -> String {
 
 #[test]
 fn poses_and_maps_changed_at_random_never_end_in_a_panic() {
-    let world = world();
+    let world = sphere_world();
     let options = FusionOptions {
         memory_mib: 64,
         ..FusionOptions::default()

@@ -3,15 +3,14 @@
 // Helpers outside the test functions may fail as these may.
 #![allow(clippy::expect_used, clippy::panic)]
 
-use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
+use nalgebra::{Point3, Vector3};
 use rilievo_fusion::{FusionError, FusionOptions, FusionReport, run};
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, Event, Flow, FusedCloud, InMemoryPixels, Intrinsics, LinearImage,
-    Mesh, NormalMap, Observer, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, Recorder,
-    RigidTransform, ShadedView, ShadedViews, Silent, ViewIdx,
+    ConfidenceMap, FusedCloud, Intrinsics, LinearImage, Mesh, NormalMap, PhotoSet, PosedViews,
+    Recorder, ShadedViews, Silent,
 };
+use rilievo_synthetic::testing::{Impatient, Maps, Random, look_at, on_sphere, photo, posed_view};
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 const WIDTH: usize = 160;
 const HEIGHT: usize = 120;
@@ -26,38 +25,15 @@ fn views(azimuths_deg: &[f64], radius: f64) -> (PosedViews, ShadedViews) {
     for (i, azimuth) in azimuths_deg.iter().enumerate() {
         let a = azimuth.to_radians();
         let center = Point3::new(a.sin(), -0.3, -a.cos()) * (DISTANCE * radius);
-        let forward = -center.coords.normalize();
-        let right = Vector3::y().cross(&forward).normalize();
-        let axes = Matrix3::from_columns(&[right, forward.cross(&right), forward]);
-        let pose = RigidTransform::from_world_pose(Rotation3::from_matrix_unchecked(axes), center);
-        let sphere_in_cam = pose.apply(&Point3::origin()).coords;
-        let hit = |x: usize, y: usize| -> Option<(f64, Vector3<f64>)> {
-            let ray = camera.ray(&Point2::new(x as f64, y as f64));
-            let (along, square) = (ray.dot(&sphere_in_cam), ray.norm_squared());
-            let rest = sphere_in_cam.norm_squared() - radius * radius;
-            let root = along * along - square * rest;
-            let z = (along - (root > 0.0).then(|| root.sqrt())?) / square;
-            Some((z, (ray * z - sphere_in_cam) / radius))
-        };
+        let pose = look_at(center, Point3::origin(), -Vector3::y());
+        let maps = Maps::of(&camera, |pixel| {
+            on_sphere(&pose.translation, radius, &camera, pixel)
+        });
         let name = format!("IMG_{i:04}");
-        posed.views.push(PosedView {
-            photo: PhotoIdx(i),
-            name: name.clone(),
-            file_name: format!("{name}.png"),
-            intrinsics: camera,
-            cam_from_world: pose,
-        });
-        shaded.views.push(ShadedView {
-            view: ViewIdx(i),
-            name,
-            depth: DepthMap::from_fn(WIDTH, HEIGHT, |x, y| hit(x, y).map_or(0.0, |h| h.0 as f32)),
-            normal: NormalMap::from_fn(WIDTH, HEIGHT, |x, y| {
-                hit(x, y).map_or([0.0; 3], |h| h.1.map(|c| c as f32).into())
-            }),
-            confidence: None,
-            rendered: None,
-            albedo: None,
-        });
+        posed
+            .views
+            .push(posed_view(i, &format!("{name}.png"), camera, pose));
+        shaded.views.push(maps.shaded(i, &name));
     }
     (posed, shaded)
 }
@@ -107,10 +83,7 @@ fn num_open_edges(mesh: &Mesh) -> usize {
 
 /// White noise between -1 and 1 from integers.
 fn noise(view: usize, i: usize) -> f64 {
-    let mut z = ((view as u64) << 32 | i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-    2.0 * (z ^ z >> 31) as f64 / u64::MAX as f64 - 1.0
+    2.0 * Random((view as u64) << 32 | i as u64).unit() - 1.0
 }
 
 #[test]
@@ -331,18 +304,9 @@ fn colours_come_from_the_photos_and_low_confidence_widens() {
         for pixel in image.data.chunks_exact_mut(3) {
             pixel.copy_from_slice(&[0.216, 0.0, 1.0]);
         }
-        photos.photos.push(Photo {
-            file_name: view.file_name.clone(),
-            name: view.name.clone(),
-            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            intrinsics: view.intrinsics,
-            focal_source: rilievo_scene::FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: None,
-            clip_level: 1.0,
-            given_cam_from_world: None,
-        });
+        photos
+            .photos
+            .push(photo(&view.file_name, image, view.intrinsics));
     }
     let told = Recorder::default();
     let result = run(&photos, &posed, &shaded, &FusionOptions::default(), &told);
@@ -423,13 +387,7 @@ fn what_cannot_be_fused_is_named() {
         "{error:?}"
     );
 
-    struct Stopper;
-    impl Observer for Stopper {
-        fn event(&self, _: Event) -> Flow {
-            Flow::Stop
-        }
-    }
-    let error = run(&PhotoSet::default(), &posed, &shaded, &options, &Stopper).err();
+    let error = run(&PhotoSet::default(), &posed, &shaded, &options, &Impatient).err();
     assert!(matches!(error, Some(FusionError::Interrupted)), "{error:?}");
 }
 

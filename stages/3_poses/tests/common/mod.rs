@@ -8,10 +8,10 @@ use rand_chacha::ChaCha8Rng;
 use rilievo_poses::PosesOptions;
 use rilievo_poses::anchors::AnchorMode;
 use rilievo_scene::{
-    FeatureMatches, FocalSource, InMemoryPixels, Intrinsics, Keypoint, LinearImage, PairMatches,
-    Photo, PhotoIdx, PhotoKeypoints, PhotoSet, PosedViews, RigidTransform,
+    FeatureMatches, Intrinsics, Keypoint, LinearImage, PairMatches, PhotoIdx, PhotoKeypoints,
+    PhotoSet, PosedViews, RigidTransform,
 };
-use std::sync::Arc;
+use rilievo_synthetic::testing::{self, photo};
 
 /// What a synthetic set is like.
 #[derive(Clone)]
@@ -58,11 +58,7 @@ pub fn camera() -> Intrinsics {
 
 /// A camera at `center` that looks at `target`.
 pub fn look_at(center: Point3<f64>, target: Point3<f64>) -> RigidTransform {
-    let z = (target - center).normalize();
-    let x = z.cross(&Vector3::new(0.0, 0.0, 1.0)).normalize();
-    let y = z.cross(&x);
-    let world_from_cam = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
-    RigidTransform::from_world_pose(world_from_cam, center)
+    testing::look_at(center, target, Vector3::z())
 }
 
 pub fn world(options: &WorldOptions) -> World {
@@ -109,20 +105,9 @@ pub fn from_truth(
     rng: &mut ChaCha8Rng,
 ) -> World {
     let camera = camera();
-    let image = Arc::new(LinearImage::filled(camera.width, camera.height, 1, 0.5));
+    let image = LinearImage::filled(camera.width, camera.height, 1, 0.5);
     let photos = (0..poses.len())
-        .map(|k| Photo {
-            file_name: format!("v{k:03}.png"),
-            name: format!("v{k:03}"),
-            pixels: Arc::new(InMemoryPixels(image.clone())),
-            intrinsics: camera,
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: None,
-            clip_level: 1.0,
-            given_cam_from_world: None,
-        })
+        .map(|k| photo(&format!("v{k:03}.png"), image.clone(), camera))
         .collect();
     // Keypoint k of every photo is point k: a permutation would only hide mistakes of the test.
     let lists = poses

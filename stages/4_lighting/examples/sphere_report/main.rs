@@ -10,6 +10,7 @@
 mod data;
 
 use data::Set;
+use rilievo_io::{Preview, write_preview_png};
 use rilievo_lighting::{LightingOptions, LightingRequest, overlays, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_photometry::surface_check::check;
@@ -186,7 +187,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
     if let Some(folder) = arguments.iter().find_map(|a| a.strip_prefix("overlays=")) {
         for overlay in overlays(&set.photos, &set.posed, &calibration, &options)? {
-            data::write_png(&overlay.picture, folder, &overlay.name)?;
+            let path = std::path::Path::new(folder).join(format!("{}.png", overlay.name));
+            write_preview_png(&path, Preview::Linear(&overlay.picture), usize::MAX)?;
         }
     }
     for view in &surface.views {

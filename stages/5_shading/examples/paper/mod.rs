@@ -7,6 +7,7 @@ use rilievo_scene::{
     SphericalHarmonics,
 };
 use rilievo_shading::paper::{ShadingView, ViewLight};
+use rilievo_synthetic::testing::PAPER_LIGHT;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -19,14 +20,7 @@ const ROUGH_RADIUS_PX: usize = 12;
 const LIGHTS: [(&str, &[[f64; 9]]); 3] = [
     ("L1", &[[0.1, -0.25, -0.7, 0.2, 0.0, 0.0, 0.0, 0.0, 0.0]]),
     ("L2", &[[0.2, 0.3, -0.7, 0.5, -0.2, -0.2, 0.3, 0.3, 0.2]]),
-    (
-        "L3",
-        &[
-            [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
-            [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
-            [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
-        ],
-    ),
+    ("L3", &PAPER_LIGHT),
 ];
 
 /// Semi-axes of the head, and the cameras' distance from its middle.

@@ -1,10 +1,10 @@
 //! A folder with photos, masks, true cameras and true depth.
 
-use nalgebra::{Matrix3, Point3, Rotation3};
+use rilievo_io::{decode_photo, read_cameras, read_depth, read_mask, read_normal};
 use rilievo_scene::{
-    DepthMap, FocalSource, InMemoryPixels, Intrinsics, LinearImage, LocatedSphere, MarkedSphere,
-    NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform, SparsePoint,
+    DepthMap, LocatedSphere, NormalMap, Photo, PhotoIdx, PhotoSet, PosedViews, SparsePoint,
 };
+use rilievo_synthetic::testing::{PosedPhotos, linear_of, photo, true_sphere};
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,40 +15,6 @@ pub struct Input {
     pub posed: PosedViews,
     /// Depth, and normals where the reference has its own.
     pub truth: Vec<(DepthMap, Option<NormalMap>)>,
-}
-
-fn numbers(value: &serde_json::Value) -> Vec<f64> {
-    match value {
-        serde_json::Value::Array(items) => items.iter().flat_map(numbers).collect(),
-        other => other.as_f64().into_iter().collect(),
-    }
-}
-
-fn linear(path: &Path) -> Result<LinearImage, Box<dyn Error>> {
-    let image = image::open(path)?;
-    let sixteen = matches!(
-        image.color(),
-        image::ColorType::Rgb16 | image::ColorType::L16
-    );
-    let rgb = image.to_rgb16();
-    let data = rgb
-        .as_raw()
-        .iter()
-        .map(|&v| {
-            let v = f32::from(v) / 65535.0;
-            if sixteen {
-                v
-            } else {
-                rilievo_scene::srgb::decode(f64::from(v)) as f32
-            }
-        })
-        .collect();
-    Ok(LinearImage {
-        width: rgb.width() as usize,
-        height: rgb.height() as usize,
-        channels: 3,
-        data,
-    })
 }
 
 fn find_file(folder: &Path, stem: &str) -> Option<PathBuf> {
@@ -64,77 +30,42 @@ fn find_file(folder: &Path, stem: &str) -> Option<PathBuf> {
 }
 
 pub fn load(folder: &Path, photo_folder: &str, names: &[String]) -> Result<Input, Box<dyn Error>> {
-    let cameras: serde_json::Value =
-        serde_json::from_str(&std::fs::read_to_string(folder.join("truth/cameras.json"))?)?;
-    let mut input = Input {
-        photos: PhotoSet::default(),
-        posed: PosedViews::default(),
-        truth: Vec::new(),
-    };
-    for camera in cameras["cameras"].as_array().into_iter().flatten() {
-        let file_name = camera["image"].as_str().unwrap_or_default().to_owned();
-        let name = file_name
-            .rsplit_once('.')
-            .map_or(file_name.as_str(), |p| p.0)
-            .to_owned();
-        if !names.is_empty() && !names.contains(&name) {
+    let cameras = read_cameras(&folder.join("truth/cameras.json"))?;
+    let (mut taken, mut truth) = (PosedPhotos::default(), Vec::new());
+    for camera in &cameras.cameras {
+        let file_name = camera.image.as_deref().unwrap_or_default();
+        let name = file_name.rsplit_once('.').map_or(file_name, |p| p.0);
+        if !names.is_empty() && names.iter().all(|asked| asked != name) {
             continue;
         }
-        let path = find_file(&folder.join(photo_folder), &name)
+        let path = find_file(&folder.join(photo_folder), name)
             .ok_or_else(|| format!("no photo {name}"))?;
-        let image = linear(&path)?;
-        let mask = rilievo_io::read_mask(
-            &find_file(&folder.join("masks"), &name).ok_or_else(|| format!("no mask {name}"))?,
-        )?;
-        let k = numbers(&camera["K"]);
-        let mut intrinsics = Intrinsics::pinhole(image.width, image.height, k[0], k[2], k[5]);
-        intrinsics.fy = k[4];
-        let rotation = Matrix3::from_row_slice(&numbers(&camera["world_from_camera_rotation"]));
-        let center = numbers(&camera["camera_center"]);
-        let index = PhotoIdx(input.photos.photos.len());
-        input.photos.photos.push(Photo {
-            file_name: file_name.clone(),
-            name: name.clone(),
-            pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            intrinsics,
-            focal_source: FocalSource::CameraFile,
-            camera_group: 0,
-            orientation: 1,
-            mask: Some(Arc::new(mask)),
+        let mask =
+            find_file(&folder.join("masks"), name).ok_or_else(|| format!("no mask {name}"))?;
+        let image = linear_of(&decode_photo(&path)?);
+        let photo = Photo {
+            mask: Some(Arc::new(read_mask(&mask)?)),
             clip_level: 0.98,
-            given_cam_from_world: None,
-        });
-        input.posed.views.push(PosedView {
-            photo: index,
-            name: name.clone(),
-            file_name,
-            intrinsics,
-            cam_from_world: RigidTransform::from_world_pose(
-                Rotation3::from_matrix_unchecked(rotation),
-                Point3::new(center[0], center[1], center[2]),
-            ),
-        });
-        let truth = folder.join("truth");
-        input.truth.push((
-            rilievo_io::read_depth(&truth.join(format!("{name}_depth.exr")))?,
-            rilievo_io::read_normal(&truth.join(format!("{name}_normal.exr"))).ok(),
-        ));
+            ..photo(file_name, image, camera.intrinsics)
+        };
+        taken.push(photo, camera.cam_from_world.ok_or("no pose")?);
+        let of = |map: &str| folder.join(format!("truth/{name}_{map}.exr"));
+        truth.push((read_depth(&of("depth"))?, read_normal(&of("normal")).ok()));
     }
-    if let Some(radius) = cameras["sphere"]["radius"].as_f64() {
-        let c = numbers(&cameras["sphere"]["center"]);
-        input.posed.spheres.push(LocatedSphere {
-            name: MarkedSphere::ONLY.to_owned(),
-            center_in_world: [c[0], c[1], c[2]],
-            radius,
-            center_sigma: [0.0; 3],
-            seen_in: (0..input.photos.photos.len())
+    let PosedPhotos { photos, mut posed } = taken;
+    if let Some(sphere) = cameras.extra.get("sphere") {
+        let center = std::array::from_fn(|k| sphere["center"][k].as_f64().unwrap_or(f64::NAN));
+        let radius = sphere["radius"].as_f64().ok_or("no radius")?;
+        posed.spheres.push(LocatedSphere {
+            seen_in: (0..photos.photos.len())
                 .map(|i| (PhotoIdx(i), 0.5))
                 .collect(),
+            ..true_sphere(center, radius)
         });
         // The mat under the object, as sparse points of a pose run would show it.
         for i in 0..400 {
             let (a, b) = ((i % 20) as f64 / 19.0 - 0.5, (i / 20) as f64 / 19.0 - 0.5);
-            input.posed.points.push(SparsePoint {
+            posed.points.push(SparsePoint {
                 position: [a, 0.0, b],
                 color: [128; 3],
                 error_px: 0.3,
@@ -142,5 +73,9 @@ pub fn load(folder: &Path, photo_folder: &str, names: &[String]) -> Result<Input
             });
         }
     }
-    Ok(input)
+    Ok(Input {
+        photos,
+        posed,
+        truth,
+    })
 }

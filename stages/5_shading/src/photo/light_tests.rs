@@ -2,9 +2,6 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../../../common/shared_data.rs"]
-mod shared_data;
-
 use super::light::{self, LightScene};
 use super::options::PhotoOptions;
 use super::rendered_tests::known_light;
@@ -249,7 +246,7 @@ fn rays_leave_less_than_nine_harmonics() {
         ("studio_stone", &right, [0.056, 0.039]),
         ("studio_smooth", &right, [0.052, 0.029]),
     ] {
-        let Some(folder) = shared_data::data(set) else {
+        let Some(folder) = rilievo_synthetic::testing::shared_data(set) else {
             continue;
         };
         let truth = load(&folder, names);
@@ -272,7 +269,7 @@ fn light_at_the_truth() {
         ("studio_smooth", &right),
         ("studio_stained", &first),
     ] {
-        let Some(folder) = shared_data::data(set) else {
+        let Some(folder) = rilievo_synthetic::testing::shared_data(set) else {
             continue;
         };
         let truth = load(&folder, names);

@@ -5,6 +5,7 @@ use crate::surface::Surface;
 use nalgebra::Vector3;
 use rilievo_scene::{DepthMap, Lighting, LinearImage, SphericalHarmonics};
 use rilievo_shading::paper::{PaperOptions, ShadingView, SolvedView, ViewLight};
+use rilievo_synthetic::testing::Random;
 use std::sync::Arc;
 
 const SIZE: usize = 160;
@@ -14,16 +15,9 @@ const NOISES: [f64; 4] = [0.0, 0.005, 0.01, 0.02];
 /// Adds normal noise, the same for every run.
 fn noisy(image: &LinearImage, sigma: f64) -> LinearImage {
     let mut image = image.clone();
-    let mut state = 4711_u64;
-    let mut uniform = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 11) as f64 + 0.5) / (1_u64 << 53) as f64
-    };
+    let mut random = Random(4711);
     for value in &mut image.data {
-        let normal = (-2.0 * uniform().ln()).sqrt() * (std::f64::consts::TAU * uniform()).cos();
-        *value += (sigma * normal) as f32;
+        *value += (sigma * random.normal()) as f32;
     }
     image
 }

@@ -2,11 +2,10 @@
 
 use crate::surface::Surface;
 use crate::{problem, refused, solved};
-use rilievo_scene::{
-    Event, Flow, Lighting, LinearImage, Mask, Observer, Silent, SphericalHarmonics,
-};
+use rilievo_scene::{Lighting, LinearImage, Mask, Silent, SphericalHarmonics};
 use rilievo_shading::ShadingError;
 use rilievo_shading::paper::{PaperOptions, ShadingProblem, ViewLight, solve};
+use rilievo_synthetic::testing::Impatient;
 use std::sync::Arc;
 
 #[test]
@@ -131,17 +130,11 @@ fn impossible_input_is_named() {
 
 #[test]
 fn an_observer_can_stop_it() {
-    struct Stopper;
-    impl Observer for Stopper {
-        fn event(&self, _event: Event) -> Flow {
-            Flow::Stop
-        }
-    }
     let surface = Surface::new(48);
     let result = solve(
         &problem(surface.view(3)),
         &PaperOptions::default(),
-        &Stopper,
+        &Impatient,
     );
     assert!(matches!(result, Err(ShadingError::Interrupted)));
 }

@@ -1,17 +1,15 @@
 //! The cells of the paper's table on the shared scene, where it lies beside the repository.
 
-#[path = "../../../common/shared_data.rs"]
-mod shared_data;
-
 use crate::solved;
 use crate::table;
 use rilievo_scene::Silent;
 use rilievo_shading::paper::{Coupling, PaperOptions, solve};
+use rilievo_synthetic::testing::shared_data;
 
 #[test]
 fn the_literal_coupling_of_two_views_agrees_with_anchors() {
     // Two views of one plane-like relief from cameras side by side, matched by projection.
-    let Some(data) = shared_data::data("shading_table") else {
+    let Some(data) = shared_data("shading_table") else {
         return;
     };
     let problem = table::two_views(&data, "L3");
@@ -31,7 +29,7 @@ fn the_literal_coupling_of_two_views_agrees_with_anchors() {
 
 #[test]
 fn the_papers_cells_are_reached_on_the_shared_scene() {
-    let Some(data) = shared_data::data("shading_table") else {
+    let Some(data) = shared_data("shading_table") else {
         return;
     };
     for (light, start, limit) in [
@@ -50,7 +48,7 @@ fn the_papers_cells_are_reached_on_the_shared_scene() {
 
 #[test]
 fn confidence_ranks_the_true_errors() {
-    let Some(data) = shared_data::data("shading_table") else {
+    let Some(data) = shared_data("shading_table") else {
         return;
     };
     for light in ["L3", "L1", "L2"] {

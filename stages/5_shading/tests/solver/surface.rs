@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use rilievo_scene::{DepthMap, Intrinsics, Lighting, LinearImage, Mask, SphericalHarmonics};
 use rilievo_shading::paper::{ShadingSolution, ShadingView, ViewLight};
+use rilievo_synthetic::testing::PAPER_LIGHT;
 use std::sync::Arc;
 
 /// A smooth surface: depth relative to the reference as a function of the viewing ray, and slopes by
@@ -56,13 +57,8 @@ impl Surface {
     }
 
     pub fn lighting(&self, channels: usize) -> Lighting {
-        let rows = [
-            [-0.2, -0.2, -1.0, 0.4, 0.1, -0.1, -0.1, -0.1, 0.05],
-            [0.0, 0.2, -1.0, 0.3, 0.0, 0.2, 0.1, 0.0, 0.1],
-            [0.2, -0.2, -1.0, 0.2, -0.1, 0.0, 0.0, 0.1, 0.0],
-        ];
         Lighting {
-            channels: rows[..channels]
+            channels: PAPER_LIGHT[..channels]
                 .iter()
                 .map(|row| SphericalHarmonics(row.map(|l| l * self.intensity)))
                 .collect(),

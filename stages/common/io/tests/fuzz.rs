@@ -7,11 +7,9 @@
 // Helpers of the tests may fail as the tests do.
 #![allow(clippy::unwrap_used)]
 
-#[path = "../../mat_writer.rs"]
-mod mat_writer;
-
 use rilievo_io::{self as io, CameraFormat};
 use rilievo_scene::{CloudPoint, DepthMap, Intrinsics, Mesh, PointCloud, RigidTransform, Unit};
+use rilievo_synthetic::testing::mat_file;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -244,8 +242,8 @@ fn targets(folder: &Path) -> Vec<Target> {
         });
     }
     let path = folder.join("arrays.mat");
-    let row = mat_writer::array("row", &[1, 2], &[1.5, 2.5]);
-    std::fs::write(&path, [mat_writer::header(), row].concat()).unwrap();
+    let row = mat_file::array("row", &[1, 2], &[1.5, 2.5]);
+    std::fs::write(&path, [mat_file::header(), row].concat()).unwrap();
     add("arrays.mat", path.clone(), path, |p| {
         drop(io::read_mat(p, |_| true));
     });

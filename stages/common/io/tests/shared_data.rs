@@ -3,13 +3,10 @@
 // Helpers of the tests may fail as the tests do.
 #![allow(clippy::unwrap_used)]
 
-#[path = "../../shared_data.rs"]
-mod shared_data;
-
 use nalgebra::{Point3, Vector3};
 use rilievo_io as io;
 use rilievo_scene::{SphereMark, Unit};
-use shared_data::data;
+use rilievo_synthetic::testing::shared_data as data;
 use std::path::Path;
 
 #[test]

@@ -6,6 +6,7 @@
 //!   Under [`LightModel::Harmonics`] the images obey eq. 1 exactly; otherwise surfaces shade and
 //!   light each other.
 //! * [`compare`] measures a result against such truth, or that of any other data set.
+//! * [`testing`] is what the tests of all crates share.
 
 mod bake;
 mod bvh;
@@ -25,6 +26,7 @@ mod tracks;
 mod view;
 
 pub mod compare;
+pub mod testing;
 
 pub use error::SyntheticError;
 pub use options::{BallOptions, Illumination, LightModel, RenderOptions, SceneOptions, Subject};

@@ -1,12 +1,9 @@
 //! MAT files for tests, as MATLAB writes them.
 
-#[path = "../../../mat_writer.rs"]
-mod mat_writer;
-
 use flate2::{Compression, write::ZlibEncoder};
 use std::io::Write;
 
-pub(crate) use mat_writer::{array, element, header};
+pub(crate) use rilievo_synthetic::testing::mat_file::{array, element, header};
 
 pub(crate) fn compressed(whole: &[u8]) -> Vec<u8> {
     let mut encoder = ZlibEncoder::new(Vec::new(), Compression::default());

@@ -6,6 +6,7 @@
 //! * Albedo: the relative RMS after the best factor of each channel, for the same reason.
 //! * Re-rendered photos: `‖rendered − photo‖ / ‖photo‖`, no factor left.
 
+use crate::environment::fibonacci;
 use nalgebra::Vector3;
 use rilievo_scene::{Lighting, LinearImage, Raster};
 use serde::Serialize;
@@ -76,10 +77,7 @@ pub fn compare_light(estimate: &Lighting, truth: &Lighting) -> Option<LightCompa
     }
     let mut fit = Fit::default();
     for i in 0..NUM_DIRECTIONS {
-        // A spiral over the sphere: the golden angle spreads its points evenly.
-        let z = 1.0 - (2.0 * i as f64 + 1.0) / NUM_DIRECTIONS as f64;
-        let (angle, radius) = (2.399_963_229_728_653 * i as f64, (1.0 - z * z).sqrt());
-        let n = Vector3::new(radius * angle.cos(), radius * angle.sin(), z);
+        let n = fibonacci(i, NUM_DIRECTIONS);
         for (e, t) in estimate.channels.iter().zip(&truth.channels) {
             fit.add(e.evaluate(&n), t.evaluate(&n));
         }

@@ -1,5 +1,4 @@
-//! Writes small MATLAB 5 files for tests; included by path, since tests of several crates need it and
-//! the program writes none.
+//! Small MATLAB 5 files, which the program reads and does not write.
 
 /// The 128 bytes before the first element, little endian.
 pub fn header() -> Vec<u8> {

@@ -1,22 +1,9 @@
-//! Data that went wrong in one place, for tests of what consumers make of it; included by path, since
-//! tests of several crates need it.
+//! Data that went wrong in one place, for tests of what consumers make of it.
 
+use super::random::Random;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use toml::Value;
-
-/// Random numbers from a seed (splitmix64).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn below(&mut self, end: usize) -> usize {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) % end.max(1) as u64) as usize
-    }
-}
 
 /// A copy with one number, list or name changed, and which; `None` where the type does not allow the
 /// change.

@@ -1,10 +1,9 @@
-//! Where tests find the data folder beside the repository; included by path, since tests of several
-//! crates need it and none of the crates may know of it.
+//! The data folder beside the repository, which may be absent.
 
 use std::path::{Path, PathBuf};
 
 /// A data set of the shared folder; `None`, with a message, where it is absent.
-pub fn data(name: &str) -> Option<PathBuf> {
+pub fn shared_data(name: &str) -> Option<PathBuf> {
     // The workspace is the topmost folder above the crate that has a manifest.
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR"))
         .ancestors()
