@@ -1,6 +1,6 @@
 //! An evaluation as a table for people.
 
-use rilievo_synthetic::compare::{self, Evaluation, MapComparison};
+use rilievo_synthetic::compare::{self, Evaluation, MapComparison, ReliefBand};
 
 /// The numbers as a table for people.
 pub fn table(evaluation: &Evaluation) -> String {
@@ -43,6 +43,9 @@ pub fn table(evaluation: &Evaluation) -> String {
     if let Some(all) = &evaluation.all {
         text += &row("all", all, width);
     }
+    if let Some(all) = evaluation.all.as_ref().filter(|all| !all.relief.is_empty()) {
+        text += &relief(&all.relief);
+    }
     if let Some(cloud) = &evaluation.cloud {
         text += &format!(
             "cloud: accuracy median {:.3} mm; completeness {:.1} %, F {:.3} at {:.2} mm\n",
@@ -70,6 +73,26 @@ pub fn table(evaluation: &Evaluation) -> String {
     }
     for (key, reason) in &evaluation.reasons {
         text += &format!("no {key}: {reason}\n");
+    }
+    text
+}
+
+/// The relief of all views by wavelength.
+fn relief(bands: &[ReliefBand]) -> String {
+    let mut text = "relief by wavelength         true rms    corr    gain   corr^2\n".to_owned();
+    let share = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3}"));
+    for band in bands {
+        let size = band
+            .wavelength
+            .map_or(String::new(), |w| format!(" ({:.2} mm)", 1e3 * w));
+        text += &format!(
+            "{:>24}  {:>9}  {:>6}  {:>6}   {:>6}\n",
+            format!("{:.1} px{size}", band.wavelength_px),
+            format!("{:.2} deg", band.true_rms_deg),
+            share(band.correlation),
+            share(band.gain),
+            share(band.correlation.map(|c| c * c))
+        );
     }
     text
 }

@@ -9,6 +9,7 @@
 //! * Completeness: the share of the truth's pixels that have a depth; pixels without one enter
 //!   nothing else. The truth's pixels are those with a depth, or with a normal where it tells no depth.
 
+use super::relief::{BandSums, ReliefBand, relief_bands, relief_sums};
 use super::truth::{TruthMaps, TruthView, is_depth};
 use crate::error::SyntheticError;
 use nalgebra::{Matrix3, Point2, Vector3};
@@ -48,6 +49,8 @@ pub struct PixelErrors {
     pub depths: Vec<[f32; 2]>,
     /// Where the normals come from.
     pub normal_source: NormalSource,
+    /// The relief by wavelength, where both sides have normal maps.
+    pub relief: Vec<BandSums>,
 }
 
 /// Summary of pixel errors; what there is no pixel for is `None`, and `reasons` says why.
@@ -76,6 +79,8 @@ pub struct MapComparison {
     pub normal_within_11_22_30_deg: Option<[f64; 3]>,
     /// Where the normals come from.
     pub normals_from: NormalSource,
+    /// The relief by wavelength, the finest first; empty without normal maps.
+    pub relief: Vec<ReliefBand>,
     /// Pixels of the truth.
     pub num_truth_px: usize,
     /// Key of a null value: why it could not be computed.
@@ -174,6 +179,7 @@ impl PixelErrors {
             normal_within_11_22_30_deg: (!normal.is_empty())
                 .then(|| [share_within(11.25), share_within(22.5), share_within(30.0)]),
             normals_from: self.normal_source,
+            relief: relief_bands(&self.relief),
             num_truth_px: self.num_truth,
             reasons,
         }
@@ -192,6 +198,11 @@ pub fn aggregate<'a>(views: impl Iterator<Item = &'a PixelErrors>) -> Option<Map
             all.normal_deg.extend_from_slice(&view.normal_deg);
             all.depth_rel.extend_from_slice(&view.depth_rel);
             all.depths.extend_from_slice(&view.depths);
+            all.relief
+                .resize(all.relief.len().max(view.relief.len()), BandSums::default());
+            for (sums, more) in all.relief.iter_mut().zip(&view.relief) {
+                sums.add(more);
+            }
             Some(all)
         })
         .map(|all| all.summary())
@@ -242,6 +253,7 @@ pub fn compare_maps(
         depth_rel: Vec::new(),
         depths: Vec::new(),
         normal_source,
+        relief: Vec::new(),
     };
     let Some(depth) = depth else {
         return Ok(errors);
@@ -265,6 +277,9 @@ pub fn compare_maps(
     let planes;
     let (estimated, true_normals) = match (&truth.maps, normal) {
         (TruthMaps::Normal(true_normals) | TruthMaps::Both(_, true_normals), Some(normal)) => {
+            let true_depth = truth.maps.depth();
+            let focal_px = truth.intrinsics.focal_px();
+            errors.relief = relief_sums(normal, true_normals, true_depth, focal_px);
             (normal, true_normals)
         }
         (TruthMaps::Normal(_) | TruthMaps::Both(..), None) => return Ok(errors),
