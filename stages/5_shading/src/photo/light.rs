@@ -446,7 +446,7 @@ fn reduce<const N: usize>(
     (0..coarse.pixels.len())
         .map(|p| {
             let mut sum = [0.0; N];
-            for child in children(fine, coarse, p) {
+            for child in between_levels::children(fine, coarse, p) {
                 for (s, v) in sum.iter_mut().zip(&values[child]) {
                     *s += 0.25 * v;
                 }
@@ -462,16 +462,6 @@ fn reduce_depth(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64>
         return depth.to_vec();
     }
     between_levels::reduce(fine, coarse, depth)
-}
-
-/// Numbers of the four pixels of the finer level that a pixel covers.
-fn children(fine: &LevelView, coarse: &LevelView, pixel: usize) -> [usize; 4] {
-    let (x, y) = (
-        2 * coarse.pixels.xs[pixel] as usize,
-        2 * coarse.pixels.ys[pixel] as usize,
-    );
-    [(0, 0), (1, 0), (0, 1), (1, 1)]
-        .map(|(dx, dy)| fine.pixels.number[(y + dy) * fine.pixels.width + x + dx] as usize)
 }
 
 /// Coefficients at a finer level.

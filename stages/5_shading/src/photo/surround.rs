@@ -47,18 +47,8 @@ impl SmallPhoto {
                 *object.at_mut(x, y) = inside;
             }
         }
-        let scale = 1.0 / block as f64;
-        let camera = Camera {
-            width,
-            height,
-            fx: camera.fx * scale,
-            fy: camera.fy * scale,
-            cx: (camera.cx + 0.5) * scale - 0.5,
-            cy: (camera.cy + 0.5) * scale - 0.5,
-            ..camera.clone()
-        };
         Self {
-            camera,
+            camera: camera.reduced(block),
             image: small,
             object: rilievo_stereo::hull::dilate(&object, 1),
         }

@@ -9,17 +9,20 @@ use rilievo_numerics::plate_system::Functional;
 pub fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
     (0..coarse.pixels.len())
         .map(|p| {
-            let x = 2 * coarse.pixels.xs[p] as usize;
-            let y = 2 * coarse.pixels.ys[p] as usize;
-            [(0, 0), (1, 0), (0, 1), (1, 1)]
-                .iter()
-                .map(|&(dx, dy)| {
-                    let number = fine.pixels.number[(y + dy) * fine.pixels.width + x + dx];
-                    0.25 * depth[number as usize]
-                })
-                .sum()
+            let children = children(fine, coarse, p);
+            children.iter().map(|&child| 0.25 * depth[child]).sum()
         })
         .collect()
+}
+
+/// Numbers of the four pixels of the next finer level that a masked pixel covers.
+pub fn children(fine: &LevelView, coarse: &LevelView, pixel: usize) -> [usize; 4] {
+    let (x, y) = (
+        2 * coarse.pixels.xs[pixel] as usize,
+        2 * coarse.pixels.ys[pixel] as usize,
+    );
+    [(0, 0), (1, 0), (0, 1), (1, 1)]
+        .map(|(dx, dy)| fine.pixels.number[(y + dy) * fine.pixels.width + x + dx] as usize)
 }
 
 /// Log depth of a finer level from a coarser one: bilinear where all four parents are masked; between

@@ -59,14 +59,14 @@ impl Camera {
 
     /// The camera of the image reduced by blocks of `factor × factor` pixels; incomplete ones are dropped.
     pub fn reduced(&self, factor: usize) -> Self {
-        let s = factor as f64;
+        let scale = 1.0 / factor as f64;
         Self {
             width: self.width / factor,
             height: self.height / factor,
-            fx: self.fx / s,
-            fy: self.fy / s,
-            cx: (self.cx + 0.5) / s - 0.5,
-            cy: (self.cy + 0.5) / s - 0.5,
+            fx: self.fx * scale,
+            fy: self.fy * scale,
+            cx: (self.cx + 0.5) * scale - 0.5,
+            cy: (self.cy + 0.5) * scale - 0.5,
             ..self.clone()
         }
     }

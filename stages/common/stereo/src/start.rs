@@ -80,7 +80,7 @@ fn nearest(pixels: &PixelNumbering, u: f64, v: f64) -> Option<usize> {
 }
 
 /// How far the views' searched depths lie apart: the median difference of log depth times the focal
-/// length, in pixel footprints. Differences beyond [`MAX_SCATTER_PX`] are occluders.
+/// length, in pixel footprints. Differences beyond ten footprints are occluders.
 pub fn scatter(level: &Level, depths: &[Vec<f64>]) -> f64 {
     let focal = level.focal();
     let mut all: Vec<f64> = (0..level.views.len())
