@@ -23,9 +23,7 @@ use rilievo_io::{
     write_mask, write_matches_csv, write_mesh_ply, write_normal, write_photo_deep, write_photo_dng,
     write_photo_jpeg,
 };
-use rilievo_scene::{
-    Event, ExifFacts, Flow, InTable, LinearImage, NormalMap, Observer, StageId, Unit,
-};
+use rilievo_scene::{ExifFacts, InTable, LinearImage, NormalMap, Observer, StageId, Unit};
 use rilievo_synthetic::{RenderOptions, RenderedView, Renderer, Scene, SceneOptions, true_tracks};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -200,15 +198,12 @@ pub fn write_set(
             normal: NormalMap::filled(0, 0, [0.0; 3]),
             ..view
         });
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Photos,
-            step: "photographing the scene".to_owned(),
-            done: index + 1,
-            total,
-        });
-        if flow == Flow::Stop {
-            return Err(Failure::Interrupted.into());
-        }
+        let flow = observer.progress(
+            StageId::Photos,
+            "photographing the scene",
+            (index + 1, total),
+        );
+        flow.ok_or(Failure::Interrupted)?;
     }
     cameras
         .extra

@@ -2,7 +2,7 @@
 
 use crate::cli::WorkArgs;
 use rayon::prelude::*;
-use rilievo_scene::{Event, Flow, Observer, StageId};
+use rilievo_scene::{Flow, Observer, StageId};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Threads and memory of a command; results do not depend on either.
@@ -68,13 +68,8 @@ pub fn map_items<T: Sync, R: Send>(
             return None;
         }
         let result = work(item);
-        let event = Event::Progress {
-            stage,
-            step: step.to_owned(),
-            done: done.fetch_add(1, Ordering::Relaxed) + 1,
-            total: items.len(),
-        };
-        match observer.event(event) {
+        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+        match observer.progress(stage, step, (done, items.len())) {
             Flow::Continue => Some(result),
             Flow::Stop => None,
         }

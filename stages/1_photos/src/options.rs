@@ -1,6 +1,6 @@
 //! Options of stage 1.
 
-use rilievo_scene::{OptionError, in_range};
+use rilievo_scene::{OptionError, check_ranges, in_range};
 use serde::{Deserialize, Serialize};
 
 /// How the samples of a photo relate to light.
@@ -81,25 +81,16 @@ impl PhotosOptions {
     /// Names the first one that is out of its range.
     pub fn validate(&self) -> Result<(), OptionError> {
         in_range("focal_35mm", self.focal_35mm.unwrap_or(35.0), 1.0..=1e4)?;
-        in_range("focal_guess_factor", self.focal_guess_factor, 0.1..=100.0)?;
-        in_range("clip_fraction", self.clip_fraction, 0.1..=1.0)?;
-        in_range("min_side_px", self.min_side_px, 2..=1_000_000)?;
-        in_range("min_mask_px", self.min_mask_px, 1..=1_000_000_000)?;
-        in_range(
-            "inverted_border_share",
-            self.inverted_border_share,
-            0.1..=1.0,
-        )?;
-        in_range(
-            "clipped_warning_share",
-            self.clipped_warning_share,
-            0.0..=1.0,
-        )?;
-        in_range("exposure_warning_ev", self.exposure_warning_ev, 0.0..=100.0)?;
-        in_range(
-            "max_level_spread_ev",
-            self.max_level_spread_ev,
-            0.0..=1000.0,
+        check_ranges!(
+            self;
+            focal_guess_factor in 0.1..=100.0,
+            clip_fraction in 0.1..=1.0,
+            min_side_px in 2..=1_000_000,
+            min_mask_px in 1..=1_000_000_000,
+            inverted_border_share in 0.1..=1.0,
+            clipped_warning_share in 0.0..=1.0,
+            exposure_warning_ev in 0.0..=100.0,
+            max_level_spread_ev in 0.0..=1000.0,
         )
     }
 }

@@ -26,8 +26,8 @@ use matching::{PhotoDescriptors, match_descriptors};
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_scene::{
-    Event, FeatureMatches, Flow, Observer, PairMatches, PhotoIdx, PhotoKeypoints, PhotoSet,
-    StageId, check_descriptors, check_keypoints,
+    FeatureMatches, Flow, Observer, PairMatches, PhotoIdx, PhotoKeypoints, PhotoSet, StageId,
+    check_descriptors, check_keypoints,
 };
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -115,16 +115,9 @@ pub fn match_photos(
                 homography_share: pair.homography_share,
             };
             let done = num_done.fetch_add(1, Ordering::Relaxed) + 1;
-            let flow = observer.event(Event::Progress {
-                stage: StageId::Features,
-                step: "matching pairs".to_owned(),
-                done,
-                total: tried.len(),
-            });
-            match flow {
-                Flow::Continue => Ok((pair, report)),
-                Flow::Stop => Err(FeaturesError::Interrupted),
-            }
+            let flow = observer.progress(StageId::Features, "matching pairs", (done, tried.len()));
+            flow.ok_or(FeaturesError::Interrupted)?;
+            Ok((pair, report))
         })
         .collect::<Result<_, _>>()?;
     let (pairs, pair_reports): (Vec<_>, Vec<_>) = matched.into_iter().unzip();

@@ -1,6 +1,6 @@
 //! Options of stage 2.
 
-use rilievo_scene::{OptionError, in_range};
+use rilievo_scene::{OptionError, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// Which keypoints tell the poses.
@@ -80,38 +80,21 @@ impl FeaturesOptions {
     /// # Errors
     /// Names the first one that is out of its range.
     pub fn validate(&self) -> Result<(), OptionError> {
-        in_range("max_num_keypoints", self.max_num_keypoints, 8..=1_000_000)?;
-        in_range("contrast_threshold", self.contrast_threshold, 1e-6..=0.99)?;
-        in_range("edge_threshold", self.edge_threshold, 1.01..=1e6)?;
-        in_range("num_grid_cells", self.num_grid_cells, 1..=1000)?;
-        in_range("max_detection_mpx", self.max_detection_mpx, 0.001..=1e4)?;
-        in_range("max_ratio", self.max_ratio, 0.01..=1.0)?;
-        in_range("max_verified_ratio", self.max_verified_ratio, 0.01..=1.0)?;
-        in_range(
-            "max_epipolar_error_px",
-            self.max_epipolar_error_px,
-            0.01..=1000.0,
-        )?;
-        in_range("min_num_inliers", self.min_num_inliers, 8..=1_000_000)?;
-        in_range(
-            "max_num_exhaustive_photos",
-            self.max_num_exhaustive_photos,
-            0..=1_000_000,
-        )?;
-        in_range(
-            "num_sequential_neighbors",
-            self.num_sequential_neighbors,
-            0..=1_000_000,
-        )?;
-        in_range(
-            "num_similar_neighbors",
-            self.num_similar_neighbors,
-            0..=1_000_000,
-        )?;
-        in_range(
-            "max_num_ransac_samples",
-            self.max_num_ransac_samples,
-            1..=10_000_000,
+        check_ranges!(
+            self;
+            max_num_keypoints in 8..=1_000_000,
+            contrast_threshold in 1e-6..=0.99,
+            edge_threshold in 1.01..=1e6,
+            num_grid_cells in 1..=1000,
+            max_detection_mpx in 0.001..=1e4,
+            max_ratio in 0.01..=1.0,
+            max_verified_ratio in 0.01..=1.0,
+            max_epipolar_error_px in 0.01..=1000.0,
+            min_num_inliers in 8..=1_000_000,
+            max_num_exhaustive_photos in 0..=1_000_000,
+            num_sequential_neighbors in 0..=1_000_000,
+            num_similar_neighbors in 0..=1_000_000,
+            max_num_ransac_samples in 1..=10_000_000,
         )
     }
 }

@@ -18,7 +18,7 @@ use crate::resection::resect;
 use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
 use nalgebra::{Point2, Point3};
-use rilievo_scene::{Event, Flow, Observer, RigidTransform, StageId};
+use rilievo_scene::{Observer, RigidTransform, StageId};
 
 /// Up to this many views every adjustment covers all of them.
 const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
@@ -179,15 +179,12 @@ fn extend(
     } = grown;
     let mut num_at_last_global = model.num_views();
     loop {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Poses,
-            step: "registering photos".to_owned(),
-            done: model.num_views(),
-            total: available.iter().filter(|&&a| a).count(),
-        });
-        if flow == Flow::Stop {
-            return Err(PosesError::Interrupted);
-        }
+        let flow = observer.progress(
+            StageId::Poses,
+            "registering photos",
+            (model.num_views(), available.iter().filter(|&&a| a).count()),
+        );
+        flow.ok_or(PosesError::Interrupted)?;
         // A photo that failed is tried again once the model has grown.
         let candidates = next_views(scene, model, available, failed, options);
         let mut registered = None;

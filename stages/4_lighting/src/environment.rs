@@ -10,7 +10,9 @@ use crate::report::{ChannelReport, LightingReport};
 use crate::residual::residual_in;
 use crate::side::Side;
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
-use rilievo_scene::{LightSource, Lighting, Observer, PosedViews, ViewIdx, ViewLighting};
+use rilievo_scene::{
+    LightSource, Lighting, Observer, PosedView, PosedViews, ViewIdx, ViewLighting,
+};
 
 /// Gains of one.
 pub(crate) fn ones(num_channels: usize) -> Vec<f64> {
@@ -91,6 +93,11 @@ pub(crate) fn scaled(mut lighting: Lighting, gain: &[f64]) -> Lighting {
     lighting
 }
 
+/// An environment in the world as a view sees it, at the photo's gain.
+pub(crate) fn in_view(environment: &Lighting, view: &PosedView, gain: &[f64]) -> Lighting {
+    scaled(rotate(environment, &view.cam_from_world.rotation), gain)
+}
+
 /// Lighting of every view from one environment in the world.
 pub(crate) fn views_from_environment(
     posed: &PosedViews,
@@ -104,8 +111,7 @@ pub(crate) fn views_from_environment(
         .iter()
         .enumerate()
         .map(|(idx, view)| {
-            let in_camera = rotate(environment, &view.cam_from_world.rotation);
-            let lighting = scaled(in_camera, &gains[idx]);
+            let lighting = in_view(environment, view, &gains[idx]);
             let residual = residual_in(&side.counted_in(idx), &lighting);
             if report.source == LightSource::CalibrationPhoto {
                 report.views[idx].side_sphere_rms = residual;

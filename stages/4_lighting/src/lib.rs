@@ -58,7 +58,7 @@ pub use report::{
     ViewObjectReport,
 };
 pub use request::LightingRequest;
-pub use shape::{fit_on_normals, fit_on_shape};
+pub use shape::fit_on_shape;
 
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 

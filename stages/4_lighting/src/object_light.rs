@@ -15,14 +15,14 @@
 //!    sphere's; else only the common factor is applied. Both are reported.
 
 use crate::anchor_normals::AnchorSamples;
-use crate::environment::scaled;
+use crate::environment::{in_view, scaled};
 use crate::error::LightingError;
 use crate::error::warn;
 use crate::options::{LightingOptions, ObjectLight};
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
 use rilievo_numerics::robust::median;
-use rilievo_photometry::harmonics::{dominant_direction, rotate};
+use rilievo_photometry::harmonics::dominant_direction;
 use rilievo_scene::{
     LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet, PosedViews,
 };
@@ -54,11 +54,8 @@ pub(crate) fn confront(
     let gains: Vec<Vec<f64>> = calibration.views.iter().map(|v| v.gain.clone()).collect();
     let all: Vec<usize> = (0..posed.views.len()).collect();
     // The common factor, and the residuals that it leaves.
-    let used: Vec<Lighting> = calibration
-        .views
-        .iter()
-        .map(|v| v.lighting.clone())
-        .collect();
+    let lightings = calibration.views.iter().map(|v| v.lighting.clone());
+    let used: Vec<Lighting> = lightings.collect();
     let mut factors: Vec<f64> = samples
         .iter()
         .zip(&used)
@@ -74,15 +71,11 @@ pub(crate) fn confront(
     };
     let mut views = Vec::with_capacity(samples.len());
     for (idx, view) in posed.views.iter().enumerate() {
-        let in_camera = |environment: &Lighting| {
-            scaled(
-                rotate(environment, &view.cam_from_world.rotation),
-                &gains[idx],
-            )
-        };
-        let with_factor = scaled(used[idx].clone(), &vec![factor; used[idx].channels.len()]);
-        let cross = [(0, &odd), (1, &even)]
-            .map(|(parity, other)| squares(&samples[idx].half(parity), &in_camera(other)));
+        let with_factor = times(&used[idx], factor);
+        let cross = [(0, &odd), (1, &even)].map(|(parity, other)| {
+            let predicted = in_view(other, view, &gains[idx]);
+            squares(&samples[idx].half(parity), &predicted)
+        });
         views.push(ViewObjectReport {
             name: view.name.clone(),
             num_anchors: samples[idx].normals.len(),
@@ -109,20 +102,17 @@ pub(crate) fn confront(
         let fit = pool(posed, &samples, &gains, &all, options)?;
         let environment = fit.lighting();
         for (idx, light) in calibration.views.iter_mut().enumerate() {
-            let rotation = &posed.views[idx].cam_from_world.rotation;
-            light.lighting = scaled(rotate(&environment, rotation), &gains[idx]);
+            light.lighting = in_view(&environment, &posed.views[idx], &gains[idx]);
             light.residual = views[idx].cross_validated_rms;
         }
         report.dominant_direction = dominant_direction(&environment).map(Into::into);
         calibration.environment_in_world = Some(environment);
     } else if scaled_by_factor {
         for light in &mut calibration.views {
-            let factors = vec![factor; light.lighting.channels.len()];
-            light.lighting = scaled(light.lighting.clone(), &factors);
+            light.lighting = times(&light.lighting, factor);
         }
         if let Some(environment) = &mut calibration.environment_in_world {
-            let factors = vec![factor; environment.channels.len()];
-            *environment = scaled(environment.clone(), &factors);
+            *environment = times(environment, factor);
         }
     }
     if replaced || scaled_by_factor {
@@ -155,6 +145,11 @@ pub(crate) fn confront(
         light_replaced: replaced,
     });
     Ok(())
+}
+
+/// A lighting times one factor for all channels.
+fn times(lighting: &Lighting, factor: f64) -> Lighting {
+    scaled(lighting.clone(), &vec![factor; lighting.channels.len()])
 }
 
 /// Median over the sightings of brightness over prediction.

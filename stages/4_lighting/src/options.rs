@@ -4,7 +4,7 @@ use rilievo_photometry::harmonics::FitOptions;
 use rilievo_photometry::samples::SamplingOptions;
 use rilievo_photometry::sphere::SphereOptions;
 use rilievo_photometry::surface_check::CheckOptions;
-use rilievo_scene::{InTable, LightKind, OptionError, in_range};
+use rilievo_scene::{InTable, LightKind, OptionError, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// Whether the photos' exposures are compared on the sphere.
@@ -126,13 +126,16 @@ impl LightingOptions {
     pub fn validate(&self) -> Result<(), OptionError> {
         self.fit.validate().in_table("fit")?;
         self.sphere.validate().in_table("sphere")?;
-        in_range("margin_px", self.margin_px, 0.0..=1000.0)?;
-        in_range("min_cos_view", self.min_cos_view, 0.0..=0.999)?;
-        in_range("clip_share", self.clip_share, 0.001..=1.0)?;
-        in_range("min_num_pixels", self.min_num_pixels, 9..=1_000_000_000)?;
-        in_range("max_num_samples", self.max_num_samples, 9..=100_000_000)?;
-        in_range("max_slope", self.max_slope, 0.001..=1e6)?;
-        in_range("advice_ratio", self.advice_ratio, 1.0..=1e6)?;
-        in_range("agreement_ratio", self.agreement_ratio, 1.0..=1e6)
+        check_ranges!(
+            self;
+            margin_px in 0.0..=1000.0,
+            min_cos_view in 0.0..=0.999,
+            clip_share in 0.001..=1.0,
+            min_num_pixels in 9..=1_000_000_000,
+            max_num_samples in 9..=100_000_000,
+            max_slope in 0.001..=1e6,
+            advice_ratio in 1.0..=1e6,
+            agreement_ratio in 1.0..=1e6,
+        )
     }
 }

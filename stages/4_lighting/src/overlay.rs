@@ -47,17 +47,8 @@ pub fn overlays(
         let photo = &photos.photos[view.photo.0];
         let image = photo.linear()?;
         let light = calibration.views.iter().find(|light| light.view.0 == idx);
-        let shot = Shot {
-            image: &image,
-            object: photo.mask.as_deref(),
-            clip_level: photo.clip_level,
-            intrinsics: &view.intrinsics,
-        };
-        let spheres: Vec<SphereInCamera> = posed
-            .spheres
-            .iter()
-            .map(|sphere| SphereInCamera::seen(sphere, &view.cam_from_world))
-            .collect();
+        let shot = Shot::new(photo, &image, view);
+        let spheres = SphereInCamera::all_seen(posed, view);
         let rows: Vec<LinearImage> = (0..spheres.len())
             .filter_map(|k| {
                 let paint = calibration.spheres.get(k).and_then(|s| s.paint.as_deref());

@@ -12,7 +12,8 @@
 //! 3. Robust fit of one environment, or of one lighting per view.
 
 use crate::anchor_normals::{AnchorSamples, orient, seen_by};
-use crate::cells::{CellMean, two_way};
+use crate::cells::{CellMean, TwoWay, two_way};
+use crate::environment::{in_view, ones};
 use crate::error::LightingError;
 use crate::error::warn;
 use crate::kind;
@@ -20,10 +21,10 @@ use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
+use rilievo_photometry::harmonics::{LightingFit, dominant_direction};
 use rilievo_scene::{
-    Event, Flow, LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet,
-    PosedViews, StageId, ViewIdx, ViewLighting,
+    LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, StageId, ViewIdx,
+    ViewLighting,
 };
 
 /// Fewest anchors with a normal.
@@ -43,15 +44,12 @@ pub(crate) fn anchor_samples(
     let oriented = orient(posed);
     let mut samples = Vec::with_capacity(posed.views.len());
     for (idx, view) in posed.views.iter().enumerate() {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Lighting,
-            step: "reading brightness at the anchors".to_owned(),
-            done: idx,
-            total: posed.views.len(),
-        });
-        if flow == Flow::Stop {
-            return Err(LightingError::Interrupted);
-        }
+        let flow = observer.progress(
+            StageId::Lighting,
+            "reading brightness at the anchors",
+            (idx, posed.views.len()),
+        );
+        flow.ok_or(LightingError::Interrupted)?;
         let photo = &photos.photos[view.photo.0];
         let image = photo.linear()?;
         let limit = f64::from(photo.clip_level) * options.clip_share;
@@ -60,25 +58,29 @@ pub(crate) fn anchor_samples(
     Ok(samples)
 }
 
+/// Compares what the views show of each anchor: `value` tells it of a view's k-th sample, where it counts.
+fn compare_anchors(
+    samples: &[AnchorSamples],
+    value: impl Fn(&AnchorSamples, usize) -> Option<f64>,
+) -> TwoWay {
+    let mut means = Vec::new();
+    for (view, sample) in samples.iter().enumerate() {
+        for (k, &cell) in sample.anchors.iter().enumerate() {
+            let value = value(sample, k).filter(|v| *v > 0.0 && v.is_finite());
+            let value = value.map(f64::ln);
+            means.extend(value.map(|value| CellMean { view, cell, value }));
+        }
+    }
+    two_way(samples.len(), &means)
+}
+
 /// Gain per view and channel from the anchors; 1 where a view shares too few with the others.
 pub(crate) fn anchor_gains(samples: &[AnchorSamples], num_channels: usize) -> Vec<Vec<f64>> {
-    let mut gains = vec![vec![1.0; num_channels]; samples.len()];
+    let mut gains = vec![ones(num_channels); samples.len()];
     for channel in 0..num_channels {
-        let means: Vec<CellMean> = samples
-            .iter()
-            .enumerate()
-            .flat_map(|(view, sample)| {
-                (0..sample.values.len()).filter_map(move |k| {
-                    let value = sample.values[k][channel];
-                    (sample.usable[k][channel] && value > 0.0).then(|| CellMean {
-                        view,
-                        cell: sample.anchors[k],
-                        value: value.ln(),
-                    })
-                })
-            })
-            .collect();
-        let fit = two_way(samples.len(), &means);
+        let fit = compare_anchors(samples, |sample, k| {
+            sample.usable[k][channel].then(|| sample.values[k][channel])
+        });
         for (gain, ln_gain) in gains.iter_mut().zip(&fit.ln_gain) {
             gain[channel] = ln_gain.exp();
         }
@@ -120,7 +122,7 @@ pub(crate) fn run(
     let gains = if kind == LightKind::World && options.gains != GainMode::Off {
         anchor_gains(&samples, num_channels)
     } else {
-        vec![vec![1.0; num_channels]; samples.len()]
+        vec![ones(num_channels); samples.len()]
     };
     report.gains_applied = gains.iter().flatten().any(|g| (g - 1.0).abs() > 0.0);
     for (view, (sample, gain)) in posed.views.iter().zip(samples.iter().zip(&gains)) {
@@ -144,10 +146,7 @@ pub(crate) fn run(
         let in_world = own
             .as_ref()
             .map_or(environment.clone(), LightingFit::lighting);
-        let mut lighting: Lighting = rotate(&in_world, &view.cam_from_world.rotation);
-        for (channel, g) in lighting.channels.iter_mut().zip(&gains[idx]) {
-            channel.0.iter_mut().for_each(|l| *l *= g);
-        }
+        let lighting = in_view(&in_world, view, &gains[idx]);
         let residual = own.as_ref().unwrap_or(&pooled).relative_rms();
         report.views[idx].relative_rms = Some(residual);
         views.push(ViewLighting {
@@ -180,29 +179,17 @@ fn check_kind(
         .iter()
         .find_map(|s| s.values.first().map(Vec::len))?;
     let everything: Vec<usize> = (0..samples.len()).collect();
-    let gains = vec![vec![1.0; num_channels]; samples.len()];
+    let gains = vec![ones(num_channels); samples.len()];
     let as_seen = |_: usize| UnitQuaternion::identity();
     let on_camera = pool_in(samples, &gains, &everything, options, as_seen)
         .ok()?
         .lighting();
     let scatter = |predicted: &dyn Fn(&Vector3<f64>) -> f64| {
-        let means: Vec<CellMean> = samples
-            .iter()
-            .enumerate()
-            .flat_map(|(view, sample)| {
-                (0..sample.values.len()).filter_map(move |k| {
-                    let ratio =
-                        sample.values[k].iter().sum::<f64>() / predicted(&sample.normals[k]);
-                    let is_usable = !sample.usable[k].contains(&false) && ratio > 0.0;
-                    (is_usable && ratio.is_finite()).then(|| CellMean {
-                        view,
-                        cell: sample.anchors[k],
-                        value: ratio.ln(),
-                    })
-                })
-            })
-            .collect();
-        two_way(samples.len(), &means)
+        compare_anchors(samples, |sample, k| {
+            let is_usable = !sample.usable[k].contains(&false);
+            let brightness = sample.values[k].iter().sum::<f64>();
+            is_usable.then(|| brightness / predicted(&sample.normals[k]))
+        })
     };
     let at_rest = scatter(&|_| 1.0);
     let moving = scatter(&|n| on_camera.channels.iter().map(|l| l.evaluate(n)).sum());

@@ -17,8 +17,8 @@ use nalgebra::{Point2, Vector3};
 use rilievo_photometry::harmonics::LightingFit;
 use rilievo_photometry::samples::surface_pixels;
 use rilievo_scene::{
-    DepthMap, Event, Flow, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage,
-    Mask, NormalMap, Observer, PhotoSet, PosedViews, Raster, StageId, ViewIdx, ViewLighting,
+    DepthMap, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage, Mask, NormalMap,
+    Observer, PhotoSet, PosedViews, Raster, StageId, ViewIdx, ViewLighting,
 };
 
 /// Fits the lighting of one image on a known depth.
@@ -36,7 +36,8 @@ pub fn fit_on_shape(
     options: &LightingOptions,
 ) -> Result<(Lighting, LightingFit), LightingError> {
     let normals = normals_on(image, "the image", intrinsics, depth, options)?;
-    fit_on_normals(image, mask, &normals, clip_level, options)
+    let fit = pool(image, mask, &normals, clip_level, options).fit("a shape", options)?;
+    Ok((fit.lighting(), fit))
 }
 
 /// Normals of a depth map that must have the image's size; `name` is what messages call the image.
@@ -59,22 +60,6 @@ fn normals_on(
     Ok(normals_of_depth(depth, intrinsics, options.max_slope))
 }
 
-/// Fits the lighting of one image on known normals (for orthographic cameras, or normals of the
-/// caller's own making).
-///
-/// # Errors
-/// [`LightingError::Fit`].
-pub fn fit_on_normals(
-    image: &LinearImage,
-    mask: Option<&Mask>,
-    normals: &NormalMap,
-    clip_level: f32,
-    options: &LightingOptions,
-) -> Result<(Lighting, LightingFit), LightingError> {
-    let fit = pool(image, mask, normals, clip_level, options).fit("a shape", options)?;
-    Ok((fit.lighting(), fit))
-}
-
 /// Normals (camera frame) and intensities of a surface's pixels.
 fn pool(
     image: &LinearImage,
@@ -94,11 +79,7 @@ fn pool(
 }
 
 /// Normals of a depth map by differences.
-pub(crate) fn normals_of_depth(
-    depth: &DepthMap,
-    intrinsics: &Intrinsics,
-    max_slope: f64,
-) -> NormalMap {
+fn normals_of_depth(depth: &DepthMap, intrinsics: &Intrinsics, max_slope: f64) -> NormalMap {
     let at = |x: isize, y: isize| -> Option<(f64, Vector3<f64>)> {
         let z = f64::from(*depth.get(x, y)?);
         (z > 0.0).then(|| (z, intrinsics.ray(&Point2::new(x as f64, y as f64)) * z))
@@ -150,15 +131,12 @@ pub(crate) fn run(
     let mut worst: Option<LightingFit> = None;
     let mut brightness = vec![Vec::new(); posed.views.len()];
     for (idx, view) in posed.views.iter().enumerate() {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Lighting,
-            step: "fitting light on the shape".to_owned(),
-            done: idx,
-            total: posed.views.len(),
-        });
-        if flow == Flow::Stop {
-            return Err(LightingError::Interrupted);
-        }
+        let flow = observer.progress(
+            StageId::Lighting,
+            "fitting light on the shape",
+            (idx, posed.views.len()),
+        );
+        flow.ok_or(LightingError::Interrupted)?;
         let mut facts = ViewLightReport::named(&view.name);
         let Some((_, depth)) = shapes.iter().find(|(shape, _)| shape.0 == idx) else {
             facts.left_out = Some("no shape given".to_owned());
@@ -186,12 +164,8 @@ pub(crate) fn run(
             }
             Err(error) => return Err(error),
         };
-        facts.num_pixels = fit
-            .channels
-            .iter()
-            .map(|c| c.num_samples)
-            .max()
-            .unwrap_or(0);
+        let counts = fit.channels.iter().map(|c| c.num_samples);
+        facts.num_pixels = counts.max().unwrap_or(0);
         facts.relative_rms = Some(fit.relative_rms());
         let lighting = fit.lighting();
         facts.gain = vec![1.0; lighting.channels.len()];

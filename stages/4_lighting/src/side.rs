@@ -7,7 +7,7 @@ use nalgebra::UnitQuaternion;
 use rilievo_photometry::samples::{Coverage, Shot, SphereSamples};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
-    Event, Flow, LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, SphereLight, StageId,
+    LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, SphereLight, StageId,
 };
 
 /// One sphere in one view.
@@ -87,15 +87,12 @@ pub(crate) fn collect(
         })
         .collect();
     for (idx, view) in posed.views.iter().enumerate() {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Lighting,
-            step: "reading the sphere".to_owned(),
-            done: idx,
-            total: posed.views.len(),
-        });
-        if flow == Flow::Stop {
-            return Err(LightingError::Interrupted);
-        }
+        let flow = observer.progress(
+            StageId::Lighting,
+            "reading the sphere",
+            (idx, posed.views.len()),
+        );
+        flow.ok_or(LightingError::Interrupted)?;
         let facts = one_view(photos, posed, (idx, view), options, (&mut side, report))?;
         report.views.push(facts);
     }
@@ -114,11 +111,7 @@ fn one_view(
     let mut facts = ViewLightReport::named(&view.name);
     let mut reasons = Vec::new();
     let mut coverage = Coverage::default();
-    let in_camera: Vec<SphereInCamera> = posed
-        .spheres
-        .iter()
-        .map(|sphere| SphereInCamera::seen(sphere, &view.cam_from_world))
-        .collect();
+    let in_camera = SphereInCamera::all_seen(posed, view);
     let photo = &photos.photos[view.photo.0];
     let mut loaded = None;
     let mut position = None;
@@ -131,12 +124,7 @@ fn one_view(
             Some(image) => image,
             none => none.insert(photo.linear()?),
         };
-        let shot = Shot {
-            image,
-            object: photo.mask.as_deref(),
-            clip_level: photo.clip_level,
-            intrinsics: &view.intrinsics,
-        };
+        let shot = Shot::new(photo, image, view);
         let samples = shot.samples(&in_camera[k], &in_camera, &options.sampling());
         let num_pixels = samples.num_usable();
         facts.num_pixels += num_pixels;

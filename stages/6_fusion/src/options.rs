@@ -1,6 +1,6 @@
 //! Options of stage 6.
 
-use rilievo_scene::{OptionError, in_range};
+use rilievo_scene::{OptionError, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// What the points' colours show.
@@ -99,29 +99,20 @@ impl FusionOptions {
     /// # Errors
     /// Names the first one that is out of its range.
     pub fn validate(&self) -> Result<(), OptionError> {
-        in_range("depth_tolerance_px", self.depth_tolerance_px, 0.001..=1e4)?;
-        in_range(
-            "normal_tolerance_deg",
-            self.normal_tolerance_deg,
-            0.0..=180.0,
-        )?;
-        in_range("min_num_views", self.min_num_views, 1..=255)?;
-        in_range("max_grazing_deg", self.max_grazing_deg, 0.0..=90.0)?;
-        in_range("border_px", self.border_px, 0..=1000)?;
-        in_range("spacing", self.spacing, 0.0..=1e6)?;
-        in_range("reconcile_grid_px", self.reconcile_grid_px, 4.0..=1e5)?;
-        in_range("reconcile_sigma_px", self.reconcile_sigma_px, 0.001..=1e4)?;
-        in_range(
-            "reconcile_max_offset_px",
-            self.reconcile_max_offset_px,
-            0.001..=1e4,
-        )?;
-        in_range("voxel_px", self.voxel_px, 0.01..=1e4)?;
-        in_range("truncation_voxels", self.truncation_voxels, 1.5..=50.0)?;
-        in_range(
-            "memory_mib",
-            self.memory_mib,
-            Self::MIN_MEMORY_MIB..=1 << 24,
+        check_ranges!(
+            self;
+            depth_tolerance_px in 0.001..=1e4,
+            normal_tolerance_deg in 0.0..=180.0,
+            min_num_views in 1..=255,
+            max_grazing_deg in 0.0..=90.0,
+            border_px in 0..=1000,
+            spacing in 0.0..=1e6,
+            reconcile_grid_px in 4.0..=1e5,
+            reconcile_sigma_px in 0.001..=1e4,
+            reconcile_max_offset_px in 0.001..=1e4,
+            voxel_px in 0.01..=1e4,
+            truncation_voxels in 1.5..=50.0,
+            memory_mib in Self::MIN_MEMORY_MIB..=1 << 24,
         )
     }
 }

@@ -19,7 +19,7 @@ use crate::report::{Layering, ViewFusion};
 use crate::view::{Surface, View};
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{CloudPoint, Event, Flow, Observer, StageId};
+use rilievo_scene::{CloudPoint, Observer, StageId};
 
 /// Points per squared footprint that the better views must give together before the others leave
 /// a place to them. At 2 nearly no place is farther than a footprint from a point; every pixel of every
@@ -73,15 +73,8 @@ pub(crate) fn gather(
     let mut points = Vec::new();
     let mut num_candidates = 0;
     for (i, view) in views.iter().enumerate() {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Fusion,
-            step: "gathering points".into(),
-            done: i,
-            total: views.len(),
-        });
-        if flow == Flow::Stop {
-            return Err(FusionError::Interrupted);
-        }
+        let flow = observer.progress(StageId::Fusion, "gathering points", (i, views.len()));
+        flow.ok_or(FusionError::Interrupted)?;
         let rows: Vec<(Vec<CloudPoint>, usize, usize)> = (0..view.depth.height)
             .into_par_iter()
             .map(|y| {

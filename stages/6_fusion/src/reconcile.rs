@@ -17,6 +17,7 @@ use crate::options::FusionOptions;
 use crate::pairs::{Pair, find_pairs, layering};
 use crate::report::Layering;
 use crate::view::View;
+use rilievo_numerics::conjugate_gradients::{Stop, conjugate_gradients};
 use rilievo_numerics::robust::{RobustLoss, SIGMA_FROM_MAD, median};
 use rilievo_scene::{Event, Flow, Observer, StageId};
 
@@ -29,9 +30,11 @@ const NUM_WEIGHTINGS: usize = 3;
 const MIN_GAIN: f64 = 0.05;
 /// Spread of the distances, in footprints, below which nothing is gained by trusting them more.
 const MIN_SPREAD_PX: f64 = 0.02;
-/// Relative residual at which conjugate gradients stop: well below the noise of the distances.
-const CG_TOLERANCE: f64 = 1e-6;
-const CG_MAX_NUM_ITERATIONS: usize = 300;
+/// Where conjugate gradients stop: well below the noise of the distances.
+const CG_STOP: Stop = Stop {
+    tolerance: 1e-6,
+    max_num_iterations: 300,
+};
 /// Pairs are drawn about this densely: enough that a node sees dozens, few enough to be quick.
 const MAX_NUM_PAIRS: usize = 400_000;
 
@@ -167,6 +170,16 @@ impl Grid {
             (at(i + 1, j + 1), fu * fv),
         ]
     }
+
+    /// The correction at a pixel, by its index in a map of `width` columns.
+    fn interpolate(&self, values: &[f64], pixel: usize, width: usize, spacing_px: f64) -> f64 {
+        let (x, y) = ((pixel % width) as f64, (pixel / width) as f64);
+        let nodes = self.nodes(x, y, spacing_px);
+        nodes
+            .iter()
+            .map(|(node, weight)| values[*node] * weight)
+            .sum()
+    }
 }
 
 /// A residual that is linear in eight unknowns.
@@ -247,7 +260,7 @@ fn solve(
             .iter()
             .map(|&r| loss.weight(r) / (spread * spread))
             .collect();
-        step = conjugate_gradients(&rows, &weights, &terms, total, &step);
+        step = weighted_step(&rows, &weights, &terms, total, step);
     }
     step
 }
@@ -283,13 +296,14 @@ fn add_regularizer(terms: &Regularizer, u: &[f64], out: &mut [f64], sign: f64) {
     }
 }
 
-/// Conjugate gradients with the diagonal as preconditioner, from `start`.
-fn conjugate_gradients(
+/// The step that minimises the weighted squares, by conjugate gradients from `start` with the diagonal as
+/// preconditioner.
+fn weighted_step(
     rows: &[Row],
     weights: &[f64],
     terms: &Regularizer,
     total: &[f64],
-    start: &[f64],
+    start: Vec<f64>,
 ) -> Vec<f64> {
     let num = start.len();
     let mut diagonal = vec![0.0; num];
@@ -309,37 +323,21 @@ fn conjugate_gradients(
     }
     // The regulariser holds the whole correction, not this step alone.
     add_regularizer(terms, total, &mut right, -1.0);
-
-    let inner = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
-    let precondition =
-        |r: &[f64]| -> Vec<f64> { r.iter().zip(&diagonal).map(|(r, d)| r / d).collect() };
-    let mut x = start.to_vec();
-    let mut product = vec![0.0; num];
-    multiply(rows, weights, terms, &x, &mut product);
-    let mut residual: Vec<f64> = right.iter().zip(&product).map(|(b, p)| b - p).collect();
-    let mut z = precondition(&residual);
-    let mut direction = z.clone();
-    let mut rz = inner(&residual, &z);
-    let stop = CG_TOLERANCE * CG_TOLERANCE * inner(&right, &precondition(&right));
-    for _ in 0..CG_MAX_NUM_ITERATIONS {
-        if rz.is_nan() || rz <= stop {
-            break;
+    let mut step = start;
+    let precondition = |r: &[f64], out: &mut [f64]| {
+        for ((out, r), d) in out.iter_mut().zip(r).zip(&diagonal) {
+            *out = r / d;
         }
-        multiply(rows, weights, terms, &direction, &mut product);
-        let alpha = rz / inner(&direction, &product);
-        for i in 0..num {
-            x[i] += alpha * direction[i];
-            residual[i] -= alpha * product[i];
-        }
-        z = precondition(&residual);
-        let next = inner(&residual, &z);
-        let beta = next / rz;
-        rz = next;
-        for (d, z) in direction.iter_mut().zip(&z) {
-            *d = z + beta * *d;
-        }
-    }
-    x
+    };
+    // Where rounding ends the iteration early, what is reached is the step.
+    let _ = conjugate_gradients(
+        &right,
+        &mut step,
+        |u, out| multiply(rows, weights, terms, u, out),
+        precondition,
+        CG_STOP,
+    );
+    step
 }
 
 fn apply(views: &mut [View], grids: &[Grid], step: &[f64], spacing_px: f64) {
@@ -347,11 +345,7 @@ fn apply(views: &mut [View], grids: &[Grid], step: &[f64], spacing_px: f64) {
         let width = view.depth.width;
         for (i, z) in view.depth.data.iter_mut().enumerate() {
             if *z > 0.0 {
-                let nodes = grid.nodes((i % width) as f64, (i / width) as f64, spacing_px);
-                let u: f64 = nodes
-                    .iter()
-                    .map(|(node, weight)| step[*node] * weight)
-                    .sum();
+                let u = grid.interpolate(step, i, width, spacing_px);
                 *z = (f64::from(*z) * u.exp()) as f32;
             }
         }
@@ -363,11 +357,7 @@ fn correction_rms(view: &View, grid: &Grid, total: &[f64], spacing_px: f64) -> f
     let (mut square, mut count) = (0.0, 0.0);
     for (i, &z) in view.depth.data.iter().enumerate() {
         if z > 0.0 {
-            let nodes = grid.nodes((i % width) as f64, (i / width) as f64, spacing_px);
-            let u: f64 = nodes
-                .iter()
-                .map(|(node, weight)| total[*node] * weight)
-                .sum();
+            let u = grid.interpolate(total, i, width, spacing_px);
             square += (f64::from(z) * u).powi(2);
             count += 1.0;
         }

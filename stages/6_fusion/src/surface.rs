@@ -17,7 +17,7 @@ use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use rilievo_scene::{CloudPoint, Event, Flow, Mesh, Observer, StageId};
+use rilievo_scene::{CloudPoint, Mesh, Observer, StageId};
 use std::num::NonZero;
 
 /// A block with one layer of neighbours on either side.
@@ -49,16 +49,8 @@ pub(crate) fn extract(
     observer: &dyn Observer,
 ) -> Result<(Mesh, MeshReport), FusionError> {
     let step = |step: &str, done: usize| {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Fusion,
-            step: step.into(),
-            done,
-            total: 3,
-        });
-        match flow {
-            Flow::Stop => Err(FusionError::Interrupted),
-            Flow::Continue => Ok(()),
-        }
+        let flow = observer.progress(StageId::Fusion, step, (done, 3));
+        flow.ok_or(FusionError::Interrupted)
     };
     step("extracting the surface", 0)?;
     let pieces: Vec<Piece> = volume

@@ -19,7 +19,7 @@ use crate::view::View;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
-use rilievo_scene::{Event, Flow, Observer, StageId};
+use rilievo_scene::{Observer, StageId};
 
 /// Voxels along the edge of a block.
 pub(crate) const SIDE: usize = 8;
@@ -124,15 +124,12 @@ pub(crate) fn integrate(
     // Batches let the observer speak between them.
     const BATCH: usize = 4096;
     for (batch, keys) in volume.keys.chunks(BATCH).enumerate() {
-        let flow = observer.event(Event::Progress {
-            stage: StageId::Fusion,
-            step: "averaging signed distances".into(),
-            done: batch * BATCH,
-            total: volume.keys.len(),
-        });
-        if flow == Flow::Stop {
-            return Err(FusionError::Interrupted);
-        }
+        let flow = observer.progress(
+            StageId::Fusion,
+            "averaging signed distances",
+            (batch * BATCH, volume.keys.len()),
+        );
+        flow.ok_or(FusionError::Interrupted)?;
         let blocks: Vec<[f32; VOLUME]> = keys
             .par_iter()
             .map(|key| fill(views, key, volume.voxel, &origin, truncation, min_cosine))

@@ -20,7 +20,7 @@
 //! Stereo, PAMI 41(2), 2019; Li et al., Multi-view Photometric Stereo: A Robust Solution and Benchmark
 //! Dataset for Spatially Varying Isotropic Materials, TIP 29, 2020.
 
-use crate::cameras::{CameraEntry, rigid_from_camera_pose};
+use crate::cameras::{CameraEntry, intrinsics_of, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::files::read_regular_text;
 use crate::mask::read_mask;
@@ -28,7 +28,7 @@ use crate::mat::{MatArray, read_mat};
 use crate::photo::{decode_photo, photo_size};
 use crate::words::lines;
 use nalgebra::{Matrix3, Vector3};
-use rilievo_scene::{Distortion, Intrinsics, LinearImage, Mask, NormalMap, Samples};
+use rilievo_scene::{LinearImage, Mask, NormalMap, Samples};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -125,28 +125,17 @@ fn camera(
     let k: [[f64; 3]; 3] = matrix(path, arrays, "KK")?;
     let rotation: [[f64; 3]; 3] = matrix(path, arrays, &format!("Rc_{number}"))?;
     let translation: [[f64; 1]; 3] = matrix(path, arrays, &format!("Tc_{number}"))?;
-    let [[fx, skew, cx], [_, fy, cy], _] = k;
-    if !(fx > 0.0 && fy > 0.0 && skew.abs() < 1e-6 * fx) {
-        return Err(IoError::input(
-            path,
-            format!("KK is {k:?}, no camera without skew"),
-        ));
-    }
-    let rotation = Matrix3::from_fn(|row, column| rotation[row][column]);
+    let refuse = |reason: String| IoError::input(path, reason);
+    // The size is that of the photos, which are read later.
+    let k = Matrix3::from_row_slice(k.as_flattened());
+    let intrinsics = intrinsics_of(&k, (0, 0)).map_err(|reason| refuse(format!("KK {reason}")))?;
+    let rotation = Matrix3::from_row_slice(rotation.as_flattened());
     let metres = Vector3::from(translation.map(|[t]| t * METRES_PER_MM));
     let pose = rigid_from_camera_pose(&rotation, &metres)
-        .map_err(|reason| IoError::input(path, format!("Rc_{number} {reason}")))?;
+        .map_err(|reason| refuse(format!("Rc_{number} {reason}")))?;
     Ok(CameraEntry {
         image: None,
-        intrinsics: Intrinsics {
-            width: 0,
-            height: 0,
-            fx,
-            fy,
-            cx,
-            cy,
-            distortion: Distortion::default(),
-        },
+        intrinsics,
         cam_from_world: Some(pose),
     })
 }

@@ -124,21 +124,23 @@ impl Channels {
         Some(self.named.swap_remove(position).1)
     }
 
-    fn names(&self) -> String {
-        let mut names: Vec<&str> = self.named.iter().map(|(name, _)| name.as_str()).collect();
-        names.sort_unstable();
-        names.join(" ")
+    fn required(&mut self, path: &Path, name: &str) -> Result<Vec<f32>, IoError> {
+        self.take(name).ok_or_else(|| self.missing(path, name))
     }
 
     fn missing(&self, path: &Path, wanted: &str) -> IoError {
-        IoError::input(
-            path,
-            format!(
-                "has no channel {wanted}; its channels are: {}",
-                self.names()
-            ),
-        )
+        let mut names: Vec<&str> = self.named.iter().map(|(name, _)| name.as_str()).collect();
+        names.sort_unstable();
+        let names = names.join(" ");
+        let reason = format!("has no channel {wanted}; its channels are: {names}");
+        IoError::input(path, reason)
     }
+}
+
+/// Three planes as one, pixel by pixel.
+pub(crate) fn interleaved([x, y, z]: [Vec<f32>; 3]) -> impl Iterator<Item = [f32; 3]> {
+    let pixels = x.into_iter().zip(y).zip(z);
+    pixels.map(|((x, y), z)| [x, y, z])
 }
 
 /// Refuses headers that claim absurd sizes before anything is allocated for them.
@@ -181,43 +183,35 @@ fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
         .map_err(|reason| refuse(format!("its pixels {reason}")))
 }
 
-/// For maps that are mostly empty or smooth.
-const MAP_COMPRESSION: Compression = Compression::ZIP16;
-
-/// For photographs as f32: a fifth smaller than ZIP and written three times as fast (6 Mpx of a JPEG:
-/// 29 MB in 1.2 s against 35 MB in 4.2 s), read half as fast.
-const PHOTO_COMPRESSION: Compression = Compression::PIZ;
-
-/// For photographs as f16: as large as f32 compressed, and stages that read every photo, some several
-/// times, spend nothing on it (finding poses: a quarter of its time).
-const HALF_PHOTO_COMPRESSION: Compression = Compression::Uncompressed;
-
 /// How samples are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum SampleType {
-    F32,
-    F16,
+enum Storage {
+    /// f32, for maps that are mostly empty or smooth.
+    Map,
+    /// f32, for photographs: a fifth smaller than as a map and written three times as fast (6 Mpx of a
+    /// JPEG: 29 MB in 1.2 s against 35 MB in 4.2 s), read half as fast.
+    Photo,
+    /// f16, for photographs: as large as f32 compressed, and stages that read every photo, some several
+    /// times, spend nothing on it (finding poses: a quarter of its time).
+    HalfPhoto,
 }
 
 fn channels_file(
     path: &Path,
     (width, height): (usize, usize),
     channels: Vec<(&str, Vec<f32>)>,
-    sample_type: SampleType,
-    compression: Compression,
+    storage: Storage,
 ) -> Result<OutputFile, IoError> {
     if width == 0 || height == 0 || channels.iter().any(|(_, v)| v.len() != width * height) {
-        return Err(IoError::write(
-            path,
-            format!("the map does not fill its {width} x {height} pixels"),
-        ));
+        let reason = format!("the map does not fill its {width} x {height} pixels");
+        return Err(IoError::write(path, reason));
     }
     let list = channels
         .into_iter()
         .map(|(name, values)| {
-            let samples = match sample_type {
-                SampleType::F32 => FlatSamples::F32(values),
-                SampleType::F16 => {
+            let samples = match storage {
+                Storage::Map | Storage::Photo => FlatSamples::F32(values),
+                Storage::HalfPhoto => {
                     FlatSamples::F16(values.into_iter().map(f16::from_f32).collect())
                 }
             };
@@ -225,7 +219,11 @@ fn channels_file(
         })
         .collect();
     let encoding = Encoding {
-        compression,
+        compression: match storage {
+            Storage::Map => Compression::ZIP16,
+            Storage::Photo => Compression::PIZ,
+            Storage::HalfPhoto => Compression::Uncompressed,
+        },
         blocks: Blocks::ScanLines,
         line_order: LineOrder::Increasing,
     };
@@ -260,22 +258,13 @@ pub fn write_depth(path: &Path, map: &DepthMap) -> Result<(), IoError> {
 /// When the file cannot be read or lacks a channel.
 pub fn read_normal(path: &Path) -> Result<NormalMap, IoError> {
     let mut channels = Channels::read(path)?;
-    let mut take = |name: &str| {
-        channels
-            .take(name)
-            .ok_or_else(|| channels.missing(path, name))
-    };
+    let mut take = |name: &str| channels.required(path, name);
     let [x, y, z] = NORMAL_CHANNELS;
-    let (x, y, z) = (take(x)?, take(y)?, take(z)?);
+    let planes = [take(x)?, take(y)?, take(z)?];
     Ok(Raster {
         width: channels.width,
         height: channels.height,
-        data: x
-            .into_iter()
-            .zip(y)
-            .zip(z)
-            .map(|((x, y), z)| [x, y, z])
-            .collect(),
+        data: interleaved(planes).collect(),
     })
 }
 
@@ -297,13 +286,7 @@ pub fn normal_file(path: &Path, map: &NormalMap) -> Result<OutputFile, IoError> 
         .enumerate()
         .map(|(i, &name)| (name, map.data.iter().map(|normal| normal[i]).collect()))
         .collect();
-    channels_file(
-        path,
-        (map.width, map.height),
-        channels,
-        SampleType::F32,
-        MAP_COMPRESSION,
-    )
+    channels_file(path, (map.width, map.height), channels, Storage::Map)
 }
 
 /// Reads one named channel (`C` of a confidence map, for instance).
@@ -312,13 +295,10 @@ pub fn normal_file(path: &Path, map: &NormalMap) -> Result<OutputFile, IoError> 
 /// When the file cannot be read or has no such channel.
 pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> {
     let mut channels = Channels::read(path)?;
-    let data = channels
-        .take(channel)
-        .ok_or_else(|| channels.missing(path, channel))?;
     Ok(Raster {
+        data: channels.required(path, channel)?,
         width: channels.width,
         height: channels.height,
-        data,
     })
 }
 
@@ -328,14 +308,7 @@ pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> 
 /// When the file cannot be written.
 pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<(), IoError> {
     let channels = vec![(channel, map.data.clone())];
-    channels_file(
-        path,
-        (map.width, map.height),
-        channels,
-        SampleType::F32,
-        MAP_COMPRESSION,
-    )?
-    .write()
+    channels_file(path, (map.width, map.height), channels, Storage::Map)?.write()
 }
 
 /// Reads a linear image (`R G B` or `Y`).
@@ -361,14 +334,7 @@ pub(crate) fn linear_with_alpha(
     });
     let colors = (channels.take("R"), channels.take("G"), channels.take("B"));
     let (num_channels, data) = match colors {
-        (Some(r), Some(g), Some(b)) => (
-            3,
-            r.into_iter()
-                .zip(g)
-                .zip(b)
-                .flat_map(|((r, g), b)| [r, g, b])
-                .collect(),
-        ),
+        (Some(r), Some(g), Some(b)) => (3, interleaved([r, g, b]).flatten().collect()),
         // Luminance with chroma at half resolution has `RY BY` beside `Y`: grey is all we take.
         _ => match channels.take("Y") {
             Some(grey) => (1, grey),
@@ -384,19 +350,13 @@ pub(crate) fn linear_with_alpha(
     Ok((image, alpha))
 }
 
-fn linear_as(
-    path: &Path,
-    image: &LinearImage,
-    sample_type: SampleType,
-) -> Result<OutputFile, IoError> {
+fn linear_as(path: &Path, image: &LinearImage, storage: Storage) -> Result<OutputFile, IoError> {
     let names: &[&str] = match image.channels {
         1 => &["Y"],
         3 => &["R", "G", "B"],
         n => {
-            return Err(IoError::write(
-                path,
-                format!("an image has 1 or 3 channels, not {n}"),
-            ));
+            let reason = format!("an image has 1 or 3 channels, not {n}");
+            return Err(IoError::write(path, reason));
         }
     };
     let channels = names
@@ -407,16 +367,7 @@ fn linear_as(
             (name, values.copied().collect())
         })
         .collect();
-    channels_file(
-        path,
-        (image.width, image.height),
-        channels,
-        sample_type,
-        match sample_type {
-            SampleType::F32 => PHOTO_COMPRESSION,
-            SampleType::F16 => HALF_PHOTO_COMPRESSION,
-        },
-    )
+    channels_file(path, (image.width, image.height), channels, storage)
 }
 
 /// Writes a linear image (`R G B` or `Y`), f32.
@@ -432,7 +383,7 @@ pub fn write_linear(path: &Path, image: &LinearImage) -> Result<(), IoError> {
 /// # Errors
 /// When the image has neither one channel nor three, or its values do not fill it.
 pub fn linear_file(path: &Path, image: &LinearImage) -> Result<OutputFile, IoError> {
-    linear_as(path, image, SampleType::F32)
+    linear_as(path, image, Storage::Photo)
 }
 
 /// Writes a linear image with 16-bit floats: a relative step of 0.05 %, finer than the 8-bit sRGB
@@ -441,7 +392,7 @@ pub fn linear_file(path: &Path, image: &LinearImage) -> Result<OutputFile, IoErr
 /// # Errors
 /// When the file cannot be written.
 pub fn write_linear_half(path: &Path, image: &LinearImage) -> Result<(), IoError> {
-    linear_as(path, image, SampleType::F16)?.write()
+    linear_as(path, image, Storage::HalfPhoto)?.write()
 }
 
 /// Pixels that wait in a linear OpenEXR file and are read each time they are asked for.

@@ -10,9 +10,7 @@
 use crate::cameras::{last_part, stem};
 use crate::error::IoError;
 use crate::json::{self, Node};
-use rilievo_scene::{
-    LightKind, LightSource, Lighting, LightingCalibration, PosedViews, SphericalHarmonics,
-};
+use rilievo_scene::{Lighting, LightingCalibration, PosedViews, SphericalHarmonics};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 
@@ -104,18 +102,14 @@ pub fn read_lighting(path: &Path, name: Option<&str>) -> Result<LightingFile, Io
 
 /// The long form must mean what we mean.
 fn check_header(root: &Node<'_>) -> Result<(), IoError> {
-    if let Some(basis) = root.opt("basis")? {
-        let words = |text: &str| {
-            text.split_whitespace()
-                .map(str::to_owned)
-                .collect::<Vec<_>>()
-        };
-        if words(basis.text()?) != words(SphericalHarmonics::BASIS) {
-            return Err(basis.refuse(format!(
-                "is another basis than \"{}\"",
-                SphericalHarmonics::BASIS
-            )));
-        }
+    let expected = SphericalHarmonics::BASIS;
+    if let Some(basis) = root.opt("basis")?
+        && !basis
+            .text()?
+            .split_whitespace()
+            .eq(expected.split_whitespace())
+    {
+        return Err(basis.refuse(format!("is another basis than \"{expected}\"")));
     }
     if let Some(frame) = root.opt("frame")?
         && frame.text()? != "camera"
@@ -169,25 +163,14 @@ pub fn write_lighting(
             json!({"residual": entry.residual, "gain": entry.gain}),
         );
     }
-    let source = match calibration.source {
-        LightSource::Sphere => "sphere",
-        LightSource::CalibrationPhoto => "calibration_photo",
-        LightSource::Shape => "shape",
-        LightSource::Given => "given",
-        LightSource::OwnShape => "own_shape",
-    };
-    let light = match calibration.kind {
-        LightKind::World => "world",
-        LightKind::Camera => "camera",
-    };
     let environment = calibration.environment_in_world.as_ref().map(rows);
     let root = json!({
         "basis": SphericalHarmonics::BASIS,
         "frame": "camera",
         "includes_albedo": true,
         "views": entries,
-        "source": source,
-        "light": light,
+        "source": calibration.source,
+        "light": calibration.kind,
         "environment_in_world": environment,
         "details": details,
     });
@@ -197,7 +180,10 @@ pub fn write_lighting(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rilievo_scene::{Intrinsics, PhotoIdx, PosedView, RigidTransform, ViewIdx, ViewLighting};
+    use rilievo_scene::{
+        Intrinsics, LightKind, LightSource, PhotoIdx, PosedView, RigidTransform, ViewIdx,
+        ViewLighting,
+    };
 
     fn lighting(seed: f64, channels: usize) -> Lighting {
         let row = |c: usize| {

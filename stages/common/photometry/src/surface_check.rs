@@ -12,7 +12,7 @@ use crate::samples::surface_pixels;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_scene::{
-    Event, Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError,
+    Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError,
     PosedViews, ShadedView, ShadedViews, StageId, ViewLighting,
 };
 use serde::{Deserialize, Serialize};
@@ -107,15 +107,12 @@ pub fn check(
 ) -> Result<SurfaceReport, CheckError> {
     photos.check()?;
     posed.check_with(photos)?;
-    let flow = observer.event(Event::Progress {
-        stage: StageId::Shading,
-        step: "comparing the light with the surface".to_owned(),
-        done: 0,
-        total: shaded.views.len(),
-    });
-    if flow == Flow::Stop {
-        return Err(CheckError::Interrupted);
-    }
+    let flow = observer.progress(
+        StageId::Shading,
+        "comparing the light with the surface",
+        (0, shaded.views.len()),
+    );
+    flow.ok_or(CheckError::Interrupted)?;
     let views: Vec<Option<ViewSurfaceReport>> = shaded
         .views
         .par_iter()

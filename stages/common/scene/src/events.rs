@@ -125,6 +125,16 @@ pub trait Observer: Sync {
     /// Takes one event; [`Flow::Stop`] asks the stage to end with its `Interrupted` error.
     fn event(&self, event: Event) -> Flow;
 
+    /// Tells that so many of all items of a step are done.
+    fn progress(&self, stage: StageId, step: &str, (done, total): (usize, usize)) -> Flow {
+        self.event(Event::Progress {
+            stage,
+            step: step.to_owned(),
+            done,
+            total,
+        })
+    }
+
     /// Whether the stage should stop, without telling anything.
     fn flow(&self) -> Flow {
         Flow::Continue

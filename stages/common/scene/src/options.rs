@@ -52,6 +52,16 @@ pub fn fulfils<S: Into<String>>(
     })
 }
 
+/// Checks fields of an options struct, each against its range and under its own name as the key: the first
+/// [`OptionError`] leaves the function.
+#[macro_export]
+macro_rules! check_ranges {
+    ($options:expr; $($field:ident in $range:expr),+ $(,)?) => {{
+        $($crate::in_range(stringify!($field), $options.$field, $range)?;)+
+        Ok(())
+    }};
+}
+
 /// Adds the name of the table that holds the checked options.
 pub trait InTable {
     /// The same result, with `table.` before the key.

@@ -7,7 +7,7 @@ use crate::transform::RigidTransform;
 use std::sync::Arc;
 
 /// Why the pixels of a photo could not be had.
-#[derive(Debug, Clone, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("pixels of {name} cannot be read: {reason}")]
 pub struct PixelError {
     /// The photo.

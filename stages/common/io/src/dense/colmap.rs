@@ -5,6 +5,7 @@
 
 use super::pixels::{floats, num_pixels};
 use crate::error::IoError;
+use crate::exr_maps::interleaved;
 use crate::files::read_regular;
 use rilievo_scene::{DepthMap, NormalMap, Raster};
 use std::path::Path;
@@ -27,12 +28,11 @@ pub fn read_colmap_depth(path: &Path) -> Result<DepthMap, IoError> {
 /// # Errors
 /// When the file cannot be read, or is no array of three channels.
 pub fn read_colmap_normal(path: &Path) -> Result<NormalMap, IoError> {
-    let (width, height, [x, y, z]) = read(path)?;
-    let data = x.into_iter().zip(y).zip(z).map(|((x, y), z)| [x, y, z]);
+    let (width, height, planes) = read(path)?;
     Ok(Raster {
         width,
         height,
-        data: data.collect(),
+        data: interleaved(planes).collect(),
     })
 }
 

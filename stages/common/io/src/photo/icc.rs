@@ -83,46 +83,22 @@ fn find_tag<'a>(profile: &'a [u8], name: &[u8; 4]) -> Option<&'a [u8]> {
 }
 
 enum Curve {
-    /// Function type 4 of `para`, of which the others are special cases:
+    /// `g a b c d e f` of function type 4 of `para`, of which the others are special cases:
     /// `(a x + b)^g + e` from `d` on, `c x + f` below.
-    Parametric {
-        g: f64,
-        a: f64,
-        b: f64,
-        c: f64,
-        d: f64,
-        e: f64,
-        f: f64,
-    },
+    Parametric([f64; 7]),
     Sampled(Vec<f64>),
 }
 
 impl Curve {
     fn power(g: f64) -> Self {
-        Self::Parametric {
-            g,
-            a: 1.0,
-            b: 0.0,
-            c: 0.0,
-            d: 0.0,
-            e: 0.0,
-            f: 0.0,
-        }
+        Self::Parametric([g, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     }
 
     fn at(&self, x: f64) -> f64 {
         match self {
-            Self::Parametric {
-                g,
-                a,
-                b,
-                c,
-                d,
-                e,
-                f,
-            } => {
-                if x >= *d {
-                    (a * x + b).max(0.0).powf(*g) + e
+            &Self::Parametric([g, a, b, c, d, e, f]) => {
+                if x >= d {
+                    (a * x + b).max(0.0).powf(g) + e
                 } else {
                     c * x + f
                 }
@@ -159,32 +135,17 @@ fn parse(tag: &[u8]) -> Option<Curve> {
             let kind = u16::from_be_bytes(tag.get(8..10)?.try_into().ok()?);
             let p = |i: usize| Some(f64::from(u32_at(tag, 12 + 4 * i)? as i32) / 65536.0);
             let g = p(0)?;
-            let (mut a, mut b, mut c, mut d, mut e, mut f) = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-            match kind {
-                0 => {}
+            Some(match kind {
+                0 => Curve::power(g),
                 1 | 2 => {
-                    (a, b) = (p(1)?, p(2)?);
-                    if a == 0.0 {
-                        return None;
-                    }
-                    d = -b / a;
-                    if kind == 2 {
-                        e = p(3)?;
-                        f = e;
-                    }
+                    let (a, b) = (p(1)?, p(2)?);
+                    let e = if kind == 2 { p(3)? } else { 0.0 };
+                    (a != 0.0).then_some(())?;
+                    Curve::Parametric([g, a, b, 0.0, -b / a, e, e])
                 }
-                3 => (a, b, c, d) = (p(1)?, p(2)?, p(3)?, p(4)?),
-                4 => (a, b, c, d, e, f) = (p(1)?, p(2)?, p(3)?, p(4)?, p(5)?, p(6)?),
+                3 => Curve::Parametric([g, p(1)?, p(2)?, p(3)?, p(4)?, 0.0, 0.0]),
+                4 => Curve::Parametric([g, p(1)?, p(2)?, p(3)?, p(4)?, p(5)?, p(6)?]),
                 _ => return None,
-            }
-            Some(Curve::Parametric {
-                g,
-                a,
-                b,
-                c,
-                d,
-                e,
-                f,
             })
         }
         _ => None,

@@ -14,6 +14,7 @@
 mod alpha;
 mod exif_facts;
 mod float_tiff;
+mod floats;
 pub(crate) mod guard;
 mod icc;
 mod jpeg;
@@ -29,10 +30,11 @@ use crate::error::IoError;
 use crate::exr_maps;
 use crate::files::read_regular;
 use alpha::alpha_mask;
+use floats::of_floats;
 use guard::guarded;
 use image::ImageFormat;
 use names::{FOREIGN_ENDINGS, ending};
-use rilievo_scene::{DecodedPhoto, ExifFacts, Samples};
+use rilievo_scene::DecodedPhoto;
 use std::path::Path;
 
 pub use guard::decoder_is_guarded;
@@ -99,18 +101,10 @@ fn decode_exr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
             alpha.data.iter().map(|&a| a >= 0.5),
         )
     });
+    let size = (image.width, image.height, image.channels);
     Ok(DecodedPhoto {
-        file_name: file_name(path),
-        width: image.width,
-        height: image.height,
-        channels: image.channels,
-        samples: Samples::F32(image.data),
-        linear_by_metadata: true,
-        saturates_at_white: false,
-        encoding_reason: "OpenEXR".to_owned(),
-        profile_curve: None,
         alpha,
-        exif: ExifFacts::default(),
+        ..of_floats(path, size, image.data, "OpenEXR")
     })
 }
 

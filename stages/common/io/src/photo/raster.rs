@@ -1,9 +1,11 @@
 //! Photos that the image library decodes: JPEG, PNG, TIFF and Radiance HDR.
 
 use super::alpha::alpha_mask;
+use super::floats::of_floats;
 use super::icc::{self, MAX_PROFILE_BYTES, ToneCurve, profile_too_large};
 use super::names::file_name;
-use super::{exif_facts, float_tiff, jpeg, png_chunks};
+use super::png_chunks::{self, PngColor};
+use super::{exif_facts, float_tiff, jpeg};
 use crate::claims;
 use crate::error::IoError;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
@@ -27,12 +29,12 @@ pub(super) fn decode(
         }
     };
     if format == ImageFormat::Jpeg {
-        jpeg::check(bytes).map_err(|reason| match reason {
-            jpeg::Defect::Cmyk => {
-                IoError::input(path, reason.to_string()).with_hint("convert the photo to RGB")
-            }
-            _ => IoError::input(path, reason.to_string())
-                .with_hint("copy the photo from the camera again"),
+        jpeg::check(bytes).map_err(|reason| {
+            let hint = match reason {
+                jpeg::Defect::Cmyk => "convert the photo to RGB",
+                _ => "copy the photo from the camera again",
+            };
+            IoError::input(path, reason.to_string()).with_hint(hint)
         })?;
     }
     if format == ImageFormat::Png {
@@ -46,22 +48,11 @@ pub(super) fn decode(
             let float = (format == ImageFormat::Tiff)
                 .then(|| float_tiff::read(bytes))
                 .flatten();
-            return match float {
-                Some((width, height, channels, data)) => Ok(DecodedPhoto {
-                    file_name: file_name(path),
-                    width,
-                    height,
-                    channels,
-                    samples: Samples::F32(data),
-                    linear_by_metadata: true,
-                    saturates_at_white: false,
-                    encoding_reason: "floating point".to_owned(),
-                    profile_curve: None,
-                    alpha: None,
-                    exif: exif_facts::read(bytes),
-                }),
-                None => Err(damaged(error)),
-            };
+            let (width, height, channels, data) = float.ok_or_else(|| damaged(error))?;
+            return Ok(DecodedPhoto {
+                exif: exif_facts::read(bytes),
+                ..of_floats(path, (width, height, channels), data, "floating point")
+            });
         }
     };
     let (width, height) = decoder.dimensions();
@@ -138,91 +129,61 @@ fn encoding(
     if matches!(samples, Samples::F32(_)) {
         return (true, "floating point".to_owned(), None);
     }
-    if let Some(curve) = profile.and_then(icc::tone_curve) {
-        return match curve {
-            ToneCurve::Linear => (true, format!("{bits} bit, linear colour profile"), None),
-            ToneCurve::Srgb => (
-                false,
-                format!("{bits} bit, sRGB curve in its profile"),
-                None,
-            ),
-            ToneCurve::Other(table) => (
-                false,
-                format!("{bits} bit, curve of its colour profile"),
-                Some(table),
-            ),
-        };
-    }
-    let png = (format == ImageFormat::Png)
-        .then(|| png_chunks::color(bytes))
-        .flatten();
-    match png {
-        Some(png_chunks::PngColor::Linear) => {
-            return (true, format!("{bits} bit, linear by its gamma"), None);
-        }
-        Some(png_chunks::PngColor::Encoded) => {
-            return (false, format!("{bits} bit, sRGB by its metadata"), None);
-        }
-        Some(png_chunks::PngColor::Gamma(gamma)) => {
-            let table = icc::power_table(gamma);
-            return (false, format!("{bits} bit, gamma {gamma:.2}"), Some(table));
+    let told = |is_linear: bool, what: &str, curve: Option<Vec<f32>>| {
+        (is_linear, format!("{bits} bit{what}"), curve)
+    };
+    match profile.and_then(icc::tone_curve) {
+        Some(ToneCurve::Linear) => return told(true, ", linear colour profile", None),
+        Some(ToneCurve::Srgb) => return told(false, ", sRGB curve in its profile", None),
+        Some(ToneCurve::Other(table)) => {
+            return told(false, ", curve of its colour profile", Some(table));
         }
         None => {}
     }
-    match (bits, profile) {
-        (16, None) => (true, "16 bit without colour metadata".to_owned(), None),
-        (_, Some(_)) => (
-            false,
-            format!("{bits} bit, colour profile without a plain curve, taken as sRGB"),
-            None,
-        ),
-        _ => (false, format!("{bits} bit"), None),
+    let png = (format == ImageFormat::Png).then(|| png_chunks::color(bytes));
+    match (png.flatten(), bits, profile) {
+        (Some(PngColor::Linear), ..) => told(true, ", linear by its gamma", None),
+        (Some(PngColor::Encoded), ..) => told(false, ", sRGB by its metadata", None),
+        (Some(PngColor::Gamma(gamma)), ..) => {
+            let table = icc::power_table(gamma);
+            told(false, &format!(", gamma {gamma:.2}"), Some(table))
+        }
+        (None, 16, None) => told(true, " without colour metadata", None),
+        (None, _, Some(_)) => {
+            let what = ", colour profile without a plain curve, taken as sRGB";
+            told(false, what, None)
+        }
+        (None, _, None) => told(false, "", None),
     }
 }
 
 /// Colour samples, number of colour channels, and whether alpha is at least one half.
 fn split(image: DynamicImage) -> (Samples, usize, Option<Vec<bool>>) {
-    fn without_alpha<T: Copy>(
+    fn parted<T: Copy>(
         data: Vec<T>,
         channels: usize,
         opaque: impl Fn(T) -> bool,
-    ) -> (Vec<T>, Vec<bool>) {
-        let alpha = data
-            .chunks_exact(channels + 1)
-            .map(|pixel| opaque(pixel[channels]))
-            .collect();
-        let color = data
-            .chunks_exact(channels + 1)
-            .flat_map(|pixel| pixel[..channels].iter().copied())
-            .collect();
-        (color, alpha)
+        samples: fn(Vec<T>) -> Samples,
+    ) -> (Samples, usize, Option<Vec<bool>>) {
+        let pixels = data.chunks_exact(channels + 1);
+        let alpha = pixels.clone().map(|pixel| opaque(pixel[channels]));
+        let alpha = alpha.collect();
+        let color = pixels.flat_map(|pixel| pixel[..channels].iter().copied());
+        (samples(color.collect()), channels, Some(alpha))
     }
+    let half8 = |a: u8| a >= 128;
+    let half16 = |a: u16| a >= 32768;
     match image {
         DynamicImage::ImageLuma8(i) => (Samples::U8(i.into_raw()), 1, None),
         DynamicImage::ImageLuma16(i) => (Samples::U16(i.into_raw()), 1, None),
         DynamicImage::ImageRgb8(i) => (Samples::U8(i.into_raw()), 3, None),
         DynamicImage::ImageRgb16(i) => (Samples::U16(i.into_raw()), 3, None),
         DynamicImage::ImageRgb32F(i) => (Samples::F32(i.into_raw()), 3, None),
-        DynamicImage::ImageLumaA8(i) => {
-            let (color, alpha) = without_alpha(i.into_raw(), 1, |a| a >= 128);
-            (Samples::U8(color), 1, Some(alpha))
-        }
-        DynamicImage::ImageLumaA16(i) => {
-            let (color, alpha) = without_alpha(i.into_raw(), 1, |a| a >= 32768);
-            (Samples::U16(color), 1, Some(alpha))
-        }
-        DynamicImage::ImageRgba8(i) => {
-            let (color, alpha) = without_alpha(i.into_raw(), 3, |a| a >= 128);
-            (Samples::U8(color), 3, Some(alpha))
-        }
-        DynamicImage::ImageRgba16(i) => {
-            let (color, alpha) = without_alpha(i.into_raw(), 3, |a| a >= 32768);
-            (Samples::U16(color), 3, Some(alpha))
-        }
-        DynamicImage::ImageRgba32F(i) => {
-            let (color, alpha) = without_alpha(i.into_raw(), 3, |a| a >= 0.5);
-            (Samples::F32(color), 3, Some(alpha))
-        }
+        DynamicImage::ImageLumaA8(i) => parted(i.into_raw(), 1, half8, Samples::U8),
+        DynamicImage::ImageLumaA16(i) => parted(i.into_raw(), 1, half16, Samples::U16),
+        DynamicImage::ImageRgba8(i) => parted(i.into_raw(), 3, half8, Samples::U8),
+        DynamicImage::ImageRgba16(i) => parted(i.into_raw(), 3, half16, Samples::U16),
+        DynamicImage::ImageRgba32F(i) => parted(i.into_raw(), 3, |a| a >= 0.5, Samples::F32),
         // Kinds that the library may add later: eight bits of red, green and blue lose least.
         other => (Samples::U8(other.into_rgb8().into_raw()), 3, None),
     }

@@ -20,7 +20,7 @@
 //! - The frame is the sensor's recommended area, as that of the camera's own JPEG.
 
 use super::exif_facts;
-use super::names::file_name;
+use super::floats::of_floats;
 use crate::error::IoError;
 use rawler::cfa::{CFA, PlaneColor};
 use rawler::decoders::{Decoder, FormatHint, RawDecodeParams, RawMetadata};
@@ -32,7 +32,7 @@ use rawler::pixarray::{Color2D, PixF32};
 use rawler::rawimage::{CFAConfig, RawPhotometricInterpretation};
 use rawler::rawsource::RawSource;
 use rawler::{RawImage, RawlerError};
-use rilievo_scene::{DecodedPhoto, ExifFacts, Samples};
+use rilievo_scene::{DecodedPhoto, ExifFacts};
 use std::cmp::Ordering;
 use std::path::Path;
 
@@ -65,17 +65,9 @@ pub(super) fn decode(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError>
     let (width, height, channels, data) =
         linear(&raw, decoder.as_ref()).map_err(|reason| refused(path, &reason))?;
     Ok(DecodedPhoto {
-        file_name: file_name(path),
-        width,
-        height,
-        channels,
-        samples: Samples::F32(data),
-        linear_by_metadata: true,
         saturates_at_white: true,
-        encoding_reason: "camera RAW".to_owned(),
-        profile_curve: None,
-        alpha: None,
         exif,
+        ..of_floats(path, (width, height, channels), data, "camera RAW")
     })
 }
 

@@ -3,6 +3,7 @@ use exif::experimental::Writer;
 use exif::{Rational, Value};
 use image::DynamicImage;
 use image::{ImageBuffer, Luma, Rgb, Rgba};
+use rilievo_scene::{ExifFacts, Samples};
 use std::io::Cursor;
 use std::path::PathBuf;
 

@@ -4,6 +4,7 @@
 //! no parameter, no memory of its own. Where every pixel's value is measured a plate couples over a few
 //! pixels only, so that the number of iterations does not grow with the image.
 
+use crate::conjugate_gradients::{Stop, conjugate_gradients};
 use crate::plate_system::{OFFSETS, OUTSIDE, PixelNumbering, PlateError, PlateSystem};
 
 /// Norm of the residual, in that of the preconditioner and relative to the right-hand side's, that
@@ -39,35 +40,17 @@ impl ConjugateGradients {
             return Err(indefinite);
         }
         let mut x = vec![0.0; n];
-        let mut residual = system.rhs.clone();
-        let (mut z, mut product) = (vec![0.0; n], vec![0.0; n]);
-        self.precondition(system, &residual, &mut z);
-        let mut direction = z.clone();
-        let mut norm2 = dot(&residual, &z);
-        let target = norm2 * TOLERANCE * TOLERANCE;
-        for _ in 0..MAX_NUM_ITERATIONS {
-            if norm2 <= target {
-                break;
-            }
-            self.multiply(system, &direction, &mut product);
-            let curvature = dot(&direction, &product);
-            if curvature.is_nan() || curvature <= 0.0 {
-                return Err(indefinite);
-            }
-            let step = norm2 / curvature;
-            for i in 0..n {
-                x[i] += step * direction[i];
-                residual[i] -= step * product[i];
-            }
-            self.precondition(system, &residual, &mut z);
-            let next = dot(&residual, &z);
-            let turn = next / norm2;
-            norm2 = next;
-            for (d, z) in direction.iter_mut().zip(&z) {
-                *d = z + turn * *d;
-            }
-        }
-        if x.iter().all(|v| v.is_finite()) {
+        let solved = conjugate_gradients(
+            &system.rhs,
+            &mut x,
+            |x, out| self.multiply(system, x, out),
+            |r, out| self.precondition(system, r, out),
+            Stop {
+                tolerance: TOLERANCE,
+                max_num_iterations: MAX_NUM_ITERATIONS,
+            },
+        );
+        if solved.is_ok() && x.iter().all(|v| v.is_finite()) {
             Ok(x)
         } else {
             Err(indefinite)
@@ -119,8 +102,4 @@ impl ConjugateGradients {
             z[i] = sum / row[0];
         }
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
 }

@@ -1,6 +1,6 @@
 //! Options of the robust fit.
 
-use rilievo_scene::{OptionError, in_range};
+use rilievo_scene::{OptionError, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// Options of [`super::fit_robust`].
@@ -54,21 +54,16 @@ impl FitOptions {
     /// # Errors
     /// Names the first one that is out of its range.
     pub fn validate(&self) -> Result<(), OptionError> {
-        in_range("order", self.order, 1..=2)?;
-        in_range("huber_sigmas", self.huber_sigmas, 0.001..=1000.0)?;
-        in_range(
-            "redescending_sigmas",
-            self.redescending_sigmas,
-            0.001..=1000.0,
-        )?;
-        in_range("noise_floor", self.noise_floor, 1e-6..=1000.0)?;
-        in_range("max_num_iterations", self.max_num_iterations, 0..=1000)?;
-        in_range("start_quantile", self.start_quantile, 0.0..=1.0)?;
-        in_range("start_left_out", self.start_left_out, 0.0..=0.899)?;
-        in_range(
-            "max_condition",
-            self.max_condition,
-            1.0..=Self::ANY_CONDITION,
+        check_ranges!(
+            self;
+            order in 1..=2,
+            huber_sigmas in 0.001..=1000.0,
+            redescending_sigmas in 0.001..=1000.0,
+            noise_floor in 1e-6..=1000.0,
+            max_num_iterations in 0..=1000,
+            start_quantile in 0.0..=1.0,
+            start_left_out in 0.0..=0.899,
+            max_condition in 1.0..=Self::ANY_CONDITION,
         )
     }
 }

@@ -21,18 +21,12 @@ pub fn read_spheres(
     let mut found = Vec::new();
     for (view, camera) in posed.views.iter().enumerate() {
         let photo = &photos.photos[camera.photo.0];
-        let seen = |sphere| SphereInCamera::seen(sphere, &camera.cam_from_world);
-        let spheres: Vec<SphereInCamera> = posed.spheres.iter().map(seen).collect();
+        let spheres = SphereInCamera::all_seen(posed, camera);
         if spheres.is_empty() {
             break;
         }
         let image = photo.linear()?;
-        let shot = Shot {
-            image: &image,
-            object: photo.mask.as_deref(),
-            clip_level: photo.clip_level,
-            intrinsics: &camera.intrinsics,
-        };
+        let shot = Shot::new(photo, &image, camera);
         let world_from_cam = camera.cam_from_world.rotation.inverse();
         for (k, sphere) in spheres.iter().enumerate() {
             let samples = shot.samples(sphere, &spheres, options);

@@ -6,7 +6,7 @@
 
 use crate::sphere::SphereInCamera;
 use nalgebra::{Point2, Vector3};
-use rilievo_scene::{Intrinsics, LinearImage, Mask, NormalMap};
+use rilievo_scene::{Intrinsics, LinearImage, Mask, NormalMap, Photo, PosedView};
 
 /// Which pixels count.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -101,7 +101,17 @@ pub struct Shot<'a> {
     pub intrinsics: &'a Intrinsics,
 }
 
-impl Shot<'_> {
+impl<'a> Shot<'a> {
+    /// A photo of the set with its pixels, by the camera of its view.
+    pub fn new(photo: &'a Photo, image: &'a LinearImage, view: &'a PosedView) -> Self {
+        Self {
+            image,
+            object: photo.mask.as_deref(),
+            clip_level: photo.clip_level,
+            intrinsics: &view.intrinsics,
+        }
+    }
+
     /// Samples of a sphere that `others` may hide.
     pub fn samples(
         &self,

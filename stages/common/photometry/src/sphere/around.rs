@@ -8,7 +8,6 @@ use super::cone::SphereInCamera;
 use super::error::SphereError;
 use super::locate::SphereFit;
 use super::posed_image::PosedImage;
-use nalgebra::Point2;
 use rilievo_scene::{Intrinsics, LinearImage, Mask, PhotoSet, PosedView};
 use std::sync::Arc;
 
@@ -68,22 +67,14 @@ struct Part {
 
 /// The part of a photo in which a sphere's outline is looked for; `None` outside the frame.
 fn part_around(sphere: &SphereInCamera, intrinsics: &Intrinsics, search_px: f64) -> Option<Part> {
-    let outline = sphere.outline(intrinsics, NUM_EXTENT_POINTS);
     // Samples reach two pixels beyond the search, and interpolation one more.
     let room = ROOM_IN_RADII * sphere.radius_px(intrinsics) + search_px + 3.0;
-    let extent = |pick: fn(&Point2<f64>) -> f64, size: usize| {
-        let low = outline.iter().map(pick).fold(f64::INFINITY, f64::min) - room;
-        let high = outline.iter().map(pick).fold(f64::NEG_INFINITY, f64::max) + room;
-        let (low, high) = (low.floor().max(0.0), high.ceil().min(size as f64 - 1.0));
-        (low <= high).then(|| (low as usize, (high - low) as usize + 1))
-    };
-    let (x0, width) = extent(|p| p.x, intrinsics.width)?;
-    let (y0, height) = extent(|p| p.y, intrinsics.height)?;
+    let [columns, rows] = sphere.part_of_frame(intrinsics, NUM_EXTENT_POINTS, room)?;
     Some(Part {
-        x0,
-        y0,
-        width,
-        height,
+        x0: *columns.start(),
+        y0: *rows.start(),
+        width: columns.count(),
+        height: rows.count(),
     })
 }
 
@@ -122,7 +113,7 @@ impl Part {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Point3;
+    use nalgebra::{Point2, Point3};
 
     #[test]
     fn a_part_shows_what_the_photo_shows_and_ends_at_its_frame() {

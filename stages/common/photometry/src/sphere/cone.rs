@@ -12,8 +12,9 @@
 
 use super::error::SphereError;
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
-use rilievo_scene::{Intrinsics, LocatedSphere, RigidTransform};
+use rilievo_scene::{Intrinsics, LocatedSphere, PosedView, PosedViews, RigidTransform};
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 
 /// A sphere in a camera's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -72,6 +73,12 @@ impl SphereInCamera {
         }
     }
 
+    /// All spheres of the world in a view's frame.
+    pub fn all_seen(posed: &PosedViews, view: &PosedView) -> Vec<Self> {
+        let seen = |located| Self::seen(located, &view.cam_from_world);
+        posed.spheres.iter().map(seen).collect()
+    }
+
     /// The cone of its outline; `None` when the camera is inside or it lies behind.
     pub fn cone(&self) -> Option<OutlineCone> {
         let distance = self.center.coords.norm();
@@ -112,18 +119,42 @@ impl SphereInCamera {
             .collect()
     }
 
+    /// Lowest and highest coordinate of its outline along columns and rows, by so many points; `None`
+    /// where any of them lies behind the camera.
+    fn extent(&self, intrinsics: &Intrinsics, num_points: usize) -> Option<[[f64; 2]; 2]> {
+        let outline = self.outline(intrinsics, num_points);
+        let range = |axis: usize| {
+            let ends = [f64::INFINITY, f64::NEG_INFINITY];
+            let along = outline.iter().map(|p| p[axis]);
+            along.fold(ends, |[low, high], x| [low.min(x), high.max(x)])
+        };
+        (outline.len() == num_points).then(|| [range(0), range(1)])
+    }
+
     /// Whether any part of its outline's extent lies in the frame.
     pub fn is_in_frame(&self, intrinsics: &Intrinsics) -> bool {
-        const NUM_POINTS: usize = 64;
-        let outline = self.outline(intrinsics, NUM_POINTS);
-        let overlaps = |pick: fn(&Point2<f64>) -> f64, size: usize| {
-            let low = outline.iter().map(pick).fold(f64::INFINITY, f64::min);
-            let high = outline.iter().map(pick).fold(f64::NEG_INFINITY, f64::max);
-            low <= size as f64 - 0.5 && high >= -0.5
+        let size = [intrinsics.width, intrinsics.height];
+        let extent = self.extent(intrinsics, 64);
+        extent.is_some_and(|extent| {
+            let mut sides = extent.iter().zip(size);
+            sides.all(|([low, high], size)| *low <= size as f64 - 0.5 && *high >= -0.5)
+        })
+    }
+
+    /// Columns and rows of the frame that its outline reaches, widened by `room_px`; `None` where none does.
+    pub(super) fn part_of_frame(
+        &self,
+        intrinsics: &Intrinsics,
+        num_points: usize,
+        room_px: f64,
+    ) -> Option<[RangeInclusive<usize>; 2]> {
+        let within = |[low, high]: [f64; 2], size: usize| {
+            let low = (low - room_px).floor().max(0.0);
+            let high = (high + room_px).ceil().min(size as f64 - 1.0);
+            (low <= high).then_some(low as usize..=high as usize)
         };
-        outline.len() == NUM_POINTS
-            && overlaps(|p| p.x, intrinsics.width)
-            && overlaps(|p| p.y, intrinsics.height)
+        let [x, y] = self.extent(intrinsics, num_points)?;
+        Some([within(x, intrinsics.width)?, within(y, intrinsics.height)?])
     }
 
     /// Mean radius of the outline in pixels, close to the optical axis exact.
@@ -174,27 +205,11 @@ impl SphereInCamera {
 
     /// All pixels of the frame that see the sphere, at least `margin_px` inside its outline.
     pub fn pixels(&self, intrinsics: &Intrinsics, margin_px: f64) -> Vec<SpherePixel> {
-        let outline = self.outline(intrinsics, 256);
-        if outline.len() < 256 {
-            return Vec::new();
-        }
-        let extent = |pick: fn(&Point2<f64>) -> f64, limit: usize| {
-            let low = outline.iter().map(pick).fold(f64::INFINITY, f64::min);
-            let high = outline.iter().map(pick).fold(f64::NEG_INFINITY, f64::max);
-            let low = low.floor().max(0.0);
-            let high = high.ceil().min(limit as f64 - 1.0);
-            (low <= high).then_some((low as usize)..=(high as usize))
-        };
-        let (Some(columns), Some(rows)) = (
-            extent(|p| p.x, intrinsics.width),
-            extent(|p| p.y, intrinsics.height),
-        ) else {
+        let part = self.part_of_frame(intrinsics, 256, 0.0);
+        let (Some([columns, rows]), Some(cone)) = (part, self.cone()) else {
             return Vec::new();
         };
         // The margin in pixels as an angle off the outline; the same all around to first order.
-        let Some(cone) = self.cone() else {
-            return Vec::new();
-        };
         let margin = margin_px * cone.half_angle / self.radius_px(intrinsics).max(1e-9);
         let limit = (cone.half_angle - margin).max(0.0).cos();
         let mut pixels = Vec::new();

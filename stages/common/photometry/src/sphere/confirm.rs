@@ -39,14 +39,8 @@ pub(super) fn confirm(
     let evidence = seen.filter_map(|view| {
         let sphere = view.sphere(located);
         let cone = sphere.cone()?;
-        let found = refine_outline(
-            &view.image,
-            &view.intrinsics,
-            &sphere,
-            options.search_px,
-            view.object.as_deref(),
-            Effort::Thorough,
-        );
+        let photo = view.as_photo();
+        let found = refine_outline(&photo, &sphere, options.search_px, Effort::Thorough);
         if found.visible_share() < MIN_VISIBLE {
             return None;
         }
@@ -57,7 +51,7 @@ pub(super) fn confirm(
         Some(MarkEvidence {
             photo: view.photo,
             edge_share: on_outline.count() as f64 / found.num_searched.max(1) as f64,
-            shading_residual: shading(&view.as_photo(), &cone).map(|found| found.residual),
+            shading_residual: shading(&photo, &cone).map(|found| found.residual),
         })
     });
     evidence.collect()

@@ -1,6 +1,6 @@
 //! Why a sphere could not be located.
 
-use rilievo_scene::{OptionError, PhotoIdx};
+use rilievo_scene::{OptionError, PhotoIdx, PixelError};
 
 /// Failures of the sphere's geometry.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -127,7 +127,7 @@ pub enum SphereError {
     },
     /// Pixels of a photo could not be had.
     #[error(transparent)]
-    Pixels(#[from] PixelFailure),
+    Pixels(#[from] PixelError),
 }
 
 /// A share for the eye; what exceeds the whole tells no more by its digits.
@@ -136,24 +136,5 @@ fn percent(share: f64) -> String {
         format!("{:.0} %", 100.0 * share)
     } else {
         "more than 100 %".to_owned()
-    }
-}
-
-/// A photo whose pixels could not be read.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("pixels of {name} cannot be read: {reason}")]
-pub struct PixelFailure {
-    /// The photo.
-    pub name: String,
-    /// What went wrong.
-    pub reason: String,
-}
-
-impl From<rilievo_scene::PixelError> for SphereError {
-    fn from(error: rilievo_scene::PixelError) -> Self {
-        Self::Pixels(PixelFailure {
-            name: error.name,
-            reason: error.reason,
-        })
     }
 }

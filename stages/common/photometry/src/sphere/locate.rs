@@ -116,20 +116,13 @@ pub fn locate(
         .iter()
         .map(|view| cone_from_points(&view.outline, &view.intrinsics, options))
         .collect();
-    let known: Vec<Known> = views
-        .iter()
-        .zip(&marks)
-        .enumerate()
-        .filter_map(|(idx, (view, mark))| {
-            let mark = mark.as_ref().ok()?;
-            Some(Known::new(idx, view, mark))
-        })
+    let marked = views.iter().zip(&marks).enumerate();
+    let known: Vec<Known> = marked
+        .filter_map(|(idx, (view, mark))| Some(Known::new(idx, view, mark.as_ref().ok()?)))
         .collect();
     if known.is_empty() {
-        return Err(match marks.into_iter().find_map(Result::err) {
-            Some(error) => error,
-            None => SphereError::NoView,
-        });
+        let first = marks.into_iter().find_map(Result::err);
+        return Err(first.unwrap_or(SphereError::NoView));
     }
     if known.len() == 1 && scale == WorldScale::Free {
         return Err(SphereError::OneView);
@@ -142,12 +135,12 @@ pub fn locate(
     let mut solution = None;
     // Twice: views that the refined sphere no longer explains leave, others come in.
     for _ in 0..3 {
-        let active: Vec<&Known> = known
-            .iter()
-            .zip(&used)
-            .filter_map(|(k, &u)| u.then_some(k))
-            .collect();
-        let refined = refine(state, &active, scale == WorldScale::Free, options)?;
+        let refined = refine(
+            state,
+            &in_use(&known, &used),
+            scale == WorldScale::Free,
+            options,
+        )?;
         state = refined.state;
         solution = Some(refined);
         let next: Vec<bool> = known
@@ -164,10 +157,11 @@ pub fn locate(
     let Some(solution) = solution else {
         return Err(SphereError::NoView);
     };
-    let center_sigma = solution.center_sigma;
-    let mut agreements = Vec::with_capacity(views.len());
-    for (idx, (view, mark)) in views.iter().zip(&marks).enumerate() {
-        let entry = match mark {
+    let agreements: Vec<ViewAgreement> = views
+        .iter()
+        .zip(&marks)
+        .enumerate()
+        .map(|(idx, (view, mark))| match mark {
             Err(error) => ViewAgreement {
                 photo: view.photo,
                 used: false,
@@ -195,19 +189,15 @@ pub fn locate(
                     }),
                 }
             }
-        };
-        agreements.push(entry);
-    }
+        })
+        .collect();
     let seen_in = agreements
         .iter()
         .filter(|view| view.used)
         .map(|view| (view.photo, view.rms_px))
         .collect();
-    let active: Vec<&Known> = known
-        .iter()
-        .zip(&used)
-        .filter_map(|(k, &u)| u.then_some(k))
-        .collect();
+    let center_sigma = solution.center_sigma;
+    let active = in_use(&known, &used);
     let with_radius = match scale {
         WorldScale::Free => Some(solution),
         // The outlines' own radius, whatever was stated.
@@ -233,6 +223,12 @@ pub fn locate(
         views: agreements,
         evidence: Vec::new(),
     })
+}
+
+/// The views that take part.
+fn in_use<'a, 'b>(known: &'a [Known<'b>], used: &[bool]) -> Vec<&'a Known<'b>> {
+    let views = known.iter().zip(used);
+    views.filter_map(|(k, &used)| used.then_some(k)).collect()
 }
 
 /// Sphere in the world, the state of the fit.
@@ -326,14 +322,9 @@ fn consensus(
     let mut proposals = Vec::new();
     if scale == WorldScale::Metric {
         proposals.extend(known.iter().map(|k| {
-            State {
-                center: k
-                    .view
-                    .cam_from_world
-                    .inverse()
-                    .apply(&k.cone.sphere(radius).center),
-                radius,
-            }
+            let world_from_cam = k.view.cam_from_world.inverse();
+            let center = world_from_cam.apply(&k.cone.sphere(radius).center);
+            State { center, radius }
         }));
     }
     // Many views: pairs a few steps apart suffice and bound the work.
@@ -394,24 +385,44 @@ fn consensus(
     Ok((best, used))
 }
 
-/// Nearest point of two axes, and the radius that their half-angles give there.
+/// Where the axes of two outlines come nearest to each other.
+pub(super) struct Crossing {
+    /// The place, world frame.
+    pub center: Point3<f64>,
+    /// The radius that each half-angle gives there.
+    pub radii: [f64; 2],
+    /// Sum of its distances from both axes.
+    pub gap: f64,
+    /// Sine of the angle between the axes.
+    pub sine: f64,
+}
+
+/// The crossing of two outlines' axes, each with its camera's pose; `None` where they are parallel.
+pub(super) fn crossing(
+    cam_from_world: [&RigidTransform; 2],
+    cones: [&OutlineCone; 2],
+) -> Option<Crossing> {
+    let eyes = cam_from_world.map(RigidTransform::center_in_source);
+    let axis = |k: usize| cam_from_world[k].rotation.inverse() * cones[k].axis;
+    let axes = [axis(0), axis(1)];
+    let across = axes.map(|d| Matrix3::identity() - d * d.transpose());
+    let pull = across[0] * eyes[0].coords + across[1] * eyes[1].coords;
+    let center = Point3::from((across[0] + across[1]).try_inverse()? * pull);
+    let from = eyes.map(|eye| center - eye);
+    Some(Crossing {
+        center,
+        radii: [0, 1].map(|k| from[k].norm() * cones[k].half_angle.sin()),
+        gap: (across[0] * from[0]).norm() + (across[1] * from[1]).norm(),
+        sine: axes[0].cross(&axes[1]).norm(),
+    })
+}
+
+/// The sphere that two outlines propose.
 fn from_pair(a: &Known, b: &Known) -> Option<State> {
-    let axis = |k: &Known| k.view.cam_from_world.rotation.inverse() * k.cone.axis;
-    let (da, db) = (axis(a), axis(b));
-    let (ca, cb) = (
-        a.view.cam_from_world.center_in_source(),
-        b.view.cam_from_world.center_in_source(),
-    );
-    let across = |d: &Vector3<f64>| Matrix3::identity() - d * d.transpose();
-    let (pa, pb) = (across(&da), across(&db));
-    let center = (pa + pb).try_inverse()? * (pa * ca.coords + pb * cb.coords);
-    let center = Point3::from(center);
-    let radius = 0.5
-        * ((center - ca).norm() * a.cone.half_angle.sin()
-            + (center - cb).norm() * b.cone.half_angle.sin());
-    let in_front = [a, b]
-        .iter()
-        .all(|k| k.view.cam_from_world.apply(&center).z > 0.0);
+    let poses = [&a.view.cam_from_world, &b.view.cam_from_world];
+    let Crossing { center, radii, .. } = crossing(poses, [&a.cone, &b.cone])?;
+    let radius = 0.5 * (radii[0] + radii[1]);
+    let in_front = poses.iter().all(|pose| pose.apply(&center).z > 0.0);
     (in_front && radius.is_finite() && radius > 0.0).then_some(State { center, radius })
 }
 

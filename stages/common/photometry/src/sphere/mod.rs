@@ -8,11 +8,11 @@
 //!
 //! * [`SphereInCamera`]: normals, outline and ellipse of a known sphere.
 //! * [`OutlineCone`]: the cone from outline points, masks, ellipses or circles.
-//! * [`locate`]: one centre, and the world's scale, from marks in many posed views.
-//! * [`common_scale`]: the world's scale from several spheres.
+//! * `locate`: one centre, and the world's scale, from marks in many posed views.
+//! * `several`: the world's scale from several spheres.
 //! * [`locate_request`]: all spheres from what the user said, refined on the images.
-//! * [`refine_outline`]: outline points at sub-pixel precision on the image.
-//! * [`detect`]: finding spheres without marks.
+//! * `refine`: outline points at sub-pixel precision on the image.
+//! * `detect`: finding spheres without marks.
 
 mod around;
 mod cone;
@@ -31,15 +31,12 @@ mod request;
 mod several;
 mod shading;
 
-pub use cone::{EllipsePx, OutlineCone, SphereInCamera, SpherePixel};
+pub use cone::{OutlineCone, SphereInCamera};
 pub use confirm::MarkEvidence;
-pub use detect::{Detected, detect, detect_in_photo};
+pub use detect::detect_in_photo;
 pub use error::SphereError;
-pub use locate::{PosedOutline, ScaleEstimate, SphereFit, ViewAgreement, WorldScale, locate};
-pub use mark::{MarkFit, check_marked_points, cone_from_mark, cone_from_points, outline_of_mark};
+pub use locate::{ScaleEstimate, SphereFit, ViewAgreement, WorldScale};
+pub use mark::{check_marked_points, cone_from_mark, outline_of_mark};
 pub use options::SphereOptions;
-pub use posed_image::{PosedImage, load_posed_images};
-pub use refine::{Effort, RefinedOutline, refine_outline};
-pub use refit::refine_in_views;
 pub use request::{LocatedSpheres, locate_request};
-pub use several::{CommonScale, ScaleContradiction, ScaleOutcome, common_scale, overlap};
+pub use several::{CommonScale, ScaleContradiction, ScaleOutcome};

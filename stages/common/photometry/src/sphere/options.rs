@@ -1,6 +1,6 @@
 //! Options of the sphere's geometry and detection.
 
-use rilievo_scene::{OptionError, in_range};
+use rilievo_scene::{OptionError, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// How outlines are fitted and the sphere is located.
@@ -59,23 +59,18 @@ impl SphereOptions {
     /// # Errors
     /// Names the first one that is out of its range.
     pub fn validate(&self) -> Result<(), OptionError> {
-        in_range("inlier_px", self.inlier_px, 0.01..=100.0)?;
-        in_range("min_inlier_share", self.min_inlier_share, 0.0..=1.0)?;
-        in_range("outline_bias_px", self.outline_bias_px, 0.0..=100.0)?;
-        in_range("radius_sigma", self.radius_sigma, 0.0..=1.0)?;
-        in_range("search_px", self.search_px, 0.1..=200.0)?;
-        in_range("max_view_rms_px", self.max_view_rms_px, 0.01..=1000.0)?;
-        in_range("min_radius_share", self.min_radius_share, 0.001..=1.0)?;
-        in_range(
-            "max_radius_share",
-            self.max_radius_share,
-            self.min_radius_share..=2.0,
-        )?;
-        in_range("min_edge_support", self.min_edge_support, 0.0..=1.0)?;
-        in_range(
-            "max_shading_residual",
-            self.max_shading_residual,
-            1e-6..=100.0,
+        check_ranges!(
+            self;
+            inlier_px in 0.01..=100.0,
+            min_inlier_share in 0.0..=1.0,
+            outline_bias_px in 0.0..=100.0,
+            radius_sigma in 0.0..=1.0,
+            search_px in 0.1..=200.0,
+            max_view_rms_px in 0.01..=1000.0,
+            min_radius_share in 0.001..=1.0,
+            max_radius_share in self.min_radius_share..=2.0,
+            min_edge_support in 0.0..=1.0,
+            max_shading_residual in 1e-6..=100.0,
         )
     }
 }

@@ -15,6 +15,13 @@ pub(super) struct Photo<'a> {
     pub clip_level: f32,
 }
 
+impl Photo<'_> {
+    /// Whether a pixel shows the object.
+    pub fn is_object(&self, x: isize, y: isize) -> bool {
+        self.object.is_some_and(|mask| mask.contains(x, y))
+    }
+}
+
 /// A posed photo with its pixels.
 #[derive(Clone, Debug)]
 pub struct PosedImage {

@@ -20,9 +20,10 @@
 //! and the step's middle is the outline.
 
 use super::cone::{OutlineCone, SphereInCamera};
+use super::posed_image::Photo;
 use crate::harmonics::{FitOptions, fit_robust};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
-use rilievo_scene::{Intrinsics, LinearImage, Mask, SphericalHarmonics};
+use rilievo_scene::{LinearImage, Mask, SphericalHarmonics};
 
 /// Weakest step that counts, relative to the mean intensity around it; JPEG blocks and noise stay
 /// below.
@@ -37,7 +38,7 @@ const STEP_PX: f64 = 0.25;
 
 /// How much is done against shadows on the sphere.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Effort {
+pub(super) enum Effort {
     /// One fit of the sphere's brightness: to look at many candidates.
     Quick,
     /// Parts in shadow are told apart first.
@@ -46,7 +47,7 @@ pub enum Effort {
 
 /// Edge points found near a predicted outline.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct RefinedOutline {
+pub(super) struct RefinedOutline {
     /// The points, pixels.
     pub points: Vec<Point2<f64>>,
     /// Normals with an edge; those whose edge is much weaker than most are not in `points`.
@@ -69,16 +70,15 @@ impl RefinedOutline {
     }
 }
 
-/// Looks for the outline of `sphere` within `search_px` of its prediction. Pixels set in `exclude`
-/// (the object, in front of the sphere) are not looked at.
-pub fn refine_outline(
-    image: &LinearImage,
-    intrinsics: &Intrinsics,
+/// Looks for the outline of `sphere` within `search_px` of its prediction. Pixels of the object, in front
+/// of the sphere, are not looked at.
+pub(super) fn refine_outline(
+    photo: &Photo,
     sphere: &SphereInCamera,
     search_px: f64,
-    exclude: Option<&Mask>,
     effort: Effort,
 ) -> RefinedOutline {
+    let (image, intrinsics, exclude) = (photo.image, photo.intrinsics, photo.object);
     let mut found = RefinedOutline::default();
     let Some(cone) = sphere.cone() else {
         return found;
@@ -89,7 +89,7 @@ pub fn refine_outline(
     // Inside a small sphere the search must not cross to the far side.
     let inner_px = search_px.min(0.5 * radius_px);
     let mut profile = Profile::new(inner_px, search_px, image.channels);
-    let appearance = appearance(image, intrinsics, sphere, exclude, effort);
+    let appearance = appearance(photo, sphere, effort);
     let tangent = (sphere.center.coords.norm_squared() - sphere.radius * sphere.radius).sqrt();
     let wider = OutlineCone {
         half_angle: cone.half_angle * (1.0 + 1.0 / radius_px),
@@ -137,20 +137,19 @@ const MIN_RADIUS_PX: f64 = 8.0;
 ///
 /// The good pixels are told on the mean of the channels, so that a shadow is found once.
 fn appearance(
-    image: &LinearImage,
-    intrinsics: &Intrinsics,
+    photo: &Photo,
     sphere: &SphereInCamera,
-    exclude: Option<&Mask>,
     effort: Effort,
 ) -> Option<Vec<SphericalHarmonics>> {
-    let radius_px = sphere.radius_px(intrinsics);
+    let image = photo.image;
+    let radius_px = sphere.radius_px(photo.intrinsics);
     if radius_px < MIN_RADIUS_PX {
         return None;
     }
     let pixels: Vec<_> = sphere
-        .pixels(intrinsics, (0.06 * radius_px).max(2.0))
+        .pixels(photo.intrinsics, (0.06 * radius_px).max(2.0))
         .into_iter()
-        .filter(|p| !exclude.is_some_and(|mask| mask.contains(p.x as isize, p.y as isize)))
+        .filter(|p| !photo.is_object(p.x as isize, p.y as isize))
         .collect();
     // A smooth function of nine numbers: a thousand pixels tell it.
     let num_enough = match effort {
@@ -344,6 +343,7 @@ impl Profile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rilievo_scene::Intrinsics;
 
     /// A disc of constant brightness with exact coverage by supersampling.
     fn render(camera: &Intrinsics, sphere: &SphereInCamera) -> LinearImage {
@@ -378,12 +378,18 @@ mod tests {
             radius: 0.08,
         };
         let image = render(&camera, &truth);
-        let found = refine_outline(&image, &camera, &guess, 4.0, None, Effort::Thorough);
+        let photo = Photo {
+            image: &image,
+            intrinsics: &camera,
+            object: None,
+            clip_level: 1.0,
+        };
+        let found = refine_outline(&photo, &guess, 4.0, Effort::Thorough);
         assert!(found.support() > 0.99, "support {}", found.support());
-        let fit = super::super::cone_from_points(
+        let fit = crate::sphere::mark::cone_from_points(
             &found.points,
             &camera,
-            &super::super::SphereOptions::default(),
+            &crate::sphere::SphereOptions::default(),
         )
         .unwrap();
         let center = fit.cone.sphere(0.08).center;

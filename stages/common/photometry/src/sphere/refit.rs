@@ -4,6 +4,7 @@ use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
 use super::options::SphereOptions;
 use super::posed_image::PosedImage;
 use super::refine::{Effort, refine_outline};
+use nalgebra::Point2;
 use rilievo_scene::LocatedSphere;
 
 /// Repeats the fit on the edges found near the outline that it predicts, in all photos. Keeps the
@@ -38,24 +39,23 @@ fn edges_in_views(
     images
         .iter()
         .filter_map(|view| {
-            let found = refine_outline(
-                &view.image,
-                &view.intrinsics,
-                &view.sphere(sphere),
-                search_px,
-                view.object.as_deref(),
-                Effort::Thorough,
-            );
+            let predicted = view.sphere(sphere);
+            let found = refine_outline(&view.as_photo(), &predicted, search_px, Effort::Thorough);
             // A quarter of the outline still fixes the ellipse's centre across that arc.
             let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;
-            enough.then_some(PosedOutline {
-                photo: view.photo,
-                intrinsics: view.intrinsics,
-                cam_from_world: view.cam_from_world,
-                outline: found.points,
-            })
+            enough.then(|| outlined(view, found.points))
         })
         .collect()
+}
+
+/// A sphere's outline in a view.
+pub(super) fn outlined(view: &PosedImage, outline: Vec<Point2<f64>>) -> PosedOutline {
+    PosedOutline {
+        photo: view.photo,
+        intrinsics: view.intrinsics,
+        cam_from_world: view.cam_from_world,
+        outline,
+    }
 }
 
 fn with_missing(mut next: SphereFit, before: &SphereFit) -> SphereFit {

@@ -38,9 +38,7 @@ pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     let stride = pixels.len().div_ceil(1500).max(1);
     let (mut normals, mut values): (Vec<Vector3<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
     for pixel in pixels.iter().step_by(stride) {
-        let hidden = photo
-            .object
-            .is_some_and(|mask| mask.contains(pixel.x as isize, pixel.y as isize));
+        let hidden = photo.is_object(pixel.x as isize, pixel.y as isize);
         let channels = photo.image.pixel(pixel.x, pixel.y);
         let clipped = channels.iter().any(|&v| v >= 0.97 * photo.clip_level);
         if hidden || clipped || pixel.cos_view < 0.1 {

@@ -19,14 +19,14 @@ mod votes;
 
 use super::cone::{OutlineCone, SphereInCamera};
 use super::error::SphereError;
-use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
+use super::locate::{PosedOutline, SphereFit, WorldScale, crossing, locate};
 use super::options::SphereOptions;
 use super::posed_image::{Photo, PosedImage};
 use super::refine::{Effort, refine_outline};
-use super::refit::refine_in_views;
+use super::refit::{outlined, refine_in_views};
 use super::several::overlap;
 use super::shading::shading;
-use nalgebra::{Matrix3, Point3};
+use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_scene::{Intrinsics, LinearImage, LocatedSphere};
 use verify::Candidate;
@@ -213,12 +213,7 @@ fn confirmed(
 ) -> Result<SphereFit, SphereError> {
     let outlines: Vec<PosedOutline> = agreeing
         .iter()
-        .map(|&(view, candidate)| PosedOutline {
-            photo: images[view].photo,
-            intrinsics: images[view].intrinsics,
-            cam_from_world: images[view].cam_from_world,
-            outline: found[view][candidate].outline.clone(),
-        })
+        .map(|&(view, candidate)| outlined(&images[view], found[view][candidate].outline.clone()))
         .collect();
     let first = locate(&outlines, radius, scale, options)?;
     let fit = refine_in_views(images, first, radius, scale, options);
@@ -318,29 +313,18 @@ fn pair(
     view_b: &PosedImage,
     b: &Candidate,
 ) -> Option<(Point3<f64>, f64)> {
-    let axis_a = view_a.cam_from_world.rotation.inverse() * a.cone.axis;
-    let axis_b = view_b.cam_from_world.rotation.inverse() * b.cone.axis;
+    let poses = [&view_a.cam_from_world, &view_b.cam_from_world];
+    let found = crossing(poses, [&a.cone, &b.cone])?;
+    let radius = 0.5 * (found.radii[0] + found.radii[1]);
+    let in_front = poses
+        .iter()
+        .all(|pose| pose.apply(&found.center).z > radius);
     // Below two degrees the depth of the crossing is guesswork.
-    if axis_a.cross(&axis_b).norm() < 0.035 {
-        return None;
-    }
-    let (eye_a, eye_b) = (
-        view_a.cam_from_world.center_in_source(),
-        view_b.cam_from_world.center_in_source(),
-    );
-    let across = |d: &nalgebra::Vector3<f64>| Matrix3::identity() - d * d.transpose();
-    let (pa, pb) = (across(&axis_a), across(&axis_b));
-    let center = Point3::from((pa + pb).try_inverse()? * (pa * eye_a.coords + pb * eye_b.coords));
-    let radius_a = (center - eye_a).norm() * a.cone.half_angle.sin();
-    let radius_b = (center - eye_b).norm() * b.cone.half_angle.sin();
-    let radius = 0.5 * (radius_a + radius_b);
-    let gap = (pa * (center - eye_a)).norm() + (pb * (center - eye_b)).norm();
-    let in_front = view_a.cam_from_world.apply(&center).z > radius
-        && view_b.cam_from_world.apply(&center).z > radius;
-    (in_front
-        && gap < 2.0 * AGREEMENT * radius
-        && (radius_a / radius_b - 1.0).abs() < 2.0 * AGREEMENT)
-        .then_some((center, radius))
+    (found.sine >= 0.035
+        && in_front
+        && found.gap < 2.0 * AGREEMENT * radius
+        && (found.radii[0] / found.radii[1] - 1.0).abs() < 2.0 * AGREEMENT)
+        .then_some((found.center, radius))
 }
 
 /// Half width of the last look at the outline, pixels.
@@ -364,32 +348,19 @@ fn confirm(
         };
         let inside = view.intrinsics.project(&in_camera.center).is_some_and(|p| {
             let (x, y) = (p.x.round() as isize, p.y.round() as isize);
-            x >= 0
-                && y >= 0
-                && (x as usize) < view.intrinsics.width
-                && (y as usize) < view.intrinsics.height
-                && !view.object.as_ref().is_some_and(|mask| mask.contains(x, y))
+            let camera = &view.intrinsics;
+            (0..camera.width as isize).contains(&x)
+                && (0..camera.height as isize).contains(&y)
+                && !view.as_photo().is_object(x, y)
         });
-        if inside {
-            num_expected += 1;
-        }
-        if fit
-            .sphere
-            .seen_in
-            .iter()
-            .any(|(photo, _)| *photo == view.photo)
-        {
-            let found = shading(&view.as_photo(), &cone);
+        num_expected += usize::from(inside);
+        let mut seen_in = fit.sphere.seen_in.iter();
+        if seen_in.any(|(photo, _)| *photo == view.photo) {
+            let photo = view.as_photo();
+            let found = shading(&photo, &cone);
             residuals.extend(found.map(|s| s.residual));
             explained.extend(found.map(|s| s.explained));
-            let outline = refine_outline(
-                &view.image,
-                &view.intrinsics,
-                &in_camera,
-                CONFIRM_PX,
-                view.object.as_deref(),
-                Effort::Thorough,
-            );
+            let outline = refine_outline(&photo, &in_camera, CONFIRM_PX, Effort::Thorough);
             supports.push(outline.support());
             // Too few unclipped pixels say nothing; a photo that contradicts counts against it.
             if found.is_some_and(|s| !s.is_sphere(2.0 * options.max_shading_residual)) {

@@ -58,14 +58,7 @@ pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) ->
         3.0,
         2.0,
     ] {
-        let found = refine_outline(
-            photo.image,
-            photo.intrinsics,
-            &cone.sphere(1.0),
-            search_px,
-            photo.object,
-            Effort::Quick,
-        );
+        let found = refine_outline(photo, &cone.sphere(1.0), search_px, Effort::Quick);
         if found.visible_share() < 0.3 {
             return None;
         }
