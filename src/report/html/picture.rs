@@ -25,17 +25,9 @@ pub struct Window {
 impl Window {
     /// Everything with a depth, and a margin; the whole frame where nothing has one.
     pub fn around(depth: &DepthMap) -> Self {
-        let (mut x0, mut x1, mut y0, mut y1) = (usize::MAX, 0, usize::MAX, 0);
-        for (index, &z) in depth.data.iter().enumerate() {
-            if z > 0.0 {
-                let (x, y) = (index % depth.width, index / depth.width);
-                (x0, x1) = (x0.min(x), x1.max(x));
-                (y0, y1) = (y0.min(y), y1.max(y));
-            }
-        }
-        if x0 > x1 {
+        let Some([[x0, x1], [y0, y1]]) = depth.bounds(|&z| z > 0.0) else {
             return Self::whole(depth.width, depth.height);
-        }
+        };
         let margin = (x1 - x0).max(y1 - y0) / 20 + 2;
         let (x0, y0) = (x0.saturating_sub(margin), y0.saturating_sub(margin));
         Self {

@@ -182,21 +182,7 @@ enum GroupKey {
 impl GroupKey {
     fn of(facts: &PhotoFacts) -> Self {
         if facts.focal_source == FocalSource::CameraFile {
-            let i = &facts.intrinsics;
-            let d = &i.distortion;
-            return Self::Given([
-                i.width as u64,
-                i.height as u64,
-                i.fx.to_bits(),
-                i.fy.to_bits(),
-                i.cx.to_bits(),
-                i.cy.to_bits(),
-                d.k1.to_bits(),
-                d.k2.to_bits(),
-                d.p1.to_bits(),
-                d.p2.to_bits(),
-                d.k3.to_bits(),
-            ]);
+            return Self::Given(facts.intrinsics.key());
         }
         let exif = &facts.exif;
         Self::Exif {

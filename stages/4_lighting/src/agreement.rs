@@ -25,7 +25,7 @@ use crate::residual::residual_of;
 use crate::side::{Patch, Side};
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_numerics::robust::median;
-use rilievo_photometry::harmonics::dominant_direction;
+use rilievo_photometry::harmonics::{Reading, dominant_direction};
 use rilievo_photometry::samples::{NUM_CELLS, cell_of};
 use rilievo_scene::{LightKind, Lighting, Observer};
 
@@ -215,7 +215,7 @@ impl<'a> Frames<'a> {
         for patch in patches {
             let share = options.max_num_samples / patches.len();
             let (rotation, gain) = (self.rotation(patch), &self.gains[patch.view]);
-            pool.add(&patch.samples, &rotation, gain, share);
+            pool.add(&patch.samples.readings, &rotation, gain, share);
         }
         Some(pool.fit("a sphere", options).ok()?.lighting())
     }
@@ -225,8 +225,8 @@ impl<'a> Frames<'a> {
         let mut shown = vec![false; NUM_CELLS];
         for patch in patches {
             let rotation = self.rotation(patch);
-            for normal in &patch.samples.normals {
-                shown[cell_of(&(rotation * normal))] = true;
+            for reading in &patch.samples.readings {
+                shown[cell_of(&(rotation * reading.normal))] = true;
             }
         }
         shown
@@ -243,71 +243,67 @@ impl<'a> Frames<'a> {
             };
             let shown = self.shown(&group.patches[by]);
             for patch in &group.patches[k] {
-                common.push(self.common(patch, &shown, own, other));
+                common.extend(self.common(patch, &shown, own, other));
             }
             if let (Some(a), Some(b)) = (dominant_direction(own), dominant_direction(other)) {
                 angles.push(a.angle(&b).to_degrees());
             }
         }
-        let num_common: usize = common.iter().map(|c| c.values.len()).sum();
-        if num_common < MIN_COMMON {
+        if common.len() < MIN_COMMON {
             return None;
         }
         let ratio: Vec<f64> = (0..num_channels)
             .map(|channel| {
-                let mut ratios: Vec<f64> = common
-                    .iter()
-                    .flat_map(|c| c.values.iter().zip(&c.other).zip(&c.usable))
-                    .filter(|((_, other), usable)| usable[channel] && other[channel] > 1e-4)
-                    .map(|((value, other), _)| value[channel] / other[channel])
-                    .collect();
-                median(&mut ratios).unwrap_or(1.0)
+                let usable = |c: &&Common| c.reading.usable[channel] && c.other[channel] > 1e-4;
+                let ratios = common.iter().filter(usable);
+                let ratios = ratios.map(|c| c.reading.values[channel] / c.other[channel]);
+                median(&mut ratios.collect::<Vec<_>>()).unwrap_or(1.0)
             })
             .collect();
-        let residual = |predicted: &dyn Fn(&Common, usize, usize) -> f64| {
+        let residual = |predicted: &dyn Fn(&Common, usize) -> f64| {
             residual_of(common.iter().flat_map(|c| {
-                (0..c.values.len()).flat_map(move |i| {
-                    let usable = (0..num_channels).filter(move |&channel| c.usable[i][channel]);
-                    usable.map(move |channel| (c.values[i][channel], predicted(c, i, channel)))
-                })
+                let usable = (0..num_channels).filter(|&channel| c.reading.usable[channel]);
+                usable.map(move |channel| (c.reading.values[channel], predicted(c, channel)))
             }))
         };
-        let scaled = |c: &Common, i: usize, channel: usize| ratio[channel] * c.other[i][channel];
         Some(Comparison {
-            rms: residual(&scaled)?,
-            own_rms: residual(&|c, i, channel| c.own[i][channel])?,
+            rms: residual(&|c, channel| ratio[channel] * c.other[channel])?,
+            own_rms: residual(&|c, channel| c.own[channel])?,
             direction_deg: median(&mut angles),
             ratio,
         })
     }
 
     /// A patch's pixels at normals that the other sphere shows.
-    fn common(&self, patch: &Patch, shown: &[bool], own: &Lighting, other: &Lighting) -> Common {
-        let mut common = Common::default();
+    fn common(
+        &self,
+        patch: &Patch,
+        shown: &[bool],
+        own: &Lighting,
+        other: &Lighting,
+    ) -> Vec<Common> {
         let (rotation, gain) = (self.rotation(patch), &self.gains[patch.view]);
         let under = |light: &Lighting, normal: &Vector3<f64>| -> Vec<f64> {
             light.channels.iter().map(|l| l.evaluate(normal)).collect()
         };
-        let samples = &patch.samples;
-        for k in 0..samples.normals.len() {
-            let normal = rotation * samples.normals[k];
-            if shown[cell_of(&normal)] {
-                let values = samples.values[k].iter().zip(gain).map(|(v, g)| v / g);
-                common.values.push(values.collect());
-                common.usable.push(samples.usable[k].clone());
-                common.own.push(under(own, &normal));
-                common.other.push(under(other, &normal));
-            }
-        }
+        let readings = patch.samples.readings.iter();
+        let turned = readings.map(|reading| reading.turned(&rotation, gain));
+        let common = turned.filter(|reading| shown[cell_of(&reading.normal)]);
         common
+            .map(|reading| Common {
+                own: under(own, &reading.normal),
+                other: under(other, &reading.normal),
+                reading,
+            })
+            .collect()
     }
 }
 
-/// Pixels at normals that two spheres show: observed, under the own light, under the other's.
-#[derive(Default)]
+/// A pixel at a normal that two spheres show.
 struct Common {
-    values: Vec<Vec<f64>>,
-    usable: Vec<Vec<bool>>,
-    own: Vec<Vec<f64>>,
-    other: Vec<Vec<f64>>,
+    reading: Reading,
+    /// Its channels under the sphere's own light.
+    own: Vec<f64>,
+    /// The same under the other's.
+    other: Vec<f64>,
 }

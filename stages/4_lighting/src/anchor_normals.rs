@@ -9,6 +9,7 @@
 
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
+use rilievo_photometry::harmonics::Reading;
 use rilievo_scene::{LinearImage, PosedViews};
 
 /// Nearest anchors of a plane. Fewer follow the noise, more round the shape off.
@@ -112,64 +113,49 @@ fn plane_normal(positions: &[Point3<f64>], at: usize) -> Option<Vector3<f64>> {
     result
 }
 
-/// Anchors as one view sees them: normal in its camera, and the channels around the pixel.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct AnchorSamples {
-    /// Normals, camera frame.
-    pub normals: Vec<Vector3<f64>>,
-    /// Mean channels of 3 by 3 pixels.
-    pub values: Vec<Vec<f64>>,
-    /// Which channels are not clipped.
-    pub usable: Vec<Vec<bool>>,
-    /// Anchor index of each sample.
-    pub anchors: Vec<usize>,
+/// An anchor as one view sees it: its normal in the camera, and the mean of 3 by 3 pixels.
+#[derive(Clone, Debug)]
+pub(crate) struct AnchorReading {
+    /// The anchor.
+    pub anchor: usize,
+    /// What the view shows of it.
+    pub reading: Reading,
 }
 
-impl AnchorSamples {
-    /// The sightings of every other block of anchors; an anchor is in the same half in all views.
-    pub fn half(&self, parity: usize) -> Self {
-        let mut half = Self::default();
-        for k in (0..self.anchors.len()).filter(|&k| self.anchors[k] / BLOCK % 2 == parity) {
-            half.normals.push(self.normals[k]);
-            half.values.push(self.values[k].clone());
-            half.usable.push(self.usable[k].clone());
-            half.anchors.push(self.anchors[k]);
-        }
-        half
-    }
+/// The sightings of every other block of anchors; an anchor is in the same half in all views.
+pub(crate) fn half(seen: &[AnchorReading], parity: usize) -> Vec<AnchorReading> {
+    let in_half = |seen: &&AnchorReading| seen.anchor / BLOCK % 2 == parity;
+    seen.iter().filter(in_half).cloned().collect()
 }
 
-/// Collects them for one view.
+/// All anchors that one view sees.
 pub(crate) fn seen_by(
     posed: &PosedViews,
     oriented: &[OrientedAnchor],
     view: usize,
     image: &LinearImage,
     clip_limit: f64,
-) -> AnchorSamples {
+) -> Vec<AnchorReading> {
     let rotation: UnitQuaternion<f64> = posed.views[view].cam_from_world.rotation;
-    let mut samples = AnchorSamples::default();
-    for entry in oriented {
-        let anchor = &posed.anchors[entry.anchor];
-        let Some(seen) = anchor.observations.iter().find(|o| o.view.0 == view) else {
-            continue;
-        };
-        if let Some((values, usable)) = around(image, seen.pixel, clip_limit) {
-            samples.normals.push(rotation * entry.normal_in_world);
-            samples.values.push(values);
-            samples.usable.push(usable);
-            samples.anchors.push(entry.anchor);
-        }
-    }
-    samples
+    let seen = oriented.iter().filter_map(|entry| {
+        let mut observations = posed.anchors[entry.anchor].observations.iter();
+        let seen = observations.find(|o| o.view.0 == view)?;
+        let normal = rotation * entry.normal_in_world;
+        Some(AnchorReading {
+            anchor: entry.anchor,
+            reading: around(image, seen.pixel, clip_limit, normal)?,
+        })
+    });
+    seen.collect()
 }
 
-/// Mean of the 3 by 3 pixels around a position, and which channels are unclipped in all of them.
-pub(crate) fn around(
+/// Mean of the 3 by 3 pixels around a position, with the channels that are unclipped in all of them.
+fn around(
     image: &LinearImage,
     pixel: [f64; 2],
     clip_limit: f64,
-) -> Option<(Vec<f64>, Vec<bool>)> {
+    normal: Vector3<f64>,
+) -> Option<Reading> {
     let (x, y) = (pixel[0].round(), pixel[1].round());
     if !(x >= 1.0 && y >= 1.0 && x + 1.5 < image.width as f64 && y + 1.5 < image.height as f64) {
         return None;
@@ -186,5 +172,9 @@ pub(crate) fn around(
             }
         }
     }
-    Some((values, usable))
+    Some(Reading {
+        normal,
+        values,
+        usable,
+    })
 }

@@ -41,7 +41,7 @@ pub(crate) fn from_calibration(
             LightKind::Camera => UnitQuaternion::identity(),
         };
         let share = options.max_num_samples / request.calibration.len();
-        pool.add(&samples, &frame, &ones(num_channels), share);
+        pool.add(&samples.readings, &frame, &ones(num_channels), share);
         points.extend(light_samples::of_calibration(
             &samples,
             camera,

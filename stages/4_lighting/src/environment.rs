@@ -27,7 +27,7 @@ pub(crate) fn pool_in_world(side: &Side, gains: &[Vec<f64>], options: &LightingO
         let gain = &gains[patch.view];
         let scale: Vec<f64> = gain.iter().zip(paint).map(|(g, p)| g * p).collect();
         let rotation = &side.world_from_cam[patch.view];
-        pool.add(&patch.samples, rotation, &scale, share);
+        pool.add(&patch.samples.readings, rotation, &scale, share);
     }
     pool
 }

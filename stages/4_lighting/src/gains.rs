@@ -42,15 +42,14 @@ pub(crate) fn find(side: &Side, environment: Option<&LightingFit>, mode: GainMod
     for channel in 0..num_channels {
         let mut means: Vec<CellMean> = Vec::new();
         for patch in &side.patches {
-            let (sample, rotation) = (&patch.samples, &side.world_from_cam[patch.view]);
-            let ratios = (0..sample.normals.len())
-                .filter(|&k| sample.usable[k][channel])
-                .map(|k| {
-                    let normal = rotation * sample.normals[k];
-                    let predicted = environment
-                        .map_or(1.0, |e| e.channels[channel].coefficients.evaluate(&normal));
-                    (normal, sample.values[k][channel] / predicted.max(1e-6))
-                });
+            let rotation = &side.world_from_cam[patch.view];
+            let usable = patch.samples.readings.iter().filter(|r| r.usable[channel]);
+            let ratios = usable.map(|reading| {
+                let normal = rotation * reading.normal;
+                let predicted =
+                    environment.map_or(1.0, |e| e.channels[channel].coefficients.evaluate(&normal));
+                (normal, reading.values[channel] / predicted.max(1e-6))
+            });
             // A sphere is compared with itself alone.
             let first_cell = patch.sphere * NUM_CELLS;
             means.extend(cell_means(patch.view, first_cell, ratios));

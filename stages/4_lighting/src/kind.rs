@@ -28,14 +28,13 @@ pub(crate) fn check(side: &Side, stated: Option<LightKind>) -> Option<KindCheck>
     }
     let means = |in_world: bool| {
         let of_patch = side.patches.iter().map(|patch| {
-            let (sample, rotation) = (&patch.samples, &side.world_from_cam[patch.view]);
-            let values = (0..sample.normals.len())
-                .filter(|&k| !sample.usable[k].contains(&false))
-                .map(|k| {
-                    let normal: Vector3<f64> = sample.normals[k];
-                    let normal = if in_world { rotation * normal } else { normal };
-                    (normal, sample.values[k].iter().sum::<f64>())
-                });
+            let rotation = &side.world_from_cam[patch.view];
+            let whole = patch.samples.readings.iter().filter(|r| r.is_whole());
+            let values = whole.map(|reading| {
+                let turned = rotation * reading.normal;
+                let normal = if in_world { turned } else { reading.normal };
+                (normal, reading.brightness())
+            });
             cell_means(patch.view, patch.sphere * NUM_CELLS, values)
         });
         of_patch.flatten().collect()

@@ -14,7 +14,7 @@
 //! 4. Where that is clearly better in the median over the views, the anchors' light replaces the
 //!    sphere's; else only the common factor is applied. Both are reported.
 
-use crate::anchor_normals::AnchorSamples;
+use crate::anchor_normals::{AnchorReading, half};
 use crate::environment::{in_view, scaled};
 use crate::error::LightingError;
 use crate::error::warn;
@@ -47,7 +47,7 @@ pub(crate) fn confront(
         return Ok(());
     }
     let samples = anchor_samples(photos, posed, options, observer)?;
-    let sightings: usize = samples.iter().map(|s| s.normals.len()).sum();
+    let sightings: usize = samples.iter().map(Vec::len).sum();
     if sightings < MIN_SIGHTINGS {
         return Ok(());
     }
@@ -63,7 +63,7 @@ pub(crate) fn confront(
         .collect();
     let factor = median(&mut factors).unwrap_or(1.0);
     let halves = [0, 1].map(|parity| {
-        let half: Vec<AnchorSamples> = samples.iter().map(|s| s.half(parity)).collect();
+        let half: Vec<_> = samples.iter().map(|s| half(s, parity)).collect();
         pool(posed, &half, &gains, &all, options).map(|fit| fit.lighting())
     });
     let [Ok(even), Ok(odd)] = halves else {
@@ -74,11 +74,11 @@ pub(crate) fn confront(
         let with_factor = times(&used[idx], factor);
         let cross = [(0, &odd), (1, &even)].map(|(parity, other)| {
             let predicted = in_view(other, view, &gains[idx]);
-            squares(&samples[idx].half(parity), &predicted)
+            squares(&half(&samples[idx], parity), &predicted)
         });
         views.push(ViewObjectReport {
             name: view.name.clone(),
-            num_anchors: samples[idx].normals.len(),
+            num_anchors: samples[idx].len(),
             used_rms: relative(squares(&samples[idx], &used[idx])),
             used_rms_after_albedo: relative(squares(&samples[idx], &with_factor)),
             cross_validated_rms: relative(cross.concat()),
@@ -153,17 +153,14 @@ fn times(lighting: &Lighting, factor: f64) -> Lighting {
 }
 
 /// Median over the sightings of brightness over prediction.
-fn best_factor(sample: &AnchorSamples, light: &Lighting) -> Option<f64> {
+fn best_factor(seen: &[AnchorReading], light: &Lighting) -> Option<f64> {
     let mut ratios = Vec::new();
-    for k in 0..sample.normals.len() {
-        let predicted: f64 = light
-            .channels
-            .iter()
-            .map(|l| l.evaluate(&sample.normals[k]))
-            .sum();
-        let seen: f64 = sample.values[k].iter().sum();
-        if !sample.usable[k].contains(&false) && predicted > 0.0 && seen > 0.0 {
-            ratios.push(seen / predicted);
+    for AnchorReading { reading, .. } in seen {
+        let channels = light.channels.iter();
+        let predicted: f64 = channels.map(|l| l.evaluate(&reading.normal)).sum();
+        let brightness = reading.brightness();
+        if reading.is_whole() && predicted > 0.0 && brightness > 0.0 {
+            ratios.push(brightness / predicted);
         }
     }
     // A handful of anchors would let one view's shadow speak for its albedo.
@@ -174,13 +171,13 @@ fn best_factor(sample: &AnchorSamples, light: &Lighting) -> Option<f64> {
 }
 
 /// Squared errors and squared values of all unclipped channels.
-fn squares(sample: &AnchorSamples, light: &Lighting) -> Vec<(f64, f64)> {
+fn squares(seen: &[AnchorReading], light: &Lighting) -> Vec<(f64, f64)> {
     let mut pairs = Vec::new();
-    for k in 0..sample.normals.len() {
+    for AnchorReading { reading, .. } in seen {
         for (channel, l) in light.channels.iter().enumerate() {
-            if sample.usable[k][channel] {
-                let value = sample.values[k][channel];
-                let error = l.evaluate(&sample.normals[k]) - value;
+            if reading.usable[channel] {
+                let value = reading.values[channel];
+                let error = l.evaluate(&reading.normal) - value;
                 pairs.push((error * error, value * value));
             }
         }

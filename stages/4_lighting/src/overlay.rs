@@ -148,15 +148,15 @@ fn crops(
         put(2, pixel.x, pixel.y, [0.2; 3]);
     }
     let samples = shot.samples(sphere, spheres, &options.sampling());
-    for (k, &(x, y)) in samples.positions.iter().enumerate() {
+    for (reading, &(x, y)) in samples.readings.iter().zip(&samples.positions) {
         let is_far = lighting.is_some_and(|light| {
-            let channels = light.channels.iter().zip(&samples.values[k]);
+            let channels = light.channels.iter().zip(&reading.values);
             channels
-                .map(|(l, v)| (l.evaluate(&samples.normals[k]) - v).abs() / v.max(1e-4))
+                .map(|(l, v)| (l.evaluate(&reading.normal) - v).abs() / v.max(1e-4))
                 .fold(0.0, f64::max)
                 > FAR
         });
-        let color = if samples.usable[k].contains(&false) {
+        let color = if !reading.is_whole() {
             [0.9, 0.0, 0.6]
         } else if is_far {
             [0.05, 0.1, 0.9]

@@ -11,7 +11,7 @@
 //!    point has one brightness in all photos.
 //! 3. Robust fit of one environment, or of one lighting per view.
 
-use crate::anchor_normals::{AnchorSamples, orient, seen_by};
+use crate::anchor_normals::{AnchorReading, orient, seen_by};
 use crate::cells::{CellMean, TwoWay, two_way};
 use crate::environment::{in_view, ones};
 use crate::error::LightingError;
@@ -21,7 +21,7 @@ use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::harmonics::{LightingFit, dominant_direction};
+use rilievo_photometry::harmonics::{LightingFit, Reading, dominant_direction};
 use rilievo_scene::{
     LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, StageId, ViewIdx,
     ViewLighting,
@@ -40,7 +40,7 @@ pub(crate) fn anchor_samples(
     posed: &PosedViews,
     options: &LightingOptions,
     observer: &dyn Observer,
-) -> Result<Vec<AnchorSamples>, LightingError> {
+) -> Result<Vec<Vec<AnchorReading>>, LightingError> {
     let oriented = orient(posed);
     let mut samples = Vec::with_capacity(posed.views.len());
     for (idx, view) in posed.views.iter().enumerate() {
@@ -58,28 +58,36 @@ pub(crate) fn anchor_samples(
     Ok(samples)
 }
 
-/// Compares what the views show of each anchor: `value` tells it of a view's k-th sample, where it counts.
+fn num_channels(samples: &[Vec<AnchorReading>]) -> Option<usize> {
+    let first = samples.iter().flatten().next()?;
+    Some(first.reading.values.len())
+}
+
+/// Compares what the views show of each anchor: `value` tells it of a reading, where it counts.
 fn compare_anchors(
-    samples: &[AnchorSamples],
-    value: impl Fn(&AnchorSamples, usize) -> Option<f64>,
+    samples: &[Vec<AnchorReading>],
+    value: impl Fn(&Reading) -> Option<f64>,
 ) -> TwoWay {
     let mut means = Vec::new();
-    for (view, sample) in samples.iter().enumerate() {
-        for (k, &cell) in sample.anchors.iter().enumerate() {
-            let value = value(sample, k).filter(|v| *v > 0.0 && v.is_finite());
-            let value = value.map(f64::ln);
-            means.extend(value.map(|value| CellMean { view, cell, value }));
+    for (view, seen) in samples.iter().enumerate() {
+        for AnchorReading { anchor, reading } in seen {
+            let value = value(reading).filter(|v| *v > 0.0 && v.is_finite());
+            means.extend(value.map(|value| CellMean {
+                view,
+                cell: *anchor,
+                value: value.ln(),
+            }));
         }
     }
     two_way(samples.len(), &means)
 }
 
 /// Gain per view and channel from the anchors; 1 where a view shares too few with the others.
-pub(crate) fn anchor_gains(samples: &[AnchorSamples], num_channels: usize) -> Vec<Vec<f64>> {
+pub(crate) fn anchor_gains(samples: &[Vec<AnchorReading>], num_channels: usize) -> Vec<Vec<f64>> {
     let mut gains = vec![ones(num_channels); samples.len()];
     for channel in 0..num_channels {
-        let fit = compare_anchors(samples, |sample, k| {
-            sample.usable[k][channel].then(|| sample.values[k][channel])
+        let fit = compare_anchors(samples, |reading| {
+            reading.usable[channel].then(|| reading.values[channel])
         });
         for (gain, ln_gain) in gains.iter_mut().zip(&fit.ln_gain) {
             gain[channel] = ln_gain.exp();
@@ -95,17 +103,14 @@ pub(crate) fn run(
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let samples = anchor_samples(photos, posed, options, observer)?;
-    let available = samples.iter().map(|s| s.normals.len()).sum::<usize>();
+    let available = samples.iter().map(Vec::len).sum::<usize>();
     if available < MIN_ANCHORS {
         return Err(LightingError::TooFewAnchors {
             available,
             needed: MIN_ANCHORS,
         });
     }
-    let num_channels = samples
-        .iter()
-        .find_map(|s| s.values.first().map(Vec::len))
-        .unwrap_or(1);
+    let num_channels = num_channels(&samples).unwrap_or(1);
     let kind_check = check_kind(posed, &samples, options);
     let kind = kind::settled(options.own_shape_light, kind_check.as_ref());
     let mut report = LightingReport {
@@ -127,7 +132,7 @@ pub(crate) fn run(
     report.gains_applied = gains.iter().flatten().any(|g| (g - 1.0).abs() > 0.0);
     for (view, (sample, gain)) in posed.views.iter().zip(samples.iter().zip(&gains)) {
         report.views.push(ViewLightReport {
-            num_pixels: sample.normals.len(),
+            num_pixels: sample.len(),
             gain: gain.clone(),
             ..ViewLightReport::named(&view.name)
         });
@@ -172,12 +177,10 @@ pub(crate) fn run(
 /// differ by a gain a photo.
 fn check_kind(
     posed: &PosedViews,
-    samples: &[AnchorSamples],
+    samples: &[Vec<AnchorReading>],
     options: &LightingOptions,
 ) -> Option<KindCheck> {
-    let num_channels = samples
-        .iter()
-        .find_map(|s| s.values.first().map(Vec::len))?;
+    let num_channels = num_channels(samples)?;
     let everything: Vec<usize> = (0..samples.len()).collect();
     let gains = vec![ones(num_channels); samples.len()];
     let as_seen = |_: usize| UnitQuaternion::identity();
@@ -185,10 +188,9 @@ fn check_kind(
         .ok()?
         .lighting();
     let scatter = |predicted: &dyn Fn(&Vector3<f64>) -> f64| {
-        compare_anchors(samples, |sample, k| {
-            let is_usable = !sample.usable[k].contains(&false);
-            let brightness = sample.values[k].iter().sum::<f64>();
-            is_usable.then(|| brightness / predicted(&sample.normals[k]))
+        compare_anchors(samples, |reading| {
+            let ratio = || reading.brightness() / predicted(&reading.normal);
+            reading.is_whole().then(ratio)
         })
     };
     let at_rest = scatter(&|_| 1.0);
@@ -207,7 +209,7 @@ fn check_kind(
 /// Robust fit over the anchors of some views, in the world frame.
 pub(crate) fn pool(
     posed: &PosedViews,
-    samples: &[AnchorSamples],
+    samples: &[Vec<AnchorReading>],
     gains: &[Vec<f64>],
     views: &[usize],
     options: &LightingOptions,
@@ -219,7 +221,7 @@ pub(crate) fn pool(
 
 /// [`pool`], in the frame to which `turn` takes each view's normals.
 fn pool_in(
-    samples: &[AnchorSamples],
+    samples: &[Vec<AnchorReading>],
     gains: &[Vec<f64>],
     views: &[usize],
     options: &LightingOptions,
@@ -228,14 +230,8 @@ fn pool_in(
     let mut pool = Pool::default();
     for &view in views {
         let turn = turn(view);
-        let sample = &samples[view];
-        for k in 0..sample.normals.len() {
-            let values = sample.values[k].iter().zip(&gains[view]);
-            pool.push(
-                turn * sample.normals[k],
-                values.map(|(v, g)| v / g).collect(),
-                sample.usable[k].clone(),
-            );
+        for seen in &samples[view] {
+            pool.push(seen.reading.turned(&turn, &gains[view]));
         }
     }
     pool.fit("the program's own shape", options)

@@ -3,60 +3,44 @@
 use crate::error::LightingError;
 use crate::options::LightingOptions;
 use nalgebra::{UnitQuaternion, Vector3};
-use rilievo_photometry::harmonics::{LightingFit, fit_lighting};
-use rilievo_photometry::samples::SphereSamples;
+use rilievo_photometry::harmonics::{LightingFit, Reading, fit_lighting};
 
-/// Normals and intensities in one frame, intensities divided by the gains where they apply.
+/// Readings in one frame, intensities divided by the gains where they apply.
 #[derive(Default)]
-pub(crate) struct Pool {
-    normals: Vec<Vector3<f64>>,
-    values: Vec<Vec<f64>>,
-    usable: Vec<Vec<bool>>,
-}
+pub(crate) struct Pool(Vec<Reading>);
 
 impl Pool {
-    /// One sample; values and their usability per channel.
-    pub fn push(&mut self, normal: Vector3<f64>, values: Vec<f64>, usable: Vec<bool>) {
-        self.normals.push(normal);
-        self.values.push(values);
-        self.usable.push(usable);
+    /// One reading, in the pool's frame.
+    pub fn push(&mut self, reading: Reading) {
+        self.0.push(reading);
     }
 
-    /// At most `max_num` of a view's samples, evenly taken: normals rotated into the pool's frame, values
+    /// At most `max_num` of a view's readings, evenly taken: normals rotated into the pool's frame, values
     /// divided by the view's gain per channel.
     pub fn add(
         &mut self,
-        samples: &SphereSamples,
+        readings: &[Reading],
         rotation: &UnitQuaternion<f64>,
         gain: &[f64],
         max_num: usize,
     ) {
-        let stride = samples.normals.len().div_ceil(max_num.max(1)).max(1);
-        for k in (0..samples.normals.len()).step_by(stride) {
-            let values = samples.values[k].iter().zip(gain).map(|(v, g)| v / g);
-            self.push(
-                rotation * samples.normals[k],
-                values.collect(),
-                samples.usable[k].clone(),
-            );
-        }
+        let stride = readings.len().div_ceil(max_num.max(1)).max(1);
+        let chosen = readings.iter().step_by(stride);
+        self.0
+            .extend(chosen.map(|reading| reading.turned(rotation, gain)));
     }
 
     /// Harmonics of the whole pool; `of` names it in the error.
     pub fn fit(&self, of: &str, options: &LightingOptions) -> Result<LightingFit, LightingError> {
-        fit_lighting(&self.normals, &self.values, &self.usable, &options.fit).map_err(|source| {
-            LightingError::Fit {
-                of: of.to_owned(),
-                source,
-            }
+        fit_lighting(&self.0, &options.fit).map_err(|source| LightingError::Fit {
+            of: of.to_owned(),
+            source,
         })
     }
 
     /// Normals and brightness of what is not clipped.
     pub fn brightness(&self) -> Vec<(Vector3<f64>, f64)> {
-        (0..self.normals.len())
-            .filter(|&k| !self.usable[k].contains(&false))
-            .map(|k| (self.normals[k], self.values[k].iter().sum()))
-            .collect()
+        let whole = self.0.iter().filter(|reading| reading.is_whole());
+        whole.map(|r| (r.normal, r.brightness())).collect()
     }
 }

@@ -24,13 +24,12 @@ pub(crate) fn residual_of(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64
 /// Relative residual of a view's lighting on the spheres that it shows.
 pub(crate) fn residual_in(view: &[Counted<'_>], lighting: &Lighting) -> Option<f64> {
     residual_of(view.iter().flat_map(|(patch, paint)| {
-        let samples = &patch.samples;
-        (0..samples.normals.len()).flat_map(move |k| {
+        patch.samples.readings.iter().flat_map(move |reading| {
             let channels = lighting.channels.iter().enumerate();
-            let usable = channels.filter(move |(channel, _)| samples.usable[k][*channel]);
+            let usable = channels.filter(|(channel, _)| reading.usable[*channel]);
             usable.map(move |(channel, light)| {
-                let predicted = light.evaluate(&samples.normals[k]) * paint[channel];
-                (samples.values[k][channel], predicted)
+                let predicted = light.evaluate(&reading.normal) * paint[channel];
+                (reading.values[channel], predicted)
             })
         })
     }))

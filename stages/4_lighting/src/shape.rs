@@ -14,7 +14,7 @@ use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
 use nalgebra::{Point2, Vector3};
-use rilievo_photometry::harmonics::LightingFit;
+use rilievo_photometry::harmonics::{LightingFit, Reading};
 use rilievo_photometry::samples::surface_pixels;
 use rilievo_scene::{
     DepthMap, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage, Mask, NormalMap,
@@ -71,9 +71,7 @@ fn pool(
     let limit = f64::from(clip_level) * options.clip_share;
     let mut pool = Pool::default();
     for (x, y, normal) in surface_pixels(image, mask, normals, options.max_num_samples) {
-        let pixel: Vec<f64> = image.pixel(x, y).iter().map(|&v| f64::from(v)).collect();
-        let usable = pixel.iter().map(|&v| v < limit).collect();
-        pool.push(normal, pixel, usable);
+        pool.push(Reading::of_pixel(normal, image.pixel(x, y), limit));
     }
     pool
 }

@@ -39,8 +39,8 @@ pub(crate) type Counted<'a> = (&'a Patch, &'a [f64]);
 
 impl Side {
     pub fn num_channels(&self) -> usize {
-        let mut values = self.patches.iter().flat_map(|p| p.samples.values.first());
-        values.next().map_or(1, Vec::len)
+        let mut first = self.patches.iter().flat_map(|p| p.samples.readings.first());
+        first.next().map_or(1, |reading| reading.values.len())
     }
 
     /// Patches of the spheres that count.

@@ -157,7 +157,12 @@ fn from_side_camera(
         let mut pool = Pool::default();
         let share = options.max_num_samples / patches.len();
         for (patch, paint) in &patches {
-            pool.add(&patch.samples, &UnitQuaternion::identity(), paint, share);
+            pool.add(
+                &patch.samples.readings,
+                &UnitQuaternion::identity(),
+                paint,
+                share,
+            );
         }
         match pool.fit(&posed.views[view].name, options) {
             Ok(fit) => {

@@ -71,18 +71,8 @@ fn cut<T: Copy + Send + Sync>(
 
 /// Cuts a view to the rectangle that holds its depths.
 pub(crate) fn crop(view: &mut View) {
-    let (mut low, mut high) = ([usize::MAX; 2], [0; 2]);
-    for y in 0..view.depth.height {
-        for x in 0..view.depth.width {
-            if *view.depth.at(x, y) > 0.0 {
-                low = [low[0].min(x), low[1].min(y)];
-                high = [high[0].max(x), high[1].max(y)];
-            }
-        }
-    }
-    if low[0] > high[0] {
-        (low, high) = ([0; 2], [0; 2]);
-    }
+    let [[x0, x1], [y0, y1]] = view.depth.bounds(|&z| z > 0.0).unwrap_or_default();
+    let (low, high) = ([x0, y0], [x1, y1]);
     let full = [view.depth.width, view.depth.height];
     let from: [usize; 2] = std::array::from_fn(|k| low[k].saturating_sub(MARGIN));
     let size = std::array::from_fn(|k| (high[k] + MARGIN + 1).min(full[k]) - from[k]);

@@ -12,53 +12,12 @@
 use crate::error::IoError;
 use crate::files::OutputFile;
 use crate::mask::encode_png;
+use colorous::{Gradient, INFERNO, VIRIDIS};
 use image::ExtendedColorType;
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster, srgb};
 use std::path::Path;
 
 type Rgb = [u8; 3];
-
-/// Seventeen steps of matplotlib's `viridis` (perceptually even, safe for the colour-blind).
-const VIRIDIS: [Rgb; 17] = [
-    [68, 1, 84],
-    [72, 24, 106],
-    [71, 45, 123],
-    [66, 64, 134],
-    [59, 82, 139],
-    [51, 99, 141],
-    [44, 114, 142],
-    [38, 130, 142],
-    [33, 145, 140],
-    [31, 160, 136],
-    [40, 174, 128],
-    [63, 188, 115],
-    [94, 201, 98],
-    [132, 212, 75],
-    [173, 220, 48],
-    [216, 226, 25],
-    [253, 231, 37],
-];
-
-/// Seventeen steps of matplotlib's `inferno`.
-const INFERNO: [Rgb; 17] = [
-    [0, 0, 4],
-    [11, 7, 36],
-    [33, 12, 74],
-    [61, 9, 101],
-    [87, 16, 110],
-    [113, 25, 110],
-    [138, 34, 106],
-    [163, 44, 97],
-    [188, 55, 84],
-    [210, 70, 68],
-    [228, 90, 49],
-    [241, 115, 29],
-    [249, 142, 9],
-    [252, 172, 17],
-    [249, 203, 53],
-    [242, 234, 105],
-    [252, 255, 164],
-];
 
 /// Colour of "no value" in error maps: neither small nor large.
 const NO_ERROR_VALUE: Rgb = [128, 128, 128];
@@ -104,14 +63,9 @@ pub fn encode_preview_png(preview: Preview<'_>, max_side: usize) -> Vec<u8> {
         .unwrap_or_default()
 }
 
-fn map_color(map: &[Rgb; 17], share: f32) -> Rgb {
-    let position = share.clamp(0.0, 1.0) * 16.0;
-    let low = (position as usize).min(15);
-    let t = position - low as f32;
-    std::array::from_fn(|c| {
-        let (a, b) = (f32::from(map[low][c]), f32::from(map[low + 1][c]));
-        (a + t * (b - a)).round() as u8
-    })
+fn map_color(gradient: Gradient, share: f32) -> Rgb {
+    let share = f64::from(share).clamp(0.0, 1.0);
+    gradient.eval_continuous(share).into_array()
 }
 
 fn paint(preview: Preview<'_>) -> Raster<Rgb> {
@@ -121,7 +75,7 @@ fn paint(preview: Preview<'_>) -> Raster<Rgb> {
             let scale = 1.0 / (far - near).max(f32::MIN_POSITIVE);
             painted(map, |&depth| {
                 if depth > 0.0 && depth.is_finite() {
-                    map_color(&VIRIDIS, (far - depth) * scale)
+                    map_color(VIRIDIS, (far - depth) * scale)
                 } else {
                     [0, 0, 0]
                 }
@@ -135,7 +89,7 @@ fn paint(preview: Preview<'_>) -> Raster<Rgb> {
         }),
         Preview::Error { map, max } => painted(map, |&error| {
             if error >= 0.0 && error.is_finite() {
-                map_color(&INFERNO, error / max.max(f32::MIN_POSITIVE))
+                map_color(INFERNO, error / max.max(f32::MIN_POSITIVE))
             } else {
                 NO_ERROR_VALUE
             }
@@ -242,8 +196,8 @@ mod tests {
             data: vec![1.0, 2.0, 0.0],
         };
         let (_, _, pixels) = decoded(Preview::Depth(&map), 0);
-        assert_eq!(pixels[..3], VIRIDIS[16]);
-        assert_eq!(pixels[3..6], VIRIDIS[0]);
+        assert_eq!(pixels[..3], [253, 231, 37]);
+        assert_eq!(pixels[3..6], [68, 1, 84]);
         assert_eq!(pixels[6..], [0, 0, 0]);
     }
 
@@ -261,9 +215,9 @@ mod tests {
             },
             0,
         );
-        assert_eq!(pixels[..3], INFERNO[0]);
-        assert_eq!(pixels[3..6], INFERNO[16]);
-        assert_eq!(pixels[6..9], INFERNO[16]);
+        assert_eq!(pixels[..3], [0, 0, 4]);
+        assert_eq!(pixels[3..6], [252, 255, 164]);
+        assert_eq!(pixels[6..9], [252, 255, 164]);
         assert_eq!(pixels[9..], NO_ERROR_VALUE);
     }
 

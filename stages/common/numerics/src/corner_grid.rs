@@ -53,22 +53,8 @@ pub struct CornerGrid {
 impl CornerGrid {
     /// The grid of a mask; `None` when the mask is empty.
     pub fn new(mask: &Mask) -> Option<Self> {
-        let (mut x0, mut x1, mut y0, mut y1) = (usize::MAX, 0, usize::MAX, 0);
-        for y in 0..mask.height {
-            let row = &mask.data[y * mask.width..(y + 1) * mask.width];
-            if let (Some(first), Some(last)) = (
-                row.iter().position(|&inside| inside),
-                row.iter().rposition(|&inside| inside),
-            ) {
-                x0 = x0.min(first);
-                x1 = x1.max(last + 1);
-                y0 = y0.min(y);
-                y1 = y + 1;
-            }
-        }
-        if x0 == usize::MAX {
-            return None;
-        }
+        let [[x0, last_x], [y0, last_y]] = mask.bounds(|&inside| inside)?;
+        let (x1, y1) = (last_x + 1, last_y + 1);
         let (width, height) = (x1 - x0, y1 - y0);
         let stride = width + 3;
         let (mut spans, mut row_spans, mut num_cells) = (Vec::new(), vec![0], 0);

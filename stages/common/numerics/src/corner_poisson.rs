@@ -38,22 +38,15 @@ pub struct PointConstraint {
 }
 
 impl PointConstraint {
-    fn nodes(&self, stride: usize) -> [usize; 4] {
-        [
-            self.cell,
-            self.cell + 1,
-            self.cell + stride,
-            self.cell + stride + 1,
-        ]
+    /// Its four nodes with their bilinear weights.
+    fn terms(&self, stride: usize) -> impl Iterator<Item = (usize, f32)> {
+        let nodes = [0, 1, stride, stride + 1].map(|offset| self.cell + offset);
+        nodes.into_iter().zip(self.corners)
     }
 
     /// Value of a field at the constraint's position.
     pub fn interpolate(&self, stride: usize, field: &[f32]) -> f32 {
-        self.nodes(stride)
-            .iter()
-            .zip(self.corners)
-            .map(|(&i, b)| b * field[i])
-            .sum()
+        self.terms(stride).map(|(i, b)| b * field[i]).sum()
     }
 }
 
@@ -116,11 +109,7 @@ impl CornerPoisson {
             *total = mass + PROXIMITY;
         }
         for constraint in &self.constraints {
-            for (node, b) in constraint
-                .nodes(self.operator.stride)
-                .into_iter()
-                .zip(constraint.corners)
-            {
+            for (node, b) in constraint.terms(self.operator.stride) {
                 self.operator.mass[node] += constraint.weight * b;
             }
         }
@@ -131,11 +120,7 @@ impl CornerPoisson {
     /// Adds the constraints' part `Σ w_k b_k v_k` of the right-hand side.
     pub fn add_constraints_to(&self, rhs: &mut [f32]) {
         for constraint in &self.constraints {
-            for (node, b) in constraint
-                .nodes(self.operator.stride)
-                .into_iter()
-                .zip(constraint.corners)
-            {
+            for (node, b) in constraint.terms(self.operator.stride) {
                 rhs[node] += constraint.weight * b * constraint.value;
             }
         }
@@ -152,7 +137,7 @@ impl CornerPoisson {
         let stride = self.operator.stride;
         for constraint in &self.constraints {
             let value = constraint.interpolate(stride, x);
-            for (node, b) in constraint.nodes(stride).into_iter().zip(constraint.corners) {
+            for (node, b) in constraint.terms(stride) {
                 out[node] += constraint.weight * b * (value - x[node]);
             }
         }

@@ -7,7 +7,7 @@
 //! the views from the side that the object hides from the sphere. A light with shadow and bounce leaves less
 //! than the third number.
 
-use crate::harmonics::{FitOptions, dominant_direction, fit_lighting};
+use crate::harmonics::{FitOptions, Reading, dominant_direction, fit_lighting};
 use crate::samples::surface_pixels;
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -214,23 +214,12 @@ impl Surface<'_> {
 
     /// Nine harmonics fitted on the surface.
     fn refit(&self, options: &CheckOptions) -> Option<Lighting> {
-        let normals: Vec<Vector3<f64>> = self.pixels.iter().map(|at| at.2).collect();
-        let values: Vec<Vec<f64>> = self
+        let readings: Vec<Reading> = self
             .pixels
             .iter()
-            .map(|at| {
-                self.image
-                    .pixel(at.0, at.1)
-                    .iter()
-                    .map(|&v| f64::from(v))
-                    .collect()
-            })
+            .map(|&(x, y, normal)| Reading::of_pixel(normal, self.image.pixel(x, y), self.limit))
             .collect();
-        let usable: Vec<Vec<bool>> = values
-            .iter()
-            .map(|pixel| pixel.iter().map(|&v| v < self.limit).collect())
-            .collect();
-        let fit = fit_lighting(&normals, &values, &usable, &options.fit);
+        let fit = fit_lighting(&readings, &options.fit);
         fit.ok().map(|fit| fit.lighting())
     }
 }

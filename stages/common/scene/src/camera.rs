@@ -106,6 +106,17 @@ impl Intrinsics {
         }
     }
 
+    /// All numbers as bits: equal for equal cameras.
+    pub fn key(&self) -> [u64; 11] {
+        let d = &self.distortion;
+        let [fx, fy, cx, cy] = [self.fx, self.fy, self.cx, self.cy];
+        // Zero has two signs, and is one number.
+        let [fx, fy, cx, cy, k1, k2, p1, p2, k3] =
+            [fx, fy, cx, cy, d.k1, d.k2, d.p1, d.p2, d.k3].map(|value| (value + 0.0).to_bits());
+        let (width, height) = (self.width as u64, self.height as u64);
+        [width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3]
+    }
+
     /// Focal lengths over the frame's longer side that a lens can have: from 157 degrees across the frame
     /// to half a degree.
     pub const FOCAL_OVER_SIDE: std::ops::RangeInclusive<f64> = 0.1..=100.0;

@@ -80,6 +80,22 @@ impl<T> Raster<T> {
             .then(|| &self.data[y as usize * self.width + x as usize])
     }
 
+    /// First and last column, then first and last row, of the values that fulfil a condition; `None` where
+    /// none does.
+    pub fn bounds(&self, fulfils: impl Fn(&T) -> bool) -> Option<[[usize; 2]; 2]> {
+        let mut rows = self.data.chunks(self.width.max(1)).enumerate();
+        let within = |(y, row): (usize, &[T])| {
+            let first = row.iter().position(&fulfils)?;
+            Some((y, [first, row.iter().rposition(&fulfils)?]))
+        };
+        let (top, columns) = rows.by_ref().find_map(within)?;
+        let start = (columns, top);
+        let ([x0, x1], bottom) = rows.filter_map(within).fold(start, |(x, _), (y, row)| {
+            ([x[0].min(row[0]), x[1].max(row[1])], y)
+        });
+        Some([[x0, x1], [top, bottom]])
+    }
+
     /// Whether another raster has the same size.
     pub fn same_size<U>(&self, other: &Raster<U>) -> bool {
         self.width == other.width && self.height == other.height

@@ -80,15 +80,8 @@ pub(crate) struct DistinctCameras {
 impl DistinctCameras {
     /// The place of a camera in the list, which it joins when it is new.
     pub(crate) fn place(&mut self, camera: &Intrinsics) -> usize {
-        let d = &camera.distortion;
-        let [fx, fy, cx, cy] = [camera.fx, camera.fy, camera.cx, camera.cy];
-        // Zero has two signs, and is one number.
-        let [fx, fy, cx, cy, k1, k2, p1, p2, k3] =
-            [fx, fy, cx, cy, d.k1, d.k2, d.p1, d.p2, d.k3].map(|value| (value + 0.0).to_bits());
-        let (width, height) = (camera.width as u64, camera.height as u64);
-        let key = [width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3];
         let next = self.list.len();
-        let place = *self.places.entry(key).or_insert(next);
+        let place = *self.places.entry(camera.key()).or_insert(next);
         if place == next {
             self.list.push(*camera);
         }

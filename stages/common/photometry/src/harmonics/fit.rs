@@ -23,6 +23,7 @@
 
 use super::least_squares::{Noise, SVector, Sample, predict, solve};
 use super::options::FitOptions;
+use super::reading::Reading;
 use super::starts::partial_starts;
 use nalgebra::{DMatrix, SMatrix, Vector3};
 use rayon::prelude::*;
@@ -160,26 +161,20 @@ pub fn fit_robust(
     }
 }
 
-/// Fits every channel; a sample holds the channels of one pixel, `usable` says which of them count.
+/// Fits every channel.
 ///
 /// # Errors
 /// As [`fit_robust`], for the first channel that fails.
-pub fn fit_lighting(
-    normals: &[Vector3<f64>],
-    pixels: &[Vec<f64>],
-    usable: &[Vec<bool>],
-    options: &FitOptions,
-) -> Result<LightingFit, FitError> {
-    let num_channels = pixels.first().map_or(1, Vec::len);
+pub fn fit_lighting(readings: &[Reading], options: &FitOptions) -> Result<LightingFit, FitError> {
+    let num_channels = readings.first().map_or(1, |reading| reading.values.len());
+    let normals: Vec<Vector3<f64>> = readings.iter().map(|reading| reading.normal).collect();
     let channels = (0..num_channels)
         .into_par_iter()
         .map(|channel| {
-            let values: Vec<f64> = pixels.iter().map(|pixel| pixel[channel]).collect();
-            let weights: Vec<f64> = usable
-                .iter()
-                .map(|flags| f64::from(u8::from(flags[channel])))
-                .collect();
-            fit_robust(normals, &values, Some(&weights), options)
+            let values: Vec<f64> = readings.iter().map(|r| r.values[channel]).collect();
+            let usable = readings.iter().map(|r| r.usable[channel]);
+            let weights: Vec<f64> = usable.map(|flag| f64::from(u8::from(flag))).collect();
+            fit_robust(&normals, &values, Some(&weights), options)
         })
         .collect::<Result<Vec<_>, _>>()?;
     Ok(LightingFit { channels })

@@ -13,9 +13,11 @@ mod fit;
 mod fit_tests;
 mod least_squares;
 mod options;
+mod reading;
 mod rotation;
 mod starts;
 
 pub use fit::{FitError, HarmonicsFit, LightingFit, fit_lighting, fit_robust};
 pub use options::FitOptions;
+pub use reading::Reading;
 pub use rotation::{dominant_direction, rotate, rotate_harmonics};

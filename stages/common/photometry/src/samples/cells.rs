@@ -31,15 +31,12 @@ pub fn light_samples(
     (sphere, has_gain): (Option<usize>, bool),
 ) -> Vec<LightSample> {
     let mut cells: BTreeMap<usize, (Vector3<f64>, [f64; 3], f64)> = BTreeMap::new();
-    for (k, normal) in samples.normals.iter().enumerate() {
-        if samples.usable[k].contains(&false) {
-            continue;
-        }
-        let normal = world_from_cam * normal;
+    for reading in samples.readings.iter().filter(|r| r.is_whole()) {
+        let normal = world_from_cam * reading.normal;
         let (sum, intensity, count) = cells.entry(cell_of(&normal)).or_default();
         *sum += normal;
         for (c, value) in intensity.iter_mut().enumerate() {
-            *value += samples.values[k][c.min(samples.values[k].len() - 1)];
+            *value += reading.values[c.min(reading.values.len() - 1)];
         }
         *count += 1.0;
     }

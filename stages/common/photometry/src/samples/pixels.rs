@@ -4,6 +4,7 @@
 //! sphere, or beside it within the outline's blur), behind another sphere, within `margin_px` of the
 //! outline, at grazing normals, and channels at the clip level.
 
+use crate::harmonics::Reading;
 use crate::sphere::SphereInCamera;
 use nalgebra::{Point2, Vector3};
 use rilievo_scene::{Intrinsics, LinearImage, Mask, NormalMap, Photo, PosedView};
@@ -22,12 +23,8 @@ pub struct SamplingOptions {
 /// Pixels of one view's sphere with normals and intensities.
 #[derive(Clone, Debug, Default)]
 pub struct SphereSamples {
-    /// Normals, camera frame.
-    pub normals: Vec<Vector3<f64>>,
-    /// Channels of each pixel.
-    pub values: Vec<Vec<f64>>,
-    /// Which channels are not clipped.
-    pub usable: Vec<Vec<bool>>,
+    /// Each pixel with its normal in the camera frame.
+    pub readings: Vec<Reading>,
     /// Column and row of each pixel.
     pub positions: Vec<(usize, usize)>,
     /// How much of the sphere is seen.
@@ -84,7 +81,8 @@ impl Default for SamplingOptions {
 impl SphereSamples {
     /// Pixels with at least one usable channel.
     pub fn num_usable(&self) -> usize {
-        self.usable.iter().filter(|u| u.contains(&true)).count()
+        let readings = self.readings.iter();
+        readings.filter(|r| r.usable.contains(&true)).count()
     }
 }
 
@@ -149,19 +147,10 @@ impl<'a> Shot<'a> {
                 }
             }
             seen.num_seen += 1;
-            let values: Vec<f64> = self
-                .image
-                .pixel(pixel.x, pixel.y)
-                .iter()
-                .map(|&v| f64::from(v))
-                .collect();
-            let usable: Vec<bool> = values.iter().map(|&v| v.is_finite() && v < limit).collect();
-            if usable.contains(&false) {
-                seen.num_clipped += 1;
-            }
-            samples.normals.push(pixel.normal_in_cam);
-            samples.values.push(values);
-            samples.usable.push(usable);
+            let channels = self.image.pixel(pixel.x, pixel.y);
+            let reading = Reading::of_pixel(pixel.normal_in_cam, channels, limit);
+            seen.num_clipped += usize::from(!reading.is_whole());
+            samples.readings.push(reading);
             samples.positions.push((pixel.x, pixel.y));
         }
         seen.whole_px = std::f64::consts::PI
