@@ -57,7 +57,7 @@ pub fn fulfils<S: Into<String>>(
 #[macro_export]
 macro_rules! check_ranges {
     ($options:expr; $($field:ident in $range:expr),+ $(,)?) => {{
-        $($crate::in_range(stringify!($field), $options.$field, $range)?;)+
+        $($crate::options::in_range(stringify!($field), $options.$field, $range)?;)+
         Ok(())
     }};
 }
