@@ -320,14 +320,11 @@ pub(crate) fn visible_on(
             })
             .collect()
     };
-    let mut light = with_residuals(
-        level,
-        normals,
-        interpolated(&fit),
-        in_the_open(&fit),
-        None,
-        known.kind,
-    );
+    let of_fit = |fit: &EnvironmentFit| {
+        let (harmonics, open) = (interpolated(fit), in_the_open(fit));
+        with_residuals(level, normals, harmonics, open, None, known.kind)
+    };
+    let mut light = of_fit(&fit);
     let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
     let ratios: Vec<[f32; 3]> = of_groups
         .iter()
@@ -347,14 +344,7 @@ pub(crate) fn visible_on(
             }
         }
         fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
-        light = with_residuals(
-            level,
-            normals,
-            interpolated(&fit),
-            in_the_open(&fit),
-            None,
-            known.kind,
-        );
+        light = of_fit(&fit);
     }
     let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
     Some(with_residuals(

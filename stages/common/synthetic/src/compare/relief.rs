@@ -119,7 +119,7 @@ pub fn relief_sums(
                 step *= 2;
             }
             let sigma = (FIRST_SIGMA_PX * f64::from(1_u32 << band.min(NUM_FULL - 1))) as f32;
-            let radius = ((2.0 * sigma).max(1.5)).floor() as usize;
+            let radius = (2.0 * sigma).max(1.5);
             let off = widened(&blocked, radius);
             let [reference, found] = [&fields[0], &fields[1]].map(|field| field.band(sigma));
             let mut sums = BandSums::default();
@@ -326,8 +326,9 @@ fn halved(blocked: &Raster<bool>) -> Raster<bool> {
 }
 
 /// Pixels whose disc of `radius` touches a blocked one, or reaches out of the raster.
-fn widened(blocked: &Raster<bool>, radius: usize) -> Raster<bool> {
+fn widened(blocked: &Raster<bool>, radius: f32) -> Raster<bool> {
     let (width, height) = (blocked.width, blocked.height);
+    let (square, radius) = ((radius * radius) as usize, radius as usize);
     // Distance along the row to the nearest blocked pixel or the end, up to the radius and one.
     let mut along = vec![0_usize; width * height];
     for y in 0..height {
@@ -356,8 +357,7 @@ fn widened(blocked: &Raster<bool>, radius: usize) -> Raster<bool> {
         .for_each(|(y, row)| {
             for (x, off) in row.iter_mut().enumerate() {
                 let touches = |dy: usize| {
-                    let is_near =
-                        |y: usize| along[y * width + x].pow(2) + dy * dy <= radius * radius;
+                    let is_near = |y: usize| along[y * width + x].pow(2) + dy * dy <= square;
                     let above = y.checked_sub(dy).is_none_or(is_near);
                     let below = y + dy;
                     above || below >= height || is_near(below)
