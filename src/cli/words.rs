@@ -1,4 +1,4 @@
-//! Options of stages that are words, with their help.
+//! Options whose values are words, with the help of each value.
 
 use super::parse::one_of;
 use clap::builder::{PossibleValue, TypedValueParser};

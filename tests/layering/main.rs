@@ -46,7 +46,7 @@ fn allowed(name: &str) -> BTreeSet<&'static str> {
         "rilievo-photometry" | "rilievo-numerics" | "rilievo-stereo" | "rilievo-io" => {
             ["rilievo-scene", "rilievo-numerics"].into()
         }
-        "rilievo-synthetic" => ["rilievo-scene", "rilievo-photometry", "rilievo-numerics"].into(),
+        "rilievo-synthetic" => ["rilievo-scene", "rilievo-numerics"].into(),
         _ => [
             "rilievo-scene",
             "rilievo-photometry",

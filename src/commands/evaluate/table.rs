@@ -79,7 +79,7 @@ pub fn table(evaluation: &Evaluation) -> String {
 
 /// The relief of all views by wavelength.
 fn relief(bands: &[ReliefBand]) -> String {
-    let mut text = "relief by wavelength         true rms    corr    gain   corr^2\n".to_owned();
+    let mut text = "relief by wavelength       true rms    corr    gain   corr^2\n".to_owned();
     let share = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3}"));
     for band in bands {
         let size = band

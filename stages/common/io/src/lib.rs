@@ -53,6 +53,7 @@ pub mod preview;
 pub mod scene_file;
 pub mod sphere_file;
 mod words;
+mod xml;
 
 pub use adapters::{
     CameraFormat, camera_files, export_cameras, import_cameras, import_cameras_with_photos,

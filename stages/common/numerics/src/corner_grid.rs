@@ -110,15 +110,6 @@ impl CornerGrid {
         &self.spans[self.row_spans[y]..self.row_spans[y + 1]]
     }
 
-    /// Compact indices of one cell row.
-    pub fn row_cells(&self, y: usize) -> std::ops::Range<usize> {
-        let row = self.row(y);
-        match (row.first(), row.last()) {
-            (Some(first), Some(last)) => first.first..last.first + last.len,
-            _ => 0..0,
-        }
-    }
-
     /// Image pixel `(x, y)` of every cell, in compact order.
     pub fn pixels(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.spans.iter().flat_map(move |span| {

@@ -23,7 +23,7 @@ const MIN_JUMP: f64 = 5.0;
 
 /// Log depth of the farther rim for every pixel in a hidden gap, `None` elsewhere.
 /// `footprint` is a pixel's relative footprint.
-pub fn hidden_gaps(
+pub(crate) fn hidden_gaps(
     view: &LevelView,
     depth: &[f64],
     weight: &[f64],
@@ -67,7 +67,12 @@ pub fn hidden_gaps(
 
 /// Whether a difference joins a hidden gap with the surface that hides it, `surface` being the log
 /// depths of the pixels outside gaps.
-pub fn is_cut(f: &Functional, gaps: &[Option<f64>], surface: &[f64], footprint: f64) -> bool {
+pub(crate) fn is_cut(
+    f: &Functional,
+    gaps: &[Option<f64>],
+    surface: &[f64],
+    footprint: f64,
+) -> bool {
     f.terms().iter().any(|&(a, _)| {
         gaps[a as usize].is_some_and(|far| {
             f.terms().iter().any(|&(b, _)| {

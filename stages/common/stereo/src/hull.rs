@@ -112,10 +112,12 @@ pub fn object_ball(outlines: &[Outline]) -> Option<(Point3<f64>, f64)> {
     let center = Point3::from(normal.try_inverse()? * rhs);
     let mut radius = 0.0_f64;
     for (camera, farthest) in extents {
-        let (_, _, depth) = camera.project(&center)?;
-        radius = radius.max(farthest * depth);
+        // A camera with the centre behind it is posed wrongly, and tells no size.
+        if let Some((_, _, depth)) = camera.project(&center) {
+            radius = radius.max(farthest * depth);
+        }
     }
-    Some((center, radius))
+    (radius > 0.0).then_some((center, radius))
 }
 
 fn range_of_points(outline: &Outline, points: &[Point3<f64>]) -> Option<InverseDepthRange> {

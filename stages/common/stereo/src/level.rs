@@ -273,10 +273,13 @@ impl Level {
     }
 }
 
+/// Most views that one is compared with: which of them agree is told in the bits of a byte.
+pub const MAX_SOURCES: usize = 8;
+
 /// For every view the others whose line of sight to a point `target` in the world differs by about 20°,
 /// best first.
 ///
-/// A narrow angle says little about depth, a wide one sees another side.
+/// A narrow angle says little about depth, a wide one sees another side. At most [`MAX_SOURCES`] are chosen.
 pub fn choose_sources(
     views: &[LevelView],
     target: &Point3<f64>,
@@ -304,7 +307,7 @@ pub fn choose_sources(
             ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             ranked
                 .into_iter()
-                .take(max_num_sources)
+                .take(max_num_sources.min(MAX_SOURCES))
                 .map(|(_, j)| j)
                 .collect()
         })

@@ -10,7 +10,7 @@
 //!
 //! Depth `z` is along the optical axis, `ζ = ln z`; per-pixel lists hold a value for every masked pixel of a
 //! view, in the order of its [`PixelNumbering`](rilievo_numerics::plate_system::PixelNumbering). A pixel's
-//! relative footprint is one over the focal length. Shared by stages 3 (anchors) and 5 (the photo model).
+//! relative footprint is one over the focal length. Shared by stages 3 (anchors) and 5.
 
 pub mod between_levels;
 pub mod camera;

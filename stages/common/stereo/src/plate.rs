@@ -59,7 +59,7 @@ fn share_before(u: f64, v: f64) -> f64 {
 /// Visits the second differences (times the focal length) that are complete inside the mask:
 /// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block.
 #[inline]
-pub fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)) {
+pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)) {
     let focal = view.camera.focal();
     let mixed = std::f64::consts::SQRT_2 * focal;
     for i in 0..view.pixels.len() {
@@ -99,7 +99,7 @@ pub struct RobustPlate<'a> {
 }
 
 /// Adds `weight |bends|²`; cut bends keep a trace of it, so that no pixel is left without a hold.
-pub fn add_plate(
+pub(crate) fn add_plate(
     view: &LevelView,
     system: &mut PlateSystem,
     weight: f64,

@@ -31,7 +31,7 @@ pub fn bilinear(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
 
 /// Largest less smallest of the four values around a position, which must be [`inside`].
 #[inline]
-pub fn range_around(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
+pub(crate) fn range_around(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
     let base = y as usize * raster.width + x as usize;
     let d = &raster.data;
     let below = base + raster.width;
@@ -41,7 +41,7 @@ pub fn range_around(raster: &Raster<f32>, x: f64, y: f64) -> f32 {
 
 /// Bilinear value and its derivatives along x and y; the position must be [`inside`].
 #[inline]
-pub fn bilinear_with_slope(raster: &Raster<f32>, x: f64, y: f64) -> (f64, f64, f64) {
+pub(crate) fn bilinear_with_slope(raster: &Raster<f32>, x: f64, y: f64) -> (f64, f64, f64) {
     let (x0, y0) = (x as usize, y as usize);
     let (a, b) = (x - x0 as f64, y - y0 as f64);
     let base = y0 * raster.width + x0;

@@ -19,24 +19,13 @@ impl Window {
     /// The box around a mask's set pixels, `margin_px` wider on every side as far as the raster reaches;
     /// `None` where none is set.
     pub fn around(mask: &Mask, margin_px: usize) -> Option<Self> {
-        let (mut low, mut high) = ([usize::MAX; 2], [0_usize; 2]);
-        for y in 0..mask.height {
-            for x in 0..mask.width {
-                if *mask.at(x, y) {
-                    low = [low[0].min(x), low[1].min(y)];
-                    high = [high[0].max(x), high[1].max(y)];
-                }
-            }
-        }
-        if low[0] == usize::MAX {
-            return None;
-        }
-        let [x0, y0] = low.map(|v| v.saturating_sub(margin_px));
+        let [[left, right], [top, bottom]] = mask.bounds(|&inside| inside)?;
+        let [x0, y0] = [left, top].map(|v| v.saturating_sub(margin_px));
         Some(Self {
             x0,
             y0,
-            width: (high[0] + 1 + margin_px).min(mask.width) - x0,
-            height: (high[1] + 1 + margin_px).min(mask.height) - y0,
+            width: (right + 1 + margin_px).min(mask.width) - x0,
+            height: (bottom + 1 + margin_px).min(mask.height) - y0,
         })
     }
 

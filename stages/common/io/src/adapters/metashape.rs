@@ -16,6 +16,7 @@ use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
 use crate::names::Names;
 use crate::words::spaced;
+use crate::xml;
 use nalgebra::Matrix3;
 use rilievo_scene::{Distortion, Intrinsics, Unit};
 use roxmltree::{Document, Node};
@@ -35,7 +36,9 @@ fn below<'a, 'input>(node: Node<'a, 'input>, name: &str) -> impl Iterator<Item =
 }
 
 fn numbers<const N: usize>(node: Node<'_, '_>) -> Result<[f64; N], String> {
-    let text = node.text().unwrap_or_default();
+    // Comments cut a text into pieces.
+    let pieces = node.children().filter(|child| child.is_text());
+    let text: String = pieces.filter_map(|piece| piece.text()).collect();
     let values: Option<Vec<f64>> = text
         .split_whitespace()
         .map(|word| word.parse().ok().filter(|v: &f64| v.is_finite()))
@@ -54,6 +57,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
 
 fn parse(text: &str) -> Result<CameraFile, String> {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+    xml::check(text)?;
     let document = Document::parse(text).map_err(|error| format!("broken XML: {error}"))?;
     let root = document.root_element();
     let name = root.tag_name().name();

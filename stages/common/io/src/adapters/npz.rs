@@ -23,6 +23,8 @@ use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
+/// Skew over focal length that the rounding of a projection matrix explains.
+const ROUNDED_SKEW: f64 = 1e-4;
 /// Two arrays a camera, and as many arrays as a ZIP file of the plain kind counts.
 const MAX_CAMERAS: usize = u16::MAX as usize / 2;
 
@@ -48,8 +50,12 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
     let mut file = CameraFile::default();
     for (index, (matrix, image)) in matrices.iter().zip(&images).enumerate() {
         let refuse = |reason: String| IoError::input(path, format!("world_mat_{index} {reason}"));
-        let (k, rotation, center) =
+        let (mut k, rotation, center) =
             parted(matrix).ok_or_else(|| refuse("is no projection".to_owned()))?;
+        // A product of 32-bit matrices leaves a skew of its own rounding.
+        if k[(0, 1)].abs() < ROUNDED_SKEW * k[(0, 0)] {
+            k[(0, 1)] = 0.0;
+        }
         let intrinsics = intrinsics_of(&k, size_of(image)?).map_err(refuse)?;
         let pose = rigid_from_world_pose(&rotation.transpose(), center.into()).map_err(refuse)?;
         file.cameras
@@ -121,6 +127,9 @@ fn parse(path: &Path, data: &[u8]) -> Result<Vec<Matrix4<f64>>, IoError> {
         .map_err(|error| refuse(format!("is no NumPy file (.npz): {error}")))?;
     let mut matrices = Vec::new();
     loop {
+        if matrices.len() > MAX_CAMERAS {
+            return Err(refuse(format!("holds more than {MAX_CAMERAS} cameras")));
+        }
         let name = format!("world_mat_{}.npy", matrices.len());
         let mut array = Vec::new();
         match archive.by_name(&name) {

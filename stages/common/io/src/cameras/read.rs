@@ -14,7 +14,7 @@ use std::path::Path;
 const ORTHONORMAL_TOLERANCE: f64 = 1e-3;
 
 /// Skew over focal length beyond which `K` is of no camera of ours; matrices of 32 bits leave 1e-7.
-const MAX_SKEW: f64 = 1e-4;
+const MAX_SKEW: f64 = 1e-6;
 
 /// Reads `cameras.json`, a `camera.json` of one view, or a COLMAP model folder (text or binary).
 ///

@@ -155,6 +155,13 @@ impl PixelErrors {
                 );
             }
         }
+        let relief = relief_bands(&self.relief);
+        if relief.is_empty() {
+            reasons.insert(
+                "relief".into(),
+                "result and truth do not both have normals of enough pixels away from edges".into(),
+            );
+        }
         let mean = |values: &[f64]| {
             (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
@@ -179,7 +186,7 @@ impl PixelErrors {
             normal_within_11_22_30_deg: (!normal.is_empty())
                 .then(|| [share_within(11.25), share_within(22.5), share_within(30.0)]),
             normals_from: self.normal_source,
-            relief: relief_bands(&self.relief),
+            relief,
             num_truth_px: self.num_truth,
             reasons,
         }

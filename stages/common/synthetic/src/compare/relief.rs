@@ -11,6 +11,7 @@
 //! Between two independent estimates instead of truth and estimate, the correlation tells what both
 //! resolve (van Heel and Schatz 2005).
 
+use super::truth::is_depth;
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{DepthMap, NormalMap, Raster};
@@ -23,6 +24,8 @@ const FIRST_SIGMA_PX: f64 = 0.75;
 const NUM_FULL: usize = 3;
 /// A step of log depth that is so many times the median one is an edge.
 const EDGE_FACTOR: f32 = 8.0;
+/// A step of log depth that is none: what single precision leaves.
+const MIN_EDGE: f32 = 1e-6;
 /// Pixels under which a band says nothing.
 const MIN_PIXELS: usize = 100;
 
@@ -37,8 +40,10 @@ pub struct BandSums {
     pub both: f64,
     /// Pixels of the full resolution.
     pub num_px: usize,
-    /// Sum over them of a pixel's size on the surface, the depth's unit.
+    /// Sum of a pixel's size on the surface, the depth's unit, over those with a depth.
     pub footprints: f64,
+    /// Pixels with a depth.
+    pub num_footprints: usize,
 }
 
 impl BandSums {
@@ -49,6 +54,7 @@ impl BandSums {
         self.both += other.both;
         self.num_px += other.num_px;
         self.footprints += other.footprints;
+        self.num_footprints += other.num_footprints;
     }
 }
 
@@ -81,7 +87,8 @@ pub fn relief_bands(sums: &[BandSums]) -> Vec<ReliefBand> {
             let size = (sums.reference * sums.found).sqrt();
             ReliefBand {
                 wavelength_px,
-                wavelength: (sums.footprints > 0.0).then(|| wavelength_px * sums.footprints / num),
+                wavelength: (sums.num_footprints > 0)
+                    .then(|| wavelength_px * sums.footprints / sums.num_footprints as f64),
                 true_rms_deg: (sums.reference / num).sqrt().to_degrees(),
                 correlation: (size > 0.0).then(|| sums.both / size),
                 gain: (sums.reference > 0.0).then(|| sums.both / sums.reference),
@@ -135,9 +142,11 @@ pub fn relief_sums(
                 sums.found += num * dot(e, e);
                 sums.both += num * dot(t, e);
                 sums.num_px += step * step;
-                if let Some(footprints) = &footprints {
-                    let (x, y) = (i % off.width * step, i / off.width * step);
-                    sums.footprints += num * f64::from(*footprints.at(x, y));
+                let (x, y) = (i % off.width * step, i / off.width * step);
+                let footprint = footprints.as_ref().map_or(0.0, |f| *f.at(x, y));
+                if footprint > 0.0 {
+                    sums.footprints += num * f64::from(footprint);
+                    sums.num_footprints += step * step;
                 }
             }
             sums
@@ -155,20 +164,12 @@ struct Window {
 
 impl Window {
     fn around(normals: &NormalMap) -> Option<Self> {
-        let (mut low, mut high) = ((usize::MAX, usize::MAX), (0, 0));
-        for y in 0..normals.height {
-            for x in 0..normals.width {
-                if is_known(normals.at(x, y)) {
-                    low = (low.0.min(x), low.1.min(y));
-                    high = (high.0.max(x + 1), high.1.max(y + 1));
-                }
-            }
-        }
-        (high.0 > 0).then(|| Self {
-            x: low.0,
-            y: low.1,
-            width: high.0 - low.0,
-            height: high.1 - low.1,
+        let [[left, right], [top, bottom]] = normals.bounds(is_known)?;
+        Some(Self {
+            x: left,
+            y: top,
+            width: right + 1 - left,
+            height: bottom + 1 - top,
         })
     }
 
@@ -178,7 +179,9 @@ impl Window {
             let (x, y) = (x + self.x, y + self.y);
             let n = normals.at(x, y);
             if is_known(n) && is_known(other.at(x, y)) {
-                [n[0], n[1], n[2], 1.0]
+                // Maps of 16-bit floats are of unit length to three digits only.
+                let inverse = 1.0 / (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+                [n[0] * inverse, n[1] * inverse, n[2] * inverse, 1.0]
             } else {
                 [0.0; 4]
             }
@@ -194,7 +197,7 @@ impl Window {
         };
         let log = |x: usize, y: usize| {
             let z = *depth.at(x + self.x, y + self.y);
-            (z > 0.0 && z.is_finite()).then(|| z.ln())
+            is_depth(z).then(|| z.ln())
         };
         for (dx, dy) in [(1, 0), (0, 1)] {
             let step = |x: usize, y: usize| {
@@ -210,7 +213,8 @@ impl Window {
             let Some(typical) = median(&mut steps) else {
                 continue;
             };
-            let limit = EDGE_FACTOR * typical as f32;
+            // On a plane that faces the camera every step is rounding.
+            let limit = (EDGE_FACTOR * typical as f32).max(MIN_EDGE);
             for (x, y) in positions() {
                 if step(x, y).is_some_and(|s| s > limit) {
                     *blocked.at_mut(x, y) = true;
@@ -223,7 +227,12 @@ impl Window {
 
     fn footprints(&self, depth: &DepthMap, focal_px: f64) -> Raster<f32> {
         Raster::from_fn(self.width, self.height, |x, y| {
-            *depth.at(x + self.x, y + self.y) / focal_px as f32
+            let z = *depth.at(x + self.x, y + self.y);
+            if is_depth(z) {
+                z / focal_px as f32
+            } else {
+                0.0
+            }
         })
     }
 }
@@ -371,6 +380,7 @@ fn widened(blocked: &Raster<bool>, radius: f32) -> Raster<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::Random;
 
     const SIZE: usize = 240;
 
@@ -389,21 +399,6 @@ mod tests {
 
     fn bands(found: &NormalMap, truth: &NormalMap) -> Vec<ReliefBand> {
         relief_bands(&relief_sums(found, truth, Some(&flat_depth()), 1000.0))
-    }
-
-    /// Pseudo-random values of unit variance.
-    fn noise(seed: u64) -> impl FnMut() -> f32 {
-        let mut state = seed;
-        move || {
-            (0..12)
-                .map(|_| {
-                    state = state
-                        .wrapping_mul(6_364_136_223_846_793_005)
-                        .wrapping_add(1_442_695_040_888_963_407);
-                    (state >> 40) as f32 / (1_u64 << 24) as f32 - 0.5
-                })
-                .sum()
-        }
     }
 
     #[test]
@@ -450,7 +445,8 @@ mod tests {
 
     #[test]
     fn noise_as_strong_as_the_relief_halves_the_correlation_squared() {
-        let mut next = noise(5);
+        let mut random = Random(5);
+        let mut next = || random.normal() as f32;
         let truth = Raster::from_fn(SIZE, SIZE, |_, _| [0.03 * next(), 0.03 * next(), -1.0]);
         let found = truth.clone();
         let found = Raster::from_fn(SIZE, SIZE, |x, y| {
