@@ -107,7 +107,7 @@ fn outline_of_mask(mask: &Mask) -> Vec<Point2<f64>> {
 /// Fits the cone of a mark.
 ///
 /// # Errors
-/// Those of [`cone_from_points`].
+/// [`SphereError::TooFewPoints`], [`SphereError::NotADisc`] and [`SphereError::OpenOutline`].
 pub fn cone_from_mark(
     mark: &SphereMark,
     intrinsics: &Intrinsics,
@@ -192,7 +192,7 @@ pub fn check_marked_points(points: &[Point2<f64>]) -> Result<(), SphereError> {
 /// Robust cone through outline points.
 ///
 /// # Errors
-/// [`SphereError::TooFewPoints`], [`SphereError::NotADisc`] and [`SphereError::OpenOutline`].
+/// Those of [`cone_from_mark`].
 pub fn cone_from_points(
     points: &[Point2<f64>],
     intrinsics: &Intrinsics,
