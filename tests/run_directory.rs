@@ -198,6 +198,23 @@ fn a_stage_without_its_input_is_told_and_a_damaged_one_hides_no_other() {
 }
 
 #[test]
+fn halves_need_what_stage_5_reads_and_an_evaluation_needs_a_measure() {
+    let (_dir, photos, run_dir) = noise_run(2);
+    two_stages(&photos, &run_dir, &[]);
+    let (code, stdout, stderr) = run(&["evaluate", arg(&run_dir), "--halves"]);
+    assert_eq!(code, 5, "{stderr}");
+    assert!(
+        stdout.is_empty() && stderr.contains("3_poses, which is missing"),
+        "{stderr}"
+    );
+    let (code, _, stderr) = run(&["evaluate", arg(&run_dir)]);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("--truth"), "{stderr}");
+    let both = ["evaluate", arg(&run_dir), "--halves", "--truth", "truth"];
+    assert_eq!(run(&both).0, 2);
+}
+
+#[test]
 fn an_evaluation_goes_with_the_results_that_it_judged() {
     let (_dir, photos, run_dir) = noise_run(2);
     two_stages(&photos, &run_dir, &[]);

@@ -46,6 +46,43 @@ fn reconstruct(set: &Path, run_dir: &Path, more: &[&str]) -> String {
     stderr
 }
 
+/// Correlations by wavelength, shortest first.
+fn correlations(relief: &serde_json::Value) -> Vec<f64> {
+    let bands = relief.as_array().map(Vec::as_slice).unwrap_or_default();
+    let correlation = |band: &serde_json::Value| band["correlation"].as_f64().unwrap_or(f64::NAN);
+    bands.iter().map(correlation).collect()
+}
+
+/// The halves share no photo: what they agree on is in the truth too, but for errors that both make.
+#[test]
+fn two_halves_agree_about_as_far_as_the_result_agrees_with_the_truth() {
+    let _alone = alone();
+    let (run_dir, _) = reference();
+    let json = |arguments: &[&str]| -> serde_json::Value {
+        serde_json::from_str(&done(arguments)).expect("JSON")
+    };
+    let truth = synthetic_set().join("truth");
+    let of_truth = json(&["evaluate", arg(run_dir), "--truth", arg(&truth), "--json"]);
+    let of_halves = json(&["evaluate", arg(run_dir), "--halves", "--json"]);
+    let (true_ones, halves) = (
+        correlations(&of_truth["all"]["relief"]),
+        correlations(&of_halves["relief"]),
+    );
+    assert!(halves.len() >= 4, "{of_halves}");
+    for (of_truth, of_halves) in true_ones.iter().zip(&halves) {
+        assert!(
+            (of_truth - of_halves).abs() < 0.1,
+            "{true_ones:?} {halves:?}"
+        );
+    }
+    assert!(of_halves["resolved"]["wavelength_px"].is_f64());
+    assert_eq!(of_halves["halves"][1][0], "IMG_0002");
+    assert_eq!(of_halves["unit"], "metre");
+    // The evaluation against the truth stays beside that of the halves.
+    let page = std::fs::read_to_string(run_dir.join("report.html")).expect("a report");
+    assert!(page.contains("id=\"accuracy\"") && page.contains("id=\"halves\""));
+}
+
 #[test]
 fn the_result_is_accurate() {
     let _alone = alone();

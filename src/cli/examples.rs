@@ -51,7 +51,8 @@ Examples:
 pub const EVALUATE: &str = "\
 Examples:
   rilievo evaluate run --truth truth
-  rilievo evaluate run --truth truth --align sim3 --json";
+  rilievo evaluate run --truth truth --align sim3 --json
+  rilievo evaluate run --halves";
 
 pub const SYNTH: &str = "\
 Examples:

@@ -454,8 +454,12 @@ pub struct EvaluateArgs {
     /// The run directory
     pub run: PathBuf,
     /// Folder with cameras.json, NAME_depth.exr, NAME_normal.exr, mesh.ply
-    #[arg(long, value_name = "DIR")]
-    pub truth: PathBuf,
+    #[arg(long, value_name = "DIR", required_unless_present = "halves")]
+    pub truth: Option<PathBuf>,
+    /// Without a truth: shapes two halves of the photos, each alone, and tells by wavelength what relief
+    /// both find; as long as stage 5
+    #[arg(long, conflicts_with_all = ["truth", "align"])]
+    pub halves: bool,
     /// How the frames are brought together before comparing
     #[arg(long, value_name = "ALIGNMENT", default_value = "auto", value_parser = words(ALIGNMENTS))]
     pub align: AlignmentRequest,

@@ -12,12 +12,20 @@ pub struct Resources {
     pub memory: u64,
 }
 
+impl Default for Resources {
+    /// Half of the free memory.
+    fn default() -> Self {
+        Self {
+            memory: half_of_free_memory(),
+        }
+    }
+}
+
 impl Resources {
     /// Reads the memory limit.
     pub fn new(args: &WorkArgs) -> Self {
-        Self {
-            memory: args.memory.unwrap_or_else(half_of_free_memory),
-        }
+        args.memory
+            .map_or_else(Self::default, |memory| Self { memory })
     }
 
     /// How many items of a size can be worked on at once: at least one, or nothing would move.

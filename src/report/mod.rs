@@ -10,7 +10,9 @@ pub use outcome::Outcome;
 use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, own_file, seal, unseal, write_atomically};
 use facts::Facts;
+use html::Addition;
 use maud::Markup;
+use rilievo_synthetic::compare::HalvesComparison;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -25,26 +27,42 @@ pub fn add_evaluation(
     views: &[ViewErrors],
     deviations_mm: &[f64],
 ) -> anyhow::Result<bool> {
-    put_evaluation(root, &html::evaluation_section(table, views, deviations_mm))
+    let section = html::evaluation_section(table, views, deviations_mm);
+    put(root, &[(Addition::Evaluation, section)])
 }
 
-/// Takes an evaluation out of the report of a run, since the results that it judged are gone.
+/// Puts what two halves of the photos agree on into the report of a run, as [`add_evaluation`].
+///
+/// # Errors
+/// When the report cannot be read or written.
+pub fn add_halves(root: &Path, table: &str, found: &HalvesComparison) -> anyhow::Result<bool> {
+    put(
+        root,
+        &[(Addition::Halves, html::halves_section(table, found))],
+    )
+}
+
+/// Takes evaluations out of the report of a run, since the results that they judged are gone.
 ///
 /// # Errors
 /// When the report cannot be read or written.
 pub fn drop_evaluation(root: &Path) -> anyhow::Result<()> {
-    put_evaluation(root, &Markup::default()).map(|_| ())
+    let nothing = |addition| (addition, Markup::default());
+    put(root, &[Addition::Evaluation, Addition::Halves].map(nothing)).map(|_| ())
 }
 
-fn put_evaluation(root: &Path, section: &Markup) -> anyhow::Result<bool> {
+fn put(root: &Path, sections: &[(Addition, Markup)]) -> anyhow::Result<bool> {
     let path = root.join("report.html");
     let Some(page) = own_file(&path)? else {
         return Ok(false);
     };
-    let page = String::from_utf8_lossy(&page);
-    let Some(page) = html::with_evaluation(&page, section) else {
-        return Ok(false);
-    };
+    let mut page = String::from_utf8_lossy(&page).into_owned();
+    for (addition, section) in sections {
+        let Some(with_section) = addition.put(&page, section) else {
+            return Ok(false);
+        };
+        page = with_section;
+    }
     write_atomically(&path, html::sealed(&page).as_bytes())?;
     Ok(true)
 }

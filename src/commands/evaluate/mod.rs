@@ -1,9 +1,11 @@
-//! `rilievo evaluate RUN --truth DIR`: accuracy against ground truth, the alignment said aloud.
+//! `rilievo evaluate RUN --truth DIR`: accuracy against ground truth, the alignment said aloud; with `--halves`,
+//! without a truth, what two halves of the photos agree on.
 
 mod appearance;
 mod comparison;
 mod errors;
 mod estimate;
+mod halves;
 mod optional_file;
 mod parts;
 mod table;
@@ -18,12 +20,16 @@ use crate::exit::Failure;
 /// Runs the command.
 ///
 /// # Errors
-/// When run or truth cannot be read, have nothing in common, or cannot be aligned as asked.
+/// When run or truth cannot be read, have nothing in common, or cannot be aligned as asked; when the halves cannot be
+/// shaped.
 pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
-    if !args.truth.is_dir() {
-        return Err(Failure::input(&args.truth, "there is no such folder (--truth)").into());
+    let Some(truth) = &args.truth else {
+        return halves::evaluate(&args.run, args.json);
+    };
+    if !truth.is_dir() {
+        return Err(Failure::input(truth, "there is no such folder (--truth)").into());
     }
-    let comparison = Comparison::open(&args.run, &args.truth, args.align)?;
+    let comparison = Comparison::open(&args.run, truth, args.align)?;
     if let Some(failure) = comparison.nothing_in_common()? {
         // Programs get their nulls with the reasons all the same.
         if args.json

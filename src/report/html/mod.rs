@@ -5,6 +5,7 @@
 
 mod element;
 mod evaluation;
+mod halves;
 mod matches;
 mod overview;
 mod picture;
@@ -15,6 +16,7 @@ mod viewer;
 mod views;
 
 pub use evaluation::{ViewErrors, section as evaluation_section};
+pub use halves::section as halves_section;
 
 use super::facts::Facts;
 use crate::pipeline::load_poses;
@@ -25,15 +27,36 @@ const STYLE: &str = include_str!("page.css");
 const PAGE_SCRIPT: &str = include_str!("page.js");
 const VIEWER_SCRIPT: &str = include_str!("viewer.js");
 
-const EVALUATION_BEGIN: &str = "<!-- evaluation -->";
-const EVALUATION_END: &str = "<!-- end of evaluation -->";
+/// A section that `rilievo evaluate` puts into a page that stands already, between marks of its own.
+#[derive(Clone, Copy, Debug)]
+pub enum Addition {
+    /// Accuracy against the truth.
+    Evaluation,
+    /// What two halves of the photos agree on.
+    Halves,
+}
 
-/// A page with a section in the place of an earlier evaluation's; `None` where the page has none.
-pub fn with_evaluation(page: &str, section: &Markup) -> Option<String> {
-    let (before, rest) = page.split_once(EVALUATION_BEGIN)?;
-    let (_, after) = rest.split_once(EVALUATION_END)?;
-    let section = section.0.as_str();
-    Some([before, EVALUATION_BEGIN, section, EVALUATION_END, after].concat())
+impl Addition {
+    /// Before and behind the section.
+    fn marks(self) -> [&'static str; 2] {
+        match self {
+            Self::Evaluation => ["<!-- evaluation -->", "<!-- end of evaluation -->"],
+            Self::Halves => ["<!-- halves -->", "<!-- end of halves -->"],
+        }
+    }
+
+    /// The marks with nothing between them.
+    fn place(self) -> Markup {
+        PreEscaped(self.marks().concat())
+    }
+
+    /// A page with a section in the place of an earlier one; `None` where the page has no such place.
+    pub fn put(self, page: &str, section: &Markup) -> Option<String> {
+        let [begin, end] = self.marks();
+        let (before, rest) = page.split_once(begin)?;
+        let (_, after) = rest.split_once(end)?;
+        Some([before, begin, section.0.as_str(), end, after].concat())
+    }
 }
 
 /// Before the hash that ends a page.
@@ -92,8 +115,7 @@ pub fn page(run: &RunDir, facts: &Facts) -> anyhow::Result<String> {
                 a.skip href="#main" { "skip to the results" }
                 main id="main" {
                     (overview) (viewer) (views)
-                    // `evaluate` puts its section between these marks.
-                    (PreEscaped(EVALUATION_BEGIN)) (PreEscaped(EVALUATION_END))
+                    (Addition::Evaluation.place()) (Addition::Halves.place())
                     (stages::sections(facts))
                 }
                 script { (PreEscaped(PAGE_SCRIPT)) }

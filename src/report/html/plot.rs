@@ -1,4 +1,4 @@
-//! Convergence of an iterative solver, and distributions of errors, as inline drawings.
+//! Convergence of an iterative solver, distributions of errors, and values by wavelength, as inline drawings.
 
 use maud::{Markup, html};
 
@@ -101,6 +101,33 @@ pub fn cumulative(title: &str, unit: &str, mut errors: Vec<f64>) -> Markup {
             }
         }
     }
+}
+
+/// Values of 0 to 1 over wavelengths, in growing order, each an octave or more from the next; `threshold` is drawn as a
+/// line. Empty with fewer than two.
+pub fn by_wavelength(title: &str, values: &[(f64, f64)], threshold: f64) -> Markup {
+    let (Some((low, _)), Some((high, _)), true) = (values.first(), values.last(), values.len() > 1)
+    else {
+        return Markup::default();
+    };
+    let x = |wavelength: f64| {
+        MARGIN + (WIDTH - 2.0 * MARGIN) * (wavelength / low).ln() / (high / low).ln()
+    };
+    let y = |value: f64| HEIGHT - MARGIN / 2.0 - (HEIGHT - MARGIN) * value.clamp(0.0, 1.0);
+    let points: Vec<String> = values
+        .iter()
+        .map(|&(wavelength, value)| format!("{:.1},{:.1}", x(wavelength), y(value)))
+        .collect();
+    let plot = html! {
+        @for value in [0.0, threshold, 1.0] { (grid_line(y(value), &format!("{value}"))) }
+        @for &(wavelength, _) in values {
+            text x=(format!("{:.1}", x(wavelength) - 14.0)) y=(HEIGHT - 4.0) {
+                (format!("{wavelength:.1}"))
+            }
+        }
+        (curve(STYLES[0], &points))
+    };
+    html! { figure { (drawing(title, &plot)) figcaption { (title) } } }
 }
 
 #[cfg(test)]

@@ -28,6 +28,7 @@ pub mod raster;
 pub mod shaded;
 pub mod sphere;
 pub mod srgb;
+mod subset;
 pub mod transform;
 
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};

@@ -8,6 +8,7 @@ mod align;
 mod appearance;
 mod cloud;
 mod evaluation;
+mod halves;
 mod maps;
 mod nearest;
 mod relief;
@@ -19,6 +20,9 @@ pub use align::{
 pub use appearance::{AppearanceComparison, ImageErrors, LightComparison, compare_light};
 pub use cloud::{CloudComparison, MeshDistance, ThresholdShares, TrueSurface, compare_cloud};
 pub use evaluation::{Evaluation, evaluate};
+pub use halves::{
+    Half, HalvesBand, HalvesComparison, RESOLVED_CORRELATION, Resolved, compare_halves,
+};
 pub use maps::{MapComparison, NormalSource, PixelErrors, aggregate, compare_maps, plane_normals};
 pub use relief::{BandSums, ReliefBand, relief_bands, relief_sums};
 pub use truth::{TruthMaps, TruthView};

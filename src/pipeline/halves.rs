@@ -1,0 +1,60 @@
+//! Stage 5 on two disjoint halves of a run's views, from the poses and the light of the run.
+
+use super::context::Context;
+use super::errors::from_shading;
+use crate::exit::Failure;
+use rilievo_scene::{PosedViews, ShadedViews, ViewIdx};
+
+/// Views that a half needs to be shaped.
+const MIN_VIEWS: usize = 2;
+
+/// A half of the views, and what was found of it.
+pub struct ShapedHalf {
+    /// Its cameras.
+    pub posed: PosedViews,
+    /// Its maps.
+    pub shaded: ShadedViews,
+}
+
+/// Shapes the views of even and of odd number, each half alone: in the order of the photos, so that both see the object
+/// from all around where the photos were taken in turn.
+///
+/// # Errors
+/// When there are too few views, a half cannot be shaped, or the user asked to stop.
+pub fn shaped_halves(context: &Context<'_>) -> anyhow::Result<[ShapedHalf; 2]> {
+    let photos = super::photos::load(context)?;
+    let posed = super::poses::load(context.run)?;
+    let lighting = super::lighting::load(context)?;
+    let num_views = posed.views.len();
+    if num_views < 2 * MIN_VIEWS {
+        return Err(Failure::NoResult(format!(
+            "{num_views} views cannot be shaped in two halves: it takes {} with a pose",
+            2 * MIN_VIEWS
+        ))
+        .into());
+    }
+    let shaped = |first: usize| -> anyhow::Result<ShapedHalf> {
+        let kept: Vec<ViewIdx> = (first..num_views).step_by(2).map(ViewIdx).collect();
+        let half = posed.of_views(&kept);
+        let names: Vec<&str> = half.views.iter().map(|view| view.name.as_str()).collect();
+        context
+            .console
+            .note(&format!("shaping {}", names.join(", ")));
+        let (mut shaded, _) = rilievo_shading::run(
+            &photos,
+            &half,
+            &lighting.of_views(num_views, &kept),
+            &context.request.options.shading,
+            context.console,
+        )
+        .map_err(from_shading)?;
+        for view in &mut shaded.views {
+            (view.confidence, view.rendered, view.albedo) = (None, None, None);
+        }
+        Ok(ShapedHalf {
+            posed: half,
+            shaded,
+        })
+    };
+    Ok([shaped(0)?, shaped(1)?])
+}
