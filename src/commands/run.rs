@@ -1,13 +1,12 @@
 //! `rilievo run STAGE RUN`: one stage again, with what the run directory says.
 
 use super::reporting::reporting;
-use super::stored::stored_request;
+use super::stored::{check_upstream, stored_request};
 use crate::cli::RunArgs;
-use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Context, Inputs, Plan, Resources, StageState, run_stage, upstream};
+use crate::pipeline::{Context, Inputs, Plan, Resources, run_stage};
 use crate::report::{self, Outcome};
-use crate::store::{Look, RunDir};
+use crate::store::RunDir;
 
 /// Runs the command.
 ///
@@ -24,19 +23,7 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<()> {
     let request = stored_request(&run)?;
     let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
-    for &needed in upstream(args.stage) {
-        match plan.state(&run, needed, Look::Contents)? {
-            StageState::Valid => {}
-            state => {
-                return Err(Failure::RunDirectory(format!(
-                    "stage {} needs {needed}, which is {state}; run it first, or use \
-                     `rilievo reconstruct`",
-                    args.stage
-                ))
-                .into());
-            }
-        }
-    }
+    check_upstream(&run, &plan, args.stage)?;
     let context = Context {
         run: &run,
         request: &request,

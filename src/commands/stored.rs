@@ -2,8 +2,9 @@
 
 use crate::exit::Failure;
 use crate::paths;
-use crate::pipeline::Request;
-use crate::store::{RunDir, StoreError, absolute};
+use crate::pipeline::{Plan, Request, StageState, upstream};
+use crate::store::{Look, RunDir, StoreError, absolute};
+use rilievo_scene::StageId;
 
 /// The request that a run directory was made for, as it stands where the run is now; a damage of
 /// `run.json` is told.
@@ -23,4 +24,24 @@ pub fn stored_request(run: &RunDir) -> Result<Request, Failure> {
         Some(before) if before != place => request.moved(&before, &place),
         _ => request,
     })
+}
+
+/// Refuses to redo what a stage makes where a stage that it reads is missing, stale or damaged.
+///
+/// # Errors
+/// Names that stage, and what is wrong with it.
+pub fn check_upstream(run: &RunDir, plan: &Plan, stage: StageId) -> anyhow::Result<()> {
+    for &needed in upstream(stage) {
+        match plan.state(run, needed, Look::Contents)? {
+            StageState::Valid => {}
+            state => {
+                return Err(Failure::RunDirectory(format!(
+                    "stage {stage} needs {needed}, which is {state}; run it first, or use \
+                     `rilievo reconstruct`"
+                ))
+                .into());
+            }
+        }
+    }
+    Ok(())
 }

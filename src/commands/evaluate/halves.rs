@@ -1,13 +1,10 @@
 //! `rilievo evaluate RUN --halves`: what relief a run resolves, told from its photos alone.
 
-use crate::commands::stored::stored_request;
-use crate::exit::Failure;
+use crate::commands::stored::{check_upstream, stored_request};
 use crate::observe::Console;
-use crate::pipeline::{
-    Context, Inputs, Plan, Resources, ShapedHalf, StageState, shaped_halves, upstream,
-};
+use crate::pipeline::{Context, Inputs, Plan, Resources, ShapedHalf, shaped_halves};
 use crate::report;
-use crate::store::{Look, RunDir};
+use crate::store::RunDir;
 use rilievo_scene::{StageId, Unit};
 use rilievo_synthetic::compare::{
     Half, HalvesComparison, RESOLVED_CORRELATION, Resolved, compare_halves,
@@ -25,18 +22,7 @@ pub(super) fn evaluate(root: &Path, json: bool) -> anyhow::Result<()> {
     let request = stored_request(&run)?;
     let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
-    for &needed in upstream(StageId::Shading) {
-        match plan.state(&run, needed, Look::Contents)? {
-            StageState::Valid => {}
-            state => {
-                return Err(Failure::RunDirectory(format!(
-                    "halves are shaped from {needed}, which is {state}; `rilievo reconstruct` brings \
-                     it up to date"
-                ))
-                .into());
-            }
-        }
-    }
+    check_upstream(&run, &plan, StageId::Shading)?;
     let halves = shaped_halves(&Context {
         run: &run,
         request: &request,
