@@ -3,6 +3,7 @@
 use crate::level::{LevelView, MAX_STEP_PX};
 use crate::plate;
 use crate::sampling;
+use crate::surfaces::CUBIC_RANGE_PX;
 use rilievo_numerics::plate_system::Functional;
 
 /// Log depth at the next coarser level: mean of the four children (all are masked).
@@ -25,13 +26,15 @@ pub fn children(fine: &LevelView, coarse: &LevelView, pixel: usize) -> [usize; 4
         .map(|(dx, dy)| fine.pixels.number[(y + dy) * fine.pixels.width + x + dx] as usize)
 }
 
-/// Log depth of a finer level from a coarser one: bilinear where all four parents are masked; between
+/// Log depth of a finer level from a coarser one: cubic, so that slopes have no steps, bilinear beside borders and
+/// breaks, where not all of the sixteen parents tell of one surface, and known where all four are masked; between
 /// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
 /// Returns the values and where they are known.
 pub fn upsample(coarse: &LevelView, fine: &LevelView, values: &[f64]) -> (Vec<f64>, Vec<bool>) {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();
     let raster = coarse.spread(&centred, 0.0);
+    let max_range = CUBIC_RANGE_PX / coarse.camera.focal();
     let mut out = Vec::with_capacity(fine.pixels.len());
     let mut known = Vec::with_capacity(fine.pixels.len());
     for i in 0..fine.pixels.len() {
@@ -44,7 +47,8 @@ pub fn upsample(coarse: &LevelView, fine: &LevelView, values: &[f64]) -> (Vec<f6
         } else if !coarse.is_one_surface(&raster, x, y) {
             on_nearest_plane(coarse, values, x, y)
         } else {
-            f64::from(sampling::bilinear(&raster, x, y)) + mean
+            let cubic = sampling::cubic_with_slope(&raster, &coarse.mask, x, y, max_range);
+            mean + cubic.map_or_else(|| f64::from(sampling::bilinear(&raster, x, y)), |(z, ..)| z)
         });
     }
     (out, known)
@@ -65,6 +69,32 @@ fn on_nearest_plane(view: &LevelView, depth: &[f64], x: f64, y: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::level::flat_view;
+
+    /// Waves of 12 coarse pixels keep their slopes to a thirtieth of the steepest; straight lines between parents
+    /// miss an eighth.
+    #[test]
+    fn slopes_are_as_smooth_as_the_surface() {
+        let fine = flat_view(96, 48, 1000.0);
+        let coarse = fine.halved();
+        let focal = coarse.camera.focal();
+        let turn = std::f64::consts::TAU / 12.0;
+        let values: Vec<f64> = (0..coarse.pixels.len())
+            .map(|p| (turn * coarse.xy(p).0).sin() / focal)
+            .collect();
+        let (finer, known) = upsample(&coarse, &fine, &values);
+        let mut worst = 0.0_f64;
+        for p in (0..finer.len()).filter(|&p| known[p]) {
+            let (x, y) = fine.xy(p);
+            let is_inner = |v: f64, size: f64| v > 5.0 && v < size - 6.0;
+            if !is_inner(x, 96.0) || !is_inner(y, 48.0) {
+                continue;
+            }
+            let slope = (finer[p + 1] - finer[p]) * fine.camera.focal();
+            let middle = 0.5 * (x + 1.0) - 0.5;
+            worst = worst.max((slope - turn * (turn * middle).cos()).abs() / turn);
+        }
+        assert!(worst > 0.0 && worst < 0.03, "{worst}");
+    }
 
     /// Two planes with a step between them: no pixel of the finer level lies between both.
     #[test]

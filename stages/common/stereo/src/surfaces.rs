@@ -20,7 +20,7 @@ pub enum Reading {
 
 /// Range that the sixteen values of a cubic reading may span, in footprints: they reach over three pixels
 /// where four reach over one, and what is as steep as a break in all of them is one.
-const CUBIC_RANGE_PX: f64 = 2.0 * level::MAX_STEP_PX;
+pub(crate) const CUBIC_RANGE_PX: f64 = 2.0 * level::MAX_STEP_PX;
 
 /// Log depths of all views with their weights, for the other views to read.
 pub struct Surfaces<'a> {
