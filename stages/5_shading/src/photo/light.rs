@@ -40,9 +40,6 @@ pub(crate) struct Light {
     /// Log depth difference at which another view's intensity no longer counts; 0 where the views are lit
     /// differently.
     pub mean_tolerance: f64,
-    /// Whether light comes from all around, so that relief hides some of it ([`rilievo_stereo::openness`]). One fixed
-    /// to the camera looks into every pit, and a distant one casts no shadow.
-    pub is_around: bool,
 }
 
 impl Light {
@@ -59,7 +56,6 @@ impl Light {
             pigment: self.pigment_of(view),
             trust: self.trust.get(view).map(Vec::as_slice),
             mean_tolerance: self.mean_tolerance,
-            is_around: self.is_around,
         }
     }
 
@@ -162,7 +158,6 @@ pub(crate) fn with_residuals(
             LightKind::World => MEAN_TOLERANCE_PX / level.focal(),
             LightKind::Camera => 0.0,
         },
-        is_around: false,
     }
 }
 
@@ -352,17 +347,14 @@ pub(crate) fn visible_on(
         light = of_fit(&fit);
     }
     let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
-    Some(Light {
-        is_around: known.kind == LightKind::World,
-        ..with_residuals(
-            level,
-            normals,
-            light.harmonics,
-            light.in_the_open,
-            Some(pigment),
-            known.kind,
-        )
-    })
+    Some(with_residuals(
+        level,
+        normals,
+        light.harmonics,
+        light.in_the_open,
+        Some(pigment),
+        known.kind,
+    ))
 }
 
 /// Nine harmonics of what falls on a surface in the open, in the environment's own frame.

@@ -162,7 +162,6 @@ impl Course<'_> {
             in_the_open: light.in_the_open.clone(),
             pigment: None,
             mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
-            is_around: light.is_around,
             trust: light
                 .trust
                 .iter()
