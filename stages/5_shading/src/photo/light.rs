@@ -8,6 +8,7 @@
 //! object's, are divided out of the samples before a second fit. `distant` does without rays.
 
 use super::albedo::{self, Albedo};
+use super::hidden_light;
 use super::known_light::{KnownGroup, KnownLight};
 use super::shading::{self, PixelHarmonics, PixelLight};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
@@ -40,6 +41,9 @@ pub(crate) struct Light {
     /// Log depth difference at which another view's intensity no longer counts; 0 where the views are lit
     /// differently.
     pub mean_tolerance: f64,
+    /// Exponent of openness, as the photos show it ([`hidden_light`]); none where the light moves with the camera or
+    /// is taken to cast no shadow.
+    pub openness_exponent: Option<f32>,
 }
 
 impl Light {
@@ -56,6 +60,7 @@ impl Light {
             pigment: self.pigment_of(view),
             trust: self.trust.get(view).map(Vec::as_slice),
             mean_tolerance: self.mean_tolerance,
+            openness_exponent: self.openness_exponent.unwrap_or(0.0),
         }
     }
 
@@ -158,6 +163,7 @@ pub(crate) fn with_residuals(
             LightKind::World => MEAN_TOLERANCE_PX / level.focal(),
             LightKind::Camera => 0.0,
         },
+        openness_exponent: None,
     }
 }
 
@@ -347,14 +353,18 @@ pub(crate) fn visible_on(
         light = of_fit(&fit);
     }
     let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
-    Some(with_residuals(
+    let mut light = with_residuals(
         level,
         normals,
         light.harmonics,
         light.in_the_open,
         Some(pigment),
         known.kind,
-    ))
+    );
+    if known.kind == LightKind::World {
+        light.openness_exponent = Some(hidden_light::exponent(&level.views, depths, &light));
+    }
+    Some(light)
 }
 
 /// Nine harmonics of what falls on a surface in the open, in the environment's own frame.

@@ -9,7 +9,7 @@ use super::light::{self, Light, LightScene};
 use super::report::StepReport;
 use super::surround;
 use super::views::SolvedFrame;
-use super::{albedo, appearance, confidence, validation};
+use super::{albedo, appearance, confidence, hidden_light, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rilievo_numerics::plate_solver::PlateSolver;
@@ -101,8 +101,14 @@ impl Course<'_> {
         self.report.steps.push(StepReport {
             level: at,
             kind: format!(
-                "light, residual {:.4}{}",
+                "light, residual {:.4}{}{}",
                 light.as_ref().map_or(f64::NAN, Light::residual),
+                light
+                    .as_ref()
+                    .and_then(|light| light.openness_exponent)
+                    .map_or_else(String::new, |exponent| format!(
+                        ", openness to the power {exponent:.2}"
+                    )),
                 if ground.is_some() { ", ground" } else { "" }
             ),
             seconds: began.elapsed().as_secs_f64(),
@@ -162,6 +168,7 @@ impl Course<'_> {
             in_the_open: light.in_the_open.clone(),
             pigment: None,
             mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
+            openness_exponent: None,
             trust: light
                 .trust
                 .iter()
@@ -183,6 +190,9 @@ impl Course<'_> {
                 out.mean_tolerance,
             ));
         }
+        out.openness_exponent = light
+            .openness_exponent
+            .map(|_| hidden_light::exponent(&fine.views, depths, &out));
         out
     }
 

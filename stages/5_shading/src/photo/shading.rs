@@ -3,7 +3,8 @@
 //! Per pixel and channel `u = l·h(n(∇ζ)) / (Ĩ (1 + e)) − 1`, with nine coefficients `l` of that pixel
 //! (eq. 1 with the lighting varying over the image); brightness and chroma of `u`, each in units of its
 //! own noise (`chroma`), with Huber's weight of each.
-//! `Ĩ` averages the intensities of all views that see the point: noise and gloss shrink.
+//! `Ĩ` averages the intensities of all views that see the point, so that noise and gloss shrink, over what
+//! the relief around leaves of the light (`hidden_light`).
 //! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a Gaussian: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
 
@@ -13,6 +14,7 @@ use rayon::prelude::*;
 use rilievo_numerics::plate_system::PlateSystem;
 use rilievo_scene::{Raster, SphericalHarmonics};
 use rilievo_stereo::level::{Level, LevelView};
+use rilievo_stereo::openness::openness;
 use rilievo_stereo::plate;
 use rilievo_stereo::sampling;
 
@@ -64,6 +66,8 @@ pub(crate) struct PixelLight<'a> {
     pub trust: Option<&'a [f32]>,
     /// Log depth difference at which another view's intensity no longer counts; 0: never counts.
     pub mean_tolerance: f64,
+    /// Exponent of openness; 0: relief hides nothing of the light.
+    pub openness_exponent: f32,
 }
 
 /// How shading is weighed.
@@ -125,6 +129,11 @@ impl<'a> ShadingTerm<'a> {
             .map(|i| f32::from(u8::from(view.is_usable(i))))
             .collect();
         let normals = plate::normals(view, depth);
+        if light.openness_exponent > 0.0 {
+            for (t, open) in target.iter_mut().zip(openness(view, depth, &normals)) {
+                *t = t.map(|v| v / open.powf(light.openness_exponent));
+            }
+        }
         let relative: Vec<[f32; 3]> = (0..n)
             .map(|i| {
                 let s = render(&light.harmonics[i], normals[i]);

@@ -5,6 +5,7 @@
 //! * [`sampling`], [`window`]: interpolation in rasters, smoothing inside a mask, crops and block means.
 //! * [`hull`], [`patchmatch`], [`search`]: dense search inside the visual hull.
 //! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
+//! * [`openness`]: the share of its light that the relief around a pixel leaves it.
 //! * [`gains`]: exposure of the photos, and how far they disagree.
 //! * [`surfaces`], [`consensus`]: what the views' surfaces say of each other, and their fusion.
 //!
@@ -19,6 +20,7 @@ pub mod edges;
 pub mod gains;
 pub mod hull;
 pub mod level;
+pub mod openness;
 pub mod patchmatch;
 pub mod plate;
 pub mod rectify;
