@@ -11,8 +11,9 @@ use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::{Event, Flow, Observer, ShadedViews, StageId};
 use rilievo_stereo::between_levels;
 use rilievo_stereo::consensus;
+use rilievo_stereo::level::LevelView;
 use rilievo_stereo::surfaces::Reading;
-use rilievo_stereo::{spread, start};
+use rilievo_stereo::{plate, specks, spread, start};
 
 /// Receives the shape after each step, for measurement.
 pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;
@@ -98,6 +99,25 @@ impl Course<'_> {
         self.tell("fusing views", 0, 1)?;
         let truncation = truncation_px / level.focal();
         Ok(consensus::fuse(level, depths, truncation, self.reading()))
+    }
+
+    /// The surface without specks; their share in each view before and after is reported.
+    pub(crate) fn without_specks(&mut self, at: usize, depths: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
+        let views = &self.scene.pyramid[at].views;
+        let share = |view: &LevelView, depth: &[f64]| {
+            let found = specks::find(view, depth, &plate::normals(view, depth));
+            found.iter().filter(|&&is| is).count() as f64 / found.len().max(1) as f64
+        };
+        views
+            .iter()
+            .zip(depths)
+            .zip(&mut self.report.views)
+            .map(|((view, depth), report)| {
+                let cleaned = specks::remove(view, &depth);
+                report.specks = [share(view, &depth), share(view, &cleaned)];
+                cleaned
+            })
+            .collect()
     }
 
     /// The surface at the next finer level.

@@ -21,6 +21,9 @@ pub struct PhotoViewReport {
     pub confirmed: f64,
     /// Share of the pixels that only this view sees.
     pub seen_alone: f64,
+    /// Share of the pixels of the finest solved level whose normal lies more than 40° from the median of the 5×5
+    /// pixels around it on the same side of a depth edge: as solved, and in the result.
+    pub specks: [f64; 2],
     /// Median relative residual of the light at the shape that it was last fitted on, pigment divided out,
     /// where shading was used.
     pub light_residual: Option<f64>,

@@ -61,6 +61,7 @@ pub(crate) fn solve(
     let (light, last) =
         course.iterate_light_and_shape(&mut at, &mut solvers, &mut depths, posed, lighting)?;
     let light = course.finer_levels(&mut at, &mut depths, light, last, posed)?;
+    let depths = course.without_specks(at, depths);
     let appearances = course.appearance(at, &depths, light.as_ref());
     let shaded = output::maps(&course.scene, at, &depths, &appearances);
     Ok((shaded, course.report))

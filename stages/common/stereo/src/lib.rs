@@ -6,6 +6,7 @@
 //! * [`hull`], [`patchmatch`], [`search`]: dense search inside the visual hull.
 //! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
 //! * [`openness`]: the share of its light that the relief around a pixel leaves it.
+//! * [`specks`]: pixels whose normals stand out from all around them.
 //! * [`gains`]: exposure of the photos, and how far they disagree.
 //! * [`surfaces`], [`consensus`]: what the views' surfaces say of each other, and their fusion.
 //!
@@ -26,6 +27,7 @@ pub mod plate;
 pub mod rectify;
 pub mod sampling;
 pub mod search;
+pub mod specks;
 pub mod spread;
 pub mod start;
 pub mod surfaces;
