@@ -4,8 +4,8 @@
 //! follows it depends on where it comes from and on what the walls send back, so that a run measures the
 //! exponent `β` of `Ĩ ≈ l·h(n) · openness^β` on its own photos.
 
-use super::light::Light;
-use super::shading;
+use super::albedo::Albedo;
+use super::shading::{self, PixelHarmonics};
 use rayon::prelude::*;
 use rilievo_stereo::level::LevelView;
 use rilievo_stereo::openness::openness;
@@ -21,7 +21,12 @@ const LARGEST_MISFIT: f32 = 0.4;
 
 /// The exponent of openness, 0 (the photos show nothing hidden) to 1: slope of the misfit of log brightness over
 /// log openness, both without what is wider than a few pixels, over all views.
-pub(crate) fn exponent(views: &[LevelView], depths: &[Vec<f64>], light: &Light) -> f32 {
+pub(crate) fn exponent(
+    views: &[LevelView],
+    depths: &[Vec<f64>],
+    harmonics: &[Vec<PixelHarmonics>],
+    pigment: Option<&Albedo>,
+) -> f32 {
     let sums: Vec<(f64, f64)> = views
         .par_iter()
         .enumerate()
@@ -31,10 +36,10 @@ pub(crate) fn exponent(views: &[LevelView], depths: &[Vec<f64>], light: &Light) 
             let usable: Vec<f32> = (0..normals.len())
                 .map(|p| f32::from(u8::from(view.is_usable(p))))
                 .collect();
-            let pigment = light.pigment_of(i);
+            let pigment = pigment.map(|p| &p.relative[i]);
             let rows: Vec<[f32; 2]> = (0..normals.len())
                 .map(|p| {
-                    let model = shading::render(&light.harmonics[i][p], normals[p]);
+                    let model = shading::render(&harmonics[i][p], normals[p]);
                     let (mut seen, mut expected) = (0.0, 0.0);
                     for (c, value) in view.intensity(p).into_iter().enumerate() {
                         seen += value;
@@ -93,30 +98,22 @@ mod tests {
                 (1.0_f64 - 1.2e-4 * (0.7 * x).sin() * (0.6 * y).cos()).ln()
             })
             .collect();
-        let light = Light {
-            harmonics: vec![vec![
-                [[0.1, -0.2, -0.5, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0]; 3];
-                depth.len()
-            ]],
-            residuals: vec![0.02],
-            pigment: None,
-            in_the_open: Vec::new(),
-            trust: Vec::new(),
-            mean_tolerance: 0.0,
-            openness_exponent: None,
-        };
+        let harmonics = vec![vec![
+            [[0.1, -0.2, -0.5, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0]; 3];
+            depth.len()
+        ]];
         let normals = plate::normals(&view, &depth);
         let open = openness(&view, &depth, &normals);
         for p in 0..depth.len() {
             let noise = 1.0 + brightness_noise * (((p * 7919) % 17) as f32 / 8.0 - 1.0);
             let (x, y) = view.xy(p);
             let at = 3 * (y as usize * view.image.width + x as usize);
-            let model = shading::render(&light.harmonics[0][p], normals[p]);
+            let model = shading::render(&harmonics[0][p], normals[p]);
             for c in 0..3 {
                 view.image.data[at + c] = model[c] as f32 * open[p].powf(beta) * noise;
             }
         }
-        exponent(std::slice::from_ref(&view), &[depth], &light)
+        exponent(std::slice::from_ref(&view), &[depth], &harmonics, None)
     }
 
     #[test]

@@ -362,7 +362,12 @@ pub(crate) fn visible_on(
         known.kind,
     );
     if known.kind == LightKind::World {
-        light.openness_exponent = Some(hidden_light::exponent(&level.views, depths, &light));
+        light.openness_exponent = Some(hidden_light::exponent(
+            &level.views,
+            depths,
+            &light.harmonics,
+            light.pigment.as_ref(),
+        ));
     }
     Some(light)
 }

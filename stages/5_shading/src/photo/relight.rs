@@ -190,9 +190,9 @@ impl Course<'_> {
                 out.mean_tolerance,
             ));
         }
-        out.openness_exponent = light
-            .openness_exponent
-            .map(|_| hidden_light::exponent(&fine.views, depths, &out));
+        out.openness_exponent = light.openness_exponent.map(|_| {
+            hidden_light::exponent(&fine.views, depths, &out.harmonics, out.pigment.as_ref())
+        });
         out
     }
 
