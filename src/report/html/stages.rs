@@ -384,6 +384,8 @@ fn trust(facts: &PhotoReport) -> Markup {
                 percent(view.light_residual, 1),
                 percent(view.shading_trust, 0),
                 percent(view.without_shading, 1),
+                percent(view.specks[0], 3),
+                percent(view.specks[1], 3),
             ]
         })
         .collect();
@@ -395,6 +397,8 @@ fn trust(facts: &PhotoReport) -> Markup {
         "light misses the photo by",
         "trust in shading",
         "where shading takes no part",
+        "specks as solved",
+        "specks in the result",
     ];
     html! {
         p { (facts.shading) }
