@@ -109,8 +109,8 @@ mod tests {
             let (x, y) = view.xy(p);
             let at = 3 * (y as usize * view.image.width + x as usize);
             let model = shading::render(&harmonics[0][p], normals[p]);
-            for c in 0..3 {
-                view.image.data[at + c] = model[c] as f32 * open[p].powf(beta) * noise;
+            for (c, value) in model.iter().enumerate() {
+                view.image.data[at + c] = *value as f32 * open[p].powf(beta) * noise;
             }
         }
         exponent(std::slice::from_ref(&view), &[depth], &harmonics, None)
