@@ -282,6 +282,9 @@ pub struct ReconstructArgs {
     /// Replaces the results of other photos in RUN
     #[arg(long)]
     pub overwrite: bool,
+    /// Ends with exit code 4 where the verdict is that the result is not to be trusted
+    #[arg(long)]
+    pub strict: bool,
     /// Redo from this stage on, valid or not
     #[arg(long, value_name = "STAGE", value_parser = parse_stage)]
     pub from: Option<StageId>,

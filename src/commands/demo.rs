@@ -3,12 +3,13 @@
 
 use super::evaluate::{self, Comparison};
 use super::reconstruct::{Allowed, bring_run_up_to_date};
-use super::reporting::reporting;
+use super::reporting::reporting_judged;
 use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
 use crate::cli::{DemoArgs, SynthFormat};
 use crate::config::StageOptions;
 use crate::observe::Console;
 use crate::pipeline::{Range, Request, SphereInput};
+use crate::report::Judgement;
 use crate::store::{RunDir, absolute};
 use rilievo_scene::StageId;
 use rilievo_synthetic::compare::AlignmentRequest;
@@ -20,10 +21,10 @@ use std::path::Path;
 /// When a stage fails, or the folder cannot be written.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output.display().to_string()});
-    reporting(args.work.json, facts, |console| run(args, console))
+    reporting_judged(args.work.json, false, facts, |console| run(args, console))
 }
 
-fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
+fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Judgement> {
     let folder = absolute(&args.output)?;
     let set = folder.join("photographed");
     let run = folder.join("run");
@@ -46,14 +47,14 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
         until: StageId::Fusion,
     };
     let allowed = Allowed { overwrite: true };
-    bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
+    let judgement = bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
     let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     let evaluation = comparison.measure()?;
     comparison.show(&evaluation)?;
     if args.work.json {
         let line = serde_json::json!({"event": "evaluation", "evaluation": evaluation});
         say!("{line}")?;
-        return Ok(());
+        return Ok(judgement);
     }
     say!(
         "\nAccuracy against the truth:\n{}",
@@ -69,7 +70,7 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<()> {
     ] {
         say!("{what:<16}  {}", args.output.join(file).display())?;
     }
-    Ok(())
+    Ok(judgement)
 }
 
 /// Photographs the scene.

@@ -1,13 +1,13 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
-use super::reporting::reporting;
+use super::reporting::reporting_judged;
 use crate::cli::{ReconstructArgs, WorkArgs};
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{
     Context, Inputs, Plan, Range, Request, Resources, bring_up_to_date, is_another_set,
 };
-use crate::report::{self, Outcome};
+use crate::report::{Judgement, Outcome, Report};
 use crate::store::RunDir;
 use rilievo_scene::StageId;
 use std::path::Path;
@@ -22,7 +22,7 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
         until: args.until.unwrap_or(StageId::Fusion),
     };
     let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
-    reporting(args.work.json, facts, |console| {
+    reporting_judged(args.work.json, args.strict, facts, |console| {
         let request = Request::from_args(args)?;
         let allowed = Allowed {
             overwrite: args.overwrite,
@@ -38,7 +38,8 @@ pub struct Allowed {
     pub overwrite: bool,
 }
 
-/// Opens or creates a run directory for a request and brings its stages up to date.
+/// Opens or creates a run directory for a request and brings its stages up to date; tells how far the
+/// result can be relied on.
 ///
 /// # Errors
 /// As [`reconstruct`].
@@ -49,7 +50,7 @@ pub fn bring_run_up_to_date(
     allowed: Allowed,
     work: &WorkArgs,
     console: &Console,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Judgement> {
     if let (Some(from), until) = (range.redo_from, range.until)
         && from > until
     {
@@ -69,14 +70,15 @@ pub fn bring_run_up_to_date(
     let mut plan = None;
     let outcome = work_in(&run, request, range, allowed, resources, console, &mut plan);
     let told = Outcome::of(outcome.as_ref().err());
-    if !matches!(&outcome, Ok(false)) || !report::tells(&run, request, &told) {
-        // A report that cannot be written must not hide why the run failed.
-        let written = report::write(&run, request, &told, plan.as_ref());
-        if outcome.is_ok() {
-            written?;
+    let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
+        if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
+            report.write(&run)?;
         }
-    }
+        Ok(report)
+    });
+    // A report that cannot be written must not hide why the run failed.
     let redone = outcome?;
+    let report = report?;
     if redone {
         console.note(&format!("results are in {}", root.display()));
     } else {
@@ -85,7 +87,7 @@ pub fn bring_run_up_to_date(
             root.display()
         ));
     }
-    Ok(())
+    Ok(report.into_judgement())
 }
 
 /// A finished run of other photos is somebody's work: it is not replaced by accident.

@@ -1,6 +1,8 @@
 //! Telling scripts how a command ended.
 
+use crate::exit::Failure;
 use crate::observe::Console;
+use crate::report::{Judgement, Verdict};
 
 /// Runs a command with a console, and tells scripts how it ended: its exit code, its error, and
 /// what `facts` names of it.
@@ -29,4 +31,27 @@ pub fn reporting_found(
     }
     console.finished(&line);
     outcome
+}
+
+/// As [`reporting`], for a command that judges its result: the verdict is told to people and to scripts.
+/// With `strict`, a result that is not to be trusted is a failure.
+pub fn reporting_judged(
+    json: bool,
+    strict: bool,
+    mut facts: serde_json::Value,
+    command: impl FnOnce(&Console) -> anyhow::Result<Judgement>,
+) -> anyhow::Result<()> {
+    reporting_found(json, |console| {
+        let outcome = command(console).and_then(|judgement| {
+            judgement.lines().for_each(|line| console.note(&line));
+            facts["verdict"] = serde_json::to_value(&judgement)?;
+            if strict && judgement.verdict == Verdict::NotToBeTrusted {
+                let why = judgement.reasons.join("; ");
+                let failure = format!("the result is not to be trusted (--strict): {why}");
+                return Err(Failure::NoResult(failure).into());
+            }
+            Ok(())
+        });
+        (outcome, facts)
+    })
 }

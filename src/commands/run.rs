@@ -1,11 +1,11 @@
 //! `rilievo run STAGE RUN`: one stage again, with what the run directory says.
 
-use super::reporting::reporting;
+use super::reporting::reporting_judged;
 use super::stored::{check_upstream, stored_request};
 use crate::cli::RunArgs;
 use crate::observe::Console;
 use crate::pipeline::{Context, Inputs, Plan, Resources, run_stage};
-use crate::report::{self, Outcome};
+use crate::report::{Judgement, Outcome, Report};
 use crate::store::RunDir;
 
 /// Runs the command.
@@ -14,10 +14,10 @@ use crate::store::RunDir;
 /// When a stage that this one reads is missing or stale, or the stage fails.
 pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"run": args.run.display().to_string(), "stage": args.stage});
-    reporting(args.work.json, facts, |console| redo(args, console))
+    reporting_judged(args.work.json, false, facts, |console| redo(args, console))
 }
 
-fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<()> {
+fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Judgement> {
     let resources = Resources::new(&args.work);
     let run = RunDir::open(&args.run)?;
     let request = stored_request(&run)?;
@@ -32,12 +32,12 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<()> {
         console,
     };
     let outcome = run_stage(&context, &plan, args.stage, "redone as asked");
-    let written = report::write(
-        &run,
-        &request,
-        &Outcome::of(outcome.as_ref().err()),
-        Some(&plan),
-    );
+    let told = Outcome::of(outcome.as_ref().err());
+    let report = Report::gather(&run, &request, &told, Some(&plan)).and_then(|report| {
+        report.write(&run)?;
+        Ok(report)
+    });
+    // A report that cannot be written must not hide why the stage failed.
     outcome?;
-    written
+    Ok(report?.into_judgement())
 }

@@ -3,9 +3,11 @@
 mod facts;
 mod html;
 mod outcome;
+mod verdict;
 
 pub use html::ViewErrors;
 pub use outcome::Outcome;
+pub use verdict::{Judgement, Verdict};
 
 use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, own_file, seal, unseal, write_atomically};
@@ -13,6 +15,7 @@ use facts::Facts;
 use html::Addition;
 use maud::Markup;
 use rilievo_synthetic::compare::HalvesComparison;
+use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -67,33 +70,60 @@ fn put(root: &Path, sections: &[(Addition, Markup)]) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// Whether a run has its report, undamaged, and it tells this outcome of this request.
-pub fn tells(run: &RunDir, request: &Request, outcome: &Outcome) -> bool {
-    let whole = |file: &str| own_file(&run.root().join(file)).ok().flatten();
-    let report = whole("report.json").and_then(|text| unseal(&text).ok());
-    let same = |key: &str, now: Value| report.as_ref().and_then(|r| r.get(key)) == Some(&now);
-    whole("report.html").is_some_and(|page| html::is_whole(&page))
-        && same("outcome", json!(outcome))
-        && same("request", json!(request))
+/// What is told of a run: its facts, and the judgement that follows from them.
+#[derive(Serialize)]
+pub struct Report {
+    verdict: Judgement,
+    #[serde(flatten)]
+    facts: Facts,
 }
 
-/// Writes both reports of a run; the plan tells which results are stale, where there is one.
-///
-/// # Errors
-/// When artifacts cannot be read, or the reports cannot be written.
-pub fn write(
-    run: &RunDir,
-    request: &Request,
-    outcome: &Outcome,
-    plan: Option<&Plan>,
-) -> anyhow::Result<()> {
-    let facts = Facts::gather(run, request, outcome, plan)?;
-    let text = seal(&facts)?;
-    write_atomically(&run.root().join("report.json"), &text)?;
-    let page = html::page(run, &facts)?;
-    write_atomically(
-        &run.root().join("report.html"),
-        html::sealed(&page).as_bytes(),
-    )?;
-    Ok(())
+impl Report {
+    /// Gathers what is known of a run; the plan tells which results are stale, where there is one.
+    ///
+    /// # Errors
+    /// When artifacts cannot be read.
+    pub fn gather(
+        run: &RunDir,
+        request: &Request,
+        outcome: &Outcome,
+        plan: Option<&Plan>,
+    ) -> anyhow::Result<Self> {
+        let facts = Facts::gather(run, request, outcome, plan)?;
+        Ok(Self {
+            verdict: Judgement::of(&facts),
+            facts,
+        })
+    }
+
+    /// How far the result can be relied on.
+    pub fn into_judgement(self) -> Judgement {
+        self.verdict
+    }
+
+    /// Whether the run has its report in both forms, undamaged, with this request, outcome and verdict.
+    pub fn is_told_by(&self, run: &RunDir) -> bool {
+        let whole = |file: &str| own_file(&run.root().join(file)).ok().flatten();
+        let told = whole("report.json").and_then(|text| unseal(&text).ok());
+        let same = |key: &str, now: Value| told.as_ref().and_then(|r| r.get(key)) == Some(&now);
+        whole("report.html").is_some_and(|page| html::is_whole(&page))
+            && same("outcome", json!(self.facts.outcome))
+            && same("request", json!(self.facts.request))
+            && same("verdict", json!(self.verdict))
+    }
+
+    /// Writes both forms.
+    ///
+    /// # Errors
+    /// When artifacts cannot be read, or the reports cannot be written.
+    pub fn write(&self, run: &RunDir) -> anyhow::Result<()> {
+        let text = seal(self)?;
+        write_atomically(&run.root().join("report.json"), &text)?;
+        let page = html::page(run, &self.facts, &self.verdict)?;
+        write_atomically(
+            &run.root().join("report.html"),
+            html::sealed(&page).as_bytes(),
+        )?;
+        Ok(())
+    }
 }

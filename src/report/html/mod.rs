@@ -11,7 +11,6 @@ mod overview;
 mod picture;
 mod plot;
 mod stages;
-mod verdict;
 mod viewer;
 mod views;
 
@@ -19,6 +18,7 @@ pub use evaluation::{ViewErrors, section as evaluation_section};
 pub use halves::section as halves_section;
 
 use super::facts::Facts;
+use super::verdict::Judgement;
 use crate::pipeline::load_poses;
 use crate::store::{RunDir, hash_bytes};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -89,12 +89,12 @@ fn unreadable(error: &anyhow::Error) -> Markup {
 ///
 /// # Errors
 /// When artifacts of a committed stage cannot be read.
-pub fn page(run: &RunDir, facts: &Facts) -> anyhow::Result<String> {
+pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Result<String> {
     let posed = match &facts.stages.poses {
         Some(_) => Some(load_poses(run)?),
         None => None,
     };
-    let overview = overview::section(run, facts, posed.as_ref())?;
+    let overview = overview::section(run, facts, judgement, posed.as_ref())?;
     let (viewer, views) = match &posed {
         Some(posed) => (
             viewer::section(run, posed).unwrap_or_else(|error| unreadable(&error)),

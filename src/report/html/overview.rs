@@ -2,9 +2,9 @@
 
 use super::element::{ABSENT, number, percent};
 use super::picture::{self, Window};
-use super::verdict::{Judgement, Verdict};
 use crate::pipeline::{LightingInput, Request, SphereInput};
 use crate::report::facts::{Facts, Stages};
+use crate::report::verdict::{Judgement, Verdict};
 use crate::store::RunDir;
 use maud::{Markup, html};
 use rilievo_io::{read_depth, read_normal};
@@ -15,8 +15,13 @@ use rilievo_shading::ShadingModel;
 ///
 /// # Errors
 /// When a map cannot be read.
-pub fn section(run: &RunDir, facts: &Facts, posed: Option<&PosedViews>) -> anyhow::Result<Markup> {
-    let Judgement { verdict, reasons } = Judgement::of(facts);
+pub fn section(
+    run: &RunDir,
+    facts: &Facts,
+    judgement: &Judgement,
+    posed: Option<&PosedViews>,
+) -> anyhow::Result<Markup> {
+    let Judgement { verdict, reasons } = judgement;
     let picture = picture_of_result(run, posed);
     Ok(html! {
         header { h1 { "rilievo report" } }
@@ -26,14 +31,14 @@ pub fn section(run: &RunDir, facts: &Facts, posed: Option<&PosedViews>) -> anyho
             }
             div {
                 h2 { "Verdict: " span class=(verdict.class()) { (verdict.words()) } }
-                @if verdict == Verdict::Good {
+                @if *verdict == Verdict::Good {
                     p {
                         "Every photo that was used has a pose, the light explains what they show, and \
                          their surfaces lie on each other."
                     }
                 }
                 @if !reasons.is_empty() {
-                    ul { @for reason in &reasons { li { (reason) } } }
+                    ul { @for reason in reasons { li { (reason) } } }
                 }
                 dl {
                     @for (name, value) in key_numbers(facts, posed) { dt { (name) } dd { (value) } }

@@ -17,7 +17,6 @@
 use crate::anchor_normals::{AnchorReading, half};
 use crate::environment::{in_view, scaled};
 use crate::error::LightingError;
-use crate::error::warn;
 use crate::options::{LightingOptions, ObjectLight};
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
@@ -92,11 +91,6 @@ pub(crate) fn confront(
         && calibration.kind == LightKind::World
         && calibration.source == LightSource::Sphere
         && worse > options.advice_ratio;
-    let suffering: Vec<String> = views
-        .iter()
-        .filter(|v| ratio(v).is_some_and(|r| r > options.advice_ratio))
-        .map(|v| v.name.clone())
-        .collect();
     let scaled_by_factor = correct && !replaced && factor.ln().abs() > SMALLEST_FACTOR;
     if replaced {
         let fit = pool(posed, &samples, &gains, &all, options)?;
@@ -122,21 +116,6 @@ pub(crate) fn confront(
             .iter_mut()
             .filter_map(|s| s.paint.as_mut());
         paints.flatten().for_each(|paint| *paint /= factor);
-    }
-    if !suffering.is_empty() && calibration.source == LightSource::Sphere {
-        let message = format!(
-            "the sphere's light does not explain the object in {}: {}{}",
-            suffering.join(", "),
-            "the sphere stands in the object's shadow or bounce light. The photo model allows for \
-             that; for the paper's model move the sphere away, or take a calibration photo of a sphere \
-             in the object's place",
-            if replaced {
-                " (the light fitted on the object's own anchors is used instead)"
-            } else {
-                ""
-            }
-        );
-        warn(observer, message)?;
     }
     report.object = Some(ObjectReport {
         views,

@@ -1,0 +1,485 @@
+//! How far a result can be relied on, and why.
+
+use super::facts::{Facts, Stages};
+use crate::pipeline::{ShadingFacts, StageState};
+use rilievo_fusion::Layering;
+use rilievo_lighting::LightingReport;
+use rilievo_photos::PhotosReport;
+use rilievo_poses::PosesReport;
+use rilievo_scene::FocalSource;
+use serde::Serialize;
+
+/// How far a result can be relied on, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub enum Verdict {
+    #[serde(rename = "good")]
+    Good,
+    #[serde(rename = "usable")]
+    Usable,
+    /// For programs a usable one: what there is of it is no worse, and the reasons say what is missing.
+    #[serde(rename = "usable")]
+    NotFinished,
+    #[serde(rename = "untrusted")]
+    NotToBeTrusted,
+}
+
+impl Verdict {
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Usable => "usable, with care",
+            Self::NotFinished => "not finished",
+            Self::NotToBeTrusted => "not to be trusted",
+        }
+    }
+
+    /// Class of the page's style.
+    pub fn class(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Usable | Self::NotFinished => "usable",
+            Self::NotToBeTrusted => "bad",
+        }
+    }
+}
+
+/// Reprojection error above which poses are doubtful, pixels: twice what keypoints allow.
+const DOUBTFUL_REPROJECTION_PX: f64 = 1.0;
+/// Share of the median number of points of the views below which one of them hangs by a thread. Views at
+/// the end of an arc share points with one side only and keep a quarter; a view with a wrong focal length
+/// keeps less than a tenth.
+const FEW_POINTS_SHARE: f64 = 1.0 / 6.0;
+/// Relative change of a stated focal length by the adjustment above which one of both is wrong. Focal
+/// lengths of EXIF data are rounded to some per cent.
+const DOUBTFUL_FOCAL_CHANGE: f64 = 0.1;
+/// Relative difference of photos and what shape and light explain, above which they contradict each
+/// other: nine distant harmonics leave 10 to 12 % on real objects, half-hidden light up to 20 %.
+const DOUBTFUL_LIGHT: f64 = 0.2;
+/// Share of a view that no other view sees, above which the shape has too little to check it.
+const DOUBTFUL_SEEN_ALONE: f64 = 0.4;
+/// Share of the surface that several views confirm, below which most of it is a guess.
+const DOUBTFUL_CONFIRMED: f64 = 0.6;
+const UNTRUSTED_CONFIRMED: f64 = 0.3;
+/// Distance between overlapping views, in pixel footprints, above which they form layers.
+const DOUBTFUL_LAYERING_PX: f64 = 2.0;
+
+/// The verdict, and everything that made it worse.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Judgement {
+    #[serde(rename = "level")]
+    pub verdict: Verdict,
+    pub reasons: Vec<String>,
+}
+
+impl Judgement {
+    /// Judges a run.
+    pub fn of(facts: &Facts) -> Self {
+        let mut judgement = Self::nothing_against();
+        if let Some(error) = &facts.outcome.error {
+            judgement.note(
+                Verdict::NotToBeTrusted,
+                format!("the run did not end: {error}"),
+            );
+        }
+        judgement.judge(&facts.stages);
+        judgement
+    }
+
+    /// The verdict and its reasons, a line each.
+    pub fn lines(&self) -> impl Iterator<Item = String> {
+        let verdict = format!("verdict: {}", self.verdict.words());
+        std::iter::once(verdict).chain(self.reasons.iter().map(|reason| format!("  - {reason}")))
+    }
+
+    fn nothing_against() -> Self {
+        Self {
+            verdict: Verdict::Good,
+            reasons: Vec::new(),
+        }
+    }
+
+    fn note(&mut self, verdict: Verdict, reason: impl Into<String>) {
+        self.verdict = self.verdict.max(verdict);
+        self.reasons.push(reason.into());
+    }
+
+    fn judge(&mut self, stages: &Stages) {
+        match stages.fusion.as_ref().map(|fusion| &fusion.state) {
+            None => self.note(
+                Verdict::NotFinished,
+                "there is no point cloud and no mesh yet",
+            ),
+            Some(Some(StageState::Stale { .. })) => self.note(
+                Verdict::NotFinished,
+                "point cloud and mesh are stale: they were made from something else than what is \
+                 asked for now",
+            ),
+            Some(Some(StageState::Damaged { reason })) => self.note(
+                Verdict::NotToBeTrusted,
+                format!("point cloud and mesh are damaged: {reason}"),
+            ),
+            Some(_) => {}
+        }
+        let photos = stages.photos.as_ref().map(|photos| &photos.report);
+        if let Some(photos) = photos {
+            self.judge_photos(photos);
+        }
+        if let Some(poses) = &stages.poses {
+            self.judge_poses(
+                &poses.report,
+                photos.map_or(0, |photos| photos.photos.len()),
+            );
+            if let Some(photos) = photos {
+                self.judge_focals(&poses.report, photos);
+            }
+        }
+        if let Some(lighting) = &stages.lighting {
+            self.judge_light(&lighting.report);
+        }
+        match (&stages.shading, &stages.lighting) {
+            (Some(shading), _) => self.judge_shape(&shading.report),
+            (None, Some(lighting)) => self.judge_light_fit(&lighting.report),
+            (None, None) => {}
+        }
+        if let Some(fusion) = &stages.fusion {
+            self.judge_layering(&fusion.report.layering_after);
+        }
+    }
+
+    fn judge_photos(&mut self, photos: &PhotosReport) {
+        let num_rejected = photos.rejected.len();
+        if num_rejected > 0 {
+            self.note(
+                Verdict::Usable,
+                format!("{num_rejected} photo(s) could not be used"),
+            );
+        }
+        self.judge_masks(photos.num_masks, photos.photos.len());
+    }
+
+    fn judge_masks(&mut self, num_masks: usize, num_photos: usize) {
+        if num_masks < num_photos {
+            let which = match num_masks {
+                0 => "no photo has an object mask".to_owned(),
+                n => format!(
+                    "{} of {num_photos} photos have no object mask",
+                    num_photos - n
+                ),
+            };
+            self.note(
+                Verdict::Usable,
+                format!(
+                    "{which}: what stands around the object was taken for a part of it; `rilievo \
+                     mask` proposes masks, --masks uses them"
+                ),
+            );
+        }
+    }
+
+    fn judge_poses(&mut self, poses: &PosesReport, num_photos: usize) {
+        let num_posed = poses.views.len();
+        if num_posed < num_photos {
+            let verdict = if 2 * num_posed < num_photos {
+                Verdict::NotToBeTrusted
+            } else {
+                Verdict::Usable
+            };
+            self.note(
+                verdict,
+                format!("only {num_posed} of {num_photos} photos got a pose"),
+            );
+        }
+        if num_posed == 2 {
+            self.note(
+                Verdict::Usable,
+                "two photos confirm each other, and nothing confirms both: take a third from another \
+                 side",
+            );
+        }
+        let error = poses.mean_reprojection_error_px;
+        if error > DOUBTFUL_REPROJECTION_PX {
+            self.note(
+                Verdict::Usable,
+                format!("the mean reprojection error is {error:.2} px; good poses are below 1 px"),
+            );
+        }
+        let mut counts: Vec<usize> = poses.views.iter().map(|view| view.num_points).collect();
+        counts.sort_unstable();
+        let usual = counts.get(counts.len() / 2).copied().unwrap_or(0);
+        for view in &poses.views {
+            if (view.num_points as f64) < FEW_POINTS_SHARE * usual as f64 {
+                self.note(
+                    Verdict::Usable,
+                    format!(
+                        "{} is held by {} points where a usual photo has {usual}: its pose may be \
+                         wrong (a zoom or a crop, or too far from its neighbours); leave it out, or \
+                         take photos between",
+                        view.file_name, view.num_points
+                    ),
+                );
+            }
+        }
+    }
+
+    fn judge_focals(&mut self, poses: &PosesReport, photos: &PhotosReport) {
+        for &(group, stated, found) in &poses.refined_focals_px {
+            let guessed = photos.camera_groups.get(group).is_some_and(|group| {
+                photos.photos.iter().any(|photo| {
+                    group.photos.contains(&photo.file_name)
+                        && photo.focal_source == FocalSource::Guess
+                })
+            });
+            if !guessed {
+                self.judge_focal(stated, found);
+            }
+        }
+    }
+
+    fn judge_focal(&mut self, stated: f64, found: f64) {
+        if (found / stated - 1.0).abs() > DOUBTFUL_FOCAL_CHANGE {
+            self.note(
+                Verdict::Usable,
+                format!(
+                    "the photos contradict the stated focal length: {stated:.0} px stated, {found:.0} px \
+                     found (a crop, or EXIF data of another photo); give the right one with --cameras"
+                ),
+            );
+        }
+    }
+
+    fn judge_light(&mut self, lighting: &LightingReport) {
+        if lighting.uncalibrated {
+            self.note(
+                Verdict::Usable,
+                "the light is uncalibrated: no sphere, file or shape was given",
+            );
+        }
+        if lighting
+            .kind_check
+            .as_ref()
+            .is_some_and(|check| check.contradicts)
+        {
+            self.note(
+                Verdict::Usable,
+                "the photos contradict the way that the light was said to stand (still in the world, \
+                 or turning with the camera): see the lighting's table",
+            );
+        }
+    }
+
+    /// Where no shape was solved yet, by what the light of stage 4 leaves of its own samples.
+    fn judge_light_fit(&mut self, lighting: &LightingReport) {
+        let views = lighting.views.iter();
+        self.judge_residuals(views.filter_map(|v| Some((v.name.as_str(), v.relative_rms?))));
+    }
+
+    fn judge_shape(&mut self, shading: &ShadingFacts) {
+        let advice = &shading.light_on_surface.advice;
+        advice
+            .iter()
+            .for_each(|advice| self.note(Verdict::Usable, advice.clone()));
+        let Some(photo) = &shading.solver.photo else {
+            let views = shading.light_on_surface.views.iter();
+            self.judge_residuals(views.map(|view| (view.name.as_str(), view.used_rms)));
+            return;
+        };
+        let views = photo.views.iter();
+        self.judge_residuals(views.filter_map(|v| Some((v.name.as_str(), v.light_residual?))));
+        for view in &photo.views {
+            if view.light_residual.is_none() {
+                self.note(
+                    Verdict::Usable,
+                    format!(
+                        "the shading of {} told nothing: its shape is what photos agree on, without \
+                         fine relief",
+                        view.name
+                    ),
+                );
+            }
+            if view.seen_alone > DOUBTFUL_SEEN_ALONE {
+                self.note(
+                    Verdict::Usable,
+                    format!(
+                        "{:.0} % of {} is seen by no other photo: take photos closer together",
+                        100.0 * view.seen_alone,
+                        view.name
+                    ),
+                );
+            }
+        }
+        self.judge_confirmed(photo.views.iter().map(|v| (v.num_pixels, v.confirmed)));
+    }
+
+    fn judge_confirmed(&mut self, views: impl Iterator<Item = (usize, f64)>) {
+        let (num_pixels, num_confirmed) = views.fold((0.0, 0.0), |(all, sum), (pixels, share)| {
+            (all + pixels as f64, sum + pixels as f64 * share)
+        });
+        let confirmed = num_confirmed / num_pixels;
+        if num_pixels > 0.0 && confirmed < DOUBTFUL_CONFIRMED {
+            let verdict = if confirmed < UNTRUSTED_CONFIRMED {
+                Verdict::NotToBeTrusted
+            } else {
+                Verdict::Usable
+            };
+            self.note(
+                verdict,
+                format!(
+                    "several photos confirm only {:.0} % of the surface: it moved, it shines, or the \
+                     photos are too far apart",
+                    100.0 * confirmed
+                ),
+            );
+        }
+    }
+
+    /// Names the photos that differ too much from what shape and light explain.
+    fn judge_residuals<'a>(&mut self, views: impl Iterator<Item = (&'a str, f64)>) {
+        let doubtful: Vec<_> = views.filter(|(_, rms)| *rms > DOUBTFUL_LIGHT).collect();
+        if doubtful.is_empty() {
+            return;
+        }
+        let names: Vec<&str> = doubtful.iter().map(|(name, _)| *name).collect();
+        let largest = doubtful.iter().fold(0.0_f64, |max, (_, rms)| max.max(*rms));
+        self.note(
+            Verdict::Usable,
+            format!(
+                "shape and light miss the brightness of {} by up to {:.0} % (well-lit matte objects: \
+                 below {:.0} %): gloss, stains, a lamp that moved, or light from nearby; softer light \
+                 from several sides helps",
+                names.join(", "),
+                100.0 * largest,
+                100.0 * DOUBTFUL_LIGHT
+            ),
+        );
+    }
+
+    fn judge_layering(&mut self, layering: &Layering) {
+        let apart = layering.median / layering.footprint;
+        if layering.footprint > 0.0 && apart > DOUBTFUL_LAYERING_PX {
+            self.note(
+                Verdict::NotToBeTrusted,
+                format!(
+                    "overlapping views lie {apart:.1} pixel footprints apart: their surfaces form \
+                     layers"
+                ),
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_lighting::ViewLightReport;
+    use rilievo_poses::ViewReport;
+
+    fn verdict(change: impl FnOnce(&mut Judgement)) -> Verdict {
+        let mut judgement = Judgement::nothing_against();
+        change(&mut judgement);
+        judgement.verdict
+    }
+
+    #[test]
+    fn the_verdict_follows_the_facts() {
+        let layering = |median| Layering {
+            median,
+            footprint: 2e-4,
+            ..Layering::default()
+        };
+        assert_eq!(
+            verdict(|j| j.judge_layering(&layering(1e-4))),
+            Verdict::Good
+        );
+        let layers = verdict(|j| j.judge_layering(&layering(1e-3)));
+        assert_eq!(layers, Verdict::NotToBeTrusted);
+
+        let poses = |mean_reprojection_error_px| PosesReport {
+            mean_reprojection_error_px,
+            ..PosesReport::default()
+        };
+        assert_eq!(verdict(|j| j.judge_poses(&poses(0.3), 0)), Verdict::Good);
+        assert_eq!(verdict(|j| j.judge_poses(&poses(1.3), 0)), Verdict::Usable);
+        let none = verdict(|j| j.judge_poses(&poses(0.3), 2));
+        assert_eq!(none, Verdict::NotToBeTrusted);
+
+        let light = |residual| LightingReport {
+            views: vec![ViewLightReport {
+                relative_rms: Some(residual),
+                ..ViewLightReport::default()
+            }],
+            ..LightingReport::default()
+        };
+        assert_eq!(verdict(|j| j.judge_light_fit(&light(0.1))), Verdict::Good);
+        assert_eq!(verdict(|j| j.judge_light_fit(&light(0.3))), Verdict::Usable);
+
+        let nothing = verdict(|j| j.judge(&Stages::default()));
+        assert_eq!(nothing, Verdict::NotFinished);
+    }
+
+    #[test]
+    fn a_photo_that_hangs_by_a_thread_is_named() {
+        let poses = |counts: &[usize]| PosesReport {
+            views: counts
+                .iter()
+                .enumerate()
+                .map(|(index, &num_points)| ViewReport {
+                    file_name: format!("IMG_{index}.jpg"),
+                    num_points,
+                    mean_error_px: 0.1,
+                    rotation_sigma_deg: None,
+                    center_sigma: None,
+                })
+                .collect(),
+            ..PosesReport::default()
+        };
+        let ends_of_an_arc = poses(&[403, 2079, 2302, 1101]);
+        assert_eq!(
+            verdict(|j| j.judge_poses(&ends_of_an_arc, 4)),
+            Verdict::Good
+        );
+        let mut judgement = Judgement::nothing_against();
+        judgement.judge_poses(&poses(&[1100, 2900, 91, 1500]), 4);
+        assert_eq!(judgement.verdict, Verdict::Usable);
+        assert_eq!(judgement.reasons.len(), 1);
+        assert!(judgement.reasons[0].starts_with("IMG_2.jpg is held by 91 points"));
+        let two = poses(&[800, 800]);
+        assert_eq!(verdict(|j| j.judge_poses(&two, 2)), Verdict::Usable);
+    }
+
+    #[test]
+    fn missing_masks_and_contradicted_focal_lengths_are_told() {
+        assert_eq!(verdict(|j| j.judge_masks(4, 4)), Verdict::Good);
+        assert_eq!(verdict(|j| j.judge_masks(3, 4)), Verdict::Usable);
+        assert_eq!(verdict(|j| j.judge_masks(0, 4)), Verdict::Usable);
+        assert_eq!(verdict(|j| j.judge_focal(1000.0, 1030.0)), Verdict::Good);
+        assert_eq!(verdict(|j| j.judge_focal(1000.0, 1400.0)), Verdict::Usable);
+    }
+
+    #[test]
+    fn a_surface_that_no_second_photo_confirms_is_not_good() {
+        let confirmed =
+            |share| verdict(|j| j.judge_confirmed([(100, share), (300, share)].into_iter()));
+        assert_eq!(confirmed(0.9), Verdict::Good);
+        assert_eq!(confirmed(0.5), Verdict::Usable);
+        assert_eq!(confirmed(0.2), Verdict::NotToBeTrusted);
+        assert_eq!(
+            verdict(|j| j.judge_confirmed(std::iter::empty())),
+            Verdict::Good
+        );
+    }
+
+    #[test]
+    fn programs_read_one_of_three_levels() {
+        let level = |verdict| {
+            serde_json::json!(Judgement {
+                verdict,
+                reasons: Vec::new()
+            })
+        };
+        assert_eq!(level(Verdict::Good)["level"], "good");
+        assert_eq!(level(Verdict::Usable)["level"], "usable");
+        assert_eq!(level(Verdict::NotFinished)["level"], "usable");
+        assert_eq!(level(Verdict::NotToBeTrusted)["level"], "untrusted");
+    }
+}
