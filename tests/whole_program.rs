@@ -168,6 +168,40 @@ fn the_result_is_accurate() {
     }
 }
 
+/// The verdict that a run directory's report tells: its level, and the reasons in one text.
+fn verdict(run_dir: &Path) -> (String, String) {
+    let text = std::fs::read(run_dir.join("report.json")).expect("a report");
+    let report: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
+    let verdict = &report["verdict"];
+    let level = verdict["level"].as_str().unwrap_or_default().to_owned();
+    (level, verdict["reasons"].to_string())
+}
+
+#[test]
+fn the_verdict_is_good_of_a_good_set_and_not_of_one_without_masks() {
+    let _alone = alone();
+    let (good, _) = reference();
+    assert_eq!(verdict(good), ("good".to_owned(), "[]".to_owned()));
+    let said = reconstruct(&synthetic_set(), good, &[]);
+    assert!(said.ends_with("verdict: good\n"), "{said}");
+
+    let set = synthetic_set();
+    let dir = tempfile::tempdir().expect("a folder");
+    let run_dir = dir.path().join("run");
+    let (photos, cameras) = (set.join("photos"), set.join("intrinsics.json"));
+    let arguments = ["reconstruct", arg(&photos), "-o", arg(&run_dir), "--json"];
+    let more = ["--cameras", arg(&cameras), "--until", "poses", "--strict"];
+    let stdout = done(&[&arguments[..], &more[..]].concat());
+    let (level, reasons) = verdict(&run_dir);
+    assert_eq!(level, "usable", "{reasons}");
+    assert!(reasons.contains("no photo has an object mask"), "{reasons}");
+    let last = stdout.lines().last().expect("events");
+    let last: serde_json::Value = serde_json::from_str(last).expect("JSON");
+    assert_eq!(last["event"], "finished");
+    assert_eq!(last["verdict"]["level"], "usable", "{last}");
+    assert_eq!(last["verdict"]["reasons"].to_string(), reasons);
+}
+
 #[test]
 fn the_report_works_in_a_browser() {
     let _alone = alone();

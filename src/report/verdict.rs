@@ -2,11 +2,13 @@
 
 use super::facts::{Facts, Stages};
 use crate::pipeline::{ShadingFacts, StageState};
+use rilievo_features::FeaturesReport;
 use rilievo_fusion::Layering;
 use rilievo_lighting::LightingReport;
+use rilievo_numerics::robust::median;
 use rilievo_photos::PhotosReport;
 use rilievo_poses::PosesReport;
-use rilievo_scene::FocalSource;
+use rilievo_scene::{FocalSource, PhotoIdx};
 use serde::Serialize;
 
 /// How far a result can be relied on, best first.
@@ -50,6 +52,9 @@ const DOUBTFUL_REPROJECTION_PX: f64 = 1.0;
 /// the end of an arc share points with one side only and keep a quarter; a view with a wrong focal length
 /// keeps less than a tenth.
 const FEW_POINTS_SHARE: f64 = 1.0 / 6.0;
+/// Points that a view keeps of its matches, over what the median view keeps, below which its matches
+/// contradict its pose. Good sets have .7 and more; one photo cropped 1.4 times has .37.
+const FEW_KEPT_SHARE: f64 = 0.5;
 /// Relative change of a stated focal length by the adjustment above which one of both is wrong. Focal
 /// lengths of EXIF data are rounded to some per cent.
 const DOUBTFUL_FOCAL_CHANGE: f64 = 0.1;
@@ -130,6 +135,9 @@ impl Judgement {
                 &poses.report,
                 photos.map_or(0, |photos| photos.photos.len()),
             );
+            if let Some(features) = &stages.features {
+                self.judge_kept(&kept_shares(&features.report, &poses.report));
+            }
             if let Some(photos) = photos {
                 self.judge_focals(&poses.report, photos);
             }
@@ -216,6 +224,27 @@ impl Judgement {
                          wrong (a zoom or a crop, or too far from its neighbours); leave it out, or \
                          take photos between",
                         view.file_name, view.num_points
+                    ),
+                );
+            }
+        }
+    }
+
+    /// Names views that keep far less of their matches than the others.
+    fn judge_kept(&mut self, kept: &[(&str, f64)]) {
+        let mut shares: Vec<f64> = kept.iter().map(|(_, share)| *share).collect();
+        let usual = median(&mut shares).unwrap_or(0.0);
+        for (file_name, share) in kept {
+            if *share < FEW_KEPT_SHARE * usual {
+                self.note(
+                    Verdict::Usable,
+                    format!(
+                        "{file_name} keeps {:.0} points of 100 matches where a usual photo keeps {:.0}: \
+                         its matches contradict its camera (a zoom, a crop, a mirrored photo, or \
+                         something moved), and its shape and its neighbours' may be wrong; leave it out, \
+                         or give its focal length with --cameras",
+                        100.0 * share,
+                        100.0 * usual
                     ),
                 );
             }
@@ -368,6 +397,38 @@ impl Judgement {
     }
 }
 
+/// Posed views by file name with the points that they keep of all matches with other posed views.
+fn kept_shares<'a>(features: &FeaturesReport, poses: &'a PosesReport) -> Vec<(&'a str, f64)> {
+    let index_of = |name: &str| {
+        let mut photos = features.photos.iter();
+        photos.position(|p| p.file_name == name).map(PhotoIdx)
+    };
+    let indices: Vec<Option<PhotoIdx>> =
+        poses.views.iter().map(|v| index_of(&v.file_name)).collect();
+    let shares = poses
+        .views
+        .iter()
+        .zip(&indices)
+        .filter_map(|(view, index)| {
+            let index = (*index)?;
+            let matches: usize = features
+                .pairs
+                .iter()
+                .filter(|pair| pair.first == index || pair.second == index)
+                .filter(|pair| indices.contains(&Some(pair.first)))
+                .filter(|pair| indices.contains(&Some(pair.second)))
+                .map(|pair| pair.num_verified)
+                .sum();
+            (matches > 0).then(|| {
+                (
+                    view.file_name.as_str(),
+                    view.num_points as f64 / matches as f64,
+                )
+            })
+        });
+    shares.collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -445,6 +506,22 @@ mod tests {
         assert!(judgement.reasons[0].starts_with("IMG_2.jpg is held by 91 points"));
         let two = poses(&[800, 800]);
         assert_eq!(verdict(|j| j.judge_poses(&two, 2)), Verdict::Usable);
+    }
+
+    #[test]
+    fn a_photo_whose_matches_contradict_its_camera_is_named() {
+        let kept = |shares: [f64; 4]| {
+            let mut judgement = Judgement::nothing_against();
+            let names = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
+            let kept: Vec<_> = names.into_iter().zip(shares).collect();
+            judgement.judge_kept(&kept);
+            judgement
+        };
+        assert_eq!(kept([0.83, 0.73, 0.55, 0.77]).verdict, Verdict::Good);
+        let cropped = kept([0.48, 0.38, 0.14, 0.46]);
+        assert_eq!(cropped.verdict, Verdict::Usable);
+        assert_eq!(cropped.reasons.len(), 1);
+        assert!(cropped.reasons[0].starts_with("c.jpg keeps 14 points of 100 matches"));
     }
 
     #[test]
