@@ -259,6 +259,13 @@ fn lighting(facts: &LightingReport) -> Markup {
                  uncertain bumps and hollows may swap."
             }
         }
+        @if facts.object.as_ref().is_some_and(|object| object.light_replaced) {
+            p {
+                "The sphere's light does not explain the object: the sphere stands in the object's shadow \
+                 or in light that the object reflects. The light fitted on the object's own depth anchors \
+                 takes its place."
+            }
+        }
         p {
             "light from: " (word(&facts.source)) "; fixed to: " (word(&facts.kind))
             "; most light comes from " (text(direction.as_deref()))
