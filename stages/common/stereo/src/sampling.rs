@@ -175,14 +175,15 @@ pub fn smooth<const N: usize>(
         }
         field[at + N] = weights[i];
     }
-    let mut line = Vec::new();
+    let mut passed = vec![0.0_f32; field.len()];
     for _ in 0..3 {
-        for y in 0..height {
-            box_line::<N>(&mut field, y * width, 1, width, radius, &mut line);
+        for (from, to) in field
+            .chunks_exact((N + 1) * width)
+            .zip(passed.chunks_exact_mut((N + 1) * width))
+        {
+            box_mean(from, to, N + 1, radius);
         }
-        for x in 0..width {
-            box_line::<N>(&mut field, x, width, height, radius, &mut line);
-        }
+        box_mean(&passed, &mut field, (N + 1) * width, radius);
     }
     (0..pixels.len())
         .map(|i| {
@@ -199,36 +200,31 @@ pub fn smooth<const N: usize>(
         .collect()
 }
 
-/// Box mean along one line of `count` places, `stride` apart, `N + 1` channels.
-fn box_line<const N: usize>(
-    field: &mut [f32],
-    start: usize,
-    stride: usize,
-    count: usize,
-    radius: usize,
-    line: &mut Vec<f32>,
-) {
-    let channels = N + 1;
-    line.clear();
-    for k in 0..count {
-        let at = (start + k * stride) * channels;
-        line.extend_from_slice(&field[at..at + channels]);
-    }
+/// Box mean over the rows of `from`, each `row` values long, so that memory is met in order in both directions: a
+/// row is a pixel's channels along a line, and a whole line across the lines.
+fn box_mean(from: &[f32], to: &mut [f32], row: usize, radius: usize) {
+    let count = from.len() / row;
+    let of = |k: usize| &from[k * row..(k + 1) * row];
     let scale = 1.0 / (2 * radius + 1) as f64;
-    for c in 0..channels {
-        let mut sum = 0.0_f64;
-        for k in 0..radius.min(count) {
-            sum += f64::from(line[k * channels + c]);
+    let mut sums = vec![0.0_f64; row];
+    let add = |sums: &mut [f64], values: &[f32], sign: f64| {
+        for (sum, &value) in sums.iter_mut().zip(values) {
+            *sum += sign * f64::from(value);
         }
-        for k in 0..count {
-            if k + radius < count {
-                sum += f64::from(line[(k + radius) * channels + c]);
-            }
-            if k > radius {
-                sum -= f64::from(line[(k - radius - 1) * channels + c]);
-            }
+    };
+    for k in 0..radius.min(count) {
+        add(&mut sums, of(k), 1.0);
+    }
+    for (k, out) in to.chunks_exact_mut(row).enumerate() {
+        if k + radius < count {
+            add(&mut sums, of(k + radius), 1.0);
+        }
+        if k > radius {
+            add(&mut sums, of(k - radius - 1), -1.0);
+        }
+        for (value, &sum) in out.iter_mut().zip(&sums) {
             // Rounding must not turn an empty window into a tiny negative weight.
-            field[(start + k * stride) * channels + c] = if sum.abs() < 1e-12 {
+            *value = if sum.abs() < 1e-12 {
                 0.0
             } else {
                 (sum * scale) as f32
