@@ -43,9 +43,6 @@ pub(crate) fn render(
             let target =
                 shading::mean_intensities(level, i, &depths[i], rasters, light.mean_tolerance);
             let normals = plate::normals(view, &depths[i]);
-            let mean = target.iter().flatten().map(|&v| f64::from(v)).sum::<f64>()
-                / (3 * target.len()).max(1) as f64;
-            let floor = (0.02 * mean) as f32;
             let pigment = |p: usize| {
                 light
                     .pigment
@@ -60,7 +57,7 @@ pub(crate) fn render(
             let mut weight = vec![0.0_f32; target.len()];
             let ratio: Vec<[f32; 3]> = (0..target.len())
                 .map(|p| {
-                    let dark = light[p].iter().chain(&target[p]).any(|&v| v < floor);
+                    let dark = light[p].iter().chain(&target[p]).any(|&v| v < view.dark);
                     if dark || !view.is_usable(p) {
                         return [0.0; 3];
                     }

@@ -28,6 +28,48 @@ pub(crate) fn chroma(u: [f32; 3]) -> [f32; 2] {
     [u[0] - u[1], u[2] - u[1]]
 }
 
+/// What the photos' own noise and the light's colour leave in chroma.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ChromaNoise {
+    /// Standard deviations of both components.
+    pub sigma: [f64; 2],
+    /// Their correlation.
+    pub correlation: f64,
+}
+
+impl ChromaNoise {
+    /// From the chroma of a view's pixels less its slow part.
+    pub fn measure(view: &LevelView, local: &[[f32; 2]]) -> Self {
+        let used: Vec<[f64; 2]> = (0..local.len())
+            .filter(|&i| view.is_usable(i))
+            .map(|i| local[i].map(f64::from))
+            .collect();
+        let sigma = [0, 1].map(|k| {
+            let mut sizes: Vec<f64> = used.iter().map(|d| d[k].abs()).collect();
+            (SIGMA_FROM_MAD * median(&mut sizes).unwrap_or(0.0)).max(MIN_NOISE)
+        });
+        let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
+        for d in &used {
+            let [a, b] = [0, 1].map(|k| (d[k] / sigma[k]).clamp(-CLIP, CLIP));
+            aa += a * a;
+            ab += a * b;
+            bb += b * b;
+        }
+        let correlation =
+            (ab / (aa * bb).sqrt().max(1e-12)).clamp(-MAX_CORRELATION, MAX_CORRELATION);
+        Self { sigma, correlation }
+    }
+
+    /// Medians over several parts of one view; none where there is no part.
+    pub fn median_of(parts: &[Self]) -> Option<Self> {
+        let middle = |of: &dyn Fn(&Self) -> f64| median(&mut parts.iter().map(of).collect::<Vec<f64>>());
+        Some(Self {
+            sigma: [middle(&|n| n.sigma[0])?, middle(&|n| n.sigma[1])?],
+            correlation: middle(&|n| n.correlation)?,
+        })
+    }
+}
+
 /// Rows that turn relative residuals of the channels into `v`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Whitening {
@@ -35,27 +77,9 @@ pub(crate) struct Whitening {
 }
 
 impl Whitening {
-    /// From the chroma of a view's pixels less its slow part; `sigma` is the brightness' standard
-    /// deviation, `share` the factor `k`.
-    pub fn measure(view: &LevelView, local: &[[f32; 2]], sigma: f64, share: f64) -> Self {
-        let used: Vec<[f64; 2]> = (0..local.len())
-            .filter(|&i| view.is_usable(i))
-            .map(|i| local[i].map(f64::from))
-            .collect();
-        let noise = [0, 1].map(|k| {
-            let mut sizes: Vec<f64> = used.iter().map(|d| d[k].abs()).collect();
-            (SIGMA_FROM_MAD * median(&mut sizes).unwrap_or(0.0)).max(MIN_NOISE)
-        });
-        let (mut aa, mut ab, mut bb) = (0.0, 0.0, 0.0);
-        for d in &used {
-            let [a, b] = [0, 1].map(|k| (d[k] / noise[k]).clamp(-CLIP, CLIP));
-            aa += a * a;
-            ab += a * b;
-            bb += b * b;
-        }
-        let correlation =
-            (ab / (aa * bb).sqrt().max(1e-12)).clamp(-MAX_CORRELATION, MAX_CORRELATION);
-        Self::new(sigma, noise.map(|n| n * share), correlation)
+    /// From brightness' standard deviation and the noise of chroma, scaled by the factor `share`, the `k` above.
+    pub fn of_noise(sigma: f64, noise: &ChromaNoise, share: f64) -> Self {
+        Self::new(sigma, noise.sigma.map(|n| n * share), noise.correlation)
     }
 
     /// From standard deviations of brightness and of both chroma components, and their correlation.

@@ -1,7 +1,7 @@
 //! What the steps of a run share: views, options, observer, report.
 
 use super::options::PhotoOptions;
-use super::output;
+use super::output::{self, Shape};
 use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::ShadingError;
@@ -162,6 +162,15 @@ impl Course<'_> {
             .collect()
     }
 
+    /// Log depths at level `at` of a surface at this level or a finer one.
+    pub(crate) fn at_level(&self, at: usize, shape: &Shape) -> Vec<Vec<f64>> {
+        let mut depths = shape.depths.clone();
+        for fine in shape.at..at {
+            depths = self.reduced(fine, &depths);
+        }
+        depths
+    }
+
     /// The surface at level `at` moved by what has changed at the next coarser level, from `before`
     /// to `after`: what only the finer level resolves stays.
     pub(crate) fn raised(
@@ -191,8 +200,15 @@ impl Course<'_> {
 
     /// Shows the current surface to the probe, at the photos' resolution.
     pub(crate) fn show(&self, at: usize, step: &str, depths: &[Vec<f64>]) {
+        if self.probe.is_some() {
+            self.show_shape(step, &Shape::new(at, depths.to_vec()));
+        }
+    }
+
+    /// [`Self::show`] of a surface that is not known everywhere.
+    pub(crate) fn show_shape(&self, step: &str, shape: &Shape) {
         if let Some(probe) = self.probe {
-            probe(step, &output::maps(&self.scene, at, depths, &[]));
+            probe(step, &output::maps(&self.scene, shape, (0, &[])));
         }
     }
 }

@@ -74,6 +74,7 @@ pub(crate) fn iteration_weights(iteration: usize, residual: f64) -> IterationWei
             threshold: 2.0,
             correction_px,
             max_correction: 0.15,
+            chroma_noise: None,
         }),
     }
 }

@@ -64,7 +64,6 @@ pub(crate) fn terms(
         residual: vec![0.0; n],
     };
     let here: Vec<[f32; 3]> = (0..n).map(|p| view.intensity(p)).collect();
-    let floor = darkest(&here);
     for (j, warp) in &level.sources[index] {
         if options.left_out == Some(*j) {
             continue;
@@ -94,7 +93,7 @@ pub(crate) fn terms(
                 }
             })
             .collect();
-        let gains = gain_field(view, &here, &samples, floor, options.gain_field_px);
+        let gains = gain_field(view, &here, &samples, options.gain_field_px);
         for p in 0..n {
             let sample = &samples[p];
             if !sample.visible {
@@ -104,7 +103,7 @@ pub(crate) fn terms(
             for c in 0..3 {
                 let gain = f64::from(gains[p][c]);
                 let (a, b) = (f64::from(here[p][c]), gain * f64::from(sample.value[c]));
-                let mean = (0.5 * (a + b)).max(f64::from(floor));
+                let mean = (0.5 * (a + b)).max(f64::from(view.dark));
                 let scale = 1.0 / (options.sigma * mean);
                 let r = (b - a) * scale;
                 let d = gain * f64::from(sample.slope[c]) * scale;
@@ -131,17 +130,10 @@ pub(crate) fn terms(
     out
 }
 
-/// A fiftieth of the mean intensity: below it the relative error is that of the dark noise.
-fn darkest(values: &[[f32; 3]]) -> f32 {
-    let sum: f64 = values.iter().flatten().map(|&v| f64::from(v)).sum();
-    (0.02 * sum / (3 * values.len()).max(1) as f64).max(1e-6) as f32
-}
-
 fn gain_field(
     view: &rilievo_stereo::level::LevelView,
     here: &[[f32; 3]],
     samples: &[Sample],
-    floor: f32,
     sigma_px: f64,
 ) -> Vec<[f32; 3]> {
     if sigma_px <= 0.0 {
@@ -161,6 +153,6 @@ fn gain_field(
         .collect();
     sampling::smooth(&view.pixels, &both, &weights, sigma_px)
         .iter()
-        .map(|m| [0, 1, 2].map(|c| ((m[c] + floor) / (m[c + 3] + floor)).clamp(0.5, 2.0)))
+        .map(|m| [0, 1, 2].map(|c| ((m[c] + view.dark) / (m[c + 3] + view.dark)).clamp(0.5, 2.0)))
         .collect()
 }

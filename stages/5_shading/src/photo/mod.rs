@@ -18,8 +18,8 @@
 //! shape (`light`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
 //! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
 //! searched once more where photos disagree (`searched`, fused before it is solved) and fused at the
-//! end (`consensus`); and what shape, light and pigment explain of the photos (`appearance`,
-//! `confidence`).
+//! end (`consensus`); relief at the photos' own pixels, tile by tile (`relief`); and what shape, light and pigment
+//! explain of the photos (`appearance`, `confidence`).
 
 mod albedo;
 mod appearance;
@@ -41,6 +41,7 @@ mod light_tests;
 mod matching;
 mod options;
 mod output;
+mod relief;
 mod relight;
 #[cfg(test)]
 mod rendered_tests;

@@ -42,9 +42,12 @@ pub struct PhotoOptions {
     pub num_half_iterations: usize,
     /// Distance between the views' searched depths, in pixel footprints, from which they count as noisy.
     pub noisy_search_px: f64,
-    /// Masked pixels of a view up to which a finer level is solved; larger photos are interpolated
-    /// from the finest such level. Too large costs time and memory (about 1 kB a pixel).
+    /// Masked pixels of a view up to which a finer level is solved as a whole, with a light of its own. Too large
+    /// costs time and memory (about 1 kB a pixel).
     pub max_fine_pixels: usize,
+    /// Rounds at each level beyond, down to the photos' own pixels, tile by tile under the coarser level's light;
+    /// 0 interpolates from the finest level that is solved as a whole. More than three change little.
+    pub num_relief_rounds: usize,
     /// Search depth again at each finer level where the photos' brightness disagrees. Without it the
     /// surface of such photos keeps no more than the coarse level resolves; it takes as long as the
     /// first search at four times the pixels.
@@ -74,6 +77,7 @@ impl Default for PhotoOptions {
             num_half_iterations: 3,
             noisy_search_px: 0.65,
             max_fine_pixels: 450_000,
+            num_relief_rounds: 2,
             finer_search: true,
             visibility: true,
             num_rays: 256,
@@ -101,6 +105,7 @@ impl PhotoOptions {
         in_range("num_half_iterations", self.num_half_iterations, 0..=100)?;
         in_range("noisy_search_px", self.noisy_search_px, 0.0..=1e6)?;
         in_range("max_fine_pixels", self.max_fine_pixels, 0..=1_000_000_000)?;
+        in_range("num_relief_rounds", self.num_relief_rounds, 0..=100)?;
         in_range("num_rays", self.num_rays, 16..=1024)
     }
 }

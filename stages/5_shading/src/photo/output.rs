@@ -7,16 +7,32 @@ use rilievo_scene::{
     ConfidenceMap, DepthMap, LinearImage, NormalMap, Raster, ShadedView, ShadedViews,
 };
 use rilievo_stereo::between_levels;
-use rilievo_stereo::level::{LevelView, NEIGHBOURS};
+use rilievo_stereo::level::LevelView;
 use rilievo_stereo::{plate, spread};
 
-/// Maps of all views from log depths of a level, and from appearances where there are any; coarser
+/// The surface of all views at one level.
+pub(crate) struct Shape {
+    pub at: usize,
+    /// Log depths.
+    pub depths: Vec<Vec<f64>>,
+    /// Whether a pixel's depth is known: what no coarser level reaches is not.
+    pub known: Vec<Vec<bool>>,
+}
+
+impl Shape {
+    /// A surface that is known everywhere.
+    pub fn new(at: usize, depths: Vec<Vec<f64>>) -> Self {
+        let known = depths.iter().map(|depth| vec![true; depth.len()]).collect();
+        Self { at, depths, known }
+    }
+}
+
+/// Maps of all views from their surface, and from appearances at a level of their own where there are any; coarser
 /// levels are interpolated, and the rim that has no parents continues its neighbours.
 pub(crate) fn maps(
     scene: &Scene,
-    at: usize,
-    depths: &[Vec<f64>],
-    appearances: &[Appearance],
+    shape: &Shape,
+    (light_at, appearances): (usize, &[Appearance]),
 ) -> ShadedViews {
     let views = scene
         .frames
@@ -24,26 +40,15 @@ pub(crate) fn maps(
         .enumerate()
         .map(|(i, frame)| {
             let fine = &scene.pyramid[0].views[i];
-            let mut values = depths[i].clone();
-            let mut known = vec![true; values.len()];
-            let mut normals = plate::normals(&scene.pyramid[at].views[i], &values);
-            for finer in (0..at).rev() {
+            let (mut values, mut known) = (shape.depths[i].clone(), shape.known[i].clone());
+            let mut normals = plate::normals(&scene.pyramid[shape.at].views[i], &values);
+            for finer in (0..shape.at).rev() {
                 let (child, parent) = (
                     &scene.pyramid[finer].views[i],
                     &scene.pyramid[finer + 1].views[i],
                 );
-                let (up, up_known) = between_levels::upsample(parent, child, &values);
-                let up_known = (0..child.pixels.len())
-                    .map(|p| {
-                        // Where all four parents are masked, the nearest is one of them.
-                        let (x, y) = (child.pixels.xs[p] / 2, child.pixels.ys[p] / 2);
-                        let nearest = y as usize * parent.pixels.width + x as usize;
-                        up_known[p] && known[parent.pixels.number[nearest] as usize]
-                    })
-                    .collect();
                 normals = spread_normals(parent, child, &normals);
-                (values, known) = (up, up_known);
-                extend(child, &mut values, &mut known);
+                (values, known) = between_levels::continued(parent, child, (&values, &known));
             }
             let (width, height) = (frame.mask.width, frame.mask.height);
             let mut depth = DepthMap::filled(width, height, 0.0);
@@ -57,7 +62,7 @@ pub(crate) fn maps(
                 *depth.at_mut(x, y) = values[p].exp() as f32;
                 *normal.at_mut(x, y) = n.map(|v| v as f32);
             }
-            let images = appearances.get(i).map(|a| images(scene, at, i, a, &depth));
+            let images = appearances.get(i).map(|a| images(scene, light_at, i, a, &depth));
             if !frame.rectification.is_identity() {
                 (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
             }
@@ -170,36 +175,4 @@ fn spread_normals(coarse: &LevelView, fine: &LevelView, normals: &[[f64; 3]]) ->
             n.map(|v| v / length.max(f64::MIN_POSITIVE))
         })
         .collect()
-}
-
-/// Gives pixels without a value the mean of their known neighbours, ring by ring.
-fn extend(view: &LevelView, values: &mut [f64], known: &mut [bool]) {
-    // The rim is two pixels wide; specks without any parent take a few rings more.
-    const NUM_RINGS: usize = 12;
-    let mut missing: Vec<usize> = (0..values.len()).filter(|&p| !known[p]).collect();
-    for _ in 0..NUM_RINGS {
-        let found: Vec<(usize, f64)> = missing
-            .iter()
-            .filter_map(|&p| {
-                let (mut depth, mut count) = (0.0, 0.0);
-                for (dx, dy) in NEIGHBOURS {
-                    if let Some(q) = view.pixels.neighbour(p, dx, dy)
-                        && known[q]
-                    {
-                        depth += values[q];
-                        count += 1.0;
-                    }
-                }
-                (count > 0.0).then(|| (p, depth / count))
-            })
-            .collect();
-        if found.is_empty() {
-            break;
-        }
-        for (p, depth) in found {
-            values[p] = depth;
-            known[p] = true;
-        }
-        missing.retain(|&p| !known[p]);
-    }
 }

@@ -8,7 +8,7 @@
 //! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a Gaussian: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
 
-use super::chroma::{self, Whitening};
+use super::chroma::{self, ChromaNoise, Whitening};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::PlateSystem;
@@ -83,6 +83,9 @@ pub(crate) struct ShadingWeights {
     pub correction_px: f64,
     /// Largest correction.
     pub max_correction: f64,
+    /// Noise of chroma where it is known already, so that the parts of a view are weighed alike; else it is measured
+    /// on the pixels themselves.
+    pub chroma_noise: Option<ChromaNoise>,
 }
 
 /// Bell over chroma where there is no correction, pixels.
@@ -97,6 +100,8 @@ pub(crate) struct ShadingTerm<'a> {
     /// Square root of the pixel's weight, 0 where it takes no part.
     pub scale: Vec<f32>,
     pub whitening: Whitening,
+    /// The noise of chroma that it is made from.
+    pub chroma_noise: ChromaNoise,
     /// Intensity under which a pixel is as dark as the photo's noise.
     pub floor: f32,
     pub threshold: f64,
@@ -122,9 +127,6 @@ impl<'a> ShadingTerm<'a> {
                 }
             }
         }
-        let mean =
-            target.iter().flatten().map(|&v| f64::from(v)).sum::<f64>() / (3 * n).max(1) as f64;
-        let floor = (0.02 * mean) as f32;
         let usable: Vec<f32> = (0..n)
             .map(|i| f32::from(u8::from(view.is_usable(i))))
             .collect();
@@ -137,7 +139,7 @@ impl<'a> ShadingTerm<'a> {
         let relative: Vec<[f32; 3]> = (0..n)
             .map(|i| {
                 let s = render(&light.harmonics[i], normals[i]);
-                [0, 1, 2].map(|c| s[c] as f32 / target[i][c].max(0.3 * floor) - 1.0)
+                [0, 1, 2].map(|c| s[c] as f32 / target[i][c].max(0.3 * view.dark) - 1.0)
             })
             .collect();
         let limit = weights.max_correction as f32;
@@ -151,15 +153,18 @@ impl<'a> ShadingTerm<'a> {
             CHROMA_BELL_PX
         };
         let smooth = sampling::smooth(&view.pixels, &clipped, &usable, bell_px);
-        let local: Vec<[f32; 2]> = relative
-            .iter()
-            .zip(&smooth)
-            .map(|(u, e)| {
-                let (u, e) = (chroma::chroma(*u), chroma::chroma(*e));
-                [u[0] - e[0], u[1] - e[1]]
-            })
-            .collect();
-        let whitening = Whitening::measure(view, &local, weights.sigma, weights.chroma_share);
+        let chroma_noise = weights.chroma_noise.unwrap_or_else(|| {
+            let local: Vec<[f32; 2]> = relative
+                .iter()
+                .zip(&smooth)
+                .map(|(u, e)| {
+                    let (u, e) = (chroma::chroma(*u), chroma::chroma(*e));
+                    [u[0] - e[0], u[1] - e[1]]
+                })
+                .collect();
+            ChromaNoise::measure(view, &local)
+        });
+        let whitening = Whitening::of_noise(weights.sigma, &chroma_noise, weights.chroma_share);
         if weights.correction_px > 0.0 {
             for (t, e) in target.iter_mut().zip(&smooth) {
                 for c in 0..3 {
@@ -178,7 +183,8 @@ impl<'a> ShadingTerm<'a> {
             target,
             scale,
             whitening,
-            floor,
+            chroma_noise,
+            floor: view.dark,
             threshold: weights.threshold,
         }
     }
@@ -312,6 +318,10 @@ mod tests {
             target: vec![[0.9, 0.8, 0.7]],
             scale: vec![0.7],
             whitening: Whitening::new(0.03, [0.01, 0.015], 0.4),
+            chroma_noise: ChromaNoise {
+                sigma: [0.01, 0.015],
+                correlation: 0.4,
+            },
             floor: 0.01,
             threshold: 2.0,
         };

@@ -5,7 +5,7 @@ use super::course::{Course, Probe};
 use super::iteration::{IterationWeights, PHOTOS_ONLY, iteration_weights};
 use super::light::Light;
 use super::options::PhotoOptions;
-use super::output;
+use super::output::{self, Shape};
 use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::ShadingError;
@@ -21,7 +21,7 @@ const SETTLING: f64 = 0.8;
 /// Distance within which solved surfaces are fused, footprints: a few times what they lie apart.
 pub(crate) const FUSION_PX: f64 = 4.0;
 
-/// σ_c of the last outer iterations at the finest level, footprints: tight, since
+/// σ_c of the last outer iterations at the finest level of all, footprints: tight, since
 /// only noise separates the views there, and averaging removes it. Less flattens fine detail.
 const FINEST_CONSENSUS_PX: f64 = 0.3;
 
@@ -61,9 +61,13 @@ pub(crate) fn solve(
     let (light, last) =
         course.iterate_light_and_shape(&mut at, &mut solvers, &mut depths, posed, lighting)?;
     let light = course.finer_levels(&mut at, &mut depths, light, last, posed)?;
-    let depths = course.without_specks(at, depths);
-    let appearances = course.appearance(at, &depths, light.as_ref());
-    let shaded = output::maps(&course.scene, at, &depths, &appearances);
+    let mut shape = match &light {
+        Some(light) if course.shapes_relief(Some(light)) => course.relief(at, depths, light, &last)?,
+        _ => Shape::new(at, depths),
+    };
+    shape.depths = course.without_specks(shape.at, shape.depths);
+    let appearances = course.appearance(at, &course.at_level(at, &shape), light.as_ref());
+    let shaded = output::maps(&course.scene, &shape, (at, &appearances));
     Ok((shaded, course.report))
 }
 
@@ -158,7 +162,7 @@ impl Course<'_> {
                 iteration_weights(iteration - num_half + first_full, residual)
             };
             if iteration + 1 >= num_planned {
-                if self.is_finest(*at) {
+                if self.is_last(*at, light.as_ref()) {
                     weights.consensus_px = FINEST_CONSENSUS_PX;
                 }
                 self.validate(*at, solvers, depths, light.as_mut(), &weights)?;
@@ -186,12 +190,22 @@ impl Course<'_> {
         }
     }
 
-    /// Whether no finer level than `at` is solved.
+    /// Whether no finer level than `at` is solved as a whole.
     fn is_finest(&self, at: usize) -> bool {
         at == 0 || self.scene.pyramid[at - 1].mean_pixels() > self.options.max_fine_pixels
     }
 
-    /// From level `at` to the finest that is solved, each with the light and weights of the last outer iteration.
+    /// Whether no finer level than `at` is solved, be it as a whole or by tiles.
+    fn is_last(&self, at: usize, light: Option<&Light>) -> bool {
+        self.is_finest(at) && (at == 0 || !self.shapes_relief(light))
+    }
+
+    /// Whether the levels beyond are solved by tiles.
+    fn shapes_relief(&self, light: Option<&Light>) -> bool {
+        self.options.num_relief_rounds > 0 && light.is_some()
+    }
+
+    /// From level `at` to the finest that is solved as a whole, each with the light and weights of the last outer iteration.
     /// Returns the finest level's.
     fn finer_levels(
         &mut self,
@@ -217,31 +231,42 @@ impl Course<'_> {
                 *depths = self.search_again(*at, &solvers, depths, posed)?;
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
-            let mut weights = IterationWeights {
-                sigma_match_factor: if searches {
-                    SEARCHED_SIGMA_MATCH_FACTOR
-                } else {
-                    1.0
-                },
-                consensus_px: if self.is_finest(*at) {
-                    FINEST_CONSENSUS_PX
-                } else {
-                    PHOTOS_ONLY.consensus_px
-                },
-                visible_px: 3.5,
-                plate_threshold: 0.05,
-                ..last
-            };
-            if let Some(shading) = &mut weights.shading {
-                // Single pixels of the finer level are noisier.
-                shading.sigma *= 1.4;
-                shading.chroma_share *= 1.4;
-                shading.correction_px = 12.0;
-            }
+            let weights = finer_weights(&last, searches, self.is_last(*at, light.as_ref()));
             self.outer_iteration(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
             *depths = self.fused(*at, depths, FUSION_PX)?;
             self.show(*at, "fused", depths);
         }
         Ok(light)
     }
+}
+
+/// Weights at a level finer than that of the outer iterations, from those of the `last` of them; `is_searched` tells
+/// whether depth was searched there again.
+pub(crate) fn finer_weights(
+    last: &IterationWeights,
+    is_searched: bool,
+    is_finest: bool,
+) -> IterationWeights {
+    let mut weights = IterationWeights {
+        sigma_match_factor: if is_searched {
+            SEARCHED_SIGMA_MATCH_FACTOR
+        } else {
+            1.0
+        },
+        consensus_px: if is_finest {
+            FINEST_CONSENSUS_PX
+        } else {
+            PHOTOS_ONLY.consensus_px
+        },
+        visible_px: 3.5,
+        plate_threshold: 0.05,
+        ..*last
+    };
+    if let Some(shading) = &mut weights.shading {
+        // Single pixels of the finer level are noisier.
+        shading.sigma *= 1.4;
+        shading.chroma_share *= 1.4;
+        shading.correction_px = 12.0;
+    }
+    weights
 }

@@ -1,6 +1,6 @@
 //! Log depths from one level of the pyramid to the next.
 
-use crate::level::{LevelView, MAX_STEP_PX};
+use crate::level::{LevelView, MAX_STEP_PX, NEIGHBOURS};
 use crate::plate;
 use crate::sampling;
 use crate::surfaces::CUBIC_RANGE_PX;
@@ -52,6 +52,56 @@ pub fn upsample(coarse: &LevelView, fine: &LevelView, values: &[f64]) -> (Vec<f6
         });
     }
     (out, known)
+}
+
+/// [`upsample`] of values of which some are not known, continued over the rim that has no parents.
+/// Returns the values and where they are known.
+pub fn continued(
+    coarse: &LevelView,
+    fine: &LevelView,
+    (values, known): (&[f64], &[bool]),
+) -> (Vec<f64>, Vec<bool>) {
+    let (mut values, mut is_known) = upsample(coarse, fine, values);
+    for (p, is) in is_known.iter_mut().enumerate().filter(|(_, is)| **is) {
+        // Where all four parents are masked, the nearest is one of them.
+        let (x, y) = (fine.pixels.xs[p] / 2, fine.pixels.ys[p] / 2);
+        let nearest = y as usize * coarse.pixels.width + x as usize;
+        *is = known[coarse.pixels.number[nearest] as usize];
+    }
+    extend(fine, &mut values, &mut is_known);
+    (values, is_known)
+}
+
+/// Gives pixels without a value the mean of their known neighbours, ring by ring.
+fn extend(view: &LevelView, values: &mut [f64], known: &mut [bool]) {
+    // The rim is two pixels wide; specks without any parent take a few rings more.
+    const NUM_RINGS: usize = 12;
+    let mut missing: Vec<usize> = (0..values.len()).filter(|&p| !known[p]).collect();
+    for _ in 0..NUM_RINGS {
+        let found: Vec<(usize, f64)> = missing
+            .iter()
+            .filter_map(|&p| {
+                let (mut depth, mut count) = (0.0, 0.0);
+                for (dx, dy) in NEIGHBOURS {
+                    if let Some(q) = view.pixels.neighbour(p, dx, dy)
+                        && known[q]
+                    {
+                        depth += values[q];
+                        count += 1.0;
+                    }
+                }
+                (count > 0.0).then(|| (p, depth / count))
+            })
+            .collect();
+        if found.is_empty() {
+            break;
+        }
+        for (p, depth) in found {
+            values[p] = depth;
+            known[p] = true;
+        }
+        missing.retain(|&p| !known[p]);
+    }
 }
 
 /// Log depth at a position on the tangent plane of the nearest pixel, which must be masked.

@@ -23,6 +23,9 @@ pub const NEIGHBOURS: [(i32, i32); 8] = [
 /// Pixels kept around the mask's bounding box, so that interpolation never meets the crop.
 const MARGIN_PX: usize = 8;
 
+/// Share of the object's mean intensity below which relative errors are those of the dark noise.
+const DARK_SHARE: f64 = 0.02;
+
 /// One view at one pyramid level.
 #[derive(Clone, Debug)]
 pub struct LevelView {
@@ -40,6 +43,8 @@ pub struct LevelView {
     pub pixels: PixelNumbering,
     /// Whether the mask touches the photo's frame.
     pub cut_by_frame: bool,
+    /// Intensity below which a pixel is as dark as the photo's noise, [`DARK_SHARE`] of the object's mean.
+    pub dark: f32,
 }
 
 impl LevelView {
@@ -107,16 +112,26 @@ impl LevelView {
         mask: Mask,
         cut_by_frame: bool,
     ) -> Self {
-        let pixels = PixelNumbering::new(&mask);
-        Self {
+        let mut view = Self {
             camera,
             grey: image.to_grey(),
+            pixels: PixelNumbering::new(&mask),
             image,
             usable,
             mask,
-            pixels,
             cut_by_frame,
-        }
+            dark: 0.0,
+        };
+        view.dark = view.dark_intensity();
+        view
+    }
+
+    fn dark_intensity(&self) -> f32 {
+        let sum: f64 = (0..self.pixels.len())
+            .flat_map(|p| self.intensity(p))
+            .map(f64::from)
+            .sum();
+        (DARK_SHARE * sum / (3 * self.pixels.len()).max(1) as f64).max(1e-6) as f32
     }
 
     /// The view at half resolution; a pixel is masked where all four of its parents are.
@@ -134,6 +149,38 @@ impl LevelView {
         let (camera, image) = (self.camera.reduced(2), block_mean(&self.image, 2));
         let mask = blocks_where(&self.mask, 2, |&v| v);
         Self::assemble(camera, image, usable, mask, self.cut_by_frame)
+    }
+
+    /// The part of the view inside a window, which must lie in it; what is dark is told by the whole view.
+    pub fn cut(&self, window: &Window) -> Self {
+        let &Window {
+            x0,
+            y0,
+            width,
+            height,
+        } = window;
+        let mut data = Vec::with_capacity(3 * width * height);
+        for y in y0..y0 + height {
+            let row = 3 * (y * self.image.width + x0);
+            data.extend_from_slice(&self.image.data[row..row + 3 * width]);
+        }
+        let image = LinearImage {
+            width,
+            height,
+            channels: 3,
+            data,
+        };
+        let part = Self::assemble(
+            self.camera.cropped(x0, y0, width, height),
+            image,
+            window.cut(&self.usable),
+            window.cut(&self.mask),
+            self.cut_by_frame,
+        );
+        Self {
+            dark: self.dark,
+            ..part
+        }
     }
 
     /// What the view says of where the object is; without masks every pixel may show it.
@@ -154,6 +201,7 @@ impl LevelView {
             }
         }
         self.grey = self.image.to_grey();
+        self.dark = self.dark_intensity();
     }
 
     /// Column and row of a masked pixel.

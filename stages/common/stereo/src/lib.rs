@@ -5,6 +5,7 @@
 //! * [`sampling`], [`window`]: interpolation in rasters, smoothing inside a mask, crops and block means.
 //! * [`hull`], [`patchmatch`], [`search`]: dense search inside the visual hull.
 //! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
+//! * [`tile`]: parts of a level, for what is local at fine levels.
 //! * [`openness`]: the share of its light that the relief around a pixel leaves it.
 //! * [`specks`]: pixels whose normals stand out from all around them.
 //! * [`gains`]: exposure of the photos, and how far they disagree.
@@ -31,4 +32,5 @@ pub mod specks;
 pub mod spread;
 pub mod start;
 pub mod surfaces;
+pub mod tile;
 pub mod window;

@@ -1,0 +1,341 @@
+//! Relief of a few pixels: the levels between the finest that is solved as a whole and the photos' own pixels.
+//!
+//! Shape and light stand when these levels begin. What they add is local, so each view is improved tile by tile
+//! (`rilievo_stereo::tile`) under the light of the coarser level, interpolated: time is proportional to the pixels,
+//! and the memory in work is that of the tiles. All tiles of a view start from the same surfaces, and their
+//! increments are blended, so that neither tiles nor threads show in the result; the views take turns.
+
+use super::course::Course;
+use super::iteration::{IterationWeights, step_weights};
+use super::light::Light;
+use super::output::Shape;
+use super::report::StepReport;
+use super::shading::{PixelHarmonics, PixelLight, ShadingTerm, ShadingWeights};
+use super::solve::{FUSION_PX, finer_weights};
+use super::step::{self, StepOptions};
+use super::chroma::ChromaNoise;
+use crate::error::ShadingError;
+use rayon::prelude::*;
+use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_system::PlateError;
+use rilievo_numerics::robust::median;
+use rilievo_stereo::level::Level;
+use rilievo_stereo::spread::Parents;
+use rilievo_stereo::surfaces::{Reading, Surfaces};
+use rilievo_stereo::tile::{self, Tile};
+use rilievo_stereo::window::Window;
+use rilievo_stereo::{between_levels, plate};
+use std::time::Instant;
+
+/// Side of a tile's core, pixels: its margin adds a quarter to the work.
+const CORE_PX: usize = 512;
+/// Side of the samples on which a view's chroma noise is measured, pixels, and their largest number.
+const SAMPLE_PX: usize = 128;
+const MAX_NUM_SAMPLES: usize = 8;
+/// Factor of the increments: each round goes part of the way to where the views agree, since the others' surfaces
+/// are held fixed meanwhile.
+const OVER_RELAXATION: f64 = 1.5;
+
+/// The light of a coarser level, to be read at finer ones.
+struct CoarseLight<'a> {
+    light: &'a Light,
+    at: usize,
+    focal: f64,
+    /// Per view.
+    parents: Vec<Parents<'a>>,
+}
+
+/// The light of a tile's pixels.
+struct TileLight {
+    harmonics: Vec<PixelHarmonics>,
+    pigment: Option<Vec<[f32; 3]>>,
+    trust: Option<Vec<f32>>,
+    mean_tolerance: f64,
+    openness_exponent: f32,
+}
+
+/// What all tiles of one view at one level share.
+struct ViewAtLevel<'a> {
+    level: &'a Level,
+    at: usize,
+    index: usize,
+    reading: Reading,
+    light: &'a CoarseLight<'a>,
+    options: &'a StepOptions,
+    shading: ShadingWeights,
+}
+
+/// What a tile's step gave.
+struct TileStep {
+    tile: Tile,
+    /// Increments of the log depths of its pixels.
+    increment: Vec<f64>,
+    /// Some of the relative residuals between the photos.
+    residuals: Vec<f64>,
+}
+
+impl<'a> CoarseLight<'a> {
+    fn new(level: &'a Level, at: usize, light: &'a Light) -> Self {
+        Self {
+            light,
+            at,
+            focal: level.focal(),
+            parents: level.views.par_iter().map(Parents::new).collect(),
+        }
+    }
+
+    /// The light of a tile of view `index`, cut at level `at` of focal length `focal`.
+    fn of(&self, tile: &Tile, index: usize, at: usize, focal: f64) -> TileLight {
+        let light = self.light;
+        let (pigment, trust) = (light.pigment_of(index), light.trust.get(index));
+        let scale = f64::from(1_u32 << (self.at - at)).recip();
+        let view = &tile.level.views[0];
+        let rows: Vec<[f32; 31]> = (0..view.pixels.len())
+            .into_par_iter()
+            .with_min_len(1024)
+            .map(|p| {
+                let (x, y) = view.xy(p);
+                let coarse = |v: f64, corner: usize| (v + corner as f64 + 0.5) * scale - 0.5;
+                let (x, y) = (coarse(x, tile.corner.0), coarse(y, tile.corner.1));
+                self.parents[index].at(x, y, |parent| {
+                    let mut row = [0.0; 31];
+                    for (c, l) in light.harmonics[index][parent].iter().enumerate() {
+                        row[9 * c..9 * c + 9].copy_from_slice(l);
+                    }
+                    if let Some(pigment) = pigment {
+                        row[27..30].copy_from_slice(&pigment[parent]);
+                    }
+                    if let Some(trust) = trust {
+                        row[30] = trust[parent];
+                    }
+                    row
+                })
+            })
+            .collect();
+        TileLight {
+            harmonics: rows
+                .iter()
+                .map(|r| std::array::from_fn(|c| std::array::from_fn(|k| r[9 * c + k])))
+                .collect(),
+            pigment: pigment.map(|_| rows.iter().map(|r| [r[27], r[28], r[29]]).collect()),
+            trust: trust.map(|_| rows.iter().map(|r| r[30]).collect()),
+            mean_tolerance: light.mean_tolerance * self.focal / focal,
+            openness_exponent: light.openness_exponent.unwrap_or(0.0),
+        }
+    }
+}
+
+impl TileLight {
+    fn of_pixels(&self) -> PixelLight<'_> {
+        PixelLight {
+            harmonics: &self.harmonics,
+            pigment: self.pigment.as_deref(),
+            trust: self.trust.as_deref(),
+            mean_tolerance: self.mean_tolerance,
+            openness_exponent: self.openness_exponent,
+        }
+    }
+}
+
+impl Course<'_> {
+    /// The surface at the photos' own pixels, from that of level `coarse`, the finest that was solved as a whole,
+    /// with its light and the weights of the last outer iteration.
+    pub(crate) fn relief(
+        &mut self,
+        coarse: usize,
+        depths: Vec<Vec<f64>>,
+        light: &Light,
+        last: &IterationWeights,
+    ) -> Result<Shape, ShadingError> {
+        let mut shape = Shape::new(coarse, depths);
+        for at in (0..coarse).rev() {
+            shape = self.interpolated(&shape);
+            let record = self.relief_at(&mut shape, coarse, light, last)?;
+            self.report.steps.push(record);
+            shape.depths = self.fused(at, &shape.depths, FUSION_PX)?;
+            self.show_shape("relief", &shape);
+        }
+        Ok(shape)
+    }
+
+    /// The surface at the next finer level.
+    fn interpolated(&self, shape: &Shape) -> Shape {
+        let at = shape.at - 1;
+        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        let (depths, known) = (0..fine.views.len())
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|i| {
+                let of_view = (shape.depths[i].as_slice(), shape.known[i].as_slice());
+                between_levels::continued(&coarse.views[i], &fine.views[i], of_view)
+            })
+            .unzip();
+        Shape { at, depths, known }
+    }
+
+    /// Rounds over all views at the shape's level.
+    fn relief_at(
+        &self,
+        shape: &mut Shape,
+        coarse: usize,
+        light: &Light,
+        last: &IterationWeights,
+    ) -> Result<StepReport, ShadingError> {
+        const KIND: &str = "relief";
+        let began = Instant::now();
+        let at = shape.at;
+        let level = &self.scene.pyramid[at];
+        let weights = finer_weights(last, false, at == 0);
+        let options = step_weights(level, self.sigma_match, &weights);
+        let light = CoarseLight::new(&self.scene.pyramid[coarse], coarse, light);
+        let mut record = StepReport {
+            level: at,
+            kind: KIND.to_owned(),
+            sigma_match: options.matching.sigma,
+            sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
+            num_rounds: self.options.num_relief_rounds,
+            ..StepReport::default()
+        };
+        let num_views = level.views.len();
+        let cores: Vec<Vec<Window>> = level
+            .views
+            .iter()
+            .map(|view| tile::cores(view, CORE_PX))
+            .collect();
+        let num_tiles = cores.iter().map(Vec::len).sum::<usize>() * self.options.num_relief_rounds;
+        let mut num_done = 0;
+        let before = shape.depths.clone();
+        // Noise of chroma is that of the photo: measured once.
+        let mut noise: Vec<Option<ChromaNoise>> = vec![None; num_views];
+        for _ in 0..self.options.num_relief_rounds {
+            let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
+            // Even views first, as in the outer iterations.
+            for i in (0..num_views).step_by(2).chain((1..num_views).step_by(2)) {
+                let Some(shading) = weights.shading else {
+                    break;
+                };
+                let mut view = ViewAtLevel {
+                    level,
+                    at,
+                    index: i,
+                    reading: self.reading(),
+                    light: &light,
+                    options: &options,
+                    shading,
+                };
+                if noise[i].is_none() {
+                    noise[i] = view.chroma_noise(&shape.depths);
+                }
+                view.shading.chroma_noise = noise[i];
+                let mut improved = shape.depths[i].clone();
+                // Two for each thread keep all at work; more would only be held in memory.
+                for cores in cores[i].chunks(2 * rayon::current_num_threads()) {
+                    self.tell(KIND, num_done, num_tiles)?;
+                    let steps: Vec<Result<TileStep, PlateError>> = cores
+                        .par_iter()
+                        .with_max_len(1)
+                        .map(|core| view.step(&shape.depths, core))
+                        .collect();
+                    for step in steps {
+                        let step = step.map_err(|e| self.failed(i, &e))?;
+                        for (p, &number) in step.tile.numbers.iter().enumerate() {
+                            improved[number as usize] +=
+                                f64::from(step.tile.shares[p]) * step.increment[p];
+                        }
+                        residuals.extend(step.residuals);
+                    }
+                    num_done += cores.len();
+                }
+                moved += plate::mean_move(&shape.depths[i], &improved);
+                turned += plate::mean_turn(&level.views[i], &shape.depths[i], &improved);
+                shape.depths[i] = improved;
+            }
+            let per_view = 1.0 / num_views as f64;
+            record.moved_px = moved * per_view * level.focal();
+            record.turned_deg = (turned * per_view).to_degrees();
+            record.match_residual = median(&mut residuals);
+        }
+        let turns: Vec<f64> = (0..num_views)
+            .into_par_iter()
+            .map(|i| plate::mean_turn(&level.views[i], &before[i], &shape.depths[i]))
+            .collect();
+        record.turned_in_all_deg = (turns.iter().sum::<f64>() / num_views as f64).to_degrees();
+        record.seconds = began.elapsed().as_secs_f64();
+        Ok(record)
+    }
+}
+
+impl ViewAtLevel<'_> {
+    /// One Gauss-Newton step of a tile, from log depths of all views.
+    fn step(&self, depths: &[Vec<f64>], core: &Window) -> Result<TileStep, PlateError> {
+        let tile = Tile::cut(self.level, self.index, depths, core);
+        let surfaces = Surfaces::new(&tile.level, &tile.depths, self.reading);
+        let light = self.light.of(&tile, self.index, self.at, self.level.focal());
+        let term = ShadingTerm::new(
+            &tile.level,
+            0,
+            &tile.depths[0],
+            &surfaces.rasters,
+            &light.of_pixels(),
+            &self.shading,
+        );
+        let solver = PlateSolver::iterative(&tile.level.views[0].pixels);
+        let depth = &tile.depths[0];
+        let outcome = step::improve(&surfaces, 0, &solver, depth, Some(&term), self.options)?;
+        let increment = outcome
+            .depth
+            .iter()
+            .zip(depth)
+            .map(|(after, before)| OVER_RELAXATION * (after - before))
+            .collect();
+        let residuals = outcome
+            .matches
+            .residual
+            .iter()
+            .zip(&outcome.matches.num_visible)
+            .step_by(7)
+            .filter(|&(_, &n)| n > 0)
+            .map(|(&r, _)| f64::from(r))
+            .collect();
+        drop((term, surfaces));
+        Ok(TileStep {
+            tile,
+            increment,
+            residuals,
+        })
+    }
+
+    /// Noise of the view's chroma, from samples all over the object.
+    fn chroma_noise(&self, depths: &[Vec<f64>]) -> Option<ChromaNoise> {
+        let view = &self.level.views[self.index];
+        let cores = tile::cores(view, SAMPLE_PX);
+        let is_full = |core: &&Window| {
+            let mask = core.cut(&view.mask);
+            mask.data.iter().all(|&is| is)
+        };
+        let mut inner: Vec<&Window> = cores.iter().filter(is_full).collect();
+        if inner.is_empty() {
+            inner = cores.iter().collect();
+        }
+        let step = inner.len().div_ceil(MAX_NUM_SAMPLES).max(1);
+        let parts: Vec<ChromaNoise> = inner
+            .into_par_iter()
+            .step_by(step)
+            .map(|core| {
+                let tile = Tile::cut(self.level, self.index, depths, core);
+                let rasters = rilievo_stereo::level::depth_rasters(&tile.level, &tile.depths);
+                let light = self.light.of(&tile, self.index, self.at, self.level.focal());
+                ShadingTerm::new(
+                    &tile.level,
+                    0,
+                    &tile.depths[0],
+                    &rasters,
+                    &light.of_pixels(),
+                    &self.shading,
+                )
+                .chroma_noise
+            })
+            .collect();
+        ChromaNoise::median_of(&parts)
+    }
+}
