@@ -62,7 +62,8 @@ impl ChromaNoise {
 
     /// Medians over several parts of one view; none where there is no part.
     pub fn median_of(parts: &[Self]) -> Option<Self> {
-        let middle = |of: &dyn Fn(&Self) -> f64| median(&mut parts.iter().map(of).collect::<Vec<f64>>());
+        let middle =
+            |of: &dyn Fn(&Self) -> f64| median(&mut parts.iter().map(of).collect::<Vec<f64>>());
         Some(Self {
             sigma: [middle(&|n| n.sigma[0])?, middle(&|n| n.sigma[1])?],
             correlation: middle(&|n| n.correlation)?,

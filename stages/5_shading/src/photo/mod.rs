@@ -42,6 +42,8 @@ mod matching;
 mod options;
 mod output;
 mod relief;
+#[cfg(test)]
+mod relief_tests;
 mod relight;
 #[cfg(test)]
 mod rendered_tests;

@@ -62,7 +62,9 @@ pub(crate) fn maps(
                 *depth.at_mut(x, y) = values[p].exp() as f32;
                 *normal.at_mut(x, y) = n.map(|v| v as f32);
             }
-            let images = appearances.get(i).map(|a| images(scene, light_at, i, a, &depth));
+            let images = appearances
+                .get(i)
+                .map(|a| images(scene, light_at, i, a, &depth));
             if !frame.rectification.is_identity() {
                 (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
             }

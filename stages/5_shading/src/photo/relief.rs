@@ -3,8 +3,10 @@
 //! Shape and light stand when these levels begin. What they add is local, so each view is improved tile by tile
 //! (`rilievo_stereo::tile`) under the light of the coarser level, interpolated: time is proportional to the pixels,
 //! and the memory in work is that of the tiles. All tiles of a view start from the same surfaces, and their
-//! increments are blended, so that neither tiles nor threads show in the result; the views take turns.
+//! increments are blended, so that neither tiles nor threads show in the result; the views take turns. How much
+//! relief is to be expected follows from the surface that the coarser level hands down (`turn_scale`).
 
+use super::chroma::ChromaNoise;
 use super::course::Course;
 use super::iteration::{IterationWeights, step_weights};
 use super::light::Light;
@@ -13,7 +15,6 @@ use super::report::StepReport;
 use super::shading::{PixelHarmonics, PixelLight, ShadingTerm, ShadingWeights};
 use super::solve::{FUSION_PX, finer_weights};
 use super::step::{self, StepOptions};
-use super::chroma::ChromaNoise;
 use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
@@ -37,7 +38,7 @@ const MAX_NUM_SAMPLES: usize = 8;
 const OVER_RELAXATION: f64 = 1.5;
 
 /// The light of a coarser level, to be read at finer ones.
-struct CoarseLight<'a> {
+pub(super) struct CoarseLight<'a> {
     light: &'a Light,
     at: usize,
     focal: f64,
@@ -55,27 +56,27 @@ struct TileLight {
 }
 
 /// What all tiles of one view at one level share.
-struct ViewAtLevel<'a> {
-    level: &'a Level,
-    at: usize,
-    index: usize,
-    reading: Reading,
-    light: &'a CoarseLight<'a>,
-    options: &'a StepOptions,
-    shading: ShadingWeights,
+pub(super) struct ViewAtLevel<'a> {
+    pub level: &'a Level,
+    pub at: usize,
+    pub index: usize,
+    pub reading: Reading,
+    pub light: &'a CoarseLight<'a>,
+    pub options: &'a StepOptions,
+    pub shading: ShadingWeights,
 }
 
 /// What a tile's step gave.
-struct TileStep {
-    tile: Tile,
+pub(super) struct TileStep {
+    pub tile: Tile,
     /// Increments of the log depths of its pixels.
-    increment: Vec<f64>,
+    pub increment: Vec<f64>,
     /// Some of the relative residuals between the photos.
-    residuals: Vec<f64>,
+    pub residuals: Vec<f64>,
 }
 
 impl<'a> CoarseLight<'a> {
-    fn new(level: &'a Level, at: usize, light: &'a Light) -> Self {
+    pub(super) fn new(level: &'a Level, at: usize, light: &'a Light) -> Self {
         Self {
             light,
             at,
@@ -185,7 +186,10 @@ impl Course<'_> {
         let began = Instant::now();
         let at = shape.at;
         let level = &self.scene.pyramid[at];
-        let weights = finer_weights(last, false, at == 0);
+        let mut weights = finer_weights(last, false, at == 0);
+        if let Some(scale) = turn_scale(level, &shape.depths) {
+            (weights.plate, weights.plate_threshold) = (0.5 / (scale * scale), scale);
+        }
         let options = step_weights(level, self.sigma_match, &weights);
         let light = CoarseLight::new(&self.scene.pyramid[coarse], coarse, light);
         let mut record = StepReport {
@@ -239,8 +243,8 @@ impl Course<'_> {
                     for step in steps {
                         let step = step.map_err(|e| self.failed(i, &e))?;
                         for (p, &number) in step.tile.numbers.iter().enumerate() {
-                            improved[number as usize] +=
-                                f64::from(step.tile.shares[p]) * step.increment[p];
+                            let share = OVER_RELAXATION * f64::from(step.tile.shares[p]);
+                            improved[number as usize] += share * step.increment[p];
                         }
                         residuals.extend(step.residuals);
                     }
@@ -265,12 +269,30 @@ impl Course<'_> {
     }
 }
 
+/// Typical turn of the normals from a pixel to the next, radians, the scale of their Laplace distribution: what the
+/// surface shows at a level tells how much relief to expect there, so that noise makes none on a plain object and none
+/// is smoothed away on a carved one.
+fn turn_scale(level: &Level, depths: &[Vec<f64>]) -> Option<f64> {
+    // Finer than this, a twentieth of a degree, depth itself is rounded and shading tells nothing.
+    const LEAST: f64 = 1e-3;
+    let mut turns: Vec<f64> = level
+        .views
+        .iter()
+        .zip(depths)
+        .filter_map(|(view, depth)| plate::typical_turn(view, depth))
+        .collect();
+    let scale = median(&mut turns)? / std::f64::consts::LN_2;
+    Some(scale.max(LEAST))
+}
+
 impl ViewAtLevel<'_> {
     /// One Gauss-Newton step of a tile, from log depths of all views.
-    fn step(&self, depths: &[Vec<f64>], core: &Window) -> Result<TileStep, PlateError> {
+    pub(super) fn step(&self, depths: &[Vec<f64>], core: &Window) -> Result<TileStep, PlateError> {
         let tile = Tile::cut(self.level, self.index, depths, core);
         let surfaces = Surfaces::new(&tile.level, &tile.depths, self.reading);
-        let light = self.light.of(&tile, self.index, self.at, self.level.focal());
+        let light = self
+            .light
+            .of(&tile, self.index, self.at, self.level.focal());
         let term = ShadingTerm::new(
             &tile.level,
             0,
@@ -286,7 +308,7 @@ impl ViewAtLevel<'_> {
             .depth
             .iter()
             .zip(depth)
-            .map(|(after, before)| OVER_RELAXATION * (after - before))
+            .map(|(after, before)| after - before)
             .collect();
         let residuals = outcome
             .matches
@@ -297,7 +319,6 @@ impl ViewAtLevel<'_> {
             .filter(|&(_, &n)| n > 0)
             .map(|(&r, _)| f64::from(r))
             .collect();
-        drop((term, surfaces));
         Ok(TileStep {
             tile,
             increment,
@@ -306,7 +327,7 @@ impl ViewAtLevel<'_> {
     }
 
     /// Noise of the view's chroma, from samples all over the object.
-    fn chroma_noise(&self, depths: &[Vec<f64>]) -> Option<ChromaNoise> {
+    pub(super) fn chroma_noise(&self, depths: &[Vec<f64>]) -> Option<ChromaNoise> {
         let view = &self.level.views[self.index];
         let cores = tile::cores(view, SAMPLE_PX);
         let is_full = |core: &&Window| {
@@ -324,7 +345,9 @@ impl ViewAtLevel<'_> {
             .map(|core| {
                 let tile = Tile::cut(self.level, self.index, depths, core);
                 let rasters = rilievo_stereo::level::depth_rasters(&tile.level, &tile.depths);
-                let light = self.light.of(&tile, self.index, self.at, self.level.focal());
+                let light = self
+                    .light
+                    .of(&tile, self.index, self.at, self.level.focal());
                 ShadingTerm::new(
                     &tile.level,
                     0,

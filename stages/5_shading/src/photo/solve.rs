@@ -62,7 +62,9 @@ pub(crate) fn solve(
         course.iterate_light_and_shape(&mut at, &mut solvers, &mut depths, posed, lighting)?;
     let light = course.finer_levels(&mut at, &mut depths, light, last, posed)?;
     let mut shape = match &light {
-        Some(light) if course.shapes_relief(Some(light)) => course.relief(at, depths, light, &last)?,
+        Some(light) if course.shapes_relief(Some(light)) => {
+            course.relief(at, depths, light, &last)?
+        }
         _ => Shape::new(at, depths),
     };
     shape.depths = course.without_specks(shape.at, shape.depths);

@@ -11,7 +11,7 @@
 #[path = "../../tests/solver/surface.rs"]
 mod surface;
 
-use super::chroma::Whitening;
+use super::chroma::{ChromaNoise, Whitening};
 use super::matching::MatchOptions;
 use super::shading::{PixelHarmonics, ShadingTerm};
 use super::step::{self, StepOptions};
@@ -152,6 +152,10 @@ impl Case {
             target: (0..pixels.len()).map(|p| view.intensity(p)).collect(),
             scale: vec![1.0; pixels.len()],
             whitening: Whitening::new(sigma, [sigma; 2], 0.0),
+            chroma_noise: ChromaNoise {
+                sigma: [sigma; 2],
+                correlation: 0.0,
+            },
             floor: 1e-3,
             threshold: f64::INFINITY,
         };

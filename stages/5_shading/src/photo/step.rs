@@ -1,6 +1,6 @@
 //! One Gauss-Newton step on the log depth of one view.
 //!
-//! `min_ζ Σ ρ(r_match) + Σ ρ(r_consensus) + Σ ρ(r_shading) + α Σ ρ(bends)`; every term is linearised
+//! `min_ζ Σ ρ(r_match) + Σ ρ(r_consensus) + Σ ρ(r_shading) + α Σ ρ(turns)`; every term is linearised
 //! around the current depth and the increment solves the thirteen-point normal equations.
 
 use super::matching::{self, MatchOptions, MatchTerms};
@@ -17,9 +17,9 @@ pub(crate) struct StepOptions {
     pub matching: MatchOptions,
     /// Standard deviation of the log depth against the other views' surfaces; 0 is off.
     pub sigma_consensus: f64,
-    /// Weight of squared bends (slope change per pixel).
+    /// Weight of squared turns of the normal from a pixel to the next.
     pub plate_weight: f64,
-    /// Bend beyond which the penalty grows only linearly.
+    /// Turn, radians, beyond which the penalty grows only linearly.
     pub plate_threshold: f64,
     /// Largest change of log depth.
     pub max_step: f64,

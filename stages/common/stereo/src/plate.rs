@@ -4,7 +4,9 @@
 //! one-sided where it breaks and at the mask's edge, zero where a pixel stands alone.
 
 use crate::level::LevelView;
+use rayon::prelude::*;
 use rilievo_numerics::plate_system::{Functional, PlateSystem};
+use rilievo_numerics::robust::median;
 
 /// Change of slope from a pixel to the next, from which the surface breaks between them; from half of
 /// it on a slope leans to one side.
@@ -57,9 +59,9 @@ fn share_before(u: f64, v: f64) -> f64 {
 }
 
 /// Visits the second differences (times the focal length) that are complete inside the mask:
-/// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block.
+/// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block, told with its first pixel.
 #[inline]
-pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)) {
+pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, &Functional)) {
     let focal = view.camera.focal();
     let mixed = std::f64::consts::SQRT_2 * focal;
     for i in 0..view.pixels.len() {
@@ -72,7 +74,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)
                 f.push(a, focal);
                 f.push(i, -2.0 * focal);
                 f.push(b, focal);
-                visit(&f);
+                visit(i, &f);
             }
         }
         if let (Some(a), Some(b), Some(c)) = (
@@ -85,7 +87,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)
             f.push(a, -mixed);
             f.push(b, -mixed);
             f.push(c, mixed);
-            visit(&f);
+            visit(i, &f);
         }
     }
 }
@@ -94,7 +96,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(&Functional)
 pub struct RobustPlate<'a> {
     /// Current log depths; the system is for their increment.
     pub depth: &'a [f64],
-    /// Bend (slope per pixel) above which the penalty grows only linearly.
+    /// Turn of the normal from a pixel to the next, radians, above which the penalty grows only linearly.
     pub threshold: f64,
 }
 
@@ -107,7 +109,7 @@ pub(crate) fn add_plate(
 ) {
     // Far below what any depth weighs, far above the rounding of the factorisation.
     const TRACE: f64 = 1e-6;
-    for_each_bend(view, |f| {
+    for_each_bend(view, |_, f| {
         let weight = if is_cut(f) { TRACE * weight } else { weight };
         system.add_square(&view.pixels, f, weight, 0.0);
     });
@@ -118,7 +120,7 @@ pub(crate) fn add_plate(
 const TEAR: f64 = 2.0;
 const HOLD: f64 = 0.25;
 
-/// Adds `weight |bends|²` for the increment of a surface, linear beyond the Huber threshold, and weak where the
+/// Adds `weight |turns|²` of the normals for the increment of a surface, linear beyond the Huber threshold, and weak where the
 /// surface is torn, as beside an edge of depth.
 pub fn add_robust_plate(
     view: &LevelView,
@@ -126,12 +128,29 @@ pub fn add_robust_plate(
     weight: f64,
     robust: &RobustPlate,
 ) {
-    for_each_bend(view, |f| {
+    let shares = turn_shares(view, robust.depth);
+    for_each_bend(view, |pixel, f| {
+        let share = f64::from(shares[pixel]);
         let bend = f.of(robust.depth);
         let torn = (1.0 / (1.0 + (bend / TEAR).powi(4))).max(HOLD);
-        let w = weight * torn / (bend.abs() / robust.threshold).max(1.0);
+        let linear = (share * bend.abs() / robust.threshold).max(1.0);
+        let w = weight * share * share * torn / linear;
         system.add_square(&view.pixels, f, w, -bend);
     });
+}
+
+/// How far a bend at each pixel turns the normal, `1/(1 + p² + q²)` at slopes `p`, `q`: the steeper the surface, the
+/// larger the bend that is the same relief.
+fn turn_shares(view: &LevelView, depth: &[f64]) -> Vec<f32> {
+    (0..view.pixels.len())
+        .into_par_iter()
+        .with_min_len(1024)
+        .map(|pixel| {
+            let (p, q) = slopes(view, pixel, depth);
+            let (p, q) = (p.of(depth), q.of(depth));
+            (1.0 / (1.0 + p * p + q * q)) as f32
+        })
+        .collect()
 }
 
 /// Unit normal (camera frame, towards the camera) of a pixel with slopes `p`, `q`, and its
@@ -156,6 +175,17 @@ pub fn normal_with_derivatives(
         [0, 1, 2].map(|k| (e[k] - n[k] * d) * inverse)
     };
     (n, along([1.0, 0.0, -x]), along([0.0, 1.0, -y]))
+}
+
+/// Median over a surface's bends of how far each turns the normal from a pixel to the next, radians; none where no
+/// three pixels lie in a row.
+pub fn typical_turn(view: &LevelView, depth: &[f64]) -> Option<f64> {
+    let shares = turn_shares(view, depth);
+    let mut turns = Vec::new();
+    for_each_bend(view, |pixel, f| {
+        turns.push(f64::from(shares[pixel]) * f.of(depth).abs())
+    });
+    median(&mut turns)
 }
 
 /// Mean distance between two surfaces of a view, log depth.

@@ -79,18 +79,12 @@ impl Tile {
                 let x = share(
                     view.pixels.xs[p] as usize,
                     window.width,
-                    [
-                        window.x0 > 0,
-                        window.x0 + window.width < whole.mask.width,
-                    ],
+                    [window.x0 > 0, window.x0 + window.width < whole.mask.width],
                 );
                 let y = share(
                     view.pixels.ys[p] as usize,
                     window.height,
-                    [
-                        window.y0 > 0,
-                        window.y0 + window.height < whole.mask.height,
-                    ],
+                    [window.y0 > 0, window.y0 + window.height < whole.mask.height],
                 );
                 x * y
             })
@@ -138,9 +132,8 @@ fn widened(core: &Window, view: &LevelView) -> Window {
 fn share(at: usize, count: usize, goes_on: [bool; 2]) -> f32 {
     let ramp = (2 * (MARGIN_PX - GUARD_PX)) as f32;
     // Centres of pixels: a core's border lies between two of them, where both tiles have one half.
-    let inner = |distance: usize| {
-        ((distance as f32 + 0.5 - GUARD_PX as f32) / ramp).clamp(0.0, 1.0)
-    };
+    let inner =
+        |distance: usize| ((distance as f32 + 0.5 - GUARD_PX as f32) / ramp).clamp(0.0, 1.0);
     let before = if goes_on[0] { inner(at) } else { 1.0 };
     let behind = if goes_on[1] {
         inner(count - 1 - at)
@@ -241,7 +234,10 @@ mod tests {
                     sums[number as usize] += f64::from(tile.shares[p]);
                     let (x, y) = view.xy(p);
                     let (wx, wy) = whole.xy(number as usize);
-                    assert_eq!((x + tile.corner.0 as f64, y + tile.corner.1 as f64), (wx, wy));
+                    assert_eq!(
+                        (x + tile.corner.0 as f64, y + tile.corner.1 as f64),
+                        (wx, wy)
+                    );
                     assert_eq!(tile.depths[0][p], depths[0][number as usize]);
                     let [ray, same] = [view.camera.ray(x, y), whole.camera.ray(wx, wy)];
                     assert!((ray - same).norm() < 1e-12, "{ray} {same}");

@@ -1,0 +1,246 @@
+//! Relief by tiles against the whole level, and on photos that tell nothing of it.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use super::iteration::{iteration_weights, step_weights};
+use super::light::{self, LightScene};
+use super::options::PhotoOptions;
+use super::relief::{CoarseLight, ViewAtLevel};
+use super::rendered_tests::{
+    World, depths, known_light, loaded, of_spheres, options, photographed,
+};
+use super::shading::{PixelLight, ShadingTerm};
+use super::solve::finer_weights;
+use super::{run, step};
+use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::robust::median;
+use rilievo_scene::{InMemoryPixels, LightKind, LinearImage, NormalMap, Silent};
+use rilievo_stereo::surfaces::{Reading, Surfaces};
+use rilievo_stereo::{between_levels, spread, tile};
+use rilievo_synthetic::{LightModel, Subject};
+use std::sync::Arc;
+
+fn rms(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut sum, mut count) = (0.0, 0.0_f64);
+    for value in values {
+        sum += value * value;
+        count += 1.0;
+    }
+    (sum / count.max(1.0)).sqrt()
+}
+
+/// Columns and rows of the photos.
+const SIZE: (usize, usize) = (400, 300);
+
+/// A round over tiles moves the surface as a step over the whole level does, and no seam shows.
+#[test]
+fn tiles_move_the_surface_as_the_whole_level_does() {
+    const CORE_PX: usize = 96;
+    let (scene, photographs) = options(Subject::Bust, LightModel::Shadowed, (480, 360));
+    let world = photographed(scene, &photographs, None);
+    let scene = loaded(&world);
+    let [fine, coarse] = [&scene.pyramid[0], &scene.pyramid[1]];
+    let reduced: Vec<Vec<f64>> = depths(&world, &scene)
+        .iter()
+        .enumerate()
+        .map(|(i, depth)| between_levels::reduce(&fine.views[i], &coarse.views[i], depth))
+        .collect();
+    let light_scene = LightScene {
+        known: &known_light(&world.photos, &world.posed, LightKind::World, &[]),
+        ground: None,
+        num_rays: 64,
+    };
+    let light = light::visible(coarse, &reduced, coarse, &light_scene).unwrap();
+    let start: Vec<Vec<f64>> = (0..fine.views.len())
+        .map(|i| {
+            let known = vec![true; reduced[i].len()];
+            let (coarse, fine) = (&coarse.views[i], &fine.views[i]);
+            between_levels::continued(coarse, fine, (&reduced[i], &known)).0
+        })
+        .collect();
+    let weights = finer_weights(&iteration_weights(2, light.residual()), false, true);
+    let options = step_weights(fine, 0.02, &weights);
+    let i = 1;
+    let view = &fine.views[i];
+
+    let surfaces = Surfaces::new(fine, &start, Reading::Cubic);
+    let harmonics = light::finer(&coarse.views[i], view, &light.harmonics[i]);
+    let pigment = light.pigment_of(i);
+    let pigment = pigment.map(|values| spread::spread(&coarse.views[i], view, values));
+    let of_pixels = PixelLight {
+        harmonics: &harmonics,
+        pigment: pigment.as_deref(),
+        trust: None,
+        mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
+        openness_exponent: light.openness_exponent.unwrap_or(0.0),
+    };
+    let shading = weights.shading.unwrap();
+    let term = ShadingTerm::new(fine, i, &start[i], &surfaces.rasters, &of_pixels, &shading);
+    let solver = PlateSolver::iterative(&view.pixels);
+    let whole = step::improve(&surfaces, i, &solver, &start[i], Some(&term), &options).unwrap();
+    let whole: Vec<f64> = whole
+        .depth
+        .iter()
+        .zip(&start[i])
+        .map(|(a, b)| a - b)
+        .collect();
+
+    let mut of_view = ViewAtLevel {
+        level: fine,
+        at: 0,
+        index: i,
+        reading: Reading::Cubic,
+        light: &CoarseLight::new(coarse, 1, &light),
+        options: &options,
+        shading,
+    };
+    let noise = of_view.chroma_noise(&start).unwrap();
+    for (sampled, all) in noise.sigma.iter().zip(term.chroma_noise.sigma) {
+        assert!(
+            (sampled / all - 1.0).abs() < 0.15,
+            "{noise:?} {:?}",
+            term.chroma_noise
+        );
+    }
+    of_view.shading.chroma_noise = Some(term.chroma_noise);
+    let cores = tile::cores(view, CORE_PX);
+    assert!(cores.len() > 6, "{}", cores.len());
+    let mut tiled = vec![0.0; whole.len()];
+    for core in &cores {
+        let step = of_view.step(&start, core).unwrap();
+        for (p, &number) in step.tile.numbers.iter().enumerate() {
+            tiled[number as usize] += f64::from(step.tile.shares[p]) * step.increment[p];
+        }
+    }
+    // Distance to the nearest border between two cores, pixels.
+    let from_seam = |p: usize| {
+        let (x, y) = (view.pixels.xs[p] as usize, view.pixels.ys[p] as usize);
+        let near = |v: usize, from: usize| v.abs_diff(from).min((v + 1).abs_diff(from));
+        cores
+            .iter()
+            .flat_map(|core| [near(x, core.x0), near(y, core.y0)])
+            .min()
+            .unwrap_or(usize::MAX)
+    };
+    let inner = |p: &usize| !rilievo_stereo::surfaces::is_rim(view, *p);
+    let miss = |p: usize| tiled[p] - whole[p];
+    let (beside, away): (Vec<usize>, Vec<usize>) = (0..whole.len())
+        .filter(inner)
+        .partition(|&p| from_seam(p) < 4);
+    let size = rms(whole.iter().copied());
+    let [at_seams, elsewhere] = [&beside, &away].map(|list| rms(list.iter().map(|&p| miss(p))));
+    println!("increments {size:.2e}, missed by {at_seams:.2e} at seams, {elsewhere:.2e} elsewhere");
+    assert!(elsewhere < 0.1 * size, "{elsewhere} of {size}");
+    assert!(
+        at_seams < 1.5 * elsewhere + 0.01 * size,
+        "{at_seams} {elsewhere}"
+    );
+}
+
+/// Without and with relief at the photos' own pixels: median error of the normals and their median departure from a
+/// surround of nine pixels, degrees.
+fn errors(world: &World) -> [[f64; 2]; 2] {
+    let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
+    [0, PhotoOptions::default().num_relief_rounds].map(|num_relief_rounds| {
+        let options = PhotoOptions {
+            coarse_pixels: 8000,
+            max_fine_pixels: 8000,
+            num_rays: 64,
+            num_relief_rounds,
+            ..PhotoOptions::default()
+        };
+        let (shaded, report) =
+            run(&world.photos, &world.posed, &lighting, &options, &Silent).unwrap();
+        let is_shaped = report.steps.iter().any(|step| step.kind == "relief");
+        assert_eq!(is_shaped, num_relief_rounds > 0);
+        let (mut angles, mut rough) = (Vec::new(), Vec::new());
+        for (view, truth) in shaded.views.iter().zip(&world.views) {
+            for (x, y) in inner_pixels(&truth.normal) {
+                let (Some(n), Some(t)) = (view.normal.normal(x, y), truth.normal.normal(x, y))
+                else {
+                    continue;
+                };
+                angles.push(n.dot(&t).clamp(-1.0, 1.0).acos().to_degrees());
+                let around = || (x - 4..=x + 4).flat_map(|x| (y - 4..=y + 4).map(move |y| (x, y)));
+                let mean = around().filter_map(|(x, y)| view.normal.normal(x, y));
+                let mean = mean
+                    .fold(nalgebra::Vector3::zeros(), |sum, n| sum + n)
+                    .normalize();
+                rough.push(n.dot(&mean).clamp(-1.0, 1.0).acos().to_degrees());
+            }
+        }
+        [angles, rough].map(|mut list| median(&mut list).unwrap())
+    })
+}
+
+/// Pixels with an object all around.
+fn inner_pixels(normal: &NormalMap) -> Vec<(usize, usize)> {
+    let is_inner = |x: usize, y: usize| {
+        (x - 8..=x + 8).step_by(4).all(|x| {
+            (y - 8..=y + 8)
+                .step_by(4)
+                .all(|y| normal.normal(x, y).is_some())
+        })
+    };
+    (8..normal.height - 8)
+        .step_by(2)
+        .flat_map(|y| (8..normal.width - 8).step_by(2).map(move |x| (x, y)))
+        .filter(|&(x, y)| is_inner(x, y))
+        .collect()
+}
+
+/// A plain ellipsoid with speckle and noise: what tells nothing of shape makes no relief.
+#[test]
+fn noise_is_no_relief() {
+    let (mut scene, mut photographs) = options(Subject::Ellipsoid, LightModel::Shadowed, SIZE);
+    (scene.relief, scene.speckle) = (0.0, 0.02);
+    photographs.noise = 0.02;
+    let [without, with] = errors(&photographed(scene, &photographs, None));
+    println!("without {without:?}, with {with:?}");
+    assert!(with[0] < 1.05 * without[0], "normals {without:?} {with:?}");
+    assert!(
+        with[1] < 1.25 * without[1],
+        "roughness {without:?} {with:?}"
+    );
+}
+
+/// A carved bust: its relief is found in sharp photos, and none is made up in blurred ones.
+#[test]
+fn a_blurred_photo_gains_no_relief() {
+    let (mut scene, photographs) = options(Subject::Bust, LightModel::Shadowed, SIZE);
+    scene.speckle = 0.02;
+    let mut world = photographed(scene, &photographs, None);
+    let [without, with] = errors(&world);
+    println!("sharp: without {without:?}, with {with:?}");
+    assert!(with[0] < 0.8 * without[0], "normals {without:?} {with:?}");
+    for (photo, view) in world.photos.photos.iter_mut().zip(&world.views) {
+        photo.pixels = Arc::new(InMemoryPixels(Arc::new(blurred(&view.image))));
+    }
+    let [without, with] = errors(&world);
+    println!("blurred: without {without:?}, with {with:?}");
+    assert!(with[0] < 1.05 * without[0], "normals {without:?} {with:?}");
+    assert!(
+        with[1] < 1.05 * without[1],
+        "roughness {without:?} {with:?}"
+    );
+}
+
+/// Means of 7×7 pixels, twice.
+fn blurred(image: &LinearImage) -> LinearImage {
+    let mut out = image.clone();
+    for _ in 0..2 {
+        let from = out.clone();
+        for y in 3..image.height - 3 {
+            for x in 3..image.width - 3 {
+                let mut sum = [0.0; 3];
+                for (x, y) in (x - 3..=x + 3).flat_map(|x| (y - 3..=y + 3).map(move |y| (x, y))) {
+                    for (s, v) in sum.iter_mut().zip(from.pixel(x, y)) {
+                        *s += v / 49.0;
+                    }
+                }
+                out.pixel_mut(x, y).copy_from_slice(&sum);
+            }
+        }
+    }
+    out
+}
