@@ -46,7 +46,8 @@ pub struct PhotoOptions {
     /// costs time and memory (about 1 kB a pixel).
     pub max_fine_pixels: usize,
     /// Rounds at each level beyond, down to the photos' own pixels, tile by tile under the coarser level's light;
-    /// 0 interpolates from the finest level that is solved as a whole. More than three change little.
+    /// 0 interpolates from the finest level that is solved as a whole, as is done where the photos' brightness
+    /// disagrees. More than three change little.
     pub num_relief_rounds: usize,
     /// Search depth again at each finer level where the photos' brightness disagrees. Without it the
     /// surface of such photos keeps no more than the coarse level resolves; it takes as long as the

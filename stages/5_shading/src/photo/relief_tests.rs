@@ -225,6 +225,28 @@ fn a_blurred_photo_gains_no_relief() {
     );
 }
 
+#[test]
+fn threads_do_not_change_the_relief() {
+    let (scene, photographs) = options(Subject::Stone, LightModel::Shadowed, (240, 180));
+    let world = photographed(scene, &photographs, None);
+    let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
+    let options = PhotoOptions {
+        coarse_pixels: 3000,
+        max_fine_pixels: 3000,
+        num_outer_iterations: 1,
+        num_rays: 32,
+        ..PhotoOptions::default()
+    };
+    let [one, two] = [1, 2].map(|num_threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads);
+        let solve = || run(&world.photos, &world.posed, &lighting, &options, &Silent).unwrap();
+        pool.build().unwrap().install(solve)
+    });
+    let levels = one.1.steps.iter().filter(|step| step.kind == "relief");
+    assert!(levels.count() > 0, "no relief");
+    assert!(one.0 == two.0, "results differ");
+}
+
 /// Means of 7×7 pixels, twice.
 fn blurred(image: &LinearImage) -> LinearImage {
     let mut out = image.clone();

@@ -202,9 +202,10 @@ impl Course<'_> {
         self.is_finest(at) && (at == 0 || !self.shapes_relief(light))
     }
 
-    /// Whether the levels beyond are solved by tiles.
+    /// Whether the levels beyond are solved by tiles: under a light, where the photos agree on it. Where they do not,
+    /// single pixels tell more of gloss and dirt than of relief.
     fn shapes_relief(&self, light: Option<&Light>) -> bool {
-        self.options.num_relief_rounds > 0 && light.is_some()
+        self.options.num_relief_rounds > 0 && light.is_some() && !self.photos_disagree()
     }
 
     /// From level `at` to the finest that is solved as a whole, each with the light and weights of the last outer iteration.
