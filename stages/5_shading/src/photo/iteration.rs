@@ -38,7 +38,7 @@ pub(crate) const PHOTOS_ONLY: IterationWeights = IterationWeights {
     sigma_match_factor: 1.0,
     consensus_px: 0.9,
     visible_px: 3.5,
-    plate: 120.0,
+    plate: 90.0,
     plate_threshold: 0.05,
     shading: None,
 };
@@ -55,9 +55,9 @@ pub(crate) fn iteration_weights(iteration: usize, residual: f64) -> IterationWei
     // Shading's share of the residual; the correction's sigma, pixels; the plate's weight and its Huber
     // threshold; consensus and visibility, footprints.
     let table = [
-        (0.57, 0.0, 120.0, 0.02, 0.9, 3.5),
-        (0.6, 0.0, 120.0, 0.02, 0.9, 3.5),
-        (0.5, 8.0, 240.0, 0.05, 0.62, 3.5),
+        (0.57, 0.0, 90.0, 0.02, 0.9, 3.5),
+        (0.6, 0.0, 90.0, 0.02, 0.9, 3.5),
+        (0.5, 8.0, 180.0, 0.05, 0.62, 3.5),
     ];
     let (share, correction_px, plate, plate_threshold, consensus_px, visible_px) =
         table[iteration.min(table.len() - 1)];

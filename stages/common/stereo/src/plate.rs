@@ -58,14 +58,22 @@ fn share_before(u: f64, v: f64) -> f64 {
     0.5 * (1.0 - broken) + broken * v4 / (u4 + v4)
 }
 
+/// A second difference of log depth.
+#[derive(Clone, Copy)]
+pub(crate) enum Bend {
+    AlongX,
+    AlongY,
+    Mixed,
+}
+
 /// Visits the second differences (times the focal length) that are complete inside the mask:
 /// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block, told with its first pixel.
 #[inline]
-pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, &Functional)) {
+pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, Bend, &Functional)) {
     let focal = view.camera.focal();
     let mixed = std::f64::consts::SQRT_2 * focal;
     for i in 0..view.pixels.len() {
-        for (dx, dy) in [(1, 0), (0, 1)] {
+        for (kind, dx, dy) in [(Bend::AlongX, 1, 0), (Bend::AlongY, 0, 1)] {
             if let (Some(a), Some(b)) = (
                 view.pixels.neighbour(i, -dx, -dy),
                 view.pixels.neighbour(i, dx, dy),
@@ -74,7 +82,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, &Func
                 f.push(a, focal);
                 f.push(i, -2.0 * focal);
                 f.push(b, focal);
-                visit(i, &f);
+                visit(i, kind, &f);
             }
         }
         if let (Some(a), Some(b), Some(c)) = (
@@ -87,7 +95,7 @@ pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, &Func
             f.push(a, -mixed);
             f.push(b, -mixed);
             f.push(c, mixed);
-            visit(i, &f);
+            visit(i, Bend::Mixed, &f);
         }
     }
 }
@@ -109,7 +117,7 @@ pub(crate) fn add_plate(
 ) {
     // Far below what any depth weighs, far above the rounding of the factorisation.
     const TRACE: f64 = 1e-6;
-    for_each_bend(view, |_, f| {
+    for_each_bend(view, |_, _, f| {
         let weight = if is_cut(f) { TRACE * weight } else { weight };
         system.add_square(&view.pixels, f, weight, 0.0);
     });
@@ -129,8 +137,8 @@ pub fn add_robust_plate(
     robust: &RobustPlate,
 ) {
     let shares = turn_shares(view, robust.depth);
-    for_each_bend(view, |pixel, f| {
-        let share = f64::from(shares[pixel]);
+    for_each_bend(view, |pixel, kind, f| {
+        let share = f64::from(shares[pixel][kind as usize]);
         let bend = f.of(robust.depth);
         let torn = (1.0 / (1.0 + (bend / TEAR).powi(4))).max(HOLD);
         let linear = (share * bend.abs() / robust.threshold).max(1.0);
@@ -139,16 +147,18 @@ pub fn add_robust_plate(
     });
 }
 
-/// How far a bend at each pixel turns the normal, `1/(1 + p² + q²)` at slopes `p`, `q`: the steeper the surface, the
-/// larger the bend that is the same relief.
-fn turn_shares(view: &LevelView, depth: &[f64]) -> Vec<f32> {
+/// How far each [`Bend`] at a pixel of slopes `p`, `q` turns the normal, over its own size: `√(1+q²) / (1+p²+q²)` for one
+/// of `p`, likewise for one of `q`, the root mean square of both for the mixed one. The steeper the surface, the larger
+/// the bend that is the same relief.
+fn turn_shares(view: &LevelView, depth: &[f64]) -> Vec<[f32; 3]> {
     (0..view.pixels.len())
         .into_par_iter()
         .with_min_len(1024)
         .map(|pixel| {
             let (p, q) = slopes(view, pixel, depth);
-            let (p, q) = (p.of(depth), q.of(depth));
-            (1.0 / (1.0 + p * p + q * q)) as f32
+            let [pp, qq] = [p, q].map(|slope| slope.of(depth).powi(2));
+            let all = 1.0 / (1.0 + pp + qq);
+            [1.0 + qq, 1.0 + pp, 1.0 + 0.5 * (pp + qq)].map(|v| (v.sqrt() * all) as f32)
         })
         .collect()
 }
@@ -182,8 +192,8 @@ pub fn normal_with_derivatives(
 pub fn typical_turn(view: &LevelView, depth: &[f64]) -> Option<f64> {
     let shares = turn_shares(view, depth);
     let mut turns = Vec::new();
-    for_each_bend(view, |pixel, f| {
-        turns.push(f64::from(shares[pixel]) * f.of(depth).abs())
+    for_each_bend(view, |pixel, kind, f| {
+        turns.push(f64::from(shares[pixel][kind as usize]) * f.of(depth).abs());
     });
     median(&mut turns)
 }
