@@ -43,7 +43,7 @@ pub struct LevelView {
     pub pixels: PixelNumbering,
     /// Whether the mask touches the photo's frame.
     pub cut_by_frame: bool,
-    /// Intensity below which a pixel is as dark as the photo's noise, [`DARK_SHARE`] of the object's mean.
+    /// Intensity below which a pixel is as dark as the photo's noise: a fiftieth of the object's mean.
     pub dark: f32,
 }
 

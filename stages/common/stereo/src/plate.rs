@@ -147,7 +147,7 @@ pub fn add_robust_plate(
     });
 }
 
-/// How far each [`Bend`] at a pixel of slopes `p`, `q` turns the normal, over its own size: `√(1+q²) / (1+p²+q²)` for one
+/// How far each kind of bend at a pixel of slopes `p`, `q` turns the normal, over its own size: `√(1+q²) / (1+p²+q²)` for one
 /// of `p`, likewise for one of `q`, the root mean square of both for the mixed one. The steeper the surface, the larger
 /// the bend that is the same relief. Products of different kinds are left out.
 fn turn_shares(view: &LevelView, depth: &[f64]) -> Vec<[f32; 3]> {
