@@ -101,6 +101,15 @@ pub(crate) fn step_weights(
     }
 }
 
+/// Mean angle between the normals of two surfaces over all views of a level, degrees.
+pub(crate) fn mean_turn_deg(level: &Level, from: &[Vec<f64>], to: &[Vec<f64>]) -> f64 {
+    let turns: Vec<f64> = (0..level.views.len())
+        .into_par_iter()
+        .map(|i| plate::mean_turn(&level.views[i], &from[i], &to[i]))
+        .collect();
+    (turns.iter().sum::<f64>() / turns.len().max(1) as f64).to_degrees()
+}
+
 impl Course<'_> {
     /// [`step_weights`] of a level.
     pub(crate) fn step_options(&self, at: usize, weights: &IterationWeights) -> StepOptions {
@@ -175,16 +184,7 @@ impl Course<'_> {
                     depths[i] = outcome.depth;
                     moved += moved_by;
                     turned += turned_by;
-                    residuals.extend(
-                        outcome
-                            .matches
-                            .residual
-                            .iter()
-                            .zip(&outcome.matches.num_visible)
-                            .step_by(7)
-                            .filter(|&(_, &n)| n > 0)
-                            .map(|(&r, _)| f64::from(r)),
-                    );
+                    residuals.extend(outcome.matches.some_residuals());
                     let alone = outcome
                         .matches
                         .num_visible
@@ -207,12 +207,7 @@ impl Course<'_> {
                 break;
             }
         }
-        let level = &self.scene.pyramid[at];
-        let turns: Vec<f64> = (0..level.views.len())
-            .into_par_iter()
-            .map(|i| plate::mean_turn(&level.views[i], &start[i], &depths[i]))
-            .collect();
-        let turned = (turns.iter().sum::<f64>() / turns.len().max(1) as f64).to_degrees();
+        let turned = mean_turn_deg(&self.scene.pyramid[at], &start, depths);
         record.turned_in_all_deg = turned;
         record.seconds = began.elapsed().as_secs_f64();
         self.report.steps.push(record);

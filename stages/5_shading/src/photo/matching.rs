@@ -39,6 +39,18 @@ pub(crate) struct MatchTerms {
     pub residual: Vec<f32>,
 }
 
+impl MatchTerms {
+    /// Residuals of some of the pixels that a source sees, spread evenly.
+    pub fn some_residuals(&self) -> impl Iterator<Item = f64> + '_ {
+        self.residual
+            .iter()
+            .zip(&self.num_visible)
+            .step_by(7)
+            .filter(|&(_, &n)| n > 0)
+            .map(|(&r, _)| f64::from(r))
+    }
+}
+
 #[derive(Clone, Copy, Default)]
 struct Sample {
     visible: bool,

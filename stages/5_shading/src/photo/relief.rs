@@ -8,7 +8,7 @@
 
 use super::chroma::ChromaNoise;
 use super::course::Course;
-use super::iteration::{IterationWeights, step_weights};
+use super::iteration::{IterationWeights, mean_turn_deg};
 use super::light::Light;
 use super::output::Shape;
 use super::report::StepReport;
@@ -190,7 +190,7 @@ impl Course<'_> {
         if let Some(scale) = turn_scale(level, &shape.depths) {
             (weights.plate, weights.plate_threshold) = (0.5 / (scale * scale), scale);
         }
-        let options = step_weights(level, self.sigma_match, &weights);
+        let options = self.step_options(at, &weights);
         let light = CoarseLight::new(&self.scene.pyramid[coarse], coarse, light);
         let mut record = StepReport {
             level: at,
@@ -199,6 +199,9 @@ impl Course<'_> {
             sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
             num_rounds: self.options.num_relief_rounds,
             ..StepReport::default()
+        };
+        let Some(shading) = weights.shading else {
+            return Ok(record);
         };
         let num_views = level.views.len();
         let cores: Vec<Vec<Window>> = level
@@ -215,9 +218,6 @@ impl Course<'_> {
             let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
             // Even views first, as in the outer iterations.
             for i in (0..num_views).step_by(2).chain((1..num_views).step_by(2)) {
-                let Some(shading) = weights.shading else {
-                    break;
-                };
                 let mut view = ViewAtLevel {
                     level,
                     at,
@@ -259,11 +259,7 @@ impl Course<'_> {
             record.turned_deg = (turned * per_view).to_degrees();
             record.match_residual = median(&mut residuals);
         }
-        let turns: Vec<f64> = (0..num_views)
-            .into_par_iter()
-            .map(|i| plate::mean_turn(&level.views[i], &before[i], &shape.depths[i]))
-            .collect();
-        record.turned_in_all_deg = (turns.iter().sum::<f64>() / num_views as f64).to_degrees();
+        record.turned_in_all_deg = mean_turn_deg(level, &before, &shape.depths);
         record.seconds = began.elapsed().as_secs_f64();
         Ok(record)
     }
@@ -290,9 +286,7 @@ impl ViewAtLevel<'_> {
     pub(super) fn step(&self, depths: &[Vec<f64>], core: &Window) -> Result<TileStep, PlateError> {
         let tile = Tile::cut(self.level, self.index, depths, core);
         let surfaces = Surfaces::new(&tile.level, &tile.depths, self.reading);
-        let light = self
-            .light
-            .of(&tile, self.index, self.at, self.level.focal());
+        let light = self.light_of(&tile);
         let term = ShadingTerm::new(
             &tile.level,
             0,
@@ -310,20 +304,17 @@ impl ViewAtLevel<'_> {
             .zip(depth)
             .map(|(after, before)| after - before)
             .collect();
-        let residuals = outcome
-            .matches
-            .residual
-            .iter()
-            .zip(&outcome.matches.num_visible)
-            .step_by(7)
-            .filter(|&(_, &n)| n > 0)
-            .map(|(&r, _)| f64::from(r))
-            .collect();
+        let residuals = outcome.matches.some_residuals().collect();
         Ok(TileStep {
             tile,
             increment,
             residuals,
         })
+    }
+
+    fn light_of(&self, tile: &Tile) -> TileLight {
+        let focal = self.level.focal();
+        self.light.of(tile, self.index, self.at, focal)
     }
 
     /// Noise of the view's chroma, from samples all over the object.
@@ -345,9 +336,7 @@ impl ViewAtLevel<'_> {
             .map(|core| {
                 let tile = Tile::cut(self.level, self.index, depths, core);
                 let rasters = rilievo_stereo::level::depth_rasters(&tile.level, &tile.depths);
-                let light = self
-                    .light
-                    .of(&tile, self.index, self.at, self.level.focal());
+                let light = self.light_of(&tile);
                 ShadingTerm::new(
                     &tile.level,
                     0,

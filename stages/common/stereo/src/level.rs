@@ -100,11 +100,12 @@ impl LevelView {
         };
         let camera = camera.cropped(x0, y0, width, height);
         (
-            Self::assemble(camera, image, usable, window.cut(mask), cut_by_frame),
+            Self::assemble(camera, image, usable, window.cut(mask), cut_by_frame).with_own_dark(),
             (x0, y0),
         )
     }
 
+    /// All but [`Self::dark`], which is left at zero.
     fn assemble(
         camera: Camera,
         image: LinearImage,
@@ -112,7 +113,7 @@ impl LevelView {
         mask: Mask,
         cut_by_frame: bool,
     ) -> Self {
-        let mut view = Self {
+        Self {
             camera,
             grey: image.to_grey(),
             pixels: PixelNumbering::new(&mask),
@@ -121,9 +122,15 @@ impl LevelView {
             mask,
             cut_by_frame,
             dark: 0.0,
-        };
-        view.dark = view.dark_intensity();
-        view
+        }
+    }
+
+    /// With what its own pixels tell is dark.
+    fn with_own_dark(self) -> Self {
+        Self {
+            dark: self.dark_intensity(),
+            ..self
+        }
     }
 
     fn dark_intensity(&self) -> f32 {
@@ -148,7 +155,7 @@ impl LevelView {
         };
         let (camera, image) = (self.camera.reduced(2), block_mean(&self.image, 2));
         let mask = blocks_where(&self.mask, 2, |&v| v);
-        Self::assemble(camera, image, usable, mask, self.cut_by_frame)
+        Self::assemble(camera, image, usable, mask, self.cut_by_frame).with_own_dark()
     }
 
     /// The part of the view inside a window, which must lie in it; what is dark is told by the whole view.
