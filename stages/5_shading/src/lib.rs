@@ -27,7 +27,7 @@ pub use report::ShadingReport;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 16;
+pub const VERSION: u32 = 17;
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///

@@ -40,7 +40,7 @@ use rilievo_scene::{
 };
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 
 /// Views that each view is compared with for offsets: more only repeat what these say.
 const NUM_NEIGHBOURS: usize = 4;

@@ -73,14 +73,14 @@ pub(crate) fn look(
     if in_cam.z <= 0.0 {
         return Sight::Nothing;
     }
-    let Some(seen) = view.along(&in_cam) else {
-        return Sight::Nothing;
-    };
     let ray = view.to_world(&(in_cam.coords / in_cam.z));
     // What is turned away lies behind the rim that the view sees, however near.
     if candidate.normal.dot(&ray) > -MIN_FACING * ray.norm() {
         return Sight::Hidden;
     }
+    let Some(seen) = view.along(&in_cam) else {
+        return Sight::Nothing;
+    };
     let normal = view.to_world(&seen.normal);
     let gap = seen.depth - in_cam.z;
     let mean = candidate.normal + normal;

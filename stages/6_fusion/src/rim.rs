@@ -6,6 +6,7 @@
 //! it is up to `κ h² / 8` (curvature κ, cell h), only its end becomes smooth.
 
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use rilievo_scene::Mesh;
 use std::collections::BTreeMap;
 
@@ -16,41 +17,76 @@ const NUM_SMOOTHINGS: usize = 5;
 
 type Edges = BTreeMap<(u32, u32), u32>;
 
-/// How many triangles have an edge, by its vertices in ascending order.
-fn edges(mesh: &Mesh) -> Edges {
+fn key(a: u32, b: u32) -> (u32, u32) {
+    (a.min(b), a.max(b))
+}
+
+/// Edges of a triangle, by their vertices in ascending order.
+fn edges_of(t: [u32; 3]) -> [(u32, u32); 3] {
+    [0, 1, 2].map(|k| key(t[k], t[(k + 1) % 3]))
+}
+
+/// Whether a vertex has an edge that belongs to a single triangle.
+fn on_rim(mesh: &Mesh) -> Vec<bool> {
+    let mut edges: Vec<(u32, u32)> = mesh
+        .triangles
+        .par_iter()
+        .flat_map_iter(|&t| edges_of(t))
+        .collect();
+    edges.par_sort_unstable();
+    let mut on_rim = vec![false; mesh.vertices.len()];
+    for same in edges.chunk_by(|a, b| a == b) {
+        if let &[(a, b)] = same {
+            on_rim[a as usize] = true;
+            on_rim[b as usize] = true;
+        }
+    }
+    on_rim
+}
+
+/// How many of the triangles have an edge between two vertices on the rim.
+fn rim_edges(mesh: &Mesh, triangles: &[usize], on_rim: &[bool]) -> Edges {
     let mut edges = Edges::new();
-    for t in &mesh.triangles {
-        for k in 0..3 {
-            *edges.entry(key(t[k], t[(k + 1) % 3])).or_default() += 1;
+    for (a, b) in triangles.iter().flat_map(|&t| edges_of(mesh.triangles[t])) {
+        if on_rim[a as usize] && on_rim[b as usize] {
+            *edges.entry((a, b)).or_default() += 1;
         }
     }
     edges
 }
 
-fn key(a: u32, b: u32) -> (u32, u32) {
-    (a.min(b), a.max(b))
-}
-
 /// Cuts teeth off and smooths the boundary. Vertices may remain without a triangle.
 pub(crate) fn smooth(mesh: &mut Mesh) {
-    let mut counts = edges(mesh);
+    // A tooth has all its vertices on the rim, so that cutting it opens edges between them only: what is not on the
+    // rim now never is, and these triangles are all that matter.
+    let on_rim = on_rim(mesh);
+    let mut near: Vec<usize> = (0..mesh.triangles.len())
+        .into_par_iter()
+        .filter(|&t| {
+            mesh.triangles[t]
+                .iter()
+                .filter(|&&v| on_rim[v as usize])
+                .count()
+                > 1
+        })
+        .collect();
+    let mut counts = rim_edges(mesh, &near, &on_rim);
+    let mut cut = vec![false; mesh.triangles.len()];
     for _ in 0..NUM_CUTS {
-        let before = mesh.triangles.len();
-        let is_open = |counts: &Edges, t: &[u32; 3], k: usize| {
-            counts.get(&key(t[k], t[(k + 1) % 3])) == Some(&1)
-        };
-        let kept: Vec<[u32; 3]> = mesh
-            .triangles
-            .iter()
-            .filter(|t| (0..3).filter(|&k| is_open(&counts, t, k)).count() < 2)
-            .copied()
-            .collect();
-        mesh.triangles = kept;
-        counts = edges(mesh);
-        if mesh.triangles.len() == before {
+        let before = near.len();
+        near.retain(|&t| {
+            let edges = edges_of(mesh.triangles[t]);
+            let num_open = edges.iter().filter(|e| counts.get(e) == Some(&1)).count();
+            cut[t] = num_open > 1;
+            !cut[t]
+        });
+        counts = rim_edges(mesh, &near, &on_rim);
+        if near.len() == before {
             break;
         }
     }
+    let mut is_cut = cut.iter();
+    mesh.triangles.retain(|_| is_cut.next() != Some(&true));
     let mut along: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     for (&(a, b), _) in counts.iter().filter(|(_, count)| **count == 1) {
         along.entry(a).or_default().push(b);
@@ -98,7 +134,8 @@ mod tests {
     /// Length of all edges that one triangle alone has.
     fn length(mesh: &Mesh) -> f64 {
         let at = |v: u32| Vector3::from(mesh.vertices[v as usize].map(f64::from));
-        edges(mesh)
+        let all: Vec<usize> = (0..mesh.triangles.len()).collect();
+        rim_edges(mesh, &all, &vec![true; mesh.vertices.len()])
             .iter()
             .filter(|(_, count)| **count == 1)
             .map(|((a, b), _)| (at(*a) - at(*b)).norm())

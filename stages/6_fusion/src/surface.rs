@@ -137,7 +137,12 @@ fn weld(volume: &Volume, pieces: Vec<Piece>) -> Mesh {
         .map(|v| (v.cell, v.position))
         .collect();
     // Copies of a vertex differ by rounding at most; the sort makes the choice among them fixed.
-    cells.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1[0].total_cmp(&b.1[0])));
+    cells.par_sort_unstable_by(|a, b| {
+        let order = a.0.cmp(&b.0);
+        (0..3).fold(order, |order, i| {
+            order.then_with(|| a.1[i].total_cmp(&b.1[i]))
+        })
+    });
     cells.dedup_by_key(|c| c.0);
     let vertices = cells
         .iter()
@@ -149,20 +154,17 @@ fn weld(volume: &Volume, pieces: Vec<Piece>) -> Mesh {
             (volume.origin + at).coords.map(|c| c as f32).into()
         })
         .collect();
+    let index = |v: &Vertex| {
+        let found = cells.binary_search_by_key(&v.cell, |c| c.0);
+        found.ok().filter(|_| v.is_known).map(|i| i as u32)
+    };
     let triangles = pieces
-        .iter()
-        .flat_map(|piece| {
-            let cells = &cells;
-            piece.triangles.iter().filter_map(move |triangle| {
-                let mut welded = [0; 3];
-                for (w, &v) in welded.iter_mut().zip(triangle) {
-                    let vertex = &piece.vertices[v as usize];
-                    if !vertex.is_known {
-                        return None;
-                    }
-                    *w = cells.binary_search_by_key(&vertex.cell, |c| c.0).ok()? as u32;
-                }
-                Some(welded)
+        .into_par_iter()
+        .flat_map_iter(|piece| {
+            let welded: Vec<Option<u32>> = piece.vertices.iter().map(index).collect();
+            piece.triangles.into_iter().filter_map(move |triangle| {
+                let [a, b, c] = triangle.map(|v| welded[v as usize]);
+                Some([a?, b?, c?])
             })
         })
         .collect();

@@ -66,6 +66,77 @@ impl Volume {
     }
 }
 
+/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the view says
+/// nothing about.
+struct Farthest {
+    width: usize,
+    height: usize,
+    depths: Vec<f32>,
+}
+
+impl Farthest {
+    /// Side of the squares, pixels: about what a block covers.
+    const SIDE: usize = 8;
+
+    fn new(view: &View) -> Self {
+        let width = view.depth.width.div_ceil(Self::SIDE);
+        let height = view.depth.height.div_ceil(Self::SIDE);
+        let depths = (0..width * height)
+            .into_par_iter()
+            .map(|i| {
+                let from = [i % width, i / width].map(|k| k * Self::SIDE);
+                let rows = from[1]..(from[1] + Self::SIDE).min(view.depth.height);
+                let columns = from[0]..(from[0] + Self::SIDE).min(view.depth.width);
+                rows.flat_map(|y| columns.clone().map(move |x| *view.depth.at(x, y)))
+                    .fold(0.0, f32::max)
+            })
+            .collect();
+        Self {
+            width,
+            height,
+            depths,
+        }
+    }
+
+    /// Whether the view may say something about a ball of a radius, given how far behind its surface it speaks.
+    fn reaches(&self, view: &View, center: &Point3<f64>, radius: f64, behind: f64) -> bool {
+        // A lens that distorts enlarges a ball by less than this, and the surface lies between pixels.
+        const ENLARGED: f64 = 1.5;
+        const MARGIN_PX: f64 = 2.0;
+        /// Footprints by which a surface between pixels may lie behind all of them.
+        const BEYOND_PX: f64 = 4.0;
+        let in_cam = view.pose.apply(center);
+        let near = in_cam.z - radius;
+        if in_cam.z + radius <= 0.0 {
+            return false;
+        }
+        let Some(pixel) = view.camera.project(&in_cam).filter(|_| near > 0.0) else {
+            return true;
+        };
+        let slope = (in_cam.coords / in_cam.z).norm_squared();
+        let reach = ENLARGED * slope * view.camera.focal_px() * radius / near + MARGIN_PX;
+        let squares = |at: f64, count: usize| {
+            let low = ((at - reach) / Self::SIDE as f64).floor().max(0.0) as usize;
+            let high = ((at + reach) / Self::SIDE as f64).floor();
+            low..if high < 0.0 {
+                0
+            } else {
+                (high as usize + 1).min(count)
+            }
+        };
+        let columns = squares(pixel.x, self.width);
+        let farthest = squares(pixel.y, self.height)
+            .flat_map(|y| {
+                columns
+                    .clone()
+                    .map(move |x| self.depths[y * self.width + x])
+            })
+            .fold(0.0, f32::max);
+        let farthest = f64::from(farthest) * (1.0 + BEYOND_PX / view.camera.focal_px());
+        farthest > 0.0 && near - farthest <= behind
+    }
+}
+
 /// Median pixel footprint of the surface in all views.
 fn median_footprint(views: &[View]) -> f64 {
     let mut footprints: Vec<f64> = views
@@ -121,6 +192,9 @@ pub(crate) fn integrate(
     };
     let truncation = options.truncation_voxels * volume.voxel;
     let min_cosine = options.max_grazing_deg.to_radians().cos();
+    let edge = SIDE as f64 * volume.voxel;
+    let radius = 0.5 * 3.0_f64.sqrt() * edge;
+    let farthest: Vec<Farthest> = views.iter().map(Farthest::new).collect();
     // Batches let the observer speak between them.
     const BATCH: usize = 4096;
     for (batch, keys) in volume.keys.chunks(BATCH).enumerate() {
@@ -132,7 +206,19 @@ pub(crate) fn integrate(
         flow.ok_or(FusionError::Interrupted)?;
         let blocks: Vec<[f32; VOLUME]> = keys
             .par_iter()
-            .map(|key| fill(views, key, volume.voxel, &origin, truncation, min_cosine))
+            .map(|key| {
+                let corner = origin + Vector3::from(key.map(|k| f64::from(k) * edge));
+                let middle = corner + Vector3::repeat(0.5 * edge);
+                let seen_by: Vec<&View> = views
+                    .iter()
+                    .zip(&farthest)
+                    .filter(|(view, farthest)| {
+                        farthest.reaches(view, &middle, radius, MAX_BEHIND * truncation)
+                    })
+                    .map(|(view, _)| view)
+                    .collect();
+                fill(&seen_by, &corner, volume.voxel, truncation, min_cosine)
+            })
             .collect();
         volume.distances.extend(blocks);
     }
@@ -201,16 +287,15 @@ fn block_keys(
     Some(all.into_iter().map(unpack).collect())
 }
 
+/// Distances of the block with its first corner there, of the views that reach it.
 fn fill(
-    views: &[View],
-    key: &Key,
+    views: &[&View],
+    corner: &Point3<f64>,
     voxel: f64,
-    origin: &Point3<f64>,
     truncation: f64,
     min_cosine: f64,
 ) -> [f32; VOLUME] {
     let mut sums = [(0.0_f64, 0.0_f64); VOLUME];
-    let corner = origin + Vector3::from(key.map(|k| f64::from(k) * SIDE as f64 * voxel));
     for view in views {
         for (i, sum) in sums.iter_mut().enumerate() {
             let at = [i % SIDE, i / SIDE % SIDE, i / (SIDE * SIDE)];
@@ -253,6 +338,54 @@ fn fill(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::views::prepare;
+    use rilievo_synthetic::testing::sphere_world;
+
+    #[test]
+    fn views_that_do_not_reach_a_block_have_nothing_to_say_of_it() {
+        let world = sphere_world();
+        let options = FusionOptions::default();
+        let (views, _) = prepare(&world.posed, &world.shaded, &options).expect("sound maps");
+        let voxel = 0.2 * median_footprint(&views);
+        let (edge, truncation) = (SIDE as f64 * voxel, options.truncation_voxels * voxel);
+        let min_cosine = options.max_grazing_deg.to_radians().cos();
+        // The sphere and what lies around and behind it.
+        let near = block_keys(&views, voxel, &Point3::origin(), &options, usize::MAX)
+            .expect("memory without bounds");
+        let range = |i: usize| {
+            let (low, high) = near.iter().fold((i32::MAX, i32::MIN), |(low, high), key| {
+                (low.min(key[i]), high.max(key[i]))
+            });
+            (low - 8..high + 8).step_by(3)
+        };
+        let keys: Vec<Key> = range(0)
+            .flat_map(|x| range(1).flat_map(move |y| range(2).map(move |z| [x, y, z])))
+            .collect();
+        let (mut num_left_out, mut num_seen) = (0, 0);
+        for view in &views {
+            let farthest = Farthest::new(view);
+            for key in &keys {
+                let corner = Point3::from(key.map(|k| f64::from(k) * edge));
+                let middle = corner + Vector3::repeat(0.5 * edge);
+                let behind = MAX_BEHIND * truncation;
+                if farthest.reaches(view, &middle, 0.5 * 3.0_f64.sqrt() * edge, behind) {
+                    num_seen += 1;
+                    continue;
+                }
+                num_left_out += 1;
+                let said = fill(&[view], &corner, voxel, truncation, min_cosine);
+                assert!(
+                    said.iter().all(|&d| d == UNKNOWN),
+                    "{} {key:?}",
+                    view.posed_idx
+                );
+            }
+        }
+        assert!(
+            num_seen > 100 && num_left_out > 100,
+            "{num_left_out} {num_seen}"
+        );
+    }
 
     #[test]
     fn keys_survive_packing_in_order() {

@@ -30,6 +30,10 @@ const FINEST_CONSENSUS_PX: f64 = 0.3;
 /// has fixed the depth, and residuals of single pixels are noisy.
 const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 
+/// What the light misses of single places, in units of its median residual, that still counts as the light's or the
+/// pigment's. Less bends the surface into what neither explains: stains, the light in a deep hole.
+const LARGEST_MISS: f64 = 7.0;
+
 /// Solves a loaded scene.
 pub(crate) fn solve(
     scene: Scene,
@@ -266,6 +270,8 @@ pub(crate) fn finer_weights(
         ..*last
     };
     if let Some(shading) = &mut weights.shading {
+        let residual = shading.sigma / shading.chroma_share;
+        shading.max_correction = shading.max_correction.max(LARGEST_MISS * residual);
         // Single pixels of the finer level are noisier.
         shading.sigma *= 1.4;
         shading.chroma_share *= 1.4;
