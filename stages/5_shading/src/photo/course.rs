@@ -109,7 +109,8 @@ impl Course<'_> {
             found.iter().filter(|&&is| is).count() as f64 / found.len().max(1) as f64
         };
         views
-            .iter()
+            .par_iter()
+            .with_max_len(1)
             .zip(depths)
             .zip(&mut self.report.views)
             .map(|((view, depth), report)| {
