@@ -238,7 +238,11 @@ impl Course<'_> {
                 *depths = self.search_again(*at, &solvers, depths, posed)?;
             }
             light = light.map(|light| self.finer_light(*at, depths, &light));
-            let weights = finer_weights(&last, searches, self.is_last(*at, light.as_ref()));
+            let mut weights = finer_weights(&last, searches, self.is_last(*at, light.as_ref()));
+            if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
+                let miss = LARGEST_MISS * light.residual();
+                shading.max_correction = shading.max_correction.max(miss);
+            }
             self.outer_iteration(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
             *depths = self.fused(*at, depths, FUSION_PX)?;
             self.show(*at, "fused", depths);
@@ -270,8 +274,6 @@ pub(crate) fn finer_weights(
         ..*last
     };
     if let Some(shading) = &mut weights.shading {
-        let residual = shading.sigma / shading.chroma_share;
-        shading.max_correction = shading.max_correction.max(LARGEST_MISS * residual);
         // Single pixels of the finer level are noisier.
         shading.sigma *= 1.4;
         shading.chroma_share *= 1.4;
