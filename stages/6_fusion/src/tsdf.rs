@@ -98,14 +98,16 @@ impl Farthest {
         }
     }
 
-    /// Whether the view may say something about a ball of a radius, given how far behind its surface it speaks.
-    fn reaches(&self, view: &View, center: &Point3<f64>, radius: f64, behind: f64) -> bool {
-        // A lens that distorts enlarges a ball by less than this, and the surface lies between pixels.
+    /// Whether the view may say something about the block with its first corner there and an edge, given how far behind
+    /// its surface it speaks.
+    fn reaches(&self, view: &View, corner: &Point3<f64>, edge: f64, behind: f64) -> bool {
+        // A lens that distorts enlarges a block by less than this.
         const ENLARGED: f64 = 1.5;
+        // The surface lies between pixels, and by so many footprints behind all of them.
         const MARGIN_PX: f64 = 2.0;
-        /// Footprints by which a surface between pixels may lie behind all of them.
         const BEYOND_PX: f64 = 4.0;
-        let in_cam = view.pose.apply(center);
+        let half = Vector3::repeat(0.5 * edge);
+        let (radius, in_cam) = (half.norm(), view.pose.apply(&(corner + half)));
         let near = in_cam.z - radius;
         if in_cam.z + radius <= 0.0 {
             return false;
@@ -116,22 +118,15 @@ impl Farthest {
         let slope = (in_cam.coords / in_cam.z).norm_squared();
         let reach = ENLARGED * slope * view.camera.focal_px() * radius / near + MARGIN_PX;
         let squares = |at: f64, count: usize| {
-            let low = ((at - reach) / Self::SIDE as f64).floor().max(0.0) as usize;
-            let high = ((at + reach) / Self::SIDE as f64).floor();
-            low..if high < 0.0 {
-                0
-            } else {
-                (high as usize + 1).min(count)
-            }
+            let square = |at: f64| (at / Self::SIDE as f64).floor();
+            let [low, end] =
+                [square(at - reach), square(at + reach) + 1.0].map(|k| k.clamp(0.0, count as f64));
+            low as usize..end as usize
         };
         let columns = squares(pixel.x, self.width);
         let farthest = squares(pixel.y, self.height)
-            .flat_map(|y| {
-                columns
-                    .clone()
-                    .map(move |x| self.depths[y * self.width + x])
-            })
-            .fold(0.0, f32::max);
+            .flat_map(|y| &self.depths[y * self.width..][columns.clone()])
+            .fold(0.0, |far, &z| f32::max(far, z));
         let farthest = f64::from(farthest) * (1.0 + BEYOND_PX / view.camera.focal_px());
         farthest > 0.0 && near - farthest <= behind
     }
@@ -193,7 +188,6 @@ pub(crate) fn integrate(
     let truncation = options.truncation_voxels * volume.voxel;
     let min_cosine = options.max_grazing_deg.to_radians().cos();
     let edge = SIDE as f64 * volume.voxel;
-    let radius = 0.5 * 3.0_f64.sqrt() * edge;
     let farthest: Vec<Farthest> = views.iter().map(Farthest::new).collect();
     // Batches let the observer speak between them.
     const BATCH: usize = 4096;
@@ -208,13 +202,11 @@ pub(crate) fn integrate(
             .par_iter()
             .map(|key| {
                 let corner = origin + Vector3::from(key.map(|k| f64::from(k) * edge));
-                let middle = corner + Vector3::repeat(0.5 * edge);
+                let behind = MAX_BEHIND * truncation;
                 let seen_by: Vec<&View> = views
                     .iter()
                     .zip(&farthest)
-                    .filter(|(view, farthest)| {
-                        farthest.reaches(view, &middle, radius, MAX_BEHIND * truncation)
-                    })
+                    .filter(|(view, farthest)| farthest.reaches(view, &corner, edge, behind))
                     .map(|(view, _)| view)
                     .collect();
                 fill(&seen_by, &corner, volume.voxel, truncation, min_cosine)
@@ -366,9 +358,7 @@ mod tests {
             let farthest = Farthest::new(view);
             for key in &keys {
                 let corner = Point3::from(key.map(|k| f64::from(k) * edge));
-                let middle = corner + Vector3::repeat(0.5 * edge);
-                let behind = MAX_BEHIND * truncation;
-                if farthest.reaches(view, &middle, 0.5 * 3.0_f64.sqrt() * edge, behind) {
+                if farthest.reaches(view, &corner, edge, MAX_BEHIND * truncation) {
                     num_seen += 1;
                     continue;
                 }

@@ -11,9 +11,8 @@ use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::{Event, Flow, Observer, ShadedViews, StageId};
 use rilievo_stereo::between_levels;
 use rilievo_stereo::consensus;
-use rilievo_stereo::level::LevelView;
 use rilievo_stereo::surfaces::Reading;
-use rilievo_stereo::{plate, specks, spread, start};
+use rilievo_stereo::{specks, spread, start};
 
 /// Receives the shape after each step, for measurement.
 pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;
@@ -104,10 +103,6 @@ impl Course<'_> {
     /// The surface without specks; their share in each view before and after is reported.
     pub(crate) fn without_specks(&mut self, at: usize, depths: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
         let views = &self.scene.pyramid[at].views;
-        let share = |view: &LevelView, depth: &[f64]| {
-            let found = specks::find(view, depth, &plate::normals(view, depth));
-            found.iter().filter(|&&is| is).count() as f64 / found.len().max(1) as f64
-        };
         views
             .par_iter()
             .with_max_len(1)
@@ -115,8 +110,8 @@ impl Course<'_> {
             .zip(&mut self.report.views)
             .map(|((view, depth), report)| {
                 let cleaned = specks::remove(view, &depth);
-                report.specks = [share(view, &depth), share(view, &cleaned)];
-                cleaned
+                report.specks = cleaned.shares;
+                cleaned.depth
             })
             .collect()
     }

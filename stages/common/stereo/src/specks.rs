@@ -41,16 +41,29 @@ pub fn find(view: &LevelView, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> 
         .collect()
 }
 
+/// A surface without its specks.
+pub struct Cleaned {
+    /// Log depths.
+    pub depth: Vec<f64>,
+    /// Share of the pixels that are specks, before and after.
+    pub shares: [f64; 2],
+}
+
 /// The surface with every speck, and the pixels that touch one and lie off by more than a footprint, moved onto the
 /// plane that the other pixels around it agree on (medians of depth and slope); what no neighbour can tell stays.
-/// Log depths.
-pub fn remove(view: &LevelView, depth: &[f64]) -> Vec<f64> {
+pub fn remove(view: &LevelView, depth: &[f64]) -> Cleaned {
     let footprint = 1.0 / view.camera.focal();
     let mut surface = depth.to_vec();
-    for _ in 0..NUM_ROUNDS {
+    let mut shares = [0.0; 2];
+    for round in 0..=NUM_ROUNDS {
         let normals = plate::normals(view, &surface);
         let is_speck = find(view, &surface, &normals);
-        if !is_speck.contains(&true) {
+        let num_specks = is_speck.iter().filter(|&&is| is).count();
+        shares[1] = num_specks as f64 / is_speck.len().max(1) as f64;
+        if round == 0 {
+            shares[0] = shares[1];
+        }
+        if num_specks == 0 || round == NUM_ROUNDS {
             break;
         }
         // Slopes reach one pixel: the depth that is wrong may be a neighbour's, which then lies off the plane.
@@ -75,7 +88,10 @@ pub fn remove(view: &LevelView, depth: &[f64]) -> Vec<f64> {
             surface[p] = value;
         }
     }
-    surface
+    Cleaned {
+        depth: surface,
+        shares,
+    }
 }
 
 /// Log depth at `pixel` of the plane through the pixels around it that stay.
@@ -160,7 +176,7 @@ mod tests {
         for (k, shape) in shapes.into_iter().enumerate() {
             let depth = surface(&view, shape);
             assert_eq!(num_specks(&view, &depth), 0, "shape {k}");
-            assert_eq!(remove(&view, &depth), depth, "shape {k}");
+            assert_eq!(remove(&view, &depth).depth, depth, "shape {k}");
         }
     }
 
@@ -178,7 +194,7 @@ mod tests {
             plane(x, y) + if is_rough(x, y) { rough } else { 0.0 }
         });
         assert!(num_specks(&view, &depth) > 4);
-        let cleaned = remove(&view, &depth);
+        let cleaned = remove(&view, &depth).depth;
         assert_eq!(num_specks(&view, &cleaned), 0);
         for p in 0..truth.len() {
             let (x, y) = view.xy(p);
