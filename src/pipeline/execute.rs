@@ -81,7 +81,7 @@ pub fn run_stage(
     let began = Instant::now();
     system::forget_peak_memory();
     let writer = context.run.begin(stage)?;
-    let report = dispatch(context, stage, &writer)?;
+    let report = dispatch(context, plan, stage, &writer)?;
     if interrupt::requested() {
         return Err(Failure::Interrupted.into());
     }
@@ -108,6 +108,7 @@ pub fn run_stage(
 /// Loads, runs and saves one stage; returns its report.
 fn dispatch(
     context: &Context<'_>,
+    plan: &Plan,
     stage: StageId,
     writer: &StageWriter,
 ) -> anyhow::Result<serde_json::Value> {
@@ -116,7 +117,7 @@ fn dispatch(
         StageId::Features => features::run(context, writer),
         StageId::Poses => poses::run(context, writer),
         StageId::Lighting => lighting::run(context, writer),
-        StageId::Shading => shading::run(context, writer),
+        StageId::Shading => shading::run(context, &plan.of(stage).fingerprint(), writer),
         StageId::Fusion => fusion::run(context, writer),
     }
 }

@@ -3,7 +3,7 @@
 use super::context::Context;
 use super::errors::from_shading;
 use crate::exit::Failure;
-use rilievo_scene::{PosedViews, ShadedViews, ViewIdx};
+use rilievo_scene::{NoCheckpoint, PosedViews, ShadedViews, ViewIdx};
 
 /// Views that a half needs to be shaped.
 const MIN_VIEWS: usize = 2;
@@ -46,6 +46,7 @@ pub fn shaped_halves(context: &Context<'_>) -> anyhow::Result<[ShapedHalf; 2]> {
             &lighting.of_views(num_views, &kept),
             &context.request.options.shading,
             context.console,
+            &NoCheckpoint,
         )
         .map_err(from_shading)?;
         for view in &mut shaded.views {

@@ -5,7 +5,8 @@ use super::artifacts::{checked_names, read_json, write_text};
 use super::context::Context;
 use super::errors::{from_check, from_shading};
 use crate::exit::Failure;
-use crate::store::{RunDir, StageWriter, StoreError};
+use crate::store::{RunDir, StageCheckpoint, StageWriter, StoreError, hash_json};
+use crate::system;
 use rilievo_io::{
     IoError, Preview, read_channel, read_depth, read_linear, read_normal, write_channel,
     write_depth, write_lighting, write_linear, write_normal, write_preview_png,
@@ -44,11 +45,17 @@ struct ViewFiles {
     albedo: bool,
 }
 
-/// Finds the dense shape of every view.
+/// Finds the dense shape of every view; how far it is goes to the work folder under the stage's `fingerprint`.
 ///
 /// # Errors
 /// When it cannot be found, or the user asked to stop.
-pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+pub fn run(
+    context: &Context<'_>,
+    fingerprint: &str,
+    writer: &StageWriter,
+) -> anyhow::Result<serde_json::Value> {
+    let key = hash_json(&(system::PROGRAM, fingerprint));
+    let checkpoint = StageCheckpoint::open(writer, key)?;
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
     let lighting = super::lighting::load(context)?;
@@ -58,6 +65,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         &lighting,
         &context.request.options.shading,
         context.console,
+        &checkpoint,
     )
     .map_err(from_shading)?;
     let light_on_surface = check(

@@ -13,6 +13,7 @@
 //! hash of every file, and `run.json` and manifests one of themselves, so that damage is found before
 //! anything is made from it.
 
+mod checkpoint;
 mod error;
 mod evaluation;
 mod files;
@@ -24,6 +25,7 @@ mod run_file;
 mod sealed;
 mod writer;
 
+pub use checkpoint::StageCheckpoint;
 pub use error::StoreError;
 pub use evaluation::{deviation_file, drop_evaluation};
 pub use files::{absolute, create_folder, hash_file, is_name, own_file, write_atomically};

@@ -1,5 +1,6 @@
 //! Writing a stage: everything into a work folder, then one rename.
 
+use super::checkpoint::CHECKPOINT;
 use super::error::StoreError;
 use super::evaluation::drop_evaluation;
 use super::files::{create_folder, hash_file, is_inside, write_atomically};
@@ -156,6 +157,10 @@ impl StageWriter {
             Ok(items) => items,
             Err(poisoned) => poisoned.into_inner(),
         };
+        // How far the stage was is no part of what it gives.
+        if manifest.items.remove(CHECKPOINT).is_some() {
+            remove_dir(&self.work.join(CHECKPOINT))?;
+        }
         let mut names = Vec::new();
         collect_and_sync(&self.work, "", &mut names)?;
         let records = names.into_par_iter().map(|(name, bytes)| {

@@ -161,6 +161,9 @@ pub enum ShadingError {
     /// Pixels of a photo could not be loaded.
     #[error(transparent)]
     Pixels(#[from] rilievo_scene::PixelError),
+    /// How far the stage is could not be kept.
+    #[error(transparent)]
+    Checkpoint(#[from] rilievo_scene::CheckpointError),
     /// A linear system could not be solved.
     #[error("view {view}: {reason}")]
     Numerics {

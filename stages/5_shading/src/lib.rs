@@ -24,15 +24,15 @@ pub use error::{LightMisfit, ShadingError};
 pub use options::{ShadingModel, ShadingOptions};
 pub use report::ShadingReport;
 
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
+use rilievo_scene::{Checkpoint, LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 17;
+pub const VERSION: u32 = 18;
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///
 /// One posed view alone is solved by the paper's model, whatever `options.model` says: agreement
-/// between photos needs two.
+/// between photos needs two. `checkpoint` keeps how far the photo model is; the paper's model begins anew.
 ///
 /// # Errors
 /// See [`ShadingError`].
@@ -42,10 +42,18 @@ pub fn run(
     lighting: &LightingCalibration,
     options: &ShadingOptions,
     observer: &dyn Observer,
+    checkpoint: &dyn Checkpoint,
 ) -> Result<(ShadedViews, ShadingReport), ShadingError> {
     options.validate()?;
     if options.model == ShadingModel::Photo && posed.views.len() > 1 {
-        let (shaded, mut facts) = photo::run(photos, posed, lighting, &options.photo, observer)?;
+        let (shaded, mut facts) = photo::run(
+            photos,
+            posed,
+            lighting,
+            &options.photo,
+            observer,
+            checkpoint,
+        )?;
         let report = ShadingReport {
             light: std::mem::take(&mut facts.light),
             photo: Some(facts),

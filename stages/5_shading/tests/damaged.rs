@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use rilievo_scene::{Silent, StageId};
+use rilievo_scene::{NoCheckpoint, Silent, StageId};
 use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
 use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
@@ -34,6 +34,7 @@ fn the_undamaged_world_has_a_shape() {
             &world.lighting,
             &options,
             &Silent,
+            &NoCheckpoint,
         )
         .unwrap();
         assert_eq!(shaded.views.len(), 3);
@@ -46,7 +47,14 @@ fn an_anchor_in_no_view_is_named() {
     let mut posed = world.posed.clone();
     posed.anchors[4].observations[1].view.0 = 3;
     for options in models() {
-        match run(&world.photos, &posed, &world.lighting, &options, &Silent) {
+        match run(
+            &world.photos,
+            &posed,
+            &world.lighting,
+            &options,
+            &Silent,
+            &NoCheckpoint,
+        ) {
             Err(ShadingError::Inconsistent(error)) => {
                 assert_eq!(error.made_by, StageId::Poses);
                 assert_eq!(error.reason, "anchor 4 is seen in view 3 of 3");
@@ -72,7 +80,14 @@ fn poses_and_light_changed_at_random_never_end_in_a_panic() {
         println!("{of_poses}, {of_light}");
         for options in models() {
             for (posed, lighting) in [(&posed, &world.lighting), (&world.posed, &lighting)] {
-                let found = run(&world.photos, posed, lighting, &options, &Silent);
+                let found = run(
+                    &world.photos,
+                    posed,
+                    lighting,
+                    &options,
+                    &Silent,
+                    &NoCheckpoint,
+                );
                 refused += usize::from(matches!(found, Err(ShadingError::Inconsistent(_))));
             }
         }

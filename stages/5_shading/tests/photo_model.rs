@@ -2,8 +2,8 @@
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{
-    Intrinsics, LightKind, LightSource, LightingCalibration, Photo, PhotoSet, PosedViews,
-    RigidTransform, Silent,
+    Intrinsics, LightKind, LightSource, LightingCalibration, NoCheckpoint, Photo, PhotoSet,
+    PosedViews, RigidTransform, Silent,
 };
 use rilievo_shading::ShadingError;
 use rilievo_shading::photo::{self, PhotoOptions};
@@ -85,7 +85,14 @@ fn small() -> PhotoOptions {
 #[test]
 fn a_stained_ball_is_found_with_its_exposures() {
     let scene = ball(&[1.0, 0.8, 0.9]);
-    let result = photo::run(&scene.photos, &scene.posed, &no_light(), &small(), &Silent);
+    let result = photo::run(
+        &scene.photos,
+        &scene.posed,
+        &no_light(),
+        &small(),
+        &Silent,
+        &NoCheckpoint,
+    );
     let Ok((shaded, report)) = result else {
         panic!("{:?}", result.err())
     };
@@ -121,7 +128,16 @@ fn threads_do_not_change_a_byte() {
     let solve = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let Ok(pool) = pool else { panic!("no pool") };
-        pool.install(|| photo::run(&scene.photos, &scene.posed, &no_light(), &small(), &Silent))
+        pool.install(|| {
+            photo::run(
+                &scene.photos,
+                &scene.posed,
+                &no_light(),
+                &small(),
+                &Silent,
+                &NoCheckpoint,
+            )
+        })
     };
     match (solve(1), solve(2)) {
         (Ok((one, _)), Ok((two, _))) => assert!(one == two, "results differ"),
@@ -132,7 +148,14 @@ fn threads_do_not_change_a_byte() {
 #[test]
 fn one_view_is_refused_by_name() {
     let scene = ball(&[1.0]);
-    let result = photo::run(&scene.photos, &scene.posed, &no_light(), &small(), &Silent);
+    let result = photo::run(
+        &scene.photos,
+        &scene.posed,
+        &no_light(),
+        &small(),
+        &Silent,
+        &NoCheckpoint,
+    );
     assert!(
         matches!(&result, Err(ShadingError::NoDepth { view }) if view == "view0"),
         "{:?}",
@@ -144,6 +167,7 @@ fn one_view_is_refused_by_name() {
         &no_light(),
         &small(),
         &Silent,
+        &NoCheckpoint,
     );
     assert!(
         matches!(empty, Err(ShadingError::NoViews)),

@@ -5,8 +5,8 @@
 use nalgebra::{Point2, UnitQuaternion, Vector3};
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, Intrinsics, LightKind, LightSource, Lighting,
-    LightingCalibration, Photo, PhotoSet, PosedViews, Recorder, RigidTransform, Silent,
-    SphericalHarmonics, ViewIdx, ViewLighting,
+    LightingCalibration, NoCheckpoint, Photo, PhotoSet, PosedViews, Recorder, RigidTransform,
+    Silent, SphericalHarmonics, ViewIdx, ViewLighting,
 };
 use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
 use rilievo_synthetic::testing::{Maps, PAPER_LIGHT, PosedPhotos, on_sphere, painted, photo};
@@ -110,6 +110,7 @@ fn anchored_views_of_a_sphere_are_recovered_in_place() {
         &world.lighting,
         &paper(),
         &told,
+        &NoCheckpoint,
     )
     .expect("solvable");
     assert_eq!(shaded.views.len(), 2);
@@ -146,6 +147,7 @@ fn a_view_without_lighting_is_named() {
         &world.lighting,
         &paper(),
         &Silent,
+        &NoCheckpoint,
     );
     assert!(
         matches!(&error, Err(ShadingError::MissingLighting { view }) if view == "view1"),
@@ -166,6 +168,7 @@ fn a_view_that_nothing_places_is_left_out_with_a_warning() {
         &world.lighting,
         &paper(),
         &told,
+        &NoCheckpoint,
     )
     .expect("the other view is solvable");
     assert_eq!(shaded.views.len(), 1);

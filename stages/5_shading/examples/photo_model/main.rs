@@ -12,7 +12,9 @@ mod picture;
 mod planes;
 
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
-use rilievo_scene::{LightKind, LightSource, LightingCalibration, ShadedViews, Silent};
+use rilievo_scene::{
+    LightKind, LightSource, LightingCalibration, NoCheckpoint, ShadedViews, Silent,
+};
 use rilievo_shading::photo::{self, PhotoOptions};
 use std::cell::Cell;
 use std::error::Error;
@@ -87,7 +89,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (shaded, report) = if arguments.steps {
         photo::run_probed(photos, posed, &lighting, options, &Silent, &probe)?
     } else {
-        photo::run(photos, posed, &lighting, options, &Silent)?
+        photo::run(photos, posed, &lighting, options, &Silent, &NoCheckpoint)?
     };
     let wall = began.elapsed().as_secs_f64();
     for iteration in &report.steps {

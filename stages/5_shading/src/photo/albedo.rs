@@ -19,6 +19,7 @@ use rayon::prelude::*;
 use rilievo_scene::Raster;
 use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::{plate, sampling};
+use serde::{Deserialize, Serialize};
 
 /// Standard deviation of the Gaussian that separates stains from slow changes, pixels.
 const BELL_PX: f64 = 16.0;
@@ -34,7 +35,7 @@ const HALF_R2: f64 = 0.2;
 const CHROMA_FLOOR: f64 = 1e-5;
 
 /// Albedo of all views at one level, relative to the mean albedo that the light contains.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Albedo {
     /// Per view and masked pixel.
     pub relative: Vec<Vec<[f32; 3]>>,

@@ -14,6 +14,7 @@
 
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
 use rilievo_stereo::level::LevelView;
+use serde::{Deserialize, Serialize};
 
 /// Chroma noise below which rounding to eight bits would be taken for a signal.
 const MIN_NOISE: f64 = 2e-3;
@@ -29,7 +30,7 @@ pub(crate) fn chroma(u: [f32; 3]) -> [f32; 2] {
 }
 
 /// What the photos' own noise and the light's colour leave in chroma.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ChromaNoise {
     /// Standard deviations of both components.
     pub sigma: [f64; 2],

@@ -8,22 +8,34 @@ use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
-use rilievo_scene::{Event, Flow, Observer, ShadedViews, StageId};
+use rilievo_scene::{Checkpoint, Event, Flow, Observer, ShadedViews, StageId};
 use rilievo_stereo::between_levels;
 use rilievo_stereo::consensus;
 use rilievo_stereo::surfaces::Reading;
 use rilievo_stereo::{specks, spread, start};
+use std::sync::Arc;
 
 /// Receives the shape after each step, for measurement.
 pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;
+
+/// What a run is told of its surroundings.
+#[derive(Clone, Copy)]
+pub(crate) struct Surroundings<'a> {
+    pub observer: &'a dyn Observer,
+    pub checkpoint: &'a dyn Checkpoint,
+    pub probe: Option<&'a Probe<'a>>,
+}
 
 /// Everything that the steps of a run share.
 pub(crate) struct Course<'a> {
     pub scene: Scene,
     pub options: &'a PhotoOptions,
     pub observer: &'a dyn Observer,
+    pub checkpoint: &'a dyn Checkpoint,
     pub report: PhotoReport,
     pub sigma_match: f64,
+    /// Exact solvers of the level at which outer iterations run.
+    pub solvers: Option<(usize, Arc<[PlateSolver]>)>,
     pub probe: Option<&'a Probe<'a>>,
 }
 
@@ -67,6 +79,20 @@ impl Course<'_> {
             .enumerate()
             .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
             .collect()
+    }
+
+    /// [`Self::solvers`], analysed once for all outer iterations at a level.
+    pub(crate) fn shared_solvers(&mut self, at: usize) -> Result<Arc<[PlateSolver]>, ShadingError> {
+        if let Some((of, solvers)) = &self.solvers
+            && *of == at
+        {
+            return Ok(solvers.clone());
+        }
+        // Those of another level go first: they take a good part of the memory.
+        self.solvers = None;
+        let solvers: Arc<[PlateSolver]> = self.solvers(at)?.into();
+        self.solvers = Some((at, solvers.clone()));
+        Ok(solvers)
     }
 
     /// Solvers of a finer level, one per view: its surface is about right from the start.

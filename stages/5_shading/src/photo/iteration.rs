@@ -13,10 +13,11 @@ use rilievo_numerics::robust::median;
 use rilievo_stereo::level::Level;
 use rilievo_stereo::plate;
 use rilievo_stereo::surfaces::Surfaces;
+use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
 /// Weights of one outer iteration.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct IterationWeights {
     /// Factor of the match term's σ_m.
     pub sigma_match_factor: f64,

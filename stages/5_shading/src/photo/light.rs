@@ -24,9 +24,10 @@ use rilievo_stereo::between_levels;
 use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::plate;
 use rilievo_stereo::spread;
+use serde::{Deserialize, Serialize};
 
 /// The light of all views at one level.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Light {
     /// Per view and masked pixel, camera frame.
     pub harmonics: Vec<Vec<PixelHarmonics>>,

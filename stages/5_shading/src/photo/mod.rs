@@ -41,6 +41,7 @@ mod light_tests;
 mod matching;
 mod options;
 mod output;
+mod progress;
 mod relief;
 #[cfg(test)]
 mod relief_tests;
@@ -67,13 +68,17 @@ pub use report::{PhotoReport, PhotoViewReport, StepReport};
 pub use validation::ValidationReport;
 
 use crate::error::ShadingError;
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
+use course::Surroundings;
+use rilievo_scene::{
+    Checkpoint, LightingCalibration, NoCheckpoint, Observer, PhotoSet, PosedViews, ShadedViews,
+};
 
 /// Dense shape of all posed views, at least two.
 ///
 /// Of `lighting` the samples, the kind and which spheres were rejected are used: the environment is fitted on
 /// samples and object, with shadow and bounce, again after every change of the shape. Its harmonics serve to
-/// refuse a light from elsewhere that the photos contradict (`contradiction`).
+/// refuse a light from elsewhere that the photos contradict (`contradiction`). After every outer iteration and every
+/// round of relief the state goes to `checkpoint`, and a run with the same input goes on from what it finds there.
 ///
 /// # Errors
 /// See [`ShadingError`].
@@ -83,8 +88,14 @@ pub fn run(
     lighting: &LightingCalibration,
     options: &PhotoOptions,
     observer: &dyn Observer,
+    checkpoint: &dyn Checkpoint,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
-    solved(photos, posed, lighting, options, (observer, None))
+    let surroundings = Surroundings {
+        observer,
+        checkpoint,
+        probe: None,
+    };
+    solved(photos, posed, lighting, options, surroundings)
 }
 
 /// [`run`], with the shape after every step handed to `probe`: for measuring which step does what.
@@ -99,7 +110,12 @@ pub fn run_probed(
     observer: &dyn Observer,
     probe: &Probe,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
-    solved(photos, posed, lighting, options, (observer, Some(probe)))
+    let surroundings = Surroundings {
+        observer,
+        checkpoint: &NoCheckpoint,
+        probe: Some(probe),
+    };
+    solved(photos, posed, lighting, options, surroundings)
 }
 
 fn solved(
@@ -107,12 +123,12 @@ fn solved(
     posed: &PosedViews,
     lighting: &LightingCalibration,
     options: &PhotoOptions,
-    (observer, probe): (&dyn Observer, Option<&Probe>),
+    surroundings: Surroundings<'_>,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
     options.validate()?;
     photos.check()?;
     posed.check_with(photos)?;
     lighting.check(posed)?;
     let scene = views::load(photos, posed, options)?;
-    solve::solve(scene, posed, lighting, options, observer, probe)
+    solve::solve(scene, posed, lighting, options, surroundings)
 }

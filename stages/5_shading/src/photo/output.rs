@@ -9,8 +9,10 @@ use rilievo_scene::{
 use rilievo_stereo::between_levels;
 use rilievo_stereo::level::LevelView;
 use rilievo_stereo::{plate, spread};
+use serde::{Deserialize, Serialize};
 
 /// The surface of all views at one level.
+#[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Shape {
     pub at: usize,
     /// Log depths.

@@ -8,9 +8,10 @@
 
 use super::chroma::ChromaNoise;
 use super::course::Course;
-use super::iteration::{IterationWeights, mean_turn_deg};
+use super::iteration::IterationWeights;
 use super::light::Light;
 use super::output::Shape;
+use super::progress::{After, Next, ReliefRounds};
 use super::report::StepReport;
 use super::shading::{PixelHarmonics, PixelLight, ShadingTerm, ShadingWeights};
 use super::solve::{FUSION_PX, finer_weights};
@@ -36,6 +37,9 @@ const MAX_NUM_SAMPLES: usize = 8;
 /// Factor of the increments: each round goes part of the way to where the views agree, since the others' surfaces
 /// are held fixed meanwhile.
 const OVER_RELAXATION: f64 = 1.5;
+
+/// What reports and progress call these steps.
+const KIND: &str = "relief";
 
 /// The light of a coarser level, to be read at finer ones.
 pub(super) struct CoarseLight<'a> {
@@ -139,24 +143,28 @@ impl TileLight {
 }
 
 impl Course<'_> {
-    /// The surface at the photos' own pixels, from that of level `coarse`, the finest that was solved as a whole,
-    /// with its light and the weights of the last outer iteration.
-    pub(crate) fn relief(
-        &mut self,
+    /// The start of relief at the level below the shape's, under the light of level `coarse`, the finest that was solved
+    /// as a whole: the shape interpolated, and what is measured of it.
+    pub(super) fn next_relief_level(
+        &self,
+        shape: &mut Shape,
         coarse: usize,
-        depths: Vec<Vec<f64>>,
-        light: &Light,
-        last: &IterationWeights,
-    ) -> Result<Shape, ShadingError> {
-        let mut shape = Shape::new(coarse, depths);
-        for at in (0..coarse).rev() {
-            shape = self.interpolated(&shape);
-            let record = self.relief_at(&mut shape, coarse, light, last)?;
-            self.report.steps.push(record);
-            shape.depths = self.fused(at, &shape.depths, FUSION_PX)?;
-            self.show_shape("relief", &shape);
+        last: IterationWeights,
+    ) -> ReliefRounds {
+        *shape = self.interpolated(shape);
+        let level = &self.scene.pyramid[shape.at];
+        ReliefRounds {
+            coarse,
+            last,
+            num_done: 0,
+            noise: vec![None; level.views.len()],
+            turn_scale: turn_scale(level, &shape.depths),
+            record: StepReport {
+                level: shape.at,
+                kind: KIND.to_owned(),
+                ..StepReport::default()
+            },
         }
-        Ok(shape)
     }
 
     /// The surface at the next finer level.
@@ -174,34 +182,54 @@ impl Course<'_> {
         Shape { at, depths, known }
     }
 
-    /// Rounds over all views at the shape's level.
-    fn relief_at(
+    /// A round over all views at the shape's level; after the last one the next finer level begins.
+    pub(super) fn relief(
+        &mut self,
+        shape: &mut Shape,
+        light: Option<&Light>,
+        mut rounds: ReliefRounds,
+    ) -> Result<After, ShadingError> {
+        let mut next = None;
+        let finished = match light {
+            Some(light) => self.relief_round(shape, light, &mut rounds)?,
+            None => true,
+        };
+        if finished {
+            let (coarse, last) = (rounds.coarse, rounds.last);
+            self.report.steps.push(rounds.record);
+            shape.depths = self.fused(shape.at, &shape.depths, FUSION_PX)?;
+            self.show_shape(KIND, shape);
+            if shape.at > 0 {
+                next = Some(self.next_relief_level(shape, coarse, last));
+            }
+        } else {
+            next = Some(rounds);
+        }
+        Ok(After {
+            light: None,
+            next: next.map(Next::Relief),
+        })
+    }
+
+    /// A round over all views at the shape's level; tells whether it was the last one there.
+    fn relief_round(
         &self,
         shape: &mut Shape,
-        coarse: usize,
         light: &Light,
-        last: &IterationWeights,
-    ) -> Result<StepReport, ShadingError> {
-        const KIND: &str = "relief";
+        rounds: &mut ReliefRounds,
+    ) -> Result<bool, ShadingError> {
         let began = Instant::now();
         let at = shape.at;
         let level = &self.scene.pyramid[at];
-        let mut weights = finer_weights(last, false, at == 0);
-        if let Some(scale) = turn_scale(level, &shape.depths) {
+        let mut weights = finer_weights(&rounds.last, false, at == 0);
+        if let Some(scale) = rounds.turn_scale {
             (weights.plate, weights.plate_threshold) = (0.5 / (scale * scale), scale);
         }
         let options = self.step_options(at, &weights);
+        let coarse = rounds.coarse;
         let light = CoarseLight::new(&self.scene.pyramid[coarse], coarse, light);
-        let mut record = StepReport {
-            level: at,
-            kind: KIND.to_owned(),
-            sigma_match: options.matching.sigma,
-            sigma_shading: weights.shading.map_or(0.0, |s| s.sigma),
-            num_rounds: self.options.num_relief_rounds,
-            ..StepReport::default()
-        };
         let Some(shading) = weights.shading else {
-            return Ok(record);
+            return Ok(true);
         };
         let num_views = level.views.len();
         let cores: Vec<Vec<Window>> = level
@@ -209,59 +237,64 @@ impl Course<'_> {
             .iter()
             .map(|view| tile::cores(view, CORE_PX))
             .collect();
-        let num_tiles = cores.iter().map(Vec::len).sum::<usize>() * self.options.num_relief_rounds;
-        let mut num_done = 0;
-        let before = shape.depths.clone();
-        // Noise of chroma is that of the photo: measured once.
-        let mut noise: Vec<Option<ChromaNoise>> = vec![None; num_views];
-        for _ in 0..self.options.num_relief_rounds {
-            let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
-            // Even views first, as in the outer iterations.
-            for i in (0..num_views).step_by(2).chain((1..num_views).step_by(2)) {
-                let mut view = ViewAtLevel {
-                    level,
-                    at,
-                    index: i,
-                    reading: self.reading(),
-                    light: &light,
-                    options: &options,
-                    shading,
-                };
-                if noise[i].is_none() {
-                    noise[i] = view.chroma_noise(&shape.depths);
-                }
-                view.shading.chroma_noise = noise[i];
-                let mut improved = shape.depths[i].clone();
-                // Two for each thread keep all at work; more would only be held in memory.
-                for cores in cores[i].chunks(2 * rayon::current_num_threads()) {
-                    self.tell(KIND, num_done, num_tiles)?;
-                    let steps: Vec<Result<TileStep, PlateError>> = cores
-                        .par_iter()
-                        .with_max_len(1)
-                        .map(|core| view.step(&shape.depths, core))
-                        .collect();
-                    for step in steps {
-                        let step = step.map_err(|e| self.failed(i, &e))?;
-                        for (p, &number) in step.tile.numbers.iter().enumerate() {
-                            let share = OVER_RELAXATION * f64::from(step.tile.shares[p]);
-                            improved[number as usize] += share * step.increment[p];
-                        }
-                        residuals.extend(step.residuals);
-                    }
-                    num_done += cores.len();
-                }
-                moved += plate::mean_move(&shape.depths[i], &improved);
-                turned += plate::mean_turn(&level.views[i], &shape.depths[i], &improved);
-                shape.depths[i] = improved;
+        let num_rounds = self.options.num_relief_rounds;
+        let num_tiles = cores.iter().map(Vec::len).sum::<usize>();
+        let mut num_done = rounds.num_done * num_tiles;
+        let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
+        // Even views first, as in the outer iterations.
+        for i in (0..num_views).step_by(2).chain((1..num_views).step_by(2)) {
+            let mut view = ViewAtLevel {
+                level,
+                at,
+                index: i,
+                reading: self.reading(),
+                light: &light,
+                options: &options,
+                shading,
+            };
+            if rounds.noise[i].is_none() {
+                rounds.noise[i] = view.chroma_noise(&shape.depths);
             }
-            let per_view = 1.0 / num_views as f64;
-            record.moved_px = moved * per_view * level.focal();
-            record.turned_deg = (turned * per_view).to_degrees();
-            record.match_residual = median(&mut residuals);
+            view.shading.chroma_noise = rounds.noise[i];
+            let mut improved = shape.depths[i].clone();
+            // Two for each thread keep all at work; more would only be held in memory.
+            for cores in cores[i].chunks(2 * rayon::current_num_threads()) {
+                self.tell(KIND, num_done, num_rounds * num_tiles)?;
+                let steps: Vec<Result<TileStep, PlateError>> = cores
+                    .par_iter()
+                    .with_max_len(1)
+                    .map(|core| view.step(&shape.depths, core))
+                    .collect();
+                for step in steps {
+                    let step = step.map_err(|e| self.failed(i, &e))?;
+                    for (p, &number) in step.tile.numbers.iter().enumerate() {
+                        let share = OVER_RELAXATION * f64::from(step.tile.shares[p]);
+                        improved[number as usize] += share * step.increment[p];
+                    }
+                    residuals.extend(step.residuals);
+                }
+                num_done += cores.len();
+            }
+            moved += plate::mean_move(&shape.depths[i], &improved);
+            turned += plate::mean_turn(&level.views[i], &shape.depths[i], &improved);
+            shape.depths[i] = improved;
         }
-        record.turned_in_all_deg = mean_turn_deg(level, &before, &shape.depths);
-        record.seconds = began.elapsed().as_secs_f64();
-        Ok(record)
+        let per_view = 1.0 / num_views as f64;
+        let turned_deg = (turned * per_view).to_degrees();
+        let record = &mut rounds.record;
+        rounds.num_done += 1;
+        *record = StepReport {
+            moved_px: moved * per_view * level.focal(),
+            turned_deg,
+            turned_in_all_deg: record.turned_in_all_deg + turned_deg,
+            num_rounds: rounds.num_done,
+            sigma_match: options.matching.sigma,
+            sigma_shading: shading.sigma,
+            match_residual: median(&mut residuals),
+            seconds: record.seconds + began.elapsed().as_secs_f64(),
+            ..std::mem::take(record)
+        };
+        Ok(rounds.num_done >= num_rounds)
     }
 }
 

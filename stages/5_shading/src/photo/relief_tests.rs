@@ -9,16 +9,24 @@ use super::relief::{CoarseLight, ViewAtLevel};
 use super::rendered_tests::{
     World, depths, known_light, loaded, of_spheres, options, photographed,
 };
+use super::report::PhotoReport;
 use super::shading::{PixelLight, ShadingTerm};
 use super::solve::finer_weights;
 use super::{run, step};
+use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
-use rilievo_scene::{InMemoryPixels, LightKind, LinearImage, NormalMap, Silent};
+use rilievo_scene::{
+    Checkpoint, CheckpointError, InMemoryPixels, LightKind, LinearImage, NoCheckpoint, NormalMap,
+    Silent, StatePart,
+};
 use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::{between_levels, spread, tile};
 use rilievo_synthetic::{LightModel, Subject};
-use std::sync::Arc;
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
+use std::sync::{Arc, Mutex};
 
 fn rms(values: impl Iterator<Item = f64>) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0_f64);
@@ -149,8 +157,15 @@ fn errors(world: &World) -> [[f64; 2]; 2] {
             num_relief_rounds,
             ..PhotoOptions::default()
         };
-        let (shaded, report) =
-            run(&world.photos, &world.posed, &lighting, &options, &Silent).unwrap();
+        let (shaded, report) = run(
+            &world.photos,
+            &world.posed,
+            &lighting,
+            &options,
+            &Silent,
+            &NoCheckpoint,
+        )
+        .unwrap();
         let is_shaped = report.steps.iter().any(|step| step.kind == "relief");
         assert_eq!(is_shaped, num_relief_rounds > 0);
         let (mut angles, mut rough) = (Vec::new(), Vec::new());
@@ -237,12 +252,106 @@ fn threads_do_not_change_the_relief() {
     };
     let [one, two] = [1, 2].map(|num_threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads);
-        let solve = || run(&world.photos, &world.posed, &lighting, &options, &Silent).unwrap();
+        let solve = || {
+            run(
+                &world.photos,
+                &world.posed,
+                &lighting,
+                &options,
+                &Silent,
+                &NoCheckpoint,
+            )
+            .unwrap()
+        };
         pool.build().unwrap().install(solve)
     });
     let levels = one.1.steps.iter().filter(|step| step.kind == "relief");
     assert!(levels.count() > 0, "no relief");
     assert!(one.0 == two.0, "results differ");
+}
+
+/// A state in memory; only some of the writes succeed.
+#[derive(Default)]
+struct Memory {
+    parts: Mutex<BTreeMap<String, Vec<u8>>>,
+    num_left: AtomicUsize,
+}
+
+impl Checkpoint for Memory {
+    fn read(&self, part: &str) -> Option<Box<dyn Read>> {
+        let content = self.parts.lock().unwrap().get(part)?.clone();
+        Some(Box::new(std::io::Cursor::new(content)))
+    }
+
+    fn keep(&self, parts: &[StatePart<'_>]) -> Result<(), CheckpointError> {
+        let takes = |left: usize| left.checked_sub(1);
+        if self.num_left.fetch_update(Relaxed, Relaxed, takes).is_err() {
+            let reason = "full".to_owned();
+            return Err(CheckpointError { reason });
+        }
+        for part in parts {
+            let mut content = Vec::new();
+            (part.write)(&mut content).unwrap();
+            let mut kept = self.parts.lock().unwrap();
+            kept.insert(part.name.to_owned(), content);
+        }
+        Ok(())
+    }
+}
+
+/// Stopped after any state that was kept, in outer iterations, between levels and within relief, a run goes on from
+/// there and ends with the bytes of an undisturbed one; a state that cannot be read is none.
+#[test]
+fn a_stopped_run_goes_on_to_the_same_bytes() {
+    let (scene, photographs) = options(Subject::Stone, LightModel::Shadowed, (240, 180));
+    let world = photographed(scene, &photographs, None);
+    let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
+    let options = PhotoOptions {
+        coarse_pixels: 1000,
+        max_fine_pixels: 3000,
+        // Half the resolution first.
+        noisy_search_px: 0.0,
+        num_half_iterations: 1,
+        num_outer_iterations: 2,
+        max_more_iterations: 0,
+        num_rays: 32,
+        ..PhotoOptions::default()
+    };
+    let solve = |memory: &Memory, num_writes: usize| {
+        memory.num_left.store(num_writes, Relaxed);
+        let (photos, posed) = (&world.photos, &world.posed);
+        run(photos, posed, &lighting, &options, &Silent, memory)
+    };
+    let kinds = |report: &PhotoReport| -> Vec<(usize, String)> {
+        let steps = report.steps.iter();
+        steps.map(|s| (s.level, s.kind.clone())).collect()
+    };
+    let memory = Memory::default();
+    let (whole, report) = solve(&memory, 1000).unwrap();
+    let num_states = 1000 - memory.num_left.load(Relaxed);
+    assert!(num_states >= 6, "{num_states} states");
+    for of in ["light and shape", "finer", "relief"] {
+        assert!(kinds(&report).iter().any(|(_, kind)| kind == of), "{of}");
+    }
+    for num_writes in 1..num_states {
+        let memory = Memory::default();
+        let stopped = solve(&memory, num_writes);
+        assert!(
+            matches!(stopped, Err(ShadingError::Checkpoint(_))),
+            "{num_writes}"
+        );
+        let (resumed, again) = solve(&memory, 1000).unwrap();
+        assert!(resumed == whole, "after {num_writes} states");
+        assert_eq!(kinds(&again), kinds(&report), "after {num_writes} states");
+        let num_more = 1000 - memory.num_left.load(Relaxed);
+        assert_eq!(num_writes + num_more, num_states);
+    }
+    let memory = Memory::default();
+    assert!(solve(&memory, num_states - 1).is_err());
+    for content in memory.parts.lock().unwrap().values_mut() {
+        content.truncate(content.len() / 2);
+    }
+    assert!(solve(&memory, 1000).unwrap().0 == whole, "after damage");
 }
 
 /// Means of 7×7 pixels, twice.

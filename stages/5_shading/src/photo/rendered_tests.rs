@@ -14,8 +14,8 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
-    MarkedSphere, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews, Silent,
-    SphereLight,
+    MarkedSphere, NoCheckpoint, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews,
+    Silent, SphereLight,
 };
 use rilievo_stereo::level::Level;
 use rilievo_stereo::plate;
@@ -332,6 +332,7 @@ fn stains_become_albedo_and_no_relief() {
         &lighting,
         &PhotoOptions::default(),
         &Silent,
+        &NoCheckpoint,
     )
     .unwrap();
     let (mut inside, mut outside) = (Vec::new(), Vec::new());
@@ -417,7 +418,15 @@ fn solved(world: &World) -> ShadedViews {
 
 fn solved_by(world: &World, options: &PhotoOptions) -> (ShadedViews, PhotoReport) {
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
-    super::run(&world.photos, &world.posed, &lighting, options, &Silent).unwrap()
+    super::run(
+        &world.photos,
+        &world.posed,
+        &lighting,
+        options,
+        &Silent,
+        &NoCheckpoint,
+    )
+    .unwrap()
 }
 
 #[test]

@@ -44,7 +44,7 @@ pub struct StepReport {
     pub moved_px: f64,
     /// Mean turn of the normals in the last round, degrees.
     pub turned_deg: f64,
-    /// Mean turn of the normals in the whole outer iteration, degrees.
+    /// Mean turn of the normals in the whole outer iteration, degrees; of relief the sum over its rounds.
     pub turned_in_all_deg: f64,
     /// Rounds.
     pub num_rounds: usize,

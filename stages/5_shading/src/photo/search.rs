@@ -81,17 +81,7 @@ impl Course<'_> {
         if kind == LightKind::Camera {
             exposure.gains.fill([1.0; 3]);
         }
-        for level in &mut self.scene.pyramid {
-            for (view, gain) in level.views.iter_mut().zip(&exposure.gains) {
-                view.divide_by_gain(*gain);
-            }
-        }
-        for (frame, gain) in self.scene.frames.iter_mut().zip(&exposure.gains) {
-            frame.gain = *gain;
-        }
-        for (photo, gain) in self.scene.small.iter_mut().zip(&exposure.gains) {
-            photo.divide_by_gain(*gain);
-        }
+        self.scene.divide_by_gains(&exposure.gains);
         let disagreement = exposure
             .disagreement
             .clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT);

@@ -17,6 +17,7 @@ use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::openness::openness;
 use rilievo_stereo::plate;
 use rilievo_stereo::sampling;
+use serde::{Deserialize, Serialize};
 
 /// Nine coefficients for each of three channels, camera frame.
 pub(crate) type PixelHarmonics = [[f32; 9]; 3];
@@ -71,7 +72,7 @@ pub(crate) struct PixelLight<'a> {
 }
 
 /// How shading is weighed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct ShadingWeights {
     /// Standard deviation of the model's brightness, relative to the intensity.
     pub sigma: f64,

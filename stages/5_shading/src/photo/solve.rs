@@ -1,18 +1,16 @@
 //! The course of a run through the pyramid: search, outer iterations at the coarse level, finer levels, output.
 
 use super::contradiction;
-use super::course::{Course, Probe};
+use super::course::{Course, Surroundings};
 use super::iteration::{IterationWeights, PHOTOS_ONLY, iteration_weights};
 use super::light::Light;
 use super::options::PhotoOptions;
 use super::output::{self, Shape};
+use super::progress::{After, Next, OuterIterations, Progress};
 use super::report::PhotoReport;
 use super::views::Scene;
-use crate::error::ShadingError;
-use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_scene::{
-    Event, Flow, LightSource, LightingCalibration, Observer, PosedViews, ShadedViews, StageId,
-};
+use crate::error::{ShadingError, warn};
+use rilievo_scene::{LightSource, LightingCalibration, PosedViews, ShadedViews};
 
 /// An outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights
 /// is the last: light and shape oscillate, or pixels beside edges change sides.
@@ -34,166 +32,231 @@ const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 /// pigment's. Less bends the surface into what neither explains: stains, the light in a deep hole.
 const LARGEST_MISS: f64 = 7.0;
 
-/// Solves a loaded scene.
+/// Solves a loaded scene, from the kept state if there is one.
 pub(crate) fn solve(
     scene: Scene,
     posed: &PosedViews,
     lighting: &LightingCalibration,
     options: &PhotoOptions,
-    observer: &dyn Observer,
-    probe: Option<&Probe>,
+    surroundings: Surroundings<'_>,
 ) -> Result<(ShadedViews, PhotoReport), ShadingError> {
     let mut course = Course {
         scene,
         options,
-        observer,
+        observer: surroundings.observer,
+        checkpoint: surroundings.checkpoint,
         report: PhotoReport::default(),
         sigma_match: 0.0,
-        probe,
+        probe: surroundings.probe,
+        solvers: None,
     };
     if course.scene.frames.len() < 2 {
         return Err(ShadingError::NoDepth {
             view: course.scene.frames[0].name.clone(),
         });
     }
-    let planes = course.find_exposure(posed, lighting.kind)?;
-    let mut depths = course.find_surface(posed, &planes)?;
-    let mut at = course.scene.coarse;
-    course.show(at, "start", &depths);
-    let mut solvers = course.solvers(at)?;
-    course.outer_iteration(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
-    let (light, last) =
-        course.iterate_light_and_shape(&mut at, &mut solvers, &mut depths, posed, lighting)?;
-    let light = course.finer_levels(&mut at, &mut depths, light, last, posed)?;
-    let mut shape = match &light {
-        Some(light) if course.shapes_relief(Some(light)) => {
-            course.relief(at, depths, light, &last)?
-        }
-        _ => Shape::new(at, depths),
+    let (mut progress, mut light) = match course.resume() {
+        Some(kept) => kept,
+        None => course.first_surface(posed, lighting)?,
     };
+    loop {
+        let shape = &mut progress.shape;
+        let after = match progress.next {
+            Next::Outer(outer) => course.outer(shape, outer, posed, lighting)?,
+            Next::Finer(last) => course.finer(shape, light.as_ref(), last, posed)?,
+            Next::Relief(rounds) => course.relief(shape, light.as_ref(), rounds)?,
+        };
+        let new_light = after.light.is_some();
+        if new_light {
+            light = after.light;
+        }
+        let Some(next) = after.next else { break };
+        progress.next = next;
+        course.keep(&progress, light.as_ref(), new_light)?;
+    }
+    let mut shape = progress.shape;
     shape.depths = course.without_specks(shape.at, shape.depths);
+    // Light and pigment are known at the finest level that was solved as a whole.
+    let at = course.finest_whole();
     let appearances = course.appearance(at, &course.at_level(at, &shape), light.as_ref());
     let shaded = output::maps(&course.scene, &shape, (at, &appearances));
     Ok((shaded, course.report))
 }
 
 impl Course<'_> {
-    /// Outer iterations of light and shape from the coarse level `at`, which `at` is again afterwards.
-    ///
-    /// Where the searched depths are noisy the first ones run at half the resolution: shading's false
-    /// minima are small dents then, and most are overlooked there. Returns the last light and weights.
-    fn iterate_light_and_shape(
+    /// The surface that the photos' agreement finds, fused, before any light.
+    fn first_surface(
         &mut self,
-        at: &mut usize,
-        solvers: &mut Vec<PlateSolver>,
-        depths: &mut Vec<Vec<f64>>,
         posed: &PosedViews,
         lighting: &LightingCalibration,
-    ) -> Result<(Option<Light>, IterationWeights), ShadingError> {
+    ) -> Result<(Progress, Option<Light>), ShadingError> {
+        let planes = self.find_exposure(posed, lighting.kind)?;
+        let mut depths = self.find_surface(posed, &planes)?;
+        let at = self.scene.coarse;
+        self.show(at, "start", &depths);
+        let solvers = self.shared_solvers(at)?;
+        self.outer_iteration(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
+        depths = self.fused(at, &depths, FUSION_PX)?;
+        self.show(at, "fused", &depths);
         let options = self.options;
-        *depths = self.fused(*at, depths, FUSION_PX)?;
-        self.show(*at, "fused", depths);
         if options.num_outer_iterations == 0 {
-            self.outer_iteration(*at, solvers, depths, &PHOTOS_ONLY, None, "photos, fused")?;
-            return Ok((None, PHOTOS_ONLY));
+            self.outer_iteration(
+                at,
+                &solvers,
+                &mut depths,
+                &PHOTOS_ONLY,
+                None,
+                "photos, fused",
+            )?;
+            let shape = Shape::new(at, depths);
+            let next = Next::Finer(PHOTOS_ONLY);
+            return Ok((Progress { shape, next }, None));
         }
-        let is_from_elsewhere = matches!(
-            lighting.source,
-            LightSource::Given | LightSource::CalibrationPhoto
-        );
-        if is_from_elsewhere {
-            let frames = self.scene.frames.iter();
-            let names: Vec<&str> = frames.map(|frame| frame.name.as_str()).collect();
-            let level = &self.scene.pyramid[*at];
-            match contradiction::refuse(level, &names, depths, lighting) {
-                Err(_) if options.trust_lighting => {
-                    let flow = self.observer.event(Event::Warning {
-                        stage: StageId::Shading,
-                        message:
-                            "the light from elsewhere contradicts the photos and is used all the same: \
-                                  normals err towards it"
-                                .to_owned(),
-                    });
-                    if flow == Flow::Stop {
-                        return Err(ShadingError::Interrupted);
-                    }
-                }
-                other => other?,
-            }
-        }
-        let ground = self.ground(*at, depths, posed);
+        self.refuse_contradicting_light(at, &depths, lighting)?;
+        let ground = self.ground(at, &depths, posed);
+        // From a noisy start the first iterations run at half the resolution: shading's false minima are small dents
+        // then, and most are overlooked there.
         let is_noisy = self.report.search_scatter_px > options.noisy_search_px;
-        let num_half = if is_noisy && *at + 1 < self.scene.pyramid.len() {
+        let num_half = if is_noisy && at + 1 < self.scene.pyramid.len() {
             options.num_half_iterations
         } else {
             0
         };
-        // After them the surface is no rough start any more.
-        let first_full = usize::from(num_half > 0 && options.num_outer_iterations > 1);
-        let num_planned = num_half + options.num_outer_iterations - first_full;
-        let mut kept = None;
+        let mut outer = OuterIterations {
+            ground,
+            num_done: 0,
+            num_half,
+            num_planned: 0,
+            kept: None,
+            residual: 1.0,
+            turned_deg: f64::INFINITY,
+        };
+        outer.num_planned = num_half + options.num_outer_iterations - self.num_skipped(&outer);
+        let mut shape = Shape::new(at, depths);
         if num_half > 0 {
-            let reduced = self.reduced(*at, depths);
-            kept = Some((std::mem::replace(depths, reduced.clone()), reduced));
-            *at += 1;
-            *solvers = self.solvers(*at)?;
+            let reduced = self.reduced(at, &shape.depths);
+            outer.kept = Some((shape.depths, reduced.clone()));
+            shape = Shape::new(at + 1, reduced);
         }
-        let mut residual = 1.0_f64;
-        let mut iteration = 0;
-        let mut turned_before = f64::INFINITY;
-        loop {
-            if iteration == num_half
-                && let Some((fine, before)) = kept.take()
-            {
-                *at -= 1;
-                *solvers = self.solvers(*at)?;
-                *depths = self.raised(*at, &fine, &before, depths);
-                self.show(*at, "raised", depths);
-            }
-            if iteration > 0 {
-                *depths = self.fused(*at, depths, FUSION_PX)?;
-                self.show(*at, "fused", depths);
-            }
-            let mut light = self.light(*at, depths, posed, lighting, ground.as_ref())?;
-            let found = light.as_ref().map_or(1.0, Light::residual);
-            // What the finer surface adds to the residual at first is its own noise, not the light's.
-            residual = if iteration > 0 && iteration == num_half {
-                found.min(residual)
-            } else {
-                found
-            };
-            let mut weights = if iteration < num_half {
-                iteration_weights(iteration, residual)
-            } else {
-                iteration_weights(iteration - num_half + first_full, residual)
-            };
-            if iteration + 1 >= num_planned {
-                if self.is_last(*at, light.as_ref()) {
-                    weights.consensus_px = FINEST_CONSENSUS_PX;
-                }
-                self.validate(*at, solvers, depths, light.as_mut(), &weights)?;
-            }
-            let turned_deg = self.outer_iteration(
-                *at,
-                solvers,
-                depths,
-                &weights,
-                light.as_ref(),
-                "light and shape",
-            )?;
-            iteration += 1;
-            if iteration >= num_planned {
-                let is_still = turned_deg < options.outer_turn_deg;
-                let keeps_turning = turned_deg > SETTLING * turned_before;
-                if is_still
-                    || keeps_turning
-                    || iteration >= num_planned + options.max_more_iterations
-                {
-                    return Ok((light, weights));
-                }
-                turned_before = turned_deg;
-            }
+        let progress = Progress {
+            shape,
+            next: Next::Outer(outer),
+        };
+        self.keep(&progress, None, false)?;
+        Ok((progress, None))
+    }
+
+    /// Iterations at full resolution that those at half of it make up for: the surface is no rough start any more.
+    fn num_skipped(&self, outer: &OuterIterations) -> usize {
+        usize::from(outer.num_half > 0 && self.options.num_outer_iterations > 1)
+    }
+
+    /// Ends the run, or warns if the light is to be used all the same, where a light from elsewhere contradicts the
+    /// photos.
+    fn refuse_contradicting_light(
+        &self,
+        at: usize,
+        depths: &[Vec<f64>],
+        lighting: &LightingCalibration,
+    ) -> Result<(), ShadingError> {
+        if !matches!(
+            lighting.source,
+            LightSource::Given | LightSource::CalibrationPhoto
+        ) {
+            return Ok(());
         }
+        let frames = self.scene.frames.iter();
+        let names: Vec<&str> = frames.map(|frame| frame.name.as_str()).collect();
+        let level = &self.scene.pyramid[at];
+        match contradiction::refuse(level, &names, depths, lighting) {
+            Err(_) if self.options.trust_lighting => warn(
+                self.observer,
+                "the light from elsewhere contradicts the photos and is used all the same: normals err \
+                 towards it"
+                    .to_owned(),
+            ),
+            other => other,
+        }
+    }
+
+    /// An outer iteration of light and shape. Those at half the coarse level's resolution come first.
+    fn outer(
+        &mut self,
+        shape: &mut Shape,
+        mut outer: OuterIterations,
+        posed: &PosedViews,
+        lighting: &LightingCalibration,
+    ) -> Result<After, ShadingError> {
+        let number = outer.num_done;
+        if number == outer.num_half
+            && let Some((fine, before)) = outer.kept.take()
+        {
+            let at = shape.at - 1;
+            *shape = Shape::new(at, self.raised(at, &fine, &before, &shape.depths));
+            self.show(at, "raised", &shape.depths);
+        }
+        let at = shape.at;
+        if number > 0 {
+            shape.depths = self.fused(at, &shape.depths, FUSION_PX)?;
+            self.show(at, "fused", &shape.depths);
+        }
+        let solvers = self.shared_solvers(at)?;
+        let mut light = self.light(at, &shape.depths, posed, lighting, outer.ground.as_ref())?;
+        let found = light.as_ref().map_or(1.0, Light::residual);
+        // What the finer surface adds to the residual at first is its own noise, not the light's.
+        outer.residual = if number > 0 && number == outer.num_half {
+            found.min(outer.residual)
+        } else {
+            found
+        };
+        let mut weights = if number < outer.num_half {
+            iteration_weights(number, outer.residual)
+        } else {
+            let skipped = self.num_skipped(&outer);
+            iteration_weights(number - outer.num_half + skipped, outer.residual)
+        };
+        if number + 1 >= outer.num_planned {
+            if self.is_last(at, light.as_ref()) {
+                weights.consensus_px = FINEST_CONSENSUS_PX;
+            }
+            self.validate(at, &solvers, &shape.depths, light.as_mut(), &weights)?;
+        }
+        let turned_deg = self.outer_iteration(
+            at,
+            &solvers,
+            &mut shape.depths,
+            &weights,
+            light.as_ref(),
+            "light and shape",
+        )?;
+        outer.num_done += 1;
+        let options = self.options;
+        let num_left =
+            (outer.num_planned + options.max_more_iterations).saturating_sub(outer.num_done);
+        if outer.num_done >= outer.num_planned {
+            let is_still = turned_deg < options.outer_turn_deg;
+            let keeps_turning = turned_deg > SETTLING * outer.turned_deg;
+            if is_still || keeps_turning || num_left == 0 {
+                return Ok(After {
+                    light,
+                    next: Some(Next::Finer(weights)),
+                });
+            }
+            outer.turned_deg = turned_deg;
+        }
+        Ok(After {
+            light: None,
+            next: Some(Next::Outer(outer)),
+        })
+    }
+
+    /// The finest level that is solved as a whole, not finer than the coarse one.
+    fn finest_whole(&self) -> usize {
+        let mut at = self.scene.coarse;
+        while !self.is_finest(at) {
+            at -= 1;
+        }
+        at
     }
 
     /// Whether no finer level than `at` is solved as a whole.
@@ -212,42 +275,50 @@ impl Course<'_> {
         self.options.num_relief_rounds > 0 && light.is_some() && !self.photos_disagree()
     }
 
-    /// From level `at` to the finest that is solved as a whole, each with the light and weights of the last outer iteration.
-    /// Returns the finest level's.
-    fn finer_levels(
+    /// The next finer level that is solved as a whole, with the light of the one before and the weights of the last
+    /// outer iteration; relief, where there is none.
+    fn finer(
         &mut self,
-        at: &mut usize,
-        depths: &mut Vec<Vec<f64>>,
-        mut light: Option<Light>,
+        shape: &mut Shape,
+        light: Option<&Light>,
         last: IterationWeights,
         posed: &PosedViews,
-    ) -> Result<Option<Light>, ShadingError> {
-        while !self.is_finest(*at) {
-            *at -= 1;
-            let searches = self.options.finer_search && self.photos_disagree();
-            // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.
-            let solvers = if searches {
-                self.solvers(*at)?
-            } else {
-                self.finer_solvers(*at)
-            };
-            let finer = self.descend(*at, &solvers, depths)?;
-            *depths = finer;
-            self.show(*at, "finer start", depths);
-            if searches {
-                *depths = self.search_again(*at, &solvers, depths, posed)?;
-            }
-            light = light.map(|light| self.finer_light(*at, depths, &light));
-            let mut weights = finer_weights(&last, searches, self.is_last(*at, light.as_ref()));
-            if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
-                let miss = LARGEST_MISS * light.residual();
-                shading.max_correction = shading.max_correction.max(miss);
-            }
-            self.outer_iteration(*at, &solvers, depths, &weights, light.as_ref(), "finer")?;
-            *depths = self.fused(*at, depths, FUSION_PX)?;
-            self.show(*at, "fused", depths);
+    ) -> Result<After, ShadingError> {
+        if self.is_finest(shape.at) {
+            let is_shaped = shape.at > 0 && self.shapes_relief(light);
+            return Ok(After {
+                light: None,
+                next: is_shaped
+                    .then(|| Next::Relief(self.next_relief_level(shape, shape.at, last))),
+            });
         }
-        Ok(light)
+        let at = shape.at - 1;
+        let searches = self.options.finer_search && self.photos_disagree();
+        // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.
+        let solvers = if searches {
+            self.solvers(at)?
+        } else {
+            self.finer_solvers(at)
+        };
+        let mut depths = self.descend(at, &solvers, &shape.depths)?;
+        self.show(at, "finer start", &depths);
+        if searches {
+            depths = self.search_again(at, &solvers, &depths, posed)?;
+        }
+        let light = light.map(|light| self.finer_light(at, &depths, light));
+        let mut weights = finer_weights(&last, searches, self.is_last(at, light.as_ref()));
+        if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
+            let miss = LARGEST_MISS * light.residual();
+            shading.max_correction = shading.max_correction.max(miss);
+        }
+        self.outer_iteration(at, &solvers, &mut depths, &weights, light.as_ref(), "finer")?;
+        depths = self.fused(at, &depths, FUSION_PX)?;
+        self.show(at, "fused", &depths);
+        *shape = Shape::new(at, depths);
+        Ok(After {
+            light,
+            next: Some(Next::Finer(last)),
+        })
     }
 }
 

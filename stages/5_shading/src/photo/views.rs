@@ -42,6 +42,23 @@ pub(crate) struct Scene {
     pub small: Vec<SmallPhoto>,
 }
 
+impl Scene {
+    /// Divides all images by their photos' gains.
+    pub fn divide_by_gains(&mut self, gains: &[[f64; 3]]) {
+        for level in &mut self.pyramid {
+            for (view, gain) in level.views.iter_mut().zip(gains) {
+                view.divide_by_gain(*gain);
+            }
+        }
+        for (frame, gain) in self.frames.iter_mut().zip(gains) {
+            frame.gain = *gain;
+        }
+        for (photo, gain) in self.small.iter_mut().zip(gains) {
+            photo.divide_by_gain(*gain);
+        }
+    }
+}
+
 /// Loads all posed views.
 pub(crate) fn load(
     photos: &PhotoSet,

@@ -13,6 +13,7 @@
 
 pub mod calibration;
 pub mod camera;
+pub mod checkpoint;
 pub mod cloud;
 pub mod consistency;
 pub mod decoded;
@@ -33,6 +34,7 @@ pub mod transform;
 
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
+pub use checkpoint::{Checkpoint, CheckpointError, NoCheckpoint, StatePart};
 pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
 pub use consistency::{Inconsistent, check_descriptors, check_keypoints};
 pub use decoded::{DecodedPhoto, ExifFacts, Samples};

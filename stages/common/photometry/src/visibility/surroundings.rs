@@ -2,6 +2,7 @@
 
 use super::volume::Volume;
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// A reference sphere with the radiance of its surface, as nine harmonics per channel of the world
 /// normal (a matte sphere under a distant light).
@@ -16,7 +17,7 @@ pub struct EmittingSphere {
 }
 
 /// A plane with a texture of radiances.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Ground {
     /// Texture origin: its corner.
     pub corner: Point3<f32>,

@@ -1,0 +1,179 @@
+//! How far a run is: all that the next outer iteration or round of relief reads, kept after each of them, so that a
+//! stopped run goes on there and ends with the bytes of an undisturbed one.
+//!
+//! The views' images are not kept: they are loaded again and divided by the kept gains.
+
+use super::chroma::ChromaNoise;
+use super::course::Course;
+use super::iteration::IterationWeights;
+use super::light::Light;
+use super::output::Shape;
+use super::report::{PhotoReport, StepReport};
+use crate::error::ShadingError;
+use rilievo_photometry::visibility::Ground;
+use rilievo_scene::StatePart;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::io::{self, BufWriter, Read, Write};
+
+/// Part of the kept state that holds the light; it changes seldom.
+const LIGHT: &str = "light";
+/// Part that holds everything else.
+const COURSE: &str = "course";
+
+/// The surface so far, and what comes next.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct Progress {
+    pub shape: Shape,
+    pub next: Next,
+}
+
+/// What comes next.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) enum Next {
+    /// An outer iteration of light and shape.
+    Outer(OuterIterations),
+    /// The next finer level that is solved as a whole, under the kept light, with the weights of the last outer
+    /// iteration.
+    Finer(IterationWeights),
+    /// A round of relief, under the kept light.
+    Relief(ReliefRounds),
+}
+
+/// What a step leaves beside the surface.
+pub(crate) struct After {
+    /// Light to go on with, where it is a new one.
+    pub light: Option<Light>,
+    /// What comes next; nothing when the surface is found.
+    pub next: Option<Next>,
+}
+
+/// Where the outer iterations are.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct OuterIterations {
+    pub ground: Option<Ground>,
+    /// Those that are done.
+    pub num_done: usize,
+    /// The first of them, which run at half the coarse level's resolution.
+    pub num_half: usize,
+    /// Those that are done in any case.
+    pub num_planned: usize,
+    /// The coarse level's surface, and the same at half its resolution, before the iterations there.
+    pub kept: Option<(Vec<Vec<f64>>, Vec<Vec<f64>>)>,
+    /// The light's residual in the last one.
+    pub residual: f64,
+    /// Mean turn of the normals in the last one, degrees.
+    pub turned_deg: f64,
+}
+
+/// Where relief at the photos' own pixels is.
+#[derive(Debug, Serialize, Deserialize)]
+pub(crate) struct ReliefRounds {
+    /// The level of the kept light.
+    pub coarse: usize,
+    /// Weights of the last outer iteration.
+    pub last: IterationWeights,
+    /// Rounds at the shape's level that are done.
+    pub num_done: usize,
+    /// Noise of every view's chroma at this level: that of its photo, measured once.
+    pub noise: Vec<Option<ChromaNoise>>,
+    /// Typical turn of the normals of the surface that the coarser level handed down, radians.
+    pub turn_scale: Option<f64>,
+    pub record: StepReport,
+}
+
+/// Everything but the light; borrowed when it is written.
+#[derive(Serialize)]
+struct Written<'a> {
+    sigma_match: f64,
+    has_light: bool,
+    gains: Vec<[f64; 3]>,
+    report: &'a PhotoReport,
+    progress: &'a Progress,
+}
+
+#[derive(Deserialize)]
+struct Found {
+    sigma_match: f64,
+    has_light: bool,
+    gains: Vec<[f64; 3]>,
+    report: PhotoReport,
+    progress: Progress,
+}
+
+impl Course<'_> {
+    /// Keeps the state; the light is written only when it is a new one.
+    pub(crate) fn keep(
+        &self,
+        progress: &Progress,
+        light: Option<&Light>,
+        is_new: bool,
+    ) -> Result<(), ShadingError> {
+        let course = Written {
+            has_light: light.is_some(),
+            sigma_match: self.sigma_match,
+            gains: self.scene.frames.iter().map(|frame| frame.gain).collect(),
+            report: &self.report,
+            progress,
+        };
+        let write_course = |to: &mut dyn Write| write(&course, to);
+        let write_light = |to: &mut dyn Write| write(&light, to);
+        let mut parts = vec![StatePart {
+            name: COURSE,
+            write: &write_course,
+        }];
+        if is_new {
+            parts.push(StatePart {
+                name: LIGHT,
+                write: &write_light,
+            });
+        }
+        Ok(self.checkpoint.keep(&parts)?)
+    }
+
+    /// The kept state with its light, where there is one and it belongs to the loaded views; the course is then where
+    /// it was.
+    pub(crate) fn resume(&mut self) -> Option<(Progress, Option<Light>)> {
+        let found: Found = read(self.checkpoint.read(COURSE)?)?;
+        if !self.fits(&found) {
+            return None;
+        }
+        let light: Option<Light> = if found.has_light {
+            self.checkpoint.read(LIGHT).and_then(read)?
+        } else {
+            None
+        };
+        self.scene.divide_by_gains(&found.gains);
+        self.sigma_match = found.sigma_match;
+        self.report = found.report;
+        Some((found.progress, light))
+    }
+
+    fn fits(&self, found: &Found) -> bool {
+        let shape = &found.progress.shape;
+        let Some(level) = self.scene.pyramid.get(shape.at) else {
+            return false;
+        };
+        found.gains.len() == level.views.len()
+            && shape.depths.len() == level.views.len()
+            && level
+                .views
+                .iter()
+                .zip(&shape.depths)
+                .all(|(view, depth)| view.pixels.len() == depth.len())
+    }
+}
+
+fn write(value: &impl Serialize, to: &mut dyn Write) -> io::Result<()> {
+    let mut to = BufWriter::with_capacity(1 << 20, to);
+    postcard::to_io(value, &mut to).map_err(io::Error::other)?;
+    to.flush()
+}
+
+fn read<T: DeserializeOwned>(from: Box<dyn Read>) -> Option<T> {
+    let mut from = io::BufReader::with_capacity(1 << 20, from);
+    // As long as the longest text.
+    let mut scratch = vec![0; 1 << 16];
+    let found = postcard::from_io((&mut from, &mut scratch));
+    found.ok().map(|(value, _)| value)
+}
