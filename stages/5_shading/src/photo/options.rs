@@ -47,7 +47,7 @@ pub struct PhotoOptions {
     pub max_fine_pixels: usize,
     /// Rounds at each level beyond, down to the photos' own pixels, tile by tile under the coarser level's light;
     /// 0 interpolates from the finest level that is solved as a whole, as is done where the photos' brightness
-    /// disagrees. More than three change little.
+    /// disagrees. More than four change little.
     pub num_relief_rounds: usize,
     /// Search depth again at each finer level where the photos' brightness disagrees. Without it the
     /// surface of such photos keeps no more than the coarse level resolves; it takes as long as the
@@ -78,7 +78,7 @@ impl Default for PhotoOptions {
             num_half_iterations: 3,
             noisy_search_px: 0.65,
             max_fine_pixels: 450_000,
-            num_relief_rounds: 2,
+            num_relief_rounds: 3,
             finer_search: true,
             visibility: true,
             num_rays: 256,

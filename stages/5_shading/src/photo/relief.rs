@@ -29,14 +29,14 @@ use rilievo_stereo::window::Window;
 use rilievo_stereo::{between_levels, plate};
 use std::time::Instant;
 
-/// Side of a tile's core, pixels: its margin adds a quarter to the work.
-const CORE_PX: usize = 512;
+/// Side of a tile's core, pixels: its margin adds a sixth to the work.
+const CORE_PX: usize = 768;
 /// Side of the samples on which a view's chroma noise is measured, pixels, and their largest number.
 const SAMPLE_PX: usize = 128;
 const MAX_NUM_SAMPLES: usize = 8;
 /// Factor of the increments: each round goes part of the way to where the views agree, since the others' surfaces
 /// are held fixed meanwhile.
-const OVER_RELAXATION: f64 = 1.5;
+const OVER_RELAXATION: f64 = 1.7;
 
 /// What reports and progress call these steps.
 const KIND: &str = "relief";

@@ -181,7 +181,7 @@ pub fn smooth<const N: usize>(
             .chunks_exact((N + 1) * width)
             .zip(passed.chunks_exact_mut((N + 1) * width))
         {
-            box_mean(from, to, N + 1, radius);
+            box_mean_along::<N>(from, to, radius);
         }
         box_mean(&passed, &mut field, (N + 1) * width, radius);
     }
@@ -198,6 +198,45 @@ pub fn smooth<const N: usize>(
             out
         })
         .collect()
+}
+
+/// Box mean along a line of pixels of `N` values and a weight: the sums stay in registers.
+fn box_mean_along<const N: usize>(from: &[f32], to: &mut [f32], radius: usize) {
+    let count = from.len() / (N + 1);
+    let add = |(sums, weight): &mut ([f64; N], f64), k: usize, sign: f64| {
+        let pixel = &from[k * (N + 1)..(k + 1) * (N + 1)];
+        for c in 0..N {
+            sums[c] += sign * f64::from(pixel[c]);
+        }
+        *weight += sign * f64::from(pixel[N]);
+    };
+    let mut sums = ([0.0; N], 0.0);
+    for k in 0..radius.min(count) {
+        add(&mut sums, k, 1.0);
+    }
+    let scale = 1.0 / (2 * radius + 1) as f64;
+    for (k, out) in to.chunks_exact_mut(N + 1).enumerate() {
+        if k + radius < count {
+            add(&mut sums, k + radius, 1.0);
+        }
+        if k > radius {
+            add(&mut sums, k - radius - 1, -1.0);
+        }
+        for c in 0..N {
+            out[c] = mean(sums.0[c], scale);
+        }
+        out[N] = mean(sums.1, scale);
+    }
+}
+
+/// A box's mean from its sum; rounding must not turn an empty box into a tiny negative weight.
+#[inline]
+fn mean(sum: f64, scale: f64) -> f32 {
+    if sum.abs() < 1e-12 {
+        0.0
+    } else {
+        (sum * scale) as f32
+    }
 }
 
 /// Box mean over the rows of `from`, each `row` values long, so that memory is met in order in both directions: a
@@ -223,12 +262,7 @@ fn box_mean(from: &[f32], to: &mut [f32], row: usize, radius: usize) {
             add(&mut sums, of(k - radius - 1), -1.0);
         }
         for (value, &sum) in out.iter_mut().zip(&sums) {
-            // Rounding must not turn an empty window into a tiny negative weight.
-            *value = if sum.abs() < 1e-12 {
-                0.0
-            } else {
-                (sum * scale) as f32
-            };
+            *value = mean(sum, scale);
         }
     }
 }

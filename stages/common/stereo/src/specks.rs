@@ -19,7 +19,8 @@ const FEWEST: usize = 8;
 /// Whether the normal of each masked pixel lies more than [`SPECK_DEG`] from the median (per component) of its
 /// 5×5 neighbourhood on the same side of a depth edge. Unit `normals`, camera frame; log depths `depth`.
 pub fn find(view: &LevelView, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> {
-    let least = SPECK_DEG.to_radians().cos();
+    let (sine, least) = SPECK_DEG.to_radians().sin_cos();
+    let alike = sine / 3.0_f64.sqrt();
     (0..depth.len())
         .into_par_iter()
         .with_min_len(512)
@@ -27,10 +28,19 @@ pub fn find(view: &LevelView, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> 
             || [const { Vec::new() }; 3],
             |columns: &mut [Vec<f64>; 3], p| {
                 columns.iter_mut().for_each(Vec::clear);
+                let mut largest = 0.0_f64;
                 for q in same_side(view, depth, p) {
-                    for (column, value) in columns.iter_mut().zip(normals[q]) {
+                    for (column, (value, own)) in columns
+                        .iter_mut()
+                        .zip(normals[q].into_iter().zip(normals[p]))
+                    {
+                        largest = largest.max((value - own).abs());
                         column.push(value);
                     }
+                }
+                // No component of the median is farther off than that of any neighbour.
+                if largest < alike {
+                    return false;
                 }
                 let middle = [0, 1, 2].map(|k| median(&mut columns[k]));
                 let length = middle.iter().map(|v| v * v).sum::<f64>().sqrt();
