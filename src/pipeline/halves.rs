@@ -3,7 +3,7 @@
 use super::context::Context;
 use super::errors::from_shading;
 use crate::exit::Failure;
-use rilievo_scene::{NoCheckpoint, PosedViews, ShadedViews, ViewIdx};
+use rilievo_scene::{NoCheckpoint, PosedViews, ShadedView, ShadedViews, ViewIdx};
 
 /// Views that a half needs to be shaped.
 const MIN_VIEWS: usize = 2;
@@ -40,7 +40,7 @@ pub fn shaped_halves(context: &Context<'_>) -> anyhow::Result<[ShapedHalf; 2]> {
         context
             .console
             .note(&format!("shaping {}", names.join(", ")));
-        let (mut shaded, _) = rilievo_shading::run(
+        let (shaded, _) = rilievo_shading::run(
             &photos,
             &half,
             &lighting.of_views(num_views, &kept),
@@ -49,9 +49,15 @@ pub fn shaped_halves(context: &Context<'_>) -> anyhow::Result<[ShapedHalf; 2]> {
             &NoCheckpoint,
         )
         .map_err(from_shading)?;
-        for view in &mut shaded.views {
-            (view.confidence, view.rendered, view.albedo) = (None, None, None);
-        }
+        let maps = |i| ShadedView {
+            confidence: None,
+            rendered: None,
+            albedo: None,
+            ..shaded.view(i)
+        };
+        let shaded = ShadedViews {
+            views: (0..shaded.num_views()).map(maps).collect(),
+        };
         Ok(ShapedHalf {
             posed: half,
             shaded,

@@ -11,9 +11,9 @@ use rilievo_io::{
     IoError, Preview, read_channel, read_depth, read_linear, read_normal, write_channel,
     write_depth, write_lighting, write_linear, write_normal, write_preview_png,
 };
-use rilievo_photometry::surface_check::{SurfaceReport, check};
+use rilievo_photometry::surface_check::{SurfaceCheck, SurfaceReport};
 use rilievo_scene::{
-    LightingCalibration, LinearImage, MapSource, PixelError, ShadedImages, ShadedView, StageId,
+    LightingCalibration, LinearImage, MapSource, Observer, PixelError, ShadedImages, ShadedView, StageId,
     ViewIdx,
 };
 use rilievo_shading::ShadingReport;
@@ -59,7 +59,7 @@ pub fn run(
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
     let lighting = super::lighting::load(context)?;
-    let (shaded, report) = rilievo_shading::run(
+    let (shaded, solver) = rilievo_shading::run(
         &photos,
         &views,
         &lighting,
@@ -68,17 +68,30 @@ pub fn run(
         &checkpoint,
     )
     .map_err(from_shading)?;
-    let light_on_surface = check(
-        &photos,
-        &views,
-        (lighting.source, &report.light),
-        &shaded,
-        &context.request.options.lighting.check(),
-        context.console,
-    )
-    .map_err(from_check)?;
+    let check_options = context.request.options.lighting.check();
+    let used = (lighting.source, solver.light.as_slice());
+    let mut check = SurfaceCheck::new(&photos, &views, used, &check_options).map_err(from_check)?;
+    let mut files = Vec::new();
+    // One at a time: the maps of a large photo take most of a gigabyte.
+    for index in 0..shaded.num_views() {
+        let step = "writing maps, comparing them with the photos";
+        let told = (index, shaded.num_views());
+        let flow = context.console.progress(StageId::Shading, step, told);
+        flow.ok_or(Failure::Interrupted)?;
+        let view = shaded.view(index);
+        check.add(&view).map_err(from_check)?;
+        write_maps(&|file: &str| writer.path(file), &view)?;
+        files.push(ViewFiles {
+            name: view.name,
+            view: view.view,
+            confidence: view.confidence.is_some(),
+            rendered: view.rendered.is_some(),
+            albedo: view.albedo.is_some(),
+        });
+    }
+    let light_on_surface = check.finish();
     let used = LightingCalibration {
-        views: report.light.clone(),
+        views: solver.light.clone(),
         environment_in_world: None,
         spheres: Vec::new(),
         samples: Vec::new(),
@@ -90,20 +103,9 @@ pub fn run(
     for advice in &light_on_surface.advice {
         context.console.warn(StageId::Shading, advice);
     }
-    let mut files = Vec::new();
-    for view in &shaded.views {
-        write_maps(&|file: &str| writer.path(file), view)?;
-        files.push(ViewFiles {
-            name: view.name.clone(),
-            view: view.view,
-            confidence: view.confidence.is_some(),
-            rendered: view.rendered.is_some(),
-            albedo: view.albedo.is_some(),
-        });
-    }
     write_text(writer, VIEWS, &files)?;
     Ok(serde_json::to_value(ShadingFacts {
-        solver: report,
+        solver,
         light_on_surface,
     })?)
 }
@@ -114,32 +116,37 @@ pub fn run(
 /// # Errors
 /// When one cannot be written.
 pub fn write_maps(
-    path: &dyn Fn(&str) -> Result<PathBuf, StoreError>,
+    path: &(dyn Fn(&str) -> Result<PathBuf, StoreError> + Sync),
     view: &ShadedView,
 ) -> Result<(), Failure> {
     let file = |kind: &str, ending: &str| path(&format!("{kind}/{}.{ending}", view.name));
-    write_depth(&file("depth", "exr")?, &view.depth)?;
-    write_normal(&file("normal", "exr")?, &view.normal)?;
-    if let Some(confidence) = &view.confidence {
-        write_channel(&file("confidence", "exr")?, "C", confidence)?;
-    }
     let picture = |kind: &str, preview: Preview<'_>| {
         write_preview_png(&file(kind, "png")?, preview, PREVIEW_SIDE).map_err(Failure::from)
     };
-    picture("depth", Preview::Depth(&view.depth))?;
-    picture("normal", Preview::Normal(&view.normal))?;
-    if let Some(rendered) = &view.rendered {
-        write_linear(&file("rendered", "exr")?, rendered)?;
-        picture("rendered", Preview::Linear(rendered))?;
-    }
-    if let Some(albedo) = &view.albedo {
-        write_linear(&file("albedo", "exr")?, albedo)?;
-        picture("albedo", Preview::Linear(&shown_albedo(albedo)))?;
-    }
-    if let Some(map) = &view.confidence {
-        picture("confidence", Preview::Error { map, max: 1.0 })?;
-    }
-    Ok(())
+    let maps = || -> Result<(), Failure> {
+        write_depth(&file("depth", "exr")?, &view.depth)?;
+        write_normal(&file("normal", "exr")?, &view.normal)?;
+        picture("depth", Preview::Depth(&view.depth))?;
+        picture("normal", Preview::Normal(&view.normal))?;
+        if let Some(map) = &view.confidence {
+            write_channel(&file("confidence", "exr")?, "C", map)?;
+            picture("confidence", Preview::Error { map, max: 1.0 })?;
+        }
+        Ok(())
+    };
+    let images = || -> Result<(), Failure> {
+        if let Some(rendered) = &view.rendered {
+            write_linear(&file("rendered", "exr")?, rendered)?;
+            picture("rendered", Preview::Linear(rendered))?;
+        }
+        if let Some(albedo) = &view.albedo {
+            write_linear(&file("albedo", "exr")?, albedo)?;
+            picture("albedo", Preview::Linear(&shown_albedo(albedo)))?;
+        }
+        Ok(())
+    };
+    let (maps, images) = rayon::join(maps, images);
+    maps.and(images)
 }
 
 /// Albedo as a picture: the mean albedo, 1, becomes a middle grey.

@@ -24,7 +24,9 @@ pub use error::{LightMisfit, ShadingError};
 pub use options::{ShadingModel, ShadingOptions};
 pub use report::ShadingReport;
 
-use rilievo_scene::{Checkpoint, LightingCalibration, Observer, PhotoSet, PosedViews, ShadedViews};
+use rilievo_scene::{
+    Checkpoint, LightingCalibration, Observer, PhotoSet, PosedViews, ShadedView, ShadedViews,
+};
 
 /// Raised with every change of the stage that changes its results.
 pub const VERSION: u32 = 18;
@@ -43,10 +45,10 @@ pub fn run(
     options: &ShadingOptions,
     observer: &dyn Observer,
     checkpoint: &dyn Checkpoint,
-) -> Result<(ShadedViews, ShadingReport), ShadingError> {
+) -> Result<(Shaded, ShadingReport), ShadingError> {
     options.validate()?;
     if options.model == ShadingModel::Photo && posed.views.len() > 1 {
-        let (shaded, mut facts) = photo::run(
+        let (shaped, mut facts) = photo::run(
             photos,
             posed,
             lighting,
@@ -59,7 +61,7 @@ pub fn run(
             photo: Some(facts),
             ..ShadingReport::default()
         };
-        return Ok((shaded, report));
+        return Ok((Shaded::Photo(Box::new(shaped)), report));
     }
     let (shaded, facts) = paper::run(photos, posed, lighting, &options.paper, observer)?;
     let report = ShadingReport {
@@ -67,5 +69,40 @@ pub fn run(
         light: lighting.views.clone(),
         photo: None,
     };
-    Ok((shaded, report))
+    Ok((Shaded::Paper(shaded), report))
+}
+
+/// What [`run`] found, by model.
+#[derive(Debug)]
+pub enum Shaded {
+    /// Of [`photo`]: maps are made when they are asked for.
+    Photo(Box<photo::ShapedViews>),
+    /// Of [`paper`].
+    Paper(ShadedViews),
+}
+
+impl Shaded {
+    /// Number of views.
+    pub fn num_views(&self) -> usize {
+        match self {
+            Self::Photo(shaped) => shaped.num_views(),
+            Self::Paper(shaded) => shaded.views.len(),
+        }
+    }
+
+    /// All maps of a view.
+    pub fn view(&self, index: usize) -> ShadedView {
+        match self {
+            Self::Photo(shaped) => shaped.view(index),
+            Self::Paper(shaded) => shaded.views[index].clone(),
+        }
+    }
+
+    /// All maps of all views.
+    pub fn views(&self) -> ShadedViews {
+        match self {
+            Self::Photo(shaped) => shaped.views(),
+            Self::Paper(shaded) => shaded.clone(),
+        }
+    }
 }

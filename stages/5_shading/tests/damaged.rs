@@ -37,7 +37,7 @@ fn the_undamaged_world_has_a_shape() {
             &NoCheckpoint,
         )
         .unwrap();
-        assert_eq!(shaded.views.len(), 3);
+        assert_eq!(shaded.num_views(), 3);
     }
 }
 

@@ -113,6 +113,7 @@ fn anchored_views_of_a_sphere_are_recovered_in_place() {
         &NoCheckpoint,
     )
     .expect("solvable");
+    let shaded = shaded.views();
     assert_eq!(shaded.views.len(), 2);
     assert!(told.warnings().is_empty(), "{:?}", told.warnings());
     for view in &shaded.views {
@@ -171,6 +172,7 @@ fn a_view_that_nothing_places_is_left_out_with_a_warning() {
         &NoCheckpoint,
     )
     .expect("the other view is solvable");
+    let shaded = shaded.views();
     assert_eq!(shaded.views.len(), 1);
     let warnings = told.warnings();
     assert!(

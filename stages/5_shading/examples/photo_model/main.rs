@@ -91,6 +91,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     } else {
         photo::run(photos, posed, &lighting, options, &Silent, &NoCheckpoint)?
     };
+    let shaded = shaded.views();
     let wall = began.elapsed().as_secs_f64();
     for iteration in &report.steps {
         println!(

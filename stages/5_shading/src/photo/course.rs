@@ -230,7 +230,12 @@ impl Course<'_> {
     /// [`Self::show`] of a surface that is not known everywhere.
     pub(crate) fn show_shape(&self, step: &str, shape: &Shape) {
         if let Some(probe) = self.probe {
-            probe(step, &output::maps(&self.scene, shape, (0, &[])));
+            let scene = &self.scene;
+            let views = (0..scene.frames.len())
+                .into_par_iter()
+                .map(|i| output::maps(scene, shape, i, None))
+                .collect();
+            probe(step, &ShadedViews { views });
         }
     }
 }

@@ -64,13 +64,14 @@ mod views;
 
 pub use course::Probe;
 pub use options::PhotoOptions;
+pub use output::ShapedViews;
 pub use report::{PhotoReport, PhotoViewReport, StepReport};
 pub use validation::ValidationReport;
 
 use crate::error::ShadingError;
 use course::Surroundings;
 use rilievo_scene::{
-    Checkpoint, LightingCalibration, NoCheckpoint, Observer, PhotoSet, PosedViews, ShadedViews,
+    Checkpoint, LightingCalibration, NoCheckpoint, Observer, PhotoSet, PosedViews,
 };
 
 /// Dense shape of all posed views, at least two.
@@ -89,7 +90,7 @@ pub fn run(
     options: &PhotoOptions,
     observer: &dyn Observer,
     checkpoint: &dyn Checkpoint,
-) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+) -> Result<(ShapedViews, PhotoReport), ShadingError> {
     let surroundings = Surroundings {
         observer,
         checkpoint,
@@ -109,7 +110,7 @@ pub fn run_probed(
     options: &PhotoOptions,
     observer: &dyn Observer,
     probe: &Probe,
-) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+) -> Result<(ShapedViews, PhotoReport), ShadingError> {
     let surroundings = Surroundings {
         observer,
         checkpoint: &NoCheckpoint,
@@ -124,7 +125,7 @@ fn solved(
     lighting: &LightingCalibration,
     options: &PhotoOptions,
     surroundings: Surroundings<'_>,
-) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+) -> Result<(ShapedViews, PhotoReport), ShadingError> {
     options.validate()?;
     photos.check()?;
     posed.check_with(photos)?;

@@ -29,77 +29,111 @@ impl Shape {
     }
 }
 
-/// Maps of all views from their surface, and from appearances at a level of their own where there are any; coarser
-/// levels are interpolated, and the rim that has no parents continues its neighbours.
+/// The surface that was found, whose maps on the photos' own pixels are made view by view when they are asked for: those
+/// of all views together are the largest thing of a run.
+#[derive(Debug)]
+pub struct ShapedViews {
+    scene: Scene,
+    shape: Shape,
+    /// Level of the appearances.
+    at: usize,
+    /// Per view; none where nothing but the surface is asked for.
+    appearances: Vec<Appearance>,
+}
+
+impl ShapedViews {
+    pub(crate) fn new(
+        scene: Scene,
+        shape: Shape,
+        (at, appearances): (usize, Vec<Appearance>),
+    ) -> Self {
+        Self {
+            scene,
+            shape,
+            at,
+            appearances,
+        }
+    }
+
+    /// Number of views.
+    pub fn num_views(&self) -> usize {
+        self.scene.frames.len()
+    }
+
+    /// All maps of a view.
+    pub fn view(&self, index: usize) -> ShadedView {
+        let appearance = self.appearances.get(index).map(|a| (self.at, a));
+        maps(&self.scene, &self.shape, index, appearance)
+    }
+
+    /// All maps of all views.
+    pub fn views(&self) -> ShadedViews {
+        let views = (0..self.num_views())
+            .into_par_iter()
+            .map(|i| self.view(i))
+            .collect();
+        ShadedViews { views }
+    }
+}
+
+/// Maps of a view from its surface, and from an appearance at a level of its own where there is one; coarser levels are
+/// interpolated, and the rim that has no parents continues its neighbours.
 pub(crate) fn maps(
     scene: &Scene,
     shape: &Shape,
-    (light_at, appearances): (usize, &[Appearance]),
-) -> ShadedViews {
-    let views = scene
-        .frames
-        .par_iter()
-        .enumerate()
-        .map(|(i, frame)| {
-            let fine = &scene.pyramid[0].views[i];
-            let (mut values, mut known) = (shape.depths[i].clone(), shape.known[i].clone());
-            let mut normals = plate::normals(&scene.pyramid[shape.at].views[i], &values);
-            for finer in (0..shape.at).rev() {
-                let (child, parent) = (
-                    &scene.pyramid[finer].views[i],
-                    &scene.pyramid[finer + 1].views[i],
-                );
-                normals = spread_normals(parent, child, &normals);
-                (values, known) = between_levels::continued(parent, child, (&values, &known));
-            }
-            let (width, height) = (frame.mask.width, frame.mask.height);
-            let mut depth = DepthMap::filled(width, height, 0.0);
-            let mut normal = NormalMap::filled(width, height, [0.0; 3]);
-            for (p, n) in normals.iter().enumerate() {
-                if !known[p] {
-                    continue;
-                }
-                let x = fine.pixels.xs[p] as usize + frame.corner.0;
-                let y = fine.pixels.ys[p] as usize + frame.corner.1;
-                *depth.at_mut(x, y) = values[p].exp() as f32;
-                *normal.at_mut(x, y) = n.map(|v| v as f32);
-            }
-            let images = appearances
-                .get(i)
-                .map(|a| images(scene, light_at, i, a, &depth));
-            if !frame.rectification.is_identity() {
-                (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
-            }
-            let (confidence, rendered, albedo) = match images {
-                Some((confidence, shaded)) => (
-                    Some(confidence),
-                    shaded.as_ref().map(|v| image(v, [0, 1, 2], frame.gain)),
-                    shaded.as_ref().map(|v| image(v, [3, 4, 5], [1.0; 3])),
-                ),
-                None => (None, None, None),
-            };
-            ShadedView {
-                view: frame.view,
-                name: frame.name.clone(),
-                depth,
-                normal,
-                confidence,
-                rendered,
-                albedo,
-            }
-        })
-        .collect();
-    ShadedViews { views }
+    i: usize,
+    appearance: Option<(usize, &Appearance)>,
+) -> ShadedView {
+    let frame = &scene.frames[i];
+    let fine = &scene.pyramid[0].views[i];
+    let (mut values, mut known) = (shape.depths[i].clone(), shape.known[i].clone());
+    let mut normals = plate::normals(&scene.pyramid[shape.at].views[i], &values);
+    for finer in (0..shape.at).rev() {
+        let (child, parent) = (
+            &scene.pyramid[finer].views[i],
+            &scene.pyramid[finer + 1].views[i],
+        );
+        normals = spread_normals(parent, child, &normals);
+        (values, known) = between_levels::continued(parent, child, (&values, &known));
+    }
+    let (width, height) = (frame.mask.width, frame.mask.height);
+    let mut depth = DepthMap::filled(width, height, 0.0);
+    let mut normal = NormalMap::filled(width, height, [0.0; 3]);
+    for (p, n) in normals.iter().enumerate() {
+        if !known[p] {
+            continue;
+        }
+        let x = fine.pixels.xs[p] as usize + frame.corner.0;
+        let y = fine.pixels.ys[p] as usize + frame.corner.1;
+        *depth.at_mut(x, y) = values[p].exp() as f32;
+        *normal.at_mut(x, y) = n.map(|v| v as f32);
+    }
+    drop((values, known, normals));
+    let images = appearance.map(|(at, appearance)| images(scene, at, i, appearance, &depth));
+    if !frame.rectification.is_identity() {
+        (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
+    }
+    let (confidence, [rendered, albedo]) =
+        images.map_or((None, [None, None]), |(c, i)| (Some(c), i));
+    ShadedView {
+        view: frame.view,
+        name: frame.name.clone(),
+        depth,
+        normal,
+        confidence,
+        rendered,
+        albedo,
+    }
 }
 
-/// Confidence, and the rendered image with the albedo (six channels), on the photo's own pixels.
+/// Confidence, and where there are any the rendered image and the albedo, on the photo's own pixels.
 fn images(
     scene: &Scene,
     at: usize,
     index: usize,
     appearance: &Appearance,
     depth: &DepthMap,
-) -> (ConfidenceMap, Option<Raster<[f32; 6]>>) {
+) -> (ConfidenceMap, [Option<LinearImage>; 2]) {
     let has_image = !appearance.rendered.is_empty();
     let mut values: Vec<[f32; 7]> = appearance
         .confidence
@@ -142,20 +176,13 @@ fn images(
         height: raster.height,
         data: raster.data.iter().map(|v| v[0].clamp(0.0, 1.0)).collect(),
     };
-    let shaded = has_image.then(|| Raster {
-        width: raster.width,
-        height: raster.height,
-        data: raster
-            .data
-            .iter()
-            .map(|v| std::array::from_fn(|k| v[k + 1]))
-            .collect(),
-    });
-    (confidence, shaded)
+    let images = [(1, frame.gain), (4, [1.0; 3])]
+        .map(|(first, gain)| has_image.then(|| image(&raster, first, gain)));
+    (confidence, images)
 }
 
-/// Three of the channels, each times its gain.
-fn image(values: &Raster<[f32; 6]>, channels: [usize; 3], gain: [f64; 3]) -> LinearImage {
+/// Three channels from the `first` on, each times its gain.
+fn image(values: &Raster<[f32; 7]>, first: usize, gain: [f64; 3]) -> LinearImage {
     LinearImage {
         width: values.width,
         height: values.height,
@@ -163,7 +190,7 @@ fn image(values: &Raster<[f32; 6]>, channels: [usize; 3], gain: [f64; 3]) -> Lin
         data: values
             .data
             .iter()
-            .flat_map(|v| [0, 1, 2].map(|c| v[channels[c]] * gain[c] as f32))
+            .flat_map(|v| [0, 1, 2].map(|c| v[first + c] * gain[c] as f32))
             .collect(),
     }
 }

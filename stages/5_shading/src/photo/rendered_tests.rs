@@ -337,7 +337,7 @@ fn stains_become_albedo_and_no_relief() {
     .unwrap();
     let (mut inside, mut outside) = (Vec::new(), Vec::new());
     let (mut ranked, mut pairs, mut differences) = (Vec::new(), Vec::new(), Vec::new());
-    for (truth, view) in world.views.iter().zip(&shaded.views) {
+    for (truth, view) in world.views.iter().zip(&shaded.views().views) {
         let (albedo, rendered) = (
             view.albedo.as_ref().unwrap(),
             view.rendered.as_ref().unwrap(),
@@ -418,7 +418,7 @@ fn solved(world: &World) -> ShadedViews {
 
 fn solved_by(world: &World, options: &PhotoOptions) -> (ShadedViews, PhotoReport) {
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
-    super::run(
+    let (shaped, report) = super::run(
         &world.photos,
         &world.posed,
         &lighting,
@@ -426,7 +426,8 @@ fn solved_by(world: &World, options: &PhotoOptions) -> (ShadedViews, PhotoReport
         &Silent,
         &NoCheckpoint,
     )
-    .unwrap()
+    .unwrap();
+    (shaped.views(), report)
 }
 
 #[test]

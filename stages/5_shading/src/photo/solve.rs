@@ -5,12 +5,12 @@ use super::course::{Course, Surroundings};
 use super::iteration::{IterationWeights, PHOTOS_ONLY, iteration_weights};
 use super::light::Light;
 use super::options::PhotoOptions;
-use super::output::{self, Shape};
+use super::output::{Shape, ShapedViews};
 use super::progress::{After, Next, OuterIterations, Progress};
 use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::{ShadingError, warn};
-use rilievo_scene::{LightSource, LightingCalibration, PosedViews, ShadedViews};
+use rilievo_scene::{LightSource, LightingCalibration, PosedViews};
 
 /// An outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights
 /// is the last: light and shape oscillate, or pixels beside edges change sides.
@@ -39,7 +39,7 @@ pub(crate) fn solve(
     lighting: &LightingCalibration,
     options: &PhotoOptions,
     surroundings: Surroundings<'_>,
-) -> Result<(ShadedViews, PhotoReport), ShadingError> {
+) -> Result<(ShapedViews, PhotoReport), ShadingError> {
     let mut course = Course {
         scene,
         options,
@@ -79,8 +79,8 @@ pub(crate) fn solve(
     // Light and pigment are known at the finest level that was solved as a whole.
     let at = course.finest_whole();
     let appearances = course.appearance(at, &course.at_level(at, &shape), light.as_ref());
-    let shaded = output::maps(&course.scene, &shape, (at, &appearances));
-    Ok((shaded, course.report))
+    let shaped = ShapedViews::new(course.scene, shape, (at, appearances));
+    Ok((shaped, course.report))
 }
 
 impl Course<'_> {

@@ -10,10 +10,9 @@
 use crate::harmonics::{FitOptions, Reading, dominant_direction, fit_lighting};
 use crate::samples::surface_pixels;
 use nalgebra::Vector3;
-use rayon::prelude::*;
 use rilievo_scene::{
     Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError,
-    PosedViews, ShadedView, ShadedViews, StageId, ViewLighting,
+    PosedViews, ShadedView, ShadedViews, ViewLighting,
 };
 use serde::{Deserialize, Serialize};
 
@@ -93,72 +92,107 @@ const OTHER_ALBEDO: f64 = 0.15;
 const MUCH_UNEXPLAINED: f64 = 0.4;
 
 /// Compares the photos with what the surface shows under the light that was used: a view's re-rendered image
-/// where it has one, else `used` on its normals.
+/// where it has one, else the light on its normals.
 ///
 /// # Errors
 /// See [`CheckError`].
 pub fn check(
     photos: &PhotoSet,
     posed: &PosedViews,
-    (source, used): (LightSource, &[ViewLighting]),
+    used: (LightSource, &[ViewLighting]),
     shaded: &ShadedViews,
     options: &CheckOptions,
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, CheckError> {
-    photos.check()?;
-    posed.check_with(photos)?;
-    let flow = observer.progress(
-        StageId::Shading,
-        "comparing the light with the surface",
-        (0, shaded.views.len()),
-    );
-    flow.ok_or(CheckError::Interrupted)?;
-    let views: Vec<Option<ViewSurfaceReport>> = shaded
-        .views
-        .par_iter()
-        .map(|view| {
-            let lighting = used.iter().find(|l| l.view == view.view);
-            if observer.flow() == Flow::Stop {
-                return Err(CheckError::Interrupted);
-            }
-            let photo = &photos.photos[posed.views[view.view.0].photo.0];
-            let image = photo.linear()?;
-            let limit = f64::from(photo.clip_level) * options.clip_share;
-            let mask = photo.mask.as_deref();
-            let pixels = surface_pixels(&image, mask, &view.normal, options.max_num_samples);
-            if pixels.len() < options.min_num_pixels {
-                return Ok(None);
-            }
-            let surface = Surface {
-                image: &image,
-                pixels,
-                limit,
-            };
-            Ok(one_view(
-                view,
-                &surface,
-                lighting.map(|l| &l.lighting),
-                options,
-            ))
-        })
-        .collect::<Result<_, CheckError>>()?;
-    let mut views: Vec<ViewSurfaceReport> = views.into_iter().flatten().collect();
-    let mut gains: Vec<f64> = views.iter().map(|v| v.best_gain).collect();
-    let albedo_factor = rilievo_numerics::robust::median(&mut gains);
-    for view in &mut views {
-        let common = albedo_factor.unwrap_or(1.0) / view.best_gain;
-        // |g S − I|² grows quadratically around the best gain; S there explains all but the rest.
-        let rest = view.used_rms_after_gain.powi(2);
-        view.used_rms_after_albedo = (rest + (common - 1.0).powi(2) * (1.0 - rest)).sqrt();
-        view.suffers = view.used_rms_after_albedo > options.advice_ratio * view.refitted_rms
-            && view.used_rms_after_albedo > view.refitted_rms + SMALLEST_GAP;
+    let mut check = SurfaceCheck::new(photos, posed, used, options)?;
+    for view in &shaded.views {
+        if observer.flow() == Flow::Stop {
+            return Err(CheckError::Interrupted);
+        }
+        check.add(view)?;
     }
-    let advice = advice(source, &views, albedo_factor);
-    Ok(SurfaceReport {
-        views,
-        albedo_factor,
-        advice,
-    })
+    Ok(check.finish())
+}
+
+/// [`check`] view by view, so that the maps of a large set need not be in memory at once.
+pub struct SurfaceCheck<'a> {
+    photos: &'a PhotoSet,
+    posed: &'a PosedViews,
+    source: LightSource,
+    used: &'a [ViewLighting],
+    options: &'a CheckOptions,
+    views: Vec<ViewSurfaceReport>,
+}
+
+impl<'a> SurfaceCheck<'a> {
+    /// Begins a check of the light that was used.
+    ///
+    /// # Errors
+    /// When photos and poses contradict each other.
+    pub fn new(
+        photos: &'a PhotoSet,
+        posed: &'a PosedViews,
+        (source, used): (LightSource, &'a [ViewLighting]),
+        options: &'a CheckOptions,
+    ) -> Result<Self, CheckError> {
+        photos.check()?;
+        posed.check_with(photos)?;
+        Ok(Self {
+            photos,
+            posed,
+            source,
+            used,
+            options,
+            views: Vec::new(),
+        })
+    }
+
+    /// Compares a view.
+    ///
+    /// # Errors
+    /// When its photo cannot be read.
+    pub fn add(&mut self, view: &ShadedView) -> Result<(), CheckError> {
+        let options = self.options;
+        let lighting = self.used.iter().find(|l| l.view == view.view);
+        let photo = &self.photos.photos[self.posed.views[view.view.0].photo.0];
+        let image = photo.linear()?;
+        let limit = f64::from(photo.clip_level) * options.clip_share;
+        let mask = photo.mask.as_deref();
+        let pixels = surface_pixels(&image, mask, &view.normal, options.max_num_samples);
+        if pixels.len() < options.min_num_pixels {
+            return Ok(());
+        }
+        let surface = Surface {
+            image: &image,
+            pixels,
+            limit,
+        };
+        let lighting = lighting.map(|l| &l.lighting);
+        self.views
+            .extend(one_view(view, &surface, lighting, options));
+        Ok(())
+    }
+
+    /// What all views together say.
+    pub fn finish(self) -> SurfaceReport {
+        let (mut views, options) = (self.views, self.options);
+        let mut gains: Vec<f64> = views.iter().map(|v| v.best_gain).collect();
+        let albedo_factor = rilievo_numerics::robust::median(&mut gains);
+        for view in &mut views {
+            let common = albedo_factor.unwrap_or(1.0) / view.best_gain;
+            // |g S − I|² grows quadratically around the best gain; S there explains all but the rest.
+            let rest = view.used_rms_after_gain.powi(2);
+            view.used_rms_after_albedo = (rest + (common - 1.0).powi(2) * (1.0 - rest)).sqrt();
+            view.suffers = view.used_rms_after_albedo > options.advice_ratio * view.refitted_rms
+                && view.used_rms_after_albedo > view.refitted_rms + SMALLEST_GAP;
+        }
+        let advice = advice(self.source, &views, albedo_factor);
+        SurfaceReport {
+            views,
+            albedo_factor,
+            advice,
+        }
+    }
 }
 
 /// What a photo shows of the surface.
