@@ -237,6 +237,29 @@ fn a_second_run_does_nothing_within_two_seconds() {
 }
 
 #[test]
+fn too_little_memory_is_told_with_what_would_do() {
+    let _alone = alone();
+    let (expected, _) = reference();
+    let dir = tempfile::tempdir().unwrap();
+    let run_dir = dir.path().join("run");
+    let copied = Command::new("cp")
+        .args(["-a", arg(expected), arg(&run_dir)])
+        .status();
+    assert!(copied.is_ok_and(|status| status.success()));
+    let redo = |memory: &str| run(&["run", "5_shading", arg(&run_dir), "--memory", memory]);
+    let (code, _, told) = redo("2M");
+    assert_eq!(code, 3, "{told}");
+    let (_, number) = told.split_once("give it --memory ").expect(&told);
+    let number = number.split('M').next().unwrap();
+    assert!(number.parse::<u64>().unwrap() > 2, "{told}");
+    // What was there stays.
+    assert_eq!(differences(expected, &run_dir), Vec::<String>::new());
+    let (code, _, told) = redo(&format!("{number}M"));
+    assert_eq!(code, 0, "{told}");
+    assert_eq!(differences(expected, &run_dir), Vec::<String>::new());
+}
+
+#[test]
 fn one_thread_gives_the_same_bytes() {
     let _alone = alone();
     let (expected, _) = reference();

@@ -75,6 +75,9 @@ pub fn from_shading(error: ShadingError) -> anyhow::Error {
         ShadingError::Interrupted => Failure::Interrupted.into(),
         ShadingError::Inconsistent(error) => damaged(&error),
         ShadingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        ShadingError::OutOfMemory { given_mib, .. } => {
+            Failure::input(format!("--memory {given_mib}M"), error.to_string()).into()
+        }
         ShadingError::Checkpoint(error) => Failure::ReadOrWrite(error.to_string()).into(),
         ShadingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         ShadingError::Numerics { .. } => anyhow::Error::new(error),

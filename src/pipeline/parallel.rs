@@ -10,6 +10,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 pub struct Resources {
     /// Bytes that photos worked on at once may take in stages 1 and 2.
     pub memory: u64,
+    /// Bytes that stage 5 may take; as many as it needs where nothing is said.
+    pub given: Option<u64>,
 }
 
 impl Default for Resources {
@@ -17,6 +19,7 @@ impl Default for Resources {
     fn default() -> Self {
         Self {
             memory: half_of_free_memory(),
+            given: None,
         }
     }
 }
@@ -24,8 +27,10 @@ impl Default for Resources {
 impl Resources {
     /// Reads the memory limit.
     pub fn new(args: &WorkArgs) -> Self {
-        args.memory
-            .map_or_else(Self::default, |memory| Self { memory })
+        args.memory.map_or_else(Self::default, |memory| Self {
+            memory,
+            given: Some(memory),
+        })
     }
 
     /// How many items of a size can be worked on at once: at least one, or nothing would move.

@@ -13,8 +13,8 @@ use rilievo_io::{
 };
 use rilievo_photometry::surface_check::{SurfaceCheck, SurfaceReport};
 use rilievo_scene::{
-    LightingCalibration, LinearImage, MapSource, Observer, PixelError, ShadedImages, ShadedView, StageId,
-    ViewIdx,
+    LightingCalibration, LinearImage, MapSource, Observer, PixelError, ShadedImages, ShadedView,
+    StageId, ViewIdx,
 };
 use rilievo_shading::ShadingReport;
 use serde::{Deserialize, Serialize};
@@ -59,11 +59,13 @@ pub fn run(
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
     let lighting = super::lighting::load(context)?;
+    let mut options = context.request.options.shading.clone();
+    options.photo.memory = context.resources.given;
     let (shaded, solver) = rilievo_shading::run(
         &photos,
         &views,
         &lighting,
-        &context.request.options.shading,
+        &options,
         context.console,
         &checkpoint,
     )

@@ -161,6 +161,17 @@ pub enum ShadingError {
     /// Pixels of a photo could not be loaded.
     #[error(transparent)]
     Pixels(#[from] rilievo_scene::PixelError),
+    /// The memory that the run was given is too little.
+    #[error(
+        "stage 5 needs {needed_mib} MiB for these photos at once; give it --memory {needed_mib}M or more, \
+         smaller photos, tighter masks or fewer photos at a time"
+    )]
+    OutOfMemory {
+        /// What it was given, MiB.
+        given_mib: u64,
+        /// The smallest memory that would do, MiB.
+        needed_mib: u64,
+    },
     /// How far the stage is could not be kept.
     #[error(transparent)]
     Checkpoint(#[from] rilievo_scene::CheckpointError),

@@ -39,6 +39,7 @@ mod light;
 #[cfg(test)]
 mod light_tests;
 mod matching;
+mod memory;
 mod options;
 mod output;
 mod progress;
@@ -130,6 +131,7 @@ fn solved(
     photos.check()?;
     posed.check_with(photos)?;
     lighting.check(posed)?;
+    memory::refuse_too_little(photos, posed, options)?;
     let scene = views::load(photos, posed, options)?;
     solve::solve(scene, posed, lighting, options, surroundings)
 }

@@ -61,6 +61,10 @@ pub struct PhotoOptions {
     pub trust_lighting: bool,
     /// Seed of the dense search.
     pub seed: u64,
+    /// Bytes that the run may take, no bound without it: it bounds how many tiles are worked on at once, and refuses
+    /// what does not fit. Results do not depend on it.
+    #[serde(skip)]
+    pub memory: Option<u64>,
 }
 
 impl Default for PhotoOptions {
@@ -84,6 +88,7 @@ impl Default for PhotoOptions {
             num_rays: 256,
             trust_lighting: false,
             seed: 0,
+            memory: None,
         }
     }
 }

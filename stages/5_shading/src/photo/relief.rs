@@ -10,6 +10,7 @@ use super::chroma::ChromaNoise;
 use super::course::Course;
 use super::iteration::IterationWeights;
 use super::light::Light;
+use super::memory;
 use super::output::Shape;
 use super::progress::{After, Next, ReliefRounds};
 use super::report::StepReport;
@@ -29,8 +30,6 @@ use rilievo_stereo::window::Window;
 use rilievo_stereo::{between_levels, plate};
 use std::time::Instant;
 
-/// Side of a tile's core, pixels: its margin adds a sixth to the work.
-const CORE_PX: usize = 768;
 /// Side of the samples on which a view's chroma noise is measured, pixels, and their largest number.
 const SAMPLE_PX: usize = 128;
 const MAX_NUM_SAMPLES: usize = 8;
@@ -72,7 +71,10 @@ pub(super) struct ViewAtLevel<'a> {
 
 /// What a tile's step gave.
 pub(super) struct TileStep {
-    pub tile: Tile,
+    /// Numbers of its pixels in the whole view.
+    pub numbers: Vec<u32>,
+    /// Share of each of them in the blend.
+    pub shares: Vec<f32>,
     /// Increments of the log depths of its pixels.
     pub increment: Vec<f64>,
     /// Some of the relative residuals between the photos.
@@ -235,11 +237,12 @@ impl Course<'_> {
         let cores: Vec<Vec<Window>> = level
             .views
             .iter()
-            .map(|view| tile::cores(view, CORE_PX))
+            .map(|view| tile::cores(view, memory::CORE_PX))
             .collect();
         let num_rounds = self.options.num_relief_rounds;
         let num_tiles = cores.iter().map(Vec::len).sum::<usize>();
         let mut num_done = rounds.num_done * num_tiles;
+        let at_once = memory::tiles_at_once(self.options, self.scene.bytes());
         let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
         // Even views first, as in the outer iterations.
         for i in (0..num_views).step_by(2).chain((1..num_views).step_by(2)) {
@@ -257,8 +260,7 @@ impl Course<'_> {
             }
             view.shading.chroma_noise = rounds.noise[i];
             let mut improved = shape.depths[i].clone();
-            // Two for each thread keep all at work; more would only be held in memory.
-            for cores in cores[i].chunks(2 * rayon::current_num_threads()) {
+            for cores in cores[i].chunks(at_once) {
                 self.tell(KIND, num_done, num_rounds * num_tiles)?;
                 let steps: Vec<Result<TileStep, PlateError>> = cores
                     .par_iter()
@@ -267,8 +269,8 @@ impl Course<'_> {
                     .collect();
                 for step in steps {
                     let step = step.map_err(|e| self.failed(i, &e))?;
-                    for (p, &number) in step.tile.numbers.iter().enumerate() {
-                        let share = OVER_RELAXATION * f64::from(step.tile.shares[p]);
+                    for (p, &number) in step.numbers.iter().enumerate() {
+                        let share = OVER_RELAXATION * f64::from(step.shares[p]);
                         improved[number as usize] += share * step.increment[p];
                     }
                     residuals.extend(step.residuals);
@@ -339,7 +341,8 @@ impl ViewAtLevel<'_> {
             .collect();
         let residuals = outcome.matches.some_residuals().collect();
         Ok(TileStep {
-            tile,
+            numbers: tile.numbers,
+            shares: tile.shares,
             increment,
             residuals,
         })

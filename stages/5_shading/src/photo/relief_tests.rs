@@ -116,8 +116,8 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
     let mut tiled = vec![0.0; whole.len()];
     for core in &cores {
         let step = of_view.step(&start, core).unwrap();
-        for (p, &number) in step.tile.numbers.iter().enumerate() {
-            tiled[number as usize] += f64::from(step.tile.shares[p]) * step.increment[p];
+        for (p, &number) in step.numbers.iter().enumerate() {
+            tiled[number as usize] += f64::from(step.shares[p]) * step.increment[p];
         }
     }
     // Distance to the nearest border between two cores, pixels.

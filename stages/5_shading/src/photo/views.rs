@@ -1,6 +1,7 @@
 //! From photos and poses to the views that are solved: linear images cropped to the object, their
 //! pyramid, and the choice of the views with which each is compared.
 
+use super::memory;
 use super::options::PhotoOptions;
 use super::surround::SmallPhoto;
 use crate::error::ShadingError;
@@ -43,6 +44,14 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
+    /// Memory that images and log depths take, about.
+    pub fn bytes(&self) -> f64 {
+        let views = &self.pyramid[0].views;
+        let crops: usize = views.iter().map(|v| v.mask.data.len()).sum();
+        let masked: usize = views.iter().map(|v| v.pixels.len()).sum();
+        memory::resident(crops as f64, masked as f64)
+    }
+
     /// Divides all images by their photos' gains.
     pub fn divide_by_gains(&mut self, gains: &[[f64; 3]]) {
         for level in &mut self.pyramid {

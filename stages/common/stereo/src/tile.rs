@@ -10,7 +10,7 @@ use crate::level::{Level, LevelView};
 use crate::window::Window;
 
 /// Pixels that a tile reaches beyond its core: what gain fields and the shading's correction average over.
-const MARGIN_PX: usize = 32;
+pub const MARGIN_PX: usize = 32;
 /// Outermost pixels of a tile, which take no share: plates and slopes end there.
 const GUARD_PX: usize = 8;
 /// Pixels kept around what a source sees of a tile: the tile's surface moves, and interpolation reaches out.
