@@ -12,7 +12,7 @@ use rilievo_scene::{Checkpoint, Event, Flow, Observer, ShadedViews, StageId};
 use rilievo_stereo::between_levels;
 use rilievo_stereo::consensus;
 use rilievo_stereo::surfaces::Reading;
-use rilievo_stereo::{specks, spread, start};
+use rilievo_stereo::{sharpness, specks, spread, start};
 use std::sync::Arc;
 
 /// Receives the shape after each step, for measurement.
@@ -110,6 +110,23 @@ impl Course<'_> {
             Reading::Bilinear
         } else {
             Reading::Cubic
+        }
+    }
+
+    /// Measures how sharp the photos are against each other at a level.
+    pub(crate) fn measure_sharpness(&mut self, at: usize, depths: &[Vec<f64>]) {
+        let found = sharpness::measure(&self.scene.pyramid[at], depths);
+        for (view, sharpness) in self.report.views.iter_mut().zip(found) {
+            view.sharpness = sharpness;
+        }
+        self.use_sharpness(at);
+    }
+
+    /// Gives the views of a level the sharpness that was measured last.
+    pub(crate) fn use_sharpness(&mut self, at: usize) {
+        let views = &mut self.scene.pyramid[at].views;
+        for (view, report) in views.iter_mut().zip(&self.report.views) {
+            view.sharpness = report.sharpness;
         }
     }
 

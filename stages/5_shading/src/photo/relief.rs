@@ -192,6 +192,8 @@ impl Course<'_> {
         mut rounds: ReliefRounds,
     ) -> Result<After, ShadingError> {
         let mut next = None;
+        // Noise of single pixels would pass for detail here.
+        self.use_sharpness(shape.at);
         let finished = match light {
             Some(light) => self.relief_round(shape, light, &mut rounds)?,
             None => true,

@@ -17,6 +17,10 @@ pub struct PhotoViewReport {
     pub gain: [f64; 3],
     /// Standard deviation of the log ratio to other views at the same point, after the gains.
     pub disagreement: f64,
+    /// Strength of the photo's finest detail at the last level that was solved as a whole, against that of the sharpest
+    /// photo: what its surface says of the others' counts by the square.
+    #[serde(default = "sharp")]
+    pub sharpness: f64,
     /// Share of the pixels whose dense depth another view confirms.
     pub confirmed: f64,
     /// Share of the pixels that only this view sees.
@@ -31,6 +35,10 @@ pub struct PhotoViewReport {
     pub shading_trust: Option<f64>,
     /// Share of the pixels where cross-validation ended shading.
     pub without_shading: Option<f64>,
+}
+
+fn sharp() -> f64 {
+    1.0
 }
 
 /// One step of the course: a search, a fit of the light, or an outer iteration.

@@ -108,6 +108,7 @@ impl Course<'_> {
                     .collect(),
                 gain: exposure.gains[i],
                 disagreement: exposure.per_view[i],
+                sharpness: 1.0,
                 ..PhotoViewReport::default()
             })
             .collect();

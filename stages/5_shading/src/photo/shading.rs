@@ -269,7 +269,9 @@ pub(crate) fn mean_intensities(
         .map(|p| {
             let own = view.intensity(p);
             let mean = (own.iter().sum::<f32>() / 3.0).max(1e-6);
-            let (mut sum, mut total) = (own, 1.0_f32);
+            // A photo out of focus has lost detail that the others show.
+            let own_weight = view.sharpness.powi(2) as f32;
+            let (mut sum, mut total) = (own.map(|v| v * own_weight), own_weight);
             let (x, y) = view.xy(p);
             for (j, warp) in &level.sources[index] {
                 if tolerance <= 0.0 {
@@ -292,7 +294,8 @@ pub(crate) fn mean_intensities(
                     .fold(0.0_f32, f32::max)
                     / mean
                     / 0.1;
-                let weight = (-0.5 * (miss * miss) as f32 - 0.5 * unlike * unlike).exp();
+                let weight = (other.sharpness.powi(2) as f32)
+                    * (-0.5 * (miss * miss) as f32 - 0.5 * unlike * unlike).exp();
                 for c in 0..3 {
                     sum[c] += weight * value[c];
                 }

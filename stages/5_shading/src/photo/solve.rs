@@ -28,6 +28,9 @@ const FINEST_CONSENSUS_PX: f64 = 0.3;
 /// has fixed the depth, and residuals of single pixels are noisy.
 const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 
+/// Sharpness below which a photo is worth a word.
+const BLURRED: f64 = 0.6;
+
 /// What the light misses of single places, in units of its median residual, that still counts as the light's or the
 /// pigment's. Less bends the surface into what neither explains: stains, the light in a deep hole.
 const LARGEST_MISS: f64 = 7.0;
@@ -74,6 +77,7 @@ pub(crate) fn solve(
         progress.next = next;
         course.keep(&progress, light.as_ref(), new_light)?;
     }
+    course.tell_of_blur()?;
     let mut shape = progress.shape;
     shape.depths = course.without_specks(shape.at, shape.depths);
     // Light and pigment are known at the finest level that was solved as a whole.
@@ -259,6 +263,21 @@ impl Course<'_> {
         at
     }
 
+    /// Warns of photos out of focus.
+    fn tell_of_blur(&self) -> Result<(), ShadingError> {
+        let views = self.report.views.iter();
+        for view in views.filter(|view| view.sharpness < BLURRED) {
+            let share = 100.0 * view.sharpness;
+            let message = format!(
+                "{} is blurred: its fine detail is {share:.0} % as strong as that of the sharpest photo, so that it \
+                 counts less; take it again in focus, or leave it out",
+                view.name
+            );
+            warn(self.observer, message)?;
+        }
+        Ok(())
+    }
+
     /// Whether no finer level than `at` is solved as a whole.
     fn is_finest(&self, at: usize) -> bool {
         at == 0 || self.scene.pyramid[at - 1].mean_pixels() > self.options.max_fine_pixels
@@ -301,6 +320,7 @@ impl Course<'_> {
             self.finer_solvers(at)
         };
         let mut depths = self.descend(at, &solvers, &shape.depths)?;
+        self.measure_sharpness(at, &depths);
         self.show(at, "finer start", &depths);
         if searches {
             depths = self.search_again(at, &solvers, &depths, posed)?;

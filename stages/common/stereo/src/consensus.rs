@@ -1,7 +1,7 @@
 //! One surface for all views: nearness of a view's depth to the others', and their fusion.
 //!
 //! Views see a point at different angles; the one that faces it tells its depth best. With `c` the cos² of
-//! the angle between a view's ray and its surface, a tenth of it at the mask's rim
+//! the angle between a view's ray and its surface, a tenth of it at the mask's rim, times the photo's squared sharpness
 //! (`surfaces::incidence_weights`), nearness of view i to view j weighs `w_ij = min(c_j / c_i, 2)`, the
 //! fusion `c_j`: a rim follows the views that look into it, and they hardly follow it. In the fusion,
 //! proposals within the truncation are averaged: the zero of the weighted signed distances (Curless,

@@ -45,6 +45,9 @@ pub struct LevelView {
     pub cut_by_frame: bool,
     /// Intensity below which a pixel is as dark as the photo's noise: a fiftieth of the object's mean.
     pub dark: f32,
+    /// Strength of the finest detail against that of the sharpest photo; 1 until it is measured
+    /// ([`crate::sharpness`]).
+    pub sharpness: f64,
 }
 
 impl LevelView {
@@ -122,6 +125,7 @@ impl LevelView {
             mask,
             cut_by_frame,
             dark: 0.0,
+            sharpness: 1.0,
         }
     }
 
@@ -186,6 +190,7 @@ impl LevelView {
         );
         Self {
             dark: self.dark,
+            sharpness: self.sharpness,
             ..part
         }
     }

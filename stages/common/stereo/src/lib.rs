@@ -28,6 +28,7 @@ pub mod plate;
 pub mod rectify;
 pub mod sampling;
 pub mod search;
+pub mod sharpness;
 pub mod specks;
 pub mod spread;
 pub mod start;

@@ -106,7 +106,8 @@ impl<'a> Surfaces<'a> {
     }
 }
 
-/// Weight of every view's own pixels: cos² of the angle of incidence, small at the mask's rim.
+/// Weight of every view's own pixels: cos² of the angle of incidence, small at the mask's rim, times the photo's squared
+/// sharpness.
 pub fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
     level
         .views
@@ -118,7 +119,7 @@ pub fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>>
                 .map(|i| {
                     let cos = view.incidence_cosine(i, normals[i]);
                     let rim = if is_rim(view, i) { 0.1 } else { 1.0 };
-                    rim * cos.clamp(0.05, 1.0).powi(2)
+                    rim * (view.sharpness * cos.clamp(0.05, 1.0)).powi(2)
                 })
                 .collect();
             view.spread(&weights, 0.0)
