@@ -5,16 +5,13 @@
 
 use super::error::StoreError;
 use super::manifest::Item;
-use super::writer::StageWriter;
+use super::writer::{CHECKPOINT, StageWriter};
 use rilievo_scene::{Checkpoint, CheckpointError, StatePart};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read;
 use std::sync::{Mutex, PoisonError};
-
-/// Name of the item, and of its folder.
-pub(super) const CHECKPOINT: &str = ".checkpoint";
 
 /// The files that belong together.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]

@@ -1,6 +1,5 @@
 //! Writing a stage: everything into a work folder, then one rename.
 
-use super::checkpoint::CHECKPOINT;
 use super::error::StoreError;
 use super::evaluation::drop_evaluation;
 use super::files::{create_folder, hash_file, is_inside, write_atomically};
@@ -14,6 +13,9 @@ use std::sync::{Mutex, PoisonError};
 
 /// Folder of finished items' records inside the work folder; not part of the result.
 const ITEMS: &str = ".items";
+
+/// Item and folder of how far a stage is; no part of the result either.
+pub(super) const CHECKPOINT: &str = ".checkpoint";
 
 /// A stage in progress.
 #[derive(Debug)]

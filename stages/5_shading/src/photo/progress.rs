@@ -58,8 +58,9 @@ pub(crate) struct OuterIterations {
     pub num_half: usize,
     /// Those that are done in any case.
     pub num_planned: usize,
-    /// The coarse level's surface, and the same at half its resolution, before the iterations there.
-    pub kept: Option<(Vec<Vec<f64>>, Vec<Vec<f64>>)>,
+    /// Log depths of all views before the iterations at half the coarse level's resolution: at the coarse level, and
+    /// reduced.
+    pub kept: Option<[Vec<Vec<f64>>; 2]>,
     /// The light's residual in the last one.
     pub residual: f64,
     /// Mean turn of the normals in the last one, degrees.

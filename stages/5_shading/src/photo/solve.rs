@@ -139,7 +139,7 @@ impl Course<'_> {
         let mut shape = Shape::new(at, depths);
         if num_half > 0 {
             let reduced = self.reduced(at, &shape.depths);
-            outer.kept = Some((shape.depths, reduced.clone()));
+            outer.kept = Some([shape.depths, reduced.clone()]);
             shape = Shape::new(at + 1, reduced);
         }
         let progress = Progress {
@@ -193,7 +193,7 @@ impl Course<'_> {
     ) -> Result<After, ShadingError> {
         let number = outer.num_done;
         if number == outer.num_half
-            && let Some((fine, before)) = outer.kept.take()
+            && let Some([fine, before]) = outer.kept.take()
         {
             let at = shape.at - 1;
             *shape = Shape::new(at, self.raised(at, &fine, &before, &shape.depths));

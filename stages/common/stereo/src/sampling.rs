@@ -222,8 +222,8 @@ fn box_mean_along<const N: usize>(from: &[f32], to: &mut [f32], radius: usize) {
         if k > radius {
             add(&mut sums, k - radius - 1, -1.0);
         }
-        for c in 0..N {
-            out[c] = mean(sums.0[c], scale);
+        for (value, &sum) in out.iter_mut().zip(&sums.0) {
+            *value = mean(sum, scale);
         }
         out[N] = mean(sums.1, scale);
     }
