@@ -82,6 +82,7 @@ pub(crate) fn solve(
     shape.depths = course.without_specks(shape.at, shape.depths);
     // Light and pigment are known at the finest level that was solved as a whole.
     let at = course.finest_whole();
+    course.use_sharpness(at);
     let appearances = course.appearance(at, &course.at_level(at, &shape), light.as_ref());
     let shaped = ShapedViews::new(course.scene, shape, (at, appearances));
     Ok((shaped, course.report))
