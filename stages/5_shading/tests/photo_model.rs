@@ -82,17 +82,17 @@ fn small() -> PhotoOptions {
     }
 }
 
+fn shaped(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+) -> Result<(photo::ShapedViews, photo::PhotoReport), ShadingError> {
+    photo::run(photos, posed, &no_light(), &small(), &Silent, &NoCheckpoint)
+}
+
 #[test]
 fn a_stained_ball_is_found_with_its_exposures() {
     let scene = ball(&[1.0, 0.8, 0.9]);
-    let result = photo::run(
-        &scene.photos,
-        &scene.posed,
-        &no_light(),
-        &small(),
-        &Silent,
-        &NoCheckpoint,
-    );
+    let result = shaped(&scene.photos, &scene.posed);
     let Ok((shaded, report)) = result else {
         panic!("{:?}", result.err())
     };
@@ -128,16 +128,7 @@ fn threads_do_not_change_a_byte() {
     let solve = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
         let Ok(pool) = pool else { panic!("no pool") };
-        pool.install(|| {
-            photo::run(
-                &scene.photos,
-                &scene.posed,
-                &no_light(),
-                &small(),
-                &Silent,
-                &NoCheckpoint,
-            )
-        })
+        pool.install(|| shaped(&scene.photos, &scene.posed))
     };
     match (solve(1), solve(2)) {
         (Ok((one, _)), Ok((two, _))) => assert!(one.views() == two.views(), "results differ"),
@@ -148,27 +139,13 @@ fn threads_do_not_change_a_byte() {
 #[test]
 fn one_view_is_refused_by_name() {
     let scene = ball(&[1.0]);
-    let result = photo::run(
-        &scene.photos,
-        &scene.posed,
-        &no_light(),
-        &small(),
-        &Silent,
-        &NoCheckpoint,
-    );
+    let result = shaped(&scene.photos, &scene.posed);
     assert!(
         matches!(&result, Err(ShadingError::NoDepth { view }) if view == "view0"),
         "{:?}",
         result.err()
     );
-    let empty = photo::run(
-        &scene.photos,
-        &PosedViews::default(),
-        &no_light(),
-        &small(),
-        &Silent,
-        &NoCheckpoint,
-    );
+    let empty = shaped(&scene.photos, &PosedViews::default());
     assert!(
         matches!(empty, Err(ShadingError::NoViews)),
         "{:?}",

@@ -46,23 +46,14 @@ pub fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Agreement]) -> 
         .collect();
     let mut gains = vec![[1.0; 3]; num_views];
     for channel in 0..3 {
-        let mut normal = DMatrix::<f64>::identity(num_views, num_views) * 1e-6;
-        let mut rhs = DVector::<f64>::zeros(num_views);
-        for pair in &pairs {
-            let w = pair.count as f64 / pair.spread.max(0.005).powi(2);
-            let r = pair.log_ratio[channel];
-            normal[(pair.to, pair.to)] += w;
-            normal[(pair.from, pair.from)] += w;
-            normal[(pair.to, pair.from)] -= w;
-            normal[(pair.from, pair.to)] -= w;
-            rhs[pair.to] += w * r;
-            rhs[pair.from] -= w * r;
-        }
-        if let Some(factor) = normal.cholesky() {
-            let g = factor.solve(&rhs);
-            for (i, gain) in gains.iter_mut().enumerate() {
-                gain[channel] = g[i].exp();
-            }
+        let ratios = pairs.iter().map(|pair| LogRatio {
+            from: pair.from,
+            to: pair.to,
+            ratio: pair.log_ratio[channel],
+            weight: pair.count as f64 / pair.spread.max(0.005).powi(2),
+        });
+        for (gain, log) in gains.iter_mut().zip(joined(num_views, ratios)) {
+            gain[channel] = log.exp();
         }
     }
     // One factor for all photos is free: the brightest keeps its intensities.
@@ -87,6 +78,39 @@ pub fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Agreement]) -> 
         disagreement,
         per_view,
     }
+}
+
+/// Logarithm of what view `to` shows over what view `from` shows of the same points.
+pub(crate) struct LogRatio {
+    pub from: usize,
+    pub to: usize,
+    pub ratio: f64,
+    pub weight: f64,
+}
+
+/// Logarithms of the views' values from the ratios of pairs, by least squares; one constant over all views is free, and
+/// near zero.
+pub(crate) fn joined(num_views: usize, ratios: impl Iterator<Item = LogRatio>) -> Vec<f64> {
+    let mut normal = DMatrix::<f64>::identity(num_views, num_views) * 1e-6;
+    let mut rhs = DVector::<f64>::zeros(num_views);
+    for pair in ratios {
+        let LogRatio {
+            from,
+            to,
+            ratio,
+            weight,
+        } = pair;
+        normal[(to, to)] += weight;
+        normal[(from, from)] += weight;
+        normal[(to, from)] -= weight;
+        normal[(from, to)] -= weight;
+        rhs[to] += weight * ratio;
+        rhs[from] -= weight * ratio;
+    }
+    normal.cholesky().map_or_else(
+        || vec![0.0; num_views],
+        |factor| factor.solve(&rhs).iter().copied().collect(),
+    )
 }
 
 fn compare(

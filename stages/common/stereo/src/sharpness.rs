@@ -5,8 +5,8 @@
 //! squares on the logarithms, the sharpest 1). Depth that is matched errs with one over the detail's gradient, so that a
 //! view's surface weighs `s²`.
 
+use crate::gains::{self, LogRatio};
 use crate::level::{Level, LevelView, depth_rasters};
-use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
 
@@ -21,7 +21,7 @@ const STEP: usize = 3;
 pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
     let rasters = depth_rasters(level, depths);
     let tolerance = VISIBLE_PX / level.focal();
-    let pairs: Vec<(usize, usize, f64)> = (0..level.views.len())
+    let pairs: Vec<LogRatio> = (0..level.views.len())
         .into_par_iter()
         .flat_map_iter(|i| {
             let (view, rasters) = (&level.views[i], &rasters);
@@ -47,11 +47,16 @@ pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
                 }
                 let enough = here.len() >= MIN_POINTS;
                 let (a, b) = (median(&mut here)?, median(&mut there)?);
-                (enough && a > 0.0 && b > 0.0).then(|| (i, *j, (b / a).ln()))
+                (enough && a > 0.0 && b > 0.0).then(|| LogRatio {
+                    from: i,
+                    to: *j,
+                    ratio: (b / a).ln(),
+                    weight: 1.0,
+                })
             })
         })
         .collect();
-    joined(level.views.len(), &pairs)
+    joined(level.views.len(), pairs)
 }
 
 /// Relative difference of a pixel from the mean two pixels away, where all are of the object and unclipped.
@@ -74,22 +79,9 @@ fn detail(view: &LevelView, x: usize, y: usize) -> Option<f64> {
     (own > f64::from(view.dark)).then(|| ((own - mean) / own).abs())
 }
 
-/// Sharpness of the views from log ratios of pairs `(i, j, ln s_j / s_i)`.
-fn joined(num_views: usize, pairs: &[(usize, usize, f64)]) -> Vec<f64> {
-    let mut normal = DMatrix::<f64>::identity(num_views, num_views) * 1e-6;
-    let mut rhs = DVector::<f64>::zeros(num_views);
-    for &(i, j, ratio) in pairs {
-        normal[(i, i)] += 1.0;
-        normal[(j, j)] += 1.0;
-        normal[(i, j)] -= 1.0;
-        normal[(j, i)] -= 1.0;
-        rhs[j] += ratio;
-        rhs[i] -= ratio;
-    }
-    let Some(factor) = normal.cholesky() else {
-        return vec![1.0; num_views];
-    };
-    let logs = factor.solve(&rhs);
+/// Sharpness of the views from log ratios of pairs.
+fn joined(num_views: usize, pairs: Vec<LogRatio>) -> Vec<f64> {
+    let logs = gains::joined(num_views, pairs.into_iter());
     let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     logs.iter().map(|s| (s - most).exp()).collect()
 }
@@ -102,12 +94,17 @@ mod tests {
     #[test]
     fn ratios_of_pairs_are_joined() {
         let truth = [0.5_f64, 1.0, 0.8];
-        let pair = |i: usize, j: usize| (i, j, (truth[j] / truth[i]).ln());
-        let found = joined(3, &[pair(0, 1), pair(1, 2), pair(2, 1)]);
+        let pair = |from: usize, to: usize| LogRatio {
+            from,
+            to,
+            ratio: (truth[to] / truth[from]).ln(),
+            weight: 1.0,
+        };
+        let found = joined(3, vec![pair(0, 1), pair(1, 2), pair(2, 1)]);
         for (found, truth) in found.iter().zip(truth) {
             assert!((found - truth).abs() < 1e-4, "{found} {truth}");
         }
-        assert_eq!(joined(2, &[]), [1.0, 1.0]);
+        assert_eq!(joined(2, Vec::new()), [1.0, 1.0]);
     }
 
     /// The same camera twice, once with means over 3×3 pixels; and both alike.
