@@ -4,7 +4,7 @@ use super::options::PhotoOptions;
 use super::output::{self, Shape};
 use super::report::PhotoReport;
 use super::views::Scene;
-use crate::error::ShadingError;
+use crate::error::{ShadingError, warn};
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
@@ -34,6 +34,8 @@ pub(crate) struct Course<'a> {
     pub checkpoint: &'a dyn Checkpoint,
     pub report: PhotoReport,
     pub sigma_match: f64,
+    /// What was warned of, to be told again when a stopped run goes on.
+    pub warnings: Vec<String>,
     /// Exact solvers of the level at which outer iterations run.
     pub solvers: Option<(usize, Arc<[PlateSolver]>)>,
     pub probe: Option<&'a Probe<'a>>,
@@ -51,6 +53,12 @@ impl Course<'_> {
             Flow::Continue => Ok(()),
             Flow::Stop => Err(ShadingError::Interrupted),
         }
+    }
+
+    /// Tells the user of something; the run goes on.
+    pub(crate) fn warn(&mut self, message: String) -> Result<(), ShadingError> {
+        self.warnings.push(message.clone());
+        warn(self.observer, message)
     }
 
     /// Notes once what the data could not tell.

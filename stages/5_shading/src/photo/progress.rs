@@ -1,7 +1,7 @@
 //! How far a run is: all that the next outer iteration or round of relief reads, kept after each of them, so that a
 //! stopped run goes on there and ends with the bytes of an undisturbed one.
 //!
-//! The views' images are not kept: they are loaded again and divided by the kept gains.
+//! The views' images are not kept: they are loaded again and divided by the gains that the kept report holds.
 
 use super::chroma::ChromaNoise;
 use super::course::Course;
@@ -56,8 +56,6 @@ pub(crate) struct OuterIterations {
     pub num_done: usize,
     /// The first of them, which run at half the coarse level's resolution.
     pub num_half: usize,
-    /// Those that are done in any case.
-    pub num_planned: usize,
     /// Log depths of all views before the iterations at half the coarse level's resolution: at the coarse level, and
     /// reduced.
     pub kept: Option<[Vec<Vec<f64>>; 2]>,
@@ -86,18 +84,16 @@ pub(crate) struct ReliefRounds {
 /// Everything but the light; borrowed when it is written.
 #[derive(Serialize)]
 struct Written<'a> {
-    sigma_match: f64,
     has_light: bool,
-    gains: Vec<[f64; 3]>,
+    warnings: &'a [String],
     report: &'a PhotoReport,
     progress: &'a Progress,
 }
 
 #[derive(Deserialize)]
 struct Found {
-    sigma_match: f64,
     has_light: bool,
-    gains: Vec<[f64; 3]>,
+    warnings: Vec<String>,
     report: PhotoReport,
     progress: Progress,
 }
@@ -112,8 +108,7 @@ impl Course<'_> {
     ) -> Result<(), ShadingError> {
         let course = Written {
             has_light: light.is_some(),
-            sigma_match: self.sigma_match,
-            gains: self.scene.frames.iter().map(|frame| frame.gain).collect(),
+            warnings: &self.warnings,
             report: &self.report,
             progress,
         };
@@ -133,8 +128,22 @@ impl Course<'_> {
     }
 
     /// The kept state with its light, where there is one and it belongs to the loaded views; the course is then where
-    /// it was.
-    pub(crate) fn resume(&mut self) -> Option<(Progress, Option<Light>)> {
+    /// it was, and what it has warned of is told again.
+    pub(crate) fn resume(&mut self) -> Result<Option<(Progress, Option<Light>)>, ShadingError> {
+        let Some((found, light)) = self.kept() else {
+            return Ok(None);
+        };
+        let gains: Vec<_> = found.report.views.iter().map(|view| view.gain).collect();
+        self.scene.divide_by_gains(&gains);
+        self.sigma_match = found.report.sigma_match;
+        self.report = found.report;
+        for message in found.warnings {
+            self.warn(message)?;
+        }
+        Ok(Some((found.progress, light)))
+    }
+
+    fn kept(&self) -> Option<(Found, Option<Light>)> {
         let found: Found = read(self.checkpoint.read(COURSE)?)?;
         if !self.fits(&found) {
             return None;
@@ -144,10 +153,7 @@ impl Course<'_> {
         } else {
             None
         };
-        self.scene.divide_by_gains(&found.gains);
-        self.sigma_match = found.sigma_match;
-        self.report = found.report;
-        Some((found.progress, light))
+        Some((found, light))
     }
 
     fn fits(&self, found: &Found) -> bool {
@@ -155,7 +161,7 @@ impl Course<'_> {
         let Some(level) = self.scene.pyramid.get(shape.at) else {
             return false;
         };
-        found.gains.len() == level.views.len()
+        found.report.views.len() == level.views.len()
             && shape.depths.len() == level.views.len()
             && level
                 .views

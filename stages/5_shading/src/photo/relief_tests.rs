@@ -17,8 +17,9 @@ use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
-    Checkpoint, CheckpointError, InMemoryPixels, LightKind, LinearImage, NoCheckpoint, NormalMap,
-    Silent, StatePart,
+    Checkpoint, CheckpointError, InMemoryPixels, LightKind, LightSource, Lighting,
+    LightingCalibration, LinearImage, NoCheckpoint, NormalMap, Recorder, Silent,
+    SphericalHarmonics, StatePart, ViewIdx, ViewLighting,
 };
 use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::{between_levels, spread, tile};
@@ -353,6 +354,50 @@ fn a_stopped_run_goes_on_to_the_same_bytes() {
         content.truncate(content.len() / 2);
     }
     assert!(solve(&memory, 1000).unwrap().0 == whole, "after damage");
+}
+
+/// A light from behind, which no visible surface shows, used all the same: the warning is told before the first state is
+/// kept, and again when the run goes on.
+#[test]
+fn what_a_stopped_run_warned_of_is_told_again() {
+    let (scene, photographs) = options(Subject::Stone, LightModel::Shadowed, (240, 180));
+    let world = photographed(scene, &photographs, None);
+    let behind = SphericalHarmonics([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    let lighting = LightingCalibration {
+        source: LightSource::Given,
+        views: (0..world.posed.views.len())
+            .map(|i| ViewLighting {
+                view: ViewIdx(i),
+                lighting: Lighting {
+                    channels: vec![behind; 3],
+                },
+                residual: None,
+                gain: vec![1.0; 3],
+            })
+            .collect(),
+        ..of_spheres(&world.photos, &world.posed, LightKind::World)
+    };
+    let options = PhotoOptions {
+        coarse_pixels: 3000,
+        num_outer_iterations: 1,
+        max_more_iterations: 0,
+        num_relief_rounds: 0,
+        num_rays: 32,
+        trust_lighting: true,
+        ..PhotoOptions::default()
+    };
+    let memory = Memory::default();
+    let warnings = |num_writes: usize| {
+        memory.num_left.store(num_writes, Relaxed);
+        let told = Recorder::default();
+        let (photos, posed) = (&world.photos, &world.posed);
+        let ended = run(photos, posed, &lighting, &options, &told, &memory).is_ok();
+        assert_eq!(ended, num_writes > 1);
+        told.warnings()
+    };
+    let first = warnings(1);
+    assert!(first.iter().any(|w| w.contains("contradicts")), "{first:?}");
+    assert_eq!(warnings(1000), first);
 }
 
 /// Means of 7×7 pixels, twice.

@@ -9,7 +9,7 @@ use super::output::{Shape, ShapedViews};
 use super::progress::{After, Next, OuterIterations, Progress};
 use super::report::PhotoReport;
 use super::views::Scene;
-use crate::error::{ShadingError, warn};
+use crate::error::ShadingError;
 use rilievo_scene::{LightSource, LightingCalibration, PosedViews};
 
 /// An outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights
@@ -51,6 +51,7 @@ pub(crate) fn solve(
         report: PhotoReport::default(),
         sigma_match: 0.0,
         probe: surroundings.probe,
+        warnings: Vec::new(),
         solvers: None,
     };
     if course.scene.frames.len() < 2 {
@@ -58,7 +59,7 @@ pub(crate) fn solve(
             view: course.scene.frames[0].name.clone(),
         });
     }
-    let (mut progress, mut light) = match course.resume() {
+    let (mut progress, mut light) = match course.resume()? {
         Some(kept) => kept,
         None => course.first_surface(posed, lighting)?,
     };
@@ -131,12 +132,10 @@ impl Course<'_> {
             ground,
             num_done: 0,
             num_half,
-            num_planned: 0,
             kept: None,
             residual: 1.0,
             turned_deg: f64::INFINITY,
         };
-        outer.num_planned = num_half + options.num_outer_iterations - self.num_skipped(&outer);
         let mut shape = Shape::new(at, depths);
         if num_half > 0 {
             let reduced = self.reduced(at, &shape.depths);
@@ -159,7 +158,7 @@ impl Course<'_> {
     /// Ends the run, or warns if the light is to be used all the same, where a light from elsewhere contradicts the
     /// photos.
     fn refuse_contradicting_light(
-        &self,
+        &mut self,
         at: usize,
         depths: &[Vec<f64>],
         lighting: &LightingCalibration,
@@ -174,8 +173,7 @@ impl Course<'_> {
         let names: Vec<&str> = frames.map(|frame| frame.name.as_str()).collect();
         let level = &self.scene.pyramid[at];
         match contradiction::refuse(level, &names, depths, lighting) {
-            Err(_) if self.options.trust_lighting => warn(
-                self.observer,
+            Err(_) if self.options.trust_lighting => self.warn(
                 "the light from elsewhere contradicts the photos and is used all the same: normals err \
                  towards it"
                     .to_owned(),
@@ -192,7 +190,9 @@ impl Course<'_> {
         posed: &PosedViews,
         lighting: &LightingCalibration,
     ) -> Result<After, ShadingError> {
-        let number = outer.num_done;
+        let (number, num_skipped) = (outer.num_done, self.num_skipped(&outer));
+        // Those that are done in any case.
+        let num_planned = outer.num_half + self.options.num_outer_iterations - num_skipped;
         if number == outer.num_half
             && let Some([fine, before]) = outer.kept.take()
         {
@@ -217,10 +217,9 @@ impl Course<'_> {
         let mut weights = if number < outer.num_half {
             iteration_weights(number, outer.residual)
         } else {
-            let skipped = self.num_skipped(&outer);
-            iteration_weights(number - outer.num_half + skipped, outer.residual)
+            iteration_weights(number - outer.num_half + num_skipped, outer.residual)
         };
-        if number + 1 >= outer.num_planned {
+        if number + 1 >= num_planned {
             if self.is_last(at, light.as_ref()) {
                 weights.consensus_px = FINEST_CONSENSUS_PX;
             }
@@ -236,12 +235,13 @@ impl Course<'_> {
         )?;
         outer.num_done += 1;
         let options = self.options;
-        let num_left =
-            (outer.num_planned + options.max_more_iterations).saturating_sub(outer.num_done);
-        if outer.num_done >= outer.num_planned {
+        if outer.num_done >= num_planned {
             let is_still = turned_deg < options.outer_turn_deg;
             let keeps_turning = turned_deg > SETTLING * outer.turned_deg;
-            if is_still || keeps_turning || num_left == 0 {
+            if is_still
+                || keeps_turning
+                || outer.num_done >= num_planned + options.max_more_iterations
+            {
                 return Ok(After {
                     light,
                     next: Some(Next::Finer(weights)),
@@ -265,18 +265,20 @@ impl Course<'_> {
     }
 
     /// Warns of photos out of focus.
-    fn tell_of_blur(&self) -> Result<(), ShadingError> {
+    fn tell_of_blur(&mut self) -> Result<(), ShadingError> {
         let views = self.report.views.iter();
-        for view in views.filter(|view| view.sharpness < BLURRED) {
-            let share = 100.0 * view.sharpness;
-            let message = format!(
-                "{} is blurred: its fine detail is {share:.0} % as strong as that of the sharpest photo, so that it \
-                 counts less; take it again in focus, or leave it out",
-                view.name
-            );
-            warn(self.observer, message)?;
-        }
-        Ok(())
+        let told: Vec<String> = views
+            .filter(|view| view.sharpness < BLURRED)
+            .map(|view| {
+                let share = 100.0 * view.sharpness;
+                format!(
+                    "{} is blurred: its fine detail is {share:.0} % as strong as that of the sharpest photo, so that \
+                     it counts less; take it again in focus, or leave it out",
+                    view.name
+                )
+            })
+            .collect();
+        told.into_iter().try_for_each(|message| self.warn(message))
     }
 
     /// Whether no finer level than `at` is solved as a whole.
@@ -312,6 +314,8 @@ impl Course<'_> {
                     .then(|| Next::Relief(self.next_relief_level(shape, shape.at, last))),
             });
         }
+        // Those of the coarse level have done their work.
+        self.solvers = None;
         let at = shape.at - 1;
         let searches = self.options.finer_search && self.photos_disagree();
         // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.
