@@ -33,7 +33,6 @@ pub(crate) struct Course<'a> {
     pub observer: &'a dyn Observer,
     pub checkpoint: &'a dyn Checkpoint,
     pub report: PhotoReport,
-    pub sigma_match: f64,
     /// What was warned of, to be told again when a stopped run goes on.
     pub warnings: Vec<String>,
     /// Exact solvers of the level at which outer iterations run.

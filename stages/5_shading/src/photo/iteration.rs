@@ -16,6 +16,12 @@ use rilievo_stereo::surfaces::Surfaces;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
+/// The match term's σ_m over the median residual between the photos: the ratio that photos keep whose disagreement is
+/// nothing but noise and the search's scatter.
+const SIGMA_SHARE_OF_RESIDUAL: f64 = 0.47;
+/// Least σ_m: a tenth of a step of an 8-bit photo at mid grey.
+const MIN_SIGMA_MATCH: f64 = 0.001;
+
 /// Weights of one outer iteration.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(crate) struct IterationWeights {
@@ -114,7 +120,24 @@ pub(crate) fn mean_turn_deg(level: &Level, from: &[Vec<f64>], to: &[Vec<f64>]) -
 impl Course<'_> {
     /// [`step_weights`] of a level.
     pub(crate) fn step_options(&self, at: usize, weights: &IterationWeights) -> StepOptions {
-        step_weights(&self.scene.pyramid[at], self.sigma_match, weights)
+        let sigma_match = self.sigma_match(weights.shading.is_some());
+        step_weights(&self.scene.pyramid[at], sigma_match, weights)
+    }
+
+    /// The match term's σ_m. Disagreement, from which it follows at first, counts what varies slowly over the photos
+    /// too, and that the gain fields take up. So once shading has shaped the surface, σ_m follows from what the step
+    /// before left between the photos. Photos that disagree keep the first value: on a surface that the patch search
+    /// made rough, close agreement holds the roughness.
+    fn sigma_match(&self, has_shading: bool) -> f64 {
+        let mut steps = self.report.steps.iter().rev();
+        let left = if has_shading && !self.photos_disagree() {
+            steps.find_map(|step| step.match_residual)
+        } else {
+            None
+        };
+        left.map_or(self.report.sigma_match, |left| {
+            (SIGMA_SHARE_OF_RESIDUAL * left).max(MIN_SIGMA_MATCH)
+        })
     }
 
     /// Gauss-Newton rounds over all views, until one changes the surface by less than the options'

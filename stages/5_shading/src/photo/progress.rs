@@ -135,7 +135,6 @@ impl Course<'_> {
         };
         let gains: Vec<_> = found.report.views.iter().map(|view| view.gain).collect();
         self.scene.divide_by_gains(&gains);
-        self.sigma_match = found.report.sigma_match;
         self.report = found.report;
         for message in found.warnings {
             self.warn(message)?;

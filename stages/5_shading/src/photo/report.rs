@@ -75,7 +75,7 @@ pub struct PhotoReport {
     pub steps: Vec<StepReport>,
     /// Standard deviation of the log ratio between views at the same point.
     pub disagreement: f64,
-    /// Standard deviation that follows for the match term.
+    /// Standard deviation that follows for the match term at first; what each step was given stands in `steps`.
     pub sigma_match: f64,
     /// Median distance between the views' searched depths, pixel footprints.
     pub search_scatter_px: f64,

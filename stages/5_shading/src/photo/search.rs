@@ -85,9 +85,8 @@ impl Course<'_> {
         let disagreement = exposure
             .disagreement
             .clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT);
-        self.sigma_match = SIGMA_SHARE * disagreement;
         self.report.disagreement = exposure.disagreement;
-        self.report.sigma_match = self.sigma_match;
+        self.report.sigma_match = SIGMA_SHARE * disagreement;
         self.report.steps.push(StepReport {
             level: at,
             kind: "exposure".to_owned(),
@@ -128,7 +127,7 @@ impl Course<'_> {
             PatchCost::Correlation
         } else {
             PatchCost::SquaredDifferences {
-                sigma: (2.7 * self.sigma_match) as f32,
+                sigma: (2.7 * self.report.sigma_match) as f32,
             }
         };
         let start: Option<Vec<Planes>> = self.scene.pyramid.get(at + 1).map(|coarse| {

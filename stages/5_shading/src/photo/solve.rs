@@ -49,7 +49,6 @@ pub(crate) fn solve(
         observer: surroundings.observer,
         checkpoint: surroundings.checkpoint,
         report: PhotoReport::default(),
-        sigma_match: 0.0,
         probe: surroundings.probe,
         warnings: Vec::new(),
         solvers: None,
