@@ -21,6 +21,8 @@ use std::time::Instant;
 const SIGMA_SHARE_OF_RESIDUAL: f64 = 0.47;
 /// Least σ_m: a tenth of a step of an 8-bit photo at mid grey.
 const MIN_SIGMA_MATCH: f64 = 0.001;
+/// Largest factor of σ_s for errors that the photos share: σ_s is then 1.4 standard deviations of the light's residual.
+const MAX_SHARED_ERROR: f64 = 3.0;
 
 /// Weights of one outer iteration.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
@@ -126,17 +128,31 @@ impl Course<'_> {
 
     /// The match term's σ_m. Disagreement, from which it follows at first, counts what varies slowly over the photos
     /// too, and that the gain fields take up. So once shading has shaped the surface, σ_m follows from what the step
-    /// before left between the photos. Photos that disagree keep the first value: on a surface that the patch search
-    /// made rough, close agreement holds the roughness.
+    /// before left between the photos.
     fn sigma_match(&self, has_shading: bool) -> f64 {
+        self.match_residual()
+            .filter(|_| has_shading)
+            .map_or(self.report.sigma_match, |left| {
+                (SIGMA_SHARE_OF_RESIDUAL * left).max(MIN_SIGMA_MATCH)
+            })
+    }
+
+    /// Median residual that the last step left between photos that agree. Photos that disagree have none: on a surface
+    /// that the patch search made rough, what is left measures the roughness too.
+    fn match_residual(&self) -> Option<f64> {
         let mut steps = self.report.steps.iter().rev();
-        let left = if has_shading && !self.photos_disagree() {
-            steps.find_map(|step| step.match_residual)
-        } else {
-            None
-        };
-        left.map_or(self.report.sigma_match, |left| {
-            (SIGMA_SHARE_OF_RESIDUAL * left).max(MIN_SIGMA_MATCH)
+        steps
+            .find_map(|step| step.match_residual)
+            .filter(|_| !self.photos_disagree())
+    }
+
+    /// Factor of shading's σ_s at the finer levels, 1 to 3. What the light leaves in the photos (`light_residual`) is
+    /// partly their noise, which differs between them and which their mean reduces, and partly what they share: fine
+    /// pigment, light that the model lacks. The more the light's residual outweighs the residual between the photos, the
+    /// less is noise, and what is shared neither a mean nor a neighbouring pixel reduces.
+    pub(crate) fn shared_error(&self, light_residual: f64) -> f64 {
+        self.match_residual().map_or(1.0, |left| {
+            (light_residual / left).clamp(1.0, MAX_SHARED_ERROR)
         })
     }
 

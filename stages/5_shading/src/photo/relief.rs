@@ -225,7 +225,8 @@ impl Course<'_> {
         let began = Instant::now();
         let at = shape.at;
         let level = &self.scene.pyramid[at];
-        let mut weights = finer_weights(&rounds.last, false, at == 0);
+        let shared_error = self.shared_error(light.residual());
+        let mut weights = finer_weights(&rounds.last, false, at == 0, shared_error);
         if let Some(scale) = rounds.turn_scale {
             (weights.plate, weights.plate_threshold) = (0.5 / (scale * scale), scale);
         }

@@ -67,7 +67,7 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
             between_levels::continued(coarse, fine, (&reduced[i], &known)).0
         })
         .collect();
-    let weights = finer_weights(&iteration_weights(2, light.residual()), false, true);
+    let weights = finer_weights(&iteration_weights(2, light.residual()), false, true, 1.0);
     let options = step_weights(fine, 0.02, &weights);
     let i = 1;
     let view = &fine.views[i];

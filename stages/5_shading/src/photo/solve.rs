@@ -330,7 +330,11 @@ impl Course<'_> {
             depths = self.search_again(at, &solvers, &depths, posed)?;
         }
         let light = light.map(|light| self.finer_light(at, &depths, light));
-        let mut weights = finer_weights(&last, searches, self.is_last(at, light.as_ref()));
+        let shared_error = light
+            .as_ref()
+            .map_or(1.0, |l| self.shared_error(l.residual()));
+        let is_finest = self.is_last(at, light.as_ref());
+        let mut weights = finer_weights(&last, searches, is_finest, shared_error);
         if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
             let miss = LARGEST_MISS * light.residual();
             shading.max_correction = shading.max_correction.max(miss);
@@ -347,11 +351,12 @@ impl Course<'_> {
 }
 
 /// Weights at a level finer than that of the outer iterations, from those of the `last` of them; `is_searched` tells
-/// whether depth was searched there again.
+/// whether depth was searched there again, `shared_error` is [`Course::shared_error`].
 pub(crate) fn finer_weights(
     last: &IterationWeights,
     is_searched: bool,
     is_finest: bool,
+    shared_error: f64,
 ) -> IterationWeights {
     let mut weights = IterationWeights {
         sigma_match_factor: if is_searched {
@@ -370,7 +375,7 @@ pub(crate) fn finer_weights(
     };
     if let Some(shading) = &mut weights.shading {
         // Single pixels of the finer level are noisier.
-        shading.sigma *= 1.4;
+        shading.sigma *= 1.4 * shared_error;
         shading.chroma_share *= 1.4;
         shading.correction_px = 12.0;
     }
