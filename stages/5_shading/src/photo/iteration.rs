@@ -2,7 +2,7 @@
 
 use super::course::Course;
 use super::light::Light;
-use super::matching::MatchOptions;
+use super::matching::{Likeness, MatchOptions};
 use super::report::StepReport;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
@@ -19,6 +19,10 @@ use std::time::Instant;
 /// The match term's σ_m over the median residual between the photos: the ratio that photos keep whose disagreement is
 /// nothing but noise and the search's scatter.
 const SIGMA_SHARE_OF_RESIDUAL: f64 = 0.47;
+/// Side of the area of alike residuals up to which that share holds, pixels: JPEG's and interpolation's in sharp photos.
+const USUAL_SIDE: f64 = 5.0;
+/// Correlation of neighbouring residuals beyond which they are held to be no more alike.
+const MAX_CORRELATION: f64 = 0.95;
 /// Least σ_m: a tenth of a step of an 8-bit photo at mid grey.
 const MIN_SIGMA_MATCH: f64 = 0.001;
 /// Largest factor of σ_s for errors that the photos share: σ_s is then 1.4 standard deviations of the light's residual.
@@ -119,41 +123,60 @@ pub(crate) fn mean_turn_deg(level: &Level, from: &[Vec<f64>], to: &[Vec<f64>]) -
     (turns.iter().sum::<f64>() / turns.len().max(1) as f64).to_degrees()
 }
 
-impl Course<'_> {
-    /// [`step_weights`] of a level.
-    pub(crate) fn step_options(&self, at: usize, weights: &IterationWeights) -> StepOptions {
-        let sigma_match = self.sigma_match(weights.shading.is_some());
-        step_weights(&self.scene.pyramid[at], sigma_match, weights)
+/// What a step left between the photos.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MatchLeft {
+    /// Median relative residual.
+    residual: f64,
+    /// Its correlation with the neighbouring pixel's.
+    correlation: f64,
+}
+
+impl MatchLeft {
+    pub(crate) fn of(step: &StepReport) -> Option<Self> {
+        Some(Self {
+            residual: step.match_residual?,
+            correlation: step.match_correlation.unwrap_or(0.0),
+        })
     }
 
-    /// The match term's σ_m. Disagreement, from which it follows at first, counts what varies slowly over the photos
-    /// too, and that the gain fields take up. So once shading has shaped the surface, σ_m follows from what the step
-    /// before left between the photos.
-    fn sigma_match(&self, has_shading: bool) -> f64 {
-        self.match_residual()
-            .filter(|_| has_shading)
-            .map_or(self.report.sigma_match, |left| {
-                (SIGMA_SHARE_OF_RESIDUAL * left).max(MIN_SIGMA_MATCH)
-            })
-    }
-
-    /// Median residual that the last step left between photos that agree. Photos that disagree have none: on a surface
-    /// that the patch search made rough, what is left measures the roughness too.
-    fn match_residual(&self) -> Option<f64> {
-        let mut steps = self.report.steps.iter().rev();
-        steps
-            .find_map(|step| step.match_residual)
-            .filter(|_| !self.photos_disagree())
+    /// The match term's σ_m once shading has shaped the surface. Disagreement, from which σ_m follows at first, counts
+    /// what varies slowly over the photos too, and that the gain fields take up. Where neighbouring residuals are alike,
+    /// as in blurred photos, there is less to learn than there are pixels: an area of `((1 + ρ) / (1 - ρ))²` of them
+    /// counts as one.
+    pub(crate) fn sigma(self) -> f64 {
+        let rho = self.correlation.min(MAX_CORRELATION);
+        let side = (1.0 + rho) / (1.0 - rho);
+        let share = SIGMA_SHARE_OF_RESIDUAL * (side / USUAL_SIDE).max(1.0);
+        (share * self.residual).max(MIN_SIGMA_MATCH)
     }
 
     /// Factor of shading's σ_s at the finer levels, 1 to 3. What the light leaves in the photos (`light_residual`) is
     /// partly their noise, which differs between them and which their mean reduces, and partly what they share: fine
     /// pigment, light that the model lacks. The more the light's residual outweighs the residual between the photos, the
     /// less is noise, and what is shared neither a mean nor a neighbouring pixel reduces.
-    pub(crate) fn shared_error(&self, light_residual: f64) -> f64 {
-        self.match_residual().map_or(1.0, |left| {
-            (light_residual / left).clamp(1.0, MAX_SHARED_ERROR)
-        })
+    pub(crate) fn shared_error(self, light_residual: f64) -> f64 {
+        (light_residual / self.residual.max(f64::MIN_POSITIVE)).clamp(1.0, MAX_SHARED_ERROR)
+    }
+}
+
+impl Course<'_> {
+    /// [`step_weights`] of a level.
+    pub(crate) fn step_options(&self, at: usize, weights: &IterationWeights) -> StepOptions {
+        let sigma_match = match self.last_match() {
+            Some(last) if weights.shading.is_some() => last.sigma(),
+            _ => self.report.sigma_match,
+        };
+        step_weights(&self.scene.pyramid[at], sigma_match, weights)
+    }
+
+    /// What the last step left between photos that agree. Photos that disagree have none: on a surface that the patch
+    /// search made rough, what is left measures the roughness too.
+    pub(crate) fn last_match(&self) -> Option<MatchLeft> {
+        let mut steps = self.report.steps.iter().rev();
+        steps
+            .find_map(MatchLeft::of)
+            .filter(|_| !self.photos_disagree())
     }
 
     /// Gauss-Newton rounds over all views, until one changes the surface by less than the options'
@@ -184,6 +207,7 @@ impl Course<'_> {
             self.tell(kind, round, max_num_rounds)?;
             let level = &self.scene.pyramid[at];
             let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
+            let mut likeness = Likeness::default();
             for parity in 0..2 {
                 let surfaces = Surfaces::new(level, depths, self.reading());
                 let outcomes: Vec<_> = (parity..level.views.len())
@@ -225,6 +249,7 @@ impl Course<'_> {
                     moved += moved_by;
                     turned += turned_by;
                     residuals.extend(outcome.matches.some_residuals());
+                    likeness.add(outcome.matches.likeness);
                     let alone = outcome
                         .matches
                         .num_visible
@@ -240,6 +265,7 @@ impl Course<'_> {
             record.moved_px = moved * per_view * level.focal();
             record.turned_deg = (turned * per_view).to_degrees();
             record.match_residual = median(&mut residuals);
+            record.match_correlation = likeness.correlation();
             record.num_rounds = round + 1;
             let is_still = record.moved_px < self.options.round_move_px;
             let keeps_normals = light.is_none() || record.turned_deg < self.options.round_turn_deg;
@@ -253,5 +279,29 @@ impl Course<'_> {
         self.report.steps.push(record);
         self.show(at, kind, depths);
         Ok(turned)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn residuals_that_are_alike_weigh_less_and_shared_ones_make_shading_weigh_less() {
+        let left = |residual, correlation| MatchLeft {
+            residual,
+            correlation,
+        };
+        let sharp = left(0.02, 0.3).sigma();
+        assert!((sharp - SIGMA_SHARE_OF_RESIDUAL * 0.02).abs() < 1e-12);
+        // (1 + 0.8) / (1 - 0.8) = 9 pixels.
+        let blurred = left(0.02, 0.8).sigma();
+        assert!((blurred / sharp - 9.0 / USUAL_SIDE).abs() < 1e-12);
+        assert_eq!(left(0.02, 1.0).sigma(), left(0.02, 0.99).sigma());
+        assert_eq!(left(0.0, 0.0).sigma(), MIN_SIGMA_MATCH);
+        assert_eq!(left(0.02, 0.3).shared_error(0.01), 1.0);
+        assert_eq!(left(0.02, 0.3).shared_error(0.04), 2.0);
+        assert_eq!(left(0.0, 0.0).shared_error(0.04), MAX_SHARED_ERROR);
+        assert_eq!(left(0.0, 0.0).shared_error(0.0), 1.0);
     }
 }

@@ -37,6 +37,27 @@ pub(crate) struct MatchTerms {
     pub num_visible: Vec<u8>,
     /// RMS of the residual over visible sources and channels, relative (not divided by σ).
     pub residual: Vec<f32>,
+    /// How alike the signed residuals of neighbouring pixels are.
+    pub likeness: Likeness,
+}
+
+/// Sums over pixels from which the correlation of a quantity with its neighbour's follows.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Likeness {
+    squares: f64,
+    products: f64,
+}
+
+impl Likeness {
+    pub fn add(&mut self, other: Self) {
+        self.squares += other.squares;
+        self.products += other.products;
+    }
+
+    /// Correlation of a pixel with its neighbour in the row, 0 to 1; none where there is nothing.
+    pub fn correlation(self) -> Option<f64> {
+        (self.squares > 0.0).then(|| (self.products / self.squares).clamp(0.0, 1.0))
+    }
 }
 
 impl MatchTerms {
@@ -59,6 +80,9 @@ struct Sample {
     slope: [f32; 3],
 }
 
+/// Residual, in σ, as which larger ones enter the likeness of neighbours.
+const LARGEST_LIKENED: f64 = 5.0;
+
 /// Compares view `index` with its sources at the given log depths.
 pub(crate) fn terms(
     level: &Level,
@@ -74,6 +98,7 @@ pub(crate) fn terms(
         rhs: vec![0.0; n],
         num_visible: vec![0; n],
         residual: vec![0.0; n],
+        likeness: Likeness::default(),
     };
     let here: Vec<[f32; 3]> = (0..n).map(|p| view.intensity(p)).collect();
     for (j, warp) in &level.sources[index] {
@@ -106,12 +131,14 @@ pub(crate) fn terms(
             })
             .collect();
         let gains = gain_field(view, &here, &samples, options.gain_field_px);
+        // The last pixel that was compared, and its difference.
+        let mut last: Option<(usize, f64)> = None;
         for p in 0..n {
             let sample = &samples[p];
             if !sample.visible {
                 continue;
             }
-            let (mut rr, mut jj, mut jr, mut relative) = (0.0, 0.0, 0.0, 0.0);
+            let (mut rr, mut jj, mut jr, mut relative, mut signed) = (0.0, 0.0, 0.0, 0.0, 0.0_f64);
             for c in 0..3 {
                 let gain = f64::from(gains[p][c]);
                 let (a, b) = (f64::from(here[p][c]), gain * f64::from(sample.value[c]));
@@ -123,7 +150,18 @@ pub(crate) fn terms(
                 jj += d * d / 3.0;
                 jr += d * r / 3.0;
                 relative += ((b - a) / mean).powi(2) / 3.0;
+                signed += r / 3.0;
             }
+            // Single gross errors shall not decide.
+            let signed = signed.clamp(-LARGEST_LIKENED, LARGEST_LIKENED);
+            out.likeness.squares += signed * signed;
+            if let Some((before, value)) = last
+                && before + 1 == p
+                && view.pixels.ys[before] == view.pixels.ys[p]
+            {
+                out.likeness.products += signed * value;
+            }
+            last = Some((p, signed));
             let norm = rr.sqrt();
             let weight = if norm < options.threshold {
                 1.0

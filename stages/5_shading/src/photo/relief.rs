@@ -8,8 +8,9 @@
 
 use super::chroma::ChromaNoise;
 use super::course::Course;
-use super::iteration::IterationWeights;
+use super::iteration::{IterationWeights, MatchLeft, PHOTOS_ONLY, step_weights};
 use super::light::Light;
+use super::matching::{self, Likeness};
 use super::memory;
 use super::output::Shape;
 use super::progress::{After, Next, ReliefRounds};
@@ -22,7 +23,7 @@ use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
-use rilievo_stereo::level::Level;
+use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::spread::Parents;
 use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::tile::{self, Tile};
@@ -30,7 +31,7 @@ use rilievo_stereo::window::Window;
 use rilievo_stereo::{between_levels, plate};
 use std::time::Instant;
 
-/// Side of the samples on which a view's chroma noise is measured, pixels, and their largest number.
+/// Side of the samples on which a view's noise is measured, pixels, and their largest number.
 const SAMPLE_PX: usize = 128;
 const MAX_NUM_SAMPLES: usize = 8;
 /// Factor of the increments: each round goes part of the way to where the views agree, since the others' surfaces
@@ -79,6 +80,8 @@ pub(super) struct TileStep {
     pub increment: Vec<f64>,
     /// Some of the relative residuals between the photos.
     pub residuals: Vec<f64>,
+    /// How alike they are in neighbouring pixels.
+    pub likeness: Likeness,
 }
 
 impl<'a> CoarseLight<'a> {
@@ -215,6 +218,36 @@ impl Course<'_> {
         })
     }
 
+    /// What is left between the photos before the first round at a level, on samples.
+    fn look_between(&self, level: &Level, depths: &[Vec<f64>], record: &mut StepReport) {
+        let options = step_weights(level, self.report.sigma_match, &PHOTOS_ONLY).matching;
+        let reading = self.reading();
+        let samples: Vec<(usize, Window)> = (0..level.views.len())
+            .flat_map(|i| {
+                sample_cores(&level.views[i])
+                    .into_iter()
+                    .map(move |core| (i, core))
+            })
+            .collect();
+        let found: Vec<(Vec<f64>, Likeness)> = samples
+            .par_iter()
+            .map(|(i, core)| {
+                let tile = Tile::cut(level, *i, depths, core);
+                let surfaces = Surfaces::new(&tile.level, &tile.depths, reading);
+                let rasters = &surfaces.rasters;
+                let matches = matching::terms(&tile.level, 0, &tile.depths[0], rasters, &options);
+                (matches.some_residuals().collect(), matches.likeness)
+            })
+            .collect();
+        let (mut residuals, mut likeness) = (Vec::new(), Likeness::default());
+        for (of_tile, of_neighbours) in found {
+            residuals.extend(of_tile);
+            likeness.add(of_neighbours);
+        }
+        record.match_residual = median(&mut residuals);
+        record.match_correlation = likeness.correlation();
+    }
+
     /// A round over all views at the shape's level; tells whether it was the last one there.
     fn relief_round(
         &self,
@@ -225,12 +258,17 @@ impl Course<'_> {
         let began = Instant::now();
         let at = shape.at;
         let level = &self.scene.pyramid[at];
-        let shared_error = self.shared_error(light.residual());
+        if rounds.record.match_residual.is_none() {
+            self.look_between(level, &shape.depths, &mut rounds.record);
+        }
+        let left = MatchLeft::of(&rounds.record);
+        let shared_error = left.map_or(1.0, |left| left.shared_error(light.residual()));
         let mut weights = finer_weights(&rounds.last, false, at == 0, shared_error);
         if let Some(scale) = rounds.turn_scale {
             (weights.plate, weights.plate_threshold) = (0.5 / (scale * scale), scale);
         }
-        let options = self.step_options(at, &weights);
+        let sigma_match = left.map_or(self.report.sigma_match, MatchLeft::sigma);
+        let options = step_weights(level, sigma_match, &weights);
         let coarse = rounds.coarse;
         let light = CoarseLight::new(&self.scene.pyramid[coarse], coarse, light);
         let Some(shading) = weights.shading else {
@@ -247,6 +285,7 @@ impl Course<'_> {
         let mut num_done = rounds.num_done * num_tiles;
         let at_once = memory::tiles_at_once(self.options, self.scene.bytes());
         let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
+        let mut likeness = Likeness::default();
         // Even views first, as in the outer iterations.
         for i in (0..num_views).step_by(2).chain((1..num_views).step_by(2)) {
             let mut view = ViewAtLevel {
@@ -277,6 +316,7 @@ impl Course<'_> {
                         improved[number as usize] += share * step.increment[p];
                     }
                     residuals.extend(step.residuals);
+                    likeness.add(step.likeness);
                 }
                 num_done += cores.len();
             }
@@ -296,11 +336,22 @@ impl Course<'_> {
             sigma_match: options.matching.sigma,
             sigma_shading: shading.sigma,
             match_residual: median(&mut residuals),
+            match_correlation: likeness.correlation(),
             seconds: record.seconds + began.elapsed().as_secs_f64(),
             ..std::mem::take(record)
         };
         Ok(rounds.num_done >= num_rounds)
     }
+}
+
+/// Some windows spread over a view's object, where there are such that it fills.
+fn sample_cores(view: &LevelView) -> Vec<Window> {
+    let cores = tile::cores(view, SAMPLE_PX);
+    let is_full = |core: &Window| core.cut(&view.mask).data.iter().all(|&is| is);
+    let (full, cut): (Vec<Window>, Vec<Window>) = cores.into_iter().partition(is_full);
+    let inner = if full.is_empty() { cut } else { full };
+    let step = inner.len().div_ceil(MAX_NUM_SAMPLES).max(1);
+    inner.into_iter().step_by(step).collect()
 }
 
 /// Typical turn of the normals from a pixel to the next, radians, the scale of their Laplace distribution: what the
@@ -348,6 +399,7 @@ impl ViewAtLevel<'_> {
             shares: tile.shares,
             increment,
             residuals,
+            likeness: outcome.matches.likeness,
         })
     }
 
@@ -358,20 +410,8 @@ impl ViewAtLevel<'_> {
 
     /// Noise of the view's chroma, from samples all over the object.
     pub(super) fn chroma_noise(&self, depths: &[Vec<f64>]) -> Option<ChromaNoise> {
-        let view = &self.level.views[self.index];
-        let cores = tile::cores(view, SAMPLE_PX);
-        let is_full = |core: &&Window| {
-            let mask = core.cut(&view.mask);
-            mask.data.iter().all(|&is| is)
-        };
-        let mut inner: Vec<&Window> = cores.iter().filter(is_full).collect();
-        if inner.is_empty() {
-            inner = cores.iter().collect();
-        }
-        let step = inner.len().div_ceil(MAX_NUM_SAMPLES).max(1);
-        let parts: Vec<ChromaNoise> = inner
-            .into_par_iter()
-            .step_by(step)
+        let parts: Vec<ChromaNoise> = sample_cores(&self.level.views[self.index])
+            .par_iter()
             .map(|core| {
                 let tile = Tile::cut(self.level, self.index, depths, core);
                 let rasters = rilievo_stereo::level::depth_rasters(&tile.level, &tile.depths);

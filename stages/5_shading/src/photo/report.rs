@@ -62,6 +62,10 @@ pub struct StepReport {
     pub sigma_shading: f64,
     /// Median relative residual between the photos over all views.
     pub match_residual: Option<f64>,
+    /// Correlation of these residuals with the neighbouring pixel's: near 1 where the photos hold nothing as fine as a
+    /// pixel of the level.
+    #[serde(default)]
+    pub match_correlation: Option<f64>,
     /// Seconds.
     pub seconds: f64,
 }

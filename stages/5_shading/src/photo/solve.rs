@@ -330,9 +330,10 @@ impl Course<'_> {
             depths = self.search_again(at, &solvers, &depths, posed)?;
         }
         let light = light.map(|light| self.finer_light(at, &depths, light));
-        let shared_error = light
-            .as_ref()
-            .map_or(1.0, |l| self.shared_error(l.residual()));
+        let shared_error = match (self.last_match(), &light) {
+            (Some(last), Some(light)) => last.shared_error(light.residual()),
+            _ => 1.0,
+        };
         let is_finest = self.is_last(at, light.as_ref());
         let mut weights = finer_weights(&last, searches, is_finest, shared_error);
         if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
@@ -351,7 +352,7 @@ impl Course<'_> {
 }
 
 /// Weights at a level finer than that of the outer iterations, from those of the `last` of them; `is_searched` tells
-/// whether depth was searched there again, `shared_error` is [`Course::shared_error`].
+/// whether depth was searched there again, `shared_error` is [`MatchLeft::shared_error`](super::iteration::MatchLeft::shared_error).
 pub(crate) fn finer_weights(
     last: &IterationWeights,
     is_searched: bool,
