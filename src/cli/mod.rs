@@ -269,6 +269,11 @@ pub struct ReconstructArgs {
     /// What explains the photos: photo (visibility and the photos' agreement) or paper
     #[arg(long, value_name = "MODEL", value_parser = words(MODELS))]
     pub model: Option<ShadingModel>,
+    /// Which pairs of photos are matched: auto (all of up to 20 photos, else those that look alike and those that
+    /// follow from what matched), all, sequential (neighbours in the order of names), or a file of pairs: two file
+    /// names a line, separated by a comma or white space. [default: auto]
+    #[arg(long, value_name = "all|auto|sequential|FILE")]
+    pub pairs: Option<PathBuf>,
     /// How depth anchors are found
     #[arg(long, value_name = "MODE", value_parser = words(ANCHORS))]
     pub anchors: Option<AnchorMode>,

@@ -33,7 +33,9 @@ pub fn from_features(error: FeaturesError) -> anyhow::Error {
         FeaturesError::Interrupted => Failure::Interrupted.into(),
         FeaturesError::Inconsistent(error) => damaged(&error),
         FeaturesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
-        FeaturesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
+        FeaturesError::InvalidOption { .. } | FeaturesError::NoListedPair { .. } => {
+            Failure::Usage(error.to_string()).into()
+        }
         FeaturesError::OpenCv { .. } => anyhow::Error::new(error),
     }
 }

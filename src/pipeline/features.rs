@@ -90,6 +90,7 @@ fn detection_options(options: &FeaturesOptions) -> impl serde::Serialize {
         max_verified_ratio: _,
         max_epipolar_error_px: _,
         min_num_inliers: _,
+        pairs: _,
         max_num_exhaustive_photos: _,
         num_sequential_neighbors: _,
         num_similar_neighbors: _,

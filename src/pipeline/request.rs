@@ -5,6 +5,7 @@ use crate::cli::ReconstructArgs;
 use crate::config::{StageOptions, take_over};
 use crate::exit::Failure;
 use crate::paths;
+use rilievo_features::PairChoice;
 use rilievo_io::split_lighting_spec;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -117,6 +118,9 @@ impl Request {
         take_over(&mut options.shading.model, args.model);
         take_over(&mut options.poses.anchors.mode, args.anchors);
         take_over(&mut options.photos.encoding, args.encoding);
+        if let Some(pairs) = &args.pairs {
+            options.features.pairs = pair_choice(pairs)?;
+        }
         options.shading.photo.trust_lighting |= args.trust_lighting;
         if let Some(known) = &args.known_distance {
             options.poses.known_distance = Some(known.clone());
@@ -183,6 +187,49 @@ fn sphere_input(sphere: &Path, radius: Option<f64>) -> Result<SphereInput, Failu
     }
 }
 
+/// `all`, `auto`, `sequential`, or the pairs of a file.
+fn pair_choice(word_or_file: &Path) -> Result<PairChoice, Failure> {
+    match word_or_file.to_str() {
+        Some("all") => return Ok(PairChoice::All),
+        Some("auto") => return Ok(PairChoice::Auto),
+        Some("sequential") => return Ok(PairChoice::Sequential),
+        _ => {}
+    }
+    let path = existing(
+        word_or_file,
+        "--pairs takes all, auto, sequential or a file",
+    )?;
+    let text = std::fs::read_to_string(&path)
+        .map_err(|e| Failure::input(&path, format!("is no text to read pairs from: {e}")))?;
+    listed_pairs(&text).map_err(|reason| Failure::input(&path, reason))
+}
+
+/// Two file names a line; lines that are empty or begin with `#` say nothing.
+fn listed_pairs(text: &str) -> Result<PairChoice, String> {
+    let mut pairs = Vec::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let line = line.trim();
+        if line.is_empty() || line.starts_with('#') {
+            continue;
+        }
+        let names: Vec<&str> = if line.contains(',') {
+            line.split(',').map(str::trim).collect()
+        } else {
+            line.split_whitespace().collect()
+        };
+        let [first, second] = names[..] else {
+            return Err(format!(
+                "line {number} is no pair: two file names, separated by a comma (where names hold spaces) or white space"
+            ));
+        };
+        pairs.push([first.to_owned(), second.to_owned()]);
+    }
+    if pairs.is_empty() {
+        return Err("lists no pair: two file names a line".to_owned());
+    }
+    Ok(PairChoice::Listed(pairs))
+}
+
 fn optional(path: Option<&Path>, option: &str) -> Result<Option<PathBuf>, Failure> {
     path.map(|path| existing(path, option)).transpose()
 }
@@ -211,6 +258,20 @@ fn existing(path: &Path, option: &str) -> Result<PathBuf, Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_lists_pairs_by_names() {
+        let text = "# two photos a line\na.jpg b.jpg\n\nmy photo.jpg, other.jpg\r\n";
+        let [first, second] = [["a.jpg", "b.jpg"], ["my photo.jpg", "other.jpg"]];
+        let listed = [first, second].map(|pair| pair.map(str::to_owned));
+        assert_eq!(listed_pairs(text), Ok(PairChoice::Listed(listed.to_vec())));
+        assert!(
+            listed_pairs("a.jpg b.jpg c.jpg")
+                .unwrap_err()
+                .contains("line 1")
+        );
+        assert!(listed_pairs("# nothing\n").unwrap_err().contains("no pair"));
+    }
 
     #[test]
     fn what_stands_beside_a_moved_run_is_found_there() {

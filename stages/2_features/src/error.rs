@@ -22,6 +22,14 @@ pub enum FeaturesError {
         /// OpenCV's message.
         source: opencv::Error,
     },
+    /// None of the listed pairs is one of two of the photos.
+    #[error(
+        "none of the {num} listed pairs names two of the photos: list them by file names, one pair a line"
+    )]
+    NoListedPair {
+        /// Pairs listed.
+        num: usize,
+    },
     /// The observer asked to stop.
     #[error("interrupted")]
     Interrupted,

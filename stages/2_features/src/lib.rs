@@ -3,8 +3,7 @@
 //! Per photo: SIFT keypoints over the whole frame with a low contrast threshold, spread over a
 //! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours, among
 //! bright blobs and among dark ones, that pass the ratio test find an essential matrix; those, and
-//! less distinctive ones, that agree with it are kept ([`match_photos`]). Pairs are all pairs of
-//! small sets, candidates of large ones.
+//! less distinctive ones, that agree with it are kept ([`match_photos`]). Which pairs are matched, [`PairChoice`] says.
 
 mod candidates;
 mod descriptors;
@@ -19,9 +18,10 @@ mod two_view;
 
 pub use detect::detect;
 pub use error::FeaturesError;
-pub use options::{FeaturesOptions, KeypointRegion};
+pub use options::{FeaturesOptions, KeypointRegion, PairChoice};
 pub use report::{FeaturesReport, PairReport, PhotoFeatures};
 
+use candidates::Pair;
 use matching::{PhotoDescriptors, match_descriptors};
 use nalgebra::Point2;
 use rayon::prelude::*;
@@ -29,13 +29,20 @@ use rilievo_scene::{
     FeatureMatches, Flow, Observer, PairMatches, Photo, PhotoIdx, PhotoKeypoints, PhotoSet,
     StageId, check_descriptors, check_keypoints,
 };
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 
 /// A photo with fewer keypoints than this deserves a warning.
 const FEW_KEYPOINTS: usize = 100;
+/// Keypoints of a photo that are compared before a pair of a large set is matched, and the matches among them without
+/// which it is not.
+const NUM_PREVIEWED: usize = 512;
+const MIN_PREVIEW_MATCHES: usize = 4;
+/// Verified matches from which on a pair tells of other pairs.
+const NUM_STRONG: usize = 50;
 
 /// Matches the keypoints of all photos and keeps what agrees with a two-view geometry.
 ///
@@ -52,21 +59,31 @@ pub fn match_photos(
     check_keypoints(&keypoints, photos)?;
     check_descriptors(&keypoints, photos)?;
     let matcher = Matcher::new(photos, &keypoints, options);
-    let tried = candidates::pairs(&keypoints, options);
-    let num_done = AtomicUsize::new(0);
-    let matched: Vec<PairMatches> = tried
-        .par_iter()
-        .map(|&(first, second)| {
-            if observer.flow() == Flow::Stop {
-                return Err(FeaturesError::Interrupted);
-            }
-            let pair = matcher.pair(first, second)?;
-            let done = num_done.fetch_add(1, Ordering::Relaxed) + 1;
-            let flow = observer.progress(StageId::Features, "matching pairs", (done, tried.len()));
-            flow.ok_or(FeaturesError::Interrupted)?;
-            Ok(pair)
-        })
-        .collect::<Result<_, _>>()?;
+    let mut tried = BTreeSet::new();
+    let mut matched: Vec<PairMatches> = Vec::new();
+    let mut next = candidates::first(photos, &keypoints, options)?;
+    let unknown = candidates::unknown_names(photos, options);
+    if !unknown.is_empty() {
+        let names: Vec<&str> = unknown.into_iter().collect();
+        let message = format!(
+            "listed pairs with {}, which is none of the photos, are left out",
+            names.join(", ")
+        );
+        let flow = observer.warn(StageId::Features, message);
+        flow.ok_or(FeaturesError::Interrupted)?;
+    }
+    while !next.is_empty() {
+        let alike = matcher.alike(&next);
+        matched.extend(matcher.pairs(&alike, observer)?);
+        tried.extend(next);
+        next = if matcher.has_previews() {
+            let strong: Vec<_> = matched.iter().filter_map(strong_pair).collect();
+            candidates::beyond(keypoints.len(), &strong, &tried)
+        } else {
+            Vec::new()
+        };
+    }
+    matched.sort_by_key(|pair| (pair.first, pair.second));
     let pair_reports = matched.iter().map(PairReport::of).collect();
     let pairs: Vec<PairMatches> = matched
         .into_iter()
@@ -93,6 +110,8 @@ struct Matcher<'a> {
     photos: &'a PhotoSet,
     options: &'a FeaturesOptions,
     descriptors: Vec<PhotoDescriptors>,
+    /// Those of the largest keypoints, where pairs are looked at before they are matched; else none.
+    previews: Vec<PhotoDescriptors>,
     /// Keypoints as viewing rays `(x/z, y/z)`.
     normalized: Vec<Vec<Point2<f64>>>,
 }
@@ -108,16 +127,62 @@ impl<'a> Matcher<'a> {
             let pixels = pixels.map(|k| Point2::new(f64::from(k.x), f64::from(k.y)));
             pixels.map(|p| photo.intrinsics.normalized(&p)).collect()
         };
+        let preview = |photo| PhotoDescriptors::largest(photo, NUM_PREVIEWED);
+        let is_auto = options.pairs == PairChoice::Auto;
+        let has_previews = is_auto && !candidates::is_exhaustive(keypoints.len(), options);
         Self {
             photos,
             options,
             descriptors: keypoints.par_iter().map(PhotoDescriptors::new).collect(),
+            previews: if has_previews {
+                keypoints.par_iter().map(preview).collect()
+            } else {
+                Vec::new()
+            },
             normalized: keypoints
                 .par_iter()
                 .zip(&photos.photos)
                 .map(normalized)
                 .collect(),
         }
+    }
+
+    fn has_previews(&self) -> bool {
+        !self.previews.is_empty()
+    }
+
+    /// The pairs whose largest keypoints match often enough; all, where there are no previews.
+    fn alike(&self, pairs: &[Pair]) -> Vec<Pair> {
+        let is_alike = |&(i, j): &Pair| {
+            !self.has_previews()
+                || match_descriptors(&self.previews[i], &self.previews[j], self.options.max_ratio)
+                    .len()
+                    >= MIN_PREVIEW_MATCHES
+        };
+        pairs.par_iter().copied().filter(is_alike).collect()
+    }
+
+    /// Matches of many pairs.
+    fn pairs(
+        &self,
+        pairs: &[Pair],
+        observer: &dyn Observer,
+    ) -> Result<Vec<PairMatches>, FeaturesError> {
+        let num_done = AtomicUsize::new(0);
+        pairs
+            .par_iter()
+            .map(|&(first, second)| {
+                if observer.flow() == Flow::Stop {
+                    return Err(FeaturesError::Interrupted);
+                }
+                let pair = self.pair(first, second)?;
+                let done = num_done.fetch_add(1, Ordering::Relaxed) + 1;
+                let flow =
+                    observer.progress(StageId::Features, "matching pairs", (done, pairs.len()));
+                flow.ok_or(FeaturesError::Interrupted)?;
+                Ok(pair)
+            })
+            .collect()
     }
 
     /// Matches of two photos that agree with a two-view geometry; none where nothing agrees.
@@ -154,6 +219,11 @@ impl<'a> Matcher<'a> {
             num_putative: distinctive.len(),
         })
     }
+}
+
+/// The pair, where it matches well enough to tell of other pairs.
+fn strong_pair(pair: &PairMatches) -> Option<Pair> {
+    (pair.matches.len() >= NUM_STRONG).then_some((pair.first.0, pair.second.0))
 }
 
 /// Counts per photo.

@@ -17,13 +17,27 @@ pub struct PhotoDescriptors([DescriptorMatrix; 2]);
 impl PhotoDescriptors {
     /// Sorts a photo's descriptors by polarity.
     pub fn new(photo: &PhotoKeypoints) -> Self {
+        Self::of(photo, 0_u32..photo.keypoints.len() as u32)
+    }
+
+    /// The same of its `num` largest keypoints, which other photos find again most often.
+    pub fn largest(photo: &PhotoKeypoints, num: usize) -> Self {
+        let size = |&k: &u32| photo.keypoints[k as usize].size_px;
+        let mut largest: Vec<u32> = (0..photo.keypoints.len() as u32).collect();
+        largest.sort_by(|a, b| size(b).total_cmp(&size(a)).then(a.cmp(b)));
+        largest.truncate(num);
+        largest.sort_unstable();
+        Self::of(photo, largest)
+    }
+
+    fn of(photo: &PhotoKeypoints, keypoints: impl IntoIterator<Item = u32> + Clone) -> Self {
         Self([true, false].map(|bright| {
-            let keypoints = (0_u32..)
-                .zip(&photo.keypoints)
-                .filter(|(_, k)| k.bright == bright)
-                .map(|(index, _)| index)
+            let of_polarity = keypoints
+                .clone()
+                .into_iter()
+                .filter(|&k| photo.keypoints[k as usize].bright == bright)
                 .collect();
-            DescriptorMatrix::new(&photo.descriptors, keypoints)
+            DescriptorMatrix::new(&photo.descriptors, of_polarity)
         }))
     }
 }

@@ -14,6 +14,21 @@ pub enum KeypointRegion {
     Object,
 }
 
+/// Which pairs of photos are matched.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PairChoice {
+    /// All pairs of small sets. Of larger ones those that look alike, and those that follow from what matched.
+    #[default]
+    Auto,
+    /// All pairs.
+    All,
+    /// Each photo with its neighbours in the order of names; the last ones with the first.
+    Sequential,
+    /// These pairs, by the photos' file names.
+    Listed(Vec<[String; 2]>),
+}
+
 /// How keypoints are found and matched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -43,11 +58,13 @@ pub struct FeaturesOptions {
     pub max_epipolar_error_px: f64,
     /// Pairs with fewer verified matches are dropped.
     pub min_num_inliers: usize,
-    /// Up to this many photos all pairs are tried; beyond, only candidates.
+    /// Which pairs are matched.
+    pub pairs: PairChoice,
+    /// Up to this many photos `auto` tries all pairs.
     pub max_num_exhaustive_photos: usize,
-    /// Beyond the exhaustive limit: neighbours in file order that are paired with each photo.
+    /// Neighbours in the order of names, before and after each photo, that `sequential` and `auto` pair it with.
     pub num_sequential_neighbors: usize,
-    /// Beyond the exhaustive limit: most similar photos that are paired with each photo.
+    /// Most similar photos that `auto` pairs each photo with at first.
     pub num_similar_neighbors: usize,
     /// Largest number of RANSAC samples per pair.
     pub max_num_ransac_samples: usize,
@@ -66,7 +83,8 @@ impl Default for FeaturesOptions {
             max_verified_ratio: 0.9,
             max_epipolar_error_px: 3.0,
             min_num_inliers: 15,
-            max_num_exhaustive_photos: 60,
+            pairs: PairChoice::Auto,
+            max_num_exhaustive_photos: 20,
             num_sequential_neighbors: 8,
             num_similar_neighbors: 12,
             max_num_ransac_samples: 2000,

@@ -5,7 +5,7 @@
 
 use nalgebra::Matrix3;
 use rand::{Rng, SeedableRng};
-use rilievo_features::{FeaturesOptions, detect, match_photos};
+use rilievo_features::{FeaturesError, FeaturesOptions, PairChoice, detect, match_photos};
 use rilievo_scene::{
     FeatureMatches, FocalSource, Intrinsics, LinearImage, PairMatches, Photo, PhotoSet, Recorder,
 };
@@ -158,6 +158,46 @@ fn each_photo_that_cannot_be_posed_is_warned_of_once() {
     };
     assert!(flat.starts_with("flat.png: only 0 keypoints"), "{flat}");
     assert!(other.starts_with("other.png: matches no"), "{other}");
+}
+
+/// What is matched of these pairs, and the warnings.
+fn matched_of(pairs: PairChoice) -> Result<(Vec<[usize; 2]>, Vec<String>), FeaturesError> {
+    let set = PhotoSet { photos: photos() };
+    let options = FeaturesOptions {
+        pairs,
+        max_num_exhaustive_photos: 0,
+        num_sequential_neighbors: 1,
+        num_similar_neighbors: 1,
+        ..FeaturesOptions::default()
+    };
+    let keypoints = set.photos.iter().map(|p| detect(p, &options).unwrap());
+    let told = Recorder::default();
+    let (found, _) = match_photos(&set, keypoints.collect(), &options, &told)?;
+    let pairs = found.pairs.iter().map(|p| [p.first.0, p.second.0]);
+    Ok((pairs.collect(), told.warnings()))
+}
+
+#[test]
+fn listed_pairs_alone_are_matched_and_unknown_names_told() {
+    let listed = |names: &[[&str; 2]]| {
+        PairChoice::Listed(names.iter().map(|pair| pair.map(str::to_owned)).collect())
+    };
+    let (pairs, warnings) = matched_of(listed(&[["c.png", "a.png"], ["b.png", "d.png"]])).unwrap();
+    assert_eq!(pairs, [[0, 2]]);
+    assert!(warnings.iter().any(|w| w.contains("d.png")), "{warnings:?}");
+    let error = matched_of(listed(&[["a.png", "d.png"], ["b.png", "b.png"]])).unwrap_err();
+    assert!(
+        matches!(error, FeaturesError::NoListedPair { num: 2 }),
+        "{error}"
+    );
+}
+
+#[test]
+fn likely_pairs_lead_to_all_that_match() {
+    let all = [[0, 1], [0, 2], [1, 2]];
+    for pairs in [PairChoice::All, PairChoice::Auto] {
+        assert_eq!(matched_of(pairs).unwrap().0, all);
+    }
 }
 
 #[test]
