@@ -207,7 +207,8 @@ fn pair_choice(word_or_file: &Path) -> Result<PairChoice, Failure> {
 /// Two file names a line; lines that are empty or begin with `#` say nothing.
 fn listed_pairs(text: &str) -> Result<PairChoice, String> {
     let mut pairs = Vec::new();
-    for (number, line) in (1..).zip(text.lines()) {
+    // Some editors begin a file with a byte order mark.
+    for (number, line) in (1..).zip(text.trim_start_matches('\u{feff}').lines()) {
         let line = line.trim();
         if line.is_empty() || line.starts_with('#') {
             continue;
@@ -217,7 +218,9 @@ fn listed_pairs(text: &str) -> Result<PairChoice, String> {
         } else {
             line.split_whitespace().collect()
         };
-        let [first, second] = names[..] else {
+        let pair = <[&str; 2]>::try_from(names).ok();
+        let Some([first, second]) = pair.filter(|names| names.iter().all(|name| !name.is_empty()))
+        else {
             return Err(format!(
                 "line {number} is no pair: two file names, separated by a comma (where names hold spaces) or white space"
             ));
@@ -270,6 +273,8 @@ mod tests {
                 .unwrap_err()
                 .contains("line 1")
         );
+        assert!(listed_pairs("a.jpg,").unwrap_err().contains("line 1"));
+        assert!(listed_pairs("\u{feff}# by a text editor\na.jpg b.jpg").is_ok());
         assert!(listed_pairs("# nothing\n").unwrap_err().contains("no pair"));
     }
 

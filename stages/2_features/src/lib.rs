@@ -41,8 +41,6 @@ const FEW_KEYPOINTS: usize = 100;
 /// which it is not.
 const NUM_PREVIEWED: usize = 512;
 const MIN_PREVIEW_MATCHES: usize = 4;
-/// Verified matches from which on a pair tells of other pairs.
-const NUM_STRONG: usize = 50;
 
 /// Matches the keypoints of all photos and keeps what agrees with a two-view geometry.
 ///
@@ -59,29 +57,32 @@ pub fn match_photos(
     check_keypoints(&keypoints, photos)?;
     check_descriptors(&keypoints, photos)?;
     let matcher = Matcher::new(photos, &keypoints, options);
-    let mut tried = BTreeSet::new();
-    let mut matched: Vec<PairMatches> = Vec::new();
-    let mut next = candidates::first(photos, &keypoints, options)?;
     let unknown = candidates::unknown_names(photos, options);
     if !unknown.is_empty() {
         let names: Vec<&str> = unknown.into_iter().collect();
         let message = format!(
-            "listed pairs with {}, which is none of the photos, are left out",
+            "listed pairs are left out for names that are none of the photos: {}",
             names.join(", ")
         );
         let flow = observer.warn(StageId::Features, message);
         flow.ok_or(FeaturesError::Interrupted)?;
     }
-    while !next.is_empty() {
-        let alike = matcher.alike(&next);
-        matched.extend(matcher.pairs(&alike, observer)?);
-        tried.extend(next);
-        next = if matcher.has_previews() {
-            let strong: Vec<_> = matched.iter().filter_map(strong_pair).collect();
-            candidates::beyond(keypoints.len(), &strong, &tried)
-        } else {
-            Vec::new()
-        };
+    let begun = candidates::first(photos, &keypoints, options)?;
+    let mut matched = matcher.pairs(&matcher.alike(&begun, observer)?, 0, observer)?;
+    if matcher.has_previews() {
+        let mut tried: BTreeSet<Pair> = begun.iter().copied().collect();
+        loop {
+            let strong: Vec<Pair> = matched.iter().filter_map(|p| strong(p, options)).collect();
+            let next = candidates::beyond(keypoints.len(), &strong, &tried);
+            if next.is_empty() {
+                break;
+            }
+            let alike = matcher.alike(&next, observer)?;
+            matched.extend(matcher.pairs(&alike, matched.len(), observer)?);
+            tried.extend(next);
+        }
+        let refused = refused_of_lonely(&begun, &matched, keypoints.len());
+        matched.extend(matcher.pairs(&refused, matched.len(), observer)?);
     }
     matched.sort_by_key(|pair| (pair.first, pair.second));
     let pair_reports = matched.iter().map(PairReport::of).collect();
@@ -152,23 +153,30 @@ impl<'a> Matcher<'a> {
     }
 
     /// The pairs whose largest keypoints match often enough; all, where there are no previews.
-    fn alike(&self, pairs: &[Pair]) -> Vec<Pair> {
-        let is_alike = |&(i, j): &Pair| {
-            !self.has_previews()
-                || match_descriptors(&self.previews[i], &self.previews[j], self.options.max_ratio)
-                    .len()
-                    >= MIN_PREVIEW_MATCHES
-        };
-        pairs.par_iter().copied().filter(is_alike).collect()
+    fn alike(&self, pairs: &[Pair], observer: &dyn Observer) -> Result<Vec<Pair>, FeaturesError> {
+        if !self.has_previews() {
+            return Ok(pairs.to_vec());
+        }
+        let looked_at = pairs.par_iter().map(|&(i, j)| {
+            if observer.flow() == Flow::Stop {
+                return Err(FeaturesError::Interrupted);
+            }
+            let [a, b] = [&self.previews[i], &self.previews[j]];
+            let num = match_descriptors(a, b, self.options.max_ratio).len();
+            Ok((num >= MIN_PREVIEW_MATCHES).then_some((i, j)))
+        });
+        let alike: Vec<Option<Pair>> = looked_at.collect::<Result<_, _>>()?;
+        Ok(alike.into_iter().flatten().collect())
     }
 
-    /// Matches of many pairs.
+    /// Matches of many pairs, after `num_before` others.
     fn pairs(
         &self,
         pairs: &[Pair],
+        num_before: usize,
         observer: &dyn Observer,
     ) -> Result<Vec<PairMatches>, FeaturesError> {
-        let num_done = AtomicUsize::new(0);
+        let (num_done, num) = (AtomicUsize::new(num_before), num_before + pairs.len());
         pairs
             .par_iter()
             .map(|&(first, second)| {
@@ -177,8 +185,7 @@ impl<'a> Matcher<'a> {
                 }
                 let pair = self.pair(first, second)?;
                 let done = num_done.fetch_add(1, Ordering::Relaxed) + 1;
-                let flow =
-                    observer.progress(StageId::Features, "matching pairs", (done, pairs.len()));
+                let flow = observer.progress(StageId::Features, "matching pairs", (done, num));
                 flow.ok_or(FeaturesError::Interrupted)?;
                 Ok(pair)
             })
@@ -222,8 +229,23 @@ impl<'a> Matcher<'a> {
 }
 
 /// The pair, where it matches well enough to tell of other pairs.
-fn strong_pair(pair: &PairMatches) -> Option<Pair> {
-    (pair.matches.len() >= NUM_STRONG).then_some((pair.first.0, pair.second.0))
+fn strong(pair: &PairMatches, options: &FeaturesOptions) -> Option<Pair> {
+    let is_strong = pair.matches.len() >= 2 * options.min_num_inliers;
+    is_strong.then_some((pair.first.0, pair.second.0))
+}
+
+/// Of the pairs to begin with, those that were not matched of photos that match no other: few keypoints may be too few
+/// to tell.
+fn refused_of_lonely(begun: &[Pair], matched: &[PairMatches], num_photos: usize) -> Vec<Pair> {
+    let mut is_lonely = vec![true; num_photos];
+    for pair in matched.iter().filter(|pair| !pair.matches.is_empty()) {
+        is_lonely[pair.first.0] = false;
+        is_lonely[pair.second.0] = false;
+    }
+    let known: BTreeSet<Pair> = matched.iter().map(|p| (p.first.0, p.second.0)).collect();
+    let refused = begun.iter().filter(|pair| !known.contains(pair));
+    let refused = refused.filter(|&&(i, j)| is_lonely[i] || is_lonely[j]);
+    refused.copied().collect()
 }
 
 /// Counts per photo.

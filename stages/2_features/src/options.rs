@@ -110,7 +110,7 @@ impl FeaturesOptions {
             max_epipolar_error_px in 0.01..=1000.0,
             min_num_inliers in 8..=1_000_000,
             max_num_exhaustive_photos in 0..=1_000_000,
-            num_sequential_neighbors in 0..=1_000_000,
+            num_sequential_neighbors in 1..=1_000_000,
             num_similar_neighbors in 0..=1_000_000,
             max_num_ransac_samples in 1..=10_000_000,
         )

@@ -16,7 +16,7 @@ pub struct PhotoFeatures {
     pub num_pairs: usize,
 }
 
-/// Matches of one pair that was tried.
+/// Matches of one pair that was matched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PairReport {
     /// First photo.
@@ -49,6 +49,6 @@ impl PairReport {
 pub struct FeaturesReport {
     /// One entry per photo.
     pub photos: Vec<PhotoFeatures>,
-    /// One entry per pair that was tried.
+    /// One entry per pair that was matched; pairs that few keypoints ruled out have none.
     pub pairs: Vec<PairReport>,
 }

@@ -29,7 +29,7 @@ use rilievo_scene::{
 };
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 20;
+pub const VERSION: u32 = 21;
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///

@@ -23,7 +23,7 @@ const SIGMA_SHARE_OF_RESIDUAL: f64 = 0.47;
 const USUAL_SIDE: f64 = 5.0;
 /// Correlation of neighbouring residuals beyond which they are held to be no more alike.
 const MAX_CORRELATION: f64 = 0.95;
-/// Least σ_m: a tenth of a step of an 8-bit photo at mid grey.
+/// Least σ_m: a seventeenth of a step of an 8-bit photo at mid grey.
 const MIN_SIGMA_MATCH: f64 = 0.001;
 /// Largest factor of σ_s for errors that the photos share: σ_s is then 1.4 standard deviations of the light's residual.
 const MAX_SHARED_ERROR: f64 = 3.0;
@@ -123,7 +123,7 @@ pub(crate) fn mean_turn_deg(level: &Level, from: &[Vec<f64>], to: &[Vec<f64>]) -
     (turns.iter().sum::<f64>() / turns.len().max(1) as f64).to_degrees()
 }
 
-/// What a step left between the photos.
+/// What was left between the photos when the last round of a step began.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct MatchLeft {
     /// Median relative residual.
@@ -154,7 +154,8 @@ impl MatchLeft {
     /// Factor of shading's σ_s at the finer levels, 1 to 3. What the light leaves in the photos (`light_residual`) is
     /// partly their noise, which differs between them and which their mean reduces, and partly what they share: fine
     /// pigment, light that the model lacks. The more the light's residual outweighs the residual between the photos, the
-    /// less is noise, and what is shared neither a mean nor a neighbouring pixel reduces.
+    /// less is noise, and what is shared neither a mean nor a neighbouring pixel reduces. The light's residual is that of
+    /// the coarse level, which has little noise; the one between photos is of the level in work or the one before.
     pub(crate) fn shared_error(self, light_residual: f64) -> f64 {
         (light_residual / self.residual.max(f64::MIN_POSITIVE)).clamp(1.0, MAX_SHARED_ERROR)
     }
@@ -170,7 +171,7 @@ impl Course<'_> {
         step_weights(&self.scene.pyramid[at], sigma_match, weights)
     }
 
-    /// What the last step left between photos that agree. Photos that disagree have none: on a surface that the patch
+    /// What was left between photos that agree in the last step. Photos that disagree have none: on a surface that the patch
     /// search made rough, what is left measures the roughness too.
     pub(crate) fn last_match(&self) -> Option<MatchLeft> {
         let mut steps = self.report.steps.iter().rev();

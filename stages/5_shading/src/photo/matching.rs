@@ -41,7 +41,7 @@ pub(crate) struct MatchTerms {
     pub likeness: Likeness,
 }
 
-/// Sums over pixels from which the correlation of a quantity with its neighbour's follows.
+/// Sums over neighbours in a row from which the correlation of a quantity between them follows.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Likeness {
     squares: f64,
@@ -54,7 +54,7 @@ impl Likeness {
         self.products += other.products;
     }
 
-    /// Correlation of a pixel with its neighbour in the row, 0 to 1; none where there is nothing.
+    /// Correlation of a pixel with its neighbour, 0 to 1; none where no two neighbours were seen.
     pub fn correlation(self) -> Option<f64> {
         (self.squares > 0.0).then(|| (self.products / self.squares).clamp(0.0, 1.0))
     }
@@ -154,11 +154,11 @@ pub(crate) fn terms(
             }
             // Single gross errors shall not decide.
             let signed = signed.clamp(-LARGEST_LIKENED, LARGEST_LIKENED);
-            out.likeness.squares += signed * signed;
             if let Some((before, value)) = last
-                && before + 1 == p
                 && view.pixels.ys[before] == view.pixels.ys[p]
+                && view.pixels.xs[before] + 1 == view.pixels.xs[p]
             {
+                out.likeness.squares += 0.5 * (signed * signed + value * value);
                 out.likeness.products += signed * value;
             }
             last = Some((p, signed));

@@ -375,7 +375,7 @@ pub(crate) fn finer_weights(
         ..*last
     };
     if let Some(shading) = &mut weights.shading {
-        // Single pixels of the finer level are noisier.
+        // Single pixels of the finer level are noisier. Chroma keeps to its own noise, which is measured per level.
         shading.sigma *= 1.4 * shared_error;
         shading.chroma_share *= 1.4;
         shading.correction_px = 12.0;
