@@ -22,6 +22,7 @@ mod lock;
 mod manifest;
 mod run_dir;
 mod run_file;
+mod scratch;
 mod sealed;
 mod writer;
 
@@ -32,5 +33,6 @@ pub use files::{absolute, create_folder, hash_file, is_name, own_file, write_ato
 pub use fingerprint::{Ingredients, hash_bytes, hash_json};
 pub use manifest::{FORMAT_VERSION, Item, Look, Manifest};
 pub use run_dir::RunDir;
+pub use scratch::FileScratch;
 pub use sealed::{seal, unseal};
 pub use writer::StageWriter;

@@ -26,6 +26,7 @@ pub mod options;
 pub mod photos;
 pub mod poses;
 pub mod raster;
+pub mod scratch;
 pub mod shaded;
 pub mod sphere;
 pub mod srgb;
@@ -50,6 +51,7 @@ pub use poses::{
     SparsePoint, TrackElement, Unit, Unregistered,
 };
 pub use raster::{LinearImage, Mask, Raster, bilinear};
+pub use scratch::{MemoryScratch, Room, Scratch, ScratchError};
 pub use shaded::{MapSource, ShadedImages, ShadedView, ShadedViews};
 pub use sphere::{
     LightKind, LocatedSphere, MarkedSphere, SphereCalibration, SphereMark, SphereRequest,
