@@ -13,7 +13,7 @@
 //! coloured light keep their shading. Slow changes are left to the shading term's own correction.
 //! The albedo sits on the surface: every pixel takes the mean over the views that see its point.
 
-use super::shading;
+use super::shading::{self, HarmonicsOf};
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
@@ -58,7 +58,7 @@ struct Ratios {
 pub(crate) fn estimate(
     level: &Level,
     depths: &[Vec<f64>],
-    harmonics: &[Vec<shading::PixelHarmonics>],
+    harmonics: &HarmonicsOf<'_>,
     mean_tolerance: f64,
 ) -> Albedo {
     let rasters = rilievo_stereo::level::depth_rasters(level, depths);
@@ -67,7 +67,7 @@ pub(crate) fn estimate(
         .with_max_len(1)
         .map(|i| {
             let target = shading::mean_intensities(level, i, &depths[i], &rasters, mean_tolerance);
-            ratios(&level.views[i], &depths[i], &harmonics[i], &target)
+            ratios(&level.views[i], &depths[i], &harmonics(i), &target)
         })
         .collect();
     let regression = regress(&ratios);

@@ -6,7 +6,7 @@
 //! shape and light do not explain. Clipped and dark pixels take the albedo of their neighbours.
 
 use super::light::Light;
-use super::shading;
+use super::shading::{self, HarmonicsOf};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
 use rilievo_stereo::level::Level;
@@ -34,6 +34,7 @@ pub(crate) fn render(
     depths: &[Vec<f64>],
     rasters: &[Raster<f32>],
     light: &Light,
+    harmonics: &HarmonicsOf<'_>,
 ) -> Vec<Appearance> {
     (0..level.views.len())
         .into_par_iter()
@@ -49,10 +50,9 @@ pub(crate) fn render(
                     .as_ref()
                     .map_or([1.0; 3], |a| a.relative[i][p])
             };
+            let harmonics = harmonics(i);
             let light: Vec<[f32; 3]> = (0..target.len())
-                .map(|p| {
-                    shading::render(&light.harmonics[i][p], normals[p]).map(|v| (v as f32).max(0.0))
-                })
+                .map(|p| shading::render(&harmonics[p], normals[p]).map(|v| (v as f32).max(0.0)))
                 .collect();
             let mut weight = vec![0.0_f32; target.len()];
             let ratio: Vec<[f32; 3]> = (0..target.len())

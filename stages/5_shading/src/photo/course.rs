@@ -1,12 +1,13 @@
 //! What the steps of a run share: views, options, observer, report.
 
+use super::memory;
 use super::options::PhotoOptions;
 use super::output::{self, FineShape, FoundShape, Shape};
 use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::{ShadingError, warn};
 use rayon::prelude::*;
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::{Checkpoint, Event, Flow, Observer, Scratch, ShadedViews, StageId};
 use rilievo_stereo::between_levels;
@@ -29,7 +30,7 @@ pub(crate) struct Course<'a> {
     /// What was warned of, to be told again when a stopped run goes on.
     pub warnings: Vec<String>,
     /// Exact solvers of the level at which outer iterations run.
-    pub solvers: Option<(usize, Arc<[PlateSolver]>)>,
+    pub solvers: Option<(usize, Arc<SolverSet>)>,
     /// The surface at a level that is out of core, once relief has begun.
     pub fine: Option<FineShape>,
     pub probe: Option<&'a Probe<'a>>,
@@ -69,44 +70,30 @@ impl Course<'_> {
         }
     }
 
-    /// Exact solvers of a level, one per view: where values have to reach across what no view knows.
-    pub(crate) fn solvers(&self, at: usize) -> Result<Vec<PlateSolver>, ShadingError> {
-        let results: Vec<_> = self
-            .scene
-            .level(at)
-            .views
-            .par_iter()
-            .map(|view| PlateSolver::direct(&view.pixels))
-            .collect();
-        results
-            .into_iter()
-            .enumerate()
-            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
-            .collect()
+    /// Exact solvers of a level: where values have to reach across what no view knows.
+    pub(crate) fn solvers(&self, at: usize) -> SolverSet {
+        let keeps = memory::keeps_solvers(&self.scene, at, self.options);
+        SolverSet::direct(self.scene.frames.len(), keeps)
     }
 
     /// [`Self::solvers`], analysed once for all outer iterations at a level.
-    pub(crate) fn shared_solvers(&mut self, at: usize) -> Result<Arc<[PlateSolver]>, ShadingError> {
+    pub(crate) fn shared_solvers(&mut self, at: usize) -> Arc<SolverSet> {
         if let Some((of, solvers)) = &self.solvers
             && *of == at
         {
-            return Ok(solvers.clone());
+            return solvers.clone();
         }
         // Those of another level go first: they take a good part of the memory.
         self.solvers = None;
-        let solvers: Arc<[PlateSolver]> = self.solvers(at)?.into();
+        let solvers = Arc::new(self.solvers(at));
         self.solvers = Some((at, solvers.clone()));
-        Ok(solvers)
+        solvers
     }
 
-    /// Solvers of a finer level, one per view: its surface is about right from the start.
-    pub(crate) fn finer_solvers(&self, at: usize) -> Vec<PlateSolver> {
-        self.scene
-            .level(at)
-            .views
-            .par_iter()
-            .map(|view| PlateSolver::iterative(&view.pixels))
-            .collect()
+    /// Solvers of a finer level: its surface is about right from the start.
+    pub(crate) fn finer_solvers(&self, at: usize) -> SolverSet {
+        let keeps = memory::keeps_solvers(&self.scene, at, self.options);
+        SolverSet::iterative(self.scene.frames.len(), keeps)
     }
 
     /// How the views' surfaces are read: where photos disagree depth is noisy down to single pixels.
@@ -168,7 +155,7 @@ impl Course<'_> {
     pub(crate) fn descend(
         &self,
         at: usize,
-        solvers: &[PlateSolver],
+        solvers: &SolverSet,
         depths: &[Vec<f64>],
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
@@ -179,15 +166,10 @@ impl Course<'_> {
                 let (values, known) =
                     between_levels::upsample(&coarse.views[i], &fine.views[i], &depths[i]);
                 let weight: Vec<f64> = known.iter().map(|&k| f64::from(u8::from(k))).collect();
-                start::fill(
-                    &fine.views[i],
-                    &solvers[i],
-                    &values,
-                    &weight,
-                    1.0,
-                    1e-5,
-                    |_| false,
-                )
+                let solver = solvers.of(i, &fine.views[i].pixels)?;
+                start::fill(&fine.views[i], &solver, &values, &weight, 1.0, 1e-5, |_| {
+                    false
+                })
             })
             .collect();
         filled

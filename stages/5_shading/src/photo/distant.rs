@@ -63,7 +63,7 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
         }
     }
     let light = with_residuals(level, &normals, harmonics, in_the_open, None, kind);
-    let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
+    let pigment = albedo::estimate(level, depths, &|i| light.own(i), light.mean_tolerance);
     Some(with_residuals(
         level,
         &normals,

@@ -5,7 +5,7 @@
 //! exponent `β` of `Ĩ ≈ l·h(n) · openness^β` on its own photos.
 
 use super::albedo::Albedo;
-use super::shading::{self, PixelHarmonics};
+use super::shading::{self, HarmonicsOf};
 use rayon::prelude::*;
 use rilievo_stereo::level::LevelView;
 use rilievo_stereo::openness::openness;
@@ -24,7 +24,7 @@ const LARGEST_MISFIT: f32 = 0.4;
 pub(crate) fn exponent(
     views: &[LevelView],
     depths: &[Vec<f64>],
-    harmonics: &[Vec<PixelHarmonics>],
+    harmonics: &HarmonicsOf<'_>,
     pigment: Option<&Albedo>,
 ) -> f32 {
     let sums: Vec<(f64, f64)> = views
@@ -37,9 +37,10 @@ pub(crate) fn exponent(
                 .map(|p| f32::from(u8::from(view.is_usable(p))))
                 .collect();
             let pigment = pigment.map(|p| &p.relative[i]);
+            let harmonics = harmonics(i);
             let rows: Vec<[f32; 2]> = (0..normals.len())
                 .map(|p| {
-                    let model = shading::render(&harmonics[i][p], normals[p]);
+                    let model = shading::render(&harmonics[p], normals[p]);
                     let (mut seen, mut expected) = (0.0, 0.0);
                     for (c, value) in view.intensity(p).into_iter().enumerate() {
                         seen += value;
@@ -74,6 +75,7 @@ mod tests {
     use nalgebra::{Matrix3, Point3, Vector3};
     use rilievo_scene::{LinearImage, Raster};
     use rilievo_stereo::camera::Camera;
+    use std::borrow::Cow;
 
     /// A surface of pits under light from the camera's side, its photo darkened by openness to the power `beta`.
     fn measured(beta: f32, brightness_noise: f32) -> f32 {
@@ -113,7 +115,8 @@ mod tests {
                 view.image.data[at + c] = *value as f32 * open[p].powf(beta) * noise;
             }
         }
-        exponent(std::slice::from_ref(&view), &[depth], &harmonics, None)
+        let of_view = |i: usize| Cow::Borrowed(harmonics[i].as_slice());
+        exponent(std::slice::from_ref(&view), &[depth], &of_view, None)
     }
 
     #[test]

@@ -5,12 +5,13 @@ use super::light::Light;
 use super::matching::{Likeness, MatchOptions};
 use super::report::StepReport;
 use super::shading::{ShadingTerm, ShadingWeights};
-use super::step::{self, StepOptions};
+use super::step::{self, StepOptions, StepOutcome};
 use crate::error::ShadingError;
 use rayon::prelude::*;
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
+use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
-use rilievo_stereo::level::Level;
+use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::plate;
 use rilievo_stereo::surfaces::Surfaces;
 use serde::{Deserialize, Serialize};
@@ -161,6 +162,37 @@ impl MatchLeft {
     }
 }
 
+/// A view after a Gauss-Newton round.
+struct Improved {
+    index: usize,
+    /// New log depths.
+    depth: Vec<f64>,
+    /// Mean change of log depth, and mean turn of the normals, radians.
+    moved: f64,
+    turned: f64,
+    /// Some of the relative residuals between the photos.
+    residuals: Vec<f64>,
+    likeness: Likeness,
+    /// Share of the pixels that no source sees.
+    seen_alone: f64,
+}
+
+impl Improved {
+    fn of(view: &LevelView, index: usize, before: &[f64], outcome: StepOutcome) -> Self {
+        let matches = &outcome.matches;
+        let alone = matches.num_visible.iter().filter(|&&n| n == 0).count();
+        Self {
+            index,
+            moved: plate::mean_move(before, &outcome.depth),
+            turned: plate::mean_turn(view, before, &outcome.depth),
+            residuals: matches.some_residuals().collect(),
+            likeness: matches.likeness,
+            seen_alone: alone as f64 / matches.num_visible.len().max(1) as f64,
+            depth: outcome.depth,
+        }
+    }
+}
+
 impl Course<'_> {
     /// [`step_weights`] of a level.
     pub(crate) fn step_options(&self, at: usize, weights: &IterationWeights) -> StepOptions {
@@ -187,7 +219,7 @@ impl Course<'_> {
     pub(crate) fn outer_iteration(
         &mut self,
         at: usize,
-        solvers: &[PlateSolver],
+        solvers: &SolverSet,
         depths: &mut [Vec<f64>],
         weights: &IterationWeights,
         light: Option<&Light>,
@@ -206,59 +238,52 @@ impl Course<'_> {
         let max_num_rounds = self.options.max_num_rounds;
         for round in 0..max_num_rounds {
             self.tell(kind, round, max_num_rounds)?;
-            let level = self.scene.level(at);
+            let (scene, level) = (&self.scene, self.scene.level(at));
             let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
             let mut likeness = Likeness::default();
             for parity in 0..2 {
                 let surfaces = Surfaces::new(level, depths, self.reading());
-                let outcomes: Vec<_> = (parity..level.views.len())
+                let outcomes: Vec<Result<Improved, (usize, PlateError)>> = (parity
+                    ..level.views.len())
                     .step_by(2)
                     .collect::<Vec<_>>()
                     .into_par_iter()
                     .with_max_len(1)
                     .map(|i| {
-                        let term = light.zip(weights.shading).map(|(light, weights)| {
+                        let view = &level.views[i];
+                        let solver = solvers.of(i, &view.pixels).map_err(|e| (i, e))?;
+                        let harmonics = light.map(|light| scene.harmonics(light, i, at));
+                        let shading = light.zip(harmonics.as_ref()).zip(weights.shading);
+                        let term = shading.map(|((light, harmonics), weights)| {
                             ShadingTerm::new(
                                 level,
                                 i,
                                 &depths[i],
                                 &surfaces.rasters,
-                                &light.of(i),
+                                &light.of(i, harmonics),
                                 &weights,
                             )
                         });
                         let outcome = step::improve(
                             &surfaces,
                             i,
-                            &solvers[i],
+                            &solver,
                             &depths[i],
                             term.as_ref(),
                             &options,
-                        );
-                        outcome.map_err(|e| (i, e)).map(|outcome| {
-                            let (before, after) = (&depths[i], &outcome.depth);
-                            let moved = plate::mean_move(before, after);
-                            let turned = plate::mean_turn(&level.views[i], before, after);
-                            (i, outcome, moved, turned)
-                        })
+                        )
+                        .map_err(|e| (i, e))?;
+                        Ok(Improved::of(view, i, &depths[i], outcome))
                     })
                     .collect();
                 for outcome in outcomes {
-                    let (i, outcome, moved_by, turned_by) =
-                        outcome.map_err(|(i, e)| self.failed(i, &e))?;
-                    depths[i] = outcome.depth;
-                    moved += moved_by;
-                    turned += turned_by;
-                    residuals.extend(outcome.matches.some_residuals());
-                    likeness.add(outcome.matches.likeness);
-                    let alone = outcome
-                        .matches
-                        .num_visible
-                        .iter()
-                        .filter(|&&n| n == 0)
-                        .count();
-                    self.report.views[i].seen_alone =
-                        alone as f64 / outcome.matches.num_visible.len().max(1) as f64;
+                    let improved = outcome.map_err(|(i, e)| self.failed(i, &e))?;
+                    moved += improved.moved;
+                    turned += improved.turned;
+                    residuals.extend(improved.residuals);
+                    likeness.add(improved.likeness);
+                    self.report.views[improved.index].seen_alone = improved.seen_alone;
+                    depths[improved.index] = improved.depth;
                 }
             }
             let level = self.scene.level(at);

@@ -25,11 +25,12 @@ use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::plate;
 use rilievo_stereo::spread;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// The light of all views at one level.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Light {
-    /// Per view and masked pixel, camera frame.
+    /// Per view and masked pixel of the level that it was fitted at, camera frame; finer levels interpolate them.
     pub harmonics: Vec<Vec<PixelHarmonics>>,
     /// Median relative residual per view, at the shape that it was fitted on, pigment divided out.
     pub residuals: Vec<f64>,
@@ -54,15 +55,20 @@ impl Light {
         median(&mut known.collect::<Vec<f64>>()).unwrap_or(1.0)
     }
 
-    /// The light of a view's pixels.
-    pub fn of(&self, view: usize) -> PixelLight<'_> {
+    /// The light of a view's pixels, whose `harmonics` are of the same level as everything else.
+    pub fn of<'a>(&'a self, view: usize, harmonics: &'a [PixelHarmonics]) -> PixelLight<'a> {
         PixelLight {
-            harmonics: &self.harmonics[view],
+            harmonics,
             pigment: self.pigment_of(view),
             trust: self.trust.get(view).map(Vec::as_slice),
             mean_tolerance: self.mean_tolerance,
             openness_exponent: self.openness_exponent.unwrap_or(0.0),
         }
+    }
+
+    /// The coefficients of a view at the level that they were fitted at.
+    pub fn own(&self, view: usize) -> Cow<'_, [PixelHarmonics]> {
+        Cow::Borrowed(&self.harmonics[view])
     }
 
     /// Pigment of a view's pixels.
@@ -332,7 +338,7 @@ pub(crate) fn visible_on(
         with_residuals(level, normals, harmonics, open, None, known.kind)
     };
     let mut light = of_fit(&fit);
-    let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
+    let pigment = albedo::estimate(level, depths, &|i| light.own(i), light.mean_tolerance);
     let ratios: Vec<[f32; 3]> = of_groups
         .iter()
         .map(|range| known_ratio(&samples[range.clone()], &fit))
@@ -353,7 +359,7 @@ pub(crate) fn visible_on(
         fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
         light = of_fit(&fit);
     }
-    let pigment = albedo::estimate(level, depths, &light.harmonics, light.mean_tolerance);
+    let pigment = albedo::estimate(level, depths, &|i| light.own(i), light.mean_tolerance);
     let mut light = with_residuals(
         level,
         normals,
@@ -366,7 +372,7 @@ pub(crate) fn visible_on(
         light.openness_exponent = Some(hidden_light::exponent(
             &level.views,
             depths,
-            &light.harmonics,
+            &|i| light.own(i),
             light.pigment.as_ref(),
         ));
     }

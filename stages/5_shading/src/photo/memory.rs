@@ -22,6 +22,10 @@ const MASKED_BYTES: f64 = 4.0 / 3.0 * 8.0 + 2.5 * 9.0;
 const TILE_BYTES: f64 = 650.0;
 /// A pixel of a view's crop while its surface goes from one level to the next.
 const VIEW_BYTES: f64 = 60.0;
+/// A masked pixel of a view whose system is factorised.
+const FACTOR_BYTES: f64 = 1300.0;
+/// A masked pixel of a view whose solver is kept.
+const SOLVER_BYTES: f64 = 150.0;
 /// A masked pixel at a level that is solved as a whole, in all views: system, factors, light.
 const WHOLE_BYTES: f64 = 900.0;
 /// A pixel of a photo whose maps are made and written, or that is loaded.
@@ -130,6 +134,15 @@ pub(crate) fn photos_at_once(posed: &PosedViews, options: &PhotoOptions) -> usiz
 pub(crate) fn tiles_at_once(options: &PhotoOptions, scene: &Scene) -> usize {
     let most = 2 * rayon::current_num_threads();
     at_once(options, scene.bytes(), tile_bytes(), most)
+}
+
+/// Whether exact solvers of all views at a level may be kept between the rounds.
+pub(crate) fn keeps_solvers(scene: &Scene, at: usize, options: &PhotoOptions) -> bool {
+    let masked: usize = scene.level(at).views.iter().map(|v| v.pixels.len()).sum();
+    let largest = scene.level(at).views.iter().map(|v| v.pixels.len()).max();
+    let in_work = FACTOR_BYTES * (largest.unwrap_or(0) * rayon::current_num_threads()) as f64;
+    let in_use = scene.bytes() + in_work + SOLVER_BYTES * masked as f64;
+    options.memory.is_none_or(|given| given as f64 > in_use)
 }
 
 /// Views of which everything at level `at` may be in memory at once.

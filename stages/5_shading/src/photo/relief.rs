@@ -32,6 +32,7 @@ use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::tile::{self, Tile};
 use rilievo_stereo::window::Window;
 use rilievo_stereo::{between_levels, plate, specks};
+use std::borrow::Cow;
 use std::time::Instant;
 
 /// Side of the samples on which a view's noise is measured, pixels, and their largest number.
@@ -44,13 +45,14 @@ const OVER_RELAXATION: f64 = 1.7;
 /// What reports and progress call these steps.
 const KIND: &str = "relief";
 
-/// The light of a coarser level, to be read at finer ones.
+/// The light of a view at a coarser level, to be read at finer ones.
 pub(super) struct CoarseLight<'a> {
     light: &'a Light,
+    index: usize,
     at: usize,
     focal: f64,
-    /// Per view.
-    parents: Vec<Parents<'a>>,
+    harmonics: Cow<'a, [PixelHarmonics]>,
+    parents: Parents<'a>,
 }
 
 /// The light of a tile's pixels.
@@ -96,23 +98,28 @@ pub(super) struct TileStep {
 }
 
 impl<'a> CoarseLight<'a> {
-    pub(super) fn new(level: &'a Level, at: usize, light: &'a Light) -> Self {
+    /// The light of view `index`, whose `harmonics` are of `level`, number `at`.
+    pub(super) fn new(
+        level: &'a Level,
+        at: usize,
+        index: usize,
+        light: &'a Light,
+        harmonics: Cow<'a, [PixelHarmonics]>,
+    ) -> Self {
         Self {
             light,
+            index,
             at,
             focal: level.focal(),
-            parents: level
-                .views
-                .par_iter()
-                .map(|view| Parents::new(view))
-                .collect(),
+            harmonics,
+            parents: Parents::new(&level.views[index]),
         }
     }
 
-    /// The light of a tile of view `index`, cut at level `at` of focal length `focal`.
-    fn of(&self, tile: &Tile, index: usize, at: usize, focal: f64) -> TileLight {
+    /// The light of a tile of the view, cut at level `at` of focal length `focal`.
+    fn of(&self, tile: &Tile, at: usize, focal: f64) -> TileLight {
         let light = self.light;
-        let (pigment, trust) = (light.pigment_of(index), light.trust.get(index));
+        let (pigment, trust) = (light.pigment_of(self.index), light.trust.get(self.index));
         let scale = f64::from(1_u32 << (self.at - at)).recip();
         let view = &tile.level.views[0];
         let rows: Vec<[f32; 31]> = (0..view.pixels.len())
@@ -122,9 +129,9 @@ impl<'a> CoarseLight<'a> {
                 let (x, y) = view.xy(p);
                 let coarse = |v: f64, corner: usize| (v + corner as f64 + 0.5) * scale - 0.5;
                 let (x, y) = (coarse(x, tile.corner.0), coarse(y, tile.corner.1));
-                self.parents[index].at(x, y, |parent| {
+                self.parents.at(x, y, |parent| {
                     let mut row = [0.0; 31];
-                    for (c, l) in light.harmonics[index][parent].iter().enumerate() {
+                    for (c, l) in self.harmonics[parent].iter().enumerate() {
                         row[9 * c..9 * c + 9].copy_from_slice(l);
                     }
                     if let Some(pigment) = pigment {
@@ -400,7 +407,6 @@ impl Course<'_> {
         let sigma_match = left.map_or(self.report.sigma_match, MatchLeft::sigma);
         let options = step_weights(level.focal(), sigma_match, &weights);
         let coarse = rounds.coarse;
-        let light = CoarseLight::new(scene.level(coarse), coarse, light);
         let Some(shading) = weights.shading else {
             return Ok(true);
         };
@@ -412,11 +418,13 @@ impl Course<'_> {
         // Even views first, as in the outer iterations.
         let order = (0..num_views).step_by(2).chain((1..num_views).step_by(2));
         for (place, i) in order.enumerate() {
+            let harmonics = scene.harmonics(light, i, coarse);
+            let of_view = CoarseLight::new(scene.level(coarse), coarse, i, light, harmonics);
             let mut view = ViewAtLevel {
                 level: &level,
                 index: i,
                 reading: self.reading(),
-                light: &light,
+                light: &of_view,
                 options: &options,
                 shading,
             };
@@ -533,7 +541,7 @@ impl ViewAtLevel<'_> {
 
     fn light_of(&self, tile: &Tile) -> TileLight {
         let focal = self.level.focal();
-        self.light.of(tile, self.index, self.level.at, focal)
+        self.light.of(tile, self.level.at, focal)
     }
 
     /// Noise of the view's chroma, from samples all over the object.

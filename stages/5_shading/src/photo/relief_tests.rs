@@ -107,7 +107,7 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
         level: &scene.stored_level(&shape, &sharpness),
         index: i,
         reading: Reading::Cubic,
-        light: &CoarseLight::new(coarse, 1, &light),
+        light: &CoarseLight::new(coarse, 1, i, &light, light.own(i)),
         options: &options,
         shading,
     };

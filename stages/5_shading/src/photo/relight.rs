@@ -12,10 +12,11 @@ use super::views::SolvedFrame;
 use super::{albedo, appearance, confidence, hidden_light, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LightKind, Lighting, LightingCalibration, PosedViews, ViewLighting};
 use rilievo_stereo::spread;
+use std::borrow::Cow;
 use std::time::Instant;
 
 impl Course<'_> {
@@ -121,7 +122,7 @@ impl Course<'_> {
     pub(crate) fn validate(
         &mut self,
         at: usize,
-        solvers: &[PlateSolver],
+        solvers: &SolverSet,
         depths: &[Vec<f64>],
         light: Option<&mut Light>,
         weights: &IterationWeights,
@@ -158,42 +159,28 @@ impl Course<'_> {
     }
 
     /// The light at the next finer level.
-    pub(crate) fn finer_light(&self, at: usize, depths: &[Vec<f64>], light: &Light) -> Light {
+    pub(crate) fn finer_light(&self, at: usize, depths: &[Vec<f64>], mut light: Light) -> Light {
         let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
-        let mut out = Light {
-            harmonics: (0..fine.views.len())
-                .map(|i| light::finer(&coarse.views[i], &fine.views[i], &light.harmonics[i]))
-                .collect(),
-            residuals: light.residuals.clone(),
-            in_the_open: light.in_the_open.clone(),
-            pigment: None,
-            mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
-            openness_exponent: None,
-            trust: light
-                .trust
-                .iter()
-                .enumerate()
-                .map(|(i, trust)| {
-                    let values: Vec<[f32; 1]> = trust.iter().map(|&t| [t]).collect();
-                    spread::spread(&coarse.views[i], &fine.views[i], &values)
-                        .iter()
-                        .map(|t| t[0])
-                        .collect()
-                })
-                .collect(),
-        };
-        if light.pigment.is_some() {
-            out.pigment = Some(albedo::estimate(
-                fine,
-                depths,
-                &out.harmonics,
-                out.mean_tolerance,
-            ));
+        light.mean_tolerance *= coarse.focal() / fine.focal();
+        for (i, trust) in light.trust.iter_mut().enumerate() {
+            let values: Vec<[f32; 1]> = trust.iter().map(|&t| [t]).collect();
+            let finer = spread::spread(&coarse.views[i], &fine.views[i], &values);
+            *trust = finer.iter().map(|t| t[0]).collect();
         }
-        out.openness_exponent = light.openness_exponent.map(|_| {
-            hidden_light::exponent(&fine.views, depths, &out.harmonics, out.pigment.as_ref())
-        });
-        out
+        let scene = &self.scene;
+        let harmonics = |light: &Light, i| scene.harmonics(light, i, at).into_owned();
+        if light.pigment.take().is_some() {
+            let of_view = |i| Cow::Owned(harmonics(&light, i));
+            let pigment = albedo::estimate(fine, depths, &of_view, light.mean_tolerance);
+            light.pigment = Some(pigment);
+        }
+        if light.openness_exponent.is_some() {
+            let of_view = |i| Cow::Owned(harmonics(&light, i));
+            let pigment = light.pigment.as_ref();
+            let exponent = hidden_light::exponent(&fine.views, depths, &of_view, pigment);
+            light.openness_exponent = Some(exponent);
+        }
+        light
     }
 
     /// What the final shape and light make of every pixel, and the facts on it.
@@ -203,10 +190,12 @@ impl Course<'_> {
         depths: &[Vec<f64>],
         light: Option<&Light>,
     ) -> Vec<Appearance> {
-        let level = self.scene.level(at);
+        let (scene, level) = (&self.scene, self.scene.level(at));
         let rasters = rilievo_stereo::level::depth_rasters(level, depths);
         let mut views = match light {
-            Some(light) => appearance::render(level, depths, &rasters, light),
+            Some(light) => appearance::render(level, depths, &rasters, light, &|i| {
+                scene.harmonics(light, i, at)
+            }),
             None => vec![Appearance::default(); level.views.len()],
         };
         for (i, view) in views.iter_mut().enumerate() {

@@ -11,7 +11,7 @@ use super::views::{self, Scene};
 use super::{distant, shading};
 use crate::Surroundings;
 use nalgebra::{Point2, Point3};
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
@@ -296,11 +296,7 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
             channel[1] = -channel[1];
         }
     }
-    let solvers: Vec<PlateSolver> = level
-        .views
-        .iter()
-        .map(|view| PlateSolver::direct(&view.pixels).unwrap())
-        .collect();
+    let solvers = SolverSet::direct(level.views.len(), true);
     let weights = super::iteration::iteration_weights(2, 0.03);
     let options = super::iteration::step_weights(level.focal(), 0.01, &weights);
     let trust = |light: &Light| {

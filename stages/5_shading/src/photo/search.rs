@@ -9,7 +9,7 @@ use super::course::Course;
 use super::report::{PhotoViewReport, StepReport};
 use crate::error::ShadingError;
 use nalgebra::Point3;
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
 use rilievo_stereo::patchmatch::{self, PatchCost, Planes};
@@ -33,14 +33,15 @@ impl Course<'_> {
         self.report.disagreement >= LARGE_DISAGREEMENT
     }
 
-    /// Planes of every view at a level, compared with its sources.
-    pub(crate) fn dense_search(
+    /// What `keep` takes of every view's planes at a level, compared with its sources.
+    pub(crate) fn dense_search<T: Send>(
         &self,
         at: usize,
         posed: &PosedViews,
         cost: PatchCost,
-        start: Option<&[Planes]>,
-    ) -> Result<Vec<Planes>, ShadingError> {
+        start: Option<&(dyn Fn(usize) -> Planes + Sync)>,
+        keep: impl Fn(Planes) -> T + Sync,
+    ) -> Result<Vec<T>, ShadingError> {
         let points: Vec<Point3<f64>> = posed
             .points
             .iter()
@@ -53,10 +54,9 @@ impl Course<'_> {
             seed: self.options.seed,
         };
         let level = self.scene.level(at);
-        search::search_views(level, self.scene.masked, &points, start, &options).ok_or_else(|| {
-            ShadingError::NoDepth {
-                view: self.scene.frames[0].name.clone(),
-            }
+        let found = search::search_views(level, self.scene.masked, &points, start, &options, keep);
+        found.ok_or_else(|| ShadingError::NoDepth {
+            view: self.scene.frames[0].name.clone(),
         })
     }
 
@@ -73,7 +73,7 @@ impl Course<'_> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
         self.tell("comparing exposures", 0, 1)?;
-        let planes = self.dense_search(at, posed, PatchCost::Correlation, None)?;
+        let planes = self.dense_search(at, posed, PatchCost::Correlation, None, |planes| planes)?;
         let level = self.scene.level(at);
         let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
         let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
@@ -130,18 +130,15 @@ impl Course<'_> {
                 sigma: (2.7 * self.report.sigma_match) as f32,
             }
         };
-        let has_coarser = at + 1 < self.scene.num_levels();
-        let start: Option<Vec<Planes>> = has_coarser.then(|| {
-            let coarse = self.scene.level(at + 1).views.iter();
-            coarse
-                .zip(&self.scene.level(at).views)
-                .zip(planes)
-                .map(|((coarse, fine), planes)| patchmatch::refine_start(coarse, fine, planes))
-                .collect()
-        });
-        let planes = self.dense_search(at, posed, cost, start.as_deref())?;
-        let solvers = self.solvers(at)?;
-        let found = self.found(at, &solvers, &planes)?;
+        let level = self.scene.level(at);
+        let coarser = self.scene.coarser(at);
+        let start =
+            |i: usize| patchmatch::refine_start(&coarser.views[i], &level.views[i], &planes[i]);
+        let start: Option<&(dyn Fn(usize) -> Planes + Sync)> =
+            (at + 1 < self.scene.num_levels()).then_some(&start);
+        let depths =
+            self.dense_search(at, posed, cost, start, |planes| start::log_depths(&planes))?;
+        let found = self.found(at, &self.solvers(at), &depths)?;
         self.report.search_scatter_px = found.scatter_px;
         for (i, agreement) in found.agreement.iter().enumerate() {
             let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
@@ -156,13 +153,13 @@ impl Course<'_> {
         Ok(found.surface)
     }
 
-    /// The surface through those depths of searched planes that views confirm.
+    /// The surface through those searched log depths that views confirm.
     pub(crate) fn found(
         &self,
         at: usize,
-        solvers: &[PlateSolver],
-        planes: &[Planes],
+        solvers: &SolverSet,
+        depths: &[Vec<f64>],
     ) -> Result<Found, ShadingError> {
-        search::found(self.scene.level(at), solvers, planes).map_err(|(i, e)| self.failed(i, &e))
+        search::found(self.scene.level(at), solvers, depths).map_err(|(i, e)| self.failed(i, &e))
     }
 }

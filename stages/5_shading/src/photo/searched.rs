@@ -13,9 +13,10 @@ use super::course::Course;
 use super::report::StepReport;
 use super::solve::FUSION_PX;
 use crate::error::ShadingError;
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_scene::PosedViews;
 use rilievo_stereo::patchmatch::{PatchCost, Planes};
+use rilievo_stereo::start;
 use std::time::Instant;
 
 /// Fusions of the searched surfaces: every view's search errs by itself, their mean errs less. The second
@@ -29,21 +30,19 @@ impl Course<'_> {
     pub(crate) fn search_again(
         &mut self,
         at: usize,
-        solvers: &[PlateSolver],
+        solvers: &SolverSet,
         depths: &[Vec<f64>],
         posed: &PosedViews,
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let began = Instant::now();
         self.tell("searching depth again", 0, 1)?;
         let level = self.scene.level(at);
-        let planes: Vec<Planes> = level
-            .views
-            .iter()
-            .zip(depths)
-            .map(|(view, depth)| Planes::tangent(view, depth))
-            .collect();
-        let planes = self.dense_search(at, posed, PatchCost::Correlation, Some(&planes))?;
-        let found = self.found(at, solvers, &planes)?;
+        let tangent = |i: usize| Planes::tangent(&level.views[i], &depths[i]);
+        let cost = PatchCost::Correlation;
+        let searched = self.dense_search(at, posed, cost, Some(&tangent), |planes| {
+            start::log_depths(&planes)
+        })?;
+        let found = self.found(at, solvers, &searched)?;
         self.show(at, "searched", &found.surface)?;
         let mut surface = found.surface;
         for _ in 0..NUM_FUSIONS {

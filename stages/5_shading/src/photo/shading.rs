@@ -18,9 +18,13 @@ use rilievo_stereo::openness::openness;
 use rilievo_stereo::plate;
 use rilievo_stereo::sampling;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 
 /// Nine coefficients for each of three channels, camera frame.
 pub(crate) type PixelHarmonics = [[f32; 9]; 3];
+
+/// Gives the coefficients of a view's pixels.
+pub(crate) type HarmonicsOf<'a> = dyn Fn(usize) -> Cow<'a, [PixelHarmonics]> + Sync + 'a;
 
 /// The basis of eq. 1.
 #[inline]

@@ -70,7 +70,10 @@ pub(crate) fn solve(
         let shape = &mut progress.shape;
         let after = match progress.next {
             Next::Outer(outer) => course.outer(shape, outer, posed, lighting)?,
-            Next::Finer(last) => course.finer(shape, light.as_ref(), last, posed)?,
+            Next::Finer(last) if shape.at == course.scene.finest => {
+                course.begin_relief(shape, light.as_ref(), last)?
+            }
+            Next::Finer(last) => course.finer(shape, light.take(), last, posed)?,
             Next::Relief(rounds) => course.relief(shape, light.as_ref(), rounds)?,
         };
         let new_light = after.light.is_some();
@@ -114,7 +117,7 @@ impl Course<'_> {
         let mut depths = self.find_surface(posed, &planes)?;
         let at = self.scene.coarse;
         self.show(at, "start", &depths)?;
-        let solvers = self.shared_solvers(at)?;
+        let solvers = self.shared_solvers(at);
         self.outer_iteration(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
         depths = self.fused(at, &depths, FUSION_PX)?;
         self.show(at, "fused", &depths)?;
@@ -223,7 +226,7 @@ impl Course<'_> {
             shape.depths = self.fused(at, &shape.depths, FUSION_PX)?;
             self.show(at, "fused", &shape.depths)?;
         }
-        let solvers = self.shared_solvers(at)?;
+        let solvers = self.shared_solvers(at);
         let mut light = self.light(at, &shape.depths, posed, lighting, outer.ground.as_ref())?;
         let found = light.as_ref().map_or(1.0, Light::residual);
         // What the finer surface adds to the residual at first is its own noise, not the light's.
@@ -301,30 +304,37 @@ impl Course<'_> {
         self.options.num_relief_rounds > 0 && light.is_some() && !self.photos_disagree()
     }
 
+    /// The start of relief at the levels that are not solved as a whole, if it is shaped.
+    fn begin_relief(
+        &mut self,
+        shape: &Shape,
+        light: Option<&Light>,
+        last: IterationWeights,
+    ) -> Result<After, ShadingError> {
+        let is_shaped = shape.at > 0 && self.shapes_relief(light);
+        let next = is_shaped.then(|| self.next_relief_level(shape, shape.at, last));
+        Ok(After {
+            light: None,
+            next: next.transpose()?.map(Next::Relief),
+        })
+    }
+
     /// The next finer level that is solved as a whole, with the light of the one before and the weights of the last
-    /// outer iteration; relief, where there is none.
+    /// outer iteration.
     fn finer(
         &mut self,
         shape: &mut Shape,
-        light: Option<&Light>,
+        light: Option<Light>,
         last: IterationWeights,
         posed: &PosedViews,
     ) -> Result<After, ShadingError> {
-        if shape.at == self.scene.finest {
-            let is_shaped = shape.at > 0 && self.shapes_relief(light);
-            let next = is_shaped.then(|| self.next_relief_level(shape, shape.at, last));
-            return Ok(After {
-                light: None,
-                next: next.transpose()?.map(Next::Relief),
-            });
-        }
         // Those of the coarse level have done their work.
         self.solvers = None;
         let at = shape.at - 1;
         let searches = self.options.finer_search && self.photos_disagree();
         // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.
         let solvers = if searches {
-            self.solvers(at)?
+            self.solvers(at)
         } else {
             self.finer_solvers(at)
         };

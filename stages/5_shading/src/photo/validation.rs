@@ -18,7 +18,7 @@ use super::shading;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
 use rayon::prelude::*;
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
 use rilievo_scene::Raster;
@@ -63,7 +63,7 @@ pub(crate) struct Validation {
 /// The view and why its system could not be solved.
 pub(crate) fn validate(
     level: &Level,
-    solvers: &[PlateSolver],
+    solvers: &SolverSet,
     depths: &[Vec<f64>],
     light: &Light,
     weights: &ShadingWeights,
@@ -82,17 +82,18 @@ pub(crate) fn validate(
                 return Ok(Evidence::none(level.views[i].pixels.len()));
             }
             let (left_out, _) = level.sources[i][i % count];
+            let solver = solvers.of(i, &level.views[i].pixels)?;
+            let of_view = light.of(i, &light.harmonics[i]);
             let solve = |shaded: bool| -> Result<Vec<f64>, PlateError> {
                 let mut trial = depths[i].clone();
                 let mut options = *options;
                 options.matching.left_out = Some(left_out);
                 options.sigma_consensus = 0.0;
                 for _ in 0..NUM_STEPS {
-                    let term = shaded.then(|| {
-                        ShadingTerm::new(level, i, &trial, rasters, &light.of(i), weights)
-                    });
+                    let term = shaded
+                        .then(|| ShadingTerm::new(level, i, &trial, rasters, &of_view, weights));
                     let outcome =
-                        step::improve(&surfaces, i, &solvers[i], &trial, term.as_ref(), &options)?;
+                        step::improve(&surfaces, i, &solver, &trial, term.as_ref(), &options)?;
                     trial = outcome.depth;
                 }
                 Ok(trial)

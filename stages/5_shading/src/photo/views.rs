@@ -1,9 +1,11 @@
 //! From photos and poses to the views that are solved: linear images cropped to the object, their
 //! pyramid, and the choice of the views with which each is compared.
 
+use super::light::{self, Light};
 use super::memory;
 use super::options::PhotoOptions;
 use super::output::FineShape;
+use super::shading::PixelHarmonics;
 use super::surround::SmallPhoto;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
@@ -93,6 +95,23 @@ impl Scene {
     /// The next coarser level, or this one where there is none.
     pub fn coarser(&self, at: usize) -> &Level {
         self.level((at + 1).min(self.num_levels() - 1))
+    }
+
+    /// The light's coefficients of a view at a level that is solved as a whole, not coarser than the coarse one.
+    pub fn harmonics<'a>(
+        &self,
+        light: &'a Light,
+        view: usize,
+        at: usize,
+    ) -> Cow<'a, [PixelHarmonics]> {
+        let mut harmonics = light.own(view);
+        // Levels finer than the one that they were fitted at.
+        for finer in (at..self.coarse).rev() {
+            let parent = &self.level(finer + 1).views[view];
+            let child = &self.level(finer).views[view];
+            harmonics = Cow::Owned(light::finer(parent, child, &harmonics));
+        }
+        harmonics
     }
 
     /// Number of levels, those out of core counted.

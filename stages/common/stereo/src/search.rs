@@ -6,7 +6,7 @@ use crate::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
 use crate::start::{self, Agreement};
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::Mask;
 
@@ -44,17 +44,19 @@ impl SearchOptions {
     }
 }
 
-/// Planes of every view, compared with its sources; `start` holds earlier ones.
+/// What `keep` takes of the planes of every view, which are compared with its sources; `start` gives earlier ones of a
+/// view.
 ///
 /// The object lies where the masks meet if all views are `masked`, else about `points` in the world. `None`
 /// where neither tells.
-pub fn search_views(
+pub fn search_views<T: Send>(
     level: &Level,
     masked: bool,
     points: &[Point3<f64>],
-    start: Option<&[Planes]>,
+    start: Option<&(dyn Fn(usize) -> Planes + Sync)>,
     options: &SearchOptions,
-) -> Option<Vec<Planes>> {
+    keep: impl Fn(Planes) -> T + Sync,
+) -> Option<Vec<T>> {
     let outlines: Vec<Outline> = level.views.iter().map(|v| v.outline(masked)).collect();
     let ranges: Vec<_> = hull::object_ranges(&outlines, points)
         .into_iter()
@@ -72,7 +74,7 @@ pub fn search_views(
         .collect();
     let num_sources = level.sources.iter().map(Vec::len).max().unwrap_or(1);
     let options = options.of_view(num_sources, start.is_some());
-    let planes = (0..level.views.len())
+    let kept = (0..level.views.len())
         .into_par_iter()
         .with_max_len(1)
         .map(|i| {
@@ -83,10 +85,12 @@ pub fn search_views(
                 .into_iter()
                 .map(|range| range.unwrap_or(ranges[i]))
                 .collect();
-            patchmatch::search(level, i, &masks, &ranges, start.map(|s| &s[i]), &options)
+            let start = start.map(|of_view| of_view(i));
+            let found = patchmatch::search(level, i, &masks, &ranges, start.as_ref(), &options);
+            keep(found)
         })
         .collect();
-    Some(planes)
+    Some(kept)
 }
 
 /// What a search found.
@@ -99,25 +103,26 @@ pub struct Found {
     pub scatter_px: f64,
 }
 
-/// The surface through those depths of searched planes that views confirm; `solvers` are the views' own.
+/// The surface through those searched log depths that views confirm; `solvers` are the views' own.
 ///
 /// # Errors
 /// The view whose plate has no solution, and why.
 pub fn found(
     level: &Level,
-    solvers: &[PlateSolver],
-    planes: &[Planes],
+    solvers: &SolverSet,
+    depths: &[Vec<f64>],
 ) -> Result<Found, (usize, PlateError)> {
-    let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
-    let agreement = start::agreement(level, &depths, agreement_tolerance(level));
+    let agreement = start::agreement(level, depths, agreement_tolerance(level));
     let footprint = 1.0 / level.focal();
     let surfaces: Vec<_> = level
         .views
         .par_iter()
         .enumerate()
+        .with_max_len(1)
         .map(|(i, view)| {
             let weight = agreement[i].weights();
-            start::continued(view, &solvers[i], &depths[i], &weight, footprint)
+            let solver = solvers.of(i, &view.pixels)?;
+            start::continued(view, &solver, &depths[i], &weight, footprint)
         })
         .collect();
     let surface = surfaces
@@ -127,7 +132,7 @@ pub fn found(
         .collect::<Result<_, _>>()?;
     Ok(Found {
         surface,
-        scatter_px: start::scatter(level, &depths),
+        scatter_px: start::scatter(level, depths),
         agreement,
     })
 }
