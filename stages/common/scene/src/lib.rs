@@ -31,6 +31,7 @@ pub mod shaded;
 pub mod sphere;
 pub mod srgb;
 mod subset;
+pub mod team;
 pub mod transform;
 
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
@@ -56,4 +57,5 @@ pub use shaded::{MapSource, ShadedImages, ShadedView, ShadedViews};
 pub use sphere::{
     LightKind, LocatedSphere, MarkedSphere, SphereCalibration, SphereMark, SphereRequest,
 };
+pub use team::{Alone, Team, TeamError, divided};
 pub use transform::RigidTransform;
