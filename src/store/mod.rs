@@ -5,6 +5,7 @@
 //! RUN/.run.json           its copy
 //! RUN/1_photos … 6_fusion artifacts of each stage; manifest.json says what they were made from
 //! RUN/evaluation          where the errors of the results lie; goes with them
+//! RUN/.work/ranks         for a moment: shows several processes that they see the same folder
 //! RUN/.work/STAGE         a stage in progress; renamed to RUN/STAGE when it is complete
 //! RUN/.lock               the process that works here
 //! ```
@@ -30,7 +31,7 @@ pub use checkpoint::StageCheckpoint;
 pub use error::StoreError;
 pub use evaluation::{deviation_file, drop_evaluation};
 pub use files::{absolute, create_folder, hash_file, is_name, own_file, write_atomically};
-pub use fingerprint::{Ingredients, hash_bytes, hash_json};
+pub use fingerprint::{Ingredients, compare_options, hash_bytes, hash_json};
 pub use manifest::{FORMAT_VERSION, Item, Look, Manifest};
 pub use run_dir::RunDir;
 pub use scratch::FileScratch;

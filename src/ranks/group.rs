@@ -1,0 +1,228 @@
+//! The team of all ranks, over whatever carries their messages.
+//!
+//! In every exchange each rank brings a frame: bytes of a gathering, the word that its work is done, or its failure.
+//! As long as nobody fails, all bring the same kind at the same place of the program. One that fails brings its
+//! failure to whatever exchange the others are at, and everybody knows; after that there is no further one but the last.
+
+use super::parting::{PATIENCE, Parting, decisive, is_common};
+use rilievo_scene::{Team, TeamError};
+use std::fmt::Debug;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+/// What a rank brings to an exchange.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Frame {
+    /// What the bytes are.
+    pub kind: u64,
+    /// The bytes.
+    pub bytes: Vec<u8>,
+}
+
+const DATA: u64 = 0;
+const DONE: u64 = 1;
+const FAILED: u64 = 2;
+
+/// Carries frames between ranks.
+pub trait Wire: Send + Sync {
+    /// Number of this rank.
+    fn rank(&self) -> usize;
+    /// Number of ranks.
+    fn size(&self) -> usize;
+    /// Everyone's frames, once all are here. Where some do not come until `patience` has run out, `give_up` is called, which
+    /// ends the program.
+    fn exchange(&self, own: Frame, patience: Option<Duration>, give_up: &dyn Fn()) -> Vec<Frame>;
+    /// Ends all ranks at once.
+    fn abort(&self, code: u8) -> !;
+    /// The last that all ranks do together.
+    fn end(&self);
+}
+
+/// All ranks.
+pub struct Group {
+    wire: Box<dyn Wire>,
+    hosts: Vec<String>,
+    /// The lowest item of divided work that failed here; `usize::MAX` for none.
+    failed_at: AtomicUsize,
+    /// Failures of all ranks, once one has failed.
+    ended: Mutex<Option<Vec<Option<Parting>>>>,
+}
+
+impl Debug for Group {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.name(self.rank()))
+    }
+}
+
+impl Group {
+    /// The ranks on a wire; `hosts` are set once they are known.
+    pub fn new(wire: Box<dyn Wire>) -> Self {
+        Self {
+            wire,
+            hosts: Vec::new(),
+            failed_at: AtomicUsize::new(usize::MAX),
+            ended: Mutex::new(None),
+        }
+    }
+
+    /// The same, with the hosts of all ranks.
+    #[must_use]
+    pub fn with_hosts(self, hosts: Vec<String>) -> Self {
+        Self { hosts, ..self }
+    }
+
+    /// A rank with its host.
+    pub fn name(&self, rank: usize) -> String {
+        match self.hosts.get(rank) {
+            Some(host) => format!("rank {rank} on {host}"),
+            None => format!("rank {rank}"),
+        }
+    }
+
+    fn host(&self, rank: usize) -> String {
+        self.hosts.get(rank).cloned().unwrap_or_default()
+    }
+
+    /// Exchanges frames; failures among them end the team.
+    fn exchange(
+        &self,
+        own: Frame,
+        patience: Option<Duration>,
+        give_up: &dyn Fn(),
+    ) -> Result<Vec<Frame>, TeamError> {
+        if let Some(error) = self.ended() {
+            return Err(error);
+        }
+        let frames = self.wire.exchange(own, patience, give_up);
+        if frames.iter().all(|frame| frame.kind != FAILED) {
+            return Ok(frames);
+        }
+        let parting = |frame: &Frame| {
+            let found =
+                || postcard::from_bytes(&frame.bytes).unwrap_or_else(|_| Parting::unknown());
+            (frame.kind == FAILED).then(found)
+        };
+        let partings = frames.iter().map(parting).collect();
+        *self.ended.lock().unwrap_or_else(PoisonError::into_inner) = Some(partings);
+        match self.ended() {
+            Some(error) => Err(error),
+            None => Ok(frames),
+        }
+    }
+
+    /// The failure that ended the team, where one has.
+    fn ended(&self) -> Option<TeamError> {
+        let ended = self.ended.lock().unwrap_or_else(PoisonError::into_inner);
+        let (rank, parting) = decisive(ended.as_deref()?)?;
+        Some(TeamError {
+            rank,
+            host: self.host(rank),
+            reason: parting.text.clone(),
+        })
+    }
+
+    /// The failure that ended the team as an error of this program.
+    fn failure(&self) -> Option<anyhow::Error> {
+        let ended = self.ended.lock().unwrap_or_else(PoisonError::into_inner);
+        let partings = ended.as_deref()?;
+        let (rank, parting) = decisive(partings)?;
+        let place = (!is_common(partings)).then(|| self.name(rank));
+        Some(parting.clone().into_error(place.as_deref()))
+    }
+
+    /// The outcome where it is one of all ranks; else the failure of one, the same in all.
+    pub fn agree<T>(&self, outcome: anyhow::Result<T>) -> anyhow::Result<T> {
+        if let Some(failure) = self.failure() {
+            return Err(failure);
+        }
+        let (own, patience) = match &outcome {
+            Ok(_) => (None, None),
+            Err(error) => {
+                let item = self.failed_at.load(Ordering::Relaxed);
+                let parting = Parting::of(error, (item != usize::MAX).then_some(item));
+                (Some(parting), Some(PATIENCE))
+            }
+        };
+        let frame = match &own {
+            None => Frame {
+                kind: DONE,
+                bytes: Vec::new(),
+            },
+            Some(parting) => Frame {
+                kind: FAILED,
+                bytes: postcard::to_stdvec(parting).unwrap_or_default(),
+            },
+        };
+        let give_up = || {
+            let Some(parting) = &own else { return };
+            let place = self.name(self.rank());
+            let error = parting.clone().into_error(Some(&place));
+            crate::output::to_stderr_of_any_rank(format_args!("error: {error}"));
+            self.wire.abort(parting.code)
+        };
+        match self.exchange(frame, patience, &give_up) {
+            Err(told) => Err(self.failure().unwrap_or_else(|| told.into())),
+            Ok(frames) => match frames.iter().position(|frame| frame.kind != DONE) {
+                None => outcome,
+                Some(rank) => Err(anyhow::anyhow!(
+                    "{} still works where {} is done: the ranks went different ways, which is a defect",
+                    self.name(rank),
+                    self.name(self.rank()),
+                )),
+            },
+        }
+    }
+
+    /// Waits for all ranks, so that none is missed before rank 0 has told how the run ended, and ends the team.
+    pub fn end(&self, code: u8) {
+        let own = Frame {
+            kind: DONE,
+            bytes: Vec::new(),
+        };
+        let give_up = || self.wire.abort(code);
+        self.wire.exchange(own, Some(LAST_PATIENCE), &give_up);
+        self.wire.end();
+    }
+
+    /// Ends all ranks at once.
+    pub fn abort(&self, code: u8) -> ! {
+        self.wire.abort(code)
+    }
+}
+
+/// How long ranks wait for the first one to write its report after a failure.
+const LAST_PATIENCE: Duration = Duration::from_secs(60);
+
+impl Team for Group {
+    fn rank(&self) -> usize {
+        self.wire.rank()
+    }
+
+    fn size(&self) -> usize {
+        self.wire.size()
+    }
+
+    fn gather(&self, own: Vec<u8>) -> Result<Vec<Vec<u8>>, TeamError> {
+        let own = Frame {
+            kind: DATA,
+            bytes: own,
+        };
+        let frames = self.exchange(own, None, &|| {})?;
+        match frames.iter().position(|frame| frame.kind != DATA) {
+            None => Ok(frames.into_iter().map(|frame| frame.bytes).collect()),
+            Some(rank) => Err(TeamError {
+                rank,
+                host: self.host(rank),
+                reason: format!(
+                    "is done where rank {} still works: the ranks went different ways, which is a defect",
+                    self.rank()
+                ),
+            }),
+        }
+    }
+
+    fn failed_at(&self, item: usize) {
+        self.failed_at.fetch_min(item, Ordering::Relaxed);
+    }
+}
