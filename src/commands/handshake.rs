@@ -5,10 +5,12 @@
 use crate::exit::{Failure, Problem};
 use crate::pipeline::{Inputs, Plan};
 use crate::ranks;
-use crate::store::{Ingredients, RunDir, compare_options};
+use crate::store::{Ingredients, RunDir};
 use rilievo_scene::StageId;
 use rilievo_scene::team::{from_first, gathered, wait_for_all};
 use serde::Serialize;
+use serde_json::Value;
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -74,15 +76,35 @@ pub fn check_options(asked: &impl Serialize) -> anyhow::Result<()> {
             continue;
         }
         let [first, own] = [&texts[0], text].map(|text| serde_json::from_str(text));
-        let differences = compare_options(&first?, &own?);
+        let mut differences = Vec::new();
+        compare("", &first?, &own?, &mut |key, first, own| {
+            differences.push(format!(
+                "{key} is {first} for rank 0 and {own} for rank {rank}"
+            ));
+        });
         return Err(Failure::Usage(format!(
-            "the ranks were asked for different things: rank 0 for one, rank {rank} for another: {}; start all with \
-             the same options",
+            "the ranks were asked for different things: {}; start all with the same options",
             differences.join("; ")
         ))
         .into());
     }
     Ok(())
+}
+
+/// Tells of every value that differs, by its keys.
+fn compare(key: &str, first: &Value, own: &Value, tell: &mut impl FnMut(&str, &Value, &Value)) {
+    let (Value::Object(a), Value::Object(b)) = (first, own) else {
+        if first != own {
+            tell(key.trim_start_matches('.'), first, own);
+        }
+        return;
+    };
+    let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    for next in keys {
+        let of =
+            |values: &serde_json::Map<String, Value>| values.get(next).cloned().unwrap_or_default();
+        compare(&format!("{key}.{next}"), &of(a), &of(b), tell);
+    }
 }
 
 /// Refuses to go on where a rank lacks a photo or another file, or has another one in its place.
@@ -145,4 +167,20 @@ fn check_plan(plan: &Plan) -> anyhow::Result<()> {
         reason: format!("are not those of rank 0: {}", differences.join("; ")),
     }])
     .into())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_differs_is_named_with_both_values() {
+        let first = serde_json::json!({"a": 1, "b": {"c": 2, "d": [3]}});
+        let own = serde_json::json!({"a": 1, "b": {"c": 4, "d": [3]}, "e": "x"});
+        let mut told = Vec::new();
+        compare("", &first, &own, &mut |key, first, own| {
+            told.push(format!("{key} {first} {own}"));
+        });
+        assert_eq!(told, ["b.c 2 4", "e null \"x\""]);
+    }
 }

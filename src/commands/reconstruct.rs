@@ -60,7 +60,7 @@ pub fn bring_run_up_to_date(
         return Err(Failure::Usage(format!("--from {from} comes after --until {until}")).into());
     }
     let resources = Resources::new(work);
-    check_options(&(request, range, allowed))?;
+    check_options(&serde_json::json!({"request": request, "range": range, "allowed": allowed}))?;
     let run = open_run(root, || {
         let run = RunDir::create_or_open(root)?;
         if run.is_new() {

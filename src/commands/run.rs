@@ -21,7 +21,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
 
 fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Option<Judgement>> {
     let resources = Resources::new(&args.work);
-    check_options(&args.stage)?;
+    check_options(&serde_json::json!({"stage": args.stage}))?;
     let run = open_run(&args.run, || Ok(RunDir::open(&args.run)?))?;
     let request = stored_request(&run)?;
     let inputs = Inputs::scan(&request)?;

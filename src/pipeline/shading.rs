@@ -54,9 +54,12 @@ pub fn run(
     fingerprint: &str,
     writer: &StageWriter,
 ) -> anyhow::Result<serde_json::Value> {
+    // Not divided: the others wait for the result.
+    if !context.console.team().is_first() {
+        return Ok(serde_json::Value::Null);
+    }
     let key = hash_json(&(system::PROGRAM, fingerprint));
-    let team = context.console.team();
-    let checkpoint = StageCheckpoint::open_together(team, writer, key)?;
+    let checkpoint = StageCheckpoint::open(writer, key)?;
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
     let lighting = super::lighting::load(context)?;
@@ -71,9 +74,6 @@ pub fn run(
         &checkpoint,
     )
     .map_err(from_shading)?;
-    if !team.is_first() {
-        return Ok(serde_json::Value::Null);
-    }
     let check_options = context.request.options.lighting.check();
     let used = (lighting.source, solver.light.as_slice());
     let mut check = SurfaceCheck::new(&photos, &views, used, &check_options).map_err(from_check)?;

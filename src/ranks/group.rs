@@ -5,11 +5,14 @@
 //! failure to whatever exchange the others are at, and everybody knows; after that there is no further one but the last.
 
 use super::parting::{PATIENCE, Parting, decisive, is_common};
+use crate::exit::Failure;
+use crate::interrupt;
+use crate::output::to_stderr_of_any_rank;
 use rilievo_scene::{Team, TeamError};
 use std::fmt::Debug;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// What a rank brings to an exchange.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -30,9 +33,8 @@ pub trait Wire: Send + Sync {
     fn rank(&self) -> usize;
     /// Number of ranks.
     fn size(&self) -> usize;
-    /// Everyone's frames, once all are here. Where some do not come until `patience` has run out, `give_up` is called, which
-    /// ends the program.
-    fn exchange(&self, own: Frame, patience: Option<Duration>, give_up: &dyn Fn()) -> Vec<Frame>;
+    /// Everyone's frames, once all are here; `watch` is called while some are not, and may end the program.
+    fn exchange(&self, own: Frame, watch: &dyn Fn()) -> Vec<Frame>;
     /// Ends all ranks at once.
     fn abort(&self, code: u8) -> !;
     /// The last that all ranks do together.
@@ -45,6 +47,8 @@ pub struct Group {
     hosts: Vec<String>,
     /// The lowest item of divided work that failed here; `usize::MAX` for none.
     failed_at: AtomicUsize,
+    /// Since when this rank knows that it is to stop.
+    interrupted: Mutex<Option<Instant>>,
     /// Failures of all ranks, once one has failed.
     ended: Mutex<Option<Vec<Option<Parting>>>>,
 }
@@ -62,6 +66,7 @@ impl Group {
             wire,
             hosts: Vec::new(),
             failed_at: AtomicUsize::new(usize::MAX),
+            interrupted: Mutex::new(None),
             ended: Mutex::new(None),
         }
     }
@@ -85,16 +90,11 @@ impl Group {
     }
 
     /// Exchanges frames; failures among them end the team.
-    fn exchange(
-        &self,
-        own: Frame,
-        patience: Option<Duration>,
-        give_up: &dyn Fn(),
-    ) -> Result<Vec<Frame>, TeamError> {
+    fn exchange(&self, own: Frame, watch: &dyn Fn()) -> Result<Vec<Frame>, TeamError> {
         if let Some(error) = self.ended() {
             return Err(error);
         }
-        let frames = self.wire.exchange(own, patience, give_up);
+        let frames = self.wire.exchange(own, watch);
         if frames.iter().all(|frame| frame.kind != FAILED) {
             return Ok(frames);
         }
@@ -136,14 +136,10 @@ impl Group {
         if let Some(failure) = self.failure() {
             return Err(failure);
         }
-        let (own, patience) = match &outcome {
-            Ok(_) => (None, None),
-            Err(error) => {
-                let item = self.failed_at.load(Ordering::Relaxed);
-                let parting = Parting::of(error, (item != usize::MAX).then_some(item));
-                (Some(parting), Some(PATIENCE))
-            }
-        };
+        let own = outcome.as_ref().err().map(|error| {
+            let item = self.failed_at.load(Ordering::Relaxed);
+            Parting::of(error, (item != usize::MAX).then_some(item))
+        });
         let frame = match &own {
             None => Frame {
                 kind: DONE,
@@ -154,14 +150,13 @@ impl Group {
                 bytes: postcard::to_stdvec(parting).unwrap_or_default(),
             },
         };
-        let give_up = || {
-            let Some(parting) = &own else { return };
-            let place = self.name(self.rank());
-            let error = parting.clone().into_error(Some(&place));
-            crate::output::to_stderr_of_any_rank(format_args!("error: {error}"));
-            self.wire.abort(parting.code)
+        let began = Instant::now();
+        let watch = || match &own {
+            Some(parting) if began.elapsed() > PATIENCE => self.end_all(parting.clone()),
+            Some(_) => {}
+            None => self.watch_for_interruption(),
         };
-        match self.exchange(frame, patience, &give_up) {
+        match self.exchange(frame, &watch) {
             Err(told) => Err(self.failure().unwrap_or_else(|| told.into())),
             Ok(frames) => match frames.iter().position(|frame| frame.kind != DONE) {
                 None => outcome,
@@ -174,14 +169,42 @@ impl Group {
         }
     }
 
+    /// Where this rank was asked to stop while it waits: all are ended, unless they come soon. They may know nothing of
+    /// it.
+    fn watch_for_interruption(&self) {
+        if !interrupt::requested() {
+            return;
+        }
+        let mut since = self
+            .interrupted
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        if since.get_or_insert_with(Instant::now).elapsed() > PATIENCE {
+            self.end_all(Parting::of(&Failure::Interrupted.into(), None));
+        }
+    }
+
+    /// Tells a failure of this rank, and ends all.
+    fn end_all(&self, parting: Parting) {
+        let (code, place) = (parting.code, self.name(self.rank()));
+        let error = parting.into_error(Some(&place));
+        to_stderr_of_any_rank(format_args!("error: {error}"));
+        self.wire.abort(code)
+    }
+
     /// Waits for all ranks, so that none is missed before rank 0 has told how the run ended, and ends the team.
     pub fn end(&self, code: u8) {
         let own = Frame {
             kind: DONE,
             bytes: Vec::new(),
         };
-        let give_up = || self.wire.abort(code);
-        self.wire.exchange(own, Some(LAST_PATIENCE), &give_up);
+        let began = Instant::now();
+        let watch = || {
+            if began.elapsed() > LAST_PATIENCE {
+                self.wire.abort(code);
+            }
+        };
+        self.wire.exchange(own, &watch);
         self.wire.end();
     }
 
@@ -208,7 +231,7 @@ impl Team for Group {
             kind: DATA,
             bytes: own,
         };
-        let frames = self.exchange(own, None, &|| {})?;
+        let frames = self.exchange(own, &|| self.watch_for_interruption())?;
         match frames.iter().position(|frame| frame.kind != DATA) {
             None => Ok(frames.into_iter().map(|frame| frame.bytes).collect()),
             Some(rank) => Err(TeamError {

@@ -7,7 +7,7 @@ use mpi::datatype::PartitionMut;
 use mpi::environment::Universe;
 use mpi::topology::{Communicator, SimpleCommunicator};
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Bytes that all ranks together exchange in one call of MPI, whose counts are 32-bit numbers.
 const AT_ONCE: usize = 1 << 30;
@@ -40,25 +40,15 @@ impl MpiWire {
         mpi::environment::processor_name().unwrap_or_else(|_| "an unnamed host".to_owned())
     }
 
-    /// Everyone's kind and length of frame, once all are here. Where some do not come until `patience` has run out,
-    /// `give_up` ends the program.
-    fn meet(
-        &self,
-        world: &SimpleCommunicator,
-        own: [u64; 2],
-        patience: Option<Duration>,
-        give_up: &dyn Fn(),
-    ) -> Vec<u64> {
+    /// Everyone's kind and length of frame, once all are here; `watch` is called while some are not.
+    fn meet(&self, world: &SimpleCommunicator, own: [u64; 2], watch: &dyn Fn()) -> Vec<u64> {
         let mut headers = vec![0; 2 * self.size];
-        let began = Instant::now();
         mpi::request::scope(|scope| {
             let mut request = world.immediate_all_gather_into(scope, &own[..], &mut headers[..]);
             let mut pause = FIRST_PAUSE;
             while let Err(pending) = request.test() {
                 request = pending;
-                if patience.is_some_and(|patience| began.elapsed() > patience) {
-                    give_up();
-                }
+                watch();
                 std::thread::sleep(pause);
                 pause = (pause * 3 / 2).min(LONGEST_PAUSE);
             }
@@ -76,11 +66,11 @@ impl Wire for MpiWire {
         self.size
     }
 
-    fn exchange(&self, own: Frame, patience: Option<Duration>, give_up: &dyn Fn()) -> Vec<Frame> {
+    fn exchange(&self, own: Frame, watch: &dyn Fn()) -> Vec<Frame> {
         let _alone = self.universe.lock().unwrap_or_else(PoisonError::into_inner);
         let world = SimpleCommunicator::world();
         let header = [own.kind, own.bytes.len() as u64];
-        let headers = self.meet(&world, header, patience, give_up);
+        let headers = self.meet(&world, header, watch);
         let mut frames: Vec<Frame> = headers
             .chunks_exact(2)
             .map(|header| Frame {

@@ -52,13 +52,6 @@ impl Ingredients {
     }
 }
 
-/// Differences between two sets of options, each in words.
-pub fn compare_options(first: &serde_json::Value, second: &serde_json::Value) -> Vec<String> {
-    let mut changes = Vec::new();
-    compare_values("", first, second, &mut changes);
-    changes
-}
-
 /// Hash of bytes, in hexadecimal.
 pub fn hash_bytes(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex().to_string()
