@@ -20,10 +20,10 @@ pub struct Resources {
 }
 
 impl Default for Resources {
-    /// Half of the free memory.
+    /// Half of the free memory, divided among the ranks of this host.
     fn default() -> Self {
         Self {
-            memory: half_of_free_memory(),
+            memory: half_of_free_memory() / ranks::on_this_host() as u64,
             given: None,
         }
     }

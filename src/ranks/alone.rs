@@ -55,3 +55,8 @@ pub fn name() -> Option<String> {
 pub fn threads() -> Option<NonZeroUsize> {
     None
 }
+
+/// Nobody else shares this host.
+pub fn on_this_host() -> usize {
+    1
+}

@@ -249,3 +249,110 @@ impl Team for Group {
         self.failed_at.fetch_min(item, Ordering::Relaxed);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exit::code_of;
+    use std::sync::{Arc, Barrier};
+
+    /// Carries frames between threads.
+    struct ThreadWire {
+        rank: usize,
+        frames: Arc<Mutex<Vec<Frame>>>,
+        all: Arc<Barrier>,
+    }
+
+    impl Wire for ThreadWire {
+        fn rank(&self) -> usize {
+            self.rank
+        }
+        fn size(&self) -> usize {
+            self.frames.lock().unwrap().len()
+        }
+        fn exchange(&self, own: Frame, _watch: &dyn Fn()) -> Vec<Frame> {
+            self.frames.lock().unwrap()[self.rank] = own;
+            self.all.wait();
+            let frames = self.frames.lock().unwrap().clone();
+            self.all.wait();
+            frames
+        }
+        fn abort(&self, code: u8) -> ! {
+            panic!("aborted with {code}")
+        }
+        fn end(&self) {}
+    }
+
+    /// Runs a command on three ranks; how it ends for each.
+    fn on_three(
+        command: impl Fn(&Group) -> anyhow::Result<usize> + Sync,
+    ) -> Vec<anyhow::Result<usize>> {
+        let empty = Frame {
+            kind: DATA,
+            bytes: Vec::new(),
+        };
+        let frames = Arc::new(Mutex::new(vec![empty; 3]));
+        let all = Arc::new(Barrier::new(3));
+        let command = &command;
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..3)
+                .map(|rank| {
+                    let (frames, all) = (Arc::clone(&frames), Arc::clone(&all));
+                    let wire = ThreadWire { rank, frames, all };
+                    let group = Group::new(Box::new(wire)).with_hosts(vec!["node".to_owned(); 3]);
+                    scope.spawn(move || {
+                        let outcome = group.agree(command(&group));
+                        // Once it has ended, it stays so.
+                        let again = group.agree(Ok(0)).map_err(|error| code_of(&error));
+                        let first = outcome.as_ref().map(|_| 0).map_err(code_of);
+                        assert_eq!(again, first);
+                        group.end(0);
+                        outcome
+                    })
+                })
+                .collect();
+            threads.into_iter().map(|t| t.join().unwrap()).collect()
+        })
+    }
+
+    #[test]
+    fn a_failure_on_one_rank_ends_all_with_its_code_and_its_place() {
+        let ended = on_three(|group| {
+            group.gather(vec![group.rank() as u8])?;
+            if group.rank() == 1 {
+                return Err(Failure::ReadOrWrite("disk full".to_owned()).into());
+            }
+            // The others learn of it here.
+            Ok(group.gather(Vec::new())?.len())
+        });
+        for end in ended {
+            let error = end.unwrap_err();
+            assert_eq!(code_of(&error), 6);
+            assert_eq!(error.to_string(), "rank 1 on node: disk full");
+        }
+    }
+
+    #[test]
+    fn what_all_fail_with_names_no_rank_and_what_none_fails_with_is_done() {
+        let ended = on_three(|_| Err(Failure::NoResult("no light".to_owned()).into()));
+        for end in ended {
+            assert_eq!(end.unwrap_err().to_string(), "no light");
+        }
+        let done = on_three(|group| {
+            let all = group.gather(vec![7; group.rank()])?;
+            Ok(all.iter().map(Vec::len).sum())
+        });
+        assert!(done.into_iter().all(|sum| sum.unwrap() == 3));
+    }
+
+    #[test]
+    fn ranks_that_go_different_ways_are_a_defect_and_no_hang() {
+        let ended = on_three(|group| match group.rank() {
+            0 => Ok(0),
+            _ => Ok(group.gather(Vec::new())?.len()),
+        });
+        for end in ended {
+            assert!(end.unwrap_err().to_string().contains("different ways"));
+        }
+    }
+}

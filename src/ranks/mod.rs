@@ -23,9 +23,9 @@ mod processors;
 #[cfg(feature = "mpi")]
 mod together;
 #[cfg(feature = "mpi")]
-pub use together::{agree, end, join, name, team, threads};
+pub use together::{agree, end, join, name, on_this_host, team, threads};
 
 #[cfg(not(feature = "mpi"))]
 mod alone;
 #[cfg(not(feature = "mpi"))]
-pub use alone::{agree, end, join, name, team, threads};
+pub use alone::{agree, end, join, name, on_this_host, team, threads};

@@ -56,6 +56,13 @@ pub fn threads(places: &[Place], rank: usize, available: usize) -> NonZeroUsize 
     NonZeroUsize::new((share + 1e-6).floor() as usize).unwrap_or(NonZeroUsize::MIN)
 }
 
+/// Ranks on the host of a rank, itself among them.
+pub fn on_one_host(places: &[Place], rank: usize) -> usize {
+    let own = places.get(rank).map(|place| &place.host);
+    let beside = places.iter().filter(|place| Some(&place.host) == own);
+    beside.count().max(1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -70,6 +77,7 @@ mod tests {
         let unbound = [place("a", "0-7"), place("a", "0-7"), place("b", "0-3")];
         assert_eq!(of(&unbound, 0, 8), 4);
         assert_eq!(of(&unbound, 2, 4), 4);
+        assert_eq!([0, 2].map(|rank| on_one_host(&unbound, rank)), [2, 1]);
         let bound = [place("a", "0-1,4"), place("a", "2-3")];
         assert_eq!(of(&bound, 0, 3), 3);
         assert_eq!(of(&bound, 1, 2), 2);

@@ -13,7 +13,13 @@ use std::num::NonZeroUsize;
 use std::sync::OnceLock;
 
 static GROUP: OnceLock<Group> = OnceLock::new();
-static THREADS: OnceLock<NonZeroUsize> = OnceLock::new();
+static SHARE: OnceLock<Share> = OnceLock::new();
+
+/// What this rank may take of its host.
+struct Share {
+    threads: NonZeroUsize,
+    num_ranks: usize,
+}
 
 /// Joins the other ranks, where this process was started as one of several.
 ///
@@ -55,7 +61,11 @@ pub fn join(command: &Command) -> anyhow::Result<()> {
     let versions = gathered(&group, &version())?;
     let places = gathered(&group, &Place::of(MpiWire::host()))?;
     let available = std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
-    let _ = THREADS.set(processors::threads(&places, group.rank(), available));
+    // Set once, as the group is.
+    let _ = SHARE.set(Share {
+        threads: processors::threads(&places, group.rank(), available),
+        num_ranks: processors::on_one_host(&places, group.rank()),
+    });
     let hosts = places.into_iter().map(|place| place.host).collect();
     let group = GROUP.get_or_init(|| group.with_hosts(hosts));
     match versions.iter().position(|other| *other != versions[0]) {
@@ -130,5 +140,10 @@ pub fn name() -> Option<String> {
 
 /// Threads that this rank starts unless told otherwise, where several share a host.
 pub fn threads() -> Option<NonZeroUsize> {
-    THREADS.get().copied()
+    SHARE.get().map(|share| share.threads)
+}
+
+/// Ranks on this host, this one among them.
+pub fn on_this_host() -> usize {
+    SHARE.get().map_or(1, |share| share.num_ranks)
 }
