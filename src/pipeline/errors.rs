@@ -82,6 +82,7 @@ pub fn from_shading(error: ShadingError) -> anyhow::Error {
             Failure::input(format!("--memory {given_mib}M"), error.to_string()).into()
         }
         ShadingError::Checkpoint(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        ShadingError::Scratch(error) => Failure::ReadOrWrite(error.to_string()).into(),
         ShadingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         ShadingError::Numerics { .. } => anyhow::Error::new(error),
         other => Failure::NoResult(other.to_string()).into(),

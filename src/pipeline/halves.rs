@@ -3,7 +3,9 @@
 use super::context::Context;
 use super::errors::from_shading;
 use crate::exit::Failure;
-use rilievo_scene::{NoCheckpoint, PosedViews, ShadedView, ShadedViews, ViewIdx};
+use crate::store::FileScratch;
+use rilievo_scene::{PosedViews, ShadedView, ShadedViews, ViewIdx};
+use rilievo_shading::{ShadingError, Surroundings};
 
 /// Views that a half needs to be shaped.
 const MIN_VIEWS: usize = 2;
@@ -33,6 +35,7 @@ pub fn shaped_halves(context: &Context<'_>) -> anyhow::Result<[ShapedHalf; 2]> {
         ))
         .into());
     }
+    let scratch = FileScratch::new(&context.run.work_folder()?);
     let shaped = |first: usize| -> anyhow::Result<ShapedHalf> {
         let kept: Vec<ViewIdx> = (first..num_views).step_by(2).map(ViewIdx).collect();
         let half = posed.of_views(&kept);
@@ -45,18 +48,23 @@ pub fn shaped_halves(context: &Context<'_>) -> anyhow::Result<[ShapedHalf; 2]> {
             &half,
             &lighting.of_views(num_views, &kept),
             &context.request.options.shading,
-            context.console,
-            &NoCheckpoint,
+            Surroundings {
+                scratch: &scratch,
+                ..Surroundings::in_memory(context.console)
+            },
         )
         .map_err(from_shading)?;
-        let maps = |i| ShadedView {
-            confidence: None,
-            rendered: None,
-            albedo: None,
-            ..shaded.view(i)
+        let maps = |i| -> Result<ShadedView, ShadingError> {
+            Ok(ShadedView {
+                confidence: None,
+                rendered: None,
+                albedo: None,
+                ..shaded.view(i)?
+            })
         };
+        let views = (0..shaded.num_views()).map(maps).collect::<Result<_, _>>();
         let shaded = ShadedViews {
-            views: (0..shaded.num_views()).map(maps).collect(),
+            views: views.map_err(from_shading)?,
         };
         Ok(ShapedHalf {
             posed: half,

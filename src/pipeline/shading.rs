@@ -5,7 +5,7 @@ use super::artifacts::{checked_names, read_json, write_text};
 use super::context::Context;
 use super::errors::{from_check, from_shading};
 use crate::exit::Failure;
-use crate::store::{RunDir, StageCheckpoint, StageWriter, StoreError, hash_json};
+use crate::store::{FileScratch, RunDir, StageCheckpoint, StageWriter, StoreError, hash_json};
 use crate::system;
 use rilievo_io::{
     IoError, Preview, read_channel, read_depth, read_linear, read_normal, write_channel,
@@ -16,7 +16,7 @@ use rilievo_scene::{
     LightingCalibration, LinearImage, MapSource, Observer, PixelError, ShadedImages, ShadedView,
     StageId, ViewIdx,
 };
-use rilievo_shading::ShadingReport;
+use rilievo_shading::{ShadingReport, Surroundings};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -70,8 +70,11 @@ pub fn run(
         &views,
         &lighting,
         &options,
-        context.console,
-        &checkpoint,
+        Surroundings {
+            observer: context.console,
+            checkpoint: &checkpoint,
+            scratch: &FileScratch::new(writer.dir()),
+        },
     )
     .map_err(from_shading)?;
     let check_options = context.request.options.lighting.check();
@@ -84,7 +87,7 @@ pub fn run(
         let told = (index, shaded.num_views());
         let flow = context.console.progress(StageId::Shading, step, told);
         flow.ok_or(Failure::Interrupted)?;
-        let view = shaded.view(index);
+        let view = shaded.view(index).map_err(from_shading)?;
         check.add(&view).map_err(from_check)?;
         write_maps(&|file: &str| writer.path(file), &view)?;
         files.push(ViewFiles {

@@ -187,6 +187,16 @@ impl RunDir {
         StageWriter::begin(&self.root, stage)
     }
 
+    /// The folder of work in progress, for working data that belongs to no stage.
+    ///
+    /// # Errors
+    /// When it cannot be made.
+    pub fn work_folder(&self) -> Result<PathBuf, StoreError> {
+        let folder = self.root.join(".work");
+        create_folder(&folder)?;
+        Ok(folder)
+    }
+
     /// Deletes a stage's results, and an evaluation of them.
     ///
     /// # Errors

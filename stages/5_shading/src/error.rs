@@ -172,6 +172,9 @@ pub enum ShadingError {
         /// The smallest memory that would do, MiB.
         needed_mib: u64,
     },
+    /// Working data could not be put aside or read back.
+    #[error(transparent)]
+    Scratch(#[from] rilievo_scene::ScratchError),
     /// How far the stage is could not be kept.
     #[error(transparent)]
     Checkpoint(#[from] rilievo_scene::CheckpointError),

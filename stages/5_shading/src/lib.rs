@@ -25,16 +25,39 @@ pub use options::{ShadingModel, ShadingOptions};
 pub use report::ShadingReport;
 
 use rilievo_scene::{
-    Checkpoint, LightingCalibration, Observer, PhotoSet, PosedViews, ShadedView, ShadedViews,
+    Checkpoint, LightingCalibration, MemoryScratch, NoCheckpoint, Observer, PhotoSet, PosedViews,
+    Scratch, ShadedView, ShadedViews,
 };
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 21;
+pub const VERSION: u32 = 22;
+
+/// What a run has around it.
+#[derive(Clone, Copy)]
+pub struct Surroundings<'a> {
+    /// Is told of progress and warnings, and may stop the run.
+    pub observer: &'a dyn Observer,
+    /// Keeps how far the photo model is; the paper's model begins anew.
+    pub checkpoint: &'a dyn Checkpoint,
+    /// Where fine levels are put aside.
+    pub scratch: &'a dyn Scratch,
+}
+
+impl<'a> Surroundings<'a> {
+    /// Everything in memory, nothing kept.
+    pub fn in_memory(observer: &'a dyn Observer) -> Self {
+        Self {
+            observer,
+            checkpoint: &NoCheckpoint,
+            scratch: &MemoryScratch,
+        }
+    }
+}
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///
 /// One posed view alone is solved by the paper's model, whatever `options.model` says: agreement
-/// between photos needs two. `checkpoint` keeps how far the photo model is; the paper's model begins anew.
+/// between photos needs two.
 ///
 /// # Errors
 /// See [`ShadingError`].
@@ -43,19 +66,12 @@ pub fn run(
     posed: &PosedViews,
     lighting: &LightingCalibration,
     options: &ShadingOptions,
-    observer: &dyn Observer,
-    checkpoint: &dyn Checkpoint,
+    surroundings: Surroundings<'_>,
 ) -> Result<(Shaded, ShadingReport), ShadingError> {
     options.validate()?;
     if options.model == ShadingModel::Photo && posed.views.len() > 1 {
-        let (shaped, mut facts) = photo::run(
-            photos,
-            posed,
-            lighting,
-            &options.photo,
-            observer,
-            checkpoint,
-        )?;
+        let (shaped, mut facts) =
+            photo::run(photos, posed, lighting, &options.photo, surroundings)?;
         let report = ShadingReport {
             light: std::mem::take(&mut facts.light),
             photo: Some(facts),
@@ -63,7 +79,13 @@ pub fn run(
         };
         return Ok((Shaded::Photo(Box::new(shaped)), report));
     }
-    let (shaded, facts) = paper::run(photos, posed, lighting, &options.paper, observer)?;
+    let (shaded, facts) = paper::run(
+        photos,
+        posed,
+        lighting,
+        &options.paper,
+        surroundings.observer,
+    )?;
     let report = ShadingReport {
         paper: facts,
         light: lighting.views.clone(),
@@ -91,18 +113,24 @@ impl Shaded {
     }
 
     /// All maps of a view.
-    pub fn view(&self, index: usize) -> ShadedView {
+    ///
+    /// # Errors
+    /// [`ShadingError::Scratch`] when they cannot be read back.
+    pub fn view(&self, index: usize) -> Result<ShadedView, ShadingError> {
         match self {
             Self::Photo(shaped) => shaped.view(index),
-            Self::Paper(shaded) => shaded.views[index].clone(),
+            Self::Paper(shaded) => Ok(shaded.views[index].clone()),
         }
     }
 
     /// All maps of all views.
-    pub fn views(&self) -> ShadedViews {
+    ///
+    /// # Errors
+    /// As [`Self::view`].
+    pub fn views(&self) -> Result<ShadedViews, ShadingError> {
         match self {
             Self::Photo(shaped) => shaped.views(),
-            Self::Paper(shaded) => shaded.clone(),
+            Self::Paper(shaded) => Ok(shaded.clone()),
         }
     }
 }

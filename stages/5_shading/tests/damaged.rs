@@ -3,8 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use rilievo_scene::{NoCheckpoint, Silent, StageId};
-use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
+use rilievo_scene::{Silent, StageId};
+use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, Surroundings, run};
 use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
 /// Both models with the least work.
@@ -33,8 +33,7 @@ fn the_undamaged_world_has_a_shape() {
             &world.posed,
             &world.lighting,
             &options,
-            &Silent,
-            &NoCheckpoint,
+            Surroundings::in_memory(&Silent),
         )
         .unwrap();
         assert_eq!(shaded.num_views(), 3);
@@ -52,8 +51,7 @@ fn an_anchor_in_no_view_is_named() {
             &posed,
             &world.lighting,
             &options,
-            &Silent,
-            &NoCheckpoint,
+            Surroundings::in_memory(&Silent),
         ) {
             Err(ShadingError::Inconsistent(error)) => {
                 assert_eq!(error.made_by, StageId::Poses);
@@ -85,8 +83,7 @@ fn poses_and_light_changed_at_random_never_end_in_a_panic() {
                     posed,
                     lighting,
                     &options,
-                    &Silent,
-                    &NoCheckpoint,
+                    Surroundings::in_memory(&Silent),
                 );
                 refused += usize::from(matches!(found, Err(ShadingError::Inconsistent(_))));
             }

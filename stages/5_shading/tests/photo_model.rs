@@ -2,11 +2,11 @@
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{
-    Intrinsics, LightKind, LightSource, LightingCalibration, NoCheckpoint, Photo, PhotoSet,
-    PosedViews, RigidTransform, Silent,
+    Intrinsics, LightKind, LightSource, LightingCalibration, Photo, PhotoSet, PosedViews,
+    RigidTransform, Silent,
 };
-use rilievo_shading::ShadingError;
 use rilievo_shading::photo::{self, PhotoOptions};
+use rilievo_shading::{ShadingError, Surroundings};
 use rilievo_synthetic::testing::{Maps, PosedPhotos, on_sphere, painted, photo};
 use std::sync::Arc;
 
@@ -86,7 +86,13 @@ fn shaped(
     photos: &PhotoSet,
     posed: &PosedViews,
 ) -> Result<(photo::ShapedViews, photo::PhotoReport), ShadingError> {
-    photo::run(photos, posed, &no_light(), &small(), &Silent, &NoCheckpoint)
+    photo::run(
+        photos,
+        posed,
+        &no_light(),
+        &small(),
+        Surroundings::in_memory(&Silent),
+    )
 }
 
 #[test]
@@ -97,7 +103,8 @@ fn a_stained_ball_is_found_with_its_exposures() {
         panic!("{:?}", result.err())
     };
     let (mut ratios, mut angles) = (Vec::new(), Vec::new());
-    for (view, Maps { depth, normal, .. }) in shaded.views().views.iter().zip(&scene.truth) {
+    for (view, Maps { depth, normal, .. }) in shaded.views().unwrap().views.iter().zip(&scene.truth)
+    {
         for p in 0..depth.data.len() {
             if depth.data[p] > 0.0 {
                 assert!(view.depth.data[p] > 0.0, "{} has a hole at {p}", view.name);
@@ -131,7 +138,10 @@ fn threads_do_not_change_a_byte() {
         pool.install(|| shaped(&scene.photos, &scene.posed))
     };
     match (solve(1), solve(2)) {
-        (Ok((one, _)), Ok((two, _))) => assert!(one.views() == two.views(), "results differ"),
+        (Ok((one, _)), Ok((two, _))) => assert!(
+            one.views().unwrap() == two.views().unwrap(),
+            "results differ"
+        ),
         (one, two) => panic!("{:?} {:?}", one.err(), two.err()),
     }
 }

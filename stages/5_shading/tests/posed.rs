@@ -5,10 +5,10 @@
 use nalgebra::{Point2, UnitQuaternion, Vector3};
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, Intrinsics, LightKind, LightSource, Lighting,
-    LightingCalibration, NoCheckpoint, Photo, PhotoSet, PosedViews, Recorder, RigidTransform,
-    Silent, SphericalHarmonics, ViewIdx, ViewLighting,
+    LightingCalibration, Photo, PhotoSet, PosedViews, Recorder, RigidTransform, Silent,
+    SphericalHarmonics, ViewIdx, ViewLighting,
 };
-use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, run};
+use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, Surroundings, run};
 use rilievo_synthetic::testing::{Maps, PAPER_LIGHT, PosedPhotos, on_sphere, painted, photo};
 use std::sync::Arc;
 
@@ -109,11 +109,10 @@ fn anchored_views_of_a_sphere_are_recovered_in_place() {
         &world.posed,
         &world.lighting,
         &paper(),
-        &told,
-        &NoCheckpoint,
+        Surroundings::in_memory(&told),
     )
     .expect("solvable");
-    let shaded = shaded.views();
+    let shaded = shaded.views().unwrap();
     assert_eq!(shaded.views.len(), 2);
     assert!(told.warnings().is_empty(), "{:?}", told.warnings());
     for view in &shaded.views {
@@ -147,8 +146,7 @@ fn a_view_without_lighting_is_named() {
         &world.posed,
         &world.lighting,
         &paper(),
-        &Silent,
-        &NoCheckpoint,
+        Surroundings::in_memory(&Silent),
     );
     assert!(
         matches!(&error, Err(ShadingError::MissingLighting { view }) if view == "view1"),
@@ -168,11 +166,10 @@ fn a_view_that_nothing_places_is_left_out_with_a_warning() {
         &world.posed,
         &world.lighting,
         &paper(),
-        &told,
-        &NoCheckpoint,
+        Surroundings::in_memory(&told),
     )
     .expect("the other view is solvable");
-    let shaded = shaded.views();
+    let shaded = shaded.views().unwrap();
     assert_eq!(shaded.views.len(), 1);
     let warnings = told.warnings();
     assert!(

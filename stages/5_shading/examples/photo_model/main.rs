@@ -12,9 +12,8 @@ mod picture;
 mod planes;
 
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
-use rilievo_scene::{
-    LightKind, LightSource, LightingCalibration, NoCheckpoint, ShadedViews, Silent,
-};
+use rilievo_scene::{LightKind, LightSource, LightingCalibration, ShadedViews, Silent};
+use rilievo_shading::Surroundings;
 use rilievo_shading::photo::{self, PhotoOptions};
 use std::cell::Cell;
 use std::error::Error;
@@ -89,9 +88,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (shaded, report) = if arguments.steps {
         photo::run_probed(photos, posed, &lighting, options, &Silent, &probe)?
     } else {
-        photo::run(photos, posed, &lighting, options, &Silent, &NoCheckpoint)?
+        photo::run(
+            photos,
+            posed,
+            &lighting,
+            options,
+            Surroundings::in_memory(&Silent),
+        )?
     };
-    let shaded = shaded.views();
+    let shaded = shaded.views()?;
     let wall = began.elapsed().as_secs_f64();
     for iteration in &report.steps {
         println!(

@@ -1,14 +1,14 @@
 //! What the steps of a run share: views, options, observer, report.
 
 use super::options::PhotoOptions;
-use super::output::{self, Shape};
+use super::output::{self, FineShape, FoundShape, Shape};
 use super::report::PhotoReport;
 use super::views::Scene;
 use crate::error::{ShadingError, warn};
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
-use rilievo_scene::{Checkpoint, Event, Flow, Observer, ShadedViews, StageId};
+use rilievo_scene::{Checkpoint, Event, Flow, Observer, Scratch, ShadedViews, StageId};
 use rilievo_stereo::between_levels;
 use rilievo_stereo::consensus;
 use rilievo_stereo::surfaces::Reading;
@@ -18,25 +18,20 @@ use std::sync::Arc;
 /// Receives the shape after each step, for measurement.
 pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;
 
-/// What a run is told of its surroundings.
-#[derive(Clone, Copy)]
-pub(crate) struct Surroundings<'a> {
-    pub observer: &'a dyn Observer,
-    pub checkpoint: &'a dyn Checkpoint,
-    pub probe: Option<&'a Probe<'a>>,
-}
-
 /// Everything that the steps of a run share.
 pub(crate) struct Course<'a> {
     pub scene: Scene,
     pub options: &'a PhotoOptions,
     pub observer: &'a dyn Observer,
     pub checkpoint: &'a dyn Checkpoint,
+    pub scratch: &'a dyn Scratch,
     pub report: PhotoReport,
     /// What was warned of, to be told again when a stopped run goes on.
     pub warnings: Vec<String>,
     /// Exact solvers of the level at which outer iterations run.
     pub solvers: Option<(usize, Arc<[PlateSolver]>)>,
+    /// The surface at a level that is out of core, once relief has begun.
+    pub fine: Option<FineShape>,
     pub probe: Option<&'a Probe<'a>>,
 }
 
@@ -76,7 +71,9 @@ impl Course<'_> {
 
     /// Exact solvers of a level, one per view: where values have to reach across what no view knows.
     pub(crate) fn solvers(&self, at: usize) -> Result<Vec<PlateSolver>, ShadingError> {
-        let results: Vec<_> = self.scene.pyramid[at]
+        let results: Vec<_> = self
+            .scene
+            .level(at)
             .views
             .par_iter()
             .map(|view| PlateSolver::direct(&view.pixels))
@@ -104,7 +101,8 @@ impl Course<'_> {
 
     /// Solvers of a finer level, one per view: its surface is about right from the start.
     pub(crate) fn finer_solvers(&self, at: usize) -> Vec<PlateSolver> {
-        self.scene.pyramid[at]
+        self.scene
+            .level(at)
             .views
             .par_iter()
             .map(|view| PlateSolver::iterative(&view.pixels))
@@ -122,7 +120,7 @@ impl Course<'_> {
 
     /// Measures how sharp the photos are against each other at a level.
     pub(crate) fn measure_sharpness(&mut self, at: usize, depths: &[Vec<f64>]) {
-        let found = sharpness::measure(&self.scene.pyramid[at], depths);
+        let found = sharpness::measure(self.scene.level(at), depths);
         for (view, sharpness) in self.report.views.iter_mut().zip(found) {
             view.sharpness = sharpness;
         }
@@ -131,7 +129,7 @@ impl Course<'_> {
 
     /// Gives the views of a level the sharpness that was measured last.
     pub(crate) fn use_sharpness(&mut self, at: usize) {
-        let views = &mut self.scene.pyramid[at].views;
+        let views = &mut self.scene.level_mut(at).views;
         for (view, report) in views.iter_mut().zip(&self.report.views) {
             view.sharpness = report.sharpness;
         }
@@ -144,7 +142,7 @@ impl Course<'_> {
         depths: &[Vec<f64>],
         truncation_px: f64,
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         self.tell("fusing views", 0, 1)?;
         let truncation = truncation_px / level.focal();
         Ok(consensus::fuse(level, depths, truncation, self.reading()))
@@ -152,7 +150,7 @@ impl Course<'_> {
 
     /// The surface without specks; their share in each view before and after is reported.
     pub(crate) fn without_specks(&mut self, at: usize, depths: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-        let views = &self.scene.pyramid[at].views;
+        let views = &self.scene.level(at).views;
         views
             .par_iter()
             .with_max_len(1)
@@ -173,7 +171,7 @@ impl Course<'_> {
         solvers: &[PlateSolver],
         depths: &[Vec<f64>],
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
-        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
         let filled: Vec<_> = (0..fine.views.len())
             .into_par_iter()
             .with_max_len(1)
@@ -201,20 +199,11 @@ impl Course<'_> {
 
     /// The surface at the next coarser level.
     pub(crate) fn reduced(&self, at: usize, depths: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
         (0..fine.views.len())
             .into_par_iter()
             .map(|i| between_levels::reduce(&fine.views[i], &coarse.views[i], &depths[i]))
             .collect()
-    }
-
-    /// Log depths at level `at` of a surface at this level or a finer one.
-    pub(crate) fn at_level(&self, at: usize, shape: &Shape) -> Vec<Vec<f64>> {
-        let mut depths = shape.depths.clone();
-        for fine in shape.at..at {
-            depths = self.reduced(fine, &depths);
-        }
-        depths
     }
 
     /// The surface at level `at` moved by what has changed at the next coarser level, from `before`
@@ -226,7 +215,7 @@ impl Course<'_> {
         before: &[Vec<f64>],
         after: &[Vec<f64>],
     ) -> Vec<Vec<f64>> {
-        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
         (0..depths.len())
             .into_par_iter()
             .map(|i| {
@@ -245,21 +234,41 @@ impl Course<'_> {
     }
 
     /// Shows the current surface to the probe, at the photos' resolution.
-    pub(crate) fn show(&self, at: usize, step: &str, depths: &[Vec<f64>]) {
-        if self.probe.is_some() {
-            self.show_shape(step, &Shape::new(at, depths.to_vec()));
+    pub(crate) fn show(
+        &self,
+        at: usize,
+        step: &str,
+        depths: &[Vec<f64>],
+    ) -> Result<(), ShadingError> {
+        if self.probe.is_none() {
+            return Ok(());
         }
+        let depths = depths.to_vec();
+        self.show_shape(step, &FoundShape::Whole(Shape { at, depths }))
     }
 
-    /// [`Self::show`] of a surface that is not known everywhere.
-    pub(crate) fn show_shape(&self, step: &str, shape: &Shape) {
+    /// [`Self::show`] of the surface out of core.
+    pub(crate) fn show_fine(&mut self, step: &str) -> Result<(), ShadingError> {
+        let Some(fine) = self.fine.take() else {
+            return Ok(());
+        };
+        let shape = FoundShape::Fine(fine);
+        self.show_shape(step, &shape)?;
+        if let FoundShape::Fine(fine) = shape {
+            self.fine = Some(fine);
+        }
+        Ok(())
+    }
+
+    fn show_shape(&self, step: &str, shape: &FoundShape) -> Result<(), ShadingError> {
         if let Some(probe) = self.probe {
             let scene = &self.scene;
             let views = (0..scene.frames.len())
                 .into_par_iter()
                 .map(|i| output::maps(scene, shape, i, None))
-                .collect();
+                .collect::<Result<_, _>>()?;
             probe(step, &ShadedViews { views });
         }
+        Ok(())
     }
 }

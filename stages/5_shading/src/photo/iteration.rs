@@ -92,13 +92,13 @@ pub(crate) fn iteration_weights(iteration: usize, residual: f64) -> IterationWei
     }
 }
 
-/// Weights of a step; lengths in footprints of a pixel.
+/// Weights of a step at a level of focal length `focal`, pixels; lengths in footprints of a pixel.
 pub(crate) fn step_weights(
-    level: &Level,
+    focal: f64,
     sigma_match: f64,
     weights: &IterationWeights,
 ) -> StepOptions {
-    let footprint = 1.0 / level.focal();
+    let footprint = 1.0 / focal;
     StepOptions {
         matching: MatchOptions {
             sigma: weights.sigma_match_factor * sigma_match,
@@ -168,7 +168,7 @@ impl Course<'_> {
             Some(last) if weights.shading.is_some() => last.sigma(),
             _ => self.report.sigma_match,
         };
-        step_weights(&self.scene.pyramid[at], sigma_match, weights)
+        step_weights(self.scene.level(at).focal(), sigma_match, weights)
     }
 
     /// What was left between photos that agree in the last step. Photos that disagree have none: on a surface that the patch
@@ -206,7 +206,7 @@ impl Course<'_> {
         let max_num_rounds = self.options.max_num_rounds;
         for round in 0..max_num_rounds {
             self.tell(kind, round, max_num_rounds)?;
-            let level = &self.scene.pyramid[at];
+            let level = self.scene.level(at);
             let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
             let mut likeness = Likeness::default();
             for parity in 0..2 {
@@ -261,7 +261,7 @@ impl Course<'_> {
                         alone as f64 / outcome.matches.num_visible.len().max(1) as f64;
                 }
             }
-            let level = &self.scene.pyramid[at];
+            let level = self.scene.level(at);
             let per_view = 1.0 / level.views.len() as f64;
             record.moved_px = moved * per_view * level.focal();
             record.turned_deg = (turned * per_view).to_degrees();
@@ -274,11 +274,11 @@ impl Course<'_> {
                 break;
             }
         }
-        let turned = mean_turn_deg(&self.scene.pyramid[at], &start, depths);
+        let turned = mean_turn_deg(self.scene.level(at), &start, depths);
         record.turned_in_all_deg = turned;
         record.seconds = began.elapsed().as_secs_f64();
         self.report.steps.push(record);
-        self.show(at, kind, depths);
+        self.show(at, kind, depths)?;
         Ok(turned)
     }
 }

@@ -10,7 +10,8 @@ use super::{distant, shading, surround};
 use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_scene::{
     DepthMap, FocalSource, InMemoryPixels, Intrinsics, LightKind, LinearImage, LocatedSphere,
-    MarkedSphere, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, RigidTransform,
+    MarkedSphere, MemoryScratch, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews,
+    RigidTransform,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -114,7 +115,7 @@ fn load(folder: &Path, names: &[&str]) -> Truth {
         center_sigma: [0.0; 3],
         seen_in: Vec::new(),
     });
-    let scene = views::load(&photos, &posed, &PhotoOptions::default()).unwrap();
+    let scene = views::load(&photos, &posed, &PhotoOptions::default(), &MemoryScratch).unwrap();
     Truth {
         photos,
         scene,
@@ -126,7 +127,7 @@ fn load(folder: &Path, names: &[&str]) -> Truth {
 
 /// Log depths and normals of all views at a level: means over the truth's pixels next to each.
 fn shape(truth: &Truth, at: usize) -> (Vec<Vec<f64>>, Vec<Vec<[f64; 3]>>) {
-    let level = &truth.scene.pyramid[at];
+    let level = truth.scene.level(at);
     let scale = f64::from(1 << at);
     level
         .views
@@ -170,11 +171,10 @@ fn shape(truth: &Truth, at: usize) -> (Vec<Vec<f64>>, Vec<Vec<[f64; 3]>>) {
 /// Relative RMS and median of the residual at the true shape, by nine harmonics and by rays.
 fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
     let at = truth.scene.coarse;
-    let level = &truth.scene.pyramid[at];
-    let below = (at + 1).min(truth.scene.pyramid.len() - 1);
-    let rays_at = &truth.scene.pyramid[below];
+    let level = truth.scene.level(at);
+    let rays_at = truth.scene.coarser(at);
     let (depths, normals) = shape(truth, at);
-    let (coarse, rough) = shape(truth, below);
+    let (coarse, rough) = shape(truth, (at + 1).min(truth.scene.num_levels() - 1));
     let points: Vec<Point3<f64>> = (0..400)
         .map(|i| {
             Point3::new(

@@ -3,9 +3,11 @@
 //! Bytes per pixel were measured as the largest resident memory of runs on 4 photos of 4 and of 18 megapixels.
 
 use super::options::PhotoOptions;
+use super::views::Scene;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
-use rilievo_scene::{PhotoSet, PosedViews};
+use rilievo_scene::{PhotoSet, PosedView, PosedViews};
+use rilievo_stereo::stored::StoredView;
 use rilievo_stereo::tile::MARGIN_PX;
 use rilievo_stereo::window::Window;
 
@@ -18,6 +20,8 @@ const CROP_BYTES: f64 = 4.0 / 3.0 * 25.0;
 const MASKED_BYTES: f64 = 4.0 / 3.0 * 8.0 + 2.5 * 9.0;
 /// A pixel of a tile with what its sources see, while its step is solved.
 const TILE_BYTES: f64 = 650.0;
+/// A pixel of a view's crop while its surface goes from one level to the next.
+const VIEW_BYTES: f64 = 60.0;
 /// A masked pixel at a level that is solved as a whole, in all views: system, factors, light.
 const WHOLE_BYTES: f64 = 900.0;
 /// A pixel of a photo whose maps are made and written, or that is loaded.
@@ -105,14 +109,35 @@ pub(crate) fn refuse_too_little(
     }
 }
 
-/// Tiles that may be worked on at once, at least one and at most two for each thread: the memory given, if any, less
-/// what is `in_use` by images and depths of all views.
-pub(crate) fn tiles_at_once(options: &PhotoOptions, in_use: f64) -> usize {
-    let most = 2 * rayon::current_num_threads();
+/// Items of `bytes_each` that may be worked on at once, at least one and at most `most`: the memory given, if any, less
+/// what is `in_use`.
+fn at_once(options: &PhotoOptions, in_use: f64, bytes_each: f64, most: usize) -> usize {
     let Some(given) = options.memory else {
         return most;
     };
-    (((given as f64 - in_use) / tile_bytes()).max(1.0) as usize).min(most)
+    (((given as f64 - in_use) / bytes_each).max(1.0) as usize).min(most)
+}
+
+/// Photos that may be loaded at once.
+pub(crate) fn photos_at_once(posed: &PosedViews, options: &PhotoOptions) -> usize {
+    let frame = |view: &PosedView| view.intrinsics.width * view.intrinsics.height;
+    let largest = posed.views.iter().map(frame).max().unwrap_or(1);
+    let threads = rayon::current_num_threads();
+    at_once(options, 0.0, FRAME_BYTES * largest as f64, threads)
+}
+
+/// Tiles that may be worked on at once.
+pub(crate) fn tiles_at_once(options: &PhotoOptions, scene: &Scene) -> usize {
+    let most = 2 * rayon::current_num_threads();
+    at_once(options, scene.bytes(), tile_bytes(), most)
+}
+
+/// Views of which everything at level `at` may be in memory at once.
+pub(crate) fn views_at_once(scene: &Scene, at: usize, options: &PhotoOptions) -> usize {
+    let crop = |view: &StoredView| view.size(at).0 * view.size(at).1;
+    let largest = scene.stored.iter().map(crop).max().unwrap_or(1);
+    let threads = rayon::current_num_threads();
+    at_once(options, scene.bytes(), VIEW_BYTES * largest as f64, threads)
 }
 
 #[cfg(test)]
@@ -130,14 +155,12 @@ mod tests {
     fn tiles_are_as_many_as_fit_and_at_least_one() {
         let most = 2 * rayon::current_num_threads();
         let in_use = 1e9;
-        assert_eq!(tiles_at_once(&PhotoOptions::default(), in_use), most);
-        assert_eq!(tiles_at_once(&given(1e12), in_use), most);
-        assert_eq!(tiles_at_once(&given(in_use), in_use), 1);
-        assert_eq!(
-            tiles_at_once(&given(in_use + 1.5 * tile_bytes()), in_use),
-            1
-        );
-        let two = tiles_at_once(&given(in_use + 2.5 * tile_bytes()), in_use);
+        let tiles = |options: &PhotoOptions| at_once(options, in_use, tile_bytes(), most);
+        assert_eq!(tiles(&PhotoOptions::default()), most);
+        assert_eq!(tiles(&given(1e12)), most);
+        assert_eq!(tiles(&given(in_use)), 1);
+        assert_eq!(tiles(&given(in_use + 1.5 * tile_bytes())), 1);
+        let two = tiles(&given(in_use + 2.5 * tile_bytes()));
         assert_eq!(two, 2.min(most));
     }
 

@@ -69,18 +69,16 @@ pub use output::ShapedViews;
 pub use report::{PhotoReport, PhotoViewReport, StepReport};
 pub use validation::ValidationReport;
 
+use crate::Surroundings;
 use crate::error::ShadingError;
-use course::Surroundings;
-use rilievo_scene::{
-    Checkpoint, LightingCalibration, NoCheckpoint, Observer, PhotoSet, PosedViews,
-};
+use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 
 /// Dense shape of all posed views, at least two.
 ///
 /// Of `lighting` the samples, the kind and which spheres were rejected are used: the environment is fitted on
 /// samples and object, with shadow and bounce, again after every change of the shape. Its harmonics serve to
 /// refuse a light from elsewhere that the photos contradict (`contradiction`). After every outer iteration and every
-/// round of relief the state goes to `checkpoint`, and a run with the same input goes on from what it finds there.
+/// round of relief the state goes to the checkpoint, and a run with the same input goes on from what it finds there.
 ///
 /// # Errors
 /// See [`ShadingError`].
@@ -89,15 +87,9 @@ pub fn run(
     posed: &PosedViews,
     lighting: &LightingCalibration,
     options: &PhotoOptions,
-    observer: &dyn Observer,
-    checkpoint: &dyn Checkpoint,
+    surroundings: Surroundings<'_>,
 ) -> Result<(ShapedViews, PhotoReport), ShadingError> {
-    let surroundings = Surroundings {
-        observer,
-        checkpoint,
-        probe: None,
-    };
-    solved(photos, posed, lighting, options, surroundings)
+    solved(photos, posed, lighting, options, surroundings, None)
 }
 
 /// [`run`], with the shape after every step handed to `probe`: for measuring which step does what.
@@ -112,12 +104,8 @@ pub fn run_probed(
     observer: &dyn Observer,
     probe: &Probe,
 ) -> Result<(ShapedViews, PhotoReport), ShadingError> {
-    let surroundings = Surroundings {
-        observer,
-        checkpoint: &NoCheckpoint,
-        probe: Some(probe),
-    };
-    solved(photos, posed, lighting, options, surroundings)
+    let surroundings = Surroundings::in_memory(observer);
+    solved(photos, posed, lighting, options, surroundings, Some(probe))
 }
 
 fn solved(
@@ -126,12 +114,13 @@ fn solved(
     lighting: &LightingCalibration,
     options: &PhotoOptions,
     surroundings: Surroundings<'_>,
+    probe: Option<&Probe<'_>>,
 ) -> Result<(ShapedViews, PhotoReport), ShadingError> {
     options.validate()?;
     photos.check()?;
     posed.check_with(photos)?;
     lighting.check(posed)?;
     memory::refuse_too_little(photos, posed, options)?;
-    let scene = views::load(photos, posed, options)?;
-    solve::solve(scene, posed, lighting, options, surroundings)
+    let scene = views::load(photos, posed, options, surroundings.scratch)?;
+    solve::solve(scene, posed, lighting, options, surroundings, probe)
 }

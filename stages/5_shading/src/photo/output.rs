@@ -2,30 +2,74 @@
 
 use super::appearance::Appearance;
 use super::views::Scene;
+use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, LinearImage, NormalMap, Raster, ShadedView, ShadedViews,
+    ConfidenceMap, DepthMap, LinearImage, NormalMap, Raster, ScratchError, ShadedView, ShadedViews,
 };
 use rilievo_stereo::between_levels;
-use rilievo_stereo::level::LevelView;
+use rilievo_stereo::level::ViewGrid;
+use rilievo_stereo::stored::StoredSurface;
 use rilievo_stereo::{plate, spread};
 use serde::{Deserialize, Serialize};
 
-/// The surface of all views at one level.
+/// The surface of all views at a level that is solved as a whole.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Shape {
     pub at: usize,
     /// Log depths.
     pub depths: Vec<Vec<f64>>,
-    /// Whether a pixel's depth is known: what no coarser level reaches is not.
-    pub known: Vec<Vec<bool>>,
+}
+
+/// The surface of all views at a finer level, out of core. Where no coarser level reaches, its depths are not known.
+#[derive(Debug)]
+pub(crate) struct FineShape {
+    pub at: usize,
+    pub surface: StoredSurface,
+}
+
+/// The surface that was found.
+#[derive(Debug)]
+pub(crate) enum FoundShape {
+    Whole(Shape),
+    Fine(FineShape),
+}
+
+impl FoundShape {
+    /// Number of its level.
+    pub fn at(&self) -> usize {
+        match self {
+            Self::Whole(shape) => shape.at,
+            Self::Fine(shape) => shape.at,
+        }
+    }
+
+    fn of_view(&self, i: usize, grid: &ViewGrid) -> Result<(Vec<f64>, Vec<bool>), ScratchError> {
+        match self {
+            Self::Whole(shape) => Ok(shape.of_view(i)),
+            Self::Fine(shape) => shape.of_view(i, grid),
+        }
+    }
 }
 
 impl Shape {
-    /// A surface that is known everywhere.
-    pub fn new(at: usize, depths: Vec<Vec<f64>>) -> Self {
-        let known = depths.iter().map(|depth| vec![true; depth.len()]).collect();
-        Self { at, depths, known }
+    /// Log depths of a view, all of them known.
+    pub fn of_view(&self, i: usize) -> (Vec<f64>, Vec<bool>) {
+        let depth = self.depths[i].clone();
+        let known = vec![true; depth.len()];
+        (depth, known)
+    }
+}
+
+impl FineShape {
+    /// Log depths of a view, and where they are known.
+    pub fn of_view(
+        &self,
+        i: usize,
+        grid: &ViewGrid,
+    ) -> Result<(Vec<f64>, Vec<bool>), ScratchError> {
+        let depth = self.surface.get(i, &grid.pixels)?;
+        Ok((depth, self.surface.known(i, &grid.pixels)?))
     }
 }
 
@@ -34,7 +78,7 @@ impl Shape {
 #[derive(Debug)]
 pub struct ShapedViews {
     scene: Scene,
-    shape: Shape,
+    shape: FoundShape,
     /// Level of the appearances.
     at: usize,
     /// Per view; none where nothing but the surface is asked for.
@@ -44,7 +88,7 @@ pub struct ShapedViews {
 impl ShapedViews {
     pub(crate) fn new(
         scene: Scene,
-        shape: Shape,
+        shape: FoundShape,
         (at, appearances): (usize, Vec<Appearance>),
     ) -> Self {
         Self {
@@ -61,18 +105,24 @@ impl ShapedViews {
     }
 
     /// All maps of a view.
-    pub fn view(&self, index: usize) -> ShadedView {
+    ///
+    /// # Errors
+    /// [`ShadingError::Scratch`] when they cannot be read back.
+    pub fn view(&self, index: usize) -> Result<ShadedView, ShadingError> {
         let appearance = self.appearances.get(index).map(|a| (self.at, a));
-        maps(&self.scene, &self.shape, index, appearance)
+        Ok(maps(&self.scene, &self.shape, index, appearance)?)
     }
 
     /// All maps of all views.
-    pub fn views(&self) -> ShadedViews {
+    ///
+    /// # Errors
+    /// As [`Self::view`].
+    pub fn views(&self) -> Result<ShadedViews, ShadingError> {
         let views = (0..self.num_views())
             .into_par_iter()
             .map(|i| self.view(i))
-            .collect();
-        ShadedViews { views }
+            .collect::<Result<_, _>>()?;
+        Ok(ShadedViews { views })
     }
 }
 
@@ -80,42 +130,44 @@ impl ShapedViews {
 /// interpolated, and the rim that has no parents continues its neighbours.
 pub(crate) fn maps(
     scene: &Scene,
-    shape: &Shape,
+    shape: &FoundShape,
     i: usize,
     appearance: Option<(usize, &Appearance)>,
-) -> ShadedView {
-    let frame = &scene.frames[i];
-    let fine = &scene.pyramid[0].views[i];
-    let (mut values, mut known) = (shape.depths[i].clone(), shape.known[i].clone());
-    let mut normals = plate::normals(&scene.pyramid[shape.at].views[i], &values);
-    for finer in (0..shape.at).rev() {
-        let (child, parent) = (
-            &scene.pyramid[finer].views[i],
-            &scene.pyramid[finer + 1].views[i],
-        );
-        normals = spread_normals(parent, child, &normals);
-        (values, known) = between_levels::continued(parent, child, (&values, &known));
+) -> Result<ShadedView, ScratchError> {
+    let (frame, stored) = (&scene.frames[i], &scene.stored[i]);
+    let mut grid = stored.grid(shape.at())?;
+    let (mut values, mut known) = shape.of_view(i, &grid)?;
+    let mut normals = plate::normals(&grid, &values);
+    for finer in (0..shape.at()).rev() {
+        let child = stored.grid(finer)?;
+        normals = spread_normals(&grid, &child, &normals);
+        (values, known) = between_levels::continued(&grid, &child, (&values, &known));
+        grid = child;
     }
-    let (width, height) = (frame.mask.width, frame.mask.height);
+    let (width, height) = frame.size;
     let mut depth = DepthMap::filled(width, height, 0.0);
     let mut normal = NormalMap::filled(width, height, [0.0; 3]);
     for (p, n) in normals.iter().enumerate() {
         if !known[p] {
             continue;
         }
-        let x = fine.pixels.xs[p] as usize + frame.corner.0;
-        let y = fine.pixels.ys[p] as usize + frame.corner.1;
+        let x = grid.pixels.xs[p] as usize + frame.corner.0;
+        let y = grid.pixels.ys[p] as usize + frame.corner.1;
         *depth.at_mut(x, y) = values[p].exp() as f32;
         *normal.at_mut(x, y) = n.map(|v| v as f32);
     }
     drop((values, known, normals));
-    let images = appearance.map(|(at, appearance)| images(scene, at, i, appearance, &depth));
+    let images = appearance.map(|(at, of_view)| images(scene, at, i, of_view, &grid, &depth));
+    drop(grid);
     if !frame.rectification.is_identity() {
-        (depth, normal) = frame.rectification.bend_back(&frame.mask, &depth, &normal);
+        (depth, normal) = frame
+            .rectification
+            .bend_back(&frame.own_mask(), &depth, &normal);
     }
-    let (confidence, [rendered, albedo]) =
-        images.map_or((None, [None, None]), |(c, i)| (Some(c), i));
-    ShadedView {
+    let (confidence, [rendered, albedo]) = images
+        .transpose()?
+        .map_or((None, [None, None]), |(c, i)| (Some(c), i));
+    Ok(ShadedView {
         view: frame.view,
         name: frame.name.clone(),
         depth,
@@ -123,7 +175,7 @@ pub(crate) fn maps(
         confidence,
         rendered,
         albedo,
-    }
+    })
 }
 
 /// Confidence, and where there are any the rendered image and the albedo, on the photo's own pixels.
@@ -132,8 +184,9 @@ fn images(
     at: usize,
     index: usize,
     appearance: &Appearance,
+    finest: &ViewGrid,
     depth: &DepthMap,
-) -> (ConfidenceMap, [Option<LinearImage>; 2]) {
+) -> Result<(ConfidenceMap, [Option<LinearImage>; 2]), ScratchError> {
     let has_image = !appearance.rendered.is_empty();
     let mut values: Vec<[f32; 7]> = appearance
         .confidence
@@ -149,27 +202,26 @@ fn images(
             row
         })
         .collect();
+    let mut parent = scene.stored[index].grid(at)?;
     for finer in (0..at).rev() {
-        let (child, parent) = (
-            &scene.pyramid[finer].views[index],
-            &scene.pyramid[finer + 1].views[index],
-        );
-        values = spread::spread(parent, child, &values);
+        let child = scene.stored[index].grid(finer)?;
+        values = spread::spread(&parent, &child, &values);
+        parent = child;
     }
     let frame = &scene.frames[index];
-    let pixels = &scene.pyramid[0].views[index].pixels;
     let mut raster = Raster::filled(depth.width, depth.height, [0.0_f32; 7]);
     for (p, value) in values.iter().enumerate() {
-        let x = pixels.xs[p] as usize + frame.corner.0;
-        let y = pixels.ys[p] as usize + frame.corner.1;
+        let x = finest.pixels.xs[p] as usize + frame.corner.0;
+        let y = finest.pixels.ys[p] as usize + frame.corner.1;
         if *depth.at(x, y) > 0.0 {
             *raster.at_mut(x, y) = *value;
         }
     }
+    drop((values, parent));
     if !frame.rectification.is_identity() {
         raster = frame
             .rectification
-            .bend_values_back(&frame.mask, depth, &raster);
+            .bend_values_back(&frame.own_mask(), depth, &raster);
     }
     let confidence = Raster {
         width: raster.width,
@@ -178,7 +230,7 @@ fn images(
     };
     let images = [(1, frame.gain), (4, [1.0; 3])]
         .map(|(first, gain)| has_image.then(|| image(&raster, first, gain)));
-    (confidence, images)
+    Ok((confidence, images))
 }
 
 /// Three channels from the `first` on, each times its gain.
@@ -196,7 +248,7 @@ fn image(values: &Raster<[f32; 7]>, first: usize, gain: [f64; 3]) -> LinearImage
 }
 
 /// Unit normals at the next finer level.
-fn spread_normals(coarse: &LevelView, fine: &LevelView, normals: &[[f64; 3]]) -> Vec<[f64; 3]> {
+fn spread_normals(coarse: &ViewGrid, fine: &ViewGrid, normals: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let single: Vec<[f32; 3]> = normals.iter().map(|n| n.map(|v| v as f32)).collect();
     spread::spread(coarse, fine, &single)
         .iter()

@@ -1,17 +1,19 @@
 //! How far a run is: all that the next outer iteration or round of relief reads, kept after each of them, so that a
 //! stopped run goes on there and ends with the bytes of an undisturbed one.
 //!
-//! The views' images are not kept: they are loaded again and divided by the gains that the kept report holds.
+//! The views' images are not kept: they are loaded again and divided by the gains that the kept report holds. A surface
+//! out of core is a part of the state for each view.
 
 use super::chroma::ChromaNoise;
 use super::course::Course;
 use super::iteration::IterationWeights;
 use super::light::Light;
-use super::output::Shape;
+use super::output::{FineShape, Shape};
 use super::report::{PhotoReport, StepReport};
 use crate::error::ShadingError;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::StatePart;
+use rilievo_stereo::stored::StoredSurface;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::io::{self, BufWriter, Read, Write};
@@ -98,6 +100,14 @@ struct Found {
     progress: Progress,
 }
 
+/// Writes the surface of a view.
+type WriteView<'a> = Box<dyn Fn(&mut dyn Write) -> io::Result<()> + Sync + 'a>;
+
+/// Part that holds the surface of a view at a level out of core.
+fn part_of_view(index: usize) -> String {
+    format!("view{index}")
+}
+
 impl Course<'_> {
     /// Keeps the state; the light is written only when it is a new one.
     pub(crate) fn keep(
@@ -118,6 +128,17 @@ impl Course<'_> {
             name: COURSE,
             write: &write_course,
         }];
+        let fine: Vec<(String, WriteView<'_>)> = match &self.fine {
+            Some(fine) => (0..self.scene.frames.len())
+                .map(|i| {
+                    let write: WriteView<'_> =
+                        Box::new(move |to: &mut dyn Write| fine.surface.save(i, to));
+                    (part_of_view(i), write)
+                })
+                .collect(),
+            None => Vec::new(),
+        };
+        parts.extend(fine.iter().map(|(name, write)| StatePart { name, write }));
         if is_new {
             parts.push(StatePart {
                 name: LIGHT,
@@ -142,7 +163,7 @@ impl Course<'_> {
         Ok(Some((found.progress, light)))
     }
 
-    fn kept(&self) -> Option<(Found, Option<Light>)> {
+    fn kept(&mut self) -> Option<(Found, Option<Light>)> {
         let found: Found = read(self.checkpoint.read(COURSE)?)?;
         if !self.fits(&found) {
             return None;
@@ -152,14 +173,31 @@ impl Course<'_> {
         } else {
             None
         };
+        if let Next::Relief(rounds) = &found.progress.next {
+            self.fine = Some(self.restored(rounds.record.level)?);
+        }
         Some((found, light))
+    }
+
+    /// The kept surface at a level out of core.
+    fn restored(&self, at: usize) -> Option<FineShape> {
+        if at >= self.scene.finest {
+            return None;
+        }
+        let surface = StoredSurface::new(&self.scene.stored, at, self.scratch).ok()?;
+        for i in 0..self.scene.frames.len() {
+            let mut from = self.checkpoint.read(&part_of_view(i))?;
+            surface.restore(i, &mut from).ok()?;
+        }
+        Some(FineShape { at, surface })
     }
 
     fn fits(&self, found: &Found) -> bool {
         let shape = &found.progress.shape;
-        let Some(level) = self.scene.pyramid.get(shape.at) else {
+        if !(self.scene.finest..self.scene.num_levels()).contains(&shape.at) {
             return false;
-        };
+        }
+        let level = self.scene.level(shape.at);
         found.report.views.len() == level.views.len()
             && shape.depths.len() == level.views.len()
             && level

@@ -12,7 +12,7 @@ use super::iteration::{IterationWeights, MatchLeft, PHOTOS_ONLY, step_weights};
 use super::light::Light;
 use super::matching::{self, Likeness};
 use super::memory;
-use super::output::Shape;
+use super::output::{FineShape, Shape};
 use super::progress::{After, Next, ReliefRounds};
 use super::report::StepReport;
 use super::shading::{PixelHarmonics, PixelLight, ShadingTerm, ShadingWeights};
@@ -23,12 +23,15 @@ use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
-use rilievo_stereo::level::{Level, LevelView};
+use rilievo_scene::ScratchError;
+use rilievo_stereo::consensus::fused_view;
+use rilievo_stereo::level::{Level, ViewGrid};
 use rilievo_stereo::spread::Parents;
+use rilievo_stereo::stored::{StoredLevel, StoredSurface};
 use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::tile::{self, Tile};
 use rilievo_stereo::window::Window;
-use rilievo_stereo::{between_levels, plate};
+use rilievo_stereo::{between_levels, plate, specks};
 use std::time::Instant;
 
 /// Side of the samples on which a view's noise is measured, pixels, and their largest number.
@@ -59,10 +62,18 @@ struct TileLight {
     openness_exponent: f32,
 }
 
+/// Why a tile's step failed.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum TileError {
+    #[error(transparent)]
+    Plate(#[from] PlateError),
+    #[error(transparent)]
+    Scratch(#[from] ScratchError),
+}
+
 /// What all tiles of one view at one level share.
 pub(super) struct ViewAtLevel<'a> {
-    pub level: &'a Level,
-    pub at: usize,
+    pub level: &'a StoredLevel<'a>,
     pub index: usize,
     pub reading: Reading,
     pub light: &'a CoarseLight<'a>,
@@ -72,8 +83,8 @@ pub(super) struct ViewAtLevel<'a> {
 
 /// What a tile's step gave.
 pub(super) struct TileStep {
-    /// Numbers of its pixels in the whole view.
-    pub numbers: Vec<u32>,
+    /// Places of its pixels in the whole view's raster.
+    pub places: Vec<u32>,
     /// Share of each of them in the blend.
     pub shares: Vec<f32>,
     /// Increments of the log depths of its pixels.
@@ -90,7 +101,11 @@ impl<'a> CoarseLight<'a> {
             light,
             at,
             focal: level.focal(),
-            parents: level.views.par_iter().map(Parents::new).collect(),
+            parents: level
+                .views
+                .par_iter()
+                .map(|view| Parents::new(view))
+                .collect(),
         }
     }
 
@@ -148,66 +163,81 @@ impl TileLight {
 }
 
 impl Course<'_> {
-    /// The start of relief at the level below the shape's, under the light of level `coarse`, the finest that was solved
-    /// as a whole: the shape interpolated, and what is measured of it.
+    /// The start of relief at the level below that of the surface so far (`shape`, or the finer one that is out of core),
+    /// under the light of level `coarse`, the finest that was solved as a whole: the surface interpolated, and what is
+    /// measured of it.
     pub(super) fn next_relief_level(
-        &self,
-        shape: &mut Shape,
+        &mut self,
+        shape: &Shape,
         coarse: usize,
         last: IterationWeights,
-    ) -> ReliefRounds {
-        *shape = self.interpolated(shape);
-        let level = &self.scene.pyramid[shape.at];
-        ReliefRounds {
+    ) -> Result<ReliefRounds, ShadingError> {
+        let at = self.fine.as_ref().map_or(shape.at, |fine| fine.at) - 1;
+        let scene = &self.scene;
+        let surface = StoredSurface::new(&scene.stored, at, self.scratch)?;
+        let mut turns = Vec::new();
+        for views in self.views_at_once(at) {
+            let found: Vec<Result<Option<f64>, ScratchError>> = views
+                .into_par_iter()
+                .with_max_len(1)
+                .map(|i| {
+                    let stored = &scene.stored[i];
+                    let (parent, child) = (stored.grid(at + 1)?, stored.grid(at)?);
+                    let (values, known) = match &self.fine {
+                        Some(fine) => fine.of_view(i, &parent)?,
+                        None => shape.of_view(i),
+                    };
+                    let (values, known) =
+                        between_levels::continued(&parent, &child, (&values, &known));
+                    surface.put(i, &child.pixels, &values, Some(&known))?;
+                    Ok(plate::typical_turn(&child, &values))
+                })
+                .collect();
+            for turn in found {
+                turns.extend(turn?);
+            }
+        }
+        self.fine = Some(FineShape { at, surface });
+        Ok(ReliefRounds {
             coarse,
             last,
             num_done: 0,
-            noise: vec![None; level.views.len()],
-            turn_scale: turn_scale(level, &shape.depths),
+            noise: vec![None; self.scene.frames.len()],
+            turn_scale: turn_scale(turns),
             record: StepReport {
-                level: shape.at,
+                level: at,
                 kind: KIND.to_owned(),
                 ..StepReport::default()
             },
-        }
+        })
     }
 
-    /// The surface at the next finer level.
-    fn interpolated(&self, shape: &Shape) -> Shape {
-        let at = shape.at - 1;
-        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
-        let (depths, known) = (0..fine.views.len())
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|i| {
-                let of_view = (shape.depths[i].as_slice(), shape.known[i].as_slice());
-                between_levels::continued(&coarse.views[i], &fine.views[i], of_view)
-            })
-            .unzip();
-        Shape { at, depths, known }
+    /// Views in groups that are worked on at once.
+    fn views_at_once(&self, at: usize) -> Vec<Vec<usize>> {
+        let at_once = memory::views_at_once(&self.scene, at, self.options);
+        let views: Vec<usize> = (0..self.scene.frames.len()).collect();
+        views.chunks(at_once).map(<[usize]>::to_vec).collect()
     }
 
-    /// A round over all views at the shape's level; after the last one the next finer level begins.
+    /// A round over all views at the level that is out of core; after the last one the next finer level begins.
     pub(super) fn relief(
         &mut self,
-        shape: &mut Shape,
+        shape: &Shape,
         light: Option<&Light>,
         mut rounds: ReliefRounds,
     ) -> Result<After, ShadingError> {
         let mut next = None;
-        // Noise of single pixels would pass for detail here.
-        self.use_sharpness(shape.at);
-        let finished = match light {
-            Some(light) => self.relief_round(shape, light, &mut rounds)?,
-            None => true,
+        let finished = match (light, &self.fine) {
+            (Some(light), Some(fine)) => self.relief_round(fine, light, &mut rounds)?,
+            _ => true,
         };
         if finished {
             let (coarse, last) = (rounds.coarse, rounds.last);
             self.report.steps.push(rounds.record);
-            shape.depths = self.fused(shape.at, &shape.depths, FUSION_PX)?;
-            self.show_shape(KIND, shape);
-            if shape.at > 0 {
-                next = Some(self.next_relief_level(shape, coarse, last));
+            self.fuse_fine()?;
+            self.show_fine(KIND)?;
+            if self.fine.as_ref().is_some_and(|fine| fine.at > 0) {
+                next = Some(self.next_relief_level(shape, coarse, last)?);
             }
         } else {
             next = Some(rounds);
@@ -218,48 +248,148 @@ impl Course<'_> {
         })
     }
 
-    /// What is left between the photos before the first round at a level, on samples.
-    fn look_between(&self, level: &Level, depths: &[Vec<f64>], record: &mut StepReport) {
-        let options = step_weights(level, self.report.sigma_match, &PHOTOS_ONLY).matching;
+    /// All views' surfaces out of core made one.
+    fn fuse_fine(&mut self) -> Result<(), ShadingError> {
+        let Some(fine) = &self.fine else {
+            return Ok(());
+        };
+        let (at, scene) = (fine.at, &self.scene);
+        self.tell("fusing views", 0, 1)?;
+        let sharpness = self.report.sharpness();
+        let level = scene.stored_level(fine, &sharpness);
+        let truncation = FUSION_PX / level.focal();
         let reading = self.reading();
-        let samples: Vec<(usize, Window)> = (0..level.views.len())
-            .flat_map(|i| {
-                sample_cores(&level.views[i])
-                    .into_iter()
-                    .map(move |core| (i, core))
-            })
-            .collect();
-        let found: Vec<(Vec<f64>, Likeness)> = samples
-            .par_iter()
-            .map(|(i, core)| {
-                let tile = Tile::cut(level, *i, depths, core);
-                let surfaces = Surfaces::new(&tile.level, &tile.depths, reading);
-                let rasters = &surfaces.rasters;
-                let matches = matching::terms(&tile.level, 0, &tile.depths[0], rasters, &options);
-                (matches.some_residuals().collect(), matches.likeness)
-            })
-            .collect();
+        let at_once = memory::tiles_at_once(self.options, scene);
+        let fused = StoredSurface::new(&scene.stored, at, self.scratch)?;
+        for i in 0..scene.frames.len() {
+            let grid = scene.stored[i].grid(at)?;
+            let (mut values, known) = fine.of_view(i, &grid)?;
+            for cores in tile::cores(&grid, memory::CORE_PX).chunks(at_once) {
+                let parts: Vec<Result<Vec<(u32, f64)>, ScratchError>> = cores
+                    .par_iter()
+                    .with_max_len(1)
+                    .map(|core| {
+                        let tile = Tile::cut(&level, i, core)?;
+                        let surfaces = Surfaces::new(&tile.level, &tile.depths, reading);
+                        let found = fused_view(&surfaces, 0, &tile.depths[0], truncation);
+                        let places = tile.places.iter().zip(found).enumerate();
+                        Ok(places
+                            .filter(|(p, _)| tile.is_in(core, *p))
+                            .map(|(_, (&place, value))| (place, value))
+                            .collect())
+                    })
+                    .collect();
+                for part in parts {
+                    for (place, value) in part? {
+                        values[grid.pixels.number[place as usize] as usize] = value;
+                    }
+                }
+            }
+            fused.put(i, &grid.pixels, &values, Some(&known))?;
+        }
+        self.fine = Some(FineShape { at, surface: fused });
+        Ok(())
+    }
+
+    /// The surface out of core without specks; their share in each view before and after is reported.
+    pub(super) fn clean_fine(&mut self, fine: &FineShape) -> Result<(), ShadingError> {
+        for views in self.views_at_once(fine.at) {
+            let scene = &self.scene;
+            let found: Vec<Result<(usize, [f64; 2]), ScratchError>> = views
+                .into_par_iter()
+                .with_max_len(1)
+                .map(|i| {
+                    let grid = scene.stored[i].grid(fine.at)?;
+                    let cleaned = specks::remove(&grid, &fine.surface.get(i, &grid.pixels)?);
+                    fine.surface.put(i, &grid.pixels, &cleaned.depth, None)?;
+                    Ok((i, cleaned.shares))
+                })
+                .collect();
+            for of_view in found {
+                let (i, shares) = of_view?;
+                self.report.views[i].specks = shares;
+            }
+        }
+        Ok(())
+    }
+
+    /// Log depths at level `at`, solved as a whole, of the surface out of core.
+    pub(super) fn reduced_fine(
+        &self,
+        fine: &FineShape,
+        at: usize,
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let (scene, mut reduced) = (&self.scene, Vec::new());
+        for views in self.views_at_once(fine.at) {
+            let found: Vec<Result<Vec<f64>, ScratchError>> = views
+                .into_par_iter()
+                .with_max_len(1)
+                .map(|i| {
+                    let stored = &scene.stored[i];
+                    let mut grid = stored.grid(fine.at)?;
+                    let mut depth = fine.surface.get(i, &grid.pixels)?;
+                    for coarser in fine.at + 1..=at {
+                        let parent = stored.grid(coarser)?;
+                        depth = between_levels::reduce(&grid, &parent, &depth);
+                        grid = parent;
+                    }
+                    Ok(depth)
+                })
+                .collect();
+            for depth in found {
+                reduced.push(depth?);
+            }
+        }
+        Ok(reduced)
+    }
+
+    /// What is left between the photos before the first round at a level, on samples.
+    fn look_between(
+        &self,
+        level: &StoredLevel<'_>,
+        record: &mut StepReport,
+    ) -> Result<(), ShadingError> {
+        let options = step_weights(level.focal(), self.report.sigma_match, &PHOTOS_ONLY).matching;
+        let reading = self.reading();
         let (mut residuals, mut likeness) = (Vec::new(), Likeness::default());
-        for (of_tile, of_neighbours) in found {
-            residuals.extend(of_tile);
-            likeness.add(of_neighbours);
+        for i in 0..level.views.len() {
+            let samples = sample_cores(&level.views[i].grid(level.at)?);
+            let found: Vec<Result<_, ScratchError>> = samples
+                .par_iter()
+                .map(|core| {
+                    let tile = Tile::cut(level, i, core)?;
+                    let surfaces = Surfaces::new(&tile.level, &tile.depths, reading);
+                    let (depth, rasters) = (&tile.depths[0], &surfaces.rasters);
+                    let matches = matching::terms(&tile.level, 0, depth, rasters, &options);
+                    let some: Vec<f64> = matches.some_residuals().collect();
+                    Ok((some, matches.likeness))
+                })
+                .collect();
+            for sample in found {
+                let (of_tile, of_neighbours) = sample?;
+                residuals.extend(of_tile);
+                likeness.add(of_neighbours);
+            }
         }
         record.match_residual = median(&mut residuals);
         record.match_correlation = likeness.correlation();
+        Ok(())
     }
 
-    /// A round over all views at the shape's level; tells whether it was the last one there.
+    /// A round over all views of the surface out of core; tells whether it was the last one at its level.
     fn relief_round(
         &self,
-        shape: &mut Shape,
+        fine: &FineShape,
         light: &Light,
         rounds: &mut ReliefRounds,
     ) -> Result<bool, ShadingError> {
         let began = Instant::now();
-        let at = shape.at;
-        let level = &self.scene.pyramid[at];
+        let (at, scene) = (fine.at, &self.scene);
+        // Noise of single pixels would pass for detail here.
+        let sharpness = self.report.sharpness();
+        let level = scene.stored_level(fine, &sharpness);
         if rounds.record.match_residual.is_none() {
-            self.look_between(level, &shape.depths, &mut rounds.record);
+            self.look_between(&level, &mut rounds.record)?;
         }
         let left = MatchLeft::of(&rounds.record);
         let shared_error = left.map_or(1.0, |left| left.shared_error(light.residual()));
@@ -268,61 +398,64 @@ impl Course<'_> {
             (weights.plate, weights.plate_threshold) = (0.5 / (scale * scale), scale);
         }
         let sigma_match = left.map_or(self.report.sigma_match, MatchLeft::sigma);
-        let options = step_weights(level, sigma_match, &weights);
+        let options = step_weights(level.focal(), sigma_match, &weights);
         let coarse = rounds.coarse;
-        let light = CoarseLight::new(&self.scene.pyramid[coarse], coarse, light);
+        let light = CoarseLight::new(scene.level(coarse), coarse, light);
         let Some(shading) = weights.shading else {
             return Ok(true);
         };
         let num_views = level.views.len();
-        let cores: Vec<Vec<Window>> = level
-            .views
-            .iter()
-            .map(|view| tile::cores(view, memory::CORE_PX))
-            .collect();
         let num_rounds = self.options.num_relief_rounds;
-        let num_tiles = cores.iter().map(Vec::len).sum::<usize>();
-        let mut num_done = rounds.num_done * num_tiles;
-        let at_once = memory::tiles_at_once(self.options, self.scene.bytes());
+        let at_once = memory::tiles_at_once(self.options, scene);
         let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
         let mut likeness = Likeness::default();
         // Even views first, as in the outer iterations.
-        for i in (0..num_views).step_by(2).chain((1..num_views).step_by(2)) {
+        let order = (0..num_views).step_by(2).chain((1..num_views).step_by(2));
+        for (place, i) in order.enumerate() {
             let mut view = ViewAtLevel {
-                level,
-                at,
+                level: &level,
                 index: i,
                 reading: self.reading(),
                 light: &light,
                 options: &options,
                 shading,
             };
+            let grid = scene.stored[i].grid(at)?;
             if rounds.noise[i].is_none() {
-                rounds.noise[i] = view.chroma_noise(&shape.depths);
+                rounds.noise[i] = view.chroma_noise(&sample_cores(&grid))?;
             }
             view.shading.chroma_noise = rounds.noise[i];
-            let mut improved = shape.depths[i].clone();
-            for cores in cores[i].chunks(at_once) {
-                self.tell(KIND, num_done, num_rounds * num_tiles)?;
-                let steps: Vec<Result<TileStep, PlateError>> = cores
+            let before = fine.surface.get(i, &grid.pixels)?;
+            let mut improved = before.clone();
+            let cores = tile::cores(&grid, memory::CORE_PX);
+            // Progress counts tiles, as if all views had as many.
+            let total = num_rounds * num_views * cores.len();
+            let mut num_done = (rounds.num_done * num_views + place) * cores.len();
+            for cores in cores.chunks(at_once) {
+                self.tell(KIND, num_done, total)?;
+                let steps: Vec<Result<TileStep, TileError>> = cores
                     .par_iter()
                     .with_max_len(1)
-                    .map(|core| view.step(&shape.depths, core))
+                    .map(|core| view.step(core))
                     .collect();
                 for step in steps {
-                    let step = step.map_err(|e| self.failed(i, &e))?;
-                    for (p, &number) in step.numbers.iter().enumerate() {
+                    let step = step.map_err(|error| match error {
+                        TileError::Plate(error) => self.failed(i, &error),
+                        TileError::Scratch(error) => error.into(),
+                    })?;
+                    for (p, &place) in step.places.iter().enumerate() {
                         let share = OVER_RELAXATION * f64::from(step.shares[p]);
-                        improved[number as usize] += share * step.increment[p];
+                        let number = grid.pixels.number[place as usize] as usize;
+                        improved[number] += share * step.increment[p];
                     }
                     residuals.extend(step.residuals);
                     likeness.add(step.likeness);
                 }
                 num_done += cores.len();
             }
-            moved += plate::mean_move(&shape.depths[i], &improved);
-            turned += plate::mean_turn(&level.views[i], &shape.depths[i], &improved);
-            shape.depths[i] = improved;
+            moved += plate::mean_move(&before, &improved);
+            turned += plate::mean_turn(&grid, &before, &improved);
+            fine.surface.put(i, &grid.pixels, &improved, None)?;
         }
         let per_view = 1.0 / num_views as f64;
         let turned_deg = (turned * per_view).to_degrees();
@@ -345,7 +478,7 @@ impl Course<'_> {
 }
 
 /// Some windows spread over a view's object, where there are such that it fills.
-fn sample_cores(view: &LevelView) -> Vec<Window> {
+pub(super) fn sample_cores(view: &ViewGrid) -> Vec<Window> {
     let cores = tile::cores(view, SAMPLE_PX);
     let is_full = |core: &Window| core.cut(&view.mask).data.iter().all(|&is| is);
     let (full, cut): (Vec<Window>, Vec<Window>) = cores.into_iter().partition(is_full);
@@ -354,26 +487,21 @@ fn sample_cores(view: &LevelView) -> Vec<Window> {
     inner.into_iter().step_by(step).collect()
 }
 
-/// Typical turn of the normals from a pixel to the next, radians, the scale of their Laplace distribution: what the
+/// Typical turn of the normals from a pixel to the next, radians, from that of every view: the scale of their Laplace
+/// distribution. What the
 /// surface shows at a level tells how much relief to expect there, so that noise makes none on a plain object and none
 /// is smoothed away on a carved one.
-fn turn_scale(level: &Level, depths: &[Vec<f64>]) -> Option<f64> {
+fn turn_scale(mut turns: Vec<f64>) -> Option<f64> {
     // Finer than this, a twentieth of a degree, depth itself is rounded and shading tells nothing.
     const LEAST: f64 = 1e-3;
-    let mut turns: Vec<f64> = level
-        .views
-        .iter()
-        .zip(depths)
-        .filter_map(|(view, depth)| plate::typical_turn(view, depth))
-        .collect();
     let scale = median(&mut turns)? / std::f64::consts::LN_2;
     Some(scale.max(LEAST))
 }
 
 impl ViewAtLevel<'_> {
-    /// One Gauss-Newton step of a tile, from log depths of all views.
-    pub(super) fn step(&self, depths: &[Vec<f64>], core: &Window) -> Result<TileStep, PlateError> {
-        let tile = Tile::cut(self.level, self.index, depths, core);
+    /// One Gauss-Newton step of a tile.
+    pub(super) fn step(&self, core: &Window) -> Result<TileStep, TileError> {
+        let tile = Tile::cut(self.level, self.index, core)?;
         let surfaces = Surfaces::new(&tile.level, &tile.depths, self.reading);
         let light = self.light_of(&tile);
         let term = ShadingTerm::new(
@@ -395,7 +523,7 @@ impl ViewAtLevel<'_> {
             .collect();
         let residuals = outcome.matches.some_residuals().collect();
         Ok(TileStep {
-            numbers: tile.numbers,
+            places: tile.places,
             shares: tile.shares,
             increment,
             residuals,
@@ -405,28 +533,31 @@ impl ViewAtLevel<'_> {
 
     fn light_of(&self, tile: &Tile) -> TileLight {
         let focal = self.level.focal();
-        self.light.of(tile, self.index, self.at, focal)
+        self.light.of(tile, self.index, self.level.at, focal)
     }
 
     /// Noise of the view's chroma, from samples all over the object.
-    pub(super) fn chroma_noise(&self, depths: &[Vec<f64>]) -> Option<ChromaNoise> {
-        let parts: Vec<ChromaNoise> = sample_cores(&self.level.views[self.index])
+    pub(super) fn chroma_noise(
+        &self,
+        samples: &[Window],
+    ) -> Result<Option<ChromaNoise>, ScratchError> {
+        let parts = samples
             .par_iter()
             .map(|core| {
-                let tile = Tile::cut(self.level, self.index, depths, core);
+                let tile = Tile::cut(self.level, self.index, core)?;
                 let rasters = rilievo_stereo::level::depth_rasters(&tile.level, &tile.depths);
                 let light = self.light_of(&tile);
-                ShadingTerm::new(
+                let term = ShadingTerm::new(
                     &tile.level,
                     0,
                     &tile.depths[0],
                     &rasters,
                     &light.of_pixels(),
                     &self.shading,
-                )
-                .chroma_noise
+                );
+                Ok(term.chroma_noise)
             })
-            .collect();
-        ChromaNoise::median_of(&parts)
+            .collect::<Result<Vec<ChromaNoise>, ScratchError>>()?;
+        Ok(ChromaNoise::median_of(&parts))
     }
 }

@@ -5,7 +5,8 @@
 use super::iteration::{iteration_weights, step_weights};
 use super::light::{self, LightScene};
 use super::options::PhotoOptions;
-use super::relief::{CoarseLight, ViewAtLevel};
+use super::output::FineShape;
+use super::relief::{CoarseLight, ViewAtLevel, sample_cores};
 use super::rendered_tests::{
     World, depths, known_light, loaded, of_spheres, options, photographed,
 };
@@ -13,14 +14,16 @@ use super::report::PhotoReport;
 use super::shading::{PixelLight, ShadingTerm};
 use super::solve::finer_weights;
 use super::{run, step};
+use crate::Surroundings;
 use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
     Checkpoint, CheckpointError, InMemoryPixels, LightKind, LightSource, Lighting,
-    LightingCalibration, LinearImage, NoCheckpoint, NormalMap, Recorder, Silent,
+    LightingCalibration, LinearImage, MemoryScratch, NormalMap, Recorder, Silent,
     SphericalHarmonics, StatePart, ViewIdx, ViewLighting,
 };
+use rilievo_stereo::stored::StoredSurface;
 use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::{between_levels, spread, tile};
 use rilievo_synthetic::{LightModel, Subject};
@@ -68,7 +71,7 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
         })
         .collect();
     let weights = finer_weights(&iteration_weights(2, light.residual()), false, true, 1.0);
-    let options = step_weights(fine, 0.02, &weights);
+    let options = step_weights(fine.focal(), 0.02, &weights);
     let i = 1;
     let view = &fine.views[i];
 
@@ -94,16 +97,21 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
         .map(|(a, b)| a - b)
         .collect();
 
+    let surface = StoredSurface::new(&scene.stored, 0, &MemoryScratch).unwrap();
+    for (i, depth) in start.iter().enumerate() {
+        let pixels = &fine.views[i].pixels;
+        surface.put(i, pixels, depth, None).unwrap();
+    }
+    let (shape, sharpness) = (FineShape { at: 0, surface }, [1.0; 4]);
     let mut of_view = ViewAtLevel {
-        level: fine,
-        at: 0,
+        level: &scene.stored_level(&shape, &sharpness),
         index: i,
         reading: Reading::Cubic,
         light: &CoarseLight::new(coarse, 1, &light),
         options: &options,
         shading,
     };
-    let noise = of_view.chroma_noise(&start).unwrap();
+    let noise = of_view.chroma_noise(&sample_cores(view)).unwrap().unwrap();
     for (sampled, all) in noise.sigma.iter().zip(term.chroma_noise.sigma) {
         assert!(
             (sampled / all - 1.0).abs() < 0.15,
@@ -116,8 +124,9 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
     assert!(cores.len() > 6, "{}", cores.len());
     let mut tiled = vec![0.0; whole.len()];
     for core in &cores {
-        let step = of_view.step(&start, core).unwrap();
-        for (p, &number) in step.numbers.iter().enumerate() {
+        let step = of_view.step(core).unwrap();
+        for (p, &place) in step.places.iter().enumerate() {
+            let number = view.pixels.number[place as usize];
             tiled[number as usize] += f64::from(step.shares[p]) * step.increment[p];
         }
     }
@@ -163,14 +172,13 @@ fn errors(world: &World) -> [[f64; 2]; 2] {
             &world.posed,
             &lighting,
             &options,
-            &Silent,
-            &NoCheckpoint,
+            Surroundings::in_memory(&Silent),
         )
         .unwrap();
         let is_shaped = report.steps.iter().any(|step| step.kind == "relief");
         assert_eq!(is_shaped, num_relief_rounds > 0);
         let (mut angles, mut rough) = (Vec::new(), Vec::new());
-        for (view, truth) in shaded.views().views.iter().zip(&world.views) {
+        for (view, truth) in shaded.views().unwrap().views.iter().zip(&world.views) {
             for (x, y) in inner_pixels(&truth.normal) {
                 let (Some(n), Some(t)) = (view.normal.normal(x, y), truth.normal.normal(x, y))
                 else {
@@ -259,8 +267,7 @@ fn threads_do_not_change_the_relief() {
                 &world.posed,
                 &lighting,
                 &options,
-                &Silent,
-                &NoCheckpoint,
+                Surroundings::in_memory(&Silent),
             )
             .unwrap()
         };
@@ -268,7 +275,10 @@ fn threads_do_not_change_the_relief() {
     });
     let levels = one.1.steps.iter().filter(|step| step.kind == "relief");
     assert!(levels.count() > 0, "no relief");
-    assert!(one.0.views() == two.0.views(), "results differ");
+    assert!(
+        one.0.views().unwrap() == two.0.views().unwrap(),
+        "results differ"
+    );
 }
 
 /// A state in memory; only some of the writes succeed.
@@ -321,8 +331,12 @@ fn a_stopped_run_goes_on_to_the_same_bytes() {
     let solve = |memory: &Memory, num_writes: usize| {
         memory.num_left.store(num_writes, Relaxed);
         let (photos, posed) = (&world.photos, &world.posed);
-        let solved = run(photos, posed, &lighting, &options, &Silent, memory);
-        solved.map(|(shaped, report)| (shaped.views(), report))
+        let around = Surroundings {
+            checkpoint: memory,
+            ..Surroundings::in_memory(&Silent)
+        };
+        let solved = run(photos, posed, &lighting, &options, around);
+        solved.map(|(shaped, report)| (shaped.views().unwrap(), report))
     };
     let kinds = |report: &PhotoReport| -> Vec<(usize, String)> {
         let steps = report.steps.iter();
@@ -391,7 +405,11 @@ fn what_a_stopped_run_warned_of_is_told_again() {
         memory.num_left.store(num_writes, Relaxed);
         let told = Recorder::default();
         let (photos, posed) = (&world.photos, &world.posed);
-        let ended = run(photos, posed, &lighting, &options, &told, &memory).is_ok();
+        let around = Surroundings {
+            checkpoint: &memory,
+            ..Surroundings::in_memory(&told)
+        };
+        let ended = run(photos, posed, &lighting, &options, around).is_ok();
         assert_eq!(ended, num_writes > 1);
         told.warnings()
     };

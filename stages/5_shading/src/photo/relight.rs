@@ -26,7 +26,7 @@ impl Course<'_> {
         depths: &[Vec<f64>],
         posed: &PosedViews,
     ) -> Option<Ground> {
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         let points: Vec<Point3<f64>> = posed
             .points
             .iter()
@@ -53,8 +53,8 @@ impl Course<'_> {
     ) -> Result<Option<Light>, ShadingError> {
         let began = Instant::now();
         self.tell("fitting light", 0, 1)?;
-        let level = &self.scene.pyramid[at];
-        let rays_at = self.scene.pyramid.get(at + 1).unwrap_or(level);
+        let level = self.scene.level(at);
+        let rays_at = self.scene.coarser(at);
         let kind = lighting.kind;
         let gains: Vec<[f64; 3]> = self.scene.frames.iter().map(|frame| frame.gain).collect();
         let known = KnownLight::new(lighting, &posed.spheres, &gains);
@@ -132,7 +132,7 @@ impl Course<'_> {
         let began = Instant::now();
         self.tell("leaving photos out", 0, 1)?;
         let options = self.step_options(at, weights);
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         let judged = validation::validate(level, solvers, depths, light, &shading, &options)
             .map_err(|(i, e)| self.failed(i, &e))?;
         let Some(judged) = judged else {
@@ -159,7 +159,7 @@ impl Course<'_> {
 
     /// The light at the next finer level.
     pub(crate) fn finer_light(&self, at: usize, depths: &[Vec<f64>], light: &Light) -> Light {
-        let (fine, coarse) = (&self.scene.pyramid[at], &self.scene.pyramid[at + 1]);
+        let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
         let mut out = Light {
             harmonics: (0..fine.views.len())
                 .map(|i| light::finer(&coarse.views[i], &fine.views[i], &light.harmonics[i]))
@@ -203,7 +203,7 @@ impl Course<'_> {
         depths: &[Vec<f64>],
         light: Option<&Light>,
     ) -> Vec<Appearance> {
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         let rasters = rilievo_stereo::level::depth_rasters(level, depths);
         let mut views = match light {
             Some(light) => appearance::render(level, depths, &rasters, light),

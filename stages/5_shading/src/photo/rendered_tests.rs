@@ -9,12 +9,13 @@ use super::report::PhotoReport;
 use super::validation::validate;
 use super::views::{self, Scene};
 use super::{distant, shading};
+use crate::Surroundings;
 use nalgebra::{Point2, Point3};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
     FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
-    MarkedSphere, NoCheckpoint, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews,
+    MarkedSphere, MemoryScratch, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews,
     Silent, SphereLight,
 };
 use rilievo_stereo::level::Level;
@@ -166,7 +167,8 @@ fn disturb(world: &mut World) {
 }
 
 pub(super) fn loaded(world: &World) -> Scene {
-    views::load(&world.photos, &world.posed, &PhotoOptions::default()).unwrap()
+    let options = PhotoOptions::default();
+    views::load(&world.photos, &world.posed, &options, &MemoryScratch).unwrap()
 }
 
 /// True log depths at full resolution.
@@ -300,7 +302,7 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
         .map(|view| PlateSolver::direct(&view.pixels).unwrap())
         .collect();
     let weights = super::iteration::iteration_weights(2, 0.03);
-    let options = super::iteration::step_weights(level, 0.01, &weights);
+    let options = super::iteration::step_weights(level.focal(), 0.01, &weights);
     let trust = |light: &Light| {
         let judged = validate(
             level,
@@ -331,13 +333,12 @@ fn stains_become_albedo_and_no_relief() {
         &world.posed,
         &lighting,
         &PhotoOptions::default(),
-        &Silent,
-        &NoCheckpoint,
+        Surroundings::in_memory(&Silent),
     )
     .unwrap();
     let (mut inside, mut outside) = (Vec::new(), Vec::new());
     let (mut ranked, mut pairs, mut differences) = (Vec::new(), Vec::new(), Vec::new());
-    for (truth, view) in world.views.iter().zip(&shaded.views().views) {
+    for (truth, view) in world.views.iter().zip(&shaded.views().unwrap().views) {
         let (albedo, rendered) = (
             view.albedo.as_ref().unwrap(),
             view.rendered.as_ref().unwrap(),
@@ -423,11 +424,10 @@ fn solved_by(world: &World, options: &PhotoOptions) -> (ShadedViews, PhotoReport
         &world.posed,
         &lighting,
         options,
-        &Silent,
-        &NoCheckpoint,
+        Surroundings::in_memory(&Silent),
     )
     .unwrap();
-    (shaped.views(), report)
+    (shaped.views().unwrap(), report)
 }
 
 #[test]

@@ -99,3 +99,10 @@ pub struct PhotoReport {
     /// What the data could not tell.
     pub notes: Vec<String>,
 }
+
+impl PhotoReport {
+    /// Sharpness of every view.
+    pub(crate) fn sharpness(&self) -> Vec<f64> {
+        self.views.iter().map(|view| view.sharpness).collect()
+    }
+}

@@ -52,7 +52,7 @@ impl Course<'_> {
             num_sweeps: self.options.num_sweeps,
             seed: self.options.seed,
         };
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         search::search_views(level, self.scene.masked, &points, start, &options).ok_or_else(|| {
             ShadingError::NoDepth {
                 view: self.scene.frames[0].name.clone(),
@@ -71,10 +71,10 @@ impl Course<'_> {
         kind: LightKind,
     ) -> Result<Vec<Planes>, ShadingError> {
         let began = Instant::now();
-        let at = (self.scene.coarse + 1).min(self.scene.pyramid.len() - 1);
+        let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
         self.tell("comparing exposures", 0, 1)?;
         let planes = self.dense_search(at, posed, PatchCost::Correlation, None)?;
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
         let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
         let mut exposure = gains::estimate(level, &depths, &agreement);
@@ -100,7 +100,7 @@ impl Course<'_> {
             .enumerate()
             .map(|(i, frame)| PhotoViewReport {
                 name: frame.name.clone(),
-                num_pixels: self.scene.pyramid[0].views[i].pixels.len(),
+                num_pixels: self.scene.stored[i].num_masked(0),
                 sources: self.scene.sources[i]
                     .iter()
                     .map(|&j| self.scene.frames[j].name.clone())
@@ -130,11 +130,11 @@ impl Course<'_> {
                 sigma: (2.7 * self.report.sigma_match) as f32,
             }
         };
-        let start: Option<Vec<Planes>> = self.scene.pyramid.get(at + 1).map(|coarse| {
+        let has_coarser = at + 1 < self.scene.num_levels();
+        let start: Option<Vec<Planes>> = has_coarser.then(|| {
+            let coarse = self.scene.level(at + 1).views.iter();
             coarse
-                .views
-                .iter()
-                .zip(&self.scene.pyramid[at].views)
+                .zip(&self.scene.level(at).views)
                 .zip(planes)
                 .map(|((coarse, fine), planes)| patchmatch::refine_start(coarse, fine, planes))
                 .collect()
@@ -163,6 +163,6 @@ impl Course<'_> {
         solvers: &[PlateSolver],
         planes: &[Planes],
     ) -> Result<Found, ShadingError> {
-        search::found(&self.scene.pyramid[at], solvers, planes).map_err(|(i, e)| self.failed(i, &e))
+        search::found(self.scene.level(at), solvers, planes).map_err(|(i, e)| self.failed(i, &e))
     }
 }

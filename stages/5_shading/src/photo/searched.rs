@@ -35,7 +35,7 @@ impl Course<'_> {
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let began = Instant::now();
         self.tell("searching depth again", 0, 1)?;
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         let planes: Vec<Planes> = level
             .views
             .iter()
@@ -44,7 +44,7 @@ impl Course<'_> {
             .collect();
         let planes = self.dense_search(at, posed, PatchCost::Correlation, Some(&planes))?;
         let found = self.found(at, solvers, &planes)?;
-        self.show(at, "searched", &found.surface);
+        self.show(at, "searched", &found.surface)?;
         let mut surface = found.surface;
         for _ in 0..NUM_FUSIONS {
             surface = self.fused(at, &surface, SEARCHED_FUSION_PX)?;
@@ -56,7 +56,7 @@ impl Course<'_> {
             seconds: began.elapsed().as_secs_f64(),
             ..StepReport::default()
         });
-        self.show(at, "searched, fused", &surface);
+        self.show(at, "searched, fused", &surface)?;
         Ok(surface)
     }
 }

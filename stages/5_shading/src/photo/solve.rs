@@ -1,14 +1,15 @@
 //! The course of a run through the pyramid: search, outer iterations at the coarse level, finer levels, output.
 
 use super::contradiction;
-use super::course::{Course, Surroundings};
+use super::course::{Course, Probe};
 use super::iteration::{IterationWeights, PHOTOS_ONLY, iteration_weights};
 use super::light::Light;
 use super::options::PhotoOptions;
-use super::output::{Shape, ShapedViews};
+use super::output::{FoundShape, Shape, ShapedViews};
 use super::progress::{After, Next, OuterIterations, Progress};
 use super::report::PhotoReport;
 use super::views::Scene;
+use crate::Surroundings;
 use crate::error::ShadingError;
 use rilievo_scene::{LightSource, LightingCalibration, PosedViews};
 
@@ -42,16 +43,19 @@ pub(crate) fn solve(
     lighting: &LightingCalibration,
     options: &PhotoOptions,
     surroundings: Surroundings<'_>,
+    probe: Option<&Probe<'_>>,
 ) -> Result<(ShapedViews, PhotoReport), ShadingError> {
     let mut course = Course {
         scene,
         options,
         observer: surroundings.observer,
         checkpoint: surroundings.checkpoint,
+        scratch: surroundings.scratch,
         report: PhotoReport::default(),
-        probe: surroundings.probe,
+        probe,
         warnings: Vec::new(),
         solvers: None,
+        fine: None,
     };
     if course.scene.frames.len() < 2 {
         return Err(ShadingError::NoDepth {
@@ -78,12 +82,23 @@ pub(crate) fn solve(
         course.keep(&progress, light.as_ref(), new_light)?;
     }
     course.tell_of_blur()?;
-    let mut shape = progress.shape;
-    shape.depths = course.without_specks(shape.at, shape.depths);
     // Light and pigment are known at the finest level that was solved as a whole.
-    let at = course.finest_whole();
+    let at = course.scene.finest;
+    let (shape, reduced) = match course.fine.take() {
+        Some(fine) => {
+            course.clean_fine(&fine)?;
+            let reduced = course.reduced_fine(&fine, at)?;
+            (FoundShape::Fine(fine), reduced)
+        }
+        None => {
+            let Shape { at, depths } = progress.shape;
+            let depths = course.without_specks(at, depths);
+            let reduced = depths.clone();
+            (FoundShape::Whole(Shape { at, depths }), reduced)
+        }
+    };
     course.use_sharpness(at);
-    let appearances = course.appearance(at, &course.at_level(at, &shape), light.as_ref());
+    let appearances = course.appearance(at, &reduced, light.as_ref());
     let shaped = ShapedViews::new(course.scene, shape, (at, appearances));
     Ok((shaped, course.report))
 }
@@ -98,11 +113,11 @@ impl Course<'_> {
         let planes = self.find_exposure(posed, lighting.kind)?;
         let mut depths = self.find_surface(posed, &planes)?;
         let at = self.scene.coarse;
-        self.show(at, "start", &depths);
+        self.show(at, "start", &depths)?;
         let solvers = self.shared_solvers(at)?;
         self.outer_iteration(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
         depths = self.fused(at, &depths, FUSION_PX)?;
-        self.show(at, "fused", &depths);
+        self.show(at, "fused", &depths)?;
         let options = self.options;
         if options.num_outer_iterations == 0 {
             self.outer_iteration(
@@ -113,7 +128,7 @@ impl Course<'_> {
                 None,
                 "photos, fused",
             )?;
-            let shape = Shape::new(at, depths);
+            let shape = Shape { at, depths };
             let next = Next::Finer(PHOTOS_ONLY);
             return Ok((Progress { shape, next }, None));
         }
@@ -122,7 +137,7 @@ impl Course<'_> {
         // From a noisy start the first iterations run at half the resolution: shading's false minima are small dents
         // then, and most are overlooked there.
         let is_noisy = self.report.search_scatter_px > options.noisy_search_px;
-        let num_half = if is_noisy && at + 1 < self.scene.pyramid.len() {
+        let num_half = if is_noisy && at + 1 < self.scene.num_levels() {
             options.num_half_iterations
         } else {
             0
@@ -135,11 +150,14 @@ impl Course<'_> {
             residual: 1.0,
             turned_deg: f64::INFINITY,
         };
-        let mut shape = Shape::new(at, depths);
+        let mut shape = Shape { at, depths };
         if num_half > 0 {
             let reduced = self.reduced(at, &shape.depths);
             outer.kept = Some([shape.depths, reduced.clone()]);
-            shape = Shape::new(at + 1, reduced);
+            shape = Shape {
+                at: at + 1,
+                depths: reduced,
+            };
         }
         let progress = Progress {
             shape,
@@ -170,7 +188,7 @@ impl Course<'_> {
         }
         let frames = self.scene.frames.iter();
         let names: Vec<&str> = frames.map(|frame| frame.name.as_str()).collect();
-        let level = &self.scene.pyramid[at];
+        let level = self.scene.level(at);
         match contradiction::refuse(level, &names, depths, lighting) {
             Err(_) if self.options.trust_lighting => self.warn(
                 "the light from elsewhere contradicts the photos and is used all the same: normals err \
@@ -196,13 +214,14 @@ impl Course<'_> {
             && let Some([fine, before]) = outer.kept.take()
         {
             let at = shape.at - 1;
-            *shape = Shape::new(at, self.raised(at, &fine, &before, &shape.depths));
-            self.show(at, "raised", &shape.depths);
+            let depths = self.raised(at, &fine, &before, &shape.depths);
+            *shape = Shape { at, depths };
+            self.show(at, "raised", &shape.depths)?;
         }
         let at = shape.at;
         if number > 0 {
             shape.depths = self.fused(at, &shape.depths, FUSION_PX)?;
-            self.show(at, "fused", &shape.depths);
+            self.show(at, "fused", &shape.depths)?;
         }
         let solvers = self.shared_solvers(at)?;
         let mut light = self.light(at, &shape.depths, posed, lighting, outer.ground.as_ref())?;
@@ -254,15 +273,6 @@ impl Course<'_> {
         })
     }
 
-    /// The finest level that is solved as a whole, not finer than the coarse one.
-    fn finest_whole(&self) -> usize {
-        let mut at = self.scene.coarse;
-        while !self.is_finest(at) {
-            at -= 1;
-        }
-        at
-    }
-
     /// Warns of photos out of focus.
     fn tell_of_blur(&mut self) -> Result<(), ShadingError> {
         let views = self.report.views.iter();
@@ -280,14 +290,9 @@ impl Course<'_> {
         told.into_iter().try_for_each(|message| self.warn(message))
     }
 
-    /// Whether no finer level than `at` is solved as a whole.
-    fn is_finest(&self, at: usize) -> bool {
-        at == 0 || self.scene.pyramid[at - 1].mean_pixels() > self.options.max_fine_pixels
-    }
-
     /// Whether no finer level than `at` is solved, be it as a whole or by tiles.
     fn is_last(&self, at: usize, light: Option<&Light>) -> bool {
-        self.is_finest(at) && (at == 0 || !self.shapes_relief(light))
+        at == self.scene.finest && (at == 0 || !self.shapes_relief(light))
     }
 
     /// Whether the levels beyond are solved by tiles: under a light, where the photos agree on it. Where they do not,
@@ -305,12 +310,12 @@ impl Course<'_> {
         last: IterationWeights,
         posed: &PosedViews,
     ) -> Result<After, ShadingError> {
-        if self.is_finest(shape.at) {
+        if shape.at == self.scene.finest {
             let is_shaped = shape.at > 0 && self.shapes_relief(light);
+            let next = is_shaped.then(|| self.next_relief_level(shape, shape.at, last));
             return Ok(After {
                 light: None,
-                next: is_shaped
-                    .then(|| Next::Relief(self.next_relief_level(shape, shape.at, last))),
+                next: next.transpose()?.map(Next::Relief),
             });
         }
         // Those of the coarse level have done their work.
@@ -325,7 +330,7 @@ impl Course<'_> {
         };
         let mut depths = self.descend(at, &solvers, &shape.depths)?;
         self.measure_sharpness(at, &depths);
-        self.show(at, "finer start", &depths);
+        self.show(at, "finer start", &depths)?;
         if searches {
             depths = self.search_again(at, &solvers, &depths, posed)?;
         }
@@ -342,8 +347,8 @@ impl Course<'_> {
         }
         self.outer_iteration(at, &solvers, &mut depths, &weights, light.as_ref(), "finer")?;
         depths = self.fused(at, &depths, FUSION_PX)?;
-        self.show(at, "fused", &depths);
-        *shape = Shape::new(at, depths);
+        self.show(at, "fused", &depths)?;
+        *shape = Shape { at, depths };
         Ok(After {
             light,
             next: Some(Next::Finer(last)),

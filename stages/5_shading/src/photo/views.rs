@@ -3,37 +3,58 @@
 
 use super::memory;
 use super::options::PhotoOptions;
+use super::output::FineShape;
 use super::surround::SmallPhoto;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{Mask, PhotoSet, PosedViews, ViewIdx};
+use rilievo_scene::{Mask, PhotoSet, PosedViews, Scratch, ScratchError, ViewIdx};
 use rilievo_stereo::camera::Camera;
 use rilievo_stereo::level::{self, Level, LevelView};
 use rilievo_stereo::rectify::Rectification;
+use rilievo_stereo::stored::{StoredLevel, StoredView};
+use std::borrow::Cow;
+use std::sync::Arc;
 
 /// One posed view with everything that leads back to its photo.
 #[derive(Debug)]
 pub(crate) struct SolvedFrame {
     pub view: ViewIdx,
     pub name: String,
+    /// Columns and rows of the photo.
+    pub size: (usize, usize),
     /// Corner of the crop in the rectified photo.
     pub corner: (usize, usize),
     pub rectification: Rectification,
-    /// The mask in the photo's own frame.
-    pub mask: Mask,
+    /// The mask in the photo's own frame; none: all of it.
+    pub mask: Option<Arc<Mask>>,
     /// Exposure gain that the pyramid's images were divided by.
     pub gain: [f64; 3],
 }
 
-/// All views of a run.
+impl SolvedFrame {
+    /// The mask in the photo's own frame.
+    pub fn own_mask(&self) -> Cow<'_, Mask> {
+        match &self.mask {
+            Some(mask) => Cow::Borrowed(mask.as_ref()),
+            None => Cow::Owned(Mask::filled(self.size.0, self.size.1, true)),
+        }
+    }
+}
+
+/// All views of a run. Levels that are solved as a whole are in memory; all levels are out of core, and the finer ones
+/// are read from there in parts.
 #[derive(Debug)]
 pub(crate) struct Scene {
     pub frames: Vec<SolvedFrame>,
-    /// Finest first.
+    /// All levels out of core.
+    pub stored: Vec<StoredView>,
+    /// Levels that are solved as a whole, the finest first.
     pub pyramid: Vec<Level>,
-    /// Index of the level at which the surface is found.
+    /// Number of the first of them.
+    pub finest: usize,
+    /// Number of the level at which the surface is found.
     pub coarse: usize,
     /// Whether every view has a mask of its own.
     pub masked: bool,
@@ -44,7 +65,42 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
-    /// Memory that images and log depths take, about.
+    /// A level that is solved as a whole.
+    pub fn level(&self, at: usize) -> &Level {
+        &self.pyramid[at - self.finest]
+    }
+
+    /// The same, to be changed.
+    pub fn level_mut(&mut self, at: usize) -> &mut Level {
+        &mut self.pyramid[at - self.finest]
+    }
+
+    /// A finer level, at the surface there.
+    pub fn stored_level<'a>(
+        &'a self,
+        shape: &'a FineShape,
+        sharpness: &'a [f64],
+    ) -> StoredLevel<'a> {
+        StoredLevel {
+            views: &self.stored,
+            at: shape.at,
+            sources: &self.sources,
+            sharpness,
+            surface: &shape.surface,
+        }
+    }
+
+    /// The next coarser level, or this one where there is none.
+    pub fn coarser(&self, at: usize) -> &Level {
+        self.level((at + 1).min(self.num_levels() - 1))
+    }
+
+    /// Number of levels, those out of core counted.
+    pub fn num_levels(&self) -> usize {
+        self.finest + self.pyramid.len()
+    }
+
+    /// Memory that is in use throughout, about.
     pub fn bytes(&self) -> f64 {
         let views = &self.pyramid[0].views;
         let crops: usize = views.iter().map(|v| v.mask.data.len()).sum();
@@ -59,6 +115,9 @@ impl Scene {
                 view.divide_by_gain(*gain);
             }
         }
+        for (stored, gain) in self.stored.iter_mut().zip(gains) {
+            stored.gain = *gain;
+        }
         for (frame, gain) in self.frames.iter_mut().zip(gains) {
             frame.gain = *gain;
         }
@@ -68,110 +127,128 @@ impl Scene {
     }
 }
 
-/// Loads all posed views.
+fn mean_pixels(stored: &[StoredView], at: usize) -> usize {
+    let sum: usize = stored.iter().map(|view| view.num_masked(at)).sum();
+    sum / stored.len().max(1)
+}
+
+/// A view with fewer masked pixels than this is halved no more.
+const MIN_PIXELS: usize = 500;
+
+/// Loads all posed views, as many at once as the memory allows.
 pub(crate) fn load(
     photos: &PhotoSet,
     posed: &PosedViews,
     options: &PhotoOptions,
+    scratch: &dyn Scratch,
 ) -> Result<Scene, ShadingError> {
     if posed.views.is_empty() {
         return Err(ShadingError::NoViews);
     }
-    let loaded = posed
-        .views
-        .par_iter()
-        .enumerate()
-        .map(|(index, posed_view)| {
-            let photo = photo_of(photos, posed_view)?;
-            let image = photo.linear()?;
-            let mask = match &photo.mask {
-                Some(mask) => mask.as_ref().clone(),
-                None => Mask::filled(image.width, image.height, true),
-            };
-            let size = |w: usize, h: usize| format!("{w}x{h}");
-            let intrinsics = &posed_view.intrinsics;
-            for (what, w, h) in [
-                ("the mask", mask.width, mask.height),
-                ("its camera's image", intrinsics.width, intrinsics.height),
-            ] {
-                if (w, h) != (image.width, image.height) {
-                    return Err(ShadingError::SizeMismatch {
-                        view: posed_view.name.clone(),
-                        what,
-                        found: size(w, h),
-                        image: size(image.width, image.height),
-                    });
-                }
-            }
-            let rectification = Rectification::new(intrinsics);
-            let camera = Camera::new(&rectification.pinhole, &posed_view.cam_from_world);
-            let straight =
-                (!rectification.is_identity()).then(|| rectification.straighten(&image, &mask));
-            let (pixels, straight_mask) = match &straight {
-                Some((pixels, straight_mask)) => (pixels, straight_mask),
-                None => (image.as_ref(), &mask),
-            };
-            let small = SmallPhoto::new(&camera, pixels, straight_mask, photo.clip_level);
-            let (view, corner) =
-                LevelView::from_photo(&camera, pixels, straight_mask, photo.clip_level);
-            if view.pixels.is_empty() {
-                return Err(ShadingError::EmptyMask {
-                    view: posed_view.name.clone(),
-                    num_masked: 0,
-                    advice: "give a mask that covers the object, or leave the photo out",
-                });
-            }
-            let frame = SolvedFrame {
-                view: ViewIdx(index),
-                name: posed_view.name.clone(),
-                corner,
-                rectification,
-                mask,
-                gain: [1.0; 3],
-            };
-            Ok((frame, view, small, photo.mask.is_some()))
-        })
-        .collect::<Vec<_>>();
-    let (mut frames, mut views, mut masked) = (Vec::new(), Vec::new(), true);
-    let mut small = Vec::new();
-    for result in loaded {
-        let (frame, view, small_photo, own_mask) = result?;
-        frames.push(frame);
-        small.push(small_photo);
-        views.push(view);
-        masked &= own_mask;
+    let at_once = memory::photos_at_once(posed, options);
+    let (mut frames, mut small, mut stored) = (Vec::new(), Vec::new(), Vec::new());
+    let indices: Vec<usize> = (0..posed.views.len()).collect();
+    for some in indices.chunks(at_once) {
+        let loaded: Vec<_> = some
+            .par_iter()
+            .with_max_len(1)
+            .map(|&index| load_view(photos, posed, index, scratch))
+            .collect();
+        for result in loaded {
+            let (frame, small_photo, view) = result?;
+            frames.push(frame);
+            small.push(small_photo);
+            stored.push(view);
+        }
     }
+    // One level more than the coarse one serves the first search and the first outer iterations with shading.
+    let most = stored.iter().map(StoredView::num_levels).min().unwrap_or(1);
+    let is_coarse = |at: &usize| mean_pixels(&stored, *at) <= options.coarse_pixels;
+    let num_levels = (0..most)
+        .filter(is_coarse)
+        .nth(1)
+        .map_or(most, |second| second + 1);
+    let coarse = (0..num_levels).find(is_coarse).unwrap_or(num_levels - 1);
+    let mut finest = coarse;
+    while finest > 0 && mean_pixels(&stored, finest - 1) <= options.max_fine_pixels {
+        finest -= 1;
+    }
+    let at_level = |at: usize| -> Result<Vec<LevelView>, ScratchError> {
+        stored.par_iter().map(|view| view.view(at)).collect()
+    };
+    let views = at_level(finest)?;
     let target = object_center(&views, posed);
     let sources = level::choose_sources(&views, &target, options.max_num_sources);
     let mut pyramid = vec![Level::new(views, &sources)];
-    loop {
-        let last = &pyramid[pyramid.len() - 1];
-        // One level more than the coarse one serves the first search and the first outer iterations with shading.
-        let below_coarse = pyramid
-            .iter()
-            .filter(|level| level.mean_pixels() <= options.coarse_pixels)
-            .count();
-        if below_coarse >= 2 {
-            break;
-        }
-        let halved: Vec<LevelView> = last.views.par_iter().map(LevelView::halved).collect();
-        if halved.iter().any(|v| v.pixels.len() < 500) {
-            break;
-        }
-        pyramid.push(Level::new(halved, &sources));
+    for at in finest + 1..num_levels {
+        pyramid.push(Level::new(at_level(at)?, &sources));
     }
-    let coarse = pyramid
-        .iter()
-        .position(|level| level.mean_pixels() <= options.coarse_pixels)
-        .unwrap_or(pyramid.len() - 1);
     Ok(Scene {
+        masked: frames.iter().all(|frame| frame.mask.is_some()),
         frames,
+        stored,
         pyramid,
+        finest,
         coarse,
-        masked,
         sources,
         small,
     })
+}
+
+/// A view cropped to its mask, stored at all levels.
+fn load_view(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    index: usize,
+    scratch: &dyn Scratch,
+) -> Result<(SolvedFrame, SmallPhoto, StoredView), ShadingError> {
+    let posed_view = &posed.views[index];
+    let photo = photo_of(photos, posed_view)?;
+    let image = photo.linear()?;
+    let frame = SolvedFrame {
+        view: ViewIdx(index),
+        name: posed_view.name.clone(),
+        size: (image.width, image.height),
+        corner: (0, 0),
+        rectification: Rectification::new(&posed_view.intrinsics),
+        mask: photo.mask.clone(),
+        gain: [1.0; 3],
+    };
+    let mask = frame.own_mask();
+    let size = |w: usize, h: usize| format!("{w}x{h}");
+    let intrinsics = &posed_view.intrinsics;
+    for (what, w, h) in [
+        ("the mask", mask.width, mask.height),
+        ("its camera's image", intrinsics.width, intrinsics.height),
+    ] {
+        if (w, h) != (image.width, image.height) {
+            return Err(ShadingError::SizeMismatch {
+                view: posed_view.name.clone(),
+                what,
+                found: size(w, h),
+                image: size(image.width, image.height),
+            });
+        }
+    }
+    let rectification = &frame.rectification;
+    let camera = Camera::new(&rectification.pinhole, &posed_view.cam_from_world);
+    let straight = (!rectification.is_identity()).then(|| rectification.straighten(&image, &mask));
+    let (pixels, straight_mask) = match &straight {
+        Some((pixels, straight_mask)) => (pixels, straight_mask),
+        None => (image.as_ref(), mask.as_ref()),
+    };
+    let small = SmallPhoto::new(&camera, pixels, straight_mask, photo.clip_level);
+    let (view, corner) = LevelView::from_photo(&camera, pixels, straight_mask, photo.clip_level);
+    if view.pixels.is_empty() {
+        return Err(ShadingError::EmptyMask {
+            view: posed_view.name.clone(),
+            num_masked: 0,
+            advice: "give a mask that covers the object, or leave the photo out",
+        });
+    }
+    drop((mask, straight, image));
+    let stored = StoredView::put(view, MIN_PIXELS, scratch)?;
+    Ok((SolvedFrame { corner, ..frame }, small, stored))
 }
 
 /// Middle of the known points, else of the optical axes' closest approach.

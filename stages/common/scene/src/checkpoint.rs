@@ -12,8 +12,8 @@ pub struct CheckpointError {
 
 /// A part of a state: its name, and what writes its content.
 pub struct StatePart<'a> {
-    /// A word of letters.
-    pub name: &'static str,
+    /// A word of letters and digits.
+    pub name: &'a str,
     /// Writes the content.
     pub write: &'a (dyn Fn(&mut dyn Write) -> io::Result<()> + Sync),
 }

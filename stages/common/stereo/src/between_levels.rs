@@ -1,13 +1,13 @@
 //! Log depths from one level of the pyramid to the next.
 
-use crate::level::{LevelView, MAX_STEP_PX, NEIGHBOURS};
+use crate::level::{MAX_STEP_PX, NEIGHBOURS, ViewGrid};
 use crate::plate;
 use crate::sampling;
 use crate::surfaces::CUBIC_RANGE_PX;
 use rilievo_numerics::plate_system::Functional;
 
 /// Log depth at the next coarser level: mean of the four children (all are masked).
-pub fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
+pub fn reduce(fine: &ViewGrid, coarse: &ViewGrid, depth: &[f64]) -> Vec<f64> {
     (0..coarse.pixels.len())
         .map(|p| {
             let children = children(fine, coarse, p);
@@ -17,7 +17,7 @@ pub fn reduce(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
 }
 
 /// Numbers of the four pixels of the next finer level that a masked pixel covers.
-pub fn children(fine: &LevelView, coarse: &LevelView, pixel: usize) -> [usize; 4] {
+pub fn children(fine: &ViewGrid, coarse: &ViewGrid, pixel: usize) -> [usize; 4] {
     let (x, y) = (
         2 * coarse.pixels.xs[pixel] as usize,
         2 * coarse.pixels.ys[pixel] as usize,
@@ -30,7 +30,7 @@ pub fn children(fine: &LevelView, coarse: &LevelView, pixel: usize) -> [usize; 4
 /// breaks, where not all of the sixteen parents tell of one surface, and known where all four are masked; between
 /// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
 /// Returns the values and where they are known.
-pub fn upsample(coarse: &LevelView, fine: &LevelView, values: &[f64]) -> (Vec<f64>, Vec<bool>) {
+pub fn upsample(coarse: &ViewGrid, fine: &ViewGrid, values: &[f64]) -> (Vec<f64>, Vec<bool>) {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();
     let raster = coarse.spread(&centred, 0.0);
@@ -57,8 +57,8 @@ pub fn upsample(coarse: &LevelView, fine: &LevelView, values: &[f64]) -> (Vec<f6
 /// [`upsample`] of values of which some are not known, continued over the rim that has no parents.
 /// Returns the values and where they are known.
 pub fn continued(
-    coarse: &LevelView,
-    fine: &LevelView,
+    coarse: &ViewGrid,
+    fine: &ViewGrid,
     (values, known): (&[f64], &[bool]),
 ) -> (Vec<f64>, Vec<bool>) {
     let (mut values, mut is_known) = upsample(coarse, fine, values);
@@ -73,7 +73,7 @@ pub fn continued(
 }
 
 /// Gives pixels without a value the mean of their known neighbours, ring by ring.
-fn extend(view: &LevelView, values: &mut [f64], known: &mut [bool]) {
+fn extend(view: &ViewGrid, values: &mut [f64], known: &mut [bool]) {
     // The rim is two pixels wide; specks without any parent take a few rings more.
     const NUM_RINGS: usize = 12;
     let mut missing: Vec<usize> = (0..values.len()).filter(|&p| !known[p]).collect();
@@ -105,7 +105,7 @@ fn extend(view: &LevelView, values: &mut [f64], known: &mut [bool]) {
 }
 
 /// Log depth at a position on the tangent plane of the nearest pixel, which must be masked.
-fn on_nearest_plane(view: &LevelView, depth: &[f64], x: f64, y: f64) -> f64 {
+fn on_nearest_plane(view: &ViewGrid, depth: &[f64], x: f64, y: f64) -> f64 {
     let (px, py) = (x.round(), y.round());
     let nearest = view.pixels.number[py as usize * view.pixels.width + px as usize] as usize;
     let (along_x, along_y) = plate::slopes(view, nearest, depth);

@@ -61,32 +61,36 @@ pub fn fuse(
     reading: Reading,
 ) -> Vec<Vec<f64>> {
     let surfaces = Surfaces::new(level, depths, reading);
-    (0..level.views.len())
-        .map(|i| {
-            (0..level.views[i].pixels.len())
-                .into_par_iter()
-                .with_min_len(1024)
-                .map(|p| {
-                    let zeta = depths[i][p];
-                    let (mut sum, mut total) = (0.0, surfaces.weight(i, p));
-                    for k in 0..level.sources[i].len() {
-                        let Some(proposal) = surfaces.propose(i, k, p, zeta, truncation) else {
-                            continue;
-                        };
-                        let Proposal { r, slope, weight } = proposal;
-                        // A surface seen edge-on proposes nothing reliable.
-                        if slope < 0.2 {
-                            continue;
-                        }
-                        let step = (-r / slope).clamp(-truncation, truncation);
-                        // Signed distances are truncated smoothly.
-                        let fade = 1.0 - (r / truncation).powi(2);
-                        sum += weight * fade * step;
-                        total += weight * fade;
-                    }
-                    zeta + sum / total.max(1e-9)
-                })
-                .collect()
+    let views = depths.iter().enumerate();
+    views
+        .map(|(i, depth)| fused_view(&surfaces, i, depth, truncation))
+        .collect()
+}
+
+/// [`fuse`] of view `index` alone, whose log depths are `depth`.
+pub fn fused_view(surfaces: &Surfaces, index: usize, depth: &[f64], truncation: f64) -> Vec<f64> {
+    depth
+        .par_iter()
+        .enumerate()
+        .with_min_len(1024)
+        .map(|(p, &zeta)| {
+            let (mut sum, mut total) = (0.0, surfaces.weight(index, p));
+            for k in 0..surfaces.level.sources[index].len() {
+                let Some(proposal) = surfaces.propose(index, k, p, zeta, truncation) else {
+                    continue;
+                };
+                let Proposal { r, slope, weight } = proposal;
+                // A surface seen edge-on proposes nothing reliable.
+                if slope < 0.2 {
+                    continue;
+                }
+                let step = (-r / slope).clamp(-truncation, truncation);
+                // Signed distances are truncated smoothly.
+                let fade = 1.0 - (r / truncation).powi(2);
+                sum += weight * fade * step;
+                total += weight * fade;
+            }
+            zeta + sum / total.max(1e-9)
         })
         .collect()
 }

@@ -7,6 +7,7 @@ use crate::window::{Window, block_mean, blocks_where};
 use nalgebra::{Point3, Vector3};
 use rilievo_numerics::plate_system::PixelNumbering;
 use rilievo_scene::{LinearImage, Mask, Raster};
+use std::ops::Deref;
 
 /// Steps `(dx, dy)` to a pixel's eight neighbours.
 pub const NEIGHBOURS: [(i32, i32); 8] = [
@@ -26,28 +27,116 @@ const MARGIN_PX: usize = 8;
 /// Share of the object's mean intensity below which relative errors are those of the dark noise.
 const DARK_SHARE: f64 = 0.02;
 
-/// One view at one pyramid level.
+/// The object's pixels in a view at one resolution: what is known without the photo's intensities.
 #[derive(Clone, Debug)]
-pub struct LevelView {
+pub struct ViewGrid {
     /// Camera of the crop.
     pub camera: Camera,
-    /// Three channels; grey photos are repeated.
-    pub image: LinearImage,
-    /// Mean of the channels.
-    pub grey: Raster<f32>,
-    /// 1 where no channel is clipped.
-    pub usable: Raster<f32>,
     /// The object.
     pub mask: Mask,
     /// Numbers of the masked pixels, row by row.
     pub pixels: PixelNumbering,
     /// Whether the mask touches the photo's frame.
     pub cut_by_frame: bool,
+}
+
+/// One view at one pyramid level.
+#[derive(Clone, Debug)]
+pub struct LevelView {
+    /// Its pixels; their fields and methods are the view's too.
+    pub grid: ViewGrid,
+    /// Three channels; grey photos are repeated.
+    pub image: LinearImage,
+    /// Mean of the channels.
+    pub grey: Raster<f32>,
+    /// 1 where no channel is clipped.
+    pub usable: Raster<f32>,
     /// Intensity below which a pixel is as dark as the photo's noise: a fiftieth of the object's mean.
     pub dark: f32,
     /// Strength of the finest detail against that of the sharpest photo; 1 until it is measured
     /// ([`crate::sharpness`]).
     pub sharpness: f64,
+}
+
+impl Deref for LevelView {
+    type Target = ViewGrid;
+
+    fn deref(&self) -> &ViewGrid {
+        &self.grid
+    }
+}
+
+impl ViewGrid {
+    /// The masked pixels of a camera's crop.
+    pub fn new(camera: Camera, mask: Mask, cut_by_frame: bool) -> Self {
+        Self {
+            camera,
+            pixels: PixelNumbering::new(&mask),
+            mask,
+            cut_by_frame,
+        }
+    }
+
+    /// What the view says of where the object is; without masks every pixel may show it.
+    pub fn outline(&self, is_masked: bool) -> Outline<'_> {
+        Outline {
+            camera: &self.camera,
+            mask: &self.mask,
+            is_masked,
+            frame: None,
+        }
+    }
+
+    /// Column and row of a masked pixel.
+    #[inline]
+    pub fn xy(&self, index: usize) -> (f64, f64) {
+        (
+            f64::from(self.pixels.xs[index]),
+            f64::from(self.pixels.ys[index]),
+        )
+    }
+
+    /// Cosine of the angle between a masked pixel's line of sight and its normal, camera frame; negative
+    /// where the surface turns away.
+    #[inline]
+    pub fn incidence_cosine(&self, index: usize, normal: [f64; 3]) -> f64 {
+        let (x, y) = self.xy(index);
+        -self
+            .camera
+            .ray(x, y)
+            .normalize()
+            .dot(&Vector3::from(normal))
+    }
+
+    /// Whether the surface `raster` (log depths of this view) has a value at a position: four masked pixels
+    /// around it, of one surface. Between the two sides of an edge of depth there is none; a mean of both
+    /// would confirm any surface that bridges the edge along a line of sight of this view.
+    #[inline]
+    pub fn has_surface_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+        sampling::inside(&self.mask, x, y) && self.is_one_surface(raster, x, y)
+    }
+
+    /// Log depth of the surface `raster` at a position, where it [has one](Self::has_surface_at).
+    #[inline]
+    pub fn depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
+        self.has_surface_at(raster, x, y)
+            .then(|| f64::from(sampling::bilinear(raster, x, y)))
+    }
+
+    /// Whether the four values around a position, which must be [`sampling::inside`], are of one surface.
+    #[inline]
+    pub fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+        f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX
+    }
+
+    /// Spreads values of the masked pixels over the raster.
+    pub fn spread(&self, values: &[f64], outside: f32) -> Raster<f32> {
+        let mut raster = Raster::filled(self.mask.width, self.mask.height, outside);
+        for (i, &value) in values.iter().enumerate() {
+            *raster.at_mut(self.pixels.xs[i] as usize, self.pixels.ys[i] as usize) = value as f32;
+        }
+        raster
+    }
 }
 
 impl LevelView {
@@ -103,27 +192,23 @@ impl LevelView {
         };
         let camera = camera.cropped(x0, y0, width, height);
         (
-            Self::assemble(camera, image, usable, window.cut(mask), cut_by_frame).with_own_dark(),
+            Self::assemble(
+                ViewGrid::new(camera, window.cut(mask), cut_by_frame),
+                image,
+                usable,
+            )
+            .with_own_dark(),
             (x0, y0),
         )
     }
 
     /// All but [`Self::dark`], which is left at zero.
-    fn assemble(
-        camera: Camera,
-        image: LinearImage,
-        usable: Raster<f32>,
-        mask: Mask,
-        cut_by_frame: bool,
-    ) -> Self {
+    pub(crate) fn assemble(grid: ViewGrid, image: LinearImage, usable: Raster<f32>) -> Self {
         Self {
-            camera,
+            grid,
             grey: image.to_grey(),
-            pixels: PixelNumbering::new(&mask),
             image,
             usable,
-            mask,
-            cut_by_frame,
             dark: 0.0,
             sharpness: 1.0,
         }
@@ -132,17 +217,20 @@ impl LevelView {
     /// With what its own pixels tell is dark.
     fn with_own_dark(self) -> Self {
         Self {
-            dark: self.dark_intensity(),
+            dark: dark_intensity(self.mean_intensity()),
             ..self
         }
     }
 
-    fn dark_intensity(&self) -> f32 {
-        let sum: f64 = (0..self.pixels.len())
-            .flat_map(|p| self.intensity(p))
-            .map(f64::from)
-            .sum();
-        (DARK_SHARE * sum / (3 * self.pixels.len()).max(1) as f64).max(1e-6) as f32
+    /// Mean intensities of the masked pixels.
+    pub(crate) fn mean_intensity(&self) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for p in 0..self.pixels.len() {
+            for (sum, value) in sum.iter_mut().zip(self.intensity(p)) {
+                *sum += f64::from(value);
+            }
+        }
+        sum.map(|sum| sum / self.pixels.len().max(1) as f64)
     }
 
     /// The view at half resolution; a pixel is masked where all four of its parents are.
@@ -159,50 +247,8 @@ impl LevelView {
         };
         let (camera, image) = (self.camera.reduced(2), block_mean(&self.image, 2));
         let mask = blocks_where(&self.mask, 2, |&v| v);
-        Self::assemble(camera, image, usable, mask, self.cut_by_frame).with_own_dark()
-    }
-
-    /// The part of the view inside a window, which must lie in it; what is dark is told by the whole view.
-    pub fn cut(&self, window: &Window) -> Self {
-        let &Window {
-            x0,
-            y0,
-            width,
-            height,
-        } = window;
-        let mut data = Vec::with_capacity(3 * width * height);
-        for y in y0..y0 + height {
-            let row = 3 * (y * self.image.width + x0);
-            data.extend_from_slice(&self.image.data[row..row + 3 * width]);
-        }
-        let image = LinearImage {
-            width,
-            height,
-            channels: 3,
-            data,
-        };
-        let part = Self::assemble(
-            self.camera.cropped(x0, y0, width, height),
-            image,
-            window.cut(&self.usable),
-            window.cut(&self.mask),
-            self.cut_by_frame,
-        );
-        Self {
-            dark: self.dark,
-            sharpness: self.sharpness,
-            ..part
-        }
-    }
-
-    /// What the view says of where the object is; without masks every pixel may show it.
-    pub fn outline(&self, is_masked: bool) -> Outline<'_> {
-        Outline {
-            camera: &self.camera,
-            mask: &self.mask,
-            is_masked,
-            frame: None,
-        }
+        let grid = ViewGrid::new(camera, mask, self.cut_by_frame);
+        Self::assemble(grid, image, usable).with_own_dark()
     }
 
     /// Divides the image by a gain.
@@ -213,28 +259,7 @@ impl LevelView {
             }
         }
         self.grey = self.image.to_grey();
-        self.dark = self.dark_intensity();
-    }
-
-    /// Column and row of a masked pixel.
-    #[inline]
-    pub fn xy(&self, index: usize) -> (f64, f64) {
-        (
-            f64::from(self.pixels.xs[index]),
-            f64::from(self.pixels.ys[index]),
-        )
-    }
-
-    /// Cosine of the angle between a masked pixel's line of sight and its normal, camera frame; negative
-    /// where the surface turns away.
-    #[inline]
-    pub fn incidence_cosine(&self, index: usize, normal: [f64; 3]) -> f64 {
-        let (x, y) = self.xy(index);
-        -self
-            .camera
-            .ray(x, y)
-            .normalize()
-            .dot(&Vector3::from(normal))
+        self.dark = dark_intensity(self.mean_intensity());
     }
 
     /// Intensities of a masked pixel.
@@ -256,42 +281,17 @@ impl LevelView {
         ) > 0.5
     }
 
-    /// Whether the surface `raster` (log depths of this view) has a value at a position: four masked pixels
-    /// around it, of one surface. Between the two sides of an edge of depth there is none; a mean of both
-    /// would confirm any surface that bridges the edge along a line of sight of this view.
-    #[inline]
-    pub fn has_surface_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
-        sampling::inside(&self.mask, x, y) && self.is_one_surface(raster, x, y)
-    }
-
-    /// Log depth of the surface `raster` at a position, where it [has one](Self::has_surface_at).
-    #[inline]
-    pub fn depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
-        self.has_surface_at(raster, x, y)
-            .then(|| f64::from(sampling::bilinear(raster, x, y)))
-    }
-
     /// [`Self::depth_at`] where the photo is unclipped too: its intensities may be compared.
     #[inline]
     pub fn unclipped_depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
         self.depth_at(raster, x, y)
             .filter(|_| sampling::bilinear(&self.usable, x, y) > 0.999)
     }
+}
 
-    /// Whether the four values around a position, which must be [`sampling::inside`], are of one surface.
-    #[inline]
-    pub fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
-        f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX
-    }
-
-    /// Spreads values of the masked pixels over the raster.
-    pub fn spread(&self, values: &[f64], outside: f32) -> Raster<f32> {
-        let mut raster = Raster::filled(self.mask.width, self.mask.height, outside);
-        for (i, &value) in values.iter().enumerate() {
-            *raster.at_mut(self.pixels.xs[i] as usize, self.pixels.ys[i] as usize) = value as f32;
-        }
-        raster
-    }
+/// Intensity below which a pixel is as dark as the noise of a photo whose object has these mean intensities.
+pub(crate) fn dark_intensity(mean: [f64; 3]) -> f32 {
+    (DARK_SHARE * mean.iter().sum::<f64>() / 3.0).max(1e-6) as f32
 }
 
 /// All views at one resolution, with the sources of each: the views it is compared with.

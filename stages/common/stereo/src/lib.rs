@@ -5,7 +5,7 @@
 //! * [`sampling`], [`window`]: interpolation in rasters, smoothing inside a mask, crops and block means.
 //! * [`hull`], [`patchmatch`], [`search`]: dense search inside the visual hull.
 //! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
-//! * [`tile`]: parts of a level, for what is local at fine levels.
+//! * [`stored`], [`tile`]: fine levels out of core, and parts of them, for what is local there.
 //! * [`openness`]: the share of its light that the relief around a pixel leaves it.
 //! * [`specks`]: pixels whose normals stand out from all around them.
 //! * [`gains`]: exposure of the photos, and how far they disagree.
@@ -32,6 +32,7 @@ pub mod sharpness;
 pub mod specks;
 pub mod spread;
 pub mod start;
+pub mod stored;
 pub mod surfaces;
 pub mod tile;
 pub mod window;

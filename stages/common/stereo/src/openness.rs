@@ -5,7 +5,7 @@
 //! even sky sends from that side, `h` the horizon's elevation over the tangent plane, and the share left is
 //! `1 − mean sin² h`. Under soft light that changes intensities as much as the tilt of fine relief does.
 
-use crate::level::{LevelView, NEIGHBOURS};
+use crate::level::{NEIGHBOURS, ViewGrid};
 use rayon::prelude::*;
 
 /// Distances at which the horizon is looked for, pixels along a row or column. Farther occluders stand out
@@ -17,7 +17,7 @@ const LEAST: f64 = 0.3;
 
 /// Share of the light that is left to every masked pixel, .3 to 1, at log depths `depth` with unit
 /// `normals` (camera frame).
-pub fn openness(view: &LevelView, depth: &[f64], normals: &[[f64; 3]]) -> Vec<f32> {
+pub fn openness(view: &ViewGrid, depth: &[f64], normals: &[[f64; 3]]) -> Vec<f32> {
     let ray = |p: usize| {
         let ((x, y), camera) = (view.xy(p), &view.camera);
         [

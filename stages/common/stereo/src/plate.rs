@@ -3,7 +3,7 @@
 //! Slopes are dimensionless, `p = fx ∂ζ/∂x`, `q = fy ∂ζ/∂y`: central where the surface is smooth,
 //! one-sided where it breaks and at the mask's edge, zero where a pixel stands alone.
 
-use crate::level::LevelView;
+use crate::level::ViewGrid;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::{Functional, PlateSystem};
 use rilievo_numerics::robust::median;
@@ -19,7 +19,7 @@ const BREAK: f64 = 1.0;
 /// difference on the pixel's own side counts (Harten, Engquist, Osher, Chakravarthy 1987, with smooth
 /// weights, so that no pixel swaps sides for ever). The shares are those of `depth`: a step holds them fixed.
 #[inline]
-pub fn slopes(view: &LevelView, pixel: usize, depth: &[f64]) -> (Functional, Functional) {
+pub fn slopes(view: &ViewGrid, pixel: usize, depth: &[f64]) -> (Functional, Functional) {
     let one = |dx: i32, dy: i32, focal: f64| {
         let before = view.pixels.neighbour(pixel, -dx, -dy);
         let behind = view.pixels.neighbour(pixel, dx, dy);
@@ -69,7 +69,7 @@ pub(crate) enum Bend {
 /// Visits the second differences (times the focal length) that are complete inside the mask:
 /// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block, told with its first pixel.
 #[inline]
-pub(crate) fn for_each_bend(view: &LevelView, mut visit: impl FnMut(usize, Bend, &Functional)) {
+pub(crate) fn for_each_bend(view: &ViewGrid, mut visit: impl FnMut(usize, Bend, &Functional)) {
     let focal = view.camera.focal();
     let mixed = std::f64::consts::SQRT_2 * focal;
     for i in 0..view.pixels.len() {
@@ -110,7 +110,7 @@ pub struct RobustPlate<'a> {
 
 /// Adds `weight |bends|²`; cut bends keep a trace of it, so that no pixel is left without a hold.
 pub(crate) fn add_plate(
-    view: &LevelView,
+    view: &ViewGrid,
     system: &mut PlateSystem,
     weight: f64,
     is_cut: impl Fn(&Functional) -> bool,
@@ -131,7 +131,7 @@ const HOLD: f64 = 0.25;
 /// Adds `weight |turns|²` of the normals for the increment of a surface, linear beyond the Huber threshold, and weak where the
 /// surface is torn, as beside an edge of depth.
 pub fn add_robust_plate(
-    view: &LevelView,
+    view: &ViewGrid,
     system: &mut PlateSystem,
     weight: f64,
     robust: &RobustPlate,
@@ -150,7 +150,7 @@ pub fn add_robust_plate(
 /// How far each kind of bend at a pixel of slopes `p`, `q` turns the normal, over its own size: `√(1+q²) / (1+p²+q²)` for one
 /// of `p`, likewise for one of `q`, the root mean square of both for the mixed one. The steeper the surface, the larger
 /// the bend that is the same relief. Products of different kinds are left out.
-fn turn_shares(view: &LevelView, depth: &[f64]) -> Vec<[f32; 3]> {
+fn turn_shares(view: &ViewGrid, depth: &[f64]) -> Vec<[f32; 3]> {
     (0..view.pixels.len())
         .into_par_iter()
         .with_min_len(1024)
@@ -167,7 +167,7 @@ fn turn_shares(view: &LevelView, depth: &[f64]) -> Vec<[f32; 3]> {
 /// derivatives along them: `n ∝ (p, q, −1 − X p − Y q)`, `(X, Y, 1)` the pixel's ray.
 #[inline]
 pub fn normal_with_derivatives(
-    view: &LevelView,
+    view: &ViewGrid,
     pixel: usize,
     p: f64,
     q: f64,
@@ -189,7 +189,7 @@ pub fn normal_with_derivatives(
 
 /// Median over a surface's bends of how far each turns the normal from a pixel to the next, radians; none where no
 /// three pixels lie in a row.
-pub fn typical_turn(view: &LevelView, depth: &[f64]) -> Option<f64> {
+pub fn typical_turn(view: &ViewGrid, depth: &[f64]) -> Option<f64> {
     let shares = turn_shares(view, depth);
     let mut turns = Vec::new();
     for_each_bend(view, |pixel, kind, f| {
@@ -205,7 +205,7 @@ pub fn mean_move(from: &[f64], to: &[f64]) -> f64 {
 }
 
 /// Mean angle between the normals of two surfaces of a view, radians.
-pub fn mean_turn(view: &LevelView, from: &[f64], to: &[f64]) -> f64 {
+pub fn mean_turn(view: &ViewGrid, from: &[f64], to: &[f64]) -> f64 {
     let sum: f64 = normals(view, from)
         .iter()
         .zip(normals(view, to))
@@ -219,7 +219,7 @@ pub fn mean_turn(view: &LevelView, from: &[f64], to: &[f64]) -> f64 {
 }
 
 /// Normals of a whole view.
-pub fn normals(view: &LevelView, depth: &[f64]) -> Vec<[f64; 3]> {
+pub fn normals(view: &ViewGrid, depth: &[f64]) -> Vec<[f64; 3]> {
     (0..view.pixels.len())
         .map(|i| {
             let (p, q) = slopes(view, i, depth);

@@ -1,6 +1,6 @@
 //! Pixels whose normals stand out from all around them: what is left of false depths beside outlines and in folds.
 
-use crate::level::{LevelView, MAX_STEP_PX, NEIGHBOURS};
+use crate::level::{MAX_STEP_PX, NEIGHBOURS, ViewGrid};
 use crate::plate;
 use rayon::prelude::*;
 
@@ -18,7 +18,7 @@ const FEWEST: usize = 8;
 
 /// Whether the normal of each masked pixel lies more than [`SPECK_DEG`] from the median (per component) of its
 /// 5×5 neighbourhood on the same side of a depth edge. Unit `normals`, camera frame; log depths `depth`.
-pub fn find(view: &LevelView, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> {
+pub fn find(view: &ViewGrid, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> {
     let (sine, least) = SPECK_DEG.to_radians().sin_cos();
     let alike = sine / 3.0_f64.sqrt();
     (0..depth.len())
@@ -61,7 +61,7 @@ pub struct Cleaned {
 
 /// The surface with every speck, and the pixels that touch one and lie off by more than a footprint, moved onto the
 /// plane that the other pixels around it agree on (medians of depth and slope); what no neighbour can tell stays.
-pub fn remove(view: &LevelView, depth: &[f64]) -> Cleaned {
+pub fn remove(view: &ViewGrid, depth: &[f64]) -> Cleaned {
     let footprint = 1.0 / view.camera.focal();
     let mut surface = depth.to_vec();
     let mut shares = [0.0; 2];
@@ -105,7 +105,7 @@ pub fn remove(view: &LevelView, depth: &[f64]) -> Cleaned {
 }
 
 /// Log depth at `pixel` of the plane through the pixels around it that stay.
-fn continued(view: &LevelView, depth: &[f64], moves: &[bool], pixel: usize) -> Option<f64> {
+fn continued(view: &ViewGrid, depth: &[f64], moves: &[bool], pixel: usize) -> Option<f64> {
     let mut around: Vec<usize> = same_side(view, depth, pixel)
         .filter(|&q| !moves[q])
         .collect();
@@ -137,14 +137,14 @@ fn continued(view: &LevelView, depth: &[f64], moves: &[bool], pixel: usize) -> O
 }
 
 /// The masked pixels within [`REACH`] rows and columns, the pixel itself among them.
-fn neighbourhood(view: &LevelView, pixel: usize) -> impl Iterator<Item = usize> {
+fn neighbourhood(view: &ViewGrid, pixel: usize) -> impl Iterator<Item = usize> {
     (-REACH..=REACH).flat_map(move |dy| {
         (-REACH..=REACH).filter_map(move |dx| view.pixels.neighbour(pixel, dx, dy))
     })
 }
 
 /// Those of the [`neighbourhood`] that no depth edge separates from the pixel.
-fn same_side(view: &LevelView, depth: &[f64], pixel: usize) -> impl Iterator<Item = usize> {
+fn same_side(view: &ViewGrid, depth: &[f64], pixel: usize) -> impl Iterator<Item = usize> {
     let step = MAX_STEP_PX / view.camera.focal();
     neighbourhood(view, pixel).filter(move |&q| (depth[q] - depth[pixel]).abs() <= step)
 }
@@ -163,13 +163,13 @@ mod tests {
     const FOCAL: f64 = 100.0;
 
     /// Log depths of a height in footprints.
-    fn surface(view: &LevelView, height: impl Fn(f64, f64) -> f64) -> Vec<f64> {
+    fn surface(view: &ViewGrid, height: impl Fn(f64, f64) -> f64) -> Vec<f64> {
         (0..view.pixels.len())
             .map(|p| height(view.xy(p).0, view.xy(p).1) / FOCAL)
             .collect()
     }
 
-    fn num_specks(view: &LevelView, depth: &[f64]) -> usize {
+    fn num_specks(view: &ViewGrid, depth: &[f64]) -> usize {
         let found = find(view, depth, &plate::normals(view, depth));
         found.iter().filter(|&&is| is).count()
     }

@@ -1,15 +1,15 @@
 //! Per-pixel values at a finer level: bilinear over the masked parents, the nearest one where there
 //! is none.
 
-use crate::level::LevelView;
+use crate::level::ViewGrid;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::Raster;
 
 /// Interpolates `N` values a pixel from a level to the next finer one (or the same).
 pub fn spread<const N: usize>(
-    coarse: &LevelView,
-    fine: &LevelView,
+    coarse: &ViewGrid,
+    fine: &ViewGrid,
     values: &[[f32; N]],
 ) -> Vec<[f32; N]> {
     if fine.mask.width == coarse.mask.width {
@@ -29,13 +29,13 @@ pub fn spread<const N: usize>(
 
 /// A level's pixels, to be read between them.
 pub struct Parents<'a> {
-    view: &'a LevelView,
+    view: &'a ViewGrid,
     nearest: Raster<u32>,
 }
 
 impl<'a> Parents<'a> {
     /// The pixels of a view.
-    pub fn new(view: &'a LevelView) -> Self {
+    pub fn new(view: &'a ViewGrid) -> Self {
         Self {
             view,
             nearest: nearest_pixels(view),
@@ -82,7 +82,7 @@ impl<'a> Parents<'a> {
 }
 
 /// Number of the nearest masked pixel of every raster position (two chamfer sweeps).
-fn nearest_pixels(view: &LevelView) -> Raster<u32> {
+fn nearest_pixels(view: &ViewGrid) -> Raster<u32> {
     let (w, h) = (view.pixels.width as i64, view.pixels.height as i64);
     let mut number = view.pixels.number.clone();
     let mut distance: Vec<i64> = number

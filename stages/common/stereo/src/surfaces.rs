@@ -4,7 +4,7 @@
 //! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1 for a
 //! surface that both face. One Newton step gives the depth that view j proposes, `ζ − r / (∂r/∂ζ)`.
 
-use crate::level::{self, Level, LevelView};
+use crate::level::{self, Level, ViewGrid};
 use crate::{plate, sampling};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
@@ -128,7 +128,7 @@ pub fn incidence_weights(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>>
 }
 
 /// Whether the mask ends within two pixels.
-pub fn is_rim(view: &LevelView, pixel: usize) -> bool {
+pub fn is_rim(view: &ViewGrid, pixel: usize) -> bool {
     [
         (2, 0),
         (-2, 0),
