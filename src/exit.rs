@@ -14,11 +14,11 @@
 use crate::paths;
 use crate::store::StoreError;
 use rilievo_io::{IoError, IoErrorKind};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// One file that cannot be used, and why.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Problem {
     /// The file.
     #[serde(serialize_with = "paths::shown")]

@@ -15,12 +15,14 @@ mod observe;
 mod panics;
 mod paths;
 mod pipeline;
+mod ranks;
 mod raw_child;
 mod report;
 mod store;
 mod system;
 
 use clap::Parser;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -30,13 +32,30 @@ fn main() -> ExitCode {
         return raw_child::serve(&args.name);
     }
     rilievo_io::set_raw_decoder(raw_child::decode);
+    let joined = ranks::join(&cli.command);
     interrupt::listen();
-    let outcome = pipeline::start_threads(cli.command.threads());
-    match outcome.and_then(|()| commands::dispatch(cli.command)) {
-        Ok(()) => ExitCode::SUCCESS,
+    let work = || {
+        joined?;
+        pipeline::start_threads(cli.command.threads())?;
+        commands::dispatch(cli.command)
+    };
+    let outcome = match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(outcome) => ranks::agree(outcome),
+        Err(panic) => {
+            ranks::end(PANICKED);
+            resume_unwind(panic)
+        }
+    };
+    let code = match &outcome {
+        Ok(()) => 0,
         Err(error) => {
             tell!("error: {error:#}");
-            ExitCode::from(exit::code_of(&error))
+            exit::code_of(error)
         }
-    }
+    };
+    ranks::end(code);
+    ExitCode::from(code)
 }
+
+/// Exit code of a panic.
+const PANICKED: u8 = 101;

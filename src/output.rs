@@ -1,17 +1,34 @@
 //! Text on stdout and stderr that survives a reader who goes away.
 //!
 //! `println!` panics when the pipe is closed (`rilievo status RUN | head -1`); here that is no
-//! failure, while a full disk behind a redirected stdout is one.
+//! failure, while a full disk behind a redirected stdout is one. Of several ranks the first one speaks.
 
 use crate::exit::Failure;
 use std::fmt::Arguments;
 use std::io::{ErrorKind, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether another rank speaks for this one.
+static MUTE: AtomicBool = AtomicBool::new(false);
+
+/// From here on another rank speaks for this one.
+#[cfg(feature = "mpi")]
+pub fn mute() {
+    MUTE.store(true, Ordering::Relaxed);
+}
+
+fn is_mute() -> bool {
+    MUTE.load(Ordering::Relaxed)
+}
 
 /// Writes a line to stdout.
 ///
 /// # Errors
 /// When it cannot be written although somebody reads.
 pub fn to_stdout(line: Arguments<'_>) -> Result<(), Failure> {
+    if is_mute() {
+        return Ok(());
+    }
     match writeln!(std::io::stdout().lock(), "{line}") {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(Failure::ReadOrWrite(format!(
             "cannot write to stdout: {error}"
@@ -22,6 +39,13 @@ pub fn to_stdout(line: Arguments<'_>) -> Result<(), Failure> {
 
 /// Writes a line to stderr; what cannot be told there can be told nowhere.
 pub fn to_stderr(line: Arguments<'_>) {
+    if !is_mute() {
+        to_stderr_of_any_rank(line);
+    }
+}
+
+/// The same where no other rank can tell it.
+pub fn to_stderr_of_any_rank(line: Arguments<'_>) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }
 

@@ -1,6 +1,8 @@
 //! What is printed when the program panics: one sentence that says what to do, and nothing where a
 //! decoder's panic becomes the refusal of a file.
 
+use crate::output::to_stderr_of_any_rank;
+use crate::ranks;
 use rilievo_io::decoder_is_guarded;
 use std::panic::PanicHookInfo;
 
@@ -8,7 +10,10 @@ use std::panic::PanicHookInfo;
 pub fn install() {
     std::panic::set_hook(Box::new(|info| {
         if !decoder_is_guarded() {
-            tell!("{}", sentence(info));
+            match ranks::name() {
+                Some(rank) => to_stderr_of_any_rank(format_args!("{rank}: {}", sentence(info))),
+                None => tell!("{}", sentence(info)),
+            }
         }
     }));
 }

@@ -24,7 +24,7 @@ pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
     reporting_judged(args.work.json, false, facts, |console| run(args, console))
 }
 
-fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Judgement> {
+fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> {
     let folder = absolute(&args.output)?;
     let set = folder.join("photographed");
     let run = folder.join("run");

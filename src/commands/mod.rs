@@ -7,6 +7,7 @@ mod demo;
 mod diligent;
 mod evaluate;
 mod fuse;
+mod handshake;
 mod mask;
 mod output_files;
 mod reconstruct;

@@ -1,5 +1,6 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
+use super::handshake::{check_inputs, check_options, open_run};
 use super::reporting::reporting_judged;
 use crate::cli::{ReconstructArgs, WorkArgs};
 use crate::exit::Failure;
@@ -7,9 +8,11 @@ use crate::observe::Console;
 use crate::pipeline::{
     Context, Inputs, Plan, Range, Request, Resources, bring_up_to_date, is_another_set,
 };
+use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
 use crate::store::RunDir;
 use rilievo_scene::StageId;
+use serde::Serialize;
 use std::path::Path;
 
 /// Runs the command.
@@ -32,14 +35,14 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
 }
 
 /// What the user allows beyond what is safe.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct Allowed {
     /// Results of other photos may be replaced.
     pub overwrite: bool,
 }
 
 /// Opens or creates a run directory for a request and brings its stages up to date; tells how far the
-/// result can be relied on.
+/// result can be relied on. Of several processes all work, and the first one tells.
 ///
 /// # Errors
 /// As [`reconstruct`].
@@ -50,18 +53,22 @@ pub fn bring_run_up_to_date(
     allowed: Allowed,
     work: &WorkArgs,
     console: &Console,
-) -> anyhow::Result<Judgement> {
+) -> anyhow::Result<Option<Judgement>> {
     if let (Some(from), until) = (range.redo_from, range.until)
         && from > until
     {
         return Err(Failure::Usage(format!("--from {from} comes after --until {until}")).into());
     }
     let resources = Resources::new(work);
-    let run = RunDir::create_or_open(root)?;
-    if run.is_new() {
-        // Written first, so that the folder is known as ours whatever follows.
-        run.write_run_file(request)?;
-    }
+    check_options(&serde_json::json!({"request": request, "range": range, "allowed": allowed}))?;
+    let run = open_run(root, || {
+        let run = RunDir::create_or_open(root)?;
+        if run.is_new() {
+            // Written first, so that the folder is known as ours whatever follows.
+            run.write_run_file(request)?;
+        }
+        Ok(run)
+    })?;
     if let Ok(found) = run.read_run_file()
         && let Some(repaired) = found.repaired
     {
@@ -69,6 +76,10 @@ pub fn bring_run_up_to_date(
     }
     let mut plan = None;
     let outcome = work_in(&run, request, range, allowed, resources, console, &mut plan);
+    let outcome = ranks::agree(outcome);
+    if !ranks::team().is_first() {
+        return outcome.map(|_| None);
+    }
     let told = Outcome::of(outcome.as_ref().err());
     let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
         if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
@@ -87,7 +98,7 @@ pub fn bring_run_up_to_date(
             root.display()
         ));
     }
-    Ok(report.into_judgement())
+    Ok(Some(report.into_judgement()))
 }
 
 /// A finished run of other photos is somebody's work: it is not replaced by accident.
@@ -116,12 +127,15 @@ fn work_in(
     planned: &mut Option<Plan>,
 ) -> anyhow::Result<bool> {
     let inputs = Inputs::scan(request)?;
+    let plan = planned.insert(Plan::new(request, &inputs));
+    check_inputs(&inputs, plan)?;
     if !allowed.overwrite {
         same_object(run, &inputs)?;
     }
-    // A request whose files cannot be used does not replace the one that the results are of.
-    run.write_run_file(request)?;
-    let plan = planned.insert(Plan::new(request, &inputs));
+    if ranks::team().is_first() {
+        // A request whose files cannot be used does not replace the one that the results are of.
+        run.write_run_file(request)?;
+    }
     let context = Context {
         run,
         request,

@@ -2,6 +2,7 @@
 
 use crate::exit::Failure;
 use crate::observe::Console;
+use crate::ranks;
 use crate::report::{Judgement, Verdict};
 
 /// Runs a command with a console, and tells scripts how it ended: its exit code, its error, and
@@ -21,6 +22,7 @@ pub fn reporting_found(
 ) -> anyhow::Result<()> {
     let console = Console::new(json);
     let (outcome, facts) = command(&console);
+    let outcome = ranks::agree(outcome);
     let mut line = serde_json::json!({ "exit_code": 0 });
     if let (Some(line), serde_json::Value::Object(facts)) = (line.as_object_mut(), facts) {
         line.extend(facts);
@@ -34,15 +36,18 @@ pub fn reporting_found(
 }
 
 /// As [`reporting`], for a command that judges its result: the verdict is told to people and to scripts.
-/// With `strict`, a result that is not to be trusted is a failure.
+/// Of several processes only the first one judges. With `strict`, a result that is not to be trusted is a failure.
 pub fn reporting_judged(
     json: bool,
     strict: bool,
     mut facts: serde_json::Value,
-    command: impl FnOnce(&Console) -> anyhow::Result<Judgement>,
+    command: impl FnOnce(&Console) -> anyhow::Result<Option<Judgement>>,
 ) -> anyhow::Result<()> {
     reporting_found(json, |console| {
         let outcome = command(console).and_then(|judgement| {
+            let Some(judgement) = judgement else {
+                return Ok(());
+            };
             judgement.lines().for_each(|line| console.note(&line));
             facts["verdict"] = serde_json::to_value(&judgement)?;
             if strict && judgement.verdict == Verdict::NotToBeTrusted {

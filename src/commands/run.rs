@@ -1,10 +1,12 @@
 //! `rilievo run STAGE RUN`: one stage again, with what the run directory says.
 
+use super::handshake::{check_inputs, check_options, open_run};
 use super::reporting::reporting_judged;
 use super::stored::{check_upstream, stored_request};
 use crate::cli::RunArgs;
 use crate::observe::Console;
 use crate::pipeline::{Context, Inputs, Plan, Resources, run_stage};
+use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
 use crate::store::RunDir;
 
@@ -17,12 +19,14 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     reporting_judged(args.work.json, false, facts, |console| redo(args, console))
 }
 
-fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Judgement> {
+fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Option<Judgement>> {
     let resources = Resources::new(&args.work);
-    let run = RunDir::open(&args.run)?;
+    check_options(&serde_json::json!({"stage": args.stage}))?;
+    let run = open_run(&args.run, || Ok(RunDir::open(&args.run)?))?;
     let request = stored_request(&run)?;
     let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
+    check_inputs(&inputs, &plan)?;
     check_upstream(&run, &plan, args.stage)?;
     let context = Context {
         run: &run,
@@ -32,6 +36,10 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Judgement> {
         console,
     };
     let outcome = run_stage(&context, &plan, args.stage, "redone as asked");
+    let outcome = ranks::agree(outcome);
+    if !ranks::team().is_first() {
+        return outcome.map(|()| None);
+    }
     let told = Outcome::of(outcome.as_ref().err());
     let report = Report::gather(&run, &request, &told, Some(&plan)).and_then(|report| {
         report.write(&run)?;
@@ -39,5 +47,5 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Judgement> {
     });
     // A report that cannot be written must not hide why the stage failed.
     outcome?;
-    Ok(report?.into_judgement())
+    Ok(Some(report?.into_judgement()))
 }

@@ -8,12 +8,14 @@ mod display;
 mod json;
 mod lines;
 mod pace;
+mod quiet;
 
 pub use display::StageNews;
 
 use crate::interrupt;
+use crate::ranks;
 use display::Display;
-use rilievo_scene::{Event, Flow, Observer, StageId};
+use rilievo_scene::{Event, Flow, Observer, StageId, Team};
 use std::io::IsTerminal;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -24,9 +26,11 @@ pub struct Console {
 }
 
 impl Console {
-    /// A console that suits where the output goes.
+    /// A console that suits where the output goes; of several ranks the first one shows what all do.
     pub fn new(json: bool) -> Self {
-        let display: Box<dyn Display> = if json {
+        let display: Box<dyn Display> = if !ranks::team().is_first() {
+            Box::new(quiet::Quiet)
+        } else if json {
             Box::new(json::JsonLines)
         } else if std::io::stderr().is_terminal() {
             Box::new(bars::Bars::new())
@@ -102,6 +106,10 @@ impl Observer for Console {
         } else {
             Flow::Continue
         }
+    }
+
+    fn team(&self) -> &dyn Team {
+        ranks::team()
     }
 }
 

@@ -36,7 +36,7 @@ pub fn from_features(error: FeaturesError) -> anyhow::Error {
         FeaturesError::InvalidOption { .. } | FeaturesError::NoListedPair { .. } => {
             Failure::Usage(error.to_string()).into()
         }
-        FeaturesError::OpenCv { .. } => anyhow::Error::new(error),
+        FeaturesError::OpenCv { .. } | FeaturesError::Team(_) => anyhow::Error::new(error),
     }
 }
 
@@ -47,6 +47,7 @@ pub fn from_poses(error: PosesError) -> anyhow::Error {
         PosesError::Inconsistent(error) => damaged(&error),
         PosesError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
         PosesError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
+        PosesError::Team(error) => error.into(),
         PosesError::TooFewPhotos { num_photos: 1 } => {
             Failure::NoResult(ONE_PHOTO.to_owned()).into()
         }

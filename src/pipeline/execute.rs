@@ -8,11 +8,13 @@ use crate::interrupt;
 use crate::observe::StageNews;
 use crate::store::{FORMAT_VERSION, Look, Manifest, StageWriter};
 use crate::system;
-use rilievo_scene::StageId;
+use rilievo_scene::team::{from_first, gathered};
+use rilievo_scene::{Observer, StageId};
+use serde::Serialize;
 use std::time::Instant;
 
 /// Which stages to bring up to date.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct Range {
     /// Redo from here on even where results are valid.
     pub redo_from: Option<StageId>,
@@ -34,18 +36,13 @@ pub fn bring_up_to_date(
         if stage > range.until {
             break;
         }
-        let state = plan.state(context.run, stage, Look::Contents)?;
         let forced = range.redo_from.is_some_and(|from| stage >= from);
-        let reason = match state {
-            StageState::Valid if !forced => {
-                context.run.drop_unfinished(stage)?;
-                context.console.stage(stage, &StageNews::Reused);
-                continue;
-            }
-            StageState::Valid => "redone as asked".to_owned(),
-            StageState::Missing => "starting".to_owned(),
-            StageState::Damaged { reason } => format!("redoing, because it is damaged: {reason}"),
-            StageState::Stale { reasons } => format!("redoing, because {}", reasons.join("; ")),
+        let reason = from_first(context.console.team(), || {
+            reason_to_run(context, plan, stage, forced)
+        })?;
+        let Some(reason) = reason else {
+            context.console.stage(stage, &StageNews::Reused);
+            continue;
         };
         run_stage(context, plan, stage, &reason)?;
         redone.push(stage);
@@ -53,7 +50,26 @@ pub fn bring_up_to_date(
     Ok(redone)
 }
 
-/// Runs one stage and commits its result.
+/// Why a stage is run; `None` where its result is kept, whose remains of a stopped run then go.
+fn reason_to_run(
+    context: &Context<'_>,
+    plan: &Plan,
+    stage: StageId,
+    forced: bool,
+) -> anyhow::Result<Option<String>> {
+    Ok(match plan.state(context.run, stage, Look::Contents)? {
+        StageState::Valid if !forced => {
+            context.run.drop_unfinished(stage)?;
+            None
+        }
+        StageState::Valid => Some("redone as asked".to_owned()),
+        StageState::Missing => Some("starting".to_owned()),
+        StageState::Damaged { reason } => Some(format!("redoing, because it is damaged: {reason}")),
+        StageState::Stale { reasons } => Some(format!("redoing, because {}", reasons.join("; "))),
+    })
+}
+
+/// Runs one stage and commits its result. Of several processes all work, and the first one commits.
 ///
 /// # Errors
 /// When the stage fails; its earlier result is then untouched.
@@ -69,22 +85,24 @@ pub fn run_stage(
     context
         .console
         .stage(stage, &StageNews::Started(reason.to_owned()));
-    for &of in upstream(stage) {
-        if let StageState::Damaged { reason } = plan.state(context.run, of, Look::Contents)? {
-            return Err(Failure::RunDirectory(format!(
-                "stage {stage} reads {of}, which is damaged: {reason}; `rilievo reconstruct` makes \
-                 it again"
-            ))
-            .into());
-        }
-    }
+    let team = context.console.team();
     let began = Instant::now();
     system::forget_peak_memory();
-    let writer = context.run.begin(stage)?;
+    let mut begun = None;
+    from_first(team, || {
+        whole_upstream(context, plan, stage)?;
+        begun = Some(context.run.begin(stage)?);
+        Ok::<_, anyhow::Error>(())
+    })?;
+    let writer = begun.unwrap_or_else(|| context.run.take_part(stage));
     let report = dispatch(context, plan, stage, &writer)?;
     if interrupt::requested() {
         return Err(Failure::Interrupted.into());
     }
+    for items in gathered(team, &serde_json::to_string(&writer.items())?)? {
+        writer.add(serde_json::from_str(&items)?);
+    }
+    let warnings = context.console.take_warnings(stage);
     let ingredients = plan.of(stage).clone();
     let seconds = began.elapsed().as_secs_f64();
     let manifest = Manifest {
@@ -96,12 +114,26 @@ pub fn run_stage(
         seconds,
         threads: rayon::current_num_threads(),
         peak_memory_bytes: system::peak_memory(),
-        warnings: context.console.take_warnings(stage),
+        warnings,
         files: Default::default(),
         report,
     };
-    writer.commit(manifest)?;
+    from_first(team, || Ok::<_, anyhow::Error>(writer.commit(manifest)?))?;
     context.console.stage(stage, &StageNews::Finished(seconds));
+    Ok(())
+}
+
+/// Refuses a stage one of whose sources is damaged.
+fn whole_upstream(context: &Context<'_>, plan: &Plan, stage: StageId) -> anyhow::Result<()> {
+    for &of in upstream(stage) {
+        if let StageState::Damaged { reason } = plan.state(context.run, of, Look::Contents)? {
+            return Err(Failure::RunDirectory(format!(
+                "stage {stage} reads {of}, which is damaged: {reason}; `rilievo reconstruct` makes \
+                 it again"
+            ))
+            .into());
+        }
+    }
     Ok(())
 }
 

@@ -3,12 +3,11 @@
 use super::artifacts::{from_binary, not_there, read_binary, write_binary};
 use super::context::Context;
 use super::errors::from_features;
-use super::parallel::map_items;
-use crate::exit::Failure;
+use super::parallel::divide_items;
 use crate::store::{Item, RunDir, StageWriter, StoreError, hash_json};
 use anyhow::Context as _;
 use rilievo_features::FeaturesOptions;
-use rilievo_scene::{FeatureMatches, PairMatches, Photo, PhotoKeypoints, StageId};
+use rilievo_scene::{FeatureMatches, Observer, PairMatches, Photo, PhotoKeypoints, StageId};
 
 /// Bytes per pixel at the peak of SIFT with its upsampled octave.
 const BYTES_PER_PX: u64 = 260;
@@ -34,11 +33,10 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         .unwrap_or(0);
     let gains = &manifest.report["exposure_gains"];
     let numbered: Vec<(usize, &Photo)> = photos.photos.iter().enumerate().collect();
-    let detected = map_items(
+    let keypoints = divide_items(
         &numbered,
         context.resources.at_once(largest * BYTES_PER_PX),
-        StageId::Features,
-        "detecting keypoints",
+        (StageId::Features, "detecting keypoints"),
         context.console,
         |&(idx, photo)| {
             let key = hash_json(&(
@@ -51,13 +49,13 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             ));
             one(context, writer, photo, key)
         },
-    )
-    .ok_or(Failure::Interrupted)?;
-    let keypoints = detected.into_iter().collect::<anyhow::Result<Vec<_>>>()?;
+    )?;
     let (matches, report) =
         rilievo_features::match_photos(&photos, keypoints, options, context.console)
             .map_err(from_features)?;
-    write_binary(writer, PAIRS, &matches.pairs)?;
+    if context.console.team().is_first() {
+        write_binary(writer, PAIRS, &matches.pairs)?;
+    }
     Ok(serde_json::to_value(report)?)
 }
 

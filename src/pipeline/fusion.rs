@@ -5,7 +5,7 @@ use super::errors::from_fusion;
 use crate::exit::Failure;
 use crate::store::StageWriter;
 use rilievo_io::{ViewerFrame, write_cloud_ply, write_mesh_glb, write_mesh_obj, write_mesh_ply};
-use rilievo_scene::{FusedCloud, PosedViews};
+use rilievo_scene::{FusedCloud, Observer, PosedViews};
 use std::path::PathBuf;
 
 /// Fuses all views.
@@ -13,6 +13,10 @@ use std::path::PathBuf;
 /// # Errors
 /// When nothing agrees, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+    // Not divided: the others wait for the result.
+    if !context.console.team().is_first() {
+        return Ok(serde_json::Value::Null);
+    }
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
     let maps = super::shading::MapFiles::open(context.run)?;

@@ -13,7 +13,9 @@ use rilievo_io::{
     IoError, IoErrorKind, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
 };
 use rilievo_lighting::LightingRequest;
-use rilievo_scene::{LightingCalibration, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx};
+use rilievo_scene::{
+    LightingCalibration, Observer, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx,
+};
 
 const CALIBRATION: &str = "calibration.json";
 
@@ -22,6 +24,10 @@ const CALIBRATION: &str = "calibration.json";
 /// # Errors
 /// When the lighting cannot be had, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
+    // Not divided: the others wait for the result.
+    if !context.console.team().is_first() {
+        return Ok(serde_json::Value::Null);
+    }
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
     let request = lighting_request(context, &photos, &views)?;

@@ -1,8 +1,13 @@
 //! Work photo by photo on all cores, as far as memory allows.
 
 use crate::cli::WorkArgs;
+use crate::exit::Failure;
+use crate::ranks;
 use rayon::prelude::*;
-use rilievo_scene::{Flow, Observer, StageId};
+use rilievo_scene::{DividedStep, Flow, Observer, StageId};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Threads and memory of a command; results do not depend on either.
@@ -15,10 +20,10 @@ pub struct Resources {
 }
 
 impl Default for Resources {
-    /// Half of the free memory.
+    /// Half of the free memory, divided among the ranks of this host.
     fn default() -> Self {
         Self {
-            memory: half_of_free_memory(),
+            memory: half_of_free_memory() / ranks::on_this_host() as u64,
             given: None,
         }
     }
@@ -40,12 +45,14 @@ impl Resources {
     }
 }
 
-/// Starts the threads of the whole program, all cores' without a number.
+/// Starts the threads of the whole program; without a number as many as there are cores, of which ranks on one host
+/// take a share each.
 ///
 /// # Errors
 /// When the system refuses them.
 pub fn start_threads(number: Option<u16>) -> anyhow::Result<()> {
-    let threads = number.map_or(0, usize::from);
+    let share = || ranks::threads().map_or(0, NonZeroUsize::get);
+    let threads = number.map_or_else(share, usize::from);
     rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build_global()
@@ -96,6 +103,22 @@ pub fn map_items<T: Sync, R: Send>(
         results.extend(part?);
     }
     Some(results)
+}
+
+/// As [`map_items`], divided among the ranks of the run; everyone gets all results.
+///
+/// # Errors
+/// That of the first item that fails, or [`Failure::Interrupted`].
+pub fn divide_items<T: Sync, R: Serialize + DeserializeOwned + Send>(
+    items: &[T],
+    at_once: usize,
+    (stage, step): (StageId, &str),
+    observer: &dyn Observer,
+    work: impl Fn(&T) -> anyhow::Result<R> + Sync,
+) -> anyhow::Result<Vec<R>> {
+    let interrupted = || Failure::Interrupted.into();
+    DividedStep::new(observer, stage, step)
+        .run(items.len(), at_once, interrupted, |idx| work(&items[idx]))
 }
 
 #[cfg(test)]

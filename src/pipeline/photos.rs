@@ -4,7 +4,7 @@ use super::artifacts::{checked_names, not_there};
 use super::context::Context;
 use super::errors::from_photos;
 use super::inputs::{Inputs, PhotoInput};
-use super::parallel::{Resources, map_items};
+use super::parallel::{Resources, divide_items, map_items};
 use super::request::Request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
@@ -61,23 +61,23 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console.warn(StageId::Photos, warning);
     }
     let options = serde_json::to_value(&context.request.options.photos)?;
-    let prepared = map_photos(
-        inputs,
-        context.resources,
-        "reading photos",
-        context.console,
-        |photo| {
-            let key = hash_json(&(
-                StageId::Photos.name(),
-                rilievo_photos::VERSION,
-                &options,
-                Inputs::photo_hash(photo),
-                context.request.masks.is_some(),
-            ));
-            one(context, writer, photo, key)
-        },
-    )
-    .ok_or(Failure::Interrupted)?;
+    let at_once = at_once(inputs, context.resources);
+    let step = (StageId::Photos, "reading photos");
+    let prepared = divide_items(&inputs.photos, at_once, step, context.console, |photo| {
+        let key = hash_json(&(
+            StageId::Photos.name(),
+            rilievo_photos::VERSION,
+            &options,
+            Inputs::photo_hash(photo),
+            context.request.masks.is_some(),
+        ));
+        match one(context, writer, photo, key) {
+            Ok(kept) => Ok(Ok(kept)),
+            Err(Trouble::Request(problem)) => Ok(Err(problem)),
+            Err(Trouble::Photo(problem)) => Ok(Ok(Kept::Rejected(rejected_photo(&problem)))),
+            Err(Trouble::Fatal(error)) => Err(error),
+        }
+    })?;
 
     let mut usable = Vec::new();
     let mut rejected: Vec<RejectedPhoto> = inputs.unreadable.iter().map(rejected_photo).collect();
@@ -88,9 +88,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
                 usable.push(from_disk(writer.dir(), *facts, mask)?);
             }
             Ok(Kept::Rejected(photo)) => rejected.push(photo),
-            Err(Trouble::Photo(problem)) => rejected.push(rejected_photo(&problem)),
-            Err(Trouble::Request(problem)) => problems.push(problem),
-            Err(Trouble::Fatal(error)) => return Err(error),
+            Err(problem) => problems.push(problem),
         }
     }
     if !problems.is_empty() {
@@ -125,15 +123,18 @@ pub fn map_photos<R: Send>(
     observer: &dyn Observer,
     work: impl Fn(&PhotoInput) -> R + Sync,
 ) -> Option<Vec<R>> {
-    let at_once = resources.at_once(largest_photo_px(inputs) * BYTES_PER_PX);
     map_items(
         &inputs.photos,
-        at_once,
+        at_once(inputs, resources),
         StageId::Photos,
         step,
         observer,
         work,
     )
+}
+
+fn at_once(inputs: &Inputs, resources: Resources) -> usize {
+    resources.at_once(largest_photo_px(inputs) * BYTES_PER_PX)
 }
 
 /// The preflight alone: what the photos are, what to warn of, and every file that cannot be used,

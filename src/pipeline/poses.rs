@@ -8,7 +8,7 @@ use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
 use rilievo_io::{CameraFile, decode_photo, write_cameras, write_colmap_text};
-use rilievo_scene::{LinearImage, PhotoSet, PosedViews, SphereRequest, StageId};
+use rilievo_scene::{LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId};
 
 const POSED_VIEWS: &str = "posed_views.json";
 
@@ -57,6 +57,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         views.anchors.len(),
     ));
 
+    if !context.console.team().is_first() {
+        return Ok(serde_json::Value::Null);
+    }
     write_cameras(
         &writer.path("cameras.json")?,
         &CameraFile::from_posed_views(&views),

@@ -6,7 +6,8 @@
 use super::error::StoreError;
 use super::manifest::Item;
 use super::writer::{CHECKPOINT, StageWriter};
-use rilievo_scene::{Checkpoint, CheckpointError, StatePart};
+use rilievo_scene::team::{from_first, wait_for_all};
+use rilievo_scene::{Alone, Checkpoint, CheckpointError, StatePart, Team};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -27,6 +28,7 @@ pub struct StageCheckpoint<'a> {
     writer: &'a StageWriter,
     key: String,
     state: Mutex<State>,
+    team: &'a dyn Team,
 }
 
 impl<'a> StageCheckpoint<'a> {
@@ -42,7 +44,33 @@ impl<'a> StageCheckpoint<'a> {
             writer,
             key,
             state: Mutex::new(state.unwrap_or_default()),
+            team: &Alone,
         })
+    }
+
+    /// The same for all processes of a team: the first one keeps what all of them read.
+    ///
+    /// # Errors
+    /// As of [`open`](Self::open), and when another process failed.
+    #[expect(dead_code, reason = "stage 5 is not divided yet")]
+    pub fn open_together(
+        team: &'a dyn Team,
+        writer: &'a StageWriter,
+        key: String,
+    ) -> anyhow::Result<Self> {
+        let mut own = None;
+        let state = from_first(team, || {
+            let opened = own.insert(Self::open(writer, key.clone())?);
+            let state = opened.state.lock().unwrap_or_else(PoisonError::into_inner);
+            Ok::<_, anyhow::Error>(state.clone())
+        })?;
+        let opened = own.unwrap_or(Self {
+            writer,
+            key,
+            state: Mutex::new(state),
+            team: &Alone,
+        });
+        Ok(Self { team, ..opened })
     }
 
     fn write(&self, parts: &[StatePart<'_>], state: &mut State) -> Result<(), StoreError> {
@@ -84,6 +112,13 @@ impl Checkpoint for StageCheckpoint<'_> {
     }
 
     fn keep(&self, parts: &[StatePart<'_>]) -> Result<(), CheckpointError> {
+        // What another process may still read of the last state goes when a new one is there.
+        wait_for_all(self.team).map_err(|error| CheckpointError {
+            reason: error.to_string(),
+        })?;
+        if !self.team.is_first() {
+            return Ok(());
+        }
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         self.write(parts, &mut state)
             .map_err(|error| CheckpointError {

@@ -5,6 +5,7 @@
 //! RUN/.run.json           its copy
 //! RUN/1_photos … 6_fusion artifacts of each stage; manifest.json says what they were made from
 //! RUN/evaluation          where the errors of the results lie; goes with them
+//! RUN/.work/ranks         for a moment: shows several processes that they see the same folder
 //! RUN/.work/STAGE         a stage in progress; renamed to RUN/STAGE when it is complete
 //! RUN/.lock               the process that works here
 //! ```

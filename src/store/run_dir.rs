@@ -2,7 +2,7 @@
 
 use super::error::StoreError;
 use super::evaluation::drop_evaluation;
-use super::files::{WRITING, create_folder, own_file, own_folder};
+use super::files::{WRITING, create_folder, own_file, own_folder, write_atomically};
 use super::lock::Lock;
 use super::manifest::Manifest;
 use super::run_file::RunFile;
@@ -13,6 +13,9 @@ use std::path::{Path, PathBuf};
 
 /// Folders beside those of the stages.
 const FOLDERS: [&str; 3] = [".work", ".old", "evaluation"];
+
+/// File by which processes tell whether they see the same run directory.
+const MARKER: &str = ".work/ranks";
 
 /// A run directory, locked when it was opened for work.
 #[derive(Debug)]
@@ -133,6 +136,47 @@ impl RunDir {
     /// When it cannot be written.
     pub fn write_run_file(&self, request: &impl Serialize) -> Result<(), StoreError> {
         RunFile::write(&self.root, request)
+    }
+
+    /// Writes a marker that no other run directory has, so that other processes can tell whether they see this one.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn mark(&self) -> Result<String, StoreError> {
+        let path = self.root.join(MARKER);
+        create_folder(&self.root.join(".work"))?;
+        let mut number = [0; 8];
+        getrandom::fill(&mut number)
+            .map_err(|error| StoreError::files("write", &path)(error.into()))?;
+        let marker = format!("{:016x}", u64::from_le_bytes(number));
+        write_atomically(&path, marker.as_bytes())?;
+        Ok(marker)
+    }
+
+    /// The marker that a process finds in a run directory; `None` where there is none.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn marker(root: &Path) -> Result<Option<String>, StoreError> {
+        let found = own_file(&root.join(MARKER))?;
+        Ok(found.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()))
+    }
+
+    /// Takes the marker away.
+    ///
+    /// # Errors
+    /// When it cannot be deleted.
+    pub fn unmark(&self) -> Result<(), StoreError> {
+        let path = self.root.join(MARKER);
+        std::fs::remove_file(&path).map_err(StoreError::files("delete", &path))?;
+        // Fails where a stage has something there, as it should.
+        let _ = std::fs::remove_dir(self.root.join(".work"));
+        Ok(())
+    }
+
+    /// Takes part in a stage that the owner of the run directory has begun: what is written goes to its work folder.
+    pub fn take_part(&self, stage: StageId) -> StageWriter {
+        StageWriter::take_part(&self.root, stage)
     }
 
     /// Starts a stage: its files go to a work folder until they are committed.

@@ -43,12 +43,18 @@ impl StageWriter {
             }
             std::fs::rename(&work, &previous).map_err(StoreError::files("rename", &work))?;
         }
-        let finished = finished_items(&previous);
         // The rest would only fill the disk.
-        keep_only(&previous, "", &files_of(&finished))?;
-        let items_dir = work.join(ITEMS);
-        create_folder(&items_dir)?;
+        keep_only(&previous, "", &files_of(&finished_items(&previous)))?;
+        create_folder(&work.join(ITEMS))?;
+        Ok(Self::take_part(root, stage))
+    }
 
+    /// Works in the folder that another process has prepared, which also commits the stage.
+    pub(super) fn take_part(root: &Path, stage: StageId) -> Self {
+        let work = root.join(".work").join(stage.name());
+        let previous = root
+            .join(".work")
+            .join(format!("{}.previous", stage.name()));
         let committed = root.join(stage.name());
         let mut reusable = BTreeMap::new();
         if let Ok(Some(manifest)) = Manifest::read(&committed) {
@@ -56,16 +62,28 @@ impl StageWriter {
                 reusable.insert(name, (committed.clone(), item));
             }
         }
-        for (name, item) in finished {
+        for (name, item) in finished_items(&previous) {
             reusable.insert(name, (previous.clone(), item));
         }
-        Ok(Self {
+        Self {
             root: root.to_path_buf(),
             stage,
             work,
             reusable,
             items: Mutex::new(BTreeMap::new()),
-        })
+        }
+    }
+
+    /// The items that were finished or taken over here.
+    pub fn items(&self) -> BTreeMap<String, Item> {
+        let items = self.items.lock().unwrap_or_else(PoisonError::into_inner);
+        items.clone()
+    }
+
+    /// Adds items that other processes finished in this folder.
+    pub fn add(&self, finished: BTreeMap<String, Item>) {
+        let mut items = self.items.lock().unwrap_or_else(PoisonError::into_inner);
+        items.extend(finished);
     }
 
     /// Where to write an artifact; creates the folders above it. An existing file is

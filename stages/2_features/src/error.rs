@@ -1,6 +1,6 @@
 //! Errors of stage 2.
 
-use rilievo_scene::{Inconsistent, OptionError, PixelError};
+use rilievo_scene::{Inconsistent, OptionError, PixelError, TeamError};
 
 /// Why stage 2 failed.
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +30,9 @@ pub enum FeaturesError {
         /// Pairs listed.
         num: usize,
     },
+    /// Another process of the run failed.
+    #[error(transparent)]
+    Team(#[from] TeamError),
     /// The observer asked to stop.
     #[error("interrupted")]
     Interrupted,

@@ -26,11 +26,10 @@ use matching::{PhotoDescriptors, match_descriptors};
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_scene::{
-    FeatureMatches, Flow, Observer, PairMatches, Photo, PhotoIdx, PhotoKeypoints, PhotoSet,
-    StageId, check_descriptors, check_keypoints,
+    DividedStep, FeatureMatches, Flow, Observer, PairMatches, Photo, PhotoIdx, PhotoKeypoints,
+    PhotoSet, StageId, check_descriptors, check_keypoints, divided,
 };
 use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Raised with every change of the stage that changes its results.
 pub const VERSION: u32 = 4;
@@ -157,16 +156,18 @@ impl<'a> Matcher<'a> {
         if !self.has_previews() {
             return Ok(pairs.to_vec());
         }
-        let looked_at = pairs.par_iter().map(|&(i, j)| {
+        let looked_at = |idx: usize| {
             if observer.flow() == Flow::Stop {
                 return Err(FeaturesError::Interrupted);
             }
+            let (i, j) = pairs[idx];
             let [a, b] = [&self.previews[i], &self.previews[j]];
             let num = match_descriptors(a, b, self.options.max_ratio).len();
-            Ok((num >= MIN_PREVIEW_MATCHES).then_some((i, j)))
-        });
-        let alike: Vec<Option<Pair>> = looked_at.collect::<Result<_, _>>()?;
-        Ok(alike.into_iter().flatten().collect())
+            Ok(num >= MIN_PREVIEW_MATCHES)
+        };
+        let are_alike = divided(observer.team(), pairs.len(), usize::MAX, looked_at)?;
+        let alike = pairs.iter().zip(are_alike).filter(|&(_, is)| is);
+        Ok(alike.map(|(&pair, _)| pair).collect())
     }
 
     /// Matches of many pairs, after `num_before` others.
@@ -176,20 +177,13 @@ impl<'a> Matcher<'a> {
         num_before: usize,
         observer: &dyn Observer,
     ) -> Result<Vec<PairMatches>, FeaturesError> {
-        let (num_done, num) = (AtomicUsize::new(num_before), num_before + pairs.len());
-        pairs
-            .par_iter()
-            .map(|&(first, second)| {
-                if observer.flow() == Flow::Stop {
-                    return Err(FeaturesError::Interrupted);
-                }
-                let pair = self.pair(first, second)?;
-                let done = num_done.fetch_add(1, Ordering::Relaxed) + 1;
-                let flow = observer.progress(StageId::Features, "matching pairs", (done, num));
-                flow.ok_or(FeaturesError::Interrupted)?;
-                Ok(pair)
+        let step = DividedStep::new(observer, StageId::Features, "matching pairs");
+        let interrupted = || FeaturesError::Interrupted;
+        step.after(num_before)
+            .run(pairs.len(), usize::MAX, interrupted, |idx| {
+                let (first, second) = pairs[idx];
+                self.pair(first, second)
             })
-            .collect()
     }
 
     /// Matches of two photos that agree with a two-view geometry; none where nothing agrees.

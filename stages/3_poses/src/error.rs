@@ -1,6 +1,6 @@
 //! Errors of stage 3.
 
-use rilievo_scene::{Inconsistent, Observer, OptionError, PixelError, StageId};
+use rilievo_scene::{Inconsistent, Observer, OptionError, PixelError, StageId, TeamError};
 
 /// Why stage 3 failed.
 #[derive(Debug, thiserror::Error)]
@@ -105,6 +105,9 @@ pub enum PosesError {
         /// What happened.
         reason: String,
     },
+    /// Another process of the run failed.
+    #[error(transparent)]
+    Team(#[from] TeamError),
     /// The observer asked to stop.
     #[error("interrupted")]
     Interrupted,

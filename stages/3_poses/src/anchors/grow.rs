@@ -17,6 +17,7 @@ use super::sampling::Workspace;
 use super::working::WorkingView;
 use nalgebra::Point3;
 use rilievo_scene::AnchorOrigin;
+use serde::{Deserialize, Serialize};
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
@@ -49,7 +50,7 @@ pub(super) struct GrowOptions {
 }
 
 /// A patch of a cell.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Node {
     /// Its alignment.
     pub alignment: Alignment,

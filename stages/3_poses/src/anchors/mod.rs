@@ -59,8 +59,9 @@ use merge::merge;
 use prepare::prepare;
 use rayon::prelude::*;
 use report::Facts;
-use rilievo_scene::{Anchor, Event, FeatureMatches, Flow, Observer, PhotoSet, PosedViews, StageId};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use rilievo_scene::{
+    Anchor, DividedStep, FeatureMatches, Flow, Observer, PhotoSet, PosedViews, StageId,
+};
 
 /// Finds the depth anchors of posed views. Too few views, no overlap or no contrast give an empty
 /// result with a warning.
@@ -110,26 +111,11 @@ fn aligned(
         return Ok((Vec::new(), facts));
     };
     let num_views = scene.views.len();
-    let done = AtomicUsize::new(0);
-    let nodes: Vec<Vec<Option<Node>>> = (0..num_views)
-        .into_par_iter()
-        .map(|reference| {
-            if observer.flow() == Flow::Stop {
-                return Err(PosesError::Interrupted);
-            }
-            let nodes = cover(&scene, reference);
-            let progress = Event::Progress {
-                stage: StageId::Poses,
-                step: "growing anchors".into(),
-                done: done.fetch_add(1, Ordering::Relaxed) + 1,
-                total: num_views,
-            };
-            match observer.event(progress) {
-                Flow::Continue => Ok(nodes),
-                Flow::Stop => Err(PosesError::Interrupted),
-            }
-        })
-        .collect::<Result<_, _>>()?;
+    let step = DividedStep::new(observer, StageId::Poses, "growing anchors");
+    let interrupted = || PosesError::Interrupted;
+    let nodes: Vec<Vec<Option<Node>>> = step.run(num_views, usize::MAX, interrupted, |view| {
+        Ok(cover(&scene, view))
+    })?;
     let spacing = scene.grids[0].spacing as f64;
     let judge_options = JudgeOptions {
         radius_px: 1.5 * spacing,

@@ -22,6 +22,7 @@ use super::plane::PatchPlane;
 use super::sampling::{LocalWarp, Workspace, sample_source};
 use super::working::WorkingView;
 use nalgebra::{Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Smallest share of the template's samples that must be usable in a source.
 const MIN_SOURCE_SHARE: f64 = 0.8;
@@ -66,7 +67,7 @@ pub(super) struct PatchOptions {
 }
 
 /// An aligned patch.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Alignment {
     /// The plane found.
     pub plane: PatchPlane,

@@ -2,9 +2,10 @@
 
 use nalgebra::Vector3;
 use rilievo_stereo::camera::Camera;
+use serde::{Deserialize, Serialize};
 
 /// A plane through a reference pixel.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct PatchPlane {
     /// Column of the centre.
     pub x: usize,

@@ -1,5 +1,6 @@
 //! Typed events that stages emit; the program renders them as bars, lines or JSON.
 
+use crate::team::{Alone, Team};
 use serde::{Deserialize, Serialize};
 use std::sync::{Mutex, PoisonError};
 
@@ -118,9 +119,20 @@ impl Flow {
             Self::Stop => Err(interrupted),
         }
     }
+
+    /// The same with an error that is made only then.
+    ///
+    /// # Errors
+    /// What `interrupted` gives, for [`Flow::Stop`].
+    pub fn ok_or_else<E>(self, interrupted: impl FnOnce() -> E) -> Result<(), E> {
+        match self {
+            Self::Continue => Ok(()),
+            Self::Stop => Err(interrupted()),
+        }
+    }
 }
 
-/// Receives events, from any thread.
+/// Who a stage works for: receives events, from any thread, and tells whether to go on and who shares the work.
 pub trait Observer: Sync {
     /// Takes one event; [`Flow::Stop`] asks the stage to end with its `Interrupted` error.
     fn event(&self, event: Event) -> Flow;
@@ -138,6 +150,11 @@ pub trait Observer: Sync {
     /// Whether the stage should stop, without telling anything.
     fn flow(&self) -> Flow {
         Flow::Continue
+    }
+
+    /// The processes among which a stage may divide its work.
+    fn team(&self) -> &dyn Team {
+        &Alone
     }
 
     /// Tells the user of something; the only way that a warning takes. Each is told once, in an order

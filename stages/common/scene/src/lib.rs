@@ -17,6 +17,7 @@ pub mod checkpoint;
 pub mod cloud;
 pub mod consistency;
 pub mod decoded;
+pub mod division;
 pub mod events;
 pub mod ids;
 pub mod lighting;
@@ -31,6 +32,7 @@ pub mod shaded;
 pub mod sphere;
 pub mod srgb;
 mod subset;
+pub mod team;
 pub mod transform;
 
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
@@ -39,6 +41,7 @@ pub use checkpoint::{Checkpoint, CheckpointError, NoCheckpoint, StatePart};
 pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
 pub use consistency::{Inconsistent, check_descriptors, check_keypoints};
 pub use decoded::{DecodedPhoto, ExifFacts, Samples};
+pub use division::DividedStep;
 pub use events::{Event, Flow, Observer, Recorder, Silent, StageId};
 pub use ids::{PhotoIdx, PointIdx, ViewIdx};
 pub use lighting::{Lighting, SphericalHarmonics};
@@ -56,4 +59,5 @@ pub use shaded::{MapSource, ShadedImages, ShadedView, ShadedViews};
 pub use sphere::{
     LightKind, LocatedSphere, MarkedSphere, SphereCalibration, SphereMark, SphereRequest,
 };
+pub use team::{Alone, Team, TeamError, divided};
 pub use transform::RigidTransform;

@@ -1,0 +1,15 @@
+//! Nothing: another rank shows what all do.
+
+use super::display::{Display, StageNews};
+use rilievo_scene::{Event, StageId};
+
+/// Shows nothing.
+pub struct Quiet;
+
+impl Display for Quiet {
+    fn stage(&mut self, _stage: StageId, _news: &StageNews) {}
+    fn event(&mut self, _event: &Event) {}
+    fn progress(&mut self, _command: &str, _step: &str, _done: usize, _total: usize) {}
+    fn note(&mut self, _message: &str) {}
+    fn finished(&mut self, _summary: &serde_json::Value) {}
+}
