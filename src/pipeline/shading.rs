@@ -13,8 +13,8 @@ use rilievo_io::{
 };
 use rilievo_photometry::surface_check::{SurfaceCheck, SurfaceReport};
 use rilievo_scene::{
-    LightingCalibration, LinearImage, MapSource, Observer, PixelError, ShadedImages, ShadedView,
-    StageId, ViewIdx,
+    DividedStep, LightingCalibration, LinearImage, MapSource, Observer, PixelError, ShadedImages,
+    ShadedView, StageId, ViewIdx,
 };
 use rilievo_shading::{ShadingReport, Surroundings};
 use serde::{Deserialize, Serialize};
@@ -54,12 +54,9 @@ pub fn run(
     fingerprint: &str,
     writer: &StageWriter,
 ) -> anyhow::Result<serde_json::Value> {
-    // Not divided: the others wait for the result.
-    if !context.console.team().is_first() {
-        return Ok(serde_json::Value::Null);
-    }
+    let team = context.console.team();
     let key = hash_json(&(system::PROGRAM, fingerprint));
-    let checkpoint = StageCheckpoint::open(writer, key)?;
+    let checkpoint = StageCheckpoint::open_together(team, writer, key)?;
     let photos = super::photos::load(context)?;
     let views = super::poses::load(context.run)?;
     let lighting = super::lighting::load(context)?;
@@ -79,26 +76,26 @@ pub fn run(
     .map_err(from_shading)?;
     let check_options = context.request.options.lighting.check();
     let used = (lighting.source, solver.light.as_slice());
-    let mut check = SurfaceCheck::new(&photos, &views, used, &check_options).map_err(from_check)?;
-    let mut files = Vec::new();
+    let check = SurfaceCheck::new(&photos, &views, used, &check_options).map_err(from_check)?;
+    let step = "writing maps, comparing them with the photos";
+    let step = DividedStep::new(context.console, StageId::Shading, step);
+    let interrupted = || anyhow::Error::from(Failure::Interrupted);
     // One at a time: the maps of a large photo take most of a gigabyte.
-    for index in 0..shaded.num_views() {
-        let step = "writing maps, comparing them with the photos";
-        let told = (index, shaded.num_views());
-        let flow = context.console.progress(StageId::Shading, step, told);
-        flow.ok_or(Failure::Interrupted)?;
+    let written = step.run(shaded.num_views(), 1, interrupted, |index| {
         let view = shaded.view(index).map_err(from_shading)?;
-        check.add(&view).map_err(from_check)?;
+        let checked = check.view(&view).map_err(from_check)?;
         write_maps(&|file: &str| writer.path(file), &view)?;
-        files.push(ViewFiles {
+        let files = ViewFiles {
             name: view.name,
             view: view.view,
             confidence: view.confidence.is_some(),
             rendered: view.rendered.is_some(),
             albedo: view.albedo.is_some(),
-        });
-    }
-    let light_on_surface = check.finish();
+        };
+        Ok((files, checked))
+    })?;
+    let (files, checked): (Vec<ViewFiles>, Vec<_>) = written.into_iter().unzip();
+    let light_on_surface = check.finish(checked.into_iter().flatten().collect());
     let used = LightingCalibration {
         views: solver.light.clone(),
         environment_in_world: None,
@@ -106,13 +103,15 @@ pub fn run(
         samples: Vec::new(),
         ..lighting
     };
-    if !used.views.is_empty() {
+    if team.is_first() && !used.views.is_empty() {
         write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(Failure::from)?;
     }
     for advice in &light_on_surface.advice {
         context.console.warn(StageId::Shading, advice);
     }
-    write_text(writer, VIEWS, &files)?;
+    if team.is_first() {
+        write_text(writer, VIEWS, &files)?;
+    }
     Ok(serde_json::to_value(ShadingFacts {
         solver,
         light_on_surface,

@@ -52,7 +52,6 @@ impl<'a> StageCheckpoint<'a> {
     ///
     /// # Errors
     /// As of [`open`](Self::open), and when another process failed.
-    #[expect(dead_code, reason = "stage 5 is not divided yet")]
     pub fn open_together(
         team: &'a dyn Team,
         writer: &'a StageWriter,

@@ -172,6 +172,9 @@ pub enum ShadingError {
         /// The smallest memory that would do, MiB.
         needed_mib: u64,
     },
+    /// Another process of the run failed.
+    #[error(transparent)]
+    Team(#[from] rilievo_scene::TeamError),
     /// Working data could not be put aside or read back.
     #[error(transparent)]
     Scratch(#[from] rilievo_scene::ScratchError),

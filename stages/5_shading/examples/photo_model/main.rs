@@ -15,9 +15,9 @@ use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{LightKind, LightSource, LightingCalibration, ShadedViews, Silent};
 use rilievo_shading::Surroundings;
 use rilievo_shading::photo::{self, PhotoOptions};
-use std::cell::Cell;
 use std::error::Error;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
 #[derive(Default)]
 struct Arguments {
@@ -71,18 +71,18 @@ fn main() -> Result<(), Box<dyn Error>> {
         samples: read_spheres(&input.photos, &input.posed, &SamplingOptions::default())?,
     };
     let began = std::time::Instant::now();
-    let num_steps = Cell::new(0);
+    let num_steps = AtomicUsize::new(0);
     let probe = |step: &str, shaded: &ShadedViews| {
         if let Ok(summary) = accuracy::evaluate(&input, &regions, shaded, None) {
             println!("    {step:24} {summary}");
         }
         if let Some(out) = &arguments.save {
-            let folder = format!("{:02}_{}", num_steps.get(), step.replace(' ', "_"));
+            let folder = format!("{:02}_{}", num_steps.load(Relaxed), step.replace(' ', "_"));
             if let Err(error) = save(shaded, &out.join(folder)) {
                 eprintln!("step {step} was not saved: {error}");
             }
         }
-        num_steps.set(num_steps.get() + 1);
+        num_steps.fetch_add(1, Relaxed);
     };
     let (photos, posed, options) = (&input.photos, &input.posed, &arguments.options);
     let (shaded, report) = if arguments.steps {

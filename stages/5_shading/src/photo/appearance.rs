@@ -6,8 +6,7 @@
 //! shape and light do not explain. Clipped and dark pixels take the albedo of their neighbours.
 
 use super::light::Light;
-use super::shading::{self, HarmonicsOf};
-use rayon::prelude::*;
+use super::shading::{self, PixelHarmonics};
 use rilievo_scene::Raster;
 use rilievo_stereo::level::Level;
 use rilievo_stereo::{plate, sampling};
@@ -28,65 +27,55 @@ pub(crate) struct Appearance {
     pub confidence: Vec<f32>,
 }
 
-/// Renders all views at the current shape; `confidence` is left empty.
+/// Renders view `index` of a level at log depths `depth`, under the light whose coefficients at its pixels are
+/// `harmonics`; `confidence` is left empty.
 pub(crate) fn render(
     level: &Level,
-    depths: &[Vec<f64>],
+    index: usize,
+    depth: &[f64],
     rasters: &[Raster<f32>],
     light: &Light,
-    harmonics: &HarmonicsOf<'_>,
-) -> Vec<Appearance> {
-    (0..level.views.len())
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|i| {
-            let view = &level.views[i];
-            let target =
-                shading::mean_intensities(level, i, &depths[i], rasters, light.mean_tolerance);
-            let normals = plate::normals(view, &depths[i]);
-            let pigment = |p: usize| {
-                light
-                    .pigment
-                    .as_ref()
-                    .map_or([1.0; 3], |a| a.relative[i][p])
-            };
-            let harmonics = harmonics(i);
-            let light: Vec<[f32; 3]> = (0..target.len())
-                .map(|p| shading::render(&harmonics[p], normals[p]).map(|v| (v as f32).max(0.0)))
-                .collect();
-            let mut weight = vec![0.0_f32; target.len()];
-            let ratio: Vec<[f32; 3]> = (0..target.len())
-                .map(|p| {
-                    let dark = light[p].iter().chain(&target[p]).any(|&v| v < view.dark);
-                    if dark || !view.is_usable(p) {
-                        return [0.0; 3];
-                    }
-                    weight[p] = 1.0;
-                    let known = pigment(p);
-                    std::array::from_fn(|c| {
-                        (target[p][c] / (light[p][c] * known[c]))
-                            .ln()
-                            .clamp(-MAX_LOG, MAX_LOG)
-                    })
-                })
-                .collect();
-            let slow = sampling::smooth(&view.pixels, &ratio, &weight, GAUSSIAN_PX);
-            let albedo: Vec<[f32; 3]> = (0..target.len())
-                .map(|p| {
-                    let known = pigment(p);
-                    std::array::from_fn(|c| known[c] * slow[p][c].exp())
-                })
-                .collect();
-            let rendered = light
-                .iter()
-                .zip(&albedo)
-                .map(|(s, a)| std::array::from_fn(|c| s[c] * a[c]))
-                .collect();
-            Appearance {
-                rendered,
-                albedo,
-                confidence: Vec::new(),
+    harmonics: &[PixelHarmonics],
+) -> Appearance {
+    let view = &level.views[index];
+    let target = shading::mean_intensities(level, index, depth, rasters, light.mean_tolerance);
+    let normals = plate::normals(view, depth);
+    let pigment = light.pigment_of(index);
+    let pigment = |p: usize| pigment.map_or([1.0; 3], |of_view| of_view[p]);
+    let light: Vec<[f32; 3]> = (0..target.len())
+        .map(|p| shading::render(&harmonics[p], normals[p]).map(|v| (v as f32).max(0.0)))
+        .collect();
+    let mut weight = vec![0.0_f32; target.len()];
+    let ratio: Vec<[f32; 3]> = (0..target.len())
+        .map(|p| {
+            let dark = light[p].iter().chain(&target[p]).any(|&v| v < view.dark);
+            if dark || !view.is_usable(p) {
+                return [0.0; 3];
             }
+            weight[p] = 1.0;
+            let known = pigment(p);
+            std::array::from_fn(|c| {
+                (target[p][c] / (light[p][c] * known[c]))
+                    .ln()
+                    .clamp(-MAX_LOG, MAX_LOG)
+            })
         })
-        .collect()
+        .collect();
+    let slow = sampling::smooth(&view.pixels, &ratio, &weight, GAUSSIAN_PX);
+    let albedo: Vec<[f32; 3]> = (0..target.len())
+        .map(|p| {
+            let known = pigment(p);
+            std::array::from_fn(|c| known[c] * slow[p][c].exp())
+        })
+        .collect();
+    let rendered = light
+        .iter()
+        .zip(&albedo)
+        .map(|(s, a)| std::array::from_fn(|c| s[c] * a[c]))
+        .collect();
+    Appearance {
+        rendered,
+        albedo,
+        confidence: Vec::new(),
+    }
 }

@@ -9,15 +9,18 @@ use crate::error::{ShadingError, warn};
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_numerics::plate_system::PlateError;
+use rilievo_scene::team::divided;
 use rilievo_scene::{Checkpoint, Event, Flow, Observer, Scratch, ShadedViews, StageId};
 use rilievo_stereo::between_levels;
 use rilievo_stereo::consensus;
 use rilievo_stereo::surfaces::Reading;
 use rilievo_stereo::{sharpness, specks, spread, start};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::sync::Arc;
 
 /// Receives the shape after each step, for measurement.
-pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + 'a;
+pub type Probe<'a> = dyn Fn(&str, &ShadedViews) + Sync + 'a;
 
 /// Everything that the steps of a run share.
 pub(crate) struct Course<'a> {
@@ -54,6 +57,30 @@ impl Course<'_> {
     pub(crate) fn warn(&mut self, message: String) -> Result<(), ShadingError> {
         self.warnings.push(message.clone());
         warn(self.observer, message)
+    }
+
+    /// Works on all views, divided among the processes of the run, as many at once as the memory allows when each takes
+    /// `bytes_each`.
+    pub(crate) fn divided<T: Serialize + DeserializeOwned + Send>(
+        &self,
+        bytes_each: f64,
+        work: impl Fn(usize) -> Result<T, ShadingError> + Sync,
+    ) -> Result<Vec<T>, ShadingError> {
+        let views: Vec<usize> = (0..self.scene.frames.len()).collect();
+        self.divided_among(&views, bytes_each, work)
+    }
+
+    /// [`Self::divided`], of some views.
+    pub(crate) fn divided_among<T: Serialize + DeserializeOwned + Send>(
+        &self,
+        views: &[usize],
+        bytes_each: f64,
+        work: impl Fn(usize) -> Result<T, ShadingError> + Sync,
+    ) -> Result<Vec<T>, ShadingError> {
+        let at_once = memory::at_once(self.options, self.scene.bytes(), bytes_each);
+        divided(self.observer.team(), views.len(), at_once, |k| {
+            work(views[k])
+        })
     }
 
     /// Notes once what the data could not tell.
@@ -159,24 +186,17 @@ impl Course<'_> {
         depths: &[Vec<f64>],
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
-        let filled: Vec<_> = (0..fine.views.len())
-            .into_par_iter()
-            .with_max_len(1)
-            .map(|i| {
-                let (values, known) =
-                    between_levels::upsample(&coarse.views[i], &fine.views[i], &depths[i]);
-                let weight: Vec<f64> = known.iter().map(|&k| f64::from(u8::from(k))).collect();
-                let solver = solvers.of(i, &fine.views[i].pixels)?;
-                start::fill(&fine.views[i], &solver, &values, &weight, 1.0, 1e-5, |_| {
-                    false
+        self.divided(memory::solve_bytes(fine), |i| {
+            let (coarse, fine) = (&coarse.views[i], &fine.views[i]);
+            let (values, known) = between_levels::upsample(coarse, fine, &depths[i]);
+            let weight: Vec<f64> = known.iter().map(|&k| f64::from(u8::from(k))).collect();
+            solvers
+                .of(i, &fine.pixels)
+                .and_then(|solver| {
+                    start::fill(fine, &solver, &values, &weight, 1.0, 1e-5, |_| false)
                 })
-            })
-            .collect();
-        filled
-            .into_iter()
-            .enumerate()
-            .map(|(i, r)| r.map_err(|e| self.failed(i, &e)))
-            .collect()
+                .map_err(|e| self.failed(i, &e))
+        })
     }
 
     /// The surface at the next coarser level.

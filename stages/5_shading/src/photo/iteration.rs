@@ -3,13 +3,13 @@
 use super::course::Course;
 use super::light::Light;
 use super::matching::{Likeness, MatchOptions};
+use super::memory;
 use super::report::StepReport;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions, StepOutcome};
 use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::SolverSet;
-use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
 use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::plate;
@@ -163,8 +163,8 @@ impl MatchLeft {
 }
 
 /// A view after a Gauss-Newton round.
+#[derive(Serialize, Deserialize)]
 struct Improved {
-    index: usize,
     /// New log depths.
     depth: Vec<f64>,
     /// Mean change of log depth, and mean turn of the normals, radians.
@@ -178,11 +178,10 @@ struct Improved {
 }
 
 impl Improved {
-    fn of(view: &LevelView, index: usize, before: &[f64], outcome: StepOutcome) -> Self {
+    fn of(view: &LevelView, before: &[f64], outcome: StepOutcome) -> Self {
         let matches = &outcome.matches;
         let alone = matches.num_visible.iter().filter(|&&n| n == 0).count();
         Self {
-            index,
             moved: plate::mean_move(before, &outcome.depth),
             turned: plate::mean_turn(view, before, &outcome.depth),
             residuals: matches.some_residuals().collect(),
@@ -235,6 +234,7 @@ impl Course<'_> {
             ..StepReport::default()
         };
         let start = depths.to_vec();
+        let mut seen_alone = vec![0.0; depths.len()];
         let max_num_rounds = self.options.max_num_rounds;
         for round in 0..max_num_rounds {
             self.tell(kind, round, max_num_rounds)?;
@@ -243,47 +243,29 @@ impl Course<'_> {
             let mut likeness = Likeness::default();
             for parity in 0..2 {
                 let surfaces = Surfaces::new(level, depths, self.reading());
-                let outcomes: Vec<Result<Improved, (usize, PlateError)>> = (parity
-                    ..level.views.len())
-                    .step_by(2)
-                    .collect::<Vec<_>>()
-                    .into_par_iter()
-                    .with_max_len(1)
-                    .map(|i| {
-                        let view = &level.views[i];
-                        let solver = solvers.of(i, &view.pixels).map_err(|e| (i, e))?;
-                        let harmonics = light.map(|light| scene.harmonics(light, i, at));
-                        let shading = light.zip(harmonics.as_ref()).zip(weights.shading);
-                        let term = shading.map(|((light, harmonics), weights)| {
-                            ShadingTerm::new(
-                                level,
-                                i,
-                                &depths[i],
-                                &surfaces.rasters,
-                                &light.of(i, harmonics),
-                                &weights,
-                            )
-                        });
-                        let outcome = step::improve(
-                            &surfaces,
-                            i,
-                            &solver,
-                            &depths[i],
-                            term.as_ref(),
-                            &options,
-                        )
-                        .map_err(|e| (i, e))?;
-                        Ok(Improved::of(view, i, &depths[i], outcome))
-                    })
-                    .collect();
-                for outcome in outcomes {
-                    let improved = outcome.map_err(|(i, e)| self.failed(i, &e))?;
+                let views: Vec<usize> = (parity..level.views.len()).step_by(2).collect();
+                let improved = self.divided_among(&views, memory::solve_bytes(level), |i| {
+                    let (view, depth) = (&level.views[i], &depths[i]);
+                    let harmonics = light.map(|light| scene.harmonics(light, i, at));
+                    let shading = light.zip(harmonics.as_ref()).zip(weights.shading);
+                    let term = shading.map(|((light, harmonics), weights)| {
+                        let of_view = light.of(i, harmonics);
+                        ShadingTerm::new(level, i, depth, &surfaces.rasters, &of_view, &weights)
+                    });
+                    let solver = solvers.of(i, &view.pixels);
+                    let outcome = solver.and_then(|solver| {
+                        step::improve(&surfaces, i, &solver, depth, term.as_ref(), &options)
+                    });
+                    let outcome = outcome.map_err(|e| self.failed(i, &e))?;
+                    Ok(Improved::of(view, depth, outcome))
+                })?;
+                for (i, improved) in views.into_iter().zip(improved) {
                     moved += improved.moved;
                     turned += improved.turned;
                     residuals.extend(improved.residuals);
                     likeness.add(improved.likeness);
-                    self.report.views[improved.index].seen_alone = improved.seen_alone;
-                    depths[improved.index] = improved.depth;
+                    seen_alone[i] = improved.seen_alone;
+                    depths[i] = improved.depth;
                 }
             }
             let level = self.scene.level(at);
@@ -298,6 +280,9 @@ impl Course<'_> {
             if is_still && keeps_normals {
                 break;
             }
+        }
+        for (view, share) in self.report.views.iter_mut().zip(seen_alone) {
+            view.seen_alone = share;
         }
         let turned = mean_turn_deg(self.scene.level(at), &start, depths);
         record.turned_in_all_deg = turned;

@@ -19,7 +19,10 @@ use rilievo_photometry::visibility::{
     DepthView, EmittingSphere, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Transfer,
     Volume, directions, fit_environment, transfer,
 };
-use rilievo_scene::{Intrinsics, LightKind, Lighting, RigidTransform, SphericalHarmonics};
+use rilievo_scene::team::divided;
+use rilievo_scene::{
+    Intrinsics, LightKind, Lighting, RigidTransform, SphericalHarmonics, Team, TeamError,
+};
 use rilievo_stereo::between_levels;
 use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::plate;
@@ -82,6 +85,8 @@ pub(crate) struct LightScene<'a> {
     pub known: &'a KnownLight,
     pub ground: Option<&'a Ground>,
     pub num_rays: usize,
+    /// The processes among which the views' rays are divided.
+    pub team: &'a dyn Team,
 }
 
 /// The environment's directions in the world: the same for all views where the light is fixed in the
@@ -115,8 +120,10 @@ impl Rays {
 
 /// Voxels along the object's longest side.
 const MAX_VOXELS: usize = 224;
-/// Object pixels of a view on which the environment is fitted.
+/// Object pixels of a view on which the environment is fitted, and of all views together: the light is the same for all,
+/// so that many views tell no more of it.
 pub(crate) const FIT_PIXELS: usize = 3000;
+const MAX_FIT_PIXELS: usize = 96_000;
 /// Smoothness of the environment, relative.
 const SMOOTHNESS: f64 = 1e-3;
 /// Relative depth, in pixel footprints, at which another view's intensity counts half.
@@ -152,7 +159,7 @@ pub(crate) fn with_residuals(
                 .map(|p| {
                     let mut rgb = view.intensity(p);
                     if let Some(pigment) = &pigment {
-                        rgb = divided(rgb, pigment.relative[i][p]);
+                        rgb = without_pigment(rgb, pigment.relative[i][p]);
                     }
                     relative(&harmonics[i][p], normals[i][p], rgb)
                 })
@@ -174,7 +181,7 @@ pub(crate) fn with_residuals(
     }
 }
 
-fn divided(rgb: [f32; 3], albedo: [f32; 3]) -> [f32; 3] {
+fn without_pigment(rgb: [f32; 3], albedo: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|c| rgb[c] / albedo[c].max(0.1))
 }
 
@@ -194,7 +201,7 @@ pub(crate) fn visible(
     depths: &[Vec<f64>],
     rays_at: &Level,
     scene: &LightScene,
-) -> Option<Light> {
+) -> Result<Option<Light>, TeamError> {
     let coarse: Vec<Vec<f64>> = (0..level.views.len())
         .into_par_iter()
         .map(|i| reduce_depth(&level.views[i], &rays_at.views[i], &depths[i]))
@@ -220,8 +227,10 @@ pub(crate) fn visible_on(
     rays_at: &Level,
     (coarse, coarse_normals): Shape,
     scene: &LightScene,
-) -> Option<Light> {
-    let volume = Volume::carve(&depth_views(level, depths), MAX_VOXELS)?;
+) -> Result<Option<Light>, TeamError> {
+    let Some(volume) = Volume::carve(&depth_views(level, depths), MAX_VOXELS) else {
+        return Ok(None);
+    };
     let known = scene.known;
     let surroundings = Surroundings {
         volume,
@@ -229,27 +238,28 @@ pub(crate) fn visible_on(
         ground: scene.ground.cloned(),
     };
     let rays = Rays::new(scene.num_rays, known.kind, level);
-    let transfers: Vec<Vec<_>> = (0..rays_at.views.len())
-        .map(|i| {
-            let view = &rays_at.views[i];
-            (0..view.pixels.len())
-                .into_par_iter()
-                .with_min_len(128)
-                .map(|p| {
-                    let (x, y) = view.xy(p);
-                    let at = view.camera.unproject(x, y, coarse[i][p].exp()).coords;
-                    let n = coarse_normals[i][p];
-                    let n = view.camera.rotation.tr_mul(&Vector3::new(n[0], n[1], n[2]));
-                    let (at, n) = (at.map(|v| v as f32), n.map(|v| v as f32));
-                    let offset = surroundings.volume.start_height(&at, &n);
-                    transfer(&surroundings, &at, &n, rays.of(i), offset, None)
-                })
-                .collect()
-        })
-        .collect();
+    let transfers = divided(scene.team, rays_at.views.len(), 1, |i| {
+        let view = &rays_at.views[i];
+        let of_view: Vec<Transfer> = (0..view.pixels.len())
+            .into_par_iter()
+            .with_min_len(128)
+            .map(|p| {
+                let (x, y) = view.xy(p);
+                let at = view.camera.unproject(x, y, coarse[i][p].exp()).coords;
+                let n = coarse_normals[i][p];
+                let n = view.camera.rotation.tr_mul(&Vector3::new(n[0], n[1], n[2]));
+                let (at, n) = (at.map(|v| v as f32), n.map(|v| v as f32));
+                let offset = surroundings.volume.start_height(&at, &n);
+                transfer(&surroundings, &at, &n, rays.of(i), offset, None)
+            })
+            .collect();
+        Ok::<_, TeamError>(of_view)
+    })?;
+    let num_views = rays_at.views.len();
+    let fit_pixels = FIT_PIXELS.min(MAX_FIT_PIXELS / num_views.max(1)).max(1);
     let (mut samples, mut owners) = (Vec::new(), Vec::new());
     for (i, view) in rays_at.views.iter().enumerate() {
-        let step = (view.pixels.len() / FIT_PIXELS).max(1);
+        let step = (view.pixels.len() / fit_pixels).max(1);
         for p in (0..view.pixels.len()).step_by(step) {
             let intensity = view.intensity(p);
             if !view.is_usable(p) || intensity.iter().sum::<f32>() < 1e-4 {
@@ -266,7 +276,7 @@ pub(crate) fn visible_on(
         }
     }
     let num_points: usize = known.groups.iter().map(|group| group.points.len()).sum();
-    let weight = KNOWN_SHARE * FIT_PIXELS as f32 / num_points.max(1) as f32;
+    let weight = KNOWN_SHARE * fit_pixels as f32 / num_points.max(1) as f32;
     let mut of_groups = Vec::with_capacity(known.groups.len());
     for group in &known.groups {
         let extra: Vec<EnvironmentSample> = group
@@ -298,13 +308,18 @@ pub(crate) fn visible_on(
     // What comes from elsewhere may be of another strength, which object and spheres tell.
     let is_open = |(_, group): &(_, &KnownGroup)| group.sphere.is_none();
     if let Some((range, _)) = of_groups.iter().zip(&known.groups).find(is_open) {
-        let of_scene = fit_environment(&samples[..range.start], rays.of(0), SMOOTHNESS)?;
+        let of_scene = fit_environment(&samples[..range.start], rays.of(0), SMOOTHNESS);
+        let Some(of_scene) = of_scene else {
+            return Ok(None);
+        };
         let ratio = known_ratio(&samples[range.clone()], &of_scene);
         for sample in &mut samples[range.clone()] {
             sample.intensity = std::array::from_fn(|c| sample.intensity[c] / ratio[c].max(1e-6));
         }
     }
-    let mut fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
+    let Some(mut fit) = fit_environment(&samples, rays.of(0), SMOOTHNESS) else {
+        return Ok(None);
+    };
     let interpolated = |fit: &EnvironmentFit| -> Vec<Vec<PixelHarmonics>> {
         (0..level.views.len())
             .map(|i| {
@@ -349,14 +364,17 @@ pub(crate) fn visible_on(
             .map(|i| reduce(&level.views[i], &rays_at.views[i], &pigment.relative[i]))
             .collect();
         for (sample, &(i, p)) in samples.iter_mut().zip(&owners) {
-            sample.intensity = divided(sample.intensity, relative[i][p]);
+            sample.intensity = without_pigment(sample.intensity, relative[i][p]);
         }
         for (range, ratio) in of_groups.into_iter().zip(ratios) {
             for sample in &mut samples[range] {
-                sample.intensity = divided(sample.intensity, ratio);
+                sample.intensity = without_pigment(sample.intensity, ratio);
             }
         }
-        fit = fit_environment(&samples, rays.of(0), SMOOTHNESS)?;
+        let Some(again) = fit_environment(&samples, rays.of(0), SMOOTHNESS) else {
+            return Ok(None);
+        };
+        fit = again;
         light = of_fit(&fit);
     }
     let pigment = albedo::estimate(level, depths, &|i| light.own(i), light.mean_tolerance);
@@ -376,7 +394,7 @@ pub(crate) fn visible_on(
             light.pigment.as_ref(),
         ));
     }
-    Some(light)
+    Ok(Some(light))
 }
 
 /// Nine harmonics of what falls on a surface in the open, in the environment's own frame.

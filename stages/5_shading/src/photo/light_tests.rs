@@ -9,9 +9,9 @@ use super::views::{self, Scene};
 use super::{distant, shading, surround};
 use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_scene::{
-    DepthMap, FocalSource, InMemoryPixels, Intrinsics, LightKind, LinearImage, LocatedSphere,
-    MarkedSphere, MemoryScratch, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews,
-    RigidTransform,
+    Alone, DepthMap, FocalSource, InMemoryPixels, Intrinsics, LightKind, LinearImage,
+    LocatedSphere, MarkedSphere, MemoryScratch, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView,
+    PosedViews, RigidTransform,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -200,6 +200,7 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
         known: &known_light(&truth.photos, &truth.posed, LightKind::World, &[]),
         ground: ground.as_ref(),
         num_rays,
+        team: &Alone,
     };
     let nine = distant::fit(level, &depths, LightKind::World).unwrap();
     let rays = light::visible_on(
@@ -209,6 +210,7 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
         (&coarse, &rough),
         &scene,
     )
+    .unwrap()
     .unwrap();
     [nine, rays].map(|light| {
         if let Some(p) = &light.pigment {

@@ -12,6 +12,7 @@ use rayon::prelude::*;
 use rilievo_scene::Raster;
 use rilievo_stereo::level::Level;
 use rilievo_stereo::sampling;
+use serde::{Deserialize, Serialize};
 
 /// How the photos are compared.
 #[derive(Clone, Copy, Debug)]
@@ -42,7 +43,7 @@ pub(crate) struct MatchTerms {
 }
 
 /// Sums over neighbours in a row from which the correlation of a quantity between them follows.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Likeness {
     squares: f64,
     products: f64,

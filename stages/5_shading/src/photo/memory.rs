@@ -7,6 +7,7 @@ use super::views::Scene;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
 use rilievo_scene::{PhotoSet, PosedView, PosedViews};
+use rilievo_stereo::level::Level;
 use rilievo_stereo::stored::StoredView;
 use rilievo_stereo::tile::MARGIN_PX;
 use rilievo_stereo::window::Window;
@@ -16,18 +17,19 @@ pub(crate) const CORE_PX: usize = 768;
 
 /// A pixel of a view's crop over all levels: colours, grey, numbers of pixels, marks.
 const CROP_BYTES: f64 = 4.0 / 3.0 * 25.0;
-/// A masked pixel over all levels: its place, log depth and whether it is known, twice while a level begins.
-const MASKED_BYTES: f64 = 4.0 / 3.0 * 8.0 + 2.5 * 9.0;
+/// A masked pixel at the finest level that is solved as a whole: its place, log depths of three steps, surfaces, pigment,
+/// and the light of a quarter of the pixels.
+const MASKED_BYTES: f64 = 120.0;
 /// A pixel of a tile with what its sources see, while its step is solved.
 const TILE_BYTES: f64 = 650.0;
 /// A pixel of a view's crop while its surface goes from one level to the next.
 const VIEW_BYTES: f64 = 60.0;
 /// A masked pixel of a view whose system is factorised.
 const FACTOR_BYTES: f64 = 1300.0;
+/// A masked pixel of a view that is searched.
+const SEARCH_BYTES: f64 = 250.0;
 /// A masked pixel of a view whose solver is kept.
 const SOLVER_BYTES: f64 = 150.0;
-/// A masked pixel at a level that is solved as a whole, in all views: system, factors, light.
-const WHOLE_BYTES: f64 = 900.0;
 /// A pixel of a photo whose maps are made and written, or that is loaded.
 const FRAME_BYTES: f64 = 75.0;
 
@@ -64,27 +66,31 @@ impl Sizes {
         Ok(sizes)
     }
 
-    /// Masked pixels of all views at the finest level that is solved as a whole.
-    fn whole(&self, options: &PhotoOptions) -> f64 {
-        let mut mean = self.masked / self.num_views.max(1) as f64;
-        while mean > options.max_fine_pixels.max(options.coarse_pixels) as f64 {
-            mean /= 4.0;
+    /// Share of the pixels that the finest level has which is solved as a whole.
+    fn whole_share(&self, options: &PhotoOptions) -> f64 {
+        let mean = self.masked / self.num_views.max(1) as f64;
+        let mut share = 1.0;
+        while mean * share > options.max_fine_pixels.max(options.coarse_pixels) as f64 {
+            share /= 4.0;
         }
-        mean * self.num_views as f64
+        share
     }
 
     /// The smallest memory with which the run can go on to its end.
     fn needed(&self, options: &PhotoOptions) -> f64 {
+        let share = self.whole_share(options);
         let at_a_time = [
             tile_bytes(),
-            WHOLE_BYTES * self.whole(options),
+            FACTOR_BYTES * share * self.masked / self.num_views.max(1) as f64,
             FRAME_BYTES * self.largest_frame,
         ];
-        resident(self.crops, self.masked) + at_a_time.into_iter().fold(0.0, f64::max)
+        resident(share * self.crops, share * self.masked)
+            + at_a_time.into_iter().fold(0.0, f64::max)
     }
 }
 
-/// Memory that is in use throughout, for the pixels of all views' crops and the masked ones among them.
+/// Memory that is in use throughout, for the pixels of all views' crops and the masked ones among them at the finest level
+/// that is solved as a whole.
 pub(crate) fn resident(crops: f64, masked: f64) -> f64 {
     CROP_BYTES * crops + MASKED_BYTES * masked
 }
@@ -113,34 +119,47 @@ pub(crate) fn refuse_too_little(
     }
 }
 
-/// Items of `bytes_each` that may be worked on at once, at least one and at most `most`: the memory given, if any, less
-/// what is `in_use`.
-fn at_once(options: &PhotoOptions, in_use: f64, bytes_each: f64, most: usize) -> usize {
-    let Some(given) = options.memory else {
-        return most;
-    };
-    (((given as f64 - in_use) / bytes_each).max(1.0) as usize).min(most)
+/// Items of `bytes_each` that may be worked on at once, at least one: the memory given, less what is `in_use`; any number
+/// where none is given.
+pub(crate) fn at_once(options: &PhotoOptions, in_use: f64, bytes_each: f64) -> usize {
+    options.memory.map_or(usize::MAX, |given| {
+        ((given as f64 - in_use) / bytes_each).max(1.0) as usize
+    })
+}
+
+/// Masked pixels of a level's largest view.
+fn largest(level: &Level) -> f64 {
+    let largest = level.views.iter().map(|view| view.pixels.len()).max();
+    largest.unwrap_or(0) as f64
+}
+
+/// Memory of a view of a level whose system is made and solved exactly.
+pub(crate) fn solve_bytes(level: &Level) -> f64 {
+    FACTOR_BYTES * largest(level)
+}
+
+/// Memory of a view of a level that is searched.
+pub(crate) fn search_bytes(level: &Level) -> f64 {
+    SEARCH_BYTES * largest(level)
 }
 
 /// Photos that may be loaded at once.
 pub(crate) fn photos_at_once(posed: &PosedViews, options: &PhotoOptions) -> usize {
     let frame = |view: &PosedView| view.intrinsics.width * view.intrinsics.height;
     let largest = posed.views.iter().map(frame).max().unwrap_or(1);
-    let threads = rayon::current_num_threads();
-    at_once(options, 0.0, FRAME_BYTES * largest as f64, threads)
+    at_once(options, 0.0, FRAME_BYTES * largest as f64).min(rayon::current_num_threads())
 }
 
 /// Tiles that may be worked on at once.
 pub(crate) fn tiles_at_once(options: &PhotoOptions, scene: &Scene) -> usize {
     let most = 2 * rayon::current_num_threads();
-    at_once(options, scene.bytes(), tile_bytes(), most)
+    at_once(options, scene.bytes(), tile_bytes()).min(most)
 }
 
 /// Whether exact solvers of all views at a level may be kept between the rounds.
 pub(crate) fn keeps_solvers(scene: &Scene, at: usize, options: &PhotoOptions) -> bool {
     let masked: usize = scene.level(at).views.iter().map(|v| v.pixels.len()).sum();
-    let largest = scene.level(at).views.iter().map(|v| v.pixels.len()).max();
-    let in_work = FACTOR_BYTES * (largest.unwrap_or(0) * rayon::current_num_threads()) as f64;
+    let in_work = solve_bytes(scene.level(at)) * rayon::current_num_threads() as f64;
     let in_use = scene.bytes() + in_work + SOLVER_BYTES * masked as f64;
     options.memory.is_none_or(|given| given as f64 > in_use)
 }
@@ -149,8 +168,7 @@ pub(crate) fn keeps_solvers(scene: &Scene, at: usize, options: &PhotoOptions) ->
 pub(crate) fn views_at_once(scene: &Scene, at: usize, options: &PhotoOptions) -> usize {
     let crop = |view: &StoredView| view.size(at).0 * view.size(at).1;
     let largest = scene.stored.iter().map(crop).max().unwrap_or(1);
-    let threads = rayon::current_num_threads();
-    at_once(options, scene.bytes(), VIEW_BYTES * largest as f64, threads)
+    at_once(options, scene.bytes(), VIEW_BYTES * largest as f64).min(rayon::current_num_threads())
 }
 
 #[cfg(test)]
@@ -168,7 +186,7 @@ mod tests {
     fn tiles_are_as_many_as_fit_and_at_least_one() {
         let most = 2 * rayon::current_num_threads();
         let in_use = 1e9;
-        let tiles = |options: &PhotoOptions| at_once(options, in_use, tile_bytes(), most);
+        let tiles = |options: &PhotoOptions| at_once(options, in_use, tile_bytes()).min(most);
         assert_eq!(tiles(&PhotoOptions::default()), most);
         assert_eq!(tiles(&given(1e12)), most);
         assert_eq!(tiles(&given(in_use)), 1);

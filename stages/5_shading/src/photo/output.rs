@@ -1,6 +1,8 @@
 //! Maps on the photos' own pixels.
 
-use super::appearance::Appearance;
+use super::appearance::{self, Appearance};
+use super::confidence;
+use super::light::Light;
 use super::views::Scene;
 use crate::error::ShadingError;
 use rayon::prelude::*;
@@ -8,7 +10,7 @@ use rilievo_scene::{
     ConfidenceMap, DepthMap, LinearImage, NormalMap, Raster, ScratchError, ShadedView, ShadedViews,
 };
 use rilievo_stereo::between_levels;
-use rilievo_stereo::level::ViewGrid;
+use rilievo_stereo::level::{ViewGrid, depth_rasters};
 use rilievo_stereo::stored::StoredSurface;
 use rilievo_stereo::{plate, spread};
 use serde::{Deserialize, Serialize};
@@ -79,24 +81,40 @@ impl FineShape {
 pub struct ShapedViews {
     scene: Scene,
     shape: FoundShape,
-    /// Level of the appearances.
-    at: usize,
-    /// Per view; none where nothing but the surface is asked for.
-    appearances: Vec<Appearance>,
+    /// Log depths at the finest level that was solved as a whole, at which light and pigment are known.
+    depths: Vec<Vec<f64>>,
+    /// The same as rasters.
+    rasters: Vec<Raster<f32>>,
+    light: Option<Light>,
 }
 
 impl ShapedViews {
     pub(crate) fn new(
         scene: Scene,
         shape: FoundShape,
-        (at, appearances): (usize, Vec<Appearance>),
+        depths: Vec<Vec<f64>>,
+        light: Option<Light>,
     ) -> Self {
+        let rasters = depth_rasters(&scene.pyramid[0], &depths);
         Self {
             scene,
             shape,
-            at,
-            appearances,
+            depths,
+            rasters,
+            light,
         }
+    }
+
+    /// What shape, light and pigment make of a view at the finest level that was solved as a whole.
+    fn appearance(&self, i: usize) -> Appearance {
+        let scene = &self.scene;
+        let (level, depth) = (&scene.pyramid[0], &self.depths[i]);
+        let mut appearance = self.light.as_ref().map_or_else(Default::default, |light| {
+            let harmonics = scene.harmonics(light, i, scene.finest);
+            appearance::render(level, i, depth, &self.rasters, light, &harmonics)
+        });
+        appearance.confidence = confidence::estimate(level, i, depth, &self.rasters, &appearance);
+        appearance
     }
 
     /// Number of views.
@@ -109,8 +127,8 @@ impl ShapedViews {
     /// # Errors
     /// [`ShadingError::Scratch`] when they cannot be read back.
     pub fn view(&self, index: usize) -> Result<ShadedView, ShadingError> {
-        let appearance = self.appearances.get(index).map(|a| (self.at, a));
-        Ok(maps(&self.scene, &self.shape, index, appearance)?)
+        let appearance = self.appearance(index);
+        Ok(maps(&self.scene, &self.shape, index, Some(&appearance))?)
     }
 
     /// All maps of all views.
@@ -126,13 +144,13 @@ impl ShapedViews {
     }
 }
 
-/// Maps of a view from its surface, and from an appearance at a level of its own where there is one; coarser levels are
-/// interpolated, and the rim that has no parents continues its neighbours.
+/// Maps of a view from its surface, and from an appearance at the finest level that is solved as a whole where there is
+/// one; coarser levels are interpolated, and the rim that has no parents continues its neighbours.
 pub(crate) fn maps(
     scene: &Scene,
     shape: &FoundShape,
     i: usize,
-    appearance: Option<(usize, &Appearance)>,
+    appearance: Option<&Appearance>,
 ) -> Result<ShadedView, ScratchError> {
     let (frame, stored) = (&scene.frames[i], &scene.stored[i]);
     let mut grid = stored.grid(shape.at())?;
@@ -157,7 +175,7 @@ pub(crate) fn maps(
         *normal.at_mut(x, y) = n.map(|v| v as f32);
     }
     drop((values, known, normals));
-    let images = appearance.map(|(at, of_view)| images(scene, at, i, of_view, &grid, &depth));
+    let images = appearance.map(|of_view| images(scene, i, of_view, &grid, &depth));
     drop(grid);
     if !frame.rectification.is_identity() {
         (depth, normal) = frame
@@ -181,7 +199,6 @@ pub(crate) fn maps(
 /// Confidence, and where there are any the rendered image and the albedo, on the photo's own pixels.
 fn images(
     scene: &Scene,
-    at: usize,
     index: usize,
     appearance: &Appearance,
     finest: &ViewGrid,
@@ -202,8 +219,8 @@ fn images(
             row
         })
         .collect();
-    let mut parent = scene.stored[index].grid(at)?;
-    for finer in (0..at).rev() {
+    let mut parent = scene.stored[index].grid(scene.finest)?;
+    for finer in (0..scene.finest).rev() {
         let child = scene.stored[index].grid(finer)?;
         values = spread::spread(&parent, &child, &values);
         parent = child;

@@ -24,6 +24,7 @@ use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
 use rilievo_scene::ScratchError;
+use rilievo_scene::team::divided;
 use rilievo_stereo::consensus::fused_view;
 use rilievo_stereo::level::{Level, ViewGrid};
 use rilievo_stereo::spread::Parents;
@@ -32,6 +33,7 @@ use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::tile::{self, Tile};
 use rilievo_stereo::window::Window;
 use rilievo_stereo::{between_levels, plate, specks};
+use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::time::Instant;
 
@@ -84,6 +86,7 @@ pub(super) struct ViewAtLevel<'a> {
 }
 
 /// What a tile's step gave.
+#[derive(Serialize, Deserialize)]
 pub(super) struct TileStep {
     /// Places of its pixels in the whole view's raster.
     pub places: Vec<u32>,
@@ -267,30 +270,23 @@ impl Course<'_> {
         let truncation = FUSION_PX / level.focal();
         let reading = self.reading();
         let at_once = memory::tiles_at_once(self.options, scene);
+        let team = self.observer.team();
         let fused = StoredSurface::new(&scene.stored, at, self.scratch)?;
         for i in 0..scene.frames.len() {
             let grid = scene.stored[i].grid(at)?;
             let (mut values, known) = fine.of_view(i, &grid)?;
-            for cores in tile::cores(&grid, memory::CORE_PX).chunks(at_once) {
-                let parts: Vec<Result<Vec<(u32, f64)>, ScratchError>> = cores
-                    .par_iter()
-                    .with_max_len(1)
-                    .map(|core| {
-                        let tile = Tile::cut(&level, i, core)?;
-                        let surfaces = Surfaces::new(&tile.level, &tile.depths, reading);
-                        let found = fused_view(&surfaces, 0, &tile.depths[0], truncation);
-                        let places = tile.places.iter().zip(found).enumerate();
-                        Ok(places
-                            .filter(|(p, _)| tile.is_in(core, *p))
-                            .map(|(_, (&place, value))| (place, value))
-                            .collect())
-                    })
-                    .collect();
-                for part in parts {
-                    for (place, value) in part? {
-                        values[grid.pixels.number[place as usize] as usize] = value;
-                    }
-                }
+            let cores = tile::cores(&grid, memory::CORE_PX);
+            let parts = divided(team, cores.len(), at_once, |k| {
+                let tile = Tile::cut(&level, i, &cores[k])?;
+                let surfaces = Surfaces::new(&tile.level, &tile.depths, reading);
+                let found = fused_view(&surfaces, 0, &tile.depths[0], truncation);
+                let places = tile.places.iter().zip(found).enumerate();
+                let inside = places.filter(|(p, _)| tile.is_in(&cores[k], *p));
+                let part: Vec<(u32, f64)> = inside.map(|(_, (&p, value))| (p, value)).collect();
+                Ok::<_, ShadingError>(part)
+            })?;
+            for (place, value) in parts.into_iter().flatten() {
+                values[grid.pixels.number[place as usize] as usize] = value;
             }
             fused.put(i, &grid.pixels, &values, Some(&known))?;
         }
@@ -412,6 +408,7 @@ impl Course<'_> {
         };
         let num_views = level.views.len();
         let num_rounds = self.options.num_relief_rounds;
+        let team = self.observer.team();
         let at_once = memory::tiles_at_once(self.options, scene);
         let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
         let mut likeness = Likeness::default();
@@ -439,18 +436,15 @@ impl Course<'_> {
             // Progress counts tiles, as if all views had as many.
             let total = num_rounds * num_views * cores.len();
             let mut num_done = (rounds.num_done * num_views + place) * cores.len();
-            for cores in cores.chunks(at_once) {
+            for cores in cores.chunks(at_once * team.size()) {
                 self.tell(KIND, num_done, total)?;
-                let steps: Vec<Result<TileStep, TileError>> = cores
-                    .par_iter()
-                    .with_max_len(1)
-                    .map(|core| view.step(core))
-                    .collect();
-                for step in steps {
-                    let step = step.map_err(|error| match error {
+                let steps: Vec<TileStep> = divided(team, cores.len(), at_once, |k| {
+                    view.step(&cores[k]).map_err(|error| match error {
                         TileError::Plate(error) => self.failed(i, &error),
-                        TileError::Scratch(error) => error.into(),
-                    })?;
+                        TileError::Scratch(error) => ShadingError::from(error),
+                    })
+                })?;
+                for step in steps {
                     for (p, &place) in step.places.iter().enumerate() {
                         let share = OVER_RELAXATION * f64::from(step.shares[p]);
                         let number = grid.pixels.number[place as usize] as usize;

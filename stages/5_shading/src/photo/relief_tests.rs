@@ -19,7 +19,7 @@ use crate::error::ShadingError;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
-    Checkpoint, CheckpointError, InMemoryPixels, LightKind, LightSource, Lighting,
+    Alone, Checkpoint, CheckpointError, InMemoryPixels, LightKind, LightSource, Lighting,
     LightingCalibration, LinearImage, MemoryScratch, NormalMap, Recorder, Silent,
     SphericalHarmonics, StatePart, ViewIdx, ViewLighting,
 };
@@ -61,8 +61,11 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
         known: &known_light(&world.photos, &world.posed, LightKind::World, &[]),
         ground: None,
         num_rays: 64,
+        team: &Alone,
     };
-    let light = light::visible(coarse, &reduced, coarse, &light_scene).unwrap();
+    let light = light::visible(coarse, &reduced, coarse, &light_scene)
+        .unwrap()
+        .unwrap();
     let start: Vec<Vec<f64>> = (0..fine.views.len())
         .map(|i| {
             let known = vec![true; reduced[i].len()];

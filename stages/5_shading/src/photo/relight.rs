@@ -1,15 +1,15 @@
 //! The light on the current shape, and the ground that it shines on.
 
-use super::appearance::Appearance;
 use super::course::Course;
 use super::distant;
 use super::iteration::IterationWeights;
 use super::known_light::KnownLight;
 use super::light::{self, Light, LightScene};
+use super::memory;
 use super::report::StepReport;
 use super::surround;
 use super::views::SolvedFrame;
-use super::{albedo, appearance, confidence, hidden_light, validation};
+use super::{albedo, hidden_light, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rilievo_numerics::plate_solver::SolverSet;
@@ -63,9 +63,10 @@ impl Course<'_> {
             known: &known,
             ground,
             num_rays: self.options.num_rays,
+            team: self.observer.team(),
         };
         let seen = if self.options.visibility {
-            light::visible(level, depths, rays_at, &scene)
+            light::visible(level, depths, rays_at, &scene)?
         } else {
             None
         };
@@ -134,8 +135,17 @@ impl Course<'_> {
         self.tell("leaving photos out", 0, 1)?;
         let options = self.step_options(at, weights);
         let level = self.scene.level(at);
-        let judged = validation::validate(level, solvers, depths, light, &shading, &options)
-            .map_err(|(i, e)| self.failed(i, &e))?;
+        let bytes = memory::solve_bytes(level);
+        let at_once = memory::at_once(self.options, self.scene.bytes(), bytes);
+        let judged = validation::validate(
+            level,
+            solvers,
+            depths,
+            light,
+            (&shading, &options),
+            (self.observer.team(), at_once),
+            |i, error| self.failed(i, error),
+        )?;
         let Some(judged) = judged else {
             self.note(
                 "no photo could be left out, so that shading is judged by the light's residual alone",
@@ -183,36 +193,17 @@ impl Course<'_> {
         light
     }
 
-    /// What the final shape and light make of every pixel, and the facts on it.
-    pub(crate) fn appearance(
-        &mut self,
-        at: usize,
-        depths: &[Vec<f64>],
-        light: Option<&Light>,
-    ) -> Vec<Appearance> {
-        let (scene, level) = (&self.scene, self.scene.level(at));
-        let rasters = rilievo_stereo::level::depth_rasters(level, depths);
-        let mut views = match light {
-            Some(light) => appearance::render(level, depths, &rasters, light, &|i| {
-                scene.harmonics(light, i, at)
-            }),
-            None => vec![Appearance::default(); level.views.len()],
-        };
-        for (i, view) in views.iter_mut().enumerate() {
-            view.confidence = confidence::estimate(level, i, &depths[i], &rasters, view);
+    /// The facts on the light that was used.
+    pub(crate) fn report_light(&mut self, light: &Light) {
+        for (view, residual) in self.report.views.iter_mut().zip(&light.residuals) {
+            view.light_residual = Some(*residual);
         }
-        if let Some(light) = light {
-            for (view, residual) in self.report.views.iter_mut().zip(&light.residuals) {
-                view.light_residual = Some(*residual);
-            }
-            self.report.pigment = light.pigment.as_ref().map(|p| p.explained);
-            let frames = self.scene.frames.iter().zip(&light.in_the_open);
-            self.report.light = frames
-                .zip(&light.residuals)
-                .map(|((frame, lighting), residual)| used(frame, lighting, *residual))
-                .collect();
-        }
-        views
+        self.report.pigment = light.pigment.as_ref().map(|p| p.explained);
+        let frames = self.scene.frames.iter().zip(&light.in_the_open);
+        self.report.light = frames
+            .zip(&light.residuals)
+            .map(|((frame, lighting), residual)| used(frame, lighting, *residual))
+            .collect();
     }
 }
 

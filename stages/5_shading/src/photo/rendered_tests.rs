@@ -14,7 +14,7 @@ use nalgebra::{Point2, Point3};
 use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
-    FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
+    Alone, FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
     MarkedSphere, MemoryScratch, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews,
     Silent, SphereLight,
 };
@@ -232,8 +232,11 @@ fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
         known: &known_light(&world.photos, &world.posed, LightKind::World, &[]),
         ground: None,
         num_rays: 128,
+        team: &Alone,
     };
-    light::visible(level, depths, rays_at, &light_scene).unwrap()
+    light::visible(level, depths, rays_at, &light_scene)
+        .unwrap()
+        .unwrap()
 }
 
 /// Median relative difference between light times pigment and the photos, away from the border.
@@ -305,8 +308,9 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
             &solvers,
             &truth,
             light,
-            &weights.shading.unwrap(),
-            &options,
+            (&weights.shading.unwrap(), &options),
+            (&Alone, usize::MAX),
+            |view, error| panic!("view {view}: {error}"),
         )
         .unwrap()
         .unwrap();

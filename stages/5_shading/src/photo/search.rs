@@ -6,6 +6,7 @@
 //! is as good as constant.
 
 use super::course::Course;
+use super::memory;
 use super::report::{PhotoViewReport, StepReport};
 use crate::error::ShadingError;
 use nalgebra::Point3;
@@ -13,8 +14,10 @@ use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
 use rilievo_stereo::patchmatch::{self, PatchCost, Planes};
-use rilievo_stereo::search::{self, Found, SearchOptions};
-use rilievo_stereo::start;
+use rilievo_stereo::search::{self, Search, SearchOptions};
+use rilievo_stereo::start::{self, Agreement};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::time::Instant;
 
 /// Relative noise of 8-bit photographs: no photos agree better than this.
@@ -33,8 +36,8 @@ impl Course<'_> {
         self.report.disagreement >= LARGE_DISAGREEMENT
     }
 
-    /// What `keep` takes of every view's planes at a level, compared with its sources.
-    pub(crate) fn dense_search<T: Send>(
+    /// What `keep` takes of every view's planes at a level, compared with its sources; `start` gives earlier ones.
+    pub(crate) fn dense_search<T: Serialize + DeserializeOwned + Send>(
         &self,
         at: usize,
         posed: &PosedViews,
@@ -53,10 +56,14 @@ impl Course<'_> {
             num_sweeps: self.options.num_sweeps,
             seed: self.options.seed,
         };
-        let level = self.scene.level(at);
-        let found = search::search_views(level, self.scene.masked, &points, start, &options, keep);
-        found.ok_or_else(|| ShadingError::NoDepth {
+        let (level, masked) = (self.scene.level(at), self.scene.masked);
+        let search = Search::new(level, masked, &points, start.is_some(), &options);
+        let search = search.ok_or_else(|| ShadingError::NoDepth {
             view: self.scene.frames[0].name.clone(),
+        })?;
+        self.divided(memory::search_bytes(level), |i| {
+            let start = start.map(|of_view| of_view(i));
+            Ok(keep(search.view(i, start.as_ref())))
         })
     }
 
@@ -160,6 +167,28 @@ impl Course<'_> {
         solvers: &SolverSet,
         depths: &[Vec<f64>],
     ) -> Result<Found, ShadingError> {
-        search::found(self.scene.level(at), solvers, depths).map_err(|(i, e)| self.failed(i, &e))
+        let level = self.scene.level(at);
+        let agreement = start::agreement(level, depths, search::agreement_tolerance(level));
+        let surface = self.divided(memory::solve_bytes(level), |i| {
+            let solver = solvers.of(i, &level.views[i].pixels);
+            solver
+                .and_then(|solver| search::continued(level, i, &solver, &depths[i], &agreement[i]))
+                .map_err(|e| self.failed(i, &e))
+        })?;
+        Ok(Found {
+            surface,
+            scatter_px: start::scatter(level, depths),
+            agreement,
+        })
     }
+}
+
+/// What a search found.
+pub(crate) struct Found {
+    /// Log depths of every view, continued over its mask.
+    pub surface: Vec<Vec<f64>>,
+    /// Which depths the views confirmed.
+    pub agreement: Vec<Agreement>,
+    /// Distance between the views' searched depths, pixel footprints.
+    pub scatter_px: f64,
 }

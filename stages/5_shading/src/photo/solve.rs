@@ -101,8 +101,10 @@ pub(crate) fn solve(
         }
     };
     course.use_sharpness(at);
-    let appearances = course.appearance(at, &reduced, light.as_ref());
-    let shaped = ShapedViews::new(course.scene, shape, (at, appearances));
+    if let Some(light) = &light {
+        course.report_light(light);
+    }
+    let shaped = ShapedViews::new(course.scene, shape, reduced, light);
     Ok((shaped, course.report))
 }
 

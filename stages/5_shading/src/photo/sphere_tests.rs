@@ -7,7 +7,7 @@ use super::known_light::KnownLight;
 use super::light::{self, Light, LightScene};
 use super::rendered_tests::{World, depths, known_light, loaded, miss, options, photographed};
 use super::views::Scene;
-use rilievo_scene::LightKind;
+use rilievo_scene::{Alone, LightKind};
 use rilievo_synthetic::{BallOptions, LightModel, Subject};
 
 /// The light at the true shape, by 128 rays.
@@ -17,8 +17,11 @@ fn light(scene: &Scene, truth: &[Vec<f64>], known: &KnownLight) -> Light {
         known,
         ground: None,
         num_rays: 128,
+        team: &Alone,
     };
-    light::visible(level, truth, &scene.pyramid[1], &light_scene).unwrap()
+    light::visible(level, truth, &scene.pyramid[1], &light_scene)
+        .unwrap()
+        .unwrap()
 }
 
 /// An ellipsoid with two spheres, the second one lit as by a lamp of its own.

@@ -17,11 +17,13 @@ use super::light::Light;
 use super::shading;
 use super::shading::{ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
+use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_numerics::robust::median;
-use rilievo_scene::Raster;
+use rilievo_scene::team::divided;
+use rilievo_scene::{Raster, Team};
 use rilievo_stereo::level::Level;
 use rilievo_stereo::surfaces::{Reading, Surfaces};
 use rilievo_stereo::{plate, sampling};
@@ -60,22 +62,21 @@ pub(crate) struct Validation {
 /// Judges shading at the surface `depths`; `None` where no photo can be left out.
 ///
 /// # Errors
-/// The view and why its system could not be solved.
+/// What `failed` makes of a view whose system could not be solved.
 pub(crate) fn validate(
     level: &Level,
     solvers: &SolverSet,
     depths: &[Vec<f64>],
     light: &Light,
-    weights: &ShadingWeights,
-    options: &StepOptions,
-) -> Result<Option<Validation>, (usize, PlateError)> {
+    (weights, options): (&ShadingWeights, &StepOptions),
+    (team, at_once): (&dyn Team, usize),
+    failed: impl Fn(usize, &PlateError) -> ShadingError + Sync,
+) -> Result<Option<Validation>, ShadingError> {
     // Without consensus only the depths count, for visibility; how they are read between pixels does not.
     let surfaces = Surfaces::new(level, depths, Reading::Bilinear);
     let rasters = &surfaces.rasters;
-    let judged: Vec<Result<Evidence, PlateError>> = (0..level.views.len())
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|i| {
+    let evidence = divided(team, level.views.len(), at_once, |i| {
+        let judged = || -> Result<Evidence, PlateError> {
             // Every source is left out by some view, whatever their order.
             let count = level.sources[i].len();
             if count < 2 {
@@ -108,12 +109,9 @@ pub(crate) fn validate(
                 rasters,
                 tolerance,
             ))
-        })
-        .collect();
-    let mut evidence = Vec::new();
-    for (i, result) in judged.into_iter().enumerate() {
-        evidence.push(result.map_err(|e| (i, e))?);
-    }
+        };
+        judged().map_err(|error| failed(i, &error))
+    })?;
     let report = summarise(&evidence);
     if report.num_pixels == 0 {
         return Ok(None);
@@ -126,6 +124,7 @@ pub(crate) fn validate(
 }
 
 /// Squared residuals against the left-out photo, without and with shading.
+#[derive(Serialize, Deserialize)]
 struct Evidence {
     squares: Vec<[f32; 2]>,
     seen: Vec<f32>,

@@ -104,14 +104,15 @@ pub fn check(
     options: &CheckOptions,
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, CheckError> {
-    let mut check = SurfaceCheck::new(photos, posed, used, options)?;
+    let check = SurfaceCheck::new(photos, posed, used, options)?;
+    let mut views = Vec::new();
     for view in &shaded.views {
         if observer.flow() == Flow::Stop {
             return Err(CheckError::Interrupted);
         }
-        check.add(view)?;
+        views.extend(check.view(view)?);
     }
-    Ok(check.finish())
+    Ok(check.finish(views))
 }
 
 /// [`check`] view by view, so that the maps of a large set need not be in memory at once.
@@ -121,7 +122,6 @@ pub struct SurfaceCheck<'a> {
     source: LightSource,
     used: &'a [ViewLighting],
     options: &'a CheckOptions,
-    views: Vec<ViewSurfaceReport>,
 }
 
 impl<'a> SurfaceCheck<'a> {
@@ -143,15 +143,14 @@ impl<'a> SurfaceCheck<'a> {
             source,
             used,
             options,
-            views: Vec::new(),
         })
     }
 
-    /// Compares a view.
+    /// Compares a view; `None` where it shows too little surface.
     ///
     /// # Errors
     /// When its photo cannot be read.
-    pub fn add(&mut self, view: &ShadedView) -> Result<(), CheckError> {
+    pub fn view(&self, view: &ShadedView) -> Result<Option<ViewSurfaceReport>, CheckError> {
         let options = self.options;
         let lighting = self.used.iter().find(|l| l.view == view.view);
         let photo = &self.photos.photos[self.posed.views[view.view.0].photo.0];
@@ -160,7 +159,7 @@ impl<'a> SurfaceCheck<'a> {
         let mask = photo.mask.as_deref();
         let pixels = surface_pixels(&image, mask, &view.normal, options.max_num_samples);
         if pixels.len() < options.min_num_pixels {
-            return Ok(());
+            return Ok(None);
         }
         let surface = Surface {
             image: &image,
@@ -168,14 +167,12 @@ impl<'a> SurfaceCheck<'a> {
             limit,
         };
         let lighting = lighting.map(|l| &l.lighting);
-        self.views
-            .extend(one_view(view, &surface, lighting, options));
-        Ok(())
+        Ok(one_view(view, &surface, lighting, options))
     }
 
     /// What all views together say.
-    pub fn finish(self) -> SurfaceReport {
-        let (mut views, options) = (self.views, self.options);
+    pub fn finish(&self, mut views: Vec<ViewSurfaceReport>) -> SurfaceReport {
+        let options = self.options;
         let mut gains: Vec<f64> = views.iter().map(|v| v.best_gain).collect();
         let albedo_factor = rilievo_numerics::robust::median(&mut gains);
         for view in &mut views {

@@ -16,6 +16,7 @@ use crate::level::{Level, LevelView};
 use crate::plate;
 use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_scene::{Mask, Raster};
+use serde::{Deserialize, Serialize};
 
 /// How patches are compared.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,7 +46,7 @@ pub struct PatchMatchOptions {
 }
 
 /// Inverse depth and plane slopes of every masked pixel.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Planes {
     /// `w₀`, one over the world's unit.
     pub inverse_depth: Vec<f32>,

@@ -1,12 +1,11 @@
 //! Dense search over all views of a level, inside their visual hull, and what the views confirm of it.
 
-use crate::hull::{self, Outline};
+use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
 use crate::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
 use crate::start::{self, Agreement};
 use nalgebra::Point3;
-use rayon::prelude::*;
-use rilievo_numerics::plate_solver::SolverSet;
+use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::Mask;
 
@@ -44,97 +43,88 @@ impl SearchOptions {
     }
 }
 
-/// What `keep` takes of the planes of every view, which are compared with its sources; `start` gives earlier ones of a
-/// view.
-///
-/// The object lies where the masks meet if all views are `masked`, else about `points` in the world. `None`
-/// where neither tells.
-pub fn search_views<T: Send>(
-    level: &Level,
-    masked: bool,
-    points: &[Point3<f64>],
-    start: Option<&(dyn Fn(usize) -> Planes + Sync)>,
-    options: &SearchOptions,
-    keep: impl Fn(Planes) -> T + Sync,
-) -> Option<Vec<T>> {
-    let outlines: Vec<Outline> = level.views.iter().map(|v| v.outline(masked)).collect();
-    let ranges: Vec<_> = hull::object_ranges(&outlines, points)
-        .into_iter()
-        .collect::<Option<_>>()?;
-    // A pixel of slack: masks of different views never meet exactly.
-    let masks: Vec<Mask> = level
-        .views
-        .iter()
-        .map(|v| hull::dilate(&v.mask, 1))
-        .collect();
-    let outlines: Vec<Outline> = outlines
-        .iter()
-        .zip(&masks)
-        .map(|(outline, mask)| Outline { mask, ..*outline })
-        .collect();
-    let num_sources = level.sources.iter().map(Vec::len).max().unwrap_or(1);
-    let options = options.of_view(num_sources, start.is_some());
-    let kept = (0..level.views.len())
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|i| {
-            let view = &level.views[i];
-            let positions: Vec<_> = (0..view.pixels.len()).map(|p| view.xy(p)).collect();
-            // The whole range where the masks contradict each other.
-            let ranges: Vec<_> = hull::ranges_inside(&outlines, i, &positions, ranges[i])
-                .into_iter()
-                .map(|range| range.unwrap_or(ranges[i]))
-                .collect();
-            let start = start.map(|of_view| of_view(i));
-            let found = patchmatch::search(level, i, &masks, &ranges, start.as_ref(), &options);
-            keep(found)
+/// A search of the views of a level, which work it out one by one.
+pub struct Search<'a> {
+    level: &'a Level,
+    outlines: Vec<Outline<'a>>,
+    /// A pixel wider than the object: masks of different views never meet exactly.
+    masks: Vec<Mask>,
+    /// Where each view may find the object.
+    ranges: Vec<InverseDepthRange>,
+    options: PatchMatchOptions,
+}
+
+impl<'a> Search<'a> {
+    /// Views are compared with their sources; `is_started` tells whether there are earlier planes to start from.
+    ///
+    /// The object lies where the masks meet if all views are `masked`, else about `points` in the world. `None`
+    /// where neither tells.
+    pub fn new(
+        level: &'a Level,
+        masked: bool,
+        points: &[Point3<f64>],
+        is_started: bool,
+        options: &SearchOptions,
+    ) -> Option<Self> {
+        let outlines: Vec<Outline> = level.views.iter().map(|v| v.outline(masked)).collect();
+        let ranges = hull::object_ranges(&outlines, points)
+            .into_iter()
+            .collect::<Option<_>>()?;
+        let masks = level
+            .views
+            .iter()
+            .map(|v| hull::dilate(&v.mask, 1))
+            .collect();
+        let num_sources = level.sources.iter().map(Vec::len).max().unwrap_or(1);
+        Some(Self {
+            level,
+            outlines,
+            masks,
+            ranges,
+            options: options.of_view(num_sources, is_started),
         })
-        .collect();
-    Some(kept)
+    }
+
+    /// Planes of view `index`, from earlier ones where there are any.
+    pub fn view(&self, index: usize, start: Option<&Planes>) -> Planes {
+        let view = &self.level.views[index];
+        let positions: Vec<_> = (0..view.pixels.len()).map(|p| view.xy(p)).collect();
+        let outlines = self.outlines.iter().zip(&self.masks);
+        let outlines: Vec<Outline> = outlines
+            .map(|(outline, mask)| Outline { mask, ..*outline })
+            .collect();
+        // The whole range where the masks contradict each other.
+        let whole = self.ranges[index];
+        let ranges: Vec<_> = hull::ranges_inside(&outlines, index, &positions, whole)
+            .into_iter()
+            .map(|range| range.unwrap_or(whole))
+            .collect();
+        patchmatch::search(
+            self.level,
+            index,
+            &self.masks,
+            &ranges,
+            start,
+            &self.options,
+        )
+    }
 }
 
-/// What a search found.
-pub struct Found {
-    /// Log depths of every view, continued over its mask.
-    pub surface: Vec<Vec<f64>>,
-    /// Which depths the views confirmed.
-    pub agreement: Vec<Agreement>,
-    /// Distance between the views' searched depths, pixel footprints.
-    pub scatter_px: f64,
-}
-
-/// The surface through those searched log depths that views confirm; `solvers` are the views' own.
+/// The surface of view `index` through those of its searched log depths that other views confirm, continued over its
+/// mask; `solver` is the view's own.
 ///
 /// # Errors
-/// The view whose plate has no solution, and why.
-pub fn found(
+/// Why its plate has no solution.
+pub fn continued(
     level: &Level,
-    solvers: &SolverSet,
-    depths: &[Vec<f64>],
-) -> Result<Found, (usize, PlateError)> {
-    let agreement = start::agreement(level, depths, agreement_tolerance(level));
+    index: usize,
+    solver: &PlateSolver,
+    depth: &[f64],
+    agreement: &Agreement,
+) -> Result<Vec<f64>, PlateError> {
     let footprint = 1.0 / level.focal();
-    let surfaces: Vec<_> = level
-        .views
-        .par_iter()
-        .enumerate()
-        .with_max_len(1)
-        .map(|(i, view)| {
-            let weight = agreement[i].weights();
-            let solver = solvers.of(i, &view.pixels)?;
-            start::continued(view, &solver, &depths[i], &weight, footprint)
-        })
-        .collect();
-    let surface = surfaces
-        .into_iter()
-        .enumerate()
-        .map(|(i, r)| r.map_err(|e| (i, e)))
-        .collect::<Result<_, _>>()?;
-    Ok(Found {
-        surface,
-        scatter_px: start::scatter(level, depths),
-        agreement,
-    })
+    let view = &level.views[index];
+    start::continued(view, solver, depth, &agreement.weights(), footprint)
 }
 
 /// Relative depth within which two views' dense depths agree: a few pixels of the level.

@@ -4,6 +4,7 @@
 use super::surroundings::Surroundings;
 use nalgebra::Vector3;
 use rilievo_scene::SphericalHarmonics;
+use serde::{Deserialize, Serialize};
 
 /// Half-width of the smooth horizon: the sine of about 17°. Wider blurs the terminator, narrower
 /// leaves the polynomial wrong for normals that move.
@@ -31,7 +32,7 @@ pub fn directions(count: usize) -> Vec<Vector3<f32>> {
 }
 
 /// The transfer of one point.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Transfer {
     /// Bit `k` is set where direction `k` leads into the environment.
     pub visible: Vec<u64>,
