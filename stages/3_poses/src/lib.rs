@@ -20,6 +20,7 @@ mod narrow;
 pub mod options;
 mod p3p;
 mod projection;
+mod ranking;
 mod refinement;
 mod relative_pose;
 pub mod report;
@@ -45,7 +46,7 @@ use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews,
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 8;
+pub const VERSION: u32 = 9;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;
