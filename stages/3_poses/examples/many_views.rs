@@ -1,11 +1,11 @@
 //! Measures how time and memory of pose estimation grow with the number of photos: `many_views [--views 32,64,128]
-//! [--track-length 10] [--keypoints 400] [--outliers 0.03] [--exif] [--steps]`, on tracks that are simulated (rings
+//! [--track-length 10] [--cone 20] [--keypoints 400] [--outliers 0.03] [--exif] [--from-truth] [--steps]`, on tracks that are simulated (rings
 //! of cameras around an object, every point seen by its neighbours only); no photo is rendered and no anchors are sought.
 //!
 //! Printed per number of views: registered views, user seconds, wall seconds, peak memory, mean reprojection error,
 //! and the largest errors of centres (share of the distance) and rotations against the truth; then the exponent that
 //! the user time of the last sets grows with. `--exif`: the focal length is a guess of EXIF's, 3 % off. `--steps`:
-//! the adjustments too.
+//! the adjustments too. `--from-truth`: adjusted from the true poses, which shows what the observations allow.
 
 #![allow(clippy::unwrap_used)]
 
@@ -13,6 +13,7 @@
 mod common;
 
 use common::{RingsOptions, options, pose_errors, rings};
+use rilievo_poses::GivenPoses;
 use rilievo_scene::{FocalSource, Silent};
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -54,6 +55,7 @@ fn main() {
             num_views,
             num_keypoints: number("--keypoints", 400.0) as usize,
             track_length: number("--track-length", 10.0),
+            cone_deg: number("--cone", 20.0),
             outlier_share: number("--outliers", 0.03),
             ..RingsOptions::default()
         });
@@ -64,10 +66,17 @@ fn main() {
                 photo.focal_source = FocalSource::Exif35mm;
             }
         }
+        let mut chosen = options();
+        if has("--from-truth") {
+            for (photo, pose) in world.photos.photos.iter_mut().zip(&world.cam_from_world) {
+                photo.given_cam_from_world = Some(*pose);
+            }
+            chosen.given_poses = GivenPoses::Refine;
+        }
         // The kernel forgets the peak.
         let _ = std::fs::write("/proc/self/clear_refs", "5");
         let (user, clock) = (user_seconds(), Instant::now());
-        let outcome = rilievo_poses::run(&world.photos, &world.matches, None, &options(), &Silent);
+        let outcome = rilievo_poses::run(&world.photos, &world.matches, None, &chosen, &Silent);
         let (posed, report) = match outcome {
             Ok(found) => found,
             Err(error) => {

@@ -114,8 +114,14 @@ pub fn run(
     {
         error::warn(observer, message)?;
     }
-    let (anchors, anchor_report) =
-        anchors::find(photos, matches, &posed, &options.anchors, observer)?;
+    let (anchors, anchor_report) = anchors::find(
+        photos,
+        matches,
+        &posed,
+        &options.anchors,
+        options.memory,
+        observer,
+    )?;
     posed.anchors = anchors;
     report.anchors = Some(anchor_report);
     Ok((posed, report))
@@ -271,7 +277,8 @@ fn finish_on_patches(
     observer: &dyn Observer,
 ) -> Result<(), PosesError> {
     let model = &mut reconstruction.model;
-    model.refined = Some(refinement::refine_tracks(scene, model, observer)?);
+    let at_once = loading::num_at_once(scene.photos, options.memory);
+    model.refined = Some(refinement::refine_tracks(scene, model, at_once, observer)?);
     for round in 0..2 {
         let scope = AdjustmentScope {
             step: "on aligned patches",

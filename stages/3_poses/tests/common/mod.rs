@@ -186,8 +186,10 @@ pub struct RingsOptions {
     pub num_views: usize,
     /// Keypoints of a photo, about.
     pub num_keypoints: usize,
-    /// Photos that see a point, on average: those nearest to straight before it.
+    /// Photos that see a point, on average: those nearest to straight before it; more where the photos are so
+    /// dense that more lie within `cone_deg` of that.
     pub track_length: f64,
+    pub cone_deg: f64,
     pub noise_px: f64,
     /// Share of matches that are wrong, all near their epipolar line.
     pub outlier_share: f64,
@@ -202,6 +204,7 @@ impl Default for RingsOptions {
             num_views: 32,
             num_keypoints: 400,
             track_length: 10.0,
+            cone_deg: 20.0,
             noise_px: 0.5,
             outlier_share: 0.03,
             matched_share: 0.9,
@@ -227,8 +230,8 @@ fn ring_directions(num: usize) -> Vec<Vector3<f64>> {
         .collect()
 }
 
-/// Many views on rings around an object, each of its points seen from straight before it only, so that the number
-/// of photos that see a point does not depend on the number of photos. No pixels: all photos share one grey image.
+/// Many views on rings around an object, each of its points seen from about straight before it only, each view
+/// matched with its nearest ones, as many as pair choice tries. No pixels: all photos share one grey image.
 pub fn rings(options: &RingsOptions) -> World {
     let mut rng = ChaCha8Rng::seed_from_u64(options.seed);
     let num = options.num_views;
@@ -238,10 +241,28 @@ pub fn rings(options: &RingsOptions) -> World {
         .iter()
         .map(|d| look_at(Point3::from(3.5 * d), Point3::origin()))
         .collect();
+    // Cosine beyond which another view is not among the nearest.
+    let nearness: Vec<f64> = directions
+        .iter()
+        .map(|d| {
+            let mut cosines: Vec<f64> = directions.iter().map(|e| d.dot(e)).collect();
+            cosines.sort_by(|a, b| b.total_cmp(a));
+            cosines
+                .get(1 + 12 * (num.max(2) as f64).log2() as usize)
+                .copied()
+                .unwrap_or(-1.0)
+        })
+        .collect();
     // The band of the rings has 0.6 of the sphere's area, and that of the points a little more.
-    let cone = (1.0 - 2.0 * 0.6 * options.track_length / num as f64).max(0.3);
-    let num_points =
-        (options.num_keypoints as f64 * num as f64 / options.track_length).round() as usize;
+    let cone = (1.0 - 2.0 * 0.6 * options.track_length / num as f64)
+        .min(options.cone_deg.to_radians().cos())
+        .max(0.3);
+    let track_length = (1.0 - cone) / 1.2 * num as f64;
+    let num_points = (options.num_keypoints as f64 * num as f64 / track_length).round() as usize;
+    let is_near = |i: usize, j: usize| {
+        let within = directions[i].dot(&directions[j]);
+        within > nearness[i].min(nearness[j])
+    };
     let grey = photo(
         "",
         LinearImage::filled(camera.width, camera.height, 1, 0.5),
@@ -280,7 +301,7 @@ pub fn rings(options: &RingsOptions) -> World {
         }
         for (a, &(i, ki)) in seen.iter().enumerate() {
             for &(j, kj) in &seen[a + 1..] {
-                if rng.random::<f64>() < options.matched_share {
+                if is_near(i, j) && rng.random::<f64>() < options.matched_share {
                     shared.entry((i, j)).or_default().push([ki, kj]);
                 }
             }
