@@ -2,7 +2,7 @@
 //!
 //! Few views all see each other: their matrix is dense. Of many, each meets its neighbours only; the
 //! matrix is factored sparse then, ordered by approximate minimum degree, and of its inverse only what
-//! covariances ask for is computed: with `S = L Lᵀ` and `Z = S⁻¹`, from the last column to the first,
+//! covariances ask for is computed, where that is the faster way: with `S = L Lᵀ` and `Z = S⁻¹`, from the last column to the first,
 //! `Z_ij = −Σ_{k>j} L_kj Z_ik / L_jj` and `Z_jj = (1/L_jj − Σ_{k>j} L_kj Z_kj) / L_jj`, which stays among
 //! the entries of `L` (Takahashi, Fagan, Chen, "Formation of a sparse bus impedance matrix", 1973).
 //!
@@ -10,8 +10,9 @@
 
 use super::layout::Pattern;
 use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::{factor, solve};
+use faer::linalg::cholesky::llt::{factor, inverse, solve};
 use faer::sparse::linalg::SupernodalThreshold;
+use faer::sparse::linalg::cholesky::simplicial::SymbolicSimplicialCholesky;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymbolicCholeskyRaw, SymmetricOrdering,
     factorize_symbolic_cholesky,
@@ -93,12 +94,23 @@ impl<'a> Method<'a> {
     /// The inverse at the entries of the pattern; `None` when the matrix is not positive definite.
     pub fn inverse(&self, values: &[f64]) -> Option<Vec<f64>> {
         let n = self.pattern.num_columns();
-        if self.symbolic.is_some() {
-            return selected_inverse(self.pattern, values);
+        if self.symbolic.is_some()
+            && let Some(symbolic) = analyse(self.pattern, SupernodalThreshold::FORCE_SIMPLICIAL)
+            && let SymbolicCholeskyRaw::Simplicial(structure) = symbolic.raw()
+            && num_selected(structure) * SELECTED_OVER_DENSE < (n as f64).powi(3)
+        {
+            return selected_inverse(self.pattern, &symbolic, structure, values);
         }
-        let mut inverse = Mat::<f64>::identity(n, n);
+        let mut inverse = Mat::<f64>::zeros(n, n);
         if n > 0 {
-            solve_dense(&dense_factor(self.pattern, values)?, inverse.as_mut());
+            let factor = dense_factor(self.pattern, values)?;
+            let mut memory = MemBuffer::new(inverse::inverse_scratch::<f64>(n, Par::Seq));
+            inverse::inverse(
+                inverse.as_mut(),
+                factor.as_ref(),
+                Par::Seq,
+                MemStack::new(&mut memory),
+            );
         }
         Some(
             entries(self.pattern)
@@ -183,14 +195,25 @@ fn sparse_factor(
     Some(())
 }
 
+/// Time of a term of the recurrence over that of a term of a dense inverse, which works by blocks.
+const SELECTED_OVER_DENSE: f64 = 20.0;
+
+/// Terms of the recurrence.
+fn num_selected(structure: &SymbolicSimplicialCholesky<usize>) -> f64 {
+    let (starts, rows) = (structure.col_ptr(), structure.row_idx());
+    let length = |&column: &usize| (starts[column + 1] - starts[column]) as f64;
+    rows.iter().map(length).sum()
+}
+
 /// Entries of the inverse by Takahashi's recurrence.
-fn selected_inverse(pattern: &Pattern, values: &[f64]) -> Option<Vec<f64>> {
-    let symbolic = analyse(pattern, SupernodalThreshold::FORCE_SIMPLICIAL)?;
-    let SymbolicCholeskyRaw::Simplicial(structure) = symbolic.raw() else {
-        return None;
-    };
+fn selected_inverse(
+    pattern: &Pattern,
+    symbolic: &SymbolicCholesky<usize>,
+    structure: &SymbolicSimplicialCholesky<usize>,
+    values: &[f64],
+) -> Option<Vec<f64>> {
     let mut l = vec![0.0; symbolic.len_val()];
-    sparse_factor(&symbolic, pattern, values, &mut l)?;
+    sparse_factor(symbolic, pattern, values, &mut l)?;
     let (starts, rows) = (structure.col_ptr(), structure.row_idx());
     let n = pattern.num_columns();
     let mut z = vec![0.0; l.len()];
