@@ -26,6 +26,8 @@ const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
 /// Growth after which a larger model is adjusted as a whole again; less costs time, more lets errors
 /// add up that the next adjustment has farther to go for.
 const GLOBAL_AFTER_GROWTH: f64 = 1.25;
+/// Errors of sightings over the allowed ones up to which a large model's adjustment of the whole regards them.
+const DRIFT: f64 = 5.0;
 /// Views of a local adjustment besides the new one.
 const NUM_LOCAL_VIEWS: usize = 6;
 /// Initial pairs that are tried before a model is given up.
@@ -185,6 +187,12 @@ fn extend(
     let mut num_at_last_global = model.num_views();
     let mut ranking = Ranking::new(scene.num_photos());
     let all_photos: Vec<usize> = (0..scene.num_photos()).collect();
+    // Where a large model meets itself again, errors that added up on the way part it: let both sides of the seam
+    // pull at each other.
+    let drifted = TriangulationLimits {
+        max_error_px: DRIFT * limits.max_error_px,
+        ..limits
+    };
     loop {
         let flow = observer.progress(
             StageId::Poses,
@@ -211,18 +219,21 @@ fn extend(
         let Some(photo) = registered else { break };
         failed.retain(|f| f.0 != photo);
         // What does not hang on a pose that changed stays as it is.
-        let mut renew = |model: &mut Model, photos: &[usize]| {
-            let changed = model.triangulate(scene, &scene.tracks_of_any(photos), &limits);
+        let mut renew = |model: &mut Model, photos: &[usize], limits: &TriangulationLimits| {
+            let changed = model.triangulate(scene, &scene.tracks_of_any(photos), limits);
             ranking.renew(scene, &changed);
         };
-        renew(model, &[photo]);
+        renew(model, &[photo], &limits);
         let num_views = model.num_views();
         let is_due = num_views as f64 >= GLOBAL_AFTER_GROWTH * num_at_last_global as f64;
         if num_views <= MAX_NUM_VIEWS_ALWAYS_GLOBAL || is_due {
+            if num_views > MAX_NUM_VIEWS_ALWAYS_GLOBAL {
+                renew(model, &all_photos, &drifted);
+            }
             adjustments.push(adjust_all(model, scene)?);
             adjustments.extend(try_full_intrinsics(model, scene)?);
             num_at_last_global = num_views;
-            renew(model, &all_photos);
+            renew(model, &all_photos, &limits);
         } else {
             let mut local = neighbors(scene, model, photo);
             local.push(photo);
@@ -232,7 +243,7 @@ fn extend(
                 intrinsics: IntrinsicsScope::Fixed,
             };
             adjustments.push(model.adjust(scene, &scope, &robust_adjustment())?);
-            renew(model, &local);
+            renew(model, &local, &limits);
         }
     }
     Ok(())
