@@ -17,6 +17,10 @@ const OUTLIER_MEDIANS: f64 = 4.0;
 /// … but never below this, pixels.
 const MIN_OUTLIER_PX: f64 = 0.3;
 
+/// Sightings of a point from photos that a local adjustment holds still, evenly taken: more hold the point no better,
+/// and where photos are dense there are dozens.
+const MAX_NUM_HELD: usize = 8;
+
 /// A triangulated track.
 #[derive(Clone, Debug)]
 pub struct ModelPoint {
@@ -300,7 +304,15 @@ impl Model {
             if !points_only && !point.support.iter().any(sees) {
                 continue;
             }
-            for (place, pixel, sigma) in self.observations(scene, t) {
+            let mut seen = self.observations(scene, t);
+            if scope.photos.is_some() && !points_only {
+                let (held, moved): (Vec<_>, _) =
+                    seen.into_iter().partition(|(place, ..)| !sees(place));
+                let step = held.len().div_ceil(MAX_NUM_HELD).max(1);
+                seen = moved;
+                seen.extend(held.into_iter().step_by(step));
+            }
+            for (place, pixel, sigma) in seen {
                 let sighting = &sightings[place];
                 let Some(pose) = self.poses[sighting.photo] else {
                     continue;

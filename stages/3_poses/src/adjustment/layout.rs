@@ -8,6 +8,7 @@
 
 use super::bundle::Bundle;
 use crate::projection::NUM_INTRINSICS;
+use std::ops::Range;
 
 /// Column of each parameter in the reduced system; `None` where it is fixed.
 pub struct Layout {
@@ -176,9 +177,13 @@ impl Pattern {
         )
     }
 
-    /// Visits all pairs of a point's rows of `W` (their columns ascend; all of a block or none): the places of both
-    /// in the list and that of their entry, the pair's higher column first.
-    pub fn for_pairs<T>(&self, rows: &[(usize, T)], mut visit: impl FnMut(usize, usize, usize)) {
+    /// Visits all pairs of a point's rows of `W` (their columns ascend; all of a block or none) by runs: the place of
+    /// the lower column in the list, those of the higher ones, whose entries follow each other, and where these start.
+    pub fn for_runs<T>(
+        &self,
+        rows: &[(usize, T)],
+        mut visit: impl FnMut(usize, Range<usize>, usize),
+    ) {
         let block_at = |first: usize| {
             let block = self.block_of[rows[first].0];
             let size = self.starts[block + 1] - self.starts[block];
@@ -196,10 +201,10 @@ impl Pattern {
                 };
                 for j in own.clone() {
                     let column = rows[j].0;
+                    let from = theirs.start.max(j);
+                    let row = rows[from].0 - self.starts[other];
                     let start = self.column_starts[column] + before + self.starts[block] - column;
-                    for i in theirs.start.max(j)..theirs.end {
-                        visit(i, j, start + rows[i].0 - self.starts[other]);
-                    }
+                    visit(j, from..theirs.end, start + row);
                 }
             }
             first = own.end;

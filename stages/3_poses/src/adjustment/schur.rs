@@ -129,18 +129,29 @@ impl System {
             .map(|chunk| {
                 let mut s = vec![0.0; pattern.len()];
                 let mut right = vec![0.0; n];
-                let mut t = Vec::new();
+                // By coordinate, so that runs are sums of whole slices.
+                let mut t: [Vec<f64>; 3] = Default::default();
                 for point in &chunk.points {
                     let l = damped(&point.v, lambda).cholesky()?.l();
                     let rows = &chunk.rows[point.rows.clone()];
                     let y = l.solve_lower_triangular(&point.gradient)?;
-                    t.clear();
+                    t.iter_mut().for_each(Vec::clear);
                     for (column, w) in rows {
                         let solved = l.solve_lower_triangular(w)?;
                         right[*column] += solved.dot(&y);
-                        t.push(solved);
+                        for (t, value) in t.iter_mut().zip(solved.iter()) {
+                            t.push(*value);
+                        }
                     }
-                    pattern.for_pairs(rows, |i, j, at| s[at] -= t[i].dot(&t[j]));
+                    let [x, y, z] = &t;
+                    pattern.for_runs(rows, |j, run, at| {
+                        let (a, b, c) = (x[j], y[j], z[j]);
+                        let entries = s[at..at + run.len()].iter_mut();
+                        let others = x[run.clone()].iter().zip(&y[run.clone()]).zip(&z[run]);
+                        for (entry, ((x, y), z)) in entries.zip(others) {
+                            *entry -= x * a + y * b + z * c;
+                        }
+                    });
                 }
                 Some((s, right))
             })
@@ -210,12 +221,13 @@ impl System {
                 let v_inverse = point.v.try_inverse()?;
                 let rows = &chunk.rows[point.rows.clone()];
                 let mut inner = Matrix3::zeros();
-                pattern.for_pairs(rows, |i, j, at| {
-                    let (a, b) = (&rows[i].1, &rows[j].1);
-                    let share = a * b.transpose() * inverse[at];
-                    inner += share;
-                    if i != j {
-                        inner += share.transpose();
+                pattern.for_runs(rows, |j, run, start| {
+                    for (i, value) in run.clone().zip(&inverse[start..start + run.len()]) {
+                        let share = rows[i].1 * rows[j].1.transpose() * *value;
+                        inner += share;
+                        if i != j {
+                            inner += share.transpose();
+                        }
                     }
                 });
                 points.push(v_inverse + v_inverse * inner * v_inverse);
