@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Threads and memory of a command; results do not depend on either.
 #[derive(Clone, Copy, Debug)]
 pub struct Resources {
-    /// Bytes that photos worked on at once may take in stages 1 and 2.
+    /// Bytes that photos worked on at once may take in stages 1 to 3.
     pub memory: u64,
     /// Bytes that stage 5 may take; as many as it needs where nothing is said.
     pub given: Option<u64>,

@@ -32,11 +32,13 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             ),
         );
     }
+    let mut options = context.request.options.poses.clone();
+    options.memory = Some(context.resources.memory);
     let (mut views, report) = rilievo_poses::run(
         &photos,
         &matches,
         sphere.as_ref(),
-        &context.request.options.poses,
+        &options,
         context.console,
     )
     .map_err(from_poses)?;

@@ -299,6 +299,31 @@ mod tests {
     }
 
     #[test]
+    fn the_pairs_of_a_ring_grow_no_faster_than_n_log_n() {
+        // Photos match well with the eight on either side.
+        let options = FeaturesOptions::default();
+        let counts = [64, 128, 256, 512].map(|num| {
+            let mut tried: BTreeSet<Pair> = pairs(&ring(num), &options).into_iter().collect();
+            loop {
+                let is_strong = |&&(i, j): &&Pair| (j - i).min(num - (j - i)) <= 8;
+                let strong: Vec<Pair> = tried.iter().filter(is_strong).copied().collect();
+                let more = beyond(num, &strong, &tried);
+                if more.is_empty() {
+                    break;
+                }
+                tried.extend(more);
+            }
+            // The neighbours are all among them.
+            for i in 0..num {
+                assert!((1..=8).all(|step| tried.contains(&ordered(i, (i + step) % num))));
+            }
+            tried.len() as f64 / (num as f64 * (num as f64).log2())
+        });
+        assert!(counts.windows(2).all(|c| c[1] <= 1.05 * c[0]), "{counts:?}");
+        println!("pairs over n log2 n: {counts:?}");
+    }
+
+    #[test]
     fn the_number_of_tries_grows_as_the_logarithm_of_the_set() {
         // All photos match the first one, so that all pairs are likely.
         let num = 400;

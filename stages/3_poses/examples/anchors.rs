@@ -165,6 +165,7 @@ fn main() -> Result<(), Failure> {
         &FeatureMatches::default(),
         &truth.posed,
         &options,
+        None,
         &Silent,
     )?;
     let cpu = cpu_seconds() - before;

@@ -89,6 +89,6 @@ pub fn expel(
         photos: None,
         intrinsics: IntrinsicsScope::Fixed,
     };
-    model.triangulate_all(scene, limits) > 0
-        && model.adjust(scene, &scope, &robust_adjustment()).is_ok()
+    model.triangulate_all(scene, limits);
+    model.num_points() > 0 && model.adjust(scene, &scope, &robust_adjustment()).is_ok()
 }

@@ -3,7 +3,8 @@
 //! Start from a pair; then, while photos can be added: take the photo whose visible points are
 //! most and best spread (Schönberger and Frahm, CVPR 2016, section 4.2), resect it, triangulate
 //! what it adds, adjust. Small models are adjusted as a whole after every photo; large ones
-//! locally, and as a whole whenever they have grown by a tenth.
+//! locally, and as a whole whenever they have grown by a quarter: then the cost of a photo does not
+//! depend on how many there are, and that of all adjustments of the whole is a few times the last's.
 
 use crate::adjustment::{AdjustedCamera, robust_adjustment};
 use crate::consistency;
@@ -13,15 +14,20 @@ use crate::lens::MIN_NUM_VIEWS_FOR_DISTORTION;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
 use crate::projection::CenteredPose;
+use crate::ranking::Ranking;
 use crate::report::{AdjustmentReport, LensReport};
 use crate::resection::resect;
 use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
-use nalgebra::{Point2, Point3};
 use rilievo_scene::{Observer, RigidTransform, StageId};
 
 /// Up to this many views every adjustment covers all of them.
 const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
+/// Growth after which a larger model is adjusted as a whole again; less costs time, more lets errors
+/// add up that the next adjustment has farther to go for.
+const GLOBAL_AFTER_GROWTH: f64 = 1.25;
+/// Errors of sightings over the allowed ones up to which a large model's adjustment of the whole regards them.
+const DRIFT: f64 = 5.0;
 /// Views of a local adjustment besides the new one.
 const NUM_LOCAL_VIEWS: usize = 6;
 /// Initial pairs that are tried before a model is given up.
@@ -125,7 +131,8 @@ fn grow(
     model.poses[pair.first] = Some(CenteredPose::from(RigidTransform::identity()));
     model.poses[pair.second] = Some(CenteredPose::from(pair.pose.second_from_first));
     let mut adjustments = Vec::new();
-    let num_points = model.triangulate_all(scene, &limits);
+    model.triangulate_all(scene, &limits);
+    let num_points = model.num_points();
     if num_points < options.min_num_visible_points {
         return Ok(Grown::Collapsed { num_points });
     }
@@ -178,6 +185,14 @@ fn extend(
         ..
     } = grown;
     let mut num_at_last_global = model.num_views();
+    let mut ranking = Ranking::new(scene.num_photos());
+    let all_photos: Vec<usize> = (0..scene.num_photos()).collect();
+    // Where a large model meets itself again, errors that added up on the way part it: let both sides of the seam
+    // pull at each other.
+    let drifted = TriangulationLimits {
+        max_error_px: DRIFT * limits.max_error_px,
+        ..limits
+    };
     loop {
         let flow = observer.progress(
             StageId::Poses,
@@ -186,7 +201,7 @@ fn extend(
         );
         flow.ok_or(PosesError::Interrupted)?;
         // A photo that failed is tried again once the model has grown.
-        let candidates = next_views(scene, model, available, failed, options);
+        let candidates = ranking.next_views(scene, model, available, failed, options);
         let mut registered = None;
         for photo in candidates {
             match register(scene, model, photo, options) {
@@ -203,12 +218,22 @@ fn extend(
         }
         let Some(photo) = registered else { break };
         failed.retain(|f| f.0 != photo);
-        model.triangulate_all(scene, &limits);
+        // What does not hang on a pose that changed stays as it is.
+        let mut renew = |model: &mut Model, photos: &[usize], limits: &TriangulationLimits| {
+            let changed = model.triangulate(scene, &scene.tracks_of_any(photos), limits);
+            ranking.renew(scene, &changed);
+        };
+        renew(model, &[photo], &limits);
         let num_views = model.num_views();
-        if num_views <= MAX_NUM_VIEWS_ALWAYS_GLOBAL || 10 * num_views >= 11 * num_at_last_global {
+        let is_due = num_views as f64 >= GLOBAL_AFTER_GROWTH * num_at_last_global as f64;
+        if num_views <= MAX_NUM_VIEWS_ALWAYS_GLOBAL || is_due {
+            if num_views > MAX_NUM_VIEWS_ALWAYS_GLOBAL {
+                renew(model, &all_photos, &drifted);
+            }
             adjustments.push(adjust_all(model, scene)?);
             adjustments.extend(try_full_intrinsics(model, scene)?);
             num_at_last_global = num_views;
+            renew(model, &all_photos, &limits);
         } else {
             let mut local = neighbors(scene, model, photo);
             local.push(photo);
@@ -218,8 +243,8 @@ fn extend(
                 intrinsics: IntrinsicsScope::Fixed,
             };
             adjustments.push(model.adjust(scene, &scope, &robust_adjustment())?);
+            renew(model, &local, &limits);
         }
-        model.triangulate_all(scene, &limits);
     }
     Ok(())
 }
@@ -280,60 +305,6 @@ fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, 
     model.adjust(scene, &scope, &robust_adjustment())
 }
 
-/// Known points that a photo sees: keypoint pixel and position.
-fn visible_points(
-    scene: &Scene<'_>,
-    model: &Model,
-    photo: usize,
-) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
-    scene.tracks_of[photo]
-        .iter()
-        .filter_map(|&(track, place)| {
-            let point = model.points[track].as_ref()?;
-            Some((scene.pixel(&scene.tracks[track][place]), point.position))
-        })
-        .unzip()
-}
-
-/// Photos to try next, best first. Score: occupied cells of grids of 2, 4, … 32 cells a side, a
-/// cell of the finer grid counting more.
-fn next_views(
-    scene: &Scene<'_>,
-    model: &Model,
-    available: &[bool],
-    failed: &[(usize, usize, usize)],
-    options: &PosesOptions,
-) -> Vec<usize> {
-    let mut scored: Vec<(usize, usize)> = (0..scene.num_photos())
-        .filter(|&photo| available[photo] && model.poses[photo].is_none())
-        .filter_map(|photo| {
-            let (pixels, _) = visible_points(scene, model, photo);
-            let tried = failed
-                .iter()
-                .any(|&(p, seen, _)| p == photo && pixels.len() <= seen + seen / 10);
-            if pixels.len() < options.min_num_visible_points || tried {
-                return None;
-            }
-            let camera = &scene.photos.photos[photo].intrinsics;
-            let mut score = 0;
-            for level in 1..=5 {
-                let cells = 1_usize << level;
-                let mut occupied = vec![false; cells * cells];
-                for p in &pixels {
-                    let cell = |v: f64, size: usize| {
-                        ((v / size as f64 * cells as f64).max(0.0) as usize).min(cells - 1)
-                    };
-                    occupied[cell(p.y, camera.height) * cells + cell(p.x, camera.width)] = true;
-                }
-                score += cells * occupied.iter().filter(|&&o| o).count();
-            }
-            Some((score, photo))
-        })
-        .collect();
-    scored.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)));
-    scored.into_iter().map(|(_, photo)| photo).collect()
-}
-
 /// Pose of a photo, or the numbers of points that it sees and that agreed.
 fn register(
     scene: &Scene<'_>,
@@ -341,7 +312,7 @@ fn register(
     photo: usize,
     options: &PosesOptions,
 ) -> Result<CenteredPose, (usize, usize)> {
-    let (pixels, points) = visible_points(scene, model, photo);
+    let (pixels, points) = model.visible_points(scene, photo);
     let camera = model.cameras[scene.camera_of[photo]].current();
     // Points come from few views yet and intrinsics may be off: be generous here, strict later.
     let max_error_px = 2.0 * options.max_reprojection_error_px;

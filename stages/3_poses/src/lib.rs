@@ -20,6 +20,7 @@ mod narrow;
 pub mod options;
 mod p3p;
 mod projection;
+mod ranking;
 mod refinement;
 mod relative_pose;
 pub mod report;
@@ -45,7 +46,7 @@ use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews,
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 8;
+pub const VERSION: u32 = 9;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;
@@ -113,8 +114,14 @@ pub fn run(
     {
         error::warn(observer, message)?;
     }
-    let (anchors, anchor_report) =
-        anchors::find(photos, matches, &posed, &options.anchors, observer)?;
+    let (anchors, anchor_report) = anchors::find(
+        photos,
+        matches,
+        &posed,
+        &options.anchors,
+        options.memory,
+        observer,
+    )?;
     posed.anchors = anchors;
     report.anchors = Some(anchor_report);
     Ok((posed, report))
@@ -270,7 +277,8 @@ fn finish_on_patches(
     observer: &dyn Observer,
 ) -> Result<(), PosesError> {
     let model = &mut reconstruction.model;
-    model.refined = Some(refinement::refine_tracks(scene, model, observer)?);
+    let at_once = loading::num_at_once(scene.photos, options.memory);
+    model.refined = Some(refinement::refine_tracks(scene, model, at_once, observer)?);
     for round in 0..2 {
         let scope = AdjustmentScope {
             step: "on aligned patches",

@@ -17,6 +17,10 @@ const OUTLIER_MEDIANS: f64 = 4.0;
 /// … but never below this, pixels.
 const MIN_OUTLIER_PX: f64 = 0.3;
 
+/// Sightings of a point from photos that a local adjustment holds still, evenly taken: more hold the point no better,
+/// and where photos are dense there are dozens.
+const MAX_NUM_HELD: usize = 8;
+
 /// A triangulated track.
 #[derive(Clone, Debug)]
 pub struct ModelPoint {
@@ -102,6 +106,21 @@ impl Model {
         self.cameras.iter().map(AdjustedCamera::current).collect()
     }
 
+    /// Known points that a photo sees: keypoint pixel and position.
+    pub fn visible_points(
+        &self,
+        scene: &Scene<'_>,
+        photo: usize,
+    ) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
+        scene.tracks_of[photo]
+            .iter()
+            .filter_map(|&(track, place)| {
+                let point = self.points[track].as_ref()?;
+                Some((scene.pixel(&scene.tracks[track][place]), point.position))
+            })
+            .unzip()
+    }
+
     /// What was seen of a point: place in the track, pixel, standard deviation in pixels.
     ///
     /// A track with two aligned sightings or more goes by them alone; others by their keypoints.
@@ -153,12 +172,22 @@ impl Model {
     }
 
     /// Triangulates every track that can be, and extends or trims the support of known points.
-    /// Returns the number of points.
-    pub fn triangulate_all(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) -> usize {
+    pub fn triangulate_all(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) {
+        let all: Vec<usize> = (0..scene.tracks.len()).collect();
+        self.triangulate(scene, &all, limits);
+    }
+
+    /// The same for some of the tracks; those that became a point or ceased to be one.
+    pub fn triangulate(
+        &mut self,
+        scene: &Scene<'_>,
+        tracks: &[usize],
+        limits: &TriangulationLimits,
+    ) -> Vec<usize> {
         let cameras = self.intrinsics();
-        let updated: Vec<Option<ModelPoint>> = (0..scene.tracks.len())
-            .into_par_iter()
-            .map(|t| {
+        let updated: Vec<Option<ModelPoint>> = tracks
+            .par_iter()
+            .map(|&t| {
                 let (places, sightings) = self.posed_sightings(scene, &cameras, t);
                 if sightings.len() < 2 {
                     return None;
@@ -183,8 +212,14 @@ impl Model {
                 })
             })
             .collect();
-        self.points = updated;
-        self.num_points()
+        let mut changed = Vec::new();
+        for (&track, point) in tracks.iter().zip(updated) {
+            if point.is_some() != self.points[track].is_some() {
+                changed.push(track);
+            }
+            self.points[track] = point;
+        }
+        changed
     }
 
     /// Drops sightings that err by more than four times the median, and points left with fewer
@@ -242,22 +277,42 @@ impl Model {
         scene: &Scene<'_>,
         scope: &AdjustmentScope<'_>,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
+        let mut free = vec![scope.photos.is_none(); self.poses.len()];
+        scope
+            .photos
+            .into_iter()
+            .flatten()
+            .for_each(|&p| free[p] = true);
+        let is_free = |photo: usize| free[photo];
         // With no pose free it is the points that are wanted, all of them.
+        let wanted = match scope.photos {
+            Some(photos) if !photos.is_empty() => scene.tracks_of_any(photos),
+            _ => (0..self.points.len()).collect(),
+        };
         let points_only = scope.photos.is_some_and(<[usize]>::is_empty);
-        let is_free = |photo: usize| scope.photos.is_none_or(|list| list.contains(&photo));
         let mut view_of = vec![None; self.poses.len()];
         let mut photos = Vec::new();
         let mut views = Vec::new();
         let mut tracks = Vec::new();
         let (mut points, mut observations, mut offsets) = (Vec::new(), Vec::new(), vec![0]);
-        for (t, point) in self.points.iter().enumerate() {
-            let Some(point) = point else { continue };
+        for t in wanted {
+            let Some(point) = &self.points[t] else {
+                continue;
+            };
             let sightings = &scene.tracks[t];
             let sees = |&place: &usize| is_free(sightings[place].photo);
             if !points_only && !point.support.iter().any(sees) {
                 continue;
             }
-            for (place, pixel, sigma) in self.observations(scene, t) {
+            let mut seen = self.observations(scene, t);
+            if scope.photos.is_some() && !points_only {
+                let (held, moved): (Vec<_>, _) =
+                    seen.into_iter().partition(|(place, ..)| !sees(place));
+                let step = held.len().div_ceil(MAX_NUM_HELD).max(1);
+                seen = moved;
+                seen.extend(held.into_iter().step_by(step));
+            }
+            for (place, pixel, sigma) in seen {
                 let sighting = &sightings[place];
                 let Some(pose) = self.poses[sighting.photo] else {
                     continue;

@@ -63,6 +63,9 @@ pub struct PosesOptions {
     pub known_distance: Option<KnownDistance>,
     /// How the reference sphere is found and located.
     pub sphere: SphereOptions,
+    /// Bytes that the photos worked on at once may take; a few photos' where nothing is said. Changes no result.
+    #[serde(skip)]
+    pub memory: Option<u64>,
     /// Seed of all random samples.
     pub seed: u64,
     /// How depth anchors are found.
@@ -82,6 +85,7 @@ impl Default for PosesOptions {
             refine_tracks: true,
             known_distance: None,
             sphere: SphereOptions::default(),
+            memory: None,
             seed: 1,
             anchors: AnchorOptions::default(),
         }

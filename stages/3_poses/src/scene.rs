@@ -131,6 +131,15 @@ impl<'a> Scene<'a> {
         self.sigmas_px[sighting.photo][sighting.keypoint as usize]
     }
 
+    /// The tracks of any of some photos, ascending.
+    pub fn tracks_of_any(&self, photos: &[usize]) -> Vec<usize> {
+        let tracks = photos.iter().flat_map(|&p| &self.tracks_of[p]);
+        let mut tracks: Vec<usize> = tracks.map(|&(track, _)| track).collect();
+        tracks.sort_unstable();
+        tracks.dedup();
+        tracks
+    }
+
     /// Number of photos.
     pub fn num_photos(&self) -> usize {
         self.photos.photos.len()

@@ -4,7 +4,9 @@
 
 mod common;
 
-use common::{World, WorldOptions, arc, from_truth, look_at, options, pose_errors, world};
+use common::{
+    RingsOptions, World, WorldOptions, arc, from_truth, look_at, options, pose_errors, rings, world,
+};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -162,6 +164,75 @@ fn a_ring_of_64_photos_closes() {
     assert_eq!(posed.views.len(), 64);
     let (center, rotation) = pose_errors(&posed, &world.cam_from_world);
     assert!(center < 1e-3 && rotation < 0.05, "{center} {rotation}");
+}
+
+/// Largest errors of centres and rotations, and those of an adjustment that starts from the truth: what the
+/// observations allow.
+fn errors_and_least(setup: &RingsOptions) -> ((f64, f64), (f64, f64)) {
+    let mut world = rings(setup);
+    let (posed, _) = solve(&world);
+    assert_eq!(posed.views.len(), setup.num_views);
+    let found = pose_errors(&posed, &world.cam_from_world);
+    give(&mut world, |pose| *pose);
+    let refine = rilievo_poses::PosesOptions {
+        given_poses: GivenPoses::Refine,
+        ..options()
+    };
+    let (posed, _) = run(&world.photos, &world.matches, None, &refine, &Silent).unwrap();
+    (found, pose_errors(&posed, &world.cam_from_world))
+}
+
+#[test]
+fn photos_adjusted_with_their_neighbours_are_as_exact_as_the_observations_allow() {
+    let exact = rings(&RingsOptions {
+        num_views: 80,
+        num_keypoints: 200,
+        noise_px: 0.0,
+        outlier_share: 0.0,
+        ..RingsOptions::default()
+    });
+    let (posed, _) = solve(&exact);
+    assert_eq!(posed.views.len(), 80);
+    let (center, rotation) = pose_errors(&posed, &exact.cam_from_world);
+    assert!(center < 1e-5 && rotation < 1e-3, "{center} {rotation}");
+    for outlier_share in [0.0, 0.1] {
+        let ((center, rotation), least) = errors_and_least(&RingsOptions {
+            num_views: 120,
+            num_keypoints: 250,
+            outlier_share,
+            ..RingsOptions::default()
+        });
+        assert!(center < 1.1 * least.0, "{center} {least:?}");
+        assert!(rotation < 1.1 * least.1, "{rotation} {least:?}");
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_change_a_bit_of_many_views() {
+    let world = rings(&RingsOptions {
+        num_views: 64,
+        num_keypoints: 150,
+        ..RingsOptions::default()
+    });
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| solve(&world))
+    };
+    assert_eq!(with(1), with(3));
+}
+
+#[test]
+#[ignore = "minutes"]
+fn a_thousand_photos_are_posed() {
+    let ((center, rotation), least) = errors_and_least(&RingsOptions {
+        num_views: 1000,
+        ..RingsOptions::default()
+    });
+    assert!(center < 1.1 * least.0, "{center} {least:?}");
+    assert!(rotation < 1.1 * least.1, "{rotation} {least:?}");
 }
 
 #[test]

@@ -11,17 +11,21 @@
 //! from it, unless enough views are held fixed anyway.
 
 mod bundle;
+mod factor;
+mod layout;
 mod schur;
 
 pub use bundle::{AdjustedCamera, AdjustedView, Bundle, Observation};
 
 use crate::error::PosesError;
+use factor::Method;
+use layout::Layout;
 use rilievo_numerics::least_squares::{
     DampedProblem, DampedStep, LeastSquaresError, LeastSquaresOptions, SolveReport,
     levenberg_marquardt,
 };
 use rilievo_numerics::robust::RobustLoss;
-use schur::{Covariances, Layout, Step, System};
+use schur::{Covariances, Step, System};
 
 /// Scale of the Cauchy loss while outliers are about, standard deviations.
 const GROWING_LOSS_SCALE: f64 = 3.0;
@@ -81,8 +85,10 @@ impl Bundle {
     /// # Errors
     /// When the start has no finite cost, or the normal matrix is singular however damped.
     pub fn adjust(&mut self, options: &BundleOptions) -> Result<SolveReport, PosesError> {
+        let layout = Layout::new(self);
         let problem = Problem {
-            layout: Layout::new(self),
+            layout: &layout,
+            method: Method::new(&layout.pattern),
             loss: options.loss,
         };
         let solver_options = LeastSquaresOptions {
@@ -104,17 +110,19 @@ impl Bundle {
     /// that is fixed; `None` when the normal matrix is singular.
     pub fn covariances(&self, loss: RobustLoss) -> Option<Covariances> {
         let layout = Layout::new(self);
-        System::build(self, &layout, loss).covariances(&layout)
+        let method = Method::new(&layout.pattern);
+        System::build(self, &layout, loss).covariances(&layout, &method)
     }
 }
 
 /// A bundle as a problem of the solver.
-struct Problem {
-    layout: Layout,
+struct Problem<'a> {
+    layout: &'a Layout,
+    method: Method<'a>,
     loss: RobustLoss,
 }
 
-impl DampedProblem for Problem {
+impl DampedProblem for Problem<'_> {
     type State = Bundle;
     type System = System;
     type Step = Step;
@@ -124,11 +132,11 @@ impl DampedProblem for Problem {
     }
 
     fn linearize(&self, bundle: &Bundle) -> System {
-        System::build(bundle, &self.layout, self.loss)
+        System::build(bundle, self.layout, self.loss)
     }
 
     fn solve(&self, system: &System, damping: f64) -> Option<DampedStep<Step>> {
-        let step = system.solve(damping)?;
+        let step = system.solve(&self.method, damping)?;
         Some(DampedStep {
             norm: step.norm(),
             predicted_decrease: step.predicted_decrease,
@@ -137,7 +145,7 @@ impl DampedProblem for Problem {
     }
 
     fn retract(&self, bundle: &Bundle, step: &Step) -> Bundle {
-        bundle.retract(&self.layout, step)
+        bundle.retract(self.layout, step)
     }
 }
 

@@ -7,54 +7,17 @@
 //! (Triggs et al., "Bundle adjustment: a modern synthesis", 2000, section 6.1.) With
 //! `V = L Lᵀ` and `T = W L⁻ᵀ` of one point, its share of the complement is `T Tᵀ`, touching only
 //! the columns of the views that see it. Damping multiplies the diagonals of `U` and `V` by
-//! `1 + λ`. The reduced matrix is dense: below some hundred views its factorisation costs less
-//! than its assembly.
+//! `1 + λ`. The reduced matrix has entries where views share points ([`layout`](super::layout)) and is
+//! factored dense or sparse ([`factor`](super::factor)).
 
 use super::bundle::{Bundle, PRIOR_LOSS};
+use super::factor::Method;
+use super::layout::{Layout, Pattern};
 use crate::projection::{NUM_INTRINSICS, project_with_jacobian};
-use faer::linalg::cholesky::llt::{factor, solve};
-use faer::{Mat, Par};
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::Intrinsics;
-
-/// Column of each parameter in the reduced system; `None` where it is fixed.
-pub struct Layout {
-    /// Per view: `(ω, δ)`.
-    pub views: Vec<[Option<usize>; 6]>,
-    /// Per camera.
-    pub cameras: Vec<[Option<usize>; NUM_INTRINSICS]>,
-    num_columns: usize,
-}
-
-impl Layout {
-    /// Numbers the free parameters, views first.
-    pub fn new(bundle: &Bundle) -> Self {
-        let mut next = 0;
-        let mut number = |free: bool| {
-            free.then(|| {
-                next += 1;
-                next - 1
-            })
-        };
-        let views = bundle
-            .views
-            .iter()
-            .map(|v| v.free.map(&mut number))
-            .collect();
-        let cameras = bundle
-            .cameras
-            .iter()
-            .map(|c| c.prior_sigma.map(|s| number(s.is_some())))
-            .collect();
-        Self {
-            views,
-            cameras,
-            num_columns: next,
-        }
-    }
-}
 
 /// One point's share: `V`, `g_p`, and its rows of `W`.
 struct PointBlock {
@@ -73,7 +36,8 @@ struct Chunk {
 
 /// The normal equations at one state.
 pub struct System {
-    u: Mat<f64>,
+    /// Lower triangle of `U`, on the pattern of the complement.
+    u: Vec<f64>,
     gradient: Vec<f64>,
     chunks: Vec<Chunk>,
 }
@@ -118,54 +82,22 @@ fn add_row(
     }
 }
 
-/// Cholesky factor in place; `false` when the matrix is not positive definite.
-fn factorize(matrix: &mut Mat<f64>) -> bool {
-    let scratch =
-        factor::cholesky_in_place_scratch::<f64>(matrix.nrows(), Par::Seq, faer::Spec::default());
-    let mut memory = faer::dyn_stack::MemBuffer::new(scratch);
-    // One thread: the blocking of more would change the last bits.
-    factor::cholesky_in_place(
-        matrix.as_mut(),
-        factor::LltRegularization::default(),
-        Par::Seq,
-        faer::dyn_stack::MemStack::new(&mut memory),
-        faer::Spec::default(),
-    )
-    .is_ok()
-}
-
-fn solve_factored(factor: &Mat<f64>, right: &mut Mat<f64>) {
-    let mut memory = faer::dyn_stack::MemBuffer::new(solve::solve_in_place_scratch::<f64>(
-        factor.nrows(),
-        right.ncols(),
-        Par::Seq,
-    ));
-    solve::solve_in_place(
-        factor.as_ref(),
-        right.as_mut(),
-        Par::Seq,
-        faer::dyn_stack::MemStack::new(&mut memory),
-    );
-}
-
 impl System {
     /// Linearises a bundle with the weights of the loss at its state.
     pub fn build(bundle: &Bundle, layout: &Layout, loss: RobustLoss) -> Self {
-        let n = layout.num_columns;
+        let pattern = &layout.pattern;
         let cameras: Vec<Intrinsics> = bundle.cameras.iter().map(|c| c.current()).collect();
-        let parts: Vec<(Chunk, Mat<f64>, Vec<f64>)> = bundle
+        let parts: Vec<(Chunk, Vec<f64>, Vec<f64>)> = bundle
             .point_chunks()
             .into_par_iter()
             .map(|range| build_chunk(bundle, layout, &cameras, loss, range))
             .collect();
-        let mut u = Mat::<f64>::zeros(n, n);
-        let mut gradient = vec![0.0; n];
+        let mut u = vec![0.0; pattern.len()];
+        let mut gradient = vec![0.0; pattern.num_columns()];
         let mut chunks = Vec::with_capacity(parts.len());
         for (chunk, part, part_gradient) in parts {
-            u += &part;
-            for (sum, value) in gradient.iter_mut().zip(&part_gradient) {
-                *sum += value;
-            }
+            add(&mut u, &part);
+            add(&mut gradient, &part_gradient);
             chunks.push(chunk);
         }
         for (camera, columns) in bundle.cameras.iter().zip(&layout.cameras) {
@@ -176,7 +108,7 @@ impl System {
             {
                 if let (Some(c), Some(sigma)) = (column, sigma) {
                     let precision = PRIOR_LOSS.weight(deviation / sigma) / (sigma * sigma);
-                    u[(*c, *c)] += precision;
+                    u[pattern.column_starts[*c]] += precision;
                     gradient[*c] += precision * deviation;
                 }
             }
@@ -189,31 +121,37 @@ impl System {
     }
 
     /// Lower triangle of the damped Schur complement and its right-hand side.
-    fn reduced(&self, lambda: f64) -> Option<(Mat<f64>, Vec<f64>)> {
+    pub fn reduced(&self, pattern: &Pattern, lambda: f64) -> Option<(Vec<f64>, Vec<f64>)> {
         let n = self.gradient.len();
-        let parts: Option<Vec<(Mat<f64>, Vec<f64>)>> = self
+        let parts: Option<Vec<(Vec<f64>, Vec<f64>)>> = self
             .chunks
             .par_iter()
             .map(|chunk| {
-                let mut s = Mat::<f64>::zeros(n, n);
+                let mut s = vec![0.0; pattern.len()];
                 let mut right = vec![0.0; n];
-                let mut t = Vec::new();
+                // By coordinate, so that runs are sums of whole slices.
+                let mut t: [Vec<f64>; 3] = Default::default();
                 for point in &chunk.points {
                     let l = damped(&point.v, lambda).cholesky()?.l();
                     let rows = &chunk.rows[point.rows.clone()];
                     let y = l.solve_lower_triangular(&point.gradient)?;
-                    t.clear();
-                    for (_, w) in rows {
-                        t.push(l.solve_lower_triangular(w)?);
-                    }
-                    for (j, (column, _)) in rows.iter().enumerate() {
-                        right[*column] += t[j].dot(&y);
-                        let slice = s.col_mut(*column);
-                        let target = slice.try_as_col_major_mut()?.as_slice_mut();
-                        for (i, (row, _)) in rows.iter().enumerate().skip(j) {
-                            target[*row] -= t[i].dot(&t[j]);
+                    t.iter_mut().for_each(Vec::clear);
+                    for (column, w) in rows {
+                        let solved = l.solve_lower_triangular(w)?;
+                        right[*column] += solved.dot(&y);
+                        for (t, value) in t.iter_mut().zip(solved.iter()) {
+                            t.push(*value);
                         }
                     }
+                    let [x, y, z] = &t;
+                    pattern.for_runs(rows, |j, run, at| {
+                        let (a, b, c) = (x[j], y[j], z[j]);
+                        let entries = s[at..at + run.len()].iter_mut();
+                        let others = x[run.clone()].iter().zip(&y[run.clone()]).zip(&z[run]);
+                        for (entry, ((x, y), z)) in entries.zip(others) {
+                            *entry -= x * a + y * b + z * c;
+                        }
+                    });
                 }
                 Some((s, right))
             })
@@ -221,38 +159,26 @@ impl System {
         let mut s = self.u.clone();
         let mut right: Vec<f64> = self.gradient.iter().map(|g| -g).collect();
         for (part, part_right) in parts? {
-            s += &part;
-            for (sum, value) in right.iter_mut().zip(&part_right) {
-                *sum += value;
-            }
+            add(&mut s, &part);
+            add(&mut right, &part_right);
         }
-        for k in 0..n {
-            s[(k, k)] += lambda * self.u[(k, k)];
+        for &diagonal in &pattern.column_starts[..n] {
+            s[diagonal] += lambda * self.u[diagonal];
         }
         Some((s, right))
     }
 
     /// The damped step; `None` when the system is singular.
-    pub fn solve(&self, lambda: f64) -> Option<Step> {
-        let (mut s, right) = self.reduced(lambda)?;
-        let n = right.len();
-        let mut solution = Mat::from_fn(n, 1, |row, _| right[row]);
-        if n > 0 {
-            if !factorize(&mut s) {
-                return None;
-            }
-            solve_factored(&s, &mut solution);
-        }
-        let reduced: Vec<f64> = (0..n).map(|k| solution[(k, 0)]).collect();
-        if reduced.iter().any(|v| !v.is_finite()) {
-            return None;
-        }
+    pub fn solve(&self, method: &Method<'_>, lambda: f64) -> Option<Step> {
+        let (s, mut reduced) = self.reduced(method.pattern(), lambda)?;
+        method.solve(&s, &mut reduced)?;
         let mut points = Vec::new();
         // −gᵀδ − ½ δᵀHδ with H δ = −g − λ D δ gives ½ (λ δᵀDδ − gᵀδ).
         let mut decrease: f64 = reduced
             .iter()
-            .enumerate()
-            .map(|(k, d)| 0.5 * (lambda * self.u[(k, k)] * d * d - self.gradient[k] * d))
+            .zip(&method.pattern().column_starts)
+            .zip(&self.gradient)
+            .map(|((d, diagonal), g)| 0.5 * (lambda * self.u[*diagonal] * d * d - g * d))
             .sum();
         for chunk in &self.chunks {
             for point in &chunk.points {
@@ -274,23 +200,18 @@ impl System {
     }
 
     /// Blocks of the inverse of the undamped normal matrix.
-    pub fn covariances(&self, layout: &Layout) -> Option<Covariances> {
-        let (mut s, _) = self.reduced(0.0)?;
-        let n = s.nrows();
-        let mut inverse = Mat::<f64>::identity(n, n);
-        if n > 0 {
-            if !factorize(&mut s) {
-                return None;
-            }
-            solve_factored(&s, &mut inverse);
-        }
+    pub fn covariances(&self, layout: &Layout, method: &Method<'_>) -> Option<Covariances> {
+        let pattern = &layout.pattern;
+        let (s, _) = self.reduced(pattern, 0.0)?;
+        let inverse = method.inverse(&s)?;
+        let entry = |a: usize, b: usize| Some(inverse[pattern.place(a.max(b), a.min(b))?]);
         let poses = layout
             .views
             .iter()
             .map(|columns| {
-                Matrix6::from_fn(|i, j| match (columns[i], columns[j]) {
-                    (Some(a), Some(b)) => inverse[(a, b)],
-                    _ => 0.0,
+                Matrix6::from_fn(|i, j| {
+                    let both = columns[i].zip(columns[j]);
+                    both.and_then(|(a, b)| entry(a, b)).unwrap_or(0.0)
                 })
             })
             .collect();
@@ -300,15 +221,26 @@ impl System {
                 let v_inverse = point.v.try_inverse()?;
                 let rows = &chunk.rows[point.rows.clone()];
                 let mut inner = Matrix3::zeros();
-                for (a, wa) in rows {
-                    for (b, wb) in rows {
-                        inner += wa * wb.transpose() * inverse[(*a, *b)];
+                pattern.for_runs(rows, |j, run, start| {
+                    for (i, value) in run.clone().zip(&inverse[start..start + run.len()]) {
+                        let share = rows[i].1 * rows[j].1.transpose() * *value;
+                        inner += share;
+                        if i != j {
+                            inner += share.transpose();
+                        }
                     }
-                }
+                });
                 points.push(v_inverse + v_inverse * inner * v_inverse);
             }
         }
         Some(Covariances { poses, points })
+    }
+}
+
+/// Adds one list of numbers to another.
+fn add(sum: &mut [f64], part: &[f64]) {
+    for (sum, value) in sum.iter_mut().zip(part) {
+        *sum += value;
     }
 }
 
@@ -326,10 +258,10 @@ fn build_chunk(
     cameras: &[Intrinsics],
     loss: RobustLoss,
     range: std::ops::Range<usize>,
-) -> (Chunk, Mat<f64>, Vec<f64>) {
-    let n = layout.num_columns;
-    let mut u = Mat::<f64>::zeros(n, n);
-    let mut gradient = vec![0.0; n];
+) -> (Chunk, Vec<f64>, Vec<f64>) {
+    let pattern = &layout.pattern;
+    let mut u = vec![0.0; pattern.len()];
+    let mut gradient = vec![0.0; pattern.num_columns()];
     let mut chunk = Chunk {
         points: Vec::with_capacity(range.len()),
         rows: Vec::new(),
@@ -371,7 +303,9 @@ fn build_chunk(
                 add_row(&mut chunk.rows, start, *column, w);
                 // Columns ascend, so this fills the lower triangle.
                 for (row, e) in &columns[a..] {
-                    u[(*row, *column)] += weight * (d[0] * e[0] + d[1] * e[1]);
+                    if let Some(at) = pattern.place(*row, *column) {
+                        u[at] += weight * (d[0] * e[0] + d[1] * e[1]);
+                    }
                 }
             }
         }

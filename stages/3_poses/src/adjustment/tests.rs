@@ -60,11 +60,7 @@ fn bundle(noise: f64, refine: bool) -> Bundle {
 }
 
 /// Full normal equations by differences of all residuals.
-fn dense(
-    bundle: &Bundle,
-    layout: &schur::Layout,
-    num_columns: usize,
-) -> (DMatrix<f64>, DVector<f64>) {
+fn dense(bundle: &Bundle, layout: &Layout, num_columns: usize) -> (DMatrix<f64>, DVector<f64>) {
     let num_points = bundle.points.len();
     let total = num_columns + 3 * num_points;
     let residuals = |x: &DVector<f64>| -> Vec<f64> {
@@ -119,7 +115,7 @@ fn the_step_is_that_of_the_dense_system() {
         if refine {
             bundle.cameras[0].deviation[0] = 0.01;
         }
-        let layout = schur::Layout::new(&bundle);
+        let layout = Layout::new(&bundle);
         let num_columns = if refine { 19 } else { 17 };
         let (h, g) = dense(&bundle, &layout, num_columns);
         let lambda = 1e-3;
@@ -129,7 +125,8 @@ fn the_step_is_that_of_the_dense_system() {
         }
         let oracle = damped.cholesky().unwrap().solve(&-&g);
         let system = schur::System::build(&bundle, &layout, RobustLoss::Squared);
-        let step = system.solve(lambda).unwrap();
+        let method = Method::new(&layout.pattern);
+        let step = system.solve(&method, lambda).unwrap();
         assert_eq!(step.reduced.len(), num_columns);
         let scale = oracle.norm();
         for (k, value) in step.reduced.iter().enumerate() {
@@ -146,13 +143,149 @@ fn the_step_is_that_of_the_dense_system() {
         assert!(relative < 1e-5, "{} {predicted}", step.predicted_decrease);
         // Covariances are blocks of the inverse.
         let inverse = h.try_inverse().unwrap();
-        let covariances = system.covariances(&layout).unwrap();
+        let covariances = system.covariances(&layout, &method).unwrap();
         let last = covariances.points.last().unwrap();
         let corner = h_corner(&inverse);
         assert!(
             (last - corner).norm() < 1e-5 * corner.norm(),
             "{last} {corner}"
         );
+    }
+}
+
+/// Views on a ring, each point seen by four neighbours: most pairs of views do not meet.
+fn ring(num_views: usize, refine: bool) -> Bundle {
+    let camera = Intrinsics::pinhole(800, 600, 700.0, 399.5, 299.5);
+    let mut adjusted = AdjustedCamera::fixed(camera);
+    if refine {
+        adjusted.prior_sigma[0] = Some(0.05);
+        adjusted.prior_sigma[3] = Some(0.3);
+    }
+    let turn = |k: f64| std::f64::consts::TAU * k / num_views as f64;
+    let views: Vec<AdjustedView> = (0..num_views)
+        .map(|k| AdjustedView {
+            camera: 0,
+            pose: CenteredPose {
+                rotation: UnitQuaternion::from_euler_angles(0.0, turn(k as f64), 0.0),
+                center: Point3::new(
+                    -6.0 * turn(k as f64).sin(),
+                    0.1 * (k as f64).sin(),
+                    -6.0 * turn(k as f64).cos(),
+                ),
+            },
+            free: [true; 6],
+        })
+        .map(|mut view| {
+            view.pose.rotation = view.pose.rotation.inverse();
+            view
+        })
+        .collect();
+    let mut bundle = Bundle {
+        cameras: vec![adjusted],
+        views,
+        points: Vec::new(),
+        observations: Vec::new(),
+        offsets: vec![0],
+    };
+    for k in 0..num_views {
+        for l in 0..8 {
+            let t = (8 * k + l) as f64;
+            let angle = turn(k as f64 + 1.5 + 0.5 * t.sin());
+            let point = Point3::new(
+                -angle.sin() + 0.3 * (1.3 * t).sin(),
+                0.8 * (0.7 * t).cos(),
+                -angle.cos() + 0.3 * (2.1 * t).sin(),
+            );
+            for step in 0..4 {
+                let view = (k + step) % num_views;
+                let pose = &bundle.views[view].pose;
+                let pixel = camera.project(&pose.apply(&point)).unwrap();
+                let wiggle = Vector3::new((9.1 * t + view as f64).sin(), (7.7 * t).cos(), 0.0);
+                bundle.observations.push(Observation {
+                    view,
+                    pixel: pixel + 0.5 * wiggle.xy(),
+                    weight: 1.0 + 0.01 * t,
+                });
+            }
+            bundle.points.push(point);
+            bundle.offsets.push(bundle.observations.len());
+        }
+    }
+    bundle.fix_gauge();
+    bundle
+}
+
+#[test]
+fn the_sparse_system_gives_what_the_dense_one_gives() {
+    for refine in [false, true] {
+        let bundle = ring(40, refine);
+        let layout = Layout::new(&bundle);
+        let n = layout.pattern.num_columns();
+        // A view meets three to either side, and its camera.
+        assert!(layout.pattern.len() < n * n / 6, "{}", layout.pattern.len());
+        let system = schur::System::build(&bundle, &layout, RobustLoss::Squared);
+        let (dense, sparse) = (
+            Method::dense(&layout.pattern),
+            Method::sparse(&layout.pattern),
+        );
+        let (a, b) = (
+            system.solve(&dense, 1e-3).unwrap(),
+            system.solve(&sparse, 1e-3).unwrap(),
+        );
+        let apart = |a: &[f64], b: &[f64]| {
+            let largest = a.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            let difference = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+            difference.fold(0.0_f64, f64::max) / largest
+        };
+        let error = apart(&a.reduced, &b.reduced);
+        assert!(error < 1e-10, "{error}");
+        let (matrix, _) = system.reduced(&layout.pattern, 0.0).unwrap();
+        let (a, b) = (
+            dense.inverse(&matrix).unwrap(),
+            sparse.inverse(&matrix).unwrap(),
+        );
+        let error = apart(&a, &b);
+        assert!(error < 1e-9, "{error}");
+        // What is chosen by itself is one of them.
+        let chosen = bundle.covariances(RobustLoss::Squared).unwrap();
+        let forced = system.covariances(&layout, &dense).unwrap();
+        for (a, b) in chosen.points.iter().zip(&forced.points) {
+            let error = (a - b).norm() / b.norm();
+            assert!(error < 1e-9, "{error}");
+        }
+    }
+}
+
+#[test]
+fn a_singular_system_is_none_however_it_is_factored() {
+    let mut bundle = ring(40, false);
+    // Without a gauge all lengths are free.
+    bundle.views.iter_mut().for_each(|v| v.free = [true; 6]);
+    // A view that sees two points only.
+    let view = bundle.views.len() - 1;
+    let mut kept = (Vec::new(), vec![0], Vec::new());
+    for p in 0..bundle.points.len() {
+        let seen = &bundle.observations[bundle.offsets[p]..bundle.offsets[p + 1]];
+        let drop = p % 8 > 0;
+        kept.0
+            .extend(seen.iter().filter(|o| o.view != view || !drop));
+        kept.1.push(kept.0.len());
+        kept.2.push(bundle.points[p]);
+    }
+    (bundle.observations, bundle.offsets, bundle.points) = kept;
+    bundle
+        .observations
+        .iter_mut()
+        .filter(|o| o.view == view)
+        .for_each(|o| o.weight = 0.0);
+    let layout = Layout::new(&bundle);
+    let system = schur::System::build(&bundle, &layout, RobustLoss::Squared);
+    for method in [
+        Method::dense(&layout.pattern),
+        Method::sparse(&layout.pattern),
+    ] {
+        assert!(system.solve(&method, 0.0).is_none());
+        assert!(system.covariances(&layout, &method).is_none());
     }
 }
 

@@ -19,9 +19,8 @@ const SWEEP: SweepOptions = SweepOptions {
 pub(super) fn cover(scene: &Scene<'_>, index: usize) -> Vec<Option<Node>> {
     let (view, grid) = (&scene.views[index], &scene.grids[index]);
     let ranges = &scene.ranges[index];
-    let mut pairs: Vec<PairGeometry> = (0..scene.views.len())
-        .filter(|&source| source != index)
-        .filter_map(|source| PairGeometry::new(view, source, &scene.views[source]))
+    let mut pairs: Vec<PairGeometry> = (scene.neighbours[index].iter())
+        .filter_map(|&source| PairGeometry::new(view, source, &scene.views[source]))
         .collect();
     let mut nodes = vec![None; grid.len()];
     let mut ws = Workspace::default();
@@ -102,12 +101,10 @@ fn seed_of_search(
 
 /// Sparse points on the object that a view sees, as seeds of their cells.
 fn seeds_of_points(scene: &Scene<'_>, index: usize) -> Vec<Seed> {
-    let (view, grid, id) = (&scene.views[index], &scene.grids[index], scene.ids[index]);
-    scene
-        .points
+    let (view, grid) = (&scene.views[index], &scene.grids[index]);
+    scene.points[index]
         .iter()
-        .filter(|(_, seen)| seen.contains(&id))
-        .filter_map(|(point, _)| {
+        .filter_map(|point| {
             let (x, y, depth) = view.camera.project(point)?;
             let cell = grid.cell(x, y).filter(|_| view.on_object(x, y))?;
             scene.ranges[index][cell]?;

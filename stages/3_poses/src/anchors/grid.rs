@@ -75,6 +75,34 @@ pub(super) fn grid_spacing(views: &[WorkingView], wanted_px: f64) -> usize {
     wanted_px.max(needed).round() as usize
 }
 
+/// Views whose masks bound the depth of a cell: more, evenly spread, hardly cut anything off.
+const MAX_CARVING: usize = 48;
+
+/// Views to carve with: all, or of many each the farthest from those before it.
+fn carving(views: &[WorkingView]) -> Vec<usize> {
+    if views.len() <= MAX_CARVING {
+        return (0..views.len()).collect();
+    }
+    let mut chosen = vec![0];
+    let mut distances = vec![f64::INFINITY; views.len()];
+    while chosen.len() < MAX_CARVING {
+        let last = &views[chosen[chosen.len() - 1]].camera.center;
+        let mut farthest = 0;
+        for (v, distance) in distances.iter_mut().enumerate() {
+            *distance = distance.min((views[v].camera.center - last).norm());
+        }
+        for v in 1..views.len() {
+            if distances[v] > distances[farthest] {
+                farthest = v;
+            }
+        }
+        chosen.push(farthest);
+    }
+    chosen.sort_unstable();
+    chosen.dedup();
+    chosen
+}
+
 /// Range of inverse depth (far, near) per cell; `None` off the object and outside the hull.
 pub(super) type CellRanges = Vec<Option<(f64, f64)>>;
 
@@ -89,14 +117,15 @@ pub(super) fn depth_ranges(
     if whole.iter().all(Option::is_none) {
         return None;
     }
-    let widened: Vec<Mask> = views
+    let carving = carving(views);
+    let widened: Vec<Mask> = carving
         .par_iter()
-        .map(|view| hull::dilate(&view.object, MASK_TOLERANCE_PX))
+        .map(|&v| hull::dilate(&views[v].object, MASK_TOLERANCE_PX))
         .collect();
-    let outlines: Vec<Outline> = views
+    let outlines: Vec<(usize, Outline)> = carving
         .iter()
         .zip(&widened)
-        .map(|(view, mask)| view.outline(mask))
+        .map(|(&v, mask)| (v, views[v].outline(mask)))
         .collect();
     let ranges = (0..views.len())
         .into_par_iter()
@@ -113,7 +142,10 @@ pub(super) fn depth_ranges(
                 })
                 .filter(|&(_, (x, y))| view.on_object(x, y))
                 .unzip();
-            let inside = hull::ranges_inside(&outlines, index, &positions, whole);
+            // The view's own outline tells nothing of depth, only its camera counts.
+            let mut cutting = vec![view.outline(&view.object)];
+            cutting.extend(outlines.iter().filter(|(v, _)| *v != index).map(|o| o.1));
+            let inside = hull::ranges_inside(&cutting, 0, &positions, whole);
             for (cell, range) in cells.into_iter().zip(inside) {
                 ranges[cell] = range.map(|r| {
                     let far = r.low.max(0.5 * whole.low);

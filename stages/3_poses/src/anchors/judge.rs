@@ -81,9 +81,10 @@ pub(super) struct Estimate {
 /// Everything the views say of each other's patches: one list per patch, by view and cell.
 type SupportLists = Vec<Vec<Vec<Support>>>;
 
-/// Collects the supports of all patches.
+/// Collects what the neighbours of each view say of its patches.
 pub(super) fn all_supports(
     views: &[WorkingView],
+    neighbours: &[Vec<usize>],
     grids: &[Grid],
     nodes: &[Vec<Option<Node>>],
     radius_px: f64,
@@ -91,9 +92,8 @@ pub(super) fn all_supports(
     (0..views.len())
         .into_par_iter()
         .map(|view| {
-            let warps: Vec<(usize, Warp)> = (0..views.len())
-                .filter(|&other| other != view)
-                .filter_map(|other| {
+            let warps: Vec<(usize, Warp)> = (neighbours[view].iter())
+                .filter_map(|&other| {
                     Some((
                         other,
                         Warp::between(&views[view].camera, &views[other].camera)?,

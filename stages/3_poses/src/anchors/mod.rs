@@ -10,7 +10,8 @@
 //! 3. Seeds by epipolar search in all sources at once (`sweep`), and the sparse points.
 //! 4. Alignment of patches over inverse depth and slopes (`patch`, `sampling`, `elimination`), what
 //!    exposure did between the photos (`exposure`), growing over the surface from the seeds (`grow`).
-//!    Views are independent: they run in parallel.
+//!    Views are independent: they run in parallel, each with its neighbours (`neighbours`) only, in groups whose
+//!    images fit into memory together (`prepare`).
 //! 5. What other views say of each patch (`check`); noise factor, combination and belief (`judge`).
 //! 6. One anchor per surface point with all its views (`merge`).
 //!
@@ -35,6 +36,7 @@ mod grid;
 mod grow;
 mod judge;
 mod merge;
+mod neighbours;
 pub(crate) mod options;
 mod pair;
 mod patch;
@@ -63,7 +65,7 @@ use rilievo_scene::{
     Anchor, DividedStep, FeatureMatches, Flow, Observer, PhotoSet, PosedViews, StageId,
 };
 
-/// Finds the depth anchors of posed views. Too few views, no overlap or no contrast give an empty
+/// Finds the depth anchors of posed views; images take `memory` bytes at most, about, which changes no result. Too few views, no overlap or no contrast give an empty
 /// result with a warning.
 ///
 /// # Errors
@@ -73,6 +75,7 @@ pub fn find(
     _matches: &FeatureMatches,
     posed: &PosedViews,
     options: &AnchorOptions,
+    memory: Option<u64>,
     observer: &dyn Observer,
 ) -> Result<(Vec<Anchor>, AnchorReport), PosesError> {
     options.validate()?;
@@ -89,7 +92,9 @@ pub fn find(
                 .collect();
             (anchors, Facts::default())
         }
-        AnchorMode::Guided | AnchorMode::Grown => aligned(photos, posed, options, observer)?,
+        AnchorMode::Guided | AnchorMode::Grown => {
+            aligned(photos, posed, options, memory, observer)?
+        }
     };
     if anchors.is_empty() && !facts.warned {
         let message = "no depth anchors: nothing on the object matches between the views; take photos closer together, or light it so that its shading shows";
@@ -104,25 +109,38 @@ fn aligned(
     photos: &PhotoSet,
     posed: &PosedViews,
     options: &AnchorOptions,
+    memory: Option<u64>,
     observer: &dyn Observer,
 ) -> Result<(Vec<Anchor>, Facts), PosesError> {
     let mut facts = Facts::default();
-    let Some(scene) = prepare(photos, posed, options, &mut facts, observer)? else {
+    let Some(mut scene) = prepare(photos, posed, options, memory, &mut facts, observer)? else {
         return Ok((Vec::new(), facts));
     };
     let num_views = scene.views.len();
     let step = DividedStep::new(observer, StageId::Poses, "growing anchors");
-    let interrupted = || PosesError::Interrupted;
-    let nodes: Vec<Vec<Option<Node>>> = step.run(num_views, usize::MAX, interrupted, |view| {
-        Ok(cover(&scene, view))
-    })?;
+    let mut nodes: Vec<Vec<Option<Node>>> = Vec::with_capacity(num_views);
+    for group in scene.groups() {
+        scene.hold(group.clone())?;
+        let interrupted = || PosesError::Interrupted;
+        let step = step.after(group.start);
+        nodes.extend(step.run(group.len(), usize::MAX, interrupted, |k| {
+            Ok(cover(&scene, group.start + k))
+        })?);
+    }
+    scene.hold(0..0)?;
     let spacing = scene.grids[0].spacing as f64;
     let judge_options = JudgeOptions {
         radius_px: 1.5 * spacing,
         max_doubt_px: options.max_doubt_px,
         dense: options.mode == AnchorMode::Grown,
     };
-    let lists = all_supports(&scene.views, &scene.grids, &nodes, judge_options.radius_px);
+    let lists = all_supports(
+        &scene.views,
+        &scene.neighbours,
+        &scene.grids,
+        &nodes,
+        judge_options.radius_px,
+    );
     let factor = noise_factor(&nodes, &lists);
     let estimates: Vec<_> = (0..num_views)
         .into_par_iter()

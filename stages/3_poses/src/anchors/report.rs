@@ -86,15 +86,15 @@ pub(super) fn report(
     anchors: &[Anchor],
     facts: Facts,
 ) -> AnchorReport {
+    let mut seen_by: Vec<Vec<&AnchorObservation>> = vec![Vec::new(); posed.views.len()];
+    for observation in anchors.iter().flat_map(|a| &a.observations) {
+        seen_by[observation.view.0].push(observation);
+    }
     let views = posed
         .views
         .iter()
-        .enumerate()
-        .map(|(idx, view)| {
-            let seen: Vec<&AnchorObservation> = anchors
-                .iter()
-                .flat_map(|a| a.observations.iter().filter(|o| o.view.0 == idx))
-                .collect();
+        .zip(seen_by)
+        .map(|(view, seen)| {
             let mut sigmas: Vec<f64> = seen.iter().map(|o| o.sigma_ln_depth).collect();
             let coverage = photos.photos[view.photo.0].mask.as_ref().map(|mask| {
                 let mut covered = vec![false; mask.data.len()];

@@ -29,7 +29,7 @@ const DEVIATION_FLOOR: f32 = 0.5;
 const MIN_SHARE: f32 = 0.7;
 
 /// Half-size normalised image with a flag that a pixel is on the object.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct DetailImage {
     /// Working pixels per pixel of this image.
     pub reduction: usize,

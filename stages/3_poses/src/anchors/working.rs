@@ -46,7 +46,7 @@ pub(super) struct WorkingView {
     lens: Intrinsics,
     /// First and last column and row of the whole photo, working pixels of the crop.
     frame: [[f64; 2]; 2],
-    /// One per pixel of the crop, row by row.
+    /// One per pixel of the crop, row by row; none while the image is not held.
     pub texels: Vec<Texel>,
     /// The object (everything without a mask), not eroded.
     pub object: Mask,
@@ -127,6 +127,11 @@ impl WorkingView {
             object,
             has_mask: mask.is_some(),
         })
+    }
+
+    /// Bytes that the image takes, with the detail of the epipolar search.
+    pub fn image_bytes(&self) -> usize {
+        self.camera.width * self.camera.height * (size_of::<Texel>() + 2)
     }
 
     /// Pixel of the photo under a working pixel.

@@ -19,7 +19,7 @@ use align::{AffineMap, Template};
 use image::Pyramid;
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector2, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{Flow, Intrinsics, Observer, PixelError};
+use rilievo_scene::{Flow, Intrinsics, Observer};
 
 /// Least correlation of an aligned patch.
 const MIN_CORRELATION: f32 = 0.8;
@@ -137,115 +137,182 @@ fn plane_map(
     })
 }
 
+/// Templates that are held at once: 8 kB each.
+const MAX_NUM_TEMPLATES: usize = 20_000;
+
+/// The reference's patch of a track.
+struct Patch {
+    track: usize,
+    /// Place of the reference in the track.
+    reference: usize,
+    /// Its pixel, whole.
+    pixel: Point2<f64>,
+    template: Template,
+    /// Planes that the patch may lie on.
+    normals: Vec<Vector3<f64>>,
+}
+
 /// Refined pixels of all tracks of a model; `None` where a sighting did not align.
+///
+/// Photos are looked at one after the other, `at_once` at a time, each once for the patches that it gives and once
+/// for those that are sought in it.
 ///
 /// # Errors
 /// When a photo cannot be read or the observer asked to stop.
 pub fn refine_tracks(
     scene: &Scene<'_>,
     model: &Model,
+    at_once: usize,
     observer: &dyn Observer,
 ) -> Result<RefinedPixels, PosesError> {
-    let photos: Vec<usize> = (0..scene.num_photos()).collect();
-    let pyramids = map_few_at_once(&photos, |&photo| -> Result<_, PixelError> {
-        match model.poses[photo] {
-            Some(_) => Ok(Some(Pyramid::new(&*scene.photos.photos[photo].linear()?))),
-            None => Ok(None),
+    let cameras = model.intrinsics();
+    let mut refined: RefinedPixels = scene.tracks.iter().map(|t| vec![None; t.len()]).collect();
+    // Track and place of its reference, by photo, so that photos near each other come together.
+    let mut references: Vec<(usize, usize, usize)> = (0..scene.tracks.len())
+        .filter_map(|track| {
+            let place = reference(scene, model, track)?;
+            Some((scene.tracks[track][place].photo, track, place))
+        })
+        .collect();
+    references.sort_unstable();
+    for batch in references.chunks(MAX_NUM_TEMPLATES) {
+        let given: Vec<&[(usize, usize, usize)]> = batch.chunk_by(|a, b| a.0 == b.0).collect();
+        let patches: Vec<Vec<Patch>> = map_few_at_once(&given, at_once, |list| {
+            let photo = list[0].0;
+            let pyramid = load(scene, photo, observer)?;
+            let neighborhood = Neighborhood::new(scene, model, photo);
+            let patch = |&(_, track, place): &(usize, usize, usize)| {
+                Patch::new(scene, model, &pyramid, &neighborhood, (track, place))
+            };
+            Ok::<_, PosesError>(list.par_iter().filter_map(patch).collect())
+        })?;
+        let patches: Vec<Patch> = patches.into_iter().flatten().collect();
+        // Photo, patch, and place in the track of what is sought there.
+        let mut sought = Vec::new();
+        for (k, patch) in patches.iter().enumerate() {
+            refined[patch.track][patch.reference] = Some((patch.pixel, FLOOR_SIGMA_PX));
+            for place in model.points[patch.track].iter().flat_map(|p| &p.support) {
+                if *place != patch.reference {
+                    sought.push((scene.tracks[patch.track][*place].photo, k, *place));
+                }
+            }
         }
-    })?;
+        sought.sort_unstable();
+        let sought: Vec<&[(usize, usize, usize)]> = sought.chunk_by(|a, b| a.0 == b.0).collect();
+        let found = map_few_at_once(&sought, at_once, |list| {
+            let pyramid = load(scene, list[0].0, observer)?;
+            let find = |&(_, patch, place): &(usize, usize, usize)| {
+                patches[patch].find(scene, model, &cameras, &pyramid, place)
+            };
+            Ok::<_, PosesError>(list.par_iter().map(find).collect::<Vec<_>>())
+        })?;
+        for (list, found) in sought.into_iter().zip(found) {
+            for (&(_, patch, place), pixel) in list.iter().zip(found) {
+                refined[patches[patch].track][place] = pixel;
+            }
+        }
+    }
+    Ok(refined)
+}
+
+fn load(scene: &Scene<'_>, photo: usize, observer: &dyn Observer) -> Result<Pyramid, PosesError> {
     if observer.flow() == Flow::Stop {
         return Err(PosesError::Interrupted);
     }
-    let neighborhoods: Vec<Neighborhood> = (0..scene.num_photos())
-        .into_par_iter()
-        .map(|photo| Neighborhood::new(scene, model, photo))
-        .collect();
-    let cameras = model.intrinsics();
-    Ok((0..scene.tracks.len())
-        .into_par_iter()
-        .map(|track| {
-            refine_track(scene, model, &cameras, &pyramids, &neighborhoods, track)
-                .unwrap_or_else(|| vec![None; scene.tracks[track].len()])
-        })
-        .collect())
+    Ok(Pyramid::new(&*scene.photos.photos[photo].linear()?))
 }
 
-fn refine_track(
-    scene: &Scene<'_>,
-    model: &Model,
-    cameras: &[Intrinsics],
-    pyramids: &[Option<Pyramid>],
-    neighborhoods: &[Neighborhood],
-    track: usize,
-) -> Option<Vec<RefinedPixel>> {
-    let sightings = &scene.tracks[track];
-    let point = model.points[track].as_ref()?;
-    let keypoint_size = |place: usize| {
-        let s = &sightings[place];
-        f64::from(scene.matches.photos[s.photo].keypoints[s.keypoint as usize].size_px)
-    };
-    let reference = point.support.iter().copied().reduce(|a, b| {
-        if keypoint_size(b) > keypoint_size(a) {
-            b
-        } else {
-            a
+/// Size of a sighting's keypoint, pixels.
+fn keypoint_size(scene: &Scene<'_>, track: usize, place: usize) -> f64 {
+    let s = &scene.tracks[track][place];
+    f64::from(scene.matches.photos[s.photo].keypoints[s.keypoint as usize].size_px)
+}
+
+/// The sighting with the largest image of a track's point.
+fn reference(scene: &Scene<'_>, model: &Model, track: usize) -> Option<usize> {
+    let support = &model.points[track].as_ref()?.support;
+    let size = |place: usize| keypoint_size(scene, track, place);
+    support
+        .iter()
+        .copied()
+        .reduce(|a, b| if size(b) > size(a) { b } else { a })
+}
+
+impl Patch {
+    fn new(
+        scene: &Scene<'_>,
+        model: &Model,
+        pyramid: &Pyramid,
+        neighborhood: &Neighborhood,
+        (track, reference): (usize, usize),
+    ) -> Option<Self> {
+        let sightings = &scene.tracks[track];
+        let point = model.points[track].as_ref()?;
+        let keypoint = scene.pixel(&sightings[reference]);
+        let pixel = Point2::new(keypoint.x.round(), keypoint.y.round());
+        let step = STEP_PER_SIZE * keypoint_size(scene, track, reference);
+        let template = Template::new(
+            pyramid,
+            pixel.x as f32,
+            pixel.y as f32,
+            step.clamp(1.0, MAX_STEP_PX) as f32,
+        )?;
+        // Besides the plane of the neighbours, one that faces the cameras: at depth edges the
+        // neighbours mislead.
+        let mut facing = Vector3::zeros();
+        for &place in &point.support {
+            let center = model.poses[sightings[place].photo]?.center;
+            facing += (center - point.position).normalize();
         }
-    })?;
-    let photo = sightings[reference].photo;
-    let view = |photo: usize| -> Option<(&Intrinsics, &CenteredPose)> {
-        Some((
-            &cameras[scene.camera_of[photo]],
-            model.poses[photo].as_ref()?,
-        ))
-    };
-    let own = view(photo)?;
-    let keypoint = scene.pixel(&sightings[reference]);
-    let pixel = Point2::new(keypoint.x.round(), keypoint.y.round());
-    let step = (STEP_PER_SIZE * keypoint_size(reference)).clamp(1.0, MAX_STEP_PX);
-    let template = Template::new(
-        pyramids[photo].as_ref()?,
-        pixel.x as f32,
-        pixel.y as f32,
-        step as f32,
-    )?;
-    // Besides the plane of the neighbours, one that faces the cameras: at depth edges the
-    // neighbours mislead.
-    let mut facing = Vector3::zeros();
-    for &place in &point.support {
-        let center = view(sightings[place].photo)?.1.center;
-        facing += (center - point.position).normalize();
+        let mut normals = vec![facing.normalize()];
+        normals.extend(neighborhood.normal(&keypoint, &point.position));
+        Some(Self {
+            track,
+            reference,
+            pixel,
+            template,
+            normals,
+        })
     }
-    let mut normals = vec![facing.normalize()];
-    normals.extend(neighborhoods[photo].normal(&keypoint, &point.position));
-    let mut refined = vec![None; sightings.len()];
-    refined[reference] = Some((pixel, FLOOR_SIGMA_PX));
-    for &place in &point.support {
-        if place == reference {
-            continue;
-        }
-        let sighting = &sightings[place];
-        let other = view(sighting.photo)?;
-        let image = pyramids[sighting.photo].as_ref()?;
+
+    /// Where another photo of the track shows the patch.
+    fn find(
+        &self,
+        scene: &Scene<'_>,
+        model: &Model,
+        cameras: &[Intrinsics],
+        image: &Pyramid,
+        place: usize,
+    ) -> RefinedPixel {
+        let sightings = &scene.tracks[self.track];
+        let point = model.points[self.track].as_ref()?;
+        let view = |place: usize| -> Option<(&Intrinsics, &CenteredPose)> {
+            let photo = sightings[place].photo;
+            Some((
+                &cameras[scene.camera_of[photo]],
+                model.poses[photo].as_ref()?,
+            ))
+        };
+        let (own, other) = (view(self.reference)?, view(place)?);
         // Where the plane puts the centre, moved by the keypoints' own disagreement.
-        let best = normals
+        let best = self
+            .normals
             .iter()
             .filter_map(|normal| {
-                let map = plane_map(own, other, &pixel, &point.position, normal)?;
-                Some((template.correlate(image, &map)?, map))
+                let map = plane_map(own, other, &self.pixel, &point.position, normal)?;
+                Some((self.template.correlate(image, &map)?, map))
             })
             .reduce(|a, b| if b.0 > a.0 { b } else { a });
-        let Some((_, start)) = best else { continue };
-        let reach = scene
-            .sigma_px(sighting)
-            .hypot(scene.sigma_px(&sightings[reference]));
+        let (_, start) = best?;
+        let sigma_px = |place: usize| scene.sigma_px(&sightings[place]);
+        let reach = sigma_px(place).hypot(sigma_px(self.reference));
         let max_shift_px = (MAX_SHIFT_SIGMAS * reach).max(MIN_MAX_SHIFT_PX);
-        if let Some(aligned) = template.align(image, start, max_shift_px as f32)
-            && aligned.correlation >= MIN_CORRELATION
-        {
-            let sigma = (CORRELATED_RESIDUALS * f64::from(aligned.sigma_px)).hypot(FLOOR_SIGMA_PX);
-            let at = Point2::new(f64::from(aligned.center.x), f64::from(aligned.center.y));
-            refined[place] = Some((at, sigma));
+        let aligned = self.template.align(image, start, max_shift_px as f32)?;
+        if aligned.correlation < MIN_CORRELATION {
+            return None;
         }
+        let sigma = (CORRELATED_RESIDUALS * f64::from(aligned.sigma_px)).hypot(FLOOR_SIGMA_PX);
+        let at = Point2::new(f64::from(aligned.center.x), f64::from(aligned.center.y));
+        Some((at, sigma))
     }
-    Some(refined)
 }

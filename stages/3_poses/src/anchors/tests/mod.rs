@@ -38,6 +38,7 @@ fn anchors_and_told(
         &FeatureMatches::default(),
         &scene.posed,
         options,
+        None,
         &told,
     )
     .unwrap();
@@ -224,9 +225,34 @@ fn an_observer_can_stop_it() {
         &FeatureMatches::default(),
         &scene.posed,
         &AnchorOptions::default(),
+        None,
         &Impatient,
     );
     assert!(matches!(result, Err(PosesError::Interrupted)), "{result:?}");
+}
+
+#[test]
+fn images_that_do_not_fit_into_memory_are_loaded_when_their_turn_comes() {
+    let scene = photograph(&[BALL], &Settings::default());
+    let found = |memory| {
+        let (photos, posed) = (&scene.photos, &scene.posed);
+        let options = AnchorOptions::default();
+        let matches = FeatureMatches::default();
+        find(
+            photos,
+            &matches,
+            posed,
+            &options,
+            memory,
+            &Recorder::default(),
+        )
+        .unwrap()
+    };
+    let (all, report) = found(None);
+    assert!(all.len() > 100, "{}", all.len());
+    for memory in [1, 2_000_000] {
+        assert_eq!(found(Some(memory)), (all.clone(), report.clone()));
+    }
 }
 
 #[test]
