@@ -86,7 +86,8 @@ impl<'a> Dresser<'a> {
                 weights += weight;
                 let place = view.camera.project(&view.pose.apply(position));
                 if let Some(place) = place.filter(|_| view.has_photo) {
-                    self.palette.add(pixels, view, [place.x, place.y], &mut colors);
+                    self.palette
+                        .add(pixels, view, [place.x, place.y], &mut colors);
                 }
             }
             if weights > 0.0 {

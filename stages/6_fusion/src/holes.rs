@@ -61,7 +61,9 @@ fn fan(mesh: &mut Mesh, ring: &[u32]) {
     }
     // The hub is as its ring is on average.
     let mean = |value: &dyn Fn(usize) -> [f32; 3]| -> Vector3<f64> {
-        let values = ring.iter().map(|&v| Vector3::from(value(v as usize).map(f64::from)));
+        let values = ring
+            .iter()
+            .map(|&v| Vector3::from(value(v as usize).map(f64::from)));
         values.sum::<Vector3<f64>>() / ring.len() as f64
     };
     let center = mean(&|v| mesh.vertices[v]);

@@ -5,8 +5,8 @@
 //! further out.
 
 use crate::options::FusionOptions;
-use crate::report::Layering;
 use crate::reconcile::Corrections;
+use crate::report::Layering;
 use crate::shelf::Sampler;
 use crate::view::{Pixels, Surface, View};
 use crate::views::Stock;
@@ -110,9 +110,8 @@ pub(crate) fn look(
     let direction = if length > 0.2 { mean / length } else { normal };
     let distance = direction.dot(&ray) * gap;
     let faces_alike = candidate.normal.dot(&normal) >= min_normal_cosine;
-    let is_wall = faces_alike
-        && !seen.is_extrapolated
-        && distance.abs() <= WALL_PX * candidate.footprint;
+    let is_wall =
+        faces_alike && !seen.is_extrapolated && distance.abs() <= WALL_PX * candidate.footprint;
     let covers = is_wall.then_some(distance);
     let sight = if distance.abs() <= tolerance {
         if faces_alike {

@@ -149,7 +149,8 @@ pub(crate) fn gather(
             .kept()
             .chunks(PAGES_AT_ONCE * rayon::current_num_threads())
         {
-            let flow = observer.progress(StageId::Fusion, "gathering points", (view.idx, views.len()));
+            let flow =
+                observer.progress(StageId::Fusion, "gathering points", (view.idx, views.len()));
             flow.ok_or(FusionError::Interrupted)?;
             let shares: Vec<PageShare> = pages
                 .par_iter()
@@ -346,8 +347,8 @@ impl Judge<'_> {
                     let density = cosine / (footprint * footprint);
                     finest = finest.min(footprint);
                     // Ties go to the first view, so that the order is one for all.
-                    let is_better = density > own_density
-                        || (density == own_density && other.idx < view.idx);
+                    let is_better =
+                        density > own_density || (density == own_density && other.idx < view.idx);
                     if gives {
                         all += density;
                     }

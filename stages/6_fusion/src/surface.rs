@@ -141,7 +141,11 @@ fn extract_block(
         .iter()
         .map(|cell| {
             (0..8).all(|n| {
-                let corner = [cell[0] + (n & 1), cell[1] + (n >> 1 & 1), cell[2] + (n >> 2)];
+                let corner = [
+                    cell[0] + (n & 1),
+                    cell[1] + (n >> 1 & 1),
+                    cell[2] + (n >> 2),
+                ];
                 values[PaddedShape::linearize(corner) as usize] != UNKNOWN
             })
         })
@@ -155,7 +159,8 @@ fn extract_block(
                 continue;
             }
             // Voxel centres lie half a voxel from the corner of their block.
-            let at = Vector3::from(buffer.positions[i].map(|c| (f64::from(c) + 0.5) * volume.voxel));
+            let at =
+                Vector3::from(buffer.positions[i].map(|c| (f64::from(c) + 0.5) * volume.voxel));
             let gradient = Vector3::from(buffer.normals[i].map(f64::from));
             piece.cells.push(number_in_block(*cell));
             piece
@@ -264,7 +269,11 @@ impl Pieces {
         found[0] = Some(Some(idx));
         let mut vertex = |number: u16| -> Option<u32> {
             let number = u32::from(number);
-            let cell = [number % CELLS, number / CELLS % CELLS, number / (CELLS * CELLS)];
+            let cell = [
+                number % CELLS,
+                number / CELLS % CELLS,
+                number / (CELLS * CELLS),
+            ];
             let n = (0..3).fold(0, |n, i| n | usize::from(cell[i] as usize == SIDE) << i);
             let block = (*found[n].get_or_insert_with(|| volume.find(neighbour(key, n))))?;
             let first = self.first_vertex[block] as usize;

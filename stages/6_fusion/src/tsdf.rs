@@ -97,8 +97,7 @@ impl Volume {
     /// Distances of a block.
     pub fn read(&self, idx: usize) -> Result<[f32; VOLUME], ScratchError> {
         let mut bytes = [0; BLOCK_BYTES];
-        self.room
-            .read_at(&mut bytes, (idx * BLOCK_BYTES) as u64)?;
+        self.room.read_at(&mut bytes, (idx * BLOCK_BYTES) as u64)?;
         let mut distances = [UNKNOWN; VOLUME];
         for (distance, four) in distances.iter_mut().zip(bytes.as_chunks::<4>().0) {
             *distance = f32::from_le_bytes(*four);
@@ -339,14 +338,7 @@ mod tests {
         let min_cosine = options.max_grazing_deg.to_radians().cos();
         // The sphere and what lies around and behind it.
         let origin = Point3::origin();
-        let near = block_codes(
-            &stock.views,
-            &readers,
-            voxel,
-            &origin,
-            &options,
-            usize::MAX,
-        );
+        let near = block_codes(&stock.views, &readers, voxel, &origin, &options, usize::MAX);
         let near: Vec<Key> = near
             .expect("room in memory")
             .into_iter()
@@ -370,9 +362,8 @@ mod tests {
                     continue;
                 }
                 num_left_out += 1;
-                let said = readers.with(|pixels| {
-                    fill(pixels, &[view], &corner, voxel, truncation, min_cosine)
-                });
+                let said = readers
+                    .with(|pixels| fill(pixels, &[view], &corner, voxel, truncation, min_cosine));
                 let said = said.expect("room in memory");
                 assert!(said.iter().all(|&d| d == UNKNOWN), "{} {key:?}", view.idx);
             }
@@ -385,7 +376,12 @@ mod tests {
 
     #[test]
     fn keys_survive_their_codes() {
-        for key in [[-5, 3, 0], [0, 0, 0], [7, -1_000_000, 12], [1_048_575, 1, -1]] {
+        for key in [
+            [-5, 3, 0],
+            [0, 0, 0],
+            [7, -1_000_000, 12],
+            [1_048_575, 1, -1],
+        ] {
             assert_eq!(decode(encode(key.map(i64::from))), key);
         }
         // The cells of a cube of two come before any other.

@@ -172,12 +172,7 @@ fn clean(camera_of: &PosedView, maps: ShadedView, options: &FusionOptions) -> (M
             *z = 0.0;
         }
     }
-    let mut maps = crop(
-        &camera_of.intrinsics,
-        depth,
-        maps.normal,
-        maps.confidence,
-    );
+    let mut maps = crop(&camera_of.intrinsics, depth, maps.normal, maps.confidence);
     drop_edges(&mut maps, options, &mut report);
     mark_givers(&mut maps, options, &mut report);
     (maps, report)

@@ -393,11 +393,7 @@ fn one_view_alone_is_fused_with_a_warning() {
     let (options, told) = (FusionOptions::default(), Recorder::default());
     let result = fuse_with(&PhotoSet::default(), (&posed, &shaded), &options, &told);
     let (fused, _) = result.expect("fused");
-    assert!(
-        fused.points.len() > 2000,
-        "{}",
-        fused.points.len()
-    );
+    assert!(fused.points.len() > 2000, "{}", fused.points.len());
     assert!(!fused.mesh.triangles.is_empty());
     let warnings = told.warnings();
     assert!(
@@ -457,7 +453,13 @@ fn what_cannot_be_fused_is_named() {
         "{error:?}"
     );
 
-    let error = fuse_with(&PhotoSet::default(), (&posed, &shaded), &options, &Impatient).err();
+    let error = fuse_with(
+        &PhotoSet::default(),
+        (&posed, &shaded),
+        &options,
+        &Impatient,
+    )
+    .err();
     assert!(matches!(error, Some(FusionError::Interrupted)), "{error:?}");
 }
 
