@@ -20,7 +20,8 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
 fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Judgement> {
     let resources = Resources::new(&args.work);
     let run = RunDir::open(&args.run)?;
-    let request = stored_request(&run)?;
+    let mut request = stored_request(&run)?;
+    args.work.bound(&mut request.options.fusion);
     let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
     check_upstream(&run, &plan, args.stage)?;

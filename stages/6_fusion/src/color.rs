@@ -100,7 +100,8 @@ impl Palette {
                     continue;
                 }
                 let seen = f64::from(pixels.pixel(view, x as usize, y as usize).depth);
-                if !((seen - in_cam.z).abs() <= 2.0 * tolerance) {
+                let agrees = (seen - in_cam.z).abs() <= 2.0 * tolerance;
+                if !agrees {
                     continue;
                 }
             }

@@ -328,9 +328,9 @@ fn drop_small_pieces(mesh: &mut Mesh) -> usize {
         index[*v as usize] = 0;
     }
     let mut count = 0;
-    for v in 0..index.len() {
-        if index[v] == 0 {
-            index[v] = count as u32;
+    for (v, i) in index.iter_mut().enumerate() {
+        if *i == 0 {
+            *i = count as u32;
             mesh.vertices[count] = mesh.vertices[v];
             mesh.normals[count] = mesh.normals[v];
             mesh.colors[count] = mesh.colors[v];
