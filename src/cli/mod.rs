@@ -213,9 +213,9 @@ pub struct WorkArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
     /// Bounds how many photos are read or searched for keypoints at once (at least one; half of the
-    /// free memory by default), how many tiles stage 5 shapes at once, and the resolution of cloud and
-    /// mesh (4G by default), as 4G or 800M; how many images stage 3 holds for anchors. Stage 5 tells what it
-    /// needs where that is more; stage 4 takes what a photo asks
+    /// free memory by default), how many images stage 3 holds for anchors, what stage 5 works on at once, and what
+    /// stage 6 takes for cloud and mesh (4G by default), as 4G or 800M. Stages 5 and 6 tell what they need where that
+    /// is more; stage 4 takes what a photo asks
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub memory: Option<u64>,
     /// One JSON object a line on stdout

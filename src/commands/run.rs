@@ -23,7 +23,8 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
     let resources = Resources::new(&args.work);
     check_options(&serde_json::json!({"stage": args.stage}))?;
     let run = open_run(&args.run, || Ok(RunDir::open(&args.run)?))?;
-    let request = stored_request(&run)?;
+    let mut request = stored_request(&run)?;
+    args.work.bound(&mut request.options.fusion);
     let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
     check_inputs(&inputs, &plan)?;

@@ -104,6 +104,11 @@ pub fn from_fusion(error: FusionError) -> anyhow::Error {
         FusionError::Interrupted => Failure::Interrupted.into(),
         FusionError::Inconsistent(error) => damaged(&error),
         FusionError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        FusionError::Scratch(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        FusionError::Cloud(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        FusionError::OutOfMemory { given_mib, .. } => {
+            Failure::input(format!("--memory {given_mib}M"), error.to_string()).into()
+        }
         FusionError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         other => Failure::NoResult(other.to_string()).into(),
     }

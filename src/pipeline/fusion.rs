@@ -3,52 +3,55 @@
 use super::context::Context;
 use super::errors::from_fusion;
 use crate::exit::Failure;
-use crate::store::StageWriter;
-use rilievo_io::{ViewerFrame, write_cloud_ply, write_mesh_glb, write_mesh_obj, write_mesh_ply};
-use rilievo_scene::{FusedCloud, Observer, PosedViews};
+use crate::store::{FileScratch, StageWriter};
+use rilievo_fusion::Inputs;
+use rilievo_io::{CloudPlyWriter, ViewerFrame, write_mesh_glb, write_mesh_obj, write_mesh_ply};
+use rilievo_scene::{Mesh, Observer, PosedViews};
 use std::path::PathBuf;
 
 /// Fuses all views.
 ///
 /// # Errors
-/// When nothing agrees, or the user asked to stop.
+/// When nothing agrees, the memory does not suffice, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     // Not divided: the others wait for the result.
     if !context.console.team().is_first() {
         return Ok(serde_json::Value::Null);
     }
-    let photos = super::photos::load(context)?;
+    let photos = super::photos::load_without_masks(context)?;
     let views = super::poses::load(context.run)?;
     let maps = super::shading::MapFiles::open(context.run)?;
-    let (fused, report) = rilievo_fusion::run(
-        &photos,
-        &views,
-        &maps,
-        &context.request.options.fusion,
-        context.console,
-    )
-    .map_err(from_fusion)?;
-    write_surface(&fused, &views, &|name| Ok(writer.path(name)?))?;
+    let inputs = Inputs {
+        photos: &photos,
+        posed: &views,
+        maps: &maps,
+        scratch: &FileScratch::new(writer.dir()),
+    };
+    let options = &context.request.options.fusion;
+    let mut cloud = CloudPlyWriter::create(&writer.path("cloud.ply")?, views.scale.unit)?;
+    let fused = rilievo_fusion::run(inputs, &mut cloud, options, context.console);
+    let (mesh, report) = fused.map_err(from_fusion)?;
+    cloud.finish()?;
+    write_mesh(&mesh, &views, &|name| Ok(writer.path(name)?))?;
     Ok(serde_json::to_value(report)?)
 }
 
-/// Writes cloud and mesh in all formats, to the paths of their names.
+/// Writes a mesh in all formats, to the paths of their names.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_surface(
-    fused: &FusedCloud,
+pub fn write_mesh(
+    mesh: &Mesh,
     views: &PosedViews,
     path: &dyn Fn(&str) -> Result<PathBuf, Failure>,
 ) -> Result<(), Failure> {
     let unit = views.scale.unit;
-    write_cloud_ply(&path("cloud.ply")?, &fused.cloud, unit)?;
-    write_mesh_ply(&path("mesh.ply")?, &fused.mesh, unit)?;
+    write_mesh_ply(&path("mesh.ply")?, mesh, unit)?;
     // An empty mesh is valid PLY, and nothing that a viewer could show.
-    if !fused.mesh.triangles.is_empty() {
-        write_mesh_obj(&path("mesh.obj")?, &fused.mesh, unit)?;
+    if !mesh.triangles.is_empty() {
+        write_mesh_obj(&path("mesh.obj")?, mesh, unit)?;
         let frame = ViewerFrame::from_views(views);
-        write_mesh_glb(&path("mesh.glb")?, &fused.mesh, unit, &frame)?;
+        write_mesh_glb(&path("mesh.glb")?, mesh, unit, &frame)?;
     }
     Ok(())
 }

@@ -197,6 +197,18 @@ pub fn linear_photo(request: &Request, photo: &PhotoInput) -> anyhow::Result<Arc
 /// # Errors
 /// When its files are missing or damaged.
 pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
+    load_with(context, true)
+}
+
+/// The same without their masks, which all lie in memory.
+///
+/// # Errors
+/// As [`load`].
+pub fn load_without_masks(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
+    load_with(context, false)
+}
+
+fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
     let dir = context.run.stage_dir(StageId::Photos);
     let manifest = context
         .run
@@ -217,7 +229,7 @@ pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
                 "manifest.json",
                 [&*facts.name],
             )?;
-            usable.push(from_disk(&dir, *facts, mask)?);
+            usable.push(from_disk(&dir, *facts, mask && masks)?);
         }
     }
     // Stage 1 has told the warnings.

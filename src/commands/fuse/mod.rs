@@ -8,11 +8,12 @@ use crate::cli::FuseArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
-use crate::pipeline::{from_fusion, write_surface};
-use crate::store::{StoreError, create_folder, own_file, write_atomically};
+use crate::pipeline::{from_fusion, write_mesh};
+use crate::store::{FileScratch, StoreError, create_folder, own_file, write_atomically};
 use crate::system;
 use maps::Views;
-use rilievo_fusion::FusionError;
+use rilievo_fusion::{FusionError, Inputs};
+use rilievo_io::CloudPlyWriter;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
     MapSource, PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, StageId, Unit,
@@ -69,17 +70,25 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     let began = Instant::now();
     let started = format!("{} views of {}", posed.views.len(), views.format());
     console.stage(StageId::Fusion, &StageNews::Started(started));
-    let (fused, report) = rilievo_fusion::run(&photos, &posed, &views, &options.fusion, console)
+    // All files are written before the first of an earlier surface is replaced.
+    let writing = tempfile::tempdir_in(&args.output)
+        .map_err(StoreError::files("write into", &args.output))?;
+    let inputs = Inputs {
+        photos: &photos,
+        posed: &posed,
+        maps: &views,
+        scratch: &FileScratch::new(writing.path()),
+    };
+    let mut cloud = CloudPlyWriter::create(&writing.path().join("cloud.ply"), unit)?;
+    let (mesh, report) = rilievo_fusion::run(inputs, &mut cloud, &options.fusion, console)
         .map_err(|error| match (error, unit_hint(&views)) {
             (error @ FusionError::NothingAgrees { .. }, Some(hint)) => {
                 Failure::NoResult(format!("{error}; {hint}")).into()
             }
             (error, _) => from_fusion(error),
         })?;
-    // All files are written before the first of an earlier surface is replaced.
-    let writing = tempfile::tempdir_in(&args.output)
-        .map_err(StoreError::files("write into", &args.output))?;
-    write_surface(&fused, &posed, &|name| Ok(writing.path().join(name)))?;
+    cloud.finish()?;
+    write_mesh(&mesh, &posed, &|name| Ok(writing.path().join(name)))?;
     let written = std::fs::read_dir(writing.path());
     for file in written
         .map_err(StoreError::files("list", writing.path()))?
@@ -107,7 +116,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     console.note(&format!(
         "{} points and {} triangles are in {}",
         report.num_points,
-        fused.mesh.triangles.len(),
+        mesh.triangles.len(),
         Path::display(&args.output)
     ));
     Ok(())

@@ -454,5 +454,11 @@ fn fusion(facts: &FusionReport) -> Markup {
             (number(facts.layering_after.rms, 6)) " after; a pixel covers "
             (number(facts.layering_after.footprint, 6))
         }
+        @if let Some(share) = facts.share_apart {
+            p {
+                "points more than three pixel footprints from the surface of a view that covers them (two walls in the \
+                 place of one): " (number(100.0 * share, 2)) " % of " (facts.num_covered) " points that another view covers"
+            }
+        }
     }
 }

@@ -5,9 +5,12 @@
 //! `NAME_normal.exr` and `mesh.ply`; every view gets a smooth bias and white noise of these sizes.
 
 use nalgebra::{Point3, Vector3};
-use rilievo_fusion::{FusionOptions, run};
+use rilievo_fusion::{FusionOptions, Inputs, run};
 use rilievo_io::{read_cameras, read_depth, read_mesh_ply, read_normal};
-use rilievo_scene::{PhotoSet, PosedViews, Raster, ShadedView, ShadedViews, Silent, ViewIdx};
+use rilievo_scene::{
+    MemoryScratch, PhotoSet, PointCloud, PosedViews, Raster, ShadedView, ShadedViews, Silent,
+    ViewIdx,
+};
 use rilievo_synthetic::compare::{
     MeshDistance, Similarity, TrueSurface, TruthMaps, TruthView, compare_cloud,
 };
@@ -82,19 +85,20 @@ fn main() -> Fallible<()> {
     let surface = read_mesh_ply(&data.join("mesh.ply"))?;
 
     let start = Instant::now();
-    let (fused, report) = run(
-        &PhotoSet::default(),
-        &posed,
-        &shaded,
-        &FusionOptions::default(),
-        &Silent,
-    )?;
+    let inputs = Inputs {
+        photos: &PhotoSet::default(),
+        posed: &posed,
+        maps: &shaded,
+        scratch: &MemoryScratch,
+    };
+    let mut cloud = PointCloud::default();
+    let (mesh, report) = run(inputs, &mut cloud, &FusionOptions::default(), &Silent)?;
     println!("fused in {:.1} s", start.elapsed().as_secs_f64());
     println!("{}", serde_json::to_string_pretty(&report)?);
     let views: Vec<_> = truth.iter().map(|(pose, view)| (*pose, view)).collect();
     for threshold in [0.5e-3, 1e-3, 2e-3] {
         let compared = compare_cloud(
-            &fused.cloud.points,
+            &cloud.points,
             &TrueSurface {
                 mesh: &surface,
                 views: &views,
@@ -109,7 +113,7 @@ fn main() -> Fallible<()> {
     let distance = MeshDistance::new(&surface, 1e-3).ok_or("no surface")?;
     let vector = |v: [f32; 3]| Vector3::from(v.map(f64::from));
     let (mut angles, mut near) = (Vec::new(), Vec::new());
-    for point in fused.cloud.points.iter().step_by(7) {
+    for point in cloud.points.iter().step_by(7) {
         let (d, triangle) = distance.nearest(&Point3::from(vector(point.position)));
         let corners = surface.triangles[triangle];
         let [a, b, c] = corners.map(|v| vector(surface.vertices[v as usize]));
@@ -132,7 +136,7 @@ fn main() -> Fallible<()> {
         angles.iter().sum::<f64>() / angles.len() as f64,
         angles[angles.len() / 2]
     );
-    let vertices = &fused.mesh.vertices;
+    let vertices = &mesh.vertices;
     let mean = vertices
         .iter()
         .map(|v| distance.nearest(&Point3::from(vector(*v))).0)
@@ -140,8 +144,7 @@ fn main() -> Fallible<()> {
         / vertices.len().max(1) as f64;
     println!("mesh: mean distance {:.4} mm", 1e3 * mean);
     let own = compare_cloud(
-        &fused
-            .mesh
+        &mesh
             .vertices
             .iter()
             .map(|&position| rilievo_scene::CloudPoint {

@@ -6,129 +6,130 @@
 //! stage 5 explains it with. Light and shadow leave, the surface's own tone stays.
 
 use crate::error::FusionError;
-use crate::options::{ColorMode, FusionOptions};
-use crate::view::View;
+use crate::options::ColorMode;
+use crate::shelf::Reader;
+use crate::view::{Pixels, View};
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{
-    Intrinsics, LinearImage, MapSource, PhotoSet, PosedViews, ShadedImages, bilinear, srgb,
-};
+use rilievo_scene::{Intrinsics, LinearImage, MapSource, Photo, ShadedImages, srgb};
 use std::sync::Arc;
 
 /// Grey where there is no photo.
-const GREY: [u8; 3] = [180; 3];
+pub(crate) const GREY: [u8; 3] = [180; 3];
 /// Display level of a surface of mean albedo in albedo mode, linear.
 const MEAN_ALBEDO_LEVEL: f32 = 0.5;
 /// Rendered intensities below this are too dark to divide by.
 const MIN_RENDERED: f32 = 0.01;
 
-/// 8-bit sRGB images of the views, and the way back to linear values. Eight bits keep a view of
-/// 12 megapixels at 36 MB.
-pub(crate) struct ColorSource {
-    images: Vec<Option<Image>>,
+/// What a view shows of the surface: its photo, or the albedo.
+pub(crate) fn shown(
+    photo: &Photo,
+    maps: &dyn MapSource,
+    maps_idx: usize,
+    mode: ColorMode,
+) -> Result<Arc<LinearImage>, FusionError> {
+    let images = match mode {
+        ColorMode::Photographed => ShadedImages::default(),
+        ColorMode::Albedo => maps.images(maps_idx)?,
+    };
+    Ok(match (images.albedo, images.rendered) {
+        (Some(mut albedo), _) => {
+            albedo.data.iter_mut().for_each(|a| *a *= MEAN_ALBEDO_LEVEL);
+            Arc::new(albedo)
+        }
+        (None, Some(rendered)) => Arc::new(without_shading(&*photo.pixels.load()?, &rendered)),
+        (None, None) => photo.pixels.load()?,
+    })
+}
+
+/// The way from the views' 8-bit sRGB colours to means of them.
+pub(crate) struct Palette {
+    /// Linear values of the bytes.
     linear: Vec<f32>,
 }
 
-/// Colours of a view's own pixels.
-struct Image {
-    width: usize,
-    height: usize,
-    data: Vec<[u8; 3]>,
+/// Linear colours of several views.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Blend {
+    sum: [f32; 3],
+    count: f32,
 }
 
-impl ColorSource {
-    /// Loads the photos of the views, one at a time; a view whose photo is not in the set is grey.
-    pub fn new(
-        photos: &PhotoSet,
-        posed: &PosedViews,
-        maps: &dyn MapSource,
-        views: &[View],
-        options: &FusionOptions,
-    ) -> Result<Self, FusionError> {
-        let mut images = Vec::with_capacity(views.len());
-        for view in views {
-            let posed_view = posed.views.get(view.posed_idx);
-            let photo = posed_view.and_then(|p| photos.photos.get(p.photo.0));
-            let (Some(posed_view), Some(photo)) = (posed_view, photo) else {
-                images.push(None);
-                continue;
-            };
-            let images_of_view = match options.color {
-                ColorMode::Photographed => ShadedImages::default(),
-                ColorMode::Albedo => maps.images(view.maps_idx)?,
-            };
-            let shown = match (images_of_view.albedo, images_of_view.rendered) {
-                (Some(mut albedo), _) => {
-                    albedo.data.iter_mut().for_each(|a| *a *= MEAN_ALBEDO_LEVEL);
-                    Arc::new(albedo)
-                }
-                (None, Some(rendered)) => {
-                    Arc::new(without_shading(&*photo.pixels.load()?, &rendered))
-                }
-                (None, None) => photo.pixels.load()?,
-            };
-            images.push(Some(encode(&shown, &posed_view.intrinsics, view)));
+impl Blend {
+    /// The mean, grey of nothing.
+    pub fn color(self) -> [u8; 3] {
+        if self.count == 0.0 {
+            return GREY;
         }
-        Ok(Self {
-            images,
+        self.sum.map(|s| srgb::encode_byte(s / self.count))
+    }
+}
+
+impl Palette {
+    pub fn new() -> Self {
+        Self {
             linear: (0..=255u8)
                 .map(|byte| srgb::decode(f64::from(byte) / 255.0) as f32)
                 .collect(),
-        })
+        }
     }
 
-    /// Number of views without a photo.
-    pub fn num_missing(&self) -> usize {
-        self.images.iter().filter(|i| i.is_none()).count()
-    }
-
-    /// Colour of a world point that view `idx` sees, with the other views whose surface lies within
+    /// Colour of a world point that view `own` sees, with those of `views` whose surface lies within
     /// `tolerance` of it along their rays.
     pub fn color(
         &self,
-        views: &[View],
-        idx: usize,
+        pixels: &mut Reader<'_>,
+        views: &[&View],
+        own: usize,
         point: &Point3<f64>,
         tolerance: f64,
     ) -> [u8; 3] {
-        let (mut sum, mut count) = ([0.0_f32; 3], 0.0_f32);
-        for (j, (view, image)) in views.iter().zip(&self.images).enumerate() {
-            let Some(image) = image else { continue };
+        let mut blend = Blend::default();
+        for view in views.iter().filter(|view| view.has_photo) {
             let in_cam = view.pose.apply(point);
-            let Some(pixel) = view.camera.project(&in_cam) else {
+            let Some(place) = view.camera.project(&in_cam) else {
                 continue;
             };
-            if j != idx {
-                let seen = view
-                    .depth
-                    .get(pixel.x.round() as isize, pixel.y.round() as isize);
-                let agrees =
-                    seen.is_some_and(|&z| (f64::from(z) - in_cam.z).abs() <= 2.0 * tolerance);
+            if view.idx != own {
+                let [x, y] = [place.x.round(), place.y.round()];
+                let is_inside = x >= 0.0
+                    && y >= 0.0
+                    && x < view.camera.width as f64
+                    && y < view.camera.height as f64;
+                if !is_inside {
+                    continue;
+                }
+                let seen = f64::from(pixels.pixel(view, x as usize, y as usize).depth);
+                let agrees = (seen - in_cam.z).abs() <= 2.0 * tolerance;
                 if !agrees {
                     continue;
                 }
             }
-            if let Some(value) = self.sample(image, pixel.x, pixel.y) {
-                for c in 0..3 {
-                    sum[c] += value[c];
-                }
-                count += 1.0;
-            }
+            self.add(pixels, view, [place.x, place.y], &mut blend);
         }
-        if count == 0.0 {
-            return GREY;
-        }
-        sum.map(|s| srgb::encode_byte(s / count))
+        blend.color()
     }
 
-    /// Bilinear linear value at a camera's pixel.
-    fn sample(&self, image: &Image, x: f64, y: f64) -> Option<[f32; 3]> {
-        let value = |c: usize| {
-            bilinear((image.width, image.height), x, y, |i| {
-                self.linear[usize::from(image.data[i][c])]
-            })
-        };
-        Some([value(0)?, value(1)?, value(2)?])
+    /// Adds a view's bilinear linear colour at a camera's pixel.
+    pub fn add(&self, pixels: &mut Reader<'_>, view: &View, [x, y]: [f64; 2], blend: &mut Blend) {
+        let (x0, y0) = (x.floor(), y.floor());
+        let (width, height) = (view.camera.width as f64, view.camera.height as f64);
+        // Beside the last column and row there is a neighbour, if only of no weight.
+        let is_inside = x0 >= 0.0 && y0 >= 0.0 && x0 + 1.0 < width && y0 + 1.0 < height;
+        if !is_inside {
+            return;
+        }
+        let (fx, fy) = ((x - x0) as f32, (y - y0) as f32);
+        let corners = pixels.square(view, x0 as usize, y0 as usize);
+        if corners.iter().any(|pixel| !pixel.is_kept) {
+            return;
+        }
+        for (c, sum) in blend.sum.iter_mut().enumerate() {
+            let [a, b, d, e] = corners.map(|p| self.linear[usize::from(p.color[c])]);
+            let (top, bottom) = (a * (1.0 - fx) + b * fx, d * (1.0 - fx) + e * fx);
+            *sum += top * (1.0 - fy) + bottom * fy;
+        }
+        blend.count += 1.0;
     }
 }
 
@@ -146,17 +147,20 @@ fn without_shading(pixels: &LinearImage, rendered: &LinearImage) -> LinearImage 
     shown
 }
 
-/// The part of an image that a view covers, at the view's own resolution: a pixel is the mean of as
-/// many places as it has pixels of the image along each side.
-fn encode(image: &LinearImage, camera: &Intrinsics, view: &View) -> Image {
-    let (width, height) = (view.depth.width, view.depth.height);
-    let step = f64::from(1_u32 << view.num_halvings);
+/// The part of an image that a cut map covers, as 8-bit sRGB, row by row.
+pub(crate) fn encode(
+    image: &LinearImage,
+    camera: &Intrinsics,
+    corner_px: [usize; 2],
+    [width, height]: [usize; 2],
+) -> Vec<[u8; 3]> {
     let scale = [
         image.width as f64 / camera.width as f64,
         image.height as f64 / camera.height as f64,
     ];
-    let num_places = ((step * scale[0]).round() as usize).max(1);
-    let data = (0..width * height)
+    // An image that is larger than its camera is averaged over the pixel.
+    let num_places = (scale[0].round() as usize).max(1);
+    (0..width * height)
         .into_par_iter()
         .map(|i| {
             let mut sum = [0.0_f32; 3];
@@ -168,7 +172,7 @@ fn encode(image: &LinearImage, camera: &Intrinsics, view: &View) -> Image {
                 ];
                 // Pixel centres at integers: the first pixel's near edge is at -1/2.
                 let [x, y] =
-                    std::array::from_fn(|a| (view.corner_px[a] + step * place[a]) * scale[a] - 0.5);
+                    std::array::from_fn(|a| (corner_px[a] as f64 + place[a]) * scale[a] - 0.5);
                 // Beyond its border the image is carried on.
                 let x = x.clamp(0.0, (image.width - 1) as f64);
                 let y = y.clamp(0.0, (image.height - 1) as f64);
@@ -180,10 +184,5 @@ fn encode(image: &LinearImage, camera: &Intrinsics, view: &View) -> Image {
             let count = (num_places * num_places) as f32;
             sum.map(|s| srgb::encode_byte(s / count))
         })
-        .collect();
-    Image {
-        width,
-        height,
-        data,
-    }
+        .collect()
 }

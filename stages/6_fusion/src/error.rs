@@ -1,6 +1,6 @@
 //! Errors of stage 6.
 
-use rilievo_scene::{Inconsistent, OptionError, PixelError};
+use rilievo_scene::{CloudError, Inconsistent, OptionError, PixelError, ScratchError};
 
 /// Why the views could not be fused.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -56,6 +56,22 @@ pub enum FusionError {
         /// Tolerance in pixel footprints.
         tolerance_px: f64,
     },
+    /// The memory allowed does not hold what is worked on at once.
+    #[error(
+        "fusion needs {needed_mib} MiB to load one view; give it --memory {needed_mib}M or more, or smaller maps"
+    )]
+    OutOfMemory {
+        /// What it was given, MiB.
+        given_mib: usize,
+        /// The smallest memory that would do, MiB.
+        needed_mib: usize,
+    },
+    /// Working data could not be put aside or read back.
+    #[error(transparent)]
+    Scratch(#[from] ScratchError),
+    /// Whoever takes the cloud could not.
+    #[error(transparent)]
+    Cloud(#[from] CloudError),
     /// Pixels of a photo or a map could not be loaded.
     #[error(transparent)]
     Pixels(#[from] PixelError),

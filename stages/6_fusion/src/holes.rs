@@ -3,6 +3,8 @@
 //! A loop of boundary edges is filled with a fan of triangles around its centroid. The lid says
 //! nothing about the object; it only makes the mesh a solid that programs for printing accept.
 
+use crate::rim::on_rim;
+use nalgebra::Vector3;
 use rilievo_scene::Mesh;
 use std::collections::BTreeMap;
 
@@ -11,10 +13,14 @@ pub(crate) fn close(mesh: &mut Mesh) {
     // A directed edge that is run through more often than its opposite is a boundary; a lid needs
     // the opposite direction. As a boundary the edges are balanced in every vertex, so that a walk
     // along them always closes, also where loops touch.
+    let on_rim = on_rim(mesh);
     let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
     for t in &mesh.triangles {
         for k in 0..3 {
             let (a, b) = (t[k], t[(k + 1) % 3]);
+            if !(on_rim[a as usize] && on_rim[b as usize]) {
+                continue;
+            }
             *edges.entry((a.min(b), a.max(b))).or_default() += if a < b { 1 } else { -1 };
         }
     }
@@ -53,14 +59,25 @@ fn fan(mesh: &mut Mesh, ring: &[u32]) {
         mesh.triangles.push([a, b, c]);
         return;
     }
-    let mut center = [0.0_f64; 3];
-    for &v in ring {
-        for (sum, c) in center.iter_mut().zip(mesh.vertices[v as usize]) {
-            *sum += f64::from(c) / ring.len() as f64;
-        }
+    // The hub is as its ring is on average.
+    let mean = |value: &dyn Fn(usize) -> [f32; 3]| -> Vector3<f64> {
+        let values = ring
+            .iter()
+            .map(|&v| Vector3::from(value(v as usize).map(f64::from)));
+        values.sum::<Vector3<f64>>() / ring.len() as f64
+    };
+    let center = mean(&|v| mesh.vertices[v]);
+    if !mesh.normals.is_empty() {
+        let normal = mean(&|v| mesh.normals[v]).try_normalize(0.0);
+        let normal = normal.unwrap_or_else(Vector3::z).map(|c| c as f32);
+        mesh.normals.push(normal.into());
+    }
+    if !mesh.colors.is_empty() {
+        let color = mean(&|v| mesh.colors[v].map(f32::from));
+        mesh.colors.push(color.map(|c| c.round() as u8).into());
     }
     let hub = mesh.vertices.len() as u32;
-    mesh.vertices.push(center.map(|c| c as f32));
+    mesh.vertices.push(center.map(|c| c as f32).into());
     for k in 0..ring.len() {
         mesh.triangles
             .push([ring[k], ring[(k + 1) % ring.len()], hub]);

@@ -1,30 +1,40 @@
 //! Stage 6: depth and normal maps of all views to one oriented point cloud and a mesh.
 //!
-//! In: posed views, their depth and normal maps, the photos (for colour). Out: a [`FusedCloud`] and
-//! a [`FusionReport`].
+//! In: posed views, their depth and normal maps, the photos (for colour). Out: the points of a cloud, part by
+//! part, a [`Mesh`] and a [`FusionReport`].
 //!
-//! 1. `view`, `views`, `memory`: maps are loaded one by one, checked, cut to the object and halved where the
-//!    memory does not suffice; borders, depth edges and grazing surface are left out.
-//! 2. `pairs`, `reconcile`: how far the views lie apart, and a joint robust adjustment of the
+//! 1. `views`, `shelf`: maps are loaded one by one, checked, cut to the object and put aside in pages; borders,
+//!    depth edges and grazing surface are left out. All later steps read the pages that they need (`view`),
+//!    of the views that may see the place (`reach`).
+//! 2. `pairs`, `reconcile`, `settle`: how far the views lie apart, and a joint robust adjustment of the
 //!    smooth part of it.
-//! 3. `points`, `color`: every piece of surface once, from the view that resolves it best, at
+//! 3. `points`, `color`, `thin`: every piece of surface once, from the view that resolves it best, at
 //!    the mean of the views that agree.
-//! 4. `tsdf`, `surface`, `rim`, `holes`: signed distances of all views, their zero set as a mesh.
+//! 4. `tsdf`, `surface`, `dress`, `rim`, `holes`: signed distances of all views, their zero set as a mesh.
+//!
+//! In memory are one view while it is loaded, then the pages that the threads work on (`memory`), and in the
+//! end the mesh. The cloud is the same for any memory that suffices; the mesh's cells are larger where it would
+//! not fit.
 //!
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
 //! a statue.
 
 mod color;
+mod dress;
 mod error;
 mod holes;
 mod memory;
 mod options;
 mod pairs;
 mod points;
+mod reach;
 mod reconcile;
 mod report;
 mod rim;
+mod settle;
+mod shelf;
 mod surface;
+mod thin;
 mod tsdf;
 mod view;
 mod views;
@@ -33,66 +43,81 @@ pub use error::FusionError;
 pub use options::{ColorMode, FusionOptions};
 pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
 
-use color::ColorSource;
+use points::CloudFacts;
 use rilievo_scene::{
-    CloudPoint, FusedCloud, MapSource, Mesh, Observer, PhotoSet, PointCloud, PosedViews, StageId,
-    Unit,
+    CloudSink, MapSource, Mesh, Observer, PhotoSet, PosedViews, Scratch, StageId, Unit,
 };
+use shelf::Readers;
+use views::Stock;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 5;
+pub const VERSION: u32 = 6;
 
 /// Views that each view is compared with for offsets: more only repeat what these say.
 const NUM_NEIGHBOURS: usize = 4;
 /// Smooth distance between views, in footprints, from which the layers show.
 const VISIBLE_LAYERING_PX: f64 = 1.0;
 
-/// Fuses the views. `photos` may lack some or all photos of the views: their points are grey then.
-/// `maps` are loaded one view at a time; [`rilievo_scene::ShadedViews`] are such maps.
+/// What is fused.
+#[derive(Clone, Copy)]
+pub struct Inputs<'a> {
+    /// Photos for the colours; where some or all are missing, their views' points are grey.
+    pub photos: &'a PhotoSet,
+    /// Cameras and poses.
+    pub posed: &'a PosedViews,
+    /// Maps, loaded one view at a time; [`rilievo_scene::ShadedViews`] are such maps.
+    pub maps: &'a dyn MapSource,
+    /// Room for the maps and for what is made of them; [`rilievo_scene::MemoryScratch`] for small sets.
+    pub scratch: &'a dyn Scratch,
+}
+
+/// Fuses the views: hands the cloud's points to `cloud`, and returns the mesh, empty where none was asked for. After an
+/// error the cloud is not complete.
 ///
 /// # Errors
 /// See [`FusionError`].
 pub fn run(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    maps: &dyn MapSource,
+    inputs: Inputs<'_>,
+    cloud: &mut dyn CloudSink,
     options: &FusionOptions,
     observer: &dyn Observer,
-) -> Result<(FusedCloud, FusionReport), FusionError> {
+) -> Result<(Mesh, FusionReport), FusionError> {
+    let Inputs {
+        photos,
+        posed,
+        maps,
+        scratch,
+    } = inputs;
     options.validate()?;
     photos.check()?;
     posed.check()?;
+    memory::refuse_too_little(posed, options)?;
     let mut report = FusionReport::default();
     let warn = |message: String| {
         let flow = observer.warn(StageId::Fusion, message);
         flow.ok_or(FusionError::Interrupted)
     };
 
-    let (mut views, mut view_reports) = views::prepare(posed, maps, options)?;
-    let num_halvings = views.first().map_or(0, |v| v.num_halvings);
-    report.maps_reduced_by = 1 << num_halvings;
-    if num_halvings > 0 {
-        let message = format!(
-            "the maps are fused at 1/{} of their resolution, to stay within {} MiB; raise the memory \
-             for more detail",
-            report.maps_reduced_by, options.memory_mib
-        );
-        warn(message)?;
-    }
-    if views.len() < options.min_num_views {
-        let message = format!(
-            "only {} view has depth: nothing confirms its points",
-            views.len()
-        );
+    let next = |idx: usize| {
+        let told = (idx, maps.num_views());
+        let flow = observer.progress(StageId::Fusion, "loading maps", told);
+        flow.ok_or(FusionError::Interrupted)
+    };
+    let (mut stock, mut view_reports) =
+        views::prepare(photos, posed, maps, scratch, options, next)?;
+    let num_views = stock.views.len();
+    if num_views < options.min_num_views {
+        let message = format!("only {num_views} view has depth: nothing confirms its points");
         warn(message)?;
     }
 
-    let neighbours = pairs::neighbours(&views, NUM_NEIGHBOURS);
-    let outcome = reconcile::reconcile(&mut views, &neighbours, options, observer)?;
+    let neighbours = pairs::neighbours(&stock.views, NUM_NEIGHBOURS);
+    let outcome = reconcile::reconcile(&stock, &neighbours, options, observer)?;
+    let settled = settle::settle(&mut stock, outcome.corrections.as_ref())?;
     report.layering_before = outcome.before;
     report.layering_after = outcome.after;
     report.reconcile_iterations = outcome.num_iterations;
-    for (view, rms) in view_reports.iter_mut().zip(outcome.correction_rms) {
+    for (view, rms) in view_reports.iter_mut().zip(settled.correction_rms) {
         view.correction_rms = rms;
     }
     if outcome.after.smooth_rms > VISIBLE_LAYERING_PX * outcome.after.footprint {
@@ -104,58 +129,63 @@ pub fn run(
         warn(message)?;
     }
 
-    let colors = ColorSource::new(photos, posed, maps, &views, options)?;
-    if colors.num_missing() > 0 {
+    let num_missing = stock.views.iter().filter(|v| !v.has_photo).count();
+    if num_missing > 0 {
         let message = format!(
-            "{} of {} views have no photo: their share of the colours is missing",
-            colors.num_missing(),
-            views.len()
+            "{num_missing} of {num_views} views have no photo: their share of the colours is missing"
         );
         warn(message)?;
     }
-    let points = points::gather(
-        &views,
-        &colors,
+    let facts = points::gather(
+        &stock,
         &outcome.after,
         options,
         &mut view_reports,
+        (scratch, cloud),
         observer,
     )?;
-    drop(colors);
-    if let Some(message) = coarse(&points, posed.scale.unit, options) {
+    if let Some(message) = coarse(&facts, posed.scale.unit, options) {
         warn(message)?;
     }
-    report.num_points = points.len();
-    report.mean_num_views =
-        points.iter().map(|p| f64::from(p.num_views)).sum::<f64>() / points.len() as f64;
+    report.num_points = facts.num_points;
+    report.mean_num_views = facts.num_views as f64 / facts.num_points as f64;
+    report.num_covered = facts.num_covered;
+    report.share_apart =
+        (facts.num_covered > 0).then(|| facts.num_apart as f64 / facts.num_covered as f64);
     report.views = view_reports;
 
     let mut mesh = Mesh::default();
-    let volume = if options.mesh {
-        tsdf::integrate(&views, options, observer)?
-    } else {
-        None
-    };
-    // What the mesh takes from here on, the views no longer need.
-    drop(views);
-    if let Some(volume) = volume {
-        let (extracted, mesh_report) = surface::extract(&volume, &points, options, observer)?;
-        mesh = extracted;
-        if mesh_report.coarsened_by > 1.0 {
-            let message = format!(
-                "the mesh's cells are {:.2} times larger than asked for, to stay within {} MiB; \
-                 raise the memory for more detail",
-                mesh_report.coarsened_by, options.memory_mib
-            );
-            warn(message)?;
+    if options.mesh {
+        let footprint = settled.median_footprint;
+        if let Some((made, mesh_report)) = shape(&stock, footprint, scratch, options, observer)? {
+            mesh = made;
+            if mesh_report.coarsened_by > 1.0 {
+                let message = format!(
+                    "the mesh's cells are {:.2} times larger than asked for, to stay within {} MiB; \
+                     raise the memory for more detail",
+                    mesh_report.coarsened_by, options.memory_mib
+                );
+                warn(message)?;
+            }
+            report.mesh = Some(mesh_report);
         }
-        report.mesh = Some(mesh_report);
     }
-    let fused = FusedCloud {
-        cloud: PointCloud { points },
-        mesh,
-    };
-    Ok((fused, report))
+    Ok((mesh, report))
+}
+
+/// The mesh, unless no surface is near any cell.
+fn shape(
+    stock: &Stock,
+    footprint: f64,
+    scratch: &dyn Scratch,
+    options: &FusionOptions,
+    observer: &dyn Observer,
+) -> Result<Option<(Mesh, MeshReport)>, FusionError> {
+    let readers = Readers::new(&stock.shelf, memory::num_pages(options));
+    let volume = tsdf::integrate(stock, &readers, footprint, scratch, options, observer)?;
+    volume
+        .map(|volume| surface::extract(volume, stock, readers, scratch, options, observer))
+        .transpose()
 }
 
 /// Share of the cloud's extent from which the asked spacing is likely in another unit: some hundred
@@ -163,15 +193,9 @@ pub fn run(
 const COARSE_SPACING_SHARE: f64 = 0.1;
 
 /// What to say of a spacing that leaves next to nothing of the surface.
-fn coarse(points: &[CloudPoint], unit: Unit, options: &FusionOptions) -> Option<String> {
-    let side = |axis: usize| {
-        let values = points.iter().map(|p| f64::from(p.position[axis]));
-        let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
-            (low.min(v), high.max(v))
-        });
-        (high - low).max(0.0)
-    };
-    let extent = side(0).hypot(side(1)).hypot(side(2));
+fn coarse(facts: &CloudFacts, unit: Unit, options: &FusionOptions) -> Option<String> {
+    let sides = [0, 1, 2].map(|k| (f64::from(facts.high[k]) - f64::from(facts.low[k])).max(0.0));
+    let extent = sides[0].hypot(sides[1]).hypot(sides[2]);
     let unit = match unit {
         Unit::Metre => "m",
         Unit::Arbitrary => "units",
@@ -181,7 +205,7 @@ fn coarse(points: &[CloudPoint], unit: Unit, options: &FusionOptions) -> Option<
             "a spacing of {} {unit} leaves {} points of a cloud that is {extent:.3} {unit} across: it \
              is stated in {}",
             options.spacing,
-            points.len(),
+            facts.num_points,
             if unit == "m" {
                 "metres"
             } else {

@@ -61,9 +61,8 @@ pub struct FusionOptions {
     pub watertight: bool,
     /// What the colours show.
     pub color: ColorMode,
-    /// Memory that views, points and mesh may take together, MiB; the maps are fused at half their
-    /// resolution or less, and the mesh's cells made larger, where they would need more, and the
-    /// report says so. `--memory` sets it.
+    /// Memory that fusion may take, MiB; the mesh's cells are made larger where it would need more, and the
+    /// report says so. Less than one view needs to be loaded is an error. `--memory` sets it.
     pub memory_mib: usize,
 }
 
@@ -91,7 +90,7 @@ impl Default for FusionOptions {
 }
 
 impl FusionOptions {
-    /// Least memory that fusion works with, MiB.
+    /// Least memory that can be asked for, MiB.
     pub const MIN_MEMORY_MIB: usize = 16;
 
     /// Checks every number.

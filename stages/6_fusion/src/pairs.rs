@@ -5,11 +5,15 @@
 //! further out.
 
 use crate::options::FusionOptions;
+use crate::reconcile::Corrections;
 use crate::report::Layering;
-use crate::view::View;
+use crate::shelf::Sampler;
+use crate::view::{Pixels, Surface, View};
+use crate::views::Stock;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median, quantile};
+use rilievo_scene::ScratchError;
 
 /// Two sightings of one surface point.
 #[derive(Clone, Copy, Debug)]
@@ -28,7 +32,10 @@ pub(crate) struct Pair {
 
 /// Cosine of incidence up to which a surface counts as turned away from a view: noise of the
 /// normals at the rim must not turn it back.
-const MIN_FACING: f64 = 0.05;
+pub(crate) const MIN_FACING: f64 = 0.05;
+/// Distance within which surface that faces the same way counts as the same wall, doubled or not, pixel
+/// footprints: what is farther apart are different parts of the object.
+const WALL_PX: f64 = 30.0;
 
 /// How another view sees a point.
 pub(crate) enum Sight {
@@ -61,25 +68,39 @@ pub(crate) struct Candidate {
     pub footprint: f64,
 }
 
-/// Compares a point with the surface of a view, within `tolerance` (world's unit) along the normal.
+impl Candidate {
+    /// The surface of a view along a ray of its camera, `z = 1`.
+    pub fn of(view: &View, ray: &Vector3<f64>, surface: &Surface) -> Self {
+        Self {
+            point: view.point_to_world(&(ray * surface.depth)),
+            normal: view.to_world(&surface.normal),
+            footprint: view.footprint(surface.depth),
+        }
+    }
+}
+
+/// Compares a point with the surface of a view, within `tolerance` (world's unit) along the normal. Also tells how
+/// far the view's surface lies from the point, along the mean normal, where it covers the point: where it
+/// sees surface that faces the same way within [`WALL_PX`].
 #[inline]
 pub(crate) fn look(
+    pixels: &mut impl Pixels,
     view: &View,
     candidate: &Candidate,
     tolerance: f64,
     min_normal_cosine: f64,
-) -> Sight {
+) -> (Sight, Option<f64>) {
     let in_cam = view.pose.apply(&candidate.point);
     if in_cam.z <= 0.0 {
-        return Sight::Nothing;
+        return (Sight::Nothing, None);
     }
     let ray = view.to_world(&(in_cam.coords / in_cam.z));
     // What is turned away lies behind the rim that the view sees, however near.
     if candidate.normal.dot(&ray) > -MIN_FACING * ray.norm() {
-        return Sight::Hidden;
+        return (Sight::Hidden, None);
     }
-    let Some(seen) = view.along(&in_cam) else {
-        return Sight::Nothing;
+    let Some(seen) = view.along(pixels, &in_cam) else {
+        return (Sight::Nothing, None);
     };
     let normal = view.to_world(&seen.normal);
     let gap = seen.depth - in_cam.z;
@@ -88,26 +109,31 @@ pub(crate) fn look(
     // Opposite normals have no mean; the surface's own decides how far apart they lie.
     let direction = if length > 0.2 { mean / length } else { normal };
     let distance = direction.dot(&ray) * gap;
-    if distance.abs() <= tolerance {
-        if candidate.normal.dot(&normal) < min_normal_cosine {
-            return Sight::Nothing;
+    let faces_alike = candidate.normal.dot(&normal) >= min_normal_cosine;
+    let is_wall =
+        faces_alike && !seen.is_extrapolated && distance.abs() <= WALL_PX * candidate.footprint;
+    let covers = is_wall.then_some(distance);
+    let sight = if distance.abs() <= tolerance {
+        if faces_alike {
+            Sight::Same {
+                distance,
+                normal,
+                cosine: -normal.dot(&ray) / ray.norm(),
+                footprint: view.footprint(seen.depth),
+                confidence: seen.confidence,
+                gives: seen.gives,
+            }
+        } else {
+            Sight::Nothing
         }
-        return Sight::Same {
-            distance,
-            normal,
-            cosine: -normal.dot(&ray) / ray.norm(),
-            footprint: view.footprint(seen.depth),
-            confidence: seen.confidence,
-            gives: seen.gives,
-        };
-    }
-    if gap < 0.0 {
+    } else if gap < 0.0 {
         Sight::Hidden
     } else if gap > 2.0 * tolerance.max(candidate.footprint) {
         Sight::SeenThrough
     } else {
         Sight::Nothing
-    }
+    };
+    (sight, covers)
 }
 
 /// For every view the others that look from nearby directions, nearest first.
@@ -131,44 +157,53 @@ pub(crate) fn neighbours(views: &[View], max_num: usize) -> Vec<Vec<usize>> {
 /// Pairs of pixels on a grid of `stride` pixels, in the order of views, rows and columns. Only what
 /// gives points counts: a distance at the border or at grazing incidence tells of neither view.
 pub(crate) fn find_pairs(
-    views: &[View],
+    stock: &Stock,
+    corrections: Option<&Corrections>,
     neighbours: &[Vec<usize>],
     stride: usize,
     options: &FusionOptions,
-) -> Vec<Pair> {
+) -> Result<Vec<Pair>, ScratchError> {
+    let views = &stock.views;
     let min_normal_cosine = options.normal_tolerance_deg.to_radians().cos();
     let rows: Vec<(usize, usize)> = views
         .iter()
         .enumerate()
         .flat_map(|(i, v)| {
-            (stride / 2..v.depth.height)
+            (stride / 2..v.camera.height)
                 .step_by(stride)
                 .map(move |y| (i, y))
         })
         .collect();
-    rows.par_iter()
+    let found: Vec<Vec<Pair>> = rows
+        .par_iter()
         .map(|&(i, y)| {
             let view = &views[i];
+            let mut sampler = Sampler::new(&stock.shelf, corrections);
             let mut pairs = Vec::new();
-            for x in (stride / 2..view.depth.width).step_by(stride) {
-                let Some(surface) = view.at(x, y).filter(|s| s.gives) else {
+            for x in (stride / 2..view.camera.width).step_by(stride) {
+                let pixel = sampler.pixel(view, x, y);
+                let Some(surface) = pixel.surface().filter(|s| s.gives) else {
                     continue;
                 };
-                let candidate = Candidate {
-                    point: view.point_to_world(&(view.ray(x, y) * surface.depth)),
-                    normal: view.to_world(&surface.normal),
-                    footprint: view.footprint(surface.depth),
-                };
+                let ray = view.ray(x, y, &pixel);
+                let candidate = Candidate::of(view, &ray, &surface);
                 for &j in &neighbours[i] {
                     let other = &views[j];
                     let tolerance = options.reconcile_max_offset_px * candidate.footprint;
+                    let (sight, _) = look(
+                        &mut sampler,
+                        other,
+                        &candidate,
+                        tolerance,
+                        min_normal_cosine,
+                    );
                     let Sight::Same {
                         distance,
                         normal,
                         footprint,
                         gives: true,
                         ..
-                    } = look(other, &candidate, tolerance, min_normal_cosine)
+                    } = sight
                     else {
                         continue;
                     };
@@ -189,10 +224,10 @@ pub(crate) fn find_pairs(
                     });
                 }
             }
-            pairs
+            sampler.finish(pairs)
         })
-        .collect::<Vec<_>>()
-        .concat()
+        .collect::<Result<_, _>>()?;
+    Ok(found.concat())
 }
 
 /// Samples in a window below which its mean says nothing about an offset.
@@ -276,13 +311,13 @@ pub(crate) fn layering(pairs: &[Pair], options: &FusionOptions) -> Layering {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::views::prepare;
+    use crate::views::testing::stock;
     use nalgebra::{Point2, UnitQuaternion};
     use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, ShadedViews};
     use rilievo_synthetic::testing::{Maps, posed_view};
 
     /// Two views of the plane `n·X = -2`, the depths of view `v` multiplied by `factors[v]`.
-    fn views(factors: [f64; 2]) -> Vec<View> {
+    fn views(factors: [f64; 2]) -> Stock {
         let camera = Intrinsics::pinhole(64, 48, 90.0, 31.5, 23.5);
         let normal = Vector3::new(0.2, -0.1, -1.0).normalize();
         let mut posed = PosedViews::default();
@@ -303,15 +338,16 @@ mod tests {
             });
             shaded.views.push(maps.shaded(v, &name));
         }
-        prepare(&posed, &shaded, &FusionOptions::default())
-            .expect("sound maps")
-            .0
+        stock(&posed, &shaded)
     }
 
     #[test]
     fn slopes_are_the_derivatives_of_the_distances() {
         let options = FusionOptions::default();
-        let pairs = |factors| find_pairs(&views(factors), &[vec![1], vec![0]], 4, &options);
+        let neighbours = [vec![1], vec![0]];
+        let pairs = |factors| {
+            find_pairs(&views(factors), None, &neighbours, 4, &options).expect("room in memory")
+        };
         let exact = pairs([1.0; 2]);
         assert!(exact.len() > 100, "{}", exact.len());
         // A thousandth is far above the rounding of f32 depths; its square is the tolerance.

@@ -8,18 +8,26 @@
 //! pixels per area, `cosθ / a²`, until there are two points per squared footprint; where all views
 //! together give fewer, for the surface is oblique to all, pixels are split.
 //!
+//! The work goes page by page of each view, against the views that may see the page's surface; points
+//! are handed on in the order of views, pages and pixels.
+//!
 //! The tolerance follows the data: four robust standard deviations of the distances between the
 //! views, widened where confidence is low, between one footprint and `depth_tolerance_px`.
 
-use crate::color::ColorSource;
+use crate::color::Palette;
 use crate::error::FusionError;
+use crate::memory;
 use crate::options::FusionOptions;
 use crate::pairs::{Candidate, Sight, look, tolerance_px};
+use crate::reach::Patch;
 use crate::report::{Layering, ViewFusion};
-use crate::view::{Surface, View};
+use crate::shelf::{Reader, Readers};
+use crate::thin::Thinner;
+use crate::view::{Pixels, Surface, View};
+use crate::views::Stock;
 use nalgebra::{Point2, Point3, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{CloudPoint, Observer, StageId};
+use rilievo_scene::{CloudPoint, CloudSink, Observer, Scratch, StageId};
 
 /// Points per squared footprint that the better views must give together before the others leave
 /// a place to them. At 2 nearly no place is farther than a footprint from a point; every pixel of every
@@ -39,6 +47,12 @@ const MAX_STRAIN_AT_RIM_PX: f64 = 0.15;
 /// Cosine of incidence from which on the rim begins: 72 degrees.
 const RIM_COSINE: f64 = 0.3;
 
+/// Distance from a view's surface beyond which a point lies apart from it, pixel footprints.
+const APART_PX: f64 = 3.0;
+/// Pages whose points are gathered between two words to the observer, for each thread: few enough that their points
+/// are small against all memory.
+const PAGES_AT_ONCE: usize = 32;
+
 enum Verdict {
     /// Too few views agree, or others see through it.
     Inconsistent,
@@ -48,100 +62,219 @@ enum Verdict {
         point: CloudPoint,
         /// Points per squared footprint that all views together give here.
         coverage: f64,
+        /// Whether a view that covers the point has its surface apart from it; `None` where no view does.
+        is_apart: Option<bool>,
     },
 }
 
-/// Gathers the points of all views, in the order of views and pixels.
+/// The cloud in numbers.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CloudFacts {
+    pub num_points: usize,
+    /// Views that agree on each point, summed over all.
+    pub num_views: usize,
+    /// Points that another view covers, and those of them that lie apart.
+    pub num_covered: usize,
+    pub num_apart: usize,
+    /// Bounding box, world frame.
+    pub low: [f32; 3],
+    pub high: [f32; 3],
+}
+
+/// What one page gives.
+#[derive(Default)]
+struct PageShare {
+    points: Vec<CloudPoint>,
+    num_tried: usize,
+    num_inconsistent: usize,
+    num_covered: usize,
+    num_apart: usize,
+}
+
+/// Hands on points and counts them.
+struct Counted<'a> {
+    sink: &'a mut dyn CloudSink,
+    facts: CloudFacts,
+}
+
+impl Counted<'_> {
+    fn add(&mut self, points: &[CloudPoint]) -> Result<(), FusionError> {
+        self.sink.add(points)?;
+        let facts = &mut self.facts;
+        facts.num_points += points.len();
+        for point in points {
+            facts.num_views += usize::from(point.num_views);
+            for (k, &c) in point.position.iter().enumerate() {
+                facts.low[k] = facts.low[k].min(c);
+                facts.high[k] = facts.high[k].max(c);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Gathers the points of all views, in the order of views, pages and pixels.
 pub(crate) fn gather(
-    views: &[View],
-    colors: &ColorSource,
+    stock: &Stock,
     layering: &Layering,
     options: &FusionOptions,
     reports: &mut [ViewFusion],
+    (scratch, sink): (&dyn Scratch, &mut dyn CloudSink),
     observer: &dyn Observer,
-) -> Result<Vec<CloudPoint>, FusionError> {
-    // A single view has nobody to agree with.
-    let min_num_views = options.min_num_views.min(views.len());
-    let tolerance = tolerance_px(layering.median, layering.footprint, options);
+) -> Result<CloudFacts, FusionError> {
+    let views = &stock.views;
     let judge = Judge {
-        views,
-        colors,
-        tolerance_px: tolerance,
-        min_num_views,
+        palette: Palette::new(),
+        tolerance_px: tolerance_px(layering.median, layering.footprint, options),
+        // A single view has nobody to agree with.
+        min_num_views: options.min_num_views.min(views.len()),
         options,
     };
-    let mut points = Vec::new();
+    let mut counted = Counted {
+        sink,
+        facts: CloudFacts {
+            low: [f32::INFINITY; 3],
+            high: [f32::NEG_INFINITY; 3],
+            ..CloudFacts::default()
+        },
+    };
+    let mut thinner = (options.spacing > 0.0)
+        .then(|| Thinner::new(scratch, options))
+        .transpose()?;
+    let readers = Readers::new(&stock.shelf, memory::num_pages(options));
     let mut num_candidates = 0;
-    for (i, view) in views.iter().enumerate() {
-        let flow = observer.progress(StageId::Fusion, "gathering points", (i, views.len()));
-        flow.ok_or(FusionError::Interrupted)?;
-        let rows: Vec<(Vec<CloudPoint>, usize, usize)> = (0..view.depth.height)
-            .into_par_iter()
-            .map(|y| {
-                let mut kept = Vec::new();
-                let (mut tried, mut inconsistent) = (0, 0);
-                for x in 0..view.depth.width {
-                    let Some(surface) = view.at(x, y).filter(|s| s.gives) else {
-                        continue;
-                    };
-                    match judge.pixel(i, &view.ray(x, y), &surface) {
-                        Verdict::Inconsistent => inconsistent += 1,
-                        Verdict::Elsewhere => {}
-                        Verdict::Keep { point, coverage } => {
-                            let split = (ENOUGH / coverage).sqrt().ceil() as usize;
-                            let num_before = kept.len();
-                            if split > 1 {
-                                judge.split(i, [x, y], split.min(MAX_SPLIT), &mut kept);
-                            }
-                            if kept.len() == num_before {
-                                kept.push(point);
-                            }
-                        }
-                    }
-                    tried += 1;
+    for (view, report) in views.iter().zip(reports) {
+        for pages in view
+            .pages
+            .kept()
+            .chunks(PAGES_AT_ONCE * rayon::current_num_threads())
+        {
+            let flow =
+                observer.progress(StageId::Fusion, "gathering points", (view.idx, views.len()));
+            flow.ok_or(FusionError::Interrupted)?;
+            let shares: Vec<PageShare> = pages
+                .par_iter()
+                .map(|&page| readers.with(|pixels| judge.page(pixels, views, view, page)))
+                .collect::<Result<_, _>>()?;
+            for share in shares {
+                num_candidates += share.num_tried;
+                report.num_inconsistent += share.num_inconsistent;
+                report.num_points += share.points.len();
+                counted.facts.num_covered += share.num_covered;
+                counted.facts.num_apart += share.num_apart;
+                match &mut thinner {
+                    Some(thinner) => thinner.add(&share.points)?,
+                    None => counted.add(&share.points)?,
                 }
-                (kept, tried, inconsistent)
-            })
-            .collect();
-        let report = &mut reports[i];
-        for (kept, tried, inconsistent) in rows {
-            num_candidates += tried;
-            report.num_inconsistent += inconsistent;
-            report.num_points += kept.len();
-            points.extend(kept);
+            }
         }
     }
-    if points.is_empty() {
+    drop(readers);
+    if let Some(thinner) = thinner {
+        thinner.finish(&mut |points| counted.add(points))?;
+    }
+    if counted.facts.num_points == 0 {
         return Err(FusionError::NothingAgrees {
             num_candidates,
-            min_num_views,
-            tolerance_px: tolerance,
+            min_num_views: judge.min_num_views,
+            tolerance_px: judge.tolerance_px,
         });
     }
-    if options.spacing > 0.0 {
-        points = thin(points, options.spacing);
-    }
-    Ok(points)
+    Ok(counted.facts)
 }
 
 /// What all pixels are judged by.
 struct Judge<'a> {
-    views: &'a [View],
-    colors: &'a ColorSource,
+    palette: Palette,
     tolerance_px: f64,
     min_num_views: usize,
     options: &'a FusionOptions,
 }
 
 impl Judge<'_> {
+    /// Points of a page of a view.
+    fn page(&self, pixels: &mut Reader<'_>, views: &[View], view: &View, page: usize) -> PageShare {
+        let mut share = PageShare::default();
+        let Some(patch) = self.patch(pixels, view, page) else {
+            return share;
+        };
+        let near: Vec<&View> = views
+            .iter()
+            .filter(|other| other.idx == view.idx || patch.may_be_seen_by(other))
+            .collect();
+        let [across, down] = view.pages.extent(page);
+        for y in down {
+            for x in across.clone() {
+                let pixel = pixels.pixel(view, x, y);
+                let Some(surface) = pixel.surface().filter(|s| s.gives) else {
+                    continue;
+                };
+                share.num_tried += 1;
+                let ray = view.ray(x, y, &pixel);
+                match self.pixel(pixels, &near, view, &ray, &surface) {
+                    Verdict::Inconsistent => share.num_inconsistent += 1,
+                    Verdict::Elsewhere => {}
+                    Verdict::Keep {
+                        point,
+                        coverage,
+                        is_apart,
+                    } => {
+                        let split = (ENOUGH / coverage).sqrt().ceil() as usize;
+                        let num_before = share.points.len();
+                        if split > 1 {
+                            let n = split.min(MAX_SPLIT);
+                            self.split(pixels, &near, view, [x, y], n, &mut share);
+                        }
+                        if share.points.len() == num_before {
+                            share.keep(point, is_apart);
+                        }
+                    }
+                }
+            }
+        }
+        share
+    }
+
+    /// The surface of a page and around it, grown by what its points may be moved; `None` where no pixel gives points.
+    fn patch(&self, pixels: &mut Reader<'_>, view: &View, page: usize) -> Option<Patch> {
+        let [across, down] = view
+            .pages
+            .extent(page)
+            .map(|range| range.start.saturating_sub(1)..range.end + 1);
+        let mut surfaces = Vec::new();
+        let (mut gives, mut widest) = (false, 0.0_f64);
+        for y in down.start..down.end.min(view.camera.height) {
+            for x in across.start..across.end.min(view.camera.width) {
+                let pixel = pixels.pixel(view, x, y);
+                let Some(surface) = pixel.surface() else {
+                    continue;
+                };
+                let candidate = Candidate::of(view, &view.ray(x, y, &pixel), &surface);
+                gives |= surface.gives;
+                widest = widest.max(candidate.footprint);
+                surfaces.push((candidate.point, candidate.normal));
+            }
+        }
+        // Between pixels the surface bulges by less than a footprint.
+        let margin = (self.options.depth_tolerance_px + 1.0) * widest;
+        Patch::around(&surfaces, margin).filter(|_| gives)
+    }
+
     /// Adds `n × n` points of a pixel that all views see too obliquely for a point each.
-    fn split(&self, idx: usize, [x, y]: [usize; 2], n: usize, kept: &mut Vec<CloudPoint>) {
-        let view = &self.views[idx];
+    fn split(
+        &self,
+        pixels: &mut Reader<'_>,
+        near: &[&View],
+        view: &View,
+        [x, y]: [usize; 2],
+        n: usize,
+        share: &mut PageShare,
+    ) {
         let offset = |k: usize| (k as f64 + 0.5) / n as f64 - 0.5;
         for k in 0..n * n {
             let place = Point2::new(x as f64 + offset(k % n), y as f64 + offset(k / n));
             let ray = view.camera.ray(&place);
-            let surface = view.along(&Point3::from(ray));
+            let surface = view.along(pixels, &Point3::from(ray));
             let is_smooth = |s: &Surface| {
                 let cosine = -s.normal.dot(&ray) / ray.norm();
                 let max = if cosine < RIM_COSINE {
@@ -154,36 +287,32 @@ impl Judge<'_> {
             let Some(surface) = surface.filter(is_smooth) else {
                 continue;
             };
-            if let Verdict::Keep { point, .. } = self.pixel(idx, &ray, &surface) {
-                kept.push(point);
+            if let Verdict::Keep {
+                point, is_apart, ..
+            } = self.pixel(pixels, near, view, &ray, &surface)
+            {
+                share.keep(point, is_apart);
             }
         }
     }
 
-    /// Judges the surface of view `idx` along a ray of its camera.
-    fn pixel(&self, idx: usize, ray: &Vector3<f64>, surface: &Surface) -> Verdict {
-        let Self {
-            views,
-            colors,
-            tolerance_px,
-            min_num_views,
-            options,
-        } = *self;
-        let view = &views[idx];
-        let candidate = Candidate {
-            point: view.point_to_world(&(ray * surface.depth)),
-            normal: view.to_world(&surface.normal),
-            footprint: view.footprint(surface.depth),
-        };
+    /// Judges the surface of a view along a ray of its camera by the views near it, itself among them.
+    fn pixel(
+        &self,
+        pixels: &mut Reader<'_>,
+        near: &[&View],
+        view: &View,
+        ray: &Vector3<f64>,
+        surface: &Surface,
+    ) -> Verdict {
+        let options = self.options;
+        let candidate = Candidate::of(view, ray, surface);
         let min_normal_cosine = options.normal_tolerance_deg.to_radians().cos();
-        let widened = tolerance_px / surface.confidence.sqrt();
+        let widened = self.tolerance_px / surface.confidence.sqrt();
         let tolerance = widened.min(options.depth_tolerance_px) * candidate.footprint;
 
-        let weight_of = |confidence: f64, cosine: f64, footprint: f64| {
-            confidence * (cosine * cosine).max(1e-4) / (footprint * footprint)
-        };
         let own_cosine = -surface.normal.dot(ray) / ray.norm();
-        let own_weight = weight_of(surface.confidence, own_cosine, candidate.footprint);
+        let own_weight = weight(surface.confidence, own_cosine, candidate.footprint);
         let own_density = own_cosine / (candidate.footprint * candidate.footprint);
         let (mut num_agree, mut num_through) = (1_usize, 0_usize);
         let (mut offset, mut weights) = (0.0, own_weight);
@@ -191,11 +320,15 @@ impl Judge<'_> {
         let mut normal = candidate.normal * own_weight;
         let (mut better, mut all) = (0.0, own_density);
         let mut finest = candidate.footprint;
-        for (j, other) in views.iter().enumerate() {
-            if j == idx {
-                continue;
+        // Where the views that cover the point have their surfaces, along the normal.
+        let mut walls: Option<[f64; 2]> = None;
+        for other in near.iter().filter(|other| other.idx != view.idx) {
+            let (sight, covers) = look(pixels, other, &candidate, tolerance, min_normal_cosine);
+            if let Some(distance) = covers {
+                let [low, high] = walls.unwrap_or([distance; 2]);
+                walls = Some([low.min(distance), high.max(distance)]);
             }
-            match look(other, &candidate, tolerance, min_normal_cosine) {
+            match sight {
                 Sight::Same {
                     distance,
                     normal: other_normal,
@@ -204,7 +337,7 @@ impl Judge<'_> {
                     confidence: c,
                     gives,
                 } => {
-                    let weight = weight_of(c, cosine, footprint);
+                    let weight = weight(c, cosine, footprint);
                     num_agree += 1;
                     offset += weight * distance;
                     square += weight * distance * distance;
@@ -214,10 +347,12 @@ impl Judge<'_> {
                     let density = cosine / (footprint * footprint);
                     finest = finest.min(footprint);
                     // Ties go to the first view, so that the order is one for all.
+                    let is_better =
+                        density > own_density || (density == own_density && other.idx < view.idx);
                     if gives {
                         all += density;
                     }
-                    if gives && (density > own_density || (density == own_density && j < idx)) {
+                    if gives && is_better {
                         better += density;
                     }
                 }
@@ -225,7 +360,7 @@ impl Judge<'_> {
                 Sight::Nothing | Sight::Hidden => {}
             }
         }
-        if num_agree < min_num_views || num_through >= num_agree {
+        if num_agree < self.min_num_views || num_through >= num_agree {
             return Verdict::Inconsistent;
         }
         if better * finest * finest >= ENOUGH {
@@ -243,51 +378,39 @@ impl Judge<'_> {
         let confidence = confidence / weights
             * (1.0 - 0.5_f64.powi(num_agree as i32))
             * (-0.5 * spread * spread).exp();
+        let color = self.palette.color(
+            pixels,
+            near,
+            view.idx,
+            &position,
+            tolerance.max(2.0 * candidate.footprint),
+        );
         let point = CloudPoint {
             position: position.coords.map(|c| c as f32).into(),
             normal: normal.map(|c| c as f32).into(),
-            color: colors.color(
-                views,
-                idx,
-                &position,
-                tolerance.max(2.0 * candidate.footprint),
-            ),
+            color,
             confidence: confidence as f32,
             num_views: num_agree.min(255) as u8,
         };
+        let max = APART_PX * candidate.footprint;
         Verdict::Keep {
             point,
             coverage: all * finest * finest,
+            is_apart: walls.map(|ends| ends.iter().any(|end| (end - mean_offset).abs() > max)),
         }
     }
 }
 
-/// One point, the most confident, in every cube of edge `spacing`.
-fn thin(points: Vec<CloudPoint>, spacing: f64) -> Vec<CloudPoint> {
-    let cell = |p: &CloudPoint| p.position.map(|c| (f64::from(c) / spacing).floor() as i64);
-    let mut order: Vec<usize> = (0..points.len()).collect();
-    order.sort_by(|&a, &b| {
-        cell(&points[a])
-            .cmp(&cell(&points[b]))
-            .then(points[b].confidence.total_cmp(&points[a].confidence))
-            .then(a.cmp(&b))
-    });
-    order.dedup_by(|a, b| cell(&points[*a]) == cell(&points[*b]));
-    order.sort_unstable();
-    order.into_iter().map(|i| points[i]).collect()
+impl PageShare {
+    fn keep(&mut self, point: CloudPoint, is_apart: Option<bool>) {
+        self.points.push(point);
+        self.num_covered += usize::from(is_apart.is_some());
+        self.num_apart += usize::from(is_apart == Some(true));
+    }
 }
 
-/// Mean of the points' normals and colours around a place, by nearness.
-pub(crate) fn blend(points: &[CloudPoint], nearest: &[(usize, f64)]) -> (Vector3<f32>, [u8; 3]) {
-    let scale = nearest.iter().map(|n| n.1).fold(0.0, f64::max).max(1e-300);
-    let (mut normal, mut color, mut sum) = (Vector3::zeros(), Vector3::<f64>::zeros(), 0.0);
-    for &(i, square) in nearest {
-        let point = &points[i];
-        let weight = f64::from(point.confidence).max(0.01) * (1.05 - square / scale);
-        normal += Vector3::from(point.normal.map(f64::from)) * weight;
-        color += Vector3::from(point.color.map(f64::from)) * weight;
-        sum += weight;
-    }
-    let color = (color / sum).map(|c| c.round() as u8);
-    (normal.normalize().map(|c| c as f32), color.into())
+/// Weight of a sighting.
+#[inline]
+pub(crate) fn weight(confidence: f64, cosine: f64, footprint: f64) -> f64 {
+    confidence * (cosine * cosine).max(1e-4) / (footprint * footprint)
 }

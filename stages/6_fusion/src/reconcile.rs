@@ -17,6 +17,7 @@ use crate::options::FusionOptions;
 use crate::pairs::{Pair, find_pairs, layering};
 use crate::report::Layering;
 use crate::view::View;
+use crate::views::Stock;
 use rilievo_numerics::conjugate_gradients::{Stop, conjugate_gradients};
 use rilievo_numerics::robust::{RobustLoss, SIGMA_FROM_MAD, median};
 use rilievo_scene::{Event, Flow, Observer, StageId};
@@ -49,64 +50,96 @@ struct Grid {
     focal_px: f64,
 }
 
+/// Corrections of all views.
+#[derive(Clone, Debug)]
+pub(crate) struct Corrections {
+    grids: Vec<Grid>,
+    /// Changes of log depth at the nodes.
+    values: Vec<f64>,
+    spacing_px: f64,
+}
+
+impl Corrections {
+    /// Change of the log depth at a pixel of a view.
+    #[inline]
+    pub fn at(&self, view: usize, x: usize, y: usize) -> f64 {
+        let nodes = self.grids[view].nodes(x as f64, y as f64, self.spacing_px);
+        nodes
+            .iter()
+            .map(|(node, weight)| self.values[*node] * weight)
+            .sum()
+    }
+
+    /// A depth of a view as it is corrected; 0 stays.
+    #[inline]
+    pub fn corrected(&self, view: usize, x: usize, y: usize, depth: f32) -> f32 {
+        if depth > 0.0 {
+            (f64::from(depth) * self.at(view, x, y).exp()) as f32
+        } else {
+            depth
+        }
+    }
+}
+
 /// Outcome of [`reconcile`].
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Reconciliation {
     pub before: Layering,
     pub after: Layering,
     pub num_iterations: usize,
-    /// Root mean square correction of each view, world's unit.
-    pub correction_rms: Vec<f64>,
+    /// What brings the views onto each other, where anything does.
+    pub corrections: Option<Corrections>,
 }
 
 /// Distance of the sampled pixels that keeps the number of pairs in bounds.
 pub(crate) fn stride_for(views: &[View], num_neighbours: usize) -> usize {
-    let pixels: usize = views
-        .iter()
-        .map(|v| v.depth.data.iter().filter(|&&z| z > 0.0).count())
-        .sum();
+    let pixels: usize = views.iter().map(|v| v.num_depths).sum();
     let wanted = (pixels * num_neighbours.max(1)) as f64 / MAX_NUM_PAIRS as f64;
     (wanted.sqrt().ceil() as usize).max(2)
 }
 
-/// Corrects the depths of all views in place, or only measures where `options` switch it off.
+/// Finds the corrections of all views, or only measures where `options` switch them off.
 pub(crate) fn reconcile(
-    views: &mut [View],
+    stock: &Stock,
     neighbours: &[Vec<usize>],
     options: &FusionOptions,
     observer: &dyn Observer,
 ) -> Result<Reconciliation, FusionError> {
     let most = neighbours.iter().map(Vec::len).max().unwrap_or(0);
-    let stride = stride_for(views, most);
-    let mut pairs = find_pairs(views, neighbours, stride, options);
+    let stride = stride_for(&stock.views, most);
+    let mut pairs = find_pairs(stock, None, neighbours, stride, options)?;
     let before = layering(&pairs, options);
     let mut result = Reconciliation {
         before,
         after: before,
         num_iterations: 0,
-        correction_rms: vec![0.0; views.len()],
+        corrections: None,
     };
     if !options.reconcile || pairs.is_empty() {
         return Ok(result);
     }
-    let grids = grids_of(views, options.reconcile_grid_px);
+    let grids = grids_of(&stock.views, options.reconcile_grid_px);
     let num_nodes = grids.iter().map(|g| g.columns * g.rows).sum();
-    let mut total = vec![0.0; num_nodes];
+    let mut corrections = Corrections {
+        grids,
+        values: vec![0.0; num_nodes],
+        spacing_px: options.reconcile_grid_px,
+    };
     for iteration in 0..MAX_NUM_ITERATIONS {
-        let step = solve(&pairs, &grids, &total, options, num_nodes);
-        apply(views, &grids, &step, options.reconcile_grid_px);
-        let moved = find_pairs(views, neighbours, stride, options);
+        let total = &corrections.values;
+        let step = solve(&pairs, &corrections.grids, total, options, num_nodes);
+        let tried = Corrections {
+            values: total.iter().zip(&step).map(|(sum, u)| sum + u).collect(),
+            ..corrections.clone()
+        };
+        let moved = find_pairs(stock, Some(&tried), neighbours, stride, options)?;
         let after = layering(&moved, options);
         let gain = 1.0 - after.smooth_rms / result.after.smooth_rms;
+        // An iteration must never push the views apart.
         if gain.is_nan() || gain < 0.0 {
-            // An iteration must never push the views apart.
-            let back: Vec<f64> = step.iter().map(|u| -u).collect();
-            apply(views, &grids, &back, options.reconcile_grid_px);
             break;
         }
-        for (sum, u) in total.iter_mut().zip(&step) {
-            *sum += u;
-        }
+        corrections = tried;
         pairs = moved;
         result.after = after;
         result.num_iterations = iteration + 1;
@@ -126,13 +159,7 @@ pub(crate) fn reconcile(
             break;
         }
     }
-    for (rms, (view, grid)) in result
-        .correction_rms
-        .iter_mut()
-        .zip(views.iter().zip(&grids))
-    {
-        *rms = correction_rms(view, grid, &total, options.reconcile_grid_px);
-    }
+    result.corrections = (result.num_iterations > 0).then_some(corrections);
     Ok(result)
 }
 
@@ -144,8 +171,8 @@ fn grids_of(views: &[View], spacing_px: f64) -> Vec<Grid> {
             let nodes = |pixels: usize| ((pixels - 1) as f64 / spacing_px).ceil() as usize + 1;
             let grid = Grid {
                 start,
-                columns: nodes(view.depth.width).max(2),
-                rows: nodes(view.depth.height).max(2),
+                columns: nodes(view.camera.width).max(2),
+                rows: nodes(view.camera.height).max(2),
                 focal_px: view.camera.focal_px(),
             };
             start += grid.columns * grid.rows;
@@ -169,16 +196,6 @@ impl Grid {
             (at(i, j + 1), (1.0 - fu) * fv),
             (at(i + 1, j + 1), fu * fv),
         ]
-    }
-
-    /// The correction at a pixel, by its index in a map of `width` columns.
-    fn interpolate(&self, values: &[f64], pixel: usize, width: usize, spacing_px: f64) -> f64 {
-        let (x, y) = ((pixel % width) as f64, (pixel / width) as f64);
-        let nodes = self.nodes(x, y, spacing_px);
-        nodes
-            .iter()
-            .map(|(node, weight)| values[*node] * weight)
-            .sum()
     }
 }
 
@@ -338,33 +355,4 @@ fn weighted_step(
         CG_STOP,
     );
     step
-}
-
-fn apply(views: &mut [View], grids: &[Grid], step: &[f64], spacing_px: f64) {
-    for (view, grid) in views.iter_mut().zip(grids) {
-        let width = view.depth.width;
-        for (i, z) in view.depth.data.iter_mut().enumerate() {
-            if *z > 0.0 {
-                let u = grid.interpolate(step, i, width, spacing_px);
-                *z = (f64::from(*z) * u.exp()) as f32;
-            }
-        }
-    }
-}
-
-fn correction_rms(view: &View, grid: &Grid, total: &[f64], spacing_px: f64) -> f64 {
-    let width = view.depth.width;
-    let (mut square, mut count) = (0.0, 0.0);
-    for (i, &z) in view.depth.data.iter().enumerate() {
-        if z > 0.0 {
-            let u = grid.interpolate(total, i, width, spacing_px);
-            square += (f64::from(z) * u).powi(2);
-            count += 1.0;
-        }
-    }
-    if count > 0.0 {
-        f64::sqrt(square / count)
-    } else {
-        0.0
-    }
 }

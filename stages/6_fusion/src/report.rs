@@ -57,23 +57,31 @@ pub struct MeshReport {
     pub voxel: f64,
     /// Factor by which the cells are larger than asked for, to stay within the memory; 1: not.
     pub coarsened_by: f64,
-    /// Memory of the cells, MiB.
+    /// What the cells take, beside the memory, MiB.
     pub memory_mib: f64,
     /// Pieces that were too small to be surface and were dropped.
     pub num_dropped_pieces: usize,
-    /// Mean distance of the cloud's points from the mesh, world's unit.
+    /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points are, world's
+    /// unit.
     pub mean_distance_to_cloud: Option<f64>,
 }
 
 /// Report of [`crate::run`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FusionReport {
-    /// Factor by which the maps' resolution was reduced to stay within the memory; 1: not.
-    pub maps_reduced_by: usize,
     /// Points of the cloud.
     pub num_points: usize,
     /// Mean number of views that agree on a point.
     pub mean_num_views: f64,
+    /// Points that another view covers: it sees surface there that faces the same way, within 30 pixel footprints of
+    /// the point along the normal. All points count, also those that a spacing thins out.
+    #[serde(default)]
+    pub num_covered: usize,
+    /// Share of those points from which the surface of a view that covers them lies farther than three
+    /// pixel footprints: where it is large, the views' surfaces are two walls and not one. `None` where no
+    /// point is covered.
+    #[serde(default)]
+    pub share_apart: Option<f64>,
     /// Distance between views as they came.
     pub layering_before: Layering,
     /// Distance between views after the adjustment.

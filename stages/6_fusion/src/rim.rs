@@ -26,22 +26,22 @@ fn edges_of(t: [u32; 3]) -> [(u32, u32); 3] {
     [0, 1, 2].map(|k| key(t[k], t[(k + 1) % 3]))
 }
 
-/// Whether a vertex has an edge that belongs to a single triangle.
-fn on_rim(mesh: &Mesh) -> Vec<bool> {
-    let mut edges: Vec<(u32, u32)> = mesh
-        .triangles
-        .par_iter()
-        .flat_map_iter(|&t| edges_of(t))
-        .collect();
-    edges.par_sort_unstable();
-    let mut on_rim = vec![false; mesh.vertices.len()];
-    for same in edges.chunk_by(|a, b| a == b) {
-        if let &[(a, b)] = same {
-            on_rim[a as usize] = true;
-            on_rim[b as usize] = true;
+/// Whether the triangles around a vertex leave a gap, or more than two share an edge: around a closed fan every neighbour
+/// comes once before and once after its successor, so that a sum over mixed indices with both signs is zero.
+pub(crate) fn on_rim(mesh: &Mesh) -> Vec<bool> {
+    let mixed = |v: u32| {
+        let v = (u64::from(v) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        (v ^ v >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9)
+    };
+    let mut sums = vec![0_u64; mesh.vertices.len()];
+    for &[a, b, c] in &mesh.triangles {
+        let [of_a, of_b, of_c] = [a, b, c].map(mixed);
+        for (v, next, last) in [(a, of_b, of_c), (b, of_c, of_a), (c, of_a, of_b)] {
+            let sum = &mut sums[v as usize];
+            *sum = sum.wrapping_add(next).wrapping_sub(last);
         }
     }
-    on_rim
+    sums.into_iter().map(|sum| sum != 0).collect()
 }
 
 /// How many of the triangles have an edge between two vertices on the rim.

@@ -1,24 +1,25 @@
 //! The surface `D = 0` as triangles.
 //!
-//! Surface nets block by block (each block with one layer of its neighbours), welded by the cell
-//! that each vertex lies in; triangles with a corner in a cell that touches an unknown voxel are
-//! no surface but the end of what was seen, and are dropped; so are small loose pieces. The end is
-//! smoothed ([`rim`]); vertices take normals and colours from the cloud.
+//! Surface nets block by block (each block with one layer of its neighbours); a vertex belongs to the block of
+//! its cell, which gives it its normal and colour ([`dress`]), and triangles name vertices by their cells. The
+//! pieces are put aside until the number of vertices is known, then joined. Triangles with a corner in a cell
+//! that touches an unknown voxel are no surface but the end of what was seen, and are dropped; so are small
+//! loose pieces. The end is smoothed ([`rim`]).
 
+use crate::dress::{Dressed, Dresser};
 use crate::error::FusionError;
 use crate::holes::close;
 use crate::options::FusionOptions;
-use crate::points::blend;
 use crate::report::MeshReport;
 use crate::rim;
-use crate::tsdf::{Key, SIDE, UNKNOWN, VOLUME, Volume};
+use crate::shelf::Readers;
+use crate::tsdf::{BLOCKS_AT_ONCE, Key, SIDE, UNKNOWN, VOLUME, Volume};
+use crate::views::Stock;
 use fast_surface_nets::ndshape::{ConstShape, ConstShape3u32};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use rilievo_scene::{CloudPoint, Mesh, Observer, StageId};
-use std::num::NonZero;
+use rilievo_scene::{Mesh, Observer, Room, Scratch, ScratchError, StageId};
 
 /// A block with one layer of neighbours on either side.
 const PADDED: u32 = SIDE as u32 + 2;
@@ -26,66 +27,103 @@ type PaddedShape = ConstShape3u32<PADDED, PADDED, PADDED>;
 
 /// A piece with fewer triangles than this share of the largest one is no surface.
 const MIN_PIECE: f64 = 0.005;
-/// Cloud points that a vertex takes its normal and colour from.
-const NUM_NEAREST: NonZero<usize> = NonZero::<usize>::MIN.saturating_add(5);
-/// A vertex of a block: the cell that it lies in, in voxels of the whole volume, and its place.
-struct Vertex {
-    cell: [i32; 3],
-    position: [f32; 3],
-    /// Whether all eight voxels around it are known.
-    is_known: bool,
-}
+/// Cells along the edge of a block with those of the next blocks that its triangles touch.
+const CELLS: u32 = SIDE as u32 + 1;
+/// Bytes of a vertex and of a triangle that are put aside.
+const VERTEX_BYTES: usize = 12 + 12 + 3;
+const TRIANGLE_BYTES: usize = 3 * 2;
 
+/// What one block gives.
+#[derive(Default)]
 struct Piece {
-    vertices: Vec<Vertex>,
-    triangles: Vec<[u32; 3]>,
+    /// Number of each vertex's cell in the block, ascending.
+    cells: Vec<u16>,
+    vertices: Vec<Dressed>,
+    /// Corners by the numbers of their cells, of [`CELLS`] along each edge.
+    triangles: Vec<[u16; 3]>,
 }
 
-/// Extracts the mesh of a volume with normals and colours of the cloud.
+/// The pieces of all blocks, put aside.
+struct Pieces {
+    room: Box<dyn Room>,
+    /// Number of the first vertex of every block, and of the end.
+    first_vertex: Vec<u32>,
+    num_triangles: Vec<u32>,
+    /// Cells of all vertices.
+    cells: Vec<u16>,
+    /// Sum of the vertices' distances from the views' surfaces, and how many have one.
+    distances: (f64, usize),
+}
+
+/// Extracts the mesh of a volume with normals and colours of the views.
 pub(crate) fn extract(
-    volume: &Volume,
-    points: &[CloudPoint],
+    volume: Volume,
+    stock: &Stock,
+    readers: Readers<'_>,
+    scratch: &dyn Scratch,
     options: &FusionOptions,
     observer: &dyn Observer,
 ) -> Result<(Mesh, MeshReport), FusionError> {
-    let step = |step: &str, done: usize| {
-        let flow = observer.progress(StageId::Fusion, step, (done, 3));
+    let step = |step: &str, done: usize, all: usize| {
+        let flow = observer.progress(StageId::Fusion, step, (done, all));
         flow.ok_or(FusionError::Interrupted)
     };
-    step("extracting the surface", 0)?;
-    let pieces: Vec<Piece> = volume
-        .keys
-        .par_iter()
-        .map_init(SurfaceNetsBuffer::default, |buffer, key| {
-            extract_block(volume, key, buffer)
-        })
-        .collect();
-    step("joining the surface", 1)?;
-    let mut mesh = weld(volume, pieces);
-    rim::smooth(&mut mesh);
-    let num_dropped_pieces = drop_small_pieces(&mut mesh);
-    if options.watertight {
-        close(&mut mesh);
+    let mut pieces = Pieces {
+        room: scratch.room()?,
+        first_vertex: vec![0],
+        num_triangles: Vec::new(),
+        cells: Vec::new(),
+        distances: (0.0, 0),
+    };
+    let dresser = Dresser::new(&stock.views, &volume, options);
+    let mut place = 0;
+    for first in (0..volume.num_blocks()).step_by(BLOCKS_AT_ONCE) {
+        step("extracting the surface", first, volume.num_blocks())?;
+        let made: Vec<Piece> = (first..volume.num_blocks().min(first + BLOCKS_AT_ONCE))
+            .into_par_iter()
+            .map_init(SurfaceNetsBuffer::default, |buffer, idx| {
+                extract_block(&volume, &dresser, &readers, idx, buffer)
+            })
+            .collect::<Result<_, _>>()?;
+        place += pieces.put_aside(made, place)?;
     }
-    step("colouring the surface", 2)?;
-    let mean_distance_to_cloud = dress(&mut mesh, points, volume.voxel);
-    let report = MeshReport {
-        num_vertices: mesh.vertices.len(),
-        num_triangles: mesh.triangles.len(),
+    drop(readers);
+    step("joining the surface", 0, 1)?;
+    let mut mesh = pieces.join(&volume)?;
+    let (sum, count) = pieces.distances;
+    let mut report = MeshReport {
         voxel: volume.voxel,
         coarsened_by: volume.coarsened_by,
         memory_mib: volume.memory_mib(),
-        num_dropped_pieces,
-        mean_distance_to_cloud,
+        mean_distance_to_cloud: (count > 0).then(|| sum / count as f64),
+        ..MeshReport::default()
     };
+    drop((pieces, volume));
+    rim::smooth(&mut mesh);
+    report.num_dropped_pieces = drop_small_pieces(&mut mesh);
+    if options.watertight {
+        close(&mut mesh);
+    }
+    report.num_vertices = mesh.vertices.len();
+    report.num_triangles = mesh.triangles.len();
     Ok((mesh, report))
 }
 
-fn extract_block(volume: &Volume, key: &Key, buffer: &mut SurfaceNetsBuffer) -> Piece {
-    // The block's voxels and one more on the far sides, where the next block begins.
-    let blocks: Vec<Option<&[f32; VOLUME]>> = (0..8)
-        .map(|n| volume.block(&[key[0] + (n & 1), key[1] + (n >> 1 & 1), key[2] + (n >> 2)]))
-        .collect();
+fn extract_block(
+    volume: &Volume,
+    dresser: &Dresser<'_>,
+    readers: &Readers<'_>,
+    idx: usize,
+    buffer: &mut SurfaceNetsBuffer,
+) -> Result<Piece, FusionError> {
+    let key = volume.key(idx);
+    // The block's voxels and two layers more on the far sides, where the next block begins.
+    let mut blocks: [Option<[f32; VOLUME]>; 8] = [None; 8];
+    for (n, block) in blocks.iter_mut().enumerate() {
+        if let Some(found) = volume.find(neighbour(key, n)) {
+            *block = Some(volume.read(found)?);
+        }
+    }
     let value = |at: [usize; 3]| -> f32 {
         let far = at.map(|c| c / SIDE);
         let near = at.map(|c| c % SIDE);
@@ -98,80 +136,159 @@ fn extract_block(volume: &Volume, key: &Key, buffer: &mut SurfaceNetsBuffer) -> 
     // Unknown voxels are larger than any truncated distance, hence outside: the nets end there in
     // false walls, which `is_known` tells apart.
     surface_nets(&values, &PaddedShape {}, [0; 3], [PADDED - 1; 3], buffer);
-    let vertices = buffer
-        .positions
+    let is_known: Vec<bool> = buffer
+        .surface_points
         .iter()
-        .zip(&buffer.surface_points)
-        .map(|(position, cell)| {
-            let is_known = (0..8).all(|n| {
-                value([
-                    cell[0] as usize + (n & 1),
-                    cell[1] as usize + (n >> 1 & 1),
-                    cell[2] as usize + (n >> 2),
-                ]) != UNKNOWN
-            });
-            let first = key.map(|k| k * SIDE as i32);
-            Vertex {
-                cell: std::array::from_fn(|i| first[i] + cell[i] as i32),
-                position: std::array::from_fn(|i| position[i] - cell[i] as f32),
-                is_known,
-            }
-        })
-        .collect();
-    let triangles = buffer
-        .indices
-        .chunks_exact(3)
-        .map(|t| [t[0], t[1], t[2]])
-        .collect();
-    Piece {
-        vertices,
-        triangles,
-    }
-}
-
-/// Joins the blocks' pieces at the cells they share.
-fn weld(volume: &Volume, pieces: Vec<Piece>) -> Mesh {
-    let mut cells: Vec<([i32; 3], [f32; 3])> = pieces
-        .iter()
-        .flat_map(|p| p.vertices.iter().filter(|v| v.is_known))
-        .map(|v| (v.cell, v.position))
-        .collect();
-    // Copies of a vertex differ by rounding at most; the sort makes the choice among them fixed.
-    cells.par_sort_unstable_by(|a, b| {
-        let order = a.0.cmp(&b.0);
-        (0..3).fold(order, |order, i| {
-            order.then_with(|| a.1[i].total_cmp(&b.1[i]))
-        })
-    });
-    cells.dedup_by_key(|c| c.0);
-    let vertices = cells
-        .iter()
-        .map(|(cell, position)| {
-            let at = Vector3::from_fn(|i, _| {
-                // Voxel centres lie half a voxel from the corner of their block.
-                (f64::from(cell[i]) + f64::from(position[i]) + 0.5) * volume.voxel
-            });
-            (volume.origin + at).coords.map(|c| c as f32).into()
-        })
-        .collect();
-    let index = |v: &Vertex| {
-        let found = cells.binary_search_by_key(&v.cell, |c| c.0);
-        found.ok().filter(|_| v.is_known).map(|i| i as u32)
-    };
-    let triangles = pieces
-        .into_par_iter()
-        .flat_map_iter(|piece| {
-            let welded: Vec<Option<u32>> = piece.vertices.iter().map(index).collect();
-            piece.triangles.into_iter().filter_map(move |triangle| {
-                let [a, b, c] = triangle.map(|v| welded[v as usize]);
-                Some([a?, b?, c?])
+        .map(|cell| {
+            (0..8).all(|n| {
+                let corner = [
+                    cell[0] + (n & 1),
+                    cell[1] + (n >> 1 & 1),
+                    cell[2] + (n >> 2),
+                ];
+                values[PaddedShape::linearize(corner) as usize] != UNKNOWN
             })
         })
         .collect();
-    Mesh {
-        vertices,
-        triangles,
-        ..Mesh::default()
+    let mut piece = Piece::default();
+    let near = dresser.near(idx);
+    let corner = volume.corner(idx);
+    readers.with(|pixels| {
+        for (i, cell) in buffer.surface_points.iter().enumerate() {
+            if !is_known[i] || cell.iter().any(|&c| c as usize >= SIDE) {
+                continue;
+            }
+            // Voxel centres lie half a voxel from the corner of their block.
+            let at =
+                Vector3::from(buffer.positions[i].map(|c| (f64::from(c) + 0.5) * volume.voxel));
+            let gradient = Vector3::from(buffer.normals[i].map(f64::from));
+            piece.cells.push(number_in_block(*cell));
+            piece
+                .vertices
+                .push(dresser.dress(pixels, &near, &(corner + at), &gradient));
+        }
+    })?;
+    let number = |v: u32| {
+        let [x, y, z] = buffer.surface_points[v as usize];
+        (x + CELLS * (y + CELLS * z)) as u16
+    };
+    piece.triangles = buffer
+        .indices
+        .chunks_exact(3)
+        .filter(|t| t.iter().all(|&v| is_known[v as usize]))
+        .map(|t| [number(t[0]), number(t[1]), number(t[2])])
+        .collect();
+    Ok(piece)
+}
+
+/// The `n`th of a block and those on its far sides.
+fn neighbour(key: Key, n: usize) -> Key {
+    std::array::from_fn(|i| key[i] + (n >> i & 1) as i32)
+}
+
+fn number_in_block([x, y, z]: [u32; 3]) -> u16 {
+    (x + SIDE as u32 * (y + SIDE as u32 * z)) as u16
+}
+
+impl Pieces {
+    /// Puts the pieces of the next blocks at a place; returns their bytes.
+    fn put_aside(&mut self, pieces: Vec<Piece>, place: u64) -> Result<u64, FusionError> {
+        let mut bytes = Vec::new();
+        for piece in pieces {
+            for vertex in &piece.vertices {
+                for value in vertex.position.iter().chain(&vertex.normal) {
+                    bytes.extend(value.to_le_bytes());
+                }
+                bytes.extend(vertex.color);
+                if let Some(distance) = vertex.distance {
+                    self.distances.0 += distance;
+                    self.distances.1 += 1;
+                }
+            }
+            for corner in piece.triangles.iter().flatten() {
+                bytes.extend(corner.to_le_bytes());
+            }
+            self.cells.extend(piece.cells);
+            self.first_vertex.push(self.cells.len() as u32);
+            self.num_triangles.push(piece.triangles.len() as u32);
+        }
+        self.room.write_at(&bytes, place)?;
+        Ok(bytes.len() as u64)
+    }
+
+    /// Joins the pieces at the cells they share.
+    fn join(&mut self, volume: &Volume) -> Result<Mesh, ScratchError> {
+        let num_vertices = self.cells.len();
+        let num_triangles = self.num_triangles.iter().map(|&n| n as usize).sum();
+        let mut mesh = Mesh {
+            vertices: Vec::with_capacity(num_vertices),
+            normals: Vec::with_capacity(num_vertices),
+            colors: Vec::with_capacity(num_vertices),
+            triangles: Vec::with_capacity(num_triangles),
+        };
+        let mut place = 0;
+        let float = |b: &[u8]| f32::from_le_bytes(b.try_into().unwrap_or_default());
+        for first in (0..volume.num_blocks()).step_by(BLOCKS_AT_ONCE) {
+            let blocks = first..volume.num_blocks().min(first + BLOCKS_AT_ONCE);
+            let sizes = blocks.clone().map(|idx| {
+                let num = self.first_vertex[idx + 1] - self.first_vertex[idx];
+                let (vertices, triangles) = (num as usize, self.num_triangles[idx] as usize);
+                (idx, vertices * VERTEX_BYTES, triangles * TRIANGLE_BYTES)
+            });
+            let sizes: Vec<(usize, usize, usize)> = sizes.collect();
+            let mut bytes = vec![0; sizes.iter().map(|s| s.1 + s.2).sum()];
+            self.room.read_at(&mut bytes, place)?;
+            place += bytes.len() as u64;
+            let mut rest = bytes.as_slice();
+            let mut corners = Vec::with_capacity(sizes.len());
+            for (idx, vertices, triangles) in sizes {
+                let (here, next) = rest.split_at(vertices);
+                for record in here.chunks_exact(VERTEX_BYTES) {
+                    let three = |k: usize| [0, 4, 8].map(|c| float(&record[k + c..k + c + 4]));
+                    mesh.vertices.push(three(0));
+                    mesh.normals.push(three(12));
+                    mesh.colors.push([record[24], record[25], record[26]]);
+                }
+                let (here, next) = next.split_at(triangles);
+                corners.push((idx, here));
+                rest = next;
+            }
+            let joined: Vec<Vec<[u32; 3]>> = corners
+                .into_par_iter()
+                .map(|(idx, corners)| self.triangles(volume, idx, corners))
+                .collect();
+            mesh.triangles.extend(joined.into_iter().flatten());
+        }
+        Ok(mesh)
+    }
+
+    /// Triangles of a block by their vertices.
+    fn triangles(&self, volume: &Volume, idx: usize, corners: &[u8]) -> Vec<[u32; 3]> {
+        let key = volume.key(idx);
+        let mut found: [Option<Option<usize>>; 8] = [None; 8];
+        found[0] = Some(Some(idx));
+        let mut vertex = |number: u16| -> Option<u32> {
+            let number = u32::from(number);
+            let cell = [
+                number % CELLS,
+                number / CELLS % CELLS,
+                number / (CELLS * CELLS),
+            ];
+            let n = (0..3).fold(0, |n, i| n | usize::from(cell[i] as usize == SIDE) << i);
+            let block = (*found[n].get_or_insert_with(|| volume.find(neighbour(key, n))))?;
+            let first = self.first_vertex[block] as usize;
+            let cells = &self.cells[first..self.first_vertex[block + 1] as usize];
+            let wanted = number_in_block(cell.map(|c| c % SIDE as u32));
+            let place = cells.binary_search(&wanted).ok()?;
+            Some((first + place) as u32)
+        };
+        corners
+            .chunks_exact(TRIANGLE_BYTES)
+            .filter_map(|three| {
+                let corner = |k: usize| u16::from_le_bytes([three[2 * k], three[2 * k + 1]]);
+                Some([vertex(corner(0))?, vertex(corner(1))?, vertex(corner(2))?])
+            })
+            .collect()
     }
 }
 
@@ -195,95 +312,36 @@ fn drop_small_pieces(mesh: &mut Mesh) -> usize {
             low = lower;
         }
     }
-    let mut sizes = vec![0_usize; mesh.vertices.len()];
-    let roots: Vec<u32> = mesh
-        .triangles
-        .iter()
-        .map(|t| root(&mut parent, t[0]))
-        .collect();
-    for &r in &roots {
-        sizes[r as usize] += 1;
+    let mut sizes = vec![0_u32; mesh.vertices.len()];
+    for t in &mesh.triangles {
+        sizes[root(&mut parent, t[0]) as usize] += 1;
     }
     let largest = sizes.iter().copied().max().unwrap_or(0);
-    let limit = MIN_PIECE * largest as f64;
-    let num_dropped = sizes
-        .iter()
-        .filter(|&&s| s > 0 && (s as f64) < limit)
-        .count();
-    let mut keep = roots.iter().map(|&r| sizes[r as usize] as f64 >= limit);
-    mesh.triangles.retain(|_| keep.next().unwrap_or(false));
+    let is_small = |size: u32| f64::from(size) < MIN_PIECE * f64::from(largest);
+    let num_dropped = sizes.iter().filter(|&&s| s > 0 && is_small(s)).count();
+    mesh.triangles
+        .retain(|t| !is_small(sizes[root(&mut parent, t[0]) as usize]));
     // Compact the vertices in their order.
-    let mut index = vec![u32::MAX; mesh.vertices.len()];
+    let mut index = parent;
+    index.fill(u32::MAX);
     for v in mesh.triangles.iter().flatten() {
         index[*v as usize] = 0;
     }
     let mut count = 0;
-    let mut vertices = Vec::new();
     for (v, i) in index.iter_mut().enumerate() {
         if *i == 0 {
-            *i = count;
+            *i = count as u32;
+            mesh.vertices[count] = mesh.vertices[v];
+            mesh.normals[count] = mesh.normals[v];
+            mesh.colors[count] = mesh.colors[v];
             count += 1;
-            vertices.push(mesh.vertices[v]);
         }
     }
-    mesh.vertices = vertices;
+    mesh.vertices.truncate(count);
+    mesh.normals.truncate(count);
+    mesh.colors.truncate(count);
     for v in mesh.triangles.iter_mut().flatten() {
         *v = index[*v as usize];
     }
     num_dropped
-}
-
-/// A vertex with what the cloud gives it.
-struct Dressed {
-    normal: [f32; 3],
-    color: [u8; 3],
-    /// Distance from the cloud's planes, world's unit.
-    distance: f64,
-}
-
-/// Gives vertices the cloud's normals and colours; returns the mean distance from its planes. The
-/// vertices stay: the zero of the distances is nearer to the surface than the mean of the planes of a
-/// few points, which curvature bends outwards.
-fn dress(mesh: &mut Mesh, points: &[CloudPoint], voxel: f64) -> Option<f64> {
-    let positions: Vec<[f32; 3]> = points.iter().map(|p| p.position).collect();
-    let tree: ImmutableKdTree<f32, 3> = ImmutableKdTree::new_from_slice(&positions).ok()?;
-    let dressed: Vec<Dressed> = mesh
-        .vertices
-        .par_iter()
-        .map(|vertex| {
-            let nearest: Vec<(usize, f64)> = tree
-                .query(vertex)
-                .nearest_n::<SquaredEuclidean<f32>>(NUM_NEAREST)
-                .execute()
-                .into_iter()
-                .map(|n| (n.item as usize, f64::from(n.distance)))
-                .collect();
-            let at = Vector3::from(vertex.map(f64::from));
-            // Mean distance to the tangent planes, near ones counting most.
-            let (mut offset, mut weights) = (0.0, 0.0);
-            for &(i, square) in &nearest {
-                let point = &points[i];
-                let normal = Vector3::from(point.normal.map(f64::from));
-                let from = at - Vector3::from(point.position.map(f64::from));
-                let weight = (-square / (voxel * voxel)).exp() * f64::from(point.confidence);
-                offset += weight * normal.dot(&from);
-                weights += weight;
-            }
-            let offset = if weights > 1e-6 {
-                offset / weights
-            } else {
-                0.0
-            };
-            let (normal, color) = blend(points, &nearest);
-            Dressed {
-                normal: normal.into(),
-                color,
-                distance: offset.abs(),
-            }
-        })
-        .collect();
-    let mean = dressed.iter().map(|d| d.distance).sum::<f64>() / dressed.len().max(1) as f64;
-    mesh.normals = dressed.iter().map(|d| d.normal).collect();
-    mesh.colors = dressed.iter().map(|d| d.color).collect();
-    (!dressed.is_empty()).then_some(mean)
 }

@@ -6,20 +6,24 @@
 //! the ray (what lies behind the surface is unknown). The voxel keeps `D = Σ w d / Σ w`, `w = c cos²θ / a²`.
 //!
 //! Voxels come in blocks of 8³ that exist only near the surface; their number is known before they
-//! are made, and the voxels are enlarged where it would exceed the memory allowed.
+//! are made, and the voxels are enlarged where the mesh would exceed the memory allowed. The blocks are
+//! put aside as they are filled, in Morton order, so that neighbours in the order see the same pages.
 //!
 //! Source: Curless and Levoy, "A volumetric method for building complex models from range images",
 //! SIGGRAPH 1996, eqs. 1 and 2. Departure: distances along the normal instead of the ray, so that
 //! views from different directions measure one quantity.
 
 use crate::error::FusionError;
-use crate::memory::max_num_blocks;
+use crate::memory;
 use crate::options::FusionOptions;
-use crate::view::View;
+use crate::points::weight;
+use crate::reach::Ball;
+use crate::shelf::{Reader, Readers};
+use crate::view::{Pixels, View};
+use crate::views::Stock;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
-use rilievo_numerics::robust::median;
-use rilievo_scene::{Observer, StageId};
+use rilievo_scene::{Observer, Room, Scratch, ScratchError, StageId};
 
 /// Voxels along the edge of a block.
 pub(crate) const SIDE: usize = 8;
@@ -27,8 +31,12 @@ pub(crate) const SIDE: usize = 8;
 pub(crate) const VOLUME: usize = SIDE * SIDE * SIDE;
 /// Distance of a voxel that no view says anything about.
 pub(crate) const UNKNOWN: f32 = f32::MAX;
-/// Bytes of a block's distances and key.
-const BLOCK_BYTES: usize = VOLUME * 4 + 16;
+/// Bytes of a block's distances.
+const BLOCK_BYTES: usize = VOLUME * 4;
+/// Blocks that are worked on between two words to the observer.
+pub(crate) const BLOCKS_AT_ONCE: usize = 4096;
+/// Pages whose blocks are found before they are put among the others.
+const PAGES_AT_ONCE: usize = 4096;
 /// Growth of the voxels when the memory does not suffice.
 const COARSEN: f64 = 1.189_207_115_002_721;
 /// A view tells how far the surface is up to this many truncations behind it along its ray. At
@@ -38,249 +46,233 @@ const COARSEN: f64 = 1.189_207_115_002_721;
 const MAX_BEHIND: f64 = 2.0;
 /// Coordinates are kept to 21 bits each.
 const KEY_OFFSET: i64 = 1 << 20;
+/// Blocks are counted up to this multiple of what is allowed, to tell how much larger voxels must be.
+const MAX_EXCESS: usize = 8;
 
 /// Position of a block, in blocks.
 pub(crate) type Key = [i32; 3];
 
-/// Distances in blocks, sorted by key.
+/// Distances in blocks, put aside.
 pub(crate) struct Volume {
     pub voxel: f64,
+    /// Distance over which views are averaged, world's unit.
+    pub truncation: f64,
     pub origin: Point3<f64>,
-    pub keys: Vec<Key>,
-    /// One array of voxels per key, x fastest; in voxels, [`UNKNOWN`] where none.
-    pub distances: Vec<[f32; VOLUME]>,
+    /// Codes of the blocks, in ascending order.
+    codes: Vec<u64>,
+    /// One array of voxels per code, x fastest; in voxels, [`UNKNOWN`] where none.
+    room: Box<dyn Room>,
     /// Factor by which voxels are larger than asked for.
     pub coarsened_by: f64,
 }
 
 impl Volume {
-    /// Distances of the block with a key.
-    pub fn block(&self, key: &Key) -> Option<&[f32; VOLUME]> {
-        let i = self.keys.binary_search(key).ok()?;
-        Some(&self.distances[i])
+    pub fn num_blocks(&self) -> usize {
+        self.codes.len()
     }
 
-    /// Memory of the blocks, MiB.
+    pub fn key(&self, idx: usize) -> Key {
+        decode(self.codes[idx])
+    }
+
+    /// Index of the block with a key.
+    pub fn find(&self, key: Key) -> Option<usize> {
+        self.codes.binary_search(&encode(key.map(i64::from))).ok()
+    }
+
+    /// First corner of a block.
+    pub fn corner(&self, idx: usize) -> Point3<f64> {
+        let edge = SIDE as f64 * self.voxel;
+        self.origin + Vector3::from(self.key(idx).map(|k| f64::from(k) * edge))
+    }
+
+    /// Views that may say something about a block.
+    pub fn near<'a>(&self, views: &'a [View], idx: usize) -> Vec<&'a View> {
+        let ball = Ball::of_cube(&self.corner(idx), SIDE as f64 * self.voxel);
+        let behind = MAX_BEHIND * self.truncation;
+        let near = views.iter().filter(|v| ball.is_reached_by(v, behind));
+        near.collect()
+    }
+
+    /// Distances of a block.
+    pub fn read(&self, idx: usize) -> Result<[f32; VOLUME], ScratchError> {
+        let mut bytes = [0; BLOCK_BYTES];
+        self.room.read_at(&mut bytes, (idx * BLOCK_BYTES) as u64)?;
+        let mut distances = [UNKNOWN; VOLUME];
+        for (distance, four) in distances.iter_mut().zip(bytes.as_chunks::<4>().0) {
+            *distance = f32::from_le_bytes(*four);
+        }
+        Ok(distances)
+    }
+
+    fn write(&self, idx: usize, distances: &[f32; VOLUME]) -> Result<(), ScratchError> {
+        let mut bytes = [0; BLOCK_BYTES];
+        for (four, distance) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(distances) {
+            *four = distance.to_le_bytes();
+        }
+        self.room.write_at(&bytes, (idx * BLOCK_BYTES) as u64)
+    }
+
+    /// Memory of what is put aside, MiB.
     pub fn memory_mib(&self) -> f64 {
-        (self.keys.len() * BLOCK_BYTES) as f64 / 1_048_576.0
+        (self.codes.len() * BLOCK_BYTES) as f64 / 1_048_576.0
     }
 }
 
-/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the view says
-/// nothing about.
-struct Farthest {
-    width: usize,
-    height: usize,
-    depths: Vec<f32>,
-}
-
-impl Farthest {
-    /// Side of the squares, pixels: about what a block covers.
-    const SIDE: usize = 8;
-
-    fn new(view: &View) -> Self {
-        let width = view.depth.width.div_ceil(Self::SIDE);
-        let height = view.depth.height.div_ceil(Self::SIDE);
-        let depths = (0..width * height)
-            .into_par_iter()
-            .map(|i| {
-                let from = [i % width, i / width].map(|k| k * Self::SIDE);
-                let rows = from[1]..(from[1] + Self::SIDE).min(view.depth.height);
-                let columns = from[0]..(from[0] + Self::SIDE).min(view.depth.width);
-                rows.flat_map(|y| columns.clone().map(move |x| *view.depth.at(x, y)))
-                    .fold(0.0, f32::max)
-            })
-            .collect();
-        Self {
-            width,
-            height,
-            depths,
-        }
-    }
-
-    /// Whether the view may say something about the block with its first corner there and an edge, given how far behind
-    /// its surface it speaks.
-    fn reaches(&self, view: &View, corner: &Point3<f64>, edge: f64, behind: f64) -> bool {
-        // A lens that distorts enlarges a block by less than this.
-        const ENLARGED: f64 = 1.5;
-        // The surface lies between pixels, and by so many footprints behind all of them.
-        const MARGIN_PX: f64 = 2.0;
-        const BEYOND_PX: f64 = 4.0;
-        let half = Vector3::repeat(0.5 * edge);
-        let (radius, in_cam) = (half.norm(), view.pose.apply(&(corner + half)));
-        let near = in_cam.z - radius;
-        if in_cam.z + radius <= 0.0 {
-            return false;
-        }
-        let Some(pixel) = view.camera.project(&in_cam).filter(|_| near > 0.0) else {
-            return true;
-        };
-        let slope = (in_cam.coords / in_cam.z).norm_squared();
-        let reach = ENLARGED * slope * view.camera.focal_px() * radius / near + MARGIN_PX;
-        let squares = |at: f64, count: usize| {
-            let square = |at: f64| (at / Self::SIDE as f64).floor();
-            let [low, end] =
-                [square(at - reach), square(at + reach) + 1.0].map(|k| k.clamp(0.0, count as f64));
-            low as usize..end as usize
-        };
-        let columns = squares(pixel.x, self.width);
-        let farthest = squares(pixel.y, self.height)
-            .flat_map(|y| &self.depths[y * self.width..][columns.clone()])
-            .fold(0.0, |far, &z| f32::max(far, z));
-        let farthest = f64::from(farthest) * (1.0 + BEYOND_PX / view.camera.focal_px());
-        farthest > 0.0 && near - farthest <= behind
-    }
-}
-
-/// Median pixel footprint of the surface in all views.
-fn median_footprint(views: &[View]) -> f64 {
-    let mut footprints: Vec<f64> = views
-        .iter()
-        .flat_map(|v| {
-            v.depth
-                .data
-                .iter()
-                .step_by(7)
-                .filter(|&&z| z > 0.0)
-                .map(|&z| v.footprint(z.into()))
-        })
-        .collect();
-    median(&mut footprints).unwrap_or(0.0)
-}
-
-/// Fuses the depth maps; `None` when no block is near any surface.
+/// Fuses the depth maps at voxels of `footprint` (world's unit) or larger; `None` when no block is near any surface.
 pub(crate) fn integrate(
-    views: &[View],
+    stock: &Stock,
+    readers: &Readers<'_>,
+    footprint: f64,
+    scratch: &dyn Scratch,
     options: &FusionOptions,
     observer: &dyn Observer,
 ) -> Result<Option<Volume>, FusionError> {
-    let wanted = options.voxel_px * median_footprint(views);
+    let wanted = options.voxel_px * footprint;
     if wanted.is_nan() || wanted <= 0.0 {
         return Ok(None);
     }
-    let origin = views
-        .iter()
-        .find_map(|v| {
-            let i = v.depth.data.iter().position(|&z| z > 0.0)?;
-            let (x, y) = (i % v.depth.width, i / v.depth.width);
-            Some(v.point_to_world(&(v.ray(x, y) * f64::from(v.depth.data[i]))))
-        })
-        .unwrap_or_else(Point3::origin);
-    let max_num_blocks = max_num_blocks(views, options);
-    let mut coarsened_by = 1.0;
-    let keys = loop {
-        let voxel = wanted * coarsened_by;
-        match block_keys(views, voxel, &origin, options, max_num_blocks) {
-            Some(keys) => break keys,
-            None => coarsened_by *= COARSEN,
-        }
+    let views = &stock.views;
+    let first = views.iter().find_map(|view| Some((view, view.first_px?)));
+    let Some((view, [x, y])) = first else {
+        return Ok(None);
     };
-    if keys.is_empty() {
+    let origin = readers.with(|pixels| {
+        let pixel = pixels.pixel(view, x, y);
+        view.point_to_world(&(view.ray(x, y, &pixel) * f64::from(pixel.depth)))
+    })?;
+    let max_num_blocks = memory::max_num_blocks(options);
+    let mut coarsened_by = 1.0;
+    let codes = loop {
+        let voxel = wanted * coarsened_by;
+        let most = MAX_EXCESS.saturating_mul(max_num_blocks);
+        let codes = block_codes(views, readers, voxel, &origin, options, most)?;
+        if codes.len() <= max_num_blocks {
+            break codes;
+        }
+        // A surface's blocks fall with the square of their edge.
+        let excess = codes.len() as f64 / max_num_blocks as f64;
+        let steps = (0.5 * excess.ln() / COARSEN.ln()).floor().max(1.0);
+        coarsened_by *= COARSEN.powf(steps);
+    };
+    if codes.is_empty() {
         return Ok(None);
     }
-    let mut volume = Volume {
-        voxel: wanted * coarsened_by,
+    let voxel = wanted * coarsened_by;
+    let volume = Volume {
+        voxel,
+        truncation: options.truncation_voxels * voxel,
         origin,
-        keys,
-        distances: Vec::new(),
+        codes,
+        room: scratch.room()?,
         coarsened_by,
     };
-    let truncation = options.truncation_voxels * volume.voxel;
     let min_cosine = options.max_grazing_deg.to_radians().cos();
-    let edge = SIDE as f64 * volume.voxel;
-    let farthest: Vec<Farthest> = views.iter().map(Farthest::new).collect();
-    // Batches let the observer speak between them.
-    const BATCH: usize = 4096;
-    for (batch, keys) in volume.keys.chunks(BATCH).enumerate() {
+    let num_blocks = volume.num_blocks();
+    for first in (0..num_blocks).step_by(BLOCKS_AT_ONCE) {
         let flow = observer.progress(
             StageId::Fusion,
             "averaging signed distances",
-            (batch * BATCH, volume.keys.len()),
+            (first, num_blocks),
         );
         flow.ok_or(FusionError::Interrupted)?;
-        let blocks: Vec<[f32; VOLUME]> = keys
-            .par_iter()
-            .map(|key| {
-                let corner = origin + Vector3::from(key.map(|k| f64::from(k) * edge));
-                let behind = MAX_BEHIND * truncation;
-                let seen_by: Vec<&View> = views
-                    .iter()
-                    .zip(&farthest)
-                    .filter(|(view, farthest)| farthest.reaches(view, &corner, edge, behind))
-                    .map(|(view, _)| view)
-                    .collect();
-                fill(&seen_by, &corner, volume.voxel, truncation, min_cosine)
-            })
-            .collect();
-        volume.distances.extend(blocks);
+        (first..num_blocks.min(first + BLOCKS_AT_ONCE))
+            .into_par_iter()
+            .try_for_each(|idx| {
+                let near = volume.near(views, idx);
+                let distances = readers.with(|pixels| {
+                    let corner = volume.corner(idx);
+                    fill(pixels, &near, &corner, voxel, volume.truncation, min_cosine)
+                })?;
+                Ok::<_, FusionError>(volume.write(idx, &distances)?)
+            })?;
     }
     Ok(Some(volume))
 }
 
-fn pack(key: [i64; 3]) -> u64 {
-    key.iter().fold(0, |packed, &k| {
-        packed << 21 | (k + KEY_OFFSET) as u64 & 0x1f_ffff
-    })
+/// Every third bit of 63, from the lowest on, holds a bit of `c`.
+fn spread(c: u64) -> u64 {
+    (0..21).fold(0, |code, bit| code | (c >> bit & 1) << (3 * bit))
 }
 
-fn unpack(packed: u64) -> Key {
-    [42, 21, 0].map(|shift| ((packed >> shift & 0x1f_ffff) as i64 - KEY_OFFSET) as i32)
+fn gather(code: u64) -> u64 {
+    (0..21).fold(0, |c, bit| c | (code >> (3 * bit) & 1) << bit)
 }
 
-/// Blocks within the truncation of any surface; `None` when there are more than allowed.
-fn block_keys(
+/// Morton code of a block: the bits of its coordinates in turn, so that neighbours have codes near each other.
+fn encode(key: [i64; 3]) -> u64 {
+    let [x, y, z] = key.map(|k| spread((k + KEY_OFFSET) as u64 & 0x1f_ffff));
+    x | y << 1 | z << 2
+}
+
+fn decode(code: u64) -> Key {
+    [0, 1, 2].map(|axis| (gather(code >> axis) as i64 - KEY_OFFSET) as i32)
+}
+
+/// Codes of the blocks within the truncation of any surface, in order; where there are more than `most`, some of them
+/// and more than `most`.
+fn block_codes(
     views: &[View],
+    readers: &Readers<'_>,
     voxel: f64,
     origin: &Point3<f64>,
     options: &FusionOptions,
-    max_num_blocks: usize,
-) -> Option<Vec<Key>> {
+    most: usize,
+) -> Result<Vec<u64>, FusionError> {
     let edge = voxel * SIDE as f64;
     let reach = options.truncation_voxels * voxel;
-    let mut all: Vec<u64> = Vec::new();
-    for view in views {
-        let mut found: Vec<u64> = (0..view.depth.height)
-            .into_par_iter()
-            .flat_map_iter(|y| {
-                let mut row = Vec::new();
-                for x in 0..view.depth.width {
-                    let Some(surface) = view.at(x, y).filter(|_| *view.gives.at(x, y)) else {
-                        continue;
-                    };
-                    let at = view.point_to_world(&(view.ray(x, y) * surface.depth)) - origin;
-                    let normal = view.to_world(&surface.normal);
-                    // The band is thin along the normal, and a voxel wide across it.
-                    let half = normal.map(|c| c.abs() * reach) + Vector3::repeat(voxel);
-                    let low = ((at - half) / edge).map(|c| c.floor() as i64);
-                    let high = ((at + half) / edge).map(|c| c.floor() as i64);
-                    for i in low.x..=high.x {
-                        for j in low.y..=high.y {
-                            for k in low.z..=high.z {
-                                let key = pack([i, j, k]);
-                                if row.last() != Some(&key) {
-                                    row.push(key);
-                                }
+    let of_page = |pixels: &mut Reader<'_>, view: &View, page: usize| {
+        let mut found: Vec<[i64; 3]> = Vec::new();
+        let [across, down] = view.pages.extent(page);
+        for y in down {
+            for x in across.clone() {
+                let pixel = pixels.pixel(view, x, y);
+                let Some(surface) = pixel.surface().filter(|s| s.gives) else {
+                    continue;
+                };
+                let at = view.point_to_world(&(view.ray(x, y, &pixel) * surface.depth)) - origin;
+                let normal = view.to_world(&surface.normal);
+                // The band is thin along the normal, and a voxel wide across it.
+                let half = normal.map(|c| c.abs() * reach) + Vector3::repeat(voxel);
+                let low = ((at - half) / edge).map(|c| c.floor() as i64);
+                let high = ((at + half) / edge).map(|c| c.floor() as i64);
+                for i in low.x..=high.x {
+                    for j in low.y..=high.y {
+                        for k in low.z..=high.z {
+                            if found.last() != Some(&[i, j, k]) {
+                                found.push([i, j, k]);
                             }
                         }
                     }
                 }
-                row.sort_unstable();
-                row.dedup();
-                row
-            })
-            .collect();
-        all.append(&mut found);
-        all.sort_unstable();
-        all.dedup();
-        if all.len() > max_num_blocks {
-            return None;
+            }
+            // A row's blocks are mostly those of the row before.
+            found.sort_unstable();
+            found.dedup();
+        }
+        found.into_iter().map(encode).collect::<Vec<u64>>()
+    };
+    let mut all: Vec<u64> = Vec::new();
+    for view in views {
+        for pages in view.pages.kept().chunks(PAGES_AT_ONCE) {
+            let found: Vec<Vec<u64>> = pages
+                .par_iter()
+                .map(|&page| readers.with(|pixels| of_page(pixels, view, page)))
+                .collect::<Result<_, _>>()?;
+            all.extend(found.into_iter().flatten());
+            all.par_sort_unstable();
+            all.dedup();
+            if all.len() > most {
+                return Ok(all);
+            }
         }
     }
-    Some(all.into_iter().map(unpack).collect())
+    Ok(all)
 }
 
 /// Distances of the block with its first corner there, of the views that reach it.
 fn fill(
+    pixels: &mut Reader<'_>,
     views: &[&View],
     corner: &Point3<f64>,
     voxel: f64,
@@ -296,7 +288,7 @@ fn fill(
             if in_cam.z <= 0.0 {
                 continue;
             }
-            let Some(surface) = view.along(&in_cam) else {
+            let Some(surface) = view.along(pixels, &in_cam) else {
                 continue;
             };
             let ray = in_cam.coords / in_cam.z;
@@ -313,7 +305,7 @@ fn fill(
                 continue;
             }
             let footprint = view.footprint(surface.depth);
-            let weight = surface.confidence * (cosine * cosine).max(1e-4) / (footprint * footprint);
+            let weight = weight(surface.confidence, cosine, footprint);
             sum.0 += weight * distance.min(truncation);
             sum.1 += weight;
         }
@@ -330,20 +322,28 @@ fn fill(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::views::prepare;
+    use crate::settle::settle;
+    use crate::views::testing::stock;
     use rilievo_synthetic::testing::sphere_world;
 
     #[test]
     fn views_that_do_not_reach_a_block_have_nothing_to_say_of_it() {
         let world = sphere_world();
         let options = FusionOptions::default();
-        let (views, _) = prepare(&world.posed, &world.shaded, &options).expect("sound maps");
-        let voxel = 0.2 * median_footprint(&views);
+        let mut stock = stock(&world.posed, &world.shaded);
+        let settled = settle(&mut stock, None).expect("room in memory");
+        let readers = Readers::new(&stock.shelf, 64);
+        let voxel = 0.2 * settled.median_footprint;
         let (edge, truncation) = (SIDE as f64 * voxel, options.truncation_voxels * voxel);
         let min_cosine = options.max_grazing_deg.to_radians().cos();
         // The sphere and what lies around and behind it.
-        let near = block_keys(&views, voxel, &Point3::origin(), &options, usize::MAX)
-            .expect("memory without bounds");
+        let origin = Point3::origin();
+        let near = block_codes(&stock.views, &readers, voxel, &origin, &options, usize::MAX);
+        let near: Vec<Key> = near
+            .expect("room in memory")
+            .into_iter()
+            .map(decode)
+            .collect();
         let range = |i: usize| {
             let (low, high) = near.iter().fold((i32::MAX, i32::MIN), |(low, high), key| {
                 (low.min(key[i]), high.max(key[i]))
@@ -354,21 +354,18 @@ mod tests {
             .flat_map(|x| range(1).flat_map(move |y| range(2).map(move |z| [x, y, z])))
             .collect();
         let (mut num_left_out, mut num_seen) = (0, 0);
-        for view in &views {
-            let farthest = Farthest::new(view);
+        for view in &stock.views {
             for key in &keys {
                 let corner = Point3::from(key.map(|k| f64::from(k) * edge));
-                if farthest.reaches(view, &corner, edge, MAX_BEHIND * truncation) {
+                if Ball::of_cube(&corner, edge).is_reached_by(view, MAX_BEHIND * truncation) {
                     num_seen += 1;
                     continue;
                 }
                 num_left_out += 1;
-                let said = fill(&[view], &corner, voxel, truncation, min_cosine);
-                assert!(
-                    said.iter().all(|&d| d == UNKNOWN),
-                    "{} {key:?}",
-                    view.posed_idx
-                );
+                let said = readers
+                    .with(|pixels| fill(pixels, &[view], &corner, voxel, truncation, min_cosine));
+                let said = said.expect("room in memory");
+                assert!(said.iter().all(|&d| d == UNKNOWN), "{} {key:?}", view.idx);
             }
         }
         assert!(
@@ -378,14 +375,17 @@ mod tests {
     }
 
     #[test]
-    fn keys_survive_packing_in_order() {
-        let keys = [[-5, 3, 0], [-5, 3, 1], [0, 0, 0], [7, -1_000_000, 12]];
-        let mut packed: Vec<u64> = keys.iter().map(|k| pack(k.map(i64::from))).collect();
-        for (key, packed) in keys.iter().zip(&packed) {
-            assert_eq!(unpack(*packed), *key);
+    fn keys_survive_their_codes() {
+        for key in [
+            [-5, 3, 0],
+            [0, 0, 0],
+            [7, -1_000_000, 12],
+            [1_048_575, 1, -1],
+        ] {
+            assert_eq!(decode(encode(key.map(i64::from))), key);
         }
-        packed.sort_unstable();
-        let unpacked: Vec<Key> = packed.into_iter().map(unpack).collect();
-        assert!(unpacked.is_sorted());
+        // The cells of a cube of two come before any other.
+        let codes = |far: i64| encode([far & 1, far >> 1 & 1, far >> 2 & 1]);
+        assert!((0..8).all(|n| codes(n) < encode([2, 0, 0])));
     }
 }

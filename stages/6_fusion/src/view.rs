@@ -1,4 +1,4 @@
-//! A view as fusion sees it: its cleaned maps with their camera, and surface between pixels.
+//! A view as fusion sees it: its camera, where its cleaned maps lie, and surface between pixels.
 //!
 //! Between four pixels `k` with bilinear weights `b_k`, inverse depths `w_k` and normals `n_k`, the
 //! inverse depth along a ray `r` is the mean of two interpolants,
@@ -6,35 +6,38 @@
 //! tangent planes. On a curve their errors are `±κ t(1−t)/2`, so that the mean is the cubic
 //! Hermite interpolant, exact to third order. Planes are exact in both.
 
-use nalgebra::{Matrix3, Point2, Point3, Vector3};
-use rayon::prelude::*;
-use rilievo_scene::{ConfidenceMap, DepthMap, Intrinsics, Mask, NormalMap, Raster, RigidTransform};
+use crate::reach::Farthest;
+use crate::shelf::{Pages, Pixel};
+use nalgebra::{Matrix3, Point3, Vector3};
+use rilievo_scene::{Intrinsics, RigidTransform};
 
-/// A view with its cleaned maps.
+/// A view; its pixels lie on the [`crate::shelf::Shelf`].
 #[derive(Clone, Debug)]
 pub(crate) struct View {
-    /// Index into the posed views.
-    pub posed_idx: usize,
-    /// Index into the maps.
-    pub maps_idx: usize,
-    /// First pixel of the map in the photo's camera.
-    pub corner_px: [f64; 2],
-    /// Times that the map's resolution was halved.
-    pub num_halvings: u32,
+    /// Index among the fused views.
+    pub idx: usize,
+    /// Camera of the map, which is cut to what holds depth.
     pub camera: Intrinsics,
     pub pose: RigidTransform,
     pub world_from_cam: Matrix3<f64>,
     pub center: Point3<f64>,
-    /// Depth, 0 where there is none, and on both sides of depth edges.
-    pub depth: DepthMap,
-    /// Pixels good enough to give points: not at the border of the map, not grazing. The others
-    /// still confirm what another view sees better.
-    pub gives: Mask,
-    /// Normals, camera frame.
-    pub normal: NormalMap,
-    pub confidence: Option<ConfidenceMap>,
-    /// Normalised coordinates of the pixels of a distorting lens, by [`View::trace_rays`].
-    pub rays: Option<Raster<[f32; 2]>>,
+    /// Whether the pixels have colours.
+    pub has_photo: bool,
+    /// Pixels with a depth.
+    pub num_depths: usize,
+    /// The first of them, where there is one.
+    pub first_px: Option<[usize; 2]>,
+    pub pages: Pages,
+    pub farthest: Farthest,
+}
+
+/// Pixels of views, by whatever way they are read.
+pub(crate) trait Pixels {
+    /// A pixel inside the map.
+    fn pixel(&mut self, view: &View, x: usize, y: usize) -> Pixel;
+
+    /// A pixel, its right neighbour, and the two below, all inside the map.
+    fn square(&mut self, view: &View, x: usize, y: usize) -> [Pixel; 4];
 }
 
 /// A point of a view's surface.
@@ -64,38 +67,13 @@ const MIN_CONFIDENCE: f64 = 0.05;
 impl View {
     /// Ray of an integer pixel, `z = 1`.
     #[inline]
-    pub fn ray(&self, x: usize, y: usize) -> Vector3<f64> {
-        match &self.rays {
-            Some(rays) => {
-                let [u, v] = *rays.at(x, y);
-                Vector3::new(u.into(), v.into(), 1.0)
-            }
-            None => Vector3::new(
-                (x as f64 - self.camera.cx) / self.camera.fx,
-                (y as f64 - self.camera.cy) / self.camera.fy,
-                1.0,
-            ),
+    pub fn ray(&self, x: usize, y: usize, pixel: &Pixel) -> Vector3<f64> {
+        if self.camera.distortion.is_none() {
+            pinhole_ray(&self.camera, x, y)
+        } else {
+            let [u, v] = pixel.ray.map(f64::from);
+            Vector3::new(u, v, 1.0)
         }
-    }
-
-    /// Makes the rays of a distorting lens anew, for the camera has changed.
-    pub fn trace_rays(&mut self) {
-        let camera = self.camera;
-        self.rays = (!camera.distortion.is_none()).then(|| {
-            let data = (0..camera.width * camera.height)
-                .into_par_iter()
-                .map(|i| {
-                    let pixel = Point2::new((i % camera.width) as f64, (i / camera.width) as f64);
-                    let n = camera.normalized(&pixel);
-                    [n.x as f32, n.y as f32]
-                })
-                .collect();
-            Raster {
-                width: camera.width,
-                height: camera.height,
-                data,
-            }
-        });
     }
 
     /// Size of a pixel on a surface at a depth that faces the camera, world's unit.
@@ -116,60 +94,33 @@ impl View {
         self.center + self.world_from_cam * in_cam
     }
 
-    #[inline]
-    fn confidence_at(&self, x: usize, y: usize) -> f64 {
-        self.confidence
-            .as_ref()
-            .map_or(1.0, |c| f64::from(*c.at(x, y)).clamp(MIN_CONFIDENCE, 1.0))
-    }
-
-    /// The surface at an integer pixel.
-    #[inline]
-    pub fn at(&self, x: usize, y: usize) -> Option<Surface> {
-        let depth = *self.depth.at(x, y);
-        if depth <= 0.0 {
-            return None;
-        }
-        Some(Surface {
-            depth: depth.into(),
-            normal: Vector3::from(self.normal.at(x, y).map(f64::from)),
-            confidence: self.confidence_at(x, y),
-            gives: *self.gives.at(x, y),
-            is_extrapolated: false,
-            strain_px: 0.0,
-        })
-    }
-
     /// The surface along the ray through a point in the camera frame; `None` outside the map.
     #[inline]
-    pub fn along(&self, in_cam: &Point3<f64>) -> Option<Surface> {
-        let pixel = self.camera.project(in_cam)?;
-        let (x0, y0) = (pixel.x.floor(), pixel.y.floor());
+    pub fn along(&self, pixels: &mut impl Pixels, in_cam: &Point3<f64>) -> Option<Surface> {
+        let place = self.camera.project(in_cam)?;
+        let (x0, y0) = (place.x.floor(), place.y.floor());
         if x0 < 0.0
             || y0 < 0.0
-            || x0 + 1.0 >= self.depth.width as f64
-            || y0 + 1.0 >= self.depth.height as f64
+            || x0 + 1.0 >= self.camera.width as f64
+            || y0 + 1.0 >= self.camera.height as f64
         {
             return None;
         }
-        let (fx, fy) = (pixel.x - x0, pixel.y - y0);
+        let (fx, fy) = (place.x - x0, place.y - y0);
         let (x, y) = (x0 as usize, y0 as usize);
         let ray = in_cam.coords / in_cam.z;
         let (mut chord, mut planes, mut confidence) = (0.0, 0.0, 0.0);
         let (mut normal, mut total) = (Vector3::zeros(), 0.0);
-        for (dx, dy, weight) in [
-            (0, 0, (1.0 - fx) * (1.0 - fy)),
-            (1, 0, fx * (1.0 - fy)),
-            (0, 1, (1.0 - fx) * fy),
-            (1, 1, fx * fy),
-        ] {
-            let Some(corner) = self.at(x + dx, y + dy) else {
+        let corners = pixels.square(self, x, y);
+        for (k, weight) in bilinear_weights(fx, fy).into_iter().enumerate() {
+            let pixel = &corners[k];
+            let Some(corner) = pixel.surface() else {
                 continue;
             };
+            let own_ray = self.ray(x + (k & 1), y + (k >> 1), pixel);
             let inverse = weight / corner.depth;
             chord += inverse;
-            planes +=
-                inverse * corner.normal.dot(&ray) / corner.normal.dot(&self.ray(x + dx, y + dy));
+            planes += inverse * corner.normal.dot(&ray) / corner.normal.dot(&own_ray);
             normal += corner.normal * weight;
             confidence += corner.confidence * weight;
             total += weight;
@@ -189,15 +140,50 @@ impl View {
             (true, _) => planes / total,
         };
         let normal = normal.normalize();
+        let nearest = usize::from(fx > 0.5) + 2 * usize::from(fy > 0.5);
         Some(Surface {
             depth: 1.0 / inverse,
             normal,
             confidence: trust * confidence / total,
-            gives: *self
-                .gives
-                .at(x + usize::from(fx > 0.5), y + usize::from(fy > 0.5)),
+            gives: corners[nearest].gives,
             is_extrapolated,
             strain_px: apart_px * normal.dot(&ray).abs(),
         })
     }
+}
+
+impl Pixel {
+    /// The surface at the pixel, where it has one.
+    #[inline]
+    pub fn surface(&self) -> Option<Surface> {
+        (self.depth > 0.0).then(|| Surface {
+            depth: self.depth.into(),
+            normal: Vector3::from(self.normal.map(f64::from)),
+            confidence: f64::from(self.confidence).clamp(MIN_CONFIDENCE, 1.0),
+            gives: self.gives,
+            is_extrapolated: false,
+            strain_px: 0.0,
+        })
+    }
+}
+
+/// Weights of the four pixels around a place, in the order of [`Pixels::square`].
+#[inline]
+pub(crate) fn bilinear_weights(fx: f64, fy: f64) -> [f64; 4] {
+    [
+        (1.0 - fx) * (1.0 - fy),
+        fx * (1.0 - fy),
+        (1.0 - fx) * fy,
+        fx * fy,
+    ]
+}
+
+/// Ray of an integer pixel of a lens that does not distort, `z = 1`.
+#[inline]
+pub(crate) fn pinhole_ray(camera: &Intrinsics, x: usize, y: usize) -> Vector3<f64> {
+    Vector3::new(
+        (x as f64 - camera.cx) / camera.fx,
+        (y as f64 - camera.cy) / camera.fy,
+        1.0,
+    )
 }

@@ -1,61 +1,131 @@
-//! The views' maps, loaded, checked and cleaned: no depth edges, no borders, no more than the memory
-//! holds.
+//! The views' maps, loaded one by one, checked, cleaned and put aside: no depth edges, no borders.
 
+use crate::color;
 use crate::error::FusionError;
-use crate::memory;
 use crate::options::FusionOptions;
+use crate::reach::Farthest;
 use crate::report::ViewFusion;
-use crate::view::View;
-use nalgebra::Vector3;
-use rilievo_scene::{MapSource, Mask, PosedViews, Raster, ShadedView};
+use crate::shelf::{Pixel, Shelf};
+use crate::view::{View, pinhole_ray};
+use nalgebra::{Point2, Vector3};
+use rayon::prelude::*;
+use rilievo_scene::{
+    ConfidenceMap, DepthMap, Intrinsics, MapSource, Mask, NormalMap, PhotoSet, PosedView,
+    PosedViews, Raster, Scratch, ShadedView,
+};
 
 /// Slope of an edge against the steepest surface that is kept: noise must not cut slopes.
 const EDGE_FACTOR: f64 = 1.5;
 /// Share of a step in depth that the normals may leave unexplained where it is no edge.
 const MAX_SURPRISE: f64 = 0.5;
+/// Pixels around the depths that are kept, so that interpolation meets the border of the depths
+/// before the border of the map.
+const MARGIN: usize = 2;
 
-/// Loads, checks and cleans the maps of all views, one after the other, and halves the resolution of
-/// all as often as the memory asks for.
+/// All views, and where their pixels lie.
+#[derive(Debug)]
+pub(crate) struct Stock {
+    pub views: Vec<View>,
+    pub shelf: Shelf,
+}
+
+/// The maps of one view in memory.
+struct Maps {
+    /// First pixel in the photo's camera.
+    corner_px: [usize; 2],
+    camera: Intrinsics,
+    depth: DepthMap,
+    normal: NormalMap,
+    confidence: Option<ConfidenceMap>,
+    /// Normalised coordinates of the pixels of a lens that distorts.
+    rays: Option<Raster<[f32; 2]>>,
+    /// Pixels that give points.
+    gives: Mask,
+}
+
+/// Loads, checks and cleans the maps of all views, and puts them aside with their colours.
 pub(crate) fn prepare(
+    photos: &PhotoSet,
     posed: &PosedViews,
     maps: &dyn MapSource,
+    scratch: &dyn Scratch,
     options: &FusionOptions,
-) -> Result<(Vec<View>, Vec<ViewFusion>), FusionError> {
+    mut next: impl FnMut(usize) -> Result<(), FusionError>,
+) -> Result<(Stock, Vec<ViewFusion>), FusionError> {
+    let mut shelf = Shelf::new(scratch)?;
     let mut views: Vec<View> = Vec::new();
-    let mut reports = Vec::new();
-    let mut needed = 0;
+    let mut reports: Vec<ViewFusion> = Vec::new();
     for maps_idx in 0..maps.num_views() {
+        next(maps_idx)?;
         let loaded = maps.load(maps_idx)?;
-        let (mut view, report) = clean(posed, maps_idx, loaded, options)?;
-        let num_halvings = views.first().map_or(0, |v| v.num_halvings);
-        for _ in 0..num_halvings {
-            memory::halve(&mut view);
-        }
-        needed += memory::needed(&view);
-        views.push(view);
+        let camera_of = camera_of(posed, &loaded)?;
+        let (cleaned, report) = clean(camera_of, loaded, options);
+        let photo = photos.photos.get(camera_of.photo.0);
+        let colors = match photo {
+            None => None,
+            Some(photo) => {
+                let shown = color::shown(photo, maps, maps_idx, options.color)?;
+                let size = [cleaned.camera.width, cleaned.camera.height];
+                let camera = &camera_of.intrinsics;
+                Some(color::encode(&shown, camera, cleaned.corner_px, size))
+            }
+        };
+        views.push(put_aside(
+            views.len(),
+            camera_of,
+            &cleaned,
+            colors.as_deref(),
+            &mut shelf,
+        )?);
         reports.push(report);
-        while memory::is_exceeded(&views, needed, options) {
-            views.iter_mut().for_each(memory::halve);
-            needed = views.iter().map(memory::needed).sum();
-        }
     }
     if reports.iter().all(|r| r.num_depths == 0) {
         return Err(FusionError::NoDepth {
             num_views: views.len(),
         });
     }
-    for (view, report) in views.iter_mut().zip(&mut reports) {
-        mark_givers(view, options, report);
-    }
-    Ok((views, reports))
+    Ok((Stock { views, shelf }, reports))
 }
 
-fn clean(
-    posed: &PosedViews,
-    maps_idx: usize,
-    maps: ShadedView,
-    options: &FusionOptions,
-) -> Result<(View, ViewFusion), FusionError> {
+fn put_aside(
+    idx: usize,
+    camera_of: &PosedView,
+    maps: &Maps,
+    colors: Option<&[[u8; 3]]>,
+    shelf: &mut Shelf,
+) -> Result<View, FusionError> {
+    let size = [maps.camera.width, maps.camera.height];
+    let pixel = |x: usize, y: usize| {
+        let i = y * size[0] + x;
+        Pixel {
+            depth: maps.depth.data[i],
+            normal: maps.normal.data[i],
+            confidence: maps.confidence.as_ref().map_or(1.0, |c| c.data[i]),
+            color: colors.map_or([0; 3], |colors| colors[i]),
+            gives: maps.gives.data[i],
+            is_kept: true,
+            ray: maps.rays.as_ref().map_or([0.0; 2], |rays| rays.data[i]),
+        }
+    };
+    let pages = shelf.put(size, maps.rays.is_some(), &pixel)?;
+    let first = maps.depth.data.iter().position(|&z| z > 0.0);
+    let pose = camera_of.cam_from_world;
+    Ok(View {
+        idx,
+        camera: maps.camera,
+        pose,
+        world_from_cam: pose.rotation.inverse().to_rotation_matrix().into_inner(),
+        center: pose.center_in_source(),
+        has_photo: colors.is_some(),
+        num_depths: maps.depth.data.iter().filter(|&&z| z > 0.0).count(),
+        first_px: first.map(|i| [i % size[0], i / size[0]]),
+        pages,
+        farthest: Farthest::default(),
+    })
+}
+
+/// The posed view that maps belong to, whose camera they must fit.
+fn camera_of<'a>(posed: &'a PosedViews, maps: &ShadedView) -> Result<&'a PosedView, FusionError> {
     let camera_of = posed
         .views
         .get(maps.view.0)
@@ -64,8 +134,7 @@ fn clean(
             view_idx: maps.view.0,
             num_posed: posed.views.len(),
         })?;
-    let camera = camera_of.intrinsics;
-    let expected = (camera.width, camera.height);
+    let expected = (camera_of.intrinsics.width, camera_of.intrinsics.height);
     let sizes = [
         ("depth map", Some((maps.depth.width, maps.depth.height))),
         ("normal map", Some((maps.normal.width, maps.normal.height))),
@@ -84,27 +153,16 @@ fn clean(
             });
         }
     }
-    let pose = camera_of.cam_from_world;
-    let mut view = View {
-        posed_idx: maps.view.0,
-        maps_idx,
-        corner_px: [0.0; 2],
-        num_halvings: 0,
-        camera,
-        pose,
-        world_from_cam: pose.rotation.inverse().to_rotation_matrix().into_inner(),
-        center: pose.center_in_source(),
-        depth: maps.depth,
-        gives: Mask::filled(camera.width, camera.height, false),
-        normal: maps.normal,
-        confidence: maps.confidence,
-        rays: None,
-    };
+    Ok(camera_of)
+}
+
+fn clean(camera_of: &PosedView, maps: ShadedView, options: &FusionOptions) -> (Maps, ViewFusion) {
     let mut report = ViewFusion {
         name: maps.name,
         ..ViewFusion::default()
     };
-    for (z, n) in view.depth.data.iter_mut().zip(&view.normal.data) {
+    let mut depth = maps.depth;
+    for (z, n) in depth.data.iter_mut().zip(&maps.normal.data) {
         let normal_is_usable =
             n.iter().all(|c| c.is_finite()) && (Vector3::from(*n).norm() - 1.0).abs() < 0.1;
         if z.is_finite() && *z > 0.0 && normal_is_usable {
@@ -114,66 +172,140 @@ fn clean(
             *z = 0.0;
         }
     }
-    memory::crop(&mut view);
-    drop_edges(&mut view, options, &mut report);
-    Ok((view, report))
+    let mut maps = crop(&camera_of.intrinsics, depth, maps.normal, maps.confidence);
+    drop_edges(&mut maps, options, &mut report);
+    mark_givers(&mut maps, options, &mut report);
+    (maps, report)
+}
+
+fn cut<T: Copy + Send + Sync>(
+    map: Raster<T>,
+    [x0, y0]: [usize; 2],
+    [width, height]: [usize; 2],
+) -> Raster<T> {
+    Raster::from_fn(width, height, |x, y| *map.at(x0 + x, y0 + y))
+}
+
+/// Cuts maps to the rectangle that holds depths.
+fn crop(
+    camera: &Intrinsics,
+    depth: DepthMap,
+    normal: NormalMap,
+    confidence: Option<ConfidenceMap>,
+) -> Maps {
+    let [[x0, x1], [y0, y1]] = depth.bounds(|&z| z > 0.0).unwrap_or_default();
+    let (low, high) = ([x0, y0], [x1, y1]);
+    let full = [depth.width, depth.height];
+    let from: [usize; 2] = std::array::from_fn(|k| low[k].saturating_sub(MARGIN));
+    let size = std::array::from_fn(|k| (high[k] + MARGIN + 1).min(full[k]) - from[k]);
+    let camera = Intrinsics {
+        width: size[0],
+        height: size[1],
+        cx: camera.cx - from[0] as f64,
+        cy: camera.cy - from[1] as f64,
+        ..*camera
+    };
+    Maps {
+        corner_px: from,
+        depth: cut(depth, from, size),
+        normal: cut(normal, from, size),
+        confidence: confidence.map(|c| cut(c, from, size)),
+        rays: (!camera.distortion.is_none()).then(|| rays(&camera)),
+        gives: Mask::filled(size[0], size[1], false),
+        camera,
+    }
+}
+
+/// Normalised coordinates of all pixels.
+fn rays(camera: &Intrinsics) -> Raster<[f32; 2]> {
+    let (width, height) = (camera.width, camera.height);
+    let data = (0..width * height).into_par_iter().map(|i| {
+        let pixel = Point2::new((i % width) as f64, (i / width) as f64);
+        let n = camera.normalized(&pixel);
+        [n.x as f32, n.y as f32]
+    });
+    Raster {
+        width,
+        height,
+        data: data.collect(),
+    }
+}
+
+impl Maps {
+    fn ray(&self, x: usize, y: usize) -> Vector3<f64> {
+        match &self.rays {
+            Some(rays) => {
+                let [u, v] = *rays.at(x, y);
+                Vector3::new(u.into(), v.into(), 1.0)
+            }
+            None => pinhole_ray(&self.camera, x, y),
+        }
+    }
+
+    /// Depth and normal of a pixel.
+    fn at(&self, x: usize, y: usize) -> Option<(f64, Vector3<f64>)> {
+        let depth = *self.depth.at(x, y);
+        let normal = Vector3::from(self.normal.at(x, y).map(f64::from));
+        (depth > 0.0).then_some((depth.into(), normal))
+    }
 }
 
 const AROUND: [(isize, isize); 4] = [(-1, 0), (1, 0), (0, -1), (0, 1)];
 
 /// Clears pixels on both sides of depth edges: no surface runs from one side to the other. A step
 /// that the tangent planes of both sides foretell is no edge but oblique surface.
-fn drop_edges(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
+fn drop_edges(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion) {
+    let (width, height) = (maps.depth.width, maps.depth.height);
     // The steepest surface that is kept rises by this share of its depth from pixel to pixel.
     let steepest =
-        EDGE_FACTOR * options.max_grazing_deg.min(89.0).to_radians().tan() / view.camera.focal_px();
+        EDGE_FACTOR * options.max_grazing_deg.min(89.0).to_radians().tan() / maps.camera.focal_px();
     let is_edge_to = |x: usize, y: usize, dx: isize, dy: isize| {
-        let (Some(here), Some(u), Some(v)) = (
-            view.at(x, y),
-            x.checked_add_signed(dx).filter(|&u| u < view.depth.width),
-            y.checked_add_signed(dy).filter(|&v| v < view.depth.height),
+        let (Some((depth, normal)), Some(u), Some(v)) = (
+            maps.at(x, y),
+            x.checked_add_signed(dx).filter(|&u| u < width),
+            y.checked_add_signed(dy).filter(|&v| v < height),
         ) else {
             return false;
         };
-        let Some(there) = view.at(u, v) else {
+        let Some((next_depth, next_normal)) = maps.at(u, v) else {
             return false;
         };
-        let step = (there.depth / here.depth).ln();
+        let step = (next_depth / depth).ln();
         if step.abs() <= steepest {
             return false;
         }
         // The logarithm of the depths' ratio on a plane with normal n is ln(n·r / n·r').
-        let (ray, next) = (view.ray(x, y), view.ray(u, v));
+        let (ray, next) = (maps.ray(x, y), maps.ray(u, v));
         let on_plane = |n: &Vector3<f64>| (n.dot(&ray) / n.dot(&next)).ln();
-        let foretold = 0.5 * (on_plane(&here.normal) + on_plane(&there.normal));
+        let foretold = 0.5 * (on_plane(&normal) + on_plane(&next_normal));
         // Written so that a plane seen from behind, whose logarithm is no number, foretells nothing.
         !(step - foretold).abs().lt(&(MAX_SURPRISE * step.abs()))
     };
-    let mut edges = Vec::new();
-    for y in 0..view.depth.height {
-        for x in 0..view.depth.width {
-            if AROUND.iter().any(|&(dx, dy)| is_edge_to(x, y, dx, dy)) {
-                edges.push((x, y));
-            }
-        }
-    }
+    let edges: Vec<usize> = (0..width * height)
+        .into_par_iter()
+        .filter(|i| {
+            let (x, y) = (i % width, i / width);
+            AROUND.iter().any(|&(dx, dy)| is_edge_to(x, y, dx, dy))
+        })
+        .collect();
     report.num_border += edges.len();
-    for (x, y) in edges {
-        *view.depth.at_mut(x, y) = 0.0;
+    for i in edges {
+        maps.depth.data[i] = 0.0;
     }
 }
 
 /// Marks the pixels that give points: `border_px` from the map's border, and not grazing.
-fn mark_givers(view: &mut View, options: &FusionOptions, report: &mut ViewFusion) {
+fn mark_givers(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion) {
+    let (width, height) = (maps.depth.width, maps.depth.height);
     let mut inside: Mask = Raster {
-        width: view.depth.width,
-        height: view.depth.height,
-        data: view.depth.data.iter().map(|&z| z > 0.0).collect(),
+        width,
+        height,
+        data: maps.depth.data.iter().map(|&z| z > 0.0).collect(),
     };
     for _ in 0..options.border_px {
         let before = inside.clone();
-        for y in 0..before.height {
-            for x in 0..before.width {
+        for y in 0..height {
+            for x in 0..width {
                 let at_border = AROUND
                     .iter()
                     .any(|(dx, dy)| !before.contains(x as isize + dx, y as isize + dy));
@@ -185,17 +317,35 @@ fn mark_givers(view: &mut View, options: &FusionOptions, report: &mut ViewFusion
         }
     }
     let min_cosine = options.max_grazing_deg.to_radians().cos();
-    for y in 0..inside.height {
-        for x in 0..inside.width {
-            let Some(surface) = view.at(x, y).filter(|_| *inside.at(x, y)) else {
-                continue;
-            };
-            let cosine = -surface.normal.dot(&view.ray(x, y).normalize());
-            if cosine.is_nan() || cosine < min_cosine {
-                *inside.at_mut(x, y) = false;
-                report.num_grazing += 1;
-            }
-        }
+    let is_grazing = |i: usize| {
+        let (x, y) = (i % width, i / width);
+        let surface = maps.at(x, y).filter(|_| inside.data[i]);
+        surface.is_some_and(|(_, normal)| {
+            let cosine = -normal.dot(&maps.ray(x, y).normalize());
+            cosine.is_nan() || cosine < min_cosine
+        })
+    };
+    let grazing: Vec<usize> = (0..width * height)
+        .into_par_iter()
+        .filter(|&i| is_grazing(i))
+        .collect();
+    report.num_grazing += grazing.len();
+    for i in grazing {
+        inside.data[i] = false;
     }
-    view.gives = inside;
+    maps.gives = inside;
+}
+
+#[cfg(test)]
+pub(crate) mod testing {
+    use super::*;
+    use rilievo_scene::{MemoryScratch, ShadedViews};
+
+    /// Views of a set without photos, in memory.
+    pub fn stock(posed: &PosedViews, shaded: &ShadedViews) -> Stock {
+        let (photos, options) = (PhotoSet::default(), FusionOptions::default());
+        prepare(&photos, posed, shaded, &MemoryScratch, &options, |_| Ok(()))
+            .expect("sound maps")
+            .0
+    }
 }

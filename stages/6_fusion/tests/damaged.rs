@@ -3,22 +3,34 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use rilievo_fusion::{FusionError, FusionOptions, run};
-use rilievo_scene::{ShadedViews, Silent, StageId};
-use rilievo_synthetic::testing::{Random, mutated, sphere_world};
+use rilievo_fusion::{FusionError, FusionOptions, Inputs, run};
+use rilievo_scene::{MemoryScratch, PointCloud, PosedViews, ShadedViews, Silent, StageId};
+use rilievo_synthetic::testing::{Random, SphereWorld, mutated, sphere_world};
+
+/// The points of a world with other poses and maps.
+fn fuse(
+    world: &SphereWorld,
+    posed: &PosedViews,
+    shaded: &ShadedViews,
+    options: &FusionOptions,
+) -> Result<PointCloud, FusionError> {
+    let inputs = Inputs {
+        photos: &world.photos,
+        posed,
+        maps: shaded,
+        scratch: &MemoryScratch,
+    };
+    let mut cloud = PointCloud::default();
+    run(inputs, &mut cloud, options, &Silent)?;
+    Ok(cloud)
+}
 
 #[test]
 fn a_pose_that_is_no_number_is_named() {
     let mut world = sphere_world();
     world.posed.views[2].cam_from_world.translation.y = f64::NAN;
     let options = FusionOptions::default();
-    match run(
-        &world.photos,
-        &world.posed,
-        &world.shaded,
-        &options,
-        &Silent,
-    ) {
+    match fuse(&world, &world.posed, &world.shaded, &options) {
         Err(FusionError::Inconsistent(error)) => {
             assert_eq!(error.made_by, StageId::Poses);
             assert_eq!(error.reason, "the pose of v2.png is not finite");
@@ -76,9 +88,9 @@ fn poses_and_maps_changed_at_random_never_end_in_a_panic() {
         let change = damage(&mut shaded, &mut random);
         println!("{place}; {change}");
         for (posed, shaded) in [(&posed, &world.shaded), (&world.posed, &shaded)] {
-            match run(&world.photos, posed, shaded, &options, &Silent) {
-                Ok((fused, _)) => {
-                    for point in &fused.cloud.points {
+            match fuse(&world, posed, shaded, &options) {
+                Ok(cloud) => {
+                    for point in &cloud.points {
                         assert!(point.position.iter().all(|x| x.is_finite()), "{point:?}");
                     }
                 }

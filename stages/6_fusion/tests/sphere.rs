@@ -4,10 +4,10 @@
 #![allow(clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Point3, Vector3};
-use rilievo_fusion::{FusionError, FusionOptions, FusionReport, run};
+use rilievo_fusion::{FusionError, FusionOptions, FusionReport, Inputs, run};
 use rilievo_scene::{
-    ConfidenceMap, FusedCloud, Intrinsics, LinearImage, Mesh, NormalMap, PhotoSet, PosedViews,
-    Recorder, ShadedViews, Silent,
+    CloudPoint, ConfidenceMap, Intrinsics, LinearImage, MemoryScratch, Mesh, NormalMap, Observer,
+    PhotoSet, PointCloud, PosedViews, Recorder, ShadedViews, Silent,
 };
 use rilievo_synthetic::testing::{Impatient, Maps, Random, look_at, on_sphere, photo, posed_view};
 use std::collections::BTreeMap;
@@ -45,12 +45,37 @@ fn footprint() -> f64 {
     DISTANCE / FOCAL
 }
 
+/// What fusion makes, all in memory.
+#[derive(Debug, PartialEq)]
+struct Fused {
+    points: Vec<CloudPoint>,
+    mesh: Mesh,
+}
+
+fn fuse_with(
+    photos: &PhotoSet,
+    (posed, shaded): (&PosedViews, &ShadedViews),
+    options: &FusionOptions,
+    observer: &dyn Observer,
+) -> Result<(Fused, FusionReport), FusionError> {
+    let inputs = Inputs {
+        photos,
+        posed,
+        maps: shaded,
+        scratch: &MemoryScratch,
+    };
+    let mut cloud = PointCloud::default();
+    let (mesh, report) = run(inputs, &mut cloud, options, observer)?;
+    let points = cloud.points;
+    Ok((Fused { points, mesh }, report))
+}
+
 fn fuse(
     posed: &PosedViews,
     shaded: &ShadedViews,
     options: &FusionOptions,
-) -> Result<(FusedCloud, FusionReport), FusionError> {
-    run(&PhotoSet::default(), posed, shaded, options, &Silent)
+) -> Result<(Fused, FusionReport), FusionError> {
+    fuse_with(&PhotoSet::default(), (posed, shaded), options, &Silent)
 }
 
 fn length(p: &[f32; 3]) -> f64 {
@@ -58,9 +83,8 @@ fn length(p: &[f32; 3]) -> f64 {
 }
 
 /// Distances of the cloud's points from a sphere, sorted.
-fn errors(fused: &FusedCloud, radius: f64) -> Vec<f64> {
+fn errors(fused: &Fused, radius: f64) -> Vec<f64> {
     let mut errors: Vec<f64> = fused
-        .cloud
         .points
         .iter()
         .map(|p| (length(&p.position) - radius).abs())
@@ -94,7 +118,7 @@ fn exact_maps_give_the_sphere_without_layers() {
     assert!(errors.len() > 5000, "{} points", errors.len());
     let worst = errors[errors.len() - 1] / footprint();
     assert!(worst < 0.05, "{worst} footprints");
-    for p in &fused.cloud.points {
+    for p in &fused.points {
         let (at, n) = (Vector3::from(p.position), Vector3::from(p.normal));
         assert!(at.normalize().dot(&n) > 0.9999, "{p:?}");
         assert!(
@@ -196,7 +220,7 @@ fn lengths_are_footprints_so_that_the_unit_does_not_matter() {
         .map(|&radius| {
             let (posed, shaded) = views(&ARC, radius);
             let (fused, _) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
-            (fused.cloud.points.len(), fused.mesh.triangles.len())
+            (fused.points.len(), fused.mesh.triangles.len())
         })
         .collect();
     for count in &counts {
@@ -234,10 +258,10 @@ fn spacing_thins_watertight_closes_and_memory_bounds() {
     };
     let (thin, report) = fuse(&posed, &shaded, &options).expect("fused");
     assert!(
-        thin.cloud.points.len() * 5 < full.0.cloud.points.len(),
+        thin.points.len() * 5 < full.0.points.len(),
         "{} of {}",
-        thin.cloud.points.len(),
-        full.0.cloud.points.len()
+        thin.points.len(),
+        full.0.points.len()
     );
     assert_eq!(num_open_edges(&thin.mesh), 0);
     let mesh = report.mesh.expect("a mesh was asked for");
@@ -254,7 +278,7 @@ fn a_spacing_that_leaves_nothing_is_told() {
             ..FusionOptions::default()
         };
         let told = Recorder::default();
-        run(&PhotoSet::default(), &posed, &shaded, &options, &told).expect("fused");
+        fuse_with(&PhotoSet::default(), (&posed, &shaded), &options, &told).expect("fused");
         told.warnings().iter().any(|w| w.contains("a spacing of"))
     };
     assert!(!told(4.0 * footprint()));
@@ -263,33 +287,79 @@ fn a_spacing_that_leaves_nothing_is_told() {
 }
 
 #[test]
-fn maps_that_exceed_the_memory_are_fused_at_half_their_resolution() {
-    let (posed, shaded) = views(&ARC, 1.0);
-    let options = FusionOptions {
-        memory_mib: 16,
-        ..FusionOptions::default()
-    };
-    let (full, report) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
-    assert_eq!(report.maps_reduced_by, 1);
-    // Enough views to exceed the least memory that can be asked for.
+fn any_memory_that_suffices_gives_the_same_bytes_and_less_is_named() {
+    // More views than a thread may hold the pages of.
     let repeated: Vec<f64> = ARC.iter().copied().cycle().take(8 * ARC.len()).collect();
     let (posed, shaded) = views(&repeated, 1.0);
-    let told = Recorder::default();
-    let result = run(&PhotoSet::default(), &posed, &shaded, &options, &told);
-    let (reduced, report) = result.expect("fused");
-    let warnings = told.warnings();
-    assert_eq!(report.maps_reduced_by, 2, "{warnings:?}");
-    assert!(warnings.iter().any(|w| w.contains("1/2")), "{warnings:?}");
-    // Pixels four times as large, on the same surface.
+    let with = |memory_mib: usize| {
+        let options = FusionOptions {
+            memory_mib,
+            voxel_px: 2.0,
+            ..FusionOptions::default()
+        };
+        fuse(&posed, &shaded, &options).expect("fused")
+    };
+    let (small, large) = (with(FusionOptions::MIN_MEMORY_MIB), with(4096));
+    assert_eq!(small.1, large.1);
+    assert!(small.0 == large.0, "another result in less memory");
+
+    let (mut posed, mut shaded) = views(&ARC, 1.0);
+    for view in &mut posed.views {
+        view.intrinsics = Intrinsics::pinhole(1000, 1000, FOCAL, 500.0, 500.0);
+    }
+    shaded.views.clear();
+    let options = FusionOptions {
+        memory_mib: FusionOptions::MIN_MEMORY_MIB,
+        ..FusionOptions::default()
+    };
+    let error = fuse(&posed, &shaded, &options).err();
     assert!(
-        reduced.cloud.points.len() * 2 < full.cloud.points.len(),
-        "{} of {}",
-        reduced.cloud.points.len(),
-        full.cloud.points.len()
+        matches!(
+            error,
+            Some(FusionError::OutOfMemory { given_mib: 16, needed_mib }) if needed_mib > 16
+        ),
+        "{error:?}"
     );
-    let errors = errors(&reduced, 1.0);
-    let median = errors[errors.len() / 2];
-    assert!(median < 0.05 * footprint(), "{median}");
+}
+
+#[test]
+fn a_double_wall_shows_in_the_share_of_points_apart() {
+    let share = |apart_px: f64| {
+        let (posed, mut shaded) = views(&[-30.0, -20.0, -10.0, 10.0, 20.0, 30.0], 1.0);
+        for view in shaded.views.iter_mut().skip(3) {
+            let offset = (apart_px * footprint()) as f32;
+            let depths = view.depth.data.iter_mut().filter(|z| **z > 0.0);
+            depths.for_each(|z| *z += offset);
+        }
+        let options = FusionOptions {
+            reconcile: false,
+            mesh: false,
+            ..FusionOptions::default()
+        };
+        let (_, report) = fuse(&posed, &shaded, &options).expect("fused");
+        assert!(report.num_covered > report.num_points / 2, "{report:?}");
+        report.share_apart.expect("views cover each other")
+    };
+    assert_eq!(share(0.0), 0.0);
+    let double = share(8.0);
+    assert!(double > 0.5, "{double}");
+}
+
+#[test]
+fn a_lens_that_distorts_gives_the_same_sphere() {
+    let (mut posed, mut shaded) = views(&ARC, 1.0);
+    let mut camera = posed.views[0].intrinsics;
+    camera.distortion.k1 = -0.1;
+    for (view, maps) in posed.views.iter_mut().zip(&mut shaded.views) {
+        view.intrinsics = camera;
+        let center = view.cam_from_world.translation;
+        *maps = Maps::of(&camera, |pixel| on_sphere(&center, 1.0, &camera, pixel))
+            .shaded(maps.view.0, &maps.name);
+    }
+    let (fused, _) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+    let errors = errors(&fused, 1.0);
+    let worst = errors[errors.len() - 1] / footprint();
+    assert!(errors.len() > 5000 && worst < 0.05, "{worst} footprints");
 }
 
 #[test]
@@ -309,25 +379,21 @@ fn colours_come_from_the_photos_and_low_confidence_widens() {
             .push(photo(&view.file_name, image, view.intrinsics));
     }
     let told = Recorder::default();
-    let result = run(&photos, &posed, &shaded, &FusionOptions::default(), &told);
+    let result = fuse_with(&photos, (&posed, &shaded), &FusionOptions::default(), &told);
     let (fused, _) = result.expect("fused");
     assert!(told.warnings().is_empty(), "{:?}", told.warnings());
-    assert!(fused.cloud.points.iter().all(|p| p.color == [128, 0, 255]));
+    assert!(fused.points.iter().all(|p| p.color == [128, 0, 255]));
     assert!(fused.mesh.colors.iter().all(|c| *c == [128, 0, 255]));
-    assert!(fused.cloud.points.iter().all(|p| p.confidence <= 0.5));
+    assert!(fused.points.iter().all(|p| p.confidence <= 0.5));
 }
 
 #[test]
 fn one_view_alone_is_fused_with_a_warning() {
     let (posed, shaded) = views(&ARC[..1], 1.0);
     let (options, told) = (FusionOptions::default(), Recorder::default());
-    let result = run(&PhotoSet::default(), &posed, &shaded, &options, &told);
+    let result = fuse_with(&PhotoSet::default(), (&posed, &shaded), &options, &told);
     let (fused, _) = result.expect("fused");
-    assert!(
-        fused.cloud.points.len() > 2000,
-        "{}",
-        fused.cloud.points.len()
-    );
+    assert!(fused.points.len() > 2000, "{}", fused.points.len());
     assert!(!fused.mesh.triangles.is_empty());
     let warnings = told.warnings();
     assert!(
@@ -387,7 +453,13 @@ fn what_cannot_be_fused_is_named() {
         "{error:?}"
     );
 
-    let error = run(&PhotoSet::default(), &posed, &shaded, &options, &Impatient).err();
+    let error = fuse_with(
+        &PhotoSet::default(),
+        (&posed, &shaded),
+        &options,
+        &Impatient,
+    )
+    .err();
     assert!(matches!(error, Some(FusionError::Interrupted)), "{error:?}");
 }
 
@@ -402,7 +474,6 @@ fn invalid_pixels_are_counted_and_left_out() {
     assert_eq!(report.views[0].num_invalid, 3);
     assert!(
         fused
-            .cloud
             .points
             .iter()
             .all(|p| p.position.iter().all(|c| c.is_finite()))

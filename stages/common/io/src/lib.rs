@@ -84,7 +84,9 @@ pub use photo::{
     is_photo_name, photo_size, set_raw_decoder,
 };
 pub use photo_writer::{DeepFormat, encode_photo_jpeg, write_photo_deep, write_photo_jpeg};
-pub use ply::{mesh_ply_file, read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply};
+pub use ply::{
+    CloudPlyWriter, mesh_ply_file, read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply,
+};
 pub use preview::{Preview, encode_preview_png, write_preview_png};
 pub use scene_file::{
     SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene, write_matches_csv,

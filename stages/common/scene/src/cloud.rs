@@ -24,6 +24,30 @@ pub struct PointCloud {
     pub points: Vec<CloudPoint>,
 }
 
+/// Why a cloud could not be taken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the cloud cannot be kept: {reason}")]
+pub struct CloudError {
+    /// What went wrong, and where.
+    pub reason: String,
+}
+
+/// Takes the points of a cloud part by part, so that a large one need not be in memory as a whole.
+pub trait CloudSink {
+    /// Takes the next points.
+    ///
+    /// # Errors
+    /// When they cannot be kept.
+    fn add(&mut self, points: &[CloudPoint]) -> Result<(), CloudError>;
+}
+
+impl CloudSink for PointCloud {
+    fn add(&mut self, points: &[CloudPoint]) -> Result<(), CloudError> {
+        self.points.extend_from_slice(points);
+        Ok(())
+    }
+}
+
 /// A triangle mesh in the world frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
@@ -35,13 +59,4 @@ pub struct Mesh {
     pub colors: Vec<[u8; 3]>,
     /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-}
-
-/// The fused result.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct FusedCloud {
-    /// Points of all views.
-    pub cloud: PointCloud,
-    /// Surface through them.
-    pub mesh: Mesh,
 }

@@ -38,7 +38,7 @@ pub mod transform;
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use checkpoint::{Checkpoint, CheckpointError, NoCheckpoint, StatePart};
-pub use cloud::{CloudPoint, FusedCloud, Mesh, PointCloud};
+pub use cloud::{CloudError, CloudPoint, CloudSink, Mesh, PointCloud};
 pub use consistency::{Inconsistent, check_descriptors, check_keypoints};
 pub use decoded::{DecodedPhoto, ExifFacts, Samples};
 pub use division::DividedStep;

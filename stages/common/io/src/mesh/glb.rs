@@ -92,8 +92,7 @@ pub fn write_mesh_glb(
     if mesh.triangles.is_empty() {
         return Err(IoError::write(path, "the mesh has no triangles"));
     }
-    let positions: Vec<[f32; 3]> = mesh.vertices.iter().map(|&v| frame.turn(v)).collect();
-    let (text, num_bytes) = description(mesh, &positions, unit);
+    let (text, num_bytes) = description(mesh, frame, unit);
     let total = 12 + 8 + text.len() + 8 + num_bytes;
     let length = |bytes: usize| {
         u32::try_from(bytes)
@@ -109,8 +108,8 @@ pub fn write_mesh_glb(
         for word in [binary_length, CHUNK_BINARY] {
             out.write_all(&word.to_le_bytes())?;
         }
-        let normals = mesh.normals.iter().map(|&n| frame.turn(n));
-        for c in positions.iter().copied().chain(normals).flatten() {
+        let turned = mesh.vertices.iter().chain(&mesh.normals);
+        for c in turned.flat_map(|&v| frame.turn(v)) {
             out.write_all(&c.to_le_bytes())?;
         }
         for color in &mesh.colors {
@@ -127,11 +126,11 @@ pub fn write_mesh_glb(
 }
 
 /// The JSON chunk, padded, and the length of the binary one.
-fn description(mesh: &Mesh, positions: &[[f32; 3]], unit: Unit) -> (String, usize) {
+fn description(mesh: &Mesh, frame: &ViewerFrame, unit: Unit) -> (String, usize) {
     let (mut views, mut accessors) = (Vec::new(), Vec::new());
     let mut attributes = serde_json::Map::new();
     let mut offset = 0;
-    let num = positions.len();
+    let num = mesh.vertices.len();
     let mut add = |name: &str, bytes: usize, target: u32, accessor: Value| {
         if !name.is_empty() {
             attributes.insert(name.to_owned(), json!(views.len()));
@@ -146,7 +145,7 @@ fn description(mesh: &Mesh, positions: &[[f32; 3]], unit: Unit) -> (String, usiz
     };
     let mut low = [f32::INFINITY; 3];
     let mut high = [f32::NEG_INFINITY; 3];
-    for p in positions {
+    for p in mesh.vertices.iter().map(|&v| frame.turn(v)) {
         for k in 0..3 {
             low[k] = low[k].min(p[k]);
             high[k] = high[k].max(p[k]);

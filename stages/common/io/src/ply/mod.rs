@@ -13,7 +13,7 @@ mod read;
 mod write;
 
 pub use read::{read_cloud_ply, read_mesh_ply};
-pub use write::{mesh_ply_file, write_cloud_ply, write_mesh_ply};
+pub use write::{CloudPlyWriter, mesh_ply_file, write_cloud_ply, write_mesh_ply};
 
 #[cfg(test)]
 mod tests;

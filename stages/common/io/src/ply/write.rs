@@ -3,9 +3,10 @@
 use crate::error::IoError;
 use crate::files::{OutputFile, write_pieces};
 use crate::mesh::check::check;
-use rilievo_scene::{Mesh, PointCloud, Unit};
-use std::io::Write;
-use std::path::Path;
+use rilievo_scene::{CloudError, CloudPoint, CloudSink, Mesh, PointCloud, Unit};
+use std::fs::File;
+use std::io::{BufWriter, Seek, Write};
+use std::path::{Path, PathBuf};
 
 fn preamble(unit: Unit) -> String {
     format!(
@@ -21,30 +22,100 @@ fn put(out: &mut impl Write, values: [f32; 3]) -> std::io::Result<()> {
         .try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }
 
-/// Writes a cloud: binary little endian, `x y z nx ny nz red green blue confidence views`.
+/// Columns that a cloud's header keeps free for the number of its points: those of the largest `u64`.
+const COUNT_COLUMNS: usize = 20;
+
+/// Header of a cloud; of one length for any number of points, so that it can be written over: the comment is filled up.
+fn cloud_header(unit: Unit, num_points: u64) -> String {
+    let count = num_points.to_string();
+    let mut header = preamble(unit);
+    header.truncate(header.trim_end().len());
+    header.extend(std::iter::repeat_n(' ', COUNT_COLUMNS - count.len()));
+    header += &format!("\nelement vertex {count}\n");
+    for name in ["x", "y", "z", "nx", "ny", "nz"] {
+        header += &format!("property float {name}\n");
+    }
+    for name in ["red", "green", "blue"] {
+        header += &format!("property uchar {name}\n");
+    }
+    header + "property float confidence\nproperty uchar views\nend_header\n"
+}
+
+/// A cloud that is written as its points come: binary little endian, `x y z nx ny nz red green blue confidence views`.
+#[derive(Debug)]
+pub struct CloudPlyWriter {
+    path: PathBuf,
+    out: BufWriter<File>,
+    unit: Unit,
+    num_points: u64,
+}
+
+impl CloudPlyWriter {
+    /// Begins a file, in a folder that exists.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn create(path: &Path, unit: Unit) -> Result<Self, IoError> {
+        let begin = || {
+            let mut out = BufWriter::new(File::create(path)?);
+            out.write_all(cloud_header(unit, 0).as_bytes())?;
+            Ok(out)
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            out: begin().map_err(|error: std::io::Error| IoError::write(path, error))?,
+            unit,
+            num_points: 0,
+        })
+    }
+
+    /// Writes how many points there are: a file without that is not finished.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn finish(mut self) -> Result<(), IoError> {
+        let header = cloud_header(self.unit, self.num_points);
+        let mut end = || {
+            self.out.rewind()?;
+            self.out.write_all(header.as_bytes())?;
+            self.out.flush()
+        };
+        end().map_err(|error| IoError::write(&self.path, error))
+    }
+
+    fn put(&mut self, points: &[CloudPoint]) -> Result<(), IoError> {
+        let out = &mut self.out;
+        let mut all = || {
+            points.iter().try_for_each(|point| {
+                put(out, point.position)?;
+                put(out, point.normal)?;
+                out.write_all(&point.color)?;
+                out.write_all(&point.confidence.to_le_bytes())?;
+                out.write_all(&[point.num_views])
+            })
+        };
+        all().map_err(|error| IoError::write(&self.path, error))?;
+        self.num_points += points.len() as u64;
+        Ok(())
+    }
+}
+
+impl CloudSink for CloudPlyWriter {
+    fn add(&mut self, points: &[CloudPoint]) -> Result<(), CloudError> {
+        self.put(points).map_err(|error| CloudError {
+            reason: error.to_string(),
+        })
+    }
+}
+
+/// Writes a cloud that is in memory, as [`CloudPlyWriter`] does.
 ///
 /// # Errors
 /// When the file cannot be written.
 pub fn write_cloud_ply(path: &Path, cloud: &PointCloud, unit: Unit) -> Result<(), IoError> {
-    write_pieces(path, |out| {
-        out.write_all(preamble(unit).as_bytes())?;
-        writeln!(out, "element vertex {}", cloud.points.len())?;
-        for name in ["x", "y", "z", "nx", "ny", "nz"] {
-            writeln!(out, "property float {name}")?;
-        }
-        for name in ["red", "green", "blue"] {
-            writeln!(out, "property uchar {name}")?;
-        }
-        out.write_all(b"property float confidence\nproperty uchar views\nend_header\n")?;
-        for point in &cloud.points {
-            put(out, point.position)?;
-            put(out, point.normal)?;
-            out.write_all(&point.color)?;
-            out.write_all(&point.confidence.to_le_bytes())?;
-            out.write_all(&[point.num_views])?;
-        }
-        Ok(())
-    })
+    let mut writer = CloudPlyWriter::create(path, unit)?;
+    writer.put(&cloud.points)?;
+    writer.finish()
 }
 
 /// Writes a mesh: binary little endian, with normals and colours where the mesh has them.

@@ -1,0 +1,108 @@
+//! Normals and colours of the mesh's vertices from the views.
+//!
+//! A vertex takes the mean normal of the views that see its surface, with the weights of the cloud's points,
+//! and the mean of their colours. It stays where it is: the zero of the distances is nearer to the surface than
+//! the mean of a few planes, which curvature bends outwards.
+
+use crate::color::{Blend, Palette};
+use crate::options::FusionOptions;
+use crate::pairs::{Candidate, Sight, look};
+use crate::points::weight;
+use crate::shelf::Reader;
+use crate::tsdf::Volume;
+use crate::view::View;
+use nalgebra::{Point3, Vector3};
+
+/// A vertex with what the views give it.
+pub(crate) struct Dressed {
+    pub position: [f32; 3],
+    pub normal: [f32; 3],
+    pub color: [u8; 3],
+    /// Distance from the mean of the views' surfaces, world's unit; `None` where no view agrees.
+    pub distance: Option<f64>,
+}
+
+/// What all vertices are dressed by.
+pub(crate) struct Dresser<'a> {
+    views: &'a [View],
+    volume: &'a Volume,
+    palette: Palette,
+    /// Tolerance along the normal, world's unit, and the least cosine between normals: of views that agree, and
+    /// where none does of those that made the vertex.
+    limits: [(f64, f64); 2],
+}
+
+impl<'a> Dresser<'a> {
+    pub fn new(views: &'a [View], volume: &'a Volume, options: &FusionOptions) -> Self {
+        let footprint = volume.voxel / (options.voxel_px * volume.coarsened_by);
+        let tolerance = volume.voxel.max(options.depth_tolerance_px * footprint);
+        let min_cosine = options.normal_tolerance_deg.to_radians().cos();
+        Self {
+            views,
+            volume,
+            palette: Palette::new(),
+            limits: [(tolerance, min_cosine), (2.0 * volume.truncation, -1.0)],
+        }
+    }
+
+    /// Views that may see a block's vertices.
+    pub fn near(&self, block: usize) -> Vec<&'a View> {
+        self.volume.near(self.views, block)
+    }
+
+    /// Dresses a vertex where the distances grow along `gradient`.
+    pub fn dress(
+        &self,
+        pixels: &mut Reader<'_>,
+        near: &[&View],
+        position: &Point3<f64>,
+        gradient: &Vector3<f64>,
+    ) -> Dressed {
+        let outwards = gradient.try_normalize(0.0).unwrap_or_else(Vector3::z);
+        let candidate = Candidate {
+            point: *position,
+            normal: outwards,
+            footprint: self.volume.voxel,
+        };
+        let (mut normal, mut offset, mut weights) = (Vector3::zeros(), 0.0, 0.0);
+        let mut colors = Blend::default();
+        for (tolerance, min_cosine) in self.limits {
+            for view in near {
+                let (sight, _) = look(pixels, view, &candidate, tolerance, min_cosine);
+                let Sight::Same {
+                    distance,
+                    normal: seen,
+                    cosine,
+                    footprint,
+                    confidence,
+                    ..
+                } = sight
+                else {
+                    continue;
+                };
+                let weight = weight(confidence, cosine, footprint);
+                normal += seen * weight;
+                offset += distance * weight;
+                weights += weight;
+                let place = view.camera.project(&view.pose.apply(position));
+                if let Some(place) = place.filter(|_| view.has_photo) {
+                    self.palette
+                        .add(pixels, view, [place.x, place.y], &mut colors);
+                }
+            }
+            if weights > 0.0 {
+                break;
+            }
+        }
+        Dressed {
+            position: position.coords.map(|c| c as f32).into(),
+            normal: normal
+                .try_normalize(0.0)
+                .unwrap_or(outwards)
+                .map(|c| c as f32)
+                .into(),
+            color: colors.color(),
+            distance: (weights > 0.0).then(|| f64::abs(offset / weights)),
+        }
+    }
+}
