@@ -12,6 +12,22 @@ pub fn peak_memory() -> Option<u64> {
     Some(kib * 1024)
 }
 
+/// Has the allocator give freed memory back to the system: large blocks at once from now on, and what is free already.
+/// Without it, what a stage freed is still counted as the process's in the next one, and `--memory` would not hold.
+pub fn give_back_freed_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    {
+        // Blocks of this size and more are mapped one by one; smaller ones are reused faster than the system gives them.
+        const LARGE_BLOCK: libc::c_int = 4 << 20;
+        #[expect(unsafe_code, reason = "the allocator is told through the C library")]
+        // SAFETY: both functions may be called at any time, from any thread (mallopt(3), malloc_trim(3)).
+        unsafe {
+            libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BLOCK);
+            libc::malloc_trim(0);
+        }
+    }
+}
+
 /// Starts counting the peak anew, so that each stage tells its own; where the system does not allow
 /// it, a stage's peak is the largest so far.
 pub fn forget_peak_memory() {

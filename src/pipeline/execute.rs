@@ -87,6 +87,7 @@ pub fn run_stage(
         .stage(stage, &StageNews::Started(reason.to_owned()));
     let team = context.console.team();
     let began = Instant::now();
+    system::give_back_freed_memory();
     system::forget_peak_memory();
     let mut begun = None;
     from_first(team, || {
