@@ -49,8 +49,8 @@ impl Ranking {
         options: &PosesOptions,
     ) -> Vec<usize> {
         let mut scored: Vec<(usize, usize)> = Vec::new();
-        for photo in 0..scene.num_photos() {
-            if !available[photo] || model.poses[photo].is_some() {
+        for (photo, &is_available) in available.iter().enumerate() {
+            if !is_available || model.poses[photo].is_some() {
                 continue;
             }
             let rank = self.ranks[photo].get_or_insert_with(|| rank(scene, model, photo));
