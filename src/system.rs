@@ -3,6 +3,12 @@
 /// The program with its version, as results name their maker.
 pub const PROGRAM: &str = concat!("rilievo ", env!("CARGO_PKG_VERSION"));
 
+/// CPU time of this process so far, of all its threads, seconds.
+pub fn cpu_seconds() -> f64 {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
+}
+
 /// Largest resident memory since [`forget_peak_memory`], or since the start, bytes; `None` where the
 /// system does not tell.
 pub fn peak_memory() -> Option<u64> {

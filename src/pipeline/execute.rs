@@ -86,7 +86,7 @@ pub fn run_stage(
         .console
         .stage(stage, &StageNews::Started(reason.to_owned()));
     let team = context.console.team();
-    let began = Instant::now();
+    let (began, cpu_before) = (Instant::now(), system::cpu_seconds());
     system::give_back_freed_memory();
     system::forget_peak_memory();
     let mut begun = None;
@@ -113,6 +113,7 @@ pub fn run_stage(
         ingredients,
         items: Default::default(),
         seconds,
+        cpu_seconds: Some(system::cpu_seconds() - cpu_before),
         threads: rayon::current_num_threads(),
         peak_memory_bytes: system::peak_memory(),
         warnings,

@@ -60,6 +60,10 @@ pub struct Manifest {
     pub items: BTreeMap<String, Item>,
     /// Wall time of the stage, seconds.
     pub seconds: f64,
+    /// CPU time of the process during the stage, seconds; of several processes the first one's. `None` in manifests that
+    /// do not tell it.
+    #[serde(default)]
+    pub cpu_seconds: Option<f64>,
     /// Threads that worked on it.
     pub threads: usize,
     /// Largest resident memory while the stage ran, bytes; `None` where the system does not tell.

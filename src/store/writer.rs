@@ -347,6 +347,7 @@ mod tests {
             ingredients,
             items: BTreeMap::new(),
             seconds: 0.0,
+            cpu_seconds: None,
             threads: 1,
             peak_memory_bytes: None,
             warnings: Vec::new(),
