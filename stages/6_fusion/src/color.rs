@@ -7,7 +7,7 @@
 
 use crate::error::FusionError;
 use crate::options::ColorMode;
-use crate::shelf::Reader;
+use crate::reader::Reader;
 use crate::view::{Pixels, View};
 use nalgebra::Point3;
 use rayon::prelude::*;

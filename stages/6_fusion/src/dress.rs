@@ -5,10 +5,10 @@
 //! the mean of a few planes, which curvature bends outwards.
 
 use crate::color::{Blend, Palette};
+use crate::judge::weight;
 use crate::options::FusionOptions;
 use crate::pairs::{Candidate, Sight, look};
-use crate::points::weight;
-use crate::shelf::Reader;
+use crate::reader::Reader;
 use crate::tsdf::Volume;
 use crate::view::View;
 use nalgebra::{Point3, Vector3};

@@ -4,11 +4,11 @@
 //! part, a [`Mesh`] and a [`FusionReport`].
 //!
 //! 1. `views`, `shelf`: maps are loaded one by one, checked, cut to the object and put aside in pages; borders,
-//!    depth edges and grazing surface are left out. All later steps read the pages that they need (`view`),
-//!    of the views that may see the place (`reach`).
+//!    depth edges and grazing surface are left out. All later steps read the pages that they need (`view`,
+//!    `reader`), of the views that may see the place (`reach`).
 //! 2. `pairs`, `reconcile`, `settle`: how far the views lie apart, and a joint robust adjustment of the
 //!    smooth part of it.
-//! 3. `points`, `color`, `thin`: every piece of surface once, from the view that resolves it best, at
+//! 3. `points`, `judge`, `color`, `thin`: every piece of surface once, from the view that resolves it best, at
 //!    the mean of the views that agree.
 //! 4. `tsdf`, `surface`, `dress`, `rim`, `holes`: signed distances of all views, their zero set as a mesh.
 //!
@@ -23,11 +23,13 @@ mod color;
 mod dress;
 mod error;
 mod holes;
+mod judge;
 mod memory;
 mod options;
 mod pairs;
 mod points;
 mod reach;
+mod reader;
 mod reconcile;
 mod report;
 mod rim;
@@ -44,10 +46,10 @@ pub use options::{ColorMode, FusionOptions};
 pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
 
 use points::CloudFacts;
+use reader::Readers;
 use rilievo_scene::{
     CloudSink, MapSource, Mesh, Observer, PhotoSet, PosedViews, Scratch, StageId, Unit,
 };
-use shelf::Readers;
 use views::Stock;
 
 /// Raised with every change of the stage that changes its results.

@@ -5,9 +5,9 @@
 //! further out.
 
 use crate::options::FusionOptions;
+use crate::reader::Sampler;
 use crate::reconcile::Corrections;
 use crate::report::Layering;
-use crate::shelf::Sampler;
 use crate::view::{Pixels, Surface, View};
 use crate::views::Stock;
 use nalgebra::{Point3, Vector3};

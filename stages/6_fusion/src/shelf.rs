@@ -3,27 +3,20 @@
 //! A view's map is cut into pages of 32 × 32 pixels. Pages near any depth lie one after the other in a
 //! [`Room`], pixel by pixel: depth, normal, confidence, colour and marks side by side, and for a lens
 //! that distorts the pixel's ray. All other pages are known to be empty and take no room.
-//!
-//! A [`Reader`] holds the pages that it read last, up to a bound that has no effect on results; each thread
-//! has its own. A [`Sampler`] holds none, for pixels far apart.
 
-use crate::error::FusionError;
-use crate::reconcile::Corrections;
-use crate::view::{Pixels, View};
 use rayon::prelude::*;
 use rilievo_scene::{Room, Scratch, ScratchError};
-use std::sync::{Mutex, PoisonError};
 
 /// Pixels along the side of a page.
 pub(crate) const PAGE_SIDE: usize = 32;
 /// Bytes of a pixel: depth, normal, confidence, colour, marks; and with a ray.
 const RECORD: usize = 24;
-const RECORD_WITH_RAY: usize = RECORD + 8;
+pub(crate) const RECORD_WITH_RAY: usize = RECORD + 8;
 /// Largest bytes of a page.
 pub(crate) const PAGE_BYTES: usize = PAGE_SIDE * PAGE_SIDE * RECORD_WITH_RAY;
 /// Pages up to so many pixels from a depth are kept, for their colours.
 const COLOR_MARGIN: usize = 4;
-const NONE: u32 = u32::MAX;
+pub(crate) const NONE: u32 = u32::MAX;
 /// Marks of a pixel.
 const GIVES: u8 = 1;
 const IS_KEPT: u8 = 2;
@@ -61,7 +54,7 @@ impl Pixel {
     }
 
     #[inline]
-    fn read(bytes: &[u8]) -> Self {
+    pub fn read(bytes: &[u8]) -> Self {
         let float = |k: usize| {
             let four = bytes.get(4 * k..4 * k + 4).and_then(|b| b.try_into().ok());
             f32::from_le_bytes(four.unwrap_or_default())
@@ -89,9 +82,9 @@ pub(crate) struct Pages {
     /// First byte of the view's part.
     start: u64,
     /// Bytes of a pixel.
-    record: usize,
+    pub record: usize,
     /// Number of pages of the views before.
-    first: usize,
+    pub first: usize,
 }
 
 impl Pages {
@@ -110,19 +103,20 @@ impl Pages {
         [0, 1].map(|k| at[k] * PAGE_SIDE..((at[k] + 1) * PAGE_SIDE).min(self.size[k]))
     }
 
-    fn bytes(&self) -> usize {
+    /// Bytes of a page.
+    pub fn bytes(&self) -> usize {
         PAGE_SIDE * PAGE_SIDE * self.record
     }
 
     /// Place of a page, `None` where it is empty.
-    fn place(&self, page: usize) -> Option<u64> {
+    pub fn place(&self, page: usize) -> Option<u64> {
         let slot = self.slots[page];
         (slot != NONE).then(|| self.start + u64::from(slot) * self.bytes() as u64)
     }
 
     /// Page of a pixel, and its number there.
     #[inline]
-    fn locate(&self, x: usize, y: usize) -> (usize, usize) {
+    pub fn locate(&self, x: usize, y: usize) -> (usize, usize) {
         let page = y / PAGE_SIDE * self.columns + x / PAGE_SIDE;
         (page, y % PAGE_SIDE * PAGE_SIDE + x % PAGE_SIDE)
     }
@@ -131,9 +125,9 @@ impl Pages {
 /// The pages of all views.
 #[derive(Debug)]
 pub(crate) struct Shelf {
-    room: Box<dyn Room>,
+    pub room: Box<dyn Room>,
     end: u64,
-    num_pages: usize,
+    pub num_pages: usize,
 }
 
 impl Shelf {
@@ -224,181 +218,5 @@ impl Shelf {
             self.room.write_at(&bytes, place)?;
         }
         Ok(())
-    }
-}
-
-/// Reads pixels and keeps their pages, the oldest of which make place for new ones.
-#[derive(Debug)]
-pub(crate) struct Reader<'a> {
-    shelf: &'a Shelf,
-    /// Frame of every page of every view.
-    frame_of: Vec<u32>,
-    frames: Vec<Vec<u8>>,
-    /// Page of each frame.
-    owners: Vec<usize>,
-    max_num_frames: usize,
-    next: usize,
-    failed: Option<ScratchError>,
-}
-
-impl<'a> Reader<'a> {
-    fn new(shelf: &'a Shelf, max_num_frames: usize) -> Self {
-        Self {
-            shelf,
-            frame_of: vec![NONE; shelf.num_pages],
-            frames: Vec::new(),
-            owners: Vec::new(),
-            max_num_frames: max_num_frames.max(1),
-            next: 0,
-            failed: None,
-        }
-    }
-
-    #[inline]
-    fn frame(&mut self, pages: &Pages, page: usize) -> Option<&[u8]> {
-        let frame = self.frame_of[pages.first + page];
-        if frame != NONE {
-            return Some(&self.frames[frame as usize]);
-        }
-        let place = pages.place(page)?;
-        Some(self.load(pages, page, place))
-    }
-
-    #[cold]
-    fn load(&mut self, pages: &Pages, page: usize, place: u64) -> &[u8] {
-        let frame = if self.frames.len() < self.max_num_frames {
-            self.frames.push(vec![0; PAGE_BYTES]);
-            self.owners.push(0);
-            self.frames.len() - 1
-        } else {
-            let frame = self.next;
-            self.frame_of[self.owners[frame]] = NONE;
-            self.next = (frame + 1) % self.max_num_frames;
-            frame
-        };
-        self.owners[frame] = pages.first + page;
-        self.frame_of[pages.first + page] = frame as u32;
-        let bytes = &mut self.frames[frame][..pages.bytes()];
-        if let Err(error) = self.shelf.room.read_at(bytes, place) {
-            bytes.fill(0);
-            self.failed = Some(error);
-        }
-        &self.frames[frame]
-    }
-}
-
-impl Pixels for Reader<'_> {
-    #[inline]
-    fn pixel(&mut self, view: &View, x: usize, y: usize) -> Pixel {
-        let pages = &view.pages;
-        let (page, number) = pages.locate(x, y);
-        let bytes = self.frame(pages, page);
-        bytes.map_or_else(Pixel::default, |bytes| {
-            Pixel::read(&bytes[number * pages.record..][..pages.record])
-        })
-    }
-
-    #[inline]
-    fn square(&mut self, view: &View, x: usize, y: usize) -> [Pixel; 4] {
-        if x % PAGE_SIDE + 1 == PAGE_SIDE || y % PAGE_SIDE + 1 == PAGE_SIDE {
-            return [(0, 0), (1, 0), (0, 1), (1, 1)]
-                .map(|(dx, dy)| self.pixel(view, x + dx, y + dy));
-        }
-        let pages = &view.pages;
-        let (page, number) = pages.locate(x, y);
-        let Some(bytes) = self.frame(pages, page) else {
-            return [Pixel::default(); 4];
-        };
-        [0, 1, PAGE_SIDE, PAGE_SIDE + 1]
-            .map(|next| Pixel::read(&bytes[(number + next) * pages.record..][..pages.record]))
-    }
-}
-
-/// A reader for each thread.
-#[derive(Debug)]
-pub(crate) struct Readers<'a>(Vec<Mutex<Reader<'a>>>);
-
-impl<'a> Readers<'a> {
-    /// Readers that keep so many pages each.
-    pub fn new(shelf: &'a Shelf, max_num_frames: usize) -> Self {
-        let num = rayon::current_num_threads().max(1);
-        let reader = || Mutex::new(Reader::new(shelf, max_num_frames));
-        Self((0..num).map(|_| reader()).collect())
-    }
-
-    /// Does a piece of work with the thread's reader.
-    pub fn with<T>(&self, work: impl FnOnce(&mut Reader<'a>) -> T) -> Result<T, FusionError> {
-        let thread = rayon::current_thread_index().unwrap_or(0) % self.0.len();
-        let mut reader = self.0[thread]
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let result = work(&mut reader);
-        match reader.failed.take() {
-            Some(error) => Err(error.into()),
-            None => Ok(result),
-        }
-    }
-}
-
-/// Reads single pixels, with depths as corrections make them.
-#[derive(Debug)]
-pub(crate) struct Sampler<'a> {
-    shelf: &'a Shelf,
-    corrections: Option<&'a Corrections>,
-    failed: Option<ScratchError>,
-}
-
-impl<'a> Sampler<'a> {
-    /// Reads from a shelf.
-    pub fn new(shelf: &'a Shelf, corrections: Option<&'a Corrections>) -> Self {
-        Self {
-            shelf,
-            corrections,
-            failed: None,
-        }
-    }
-
-    /// What was read, unless something could not be.
-    pub fn finish<T>(self, read: T) -> Result<T, ScratchError> {
-        self.failed.map_or(Ok(read), Err)
-    }
-
-    /// `num` pixels of one row of a page.
-    fn read<const NUM: usize>(&mut self, view: &View, x: usize, y: usize) -> [Pixel; NUM] {
-        let pages = &view.pages;
-        let (page, number) = pages.locate(x, y);
-        let Some(place) = pages.place(page) else {
-            return [Pixel::default(); NUM];
-        };
-        let mut bytes = [0; 2 * RECORD_WITH_RAY];
-        let bytes = &mut bytes[..NUM * pages.record];
-        let place = place + (number * pages.record) as u64;
-        if let Err(error) = self.shelf.room.read_at(bytes, place) {
-            bytes.fill(0);
-            self.failed = Some(error);
-        }
-        std::array::from_fn(|k| {
-            let mut pixel = Pixel::read(&bytes[k * pages.record..][..pages.record]);
-            if let Some(corrections) = self.corrections {
-                pixel.depth = corrections.corrected(view.idx, x + k, y, pixel.depth);
-            }
-            pixel
-        })
-    }
-}
-
-impl Pixels for Sampler<'_> {
-    fn pixel(&mut self, view: &View, x: usize, y: usize) -> Pixel {
-        let [pixel] = self.read(view, x, y);
-        pixel
-    }
-
-    fn square(&mut self, view: &View, x: usize, y: usize) -> [Pixel; 4] {
-        if x % PAGE_SIDE + 1 == PAGE_SIDE {
-            return [(0, 0), (1, 0), (0, 1), (1, 1)]
-                .map(|(dx, dy)| self.pixel(view, x + dx, y + dy));
-        }
-        let [[a, b], [c, d]] = [0, 1].map(|dy| self.read(view, x, y + dy));
-        [a, b, c, d]
     }
 }

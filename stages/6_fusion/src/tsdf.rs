@@ -14,11 +14,11 @@
 //! views from different directions measure one quantity.
 
 use crate::error::FusionError;
+use crate::judge::weight;
 use crate::memory;
 use crate::options::FusionOptions;
-use crate::points::weight;
 use crate::reach::Ball;
-use crate::shelf::{Reader, Readers};
+use crate::reader::{Reader, Readers};
 use crate::view::{Pixels, View};
 use crate::views::Stock;
 use nalgebra::{Point3, Vector3};
