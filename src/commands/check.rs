@@ -5,7 +5,7 @@ use crate::cli::CheckArgs;
 use crate::config::{StageOptions, take_over};
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Inputs, Request, Resources, check_photos};
+use crate::pipeline::{Estimate, Inputs, Request, Resources, check_photos};
 use rilievo_photos::PhotosReport;
 
 /// Runs the command.
@@ -16,8 +16,13 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<()> {
     reporting_found(args.work.json, |console| {
         let mut found = Found::default();
         let outcome = look(args, console, &mut found);
-        let Found { report, warnings } = found;
-        let facts = serde_json::json!({"report": report, "warnings": warnings});
+        let Found {
+            report,
+            warnings,
+            expected,
+        } = found;
+        let facts =
+            serde_json::json!({"report": report, "warnings": warnings, "expected": expected});
         (outcome, facts)
     })
 }
@@ -27,6 +32,7 @@ pub fn check(args: &CheckArgs) -> anyhow::Result<()> {
 struct Found {
     report: Option<PhotosReport>,
     warnings: Vec<String>,
+    expected: Option<Estimate>,
 }
 
 fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Result<()> {
@@ -47,6 +53,7 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     }
     found.warnings.clone_from(&inputs.warnings);
     let resources = Resources::new(&args.work);
+    let expected = Estimate::of(&request, &inputs, resources);
     let (report, warnings, problems) = check_photos(&request, &inputs, resources, console)?;
     for line in report.table(&warnings).to_string().lines() {
         console.note(&format!("  {line}"));
@@ -54,6 +61,10 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     let usable = report.photos.len();
     found.report = Some(report);
     found.warnings.extend(warnings);
+    if let Some(expected) = &expected {
+        expected.tell(console, rayon::current_num_threads());
+    }
+    found.expected = expected;
     if problems.is_empty() {
         console.note(&format!("all {usable} photos can be used"));
         return Ok(());

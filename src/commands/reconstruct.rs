@@ -6,11 +6,12 @@ use crate::cli::{ReconstructArgs, WorkArgs};
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{
-    Context, Inputs, Plan, Range, Request, Resources, bring_up_to_date, is_another_set,
+    Context, Estimate, Inputs, Plan, Range, Request, Resources, StageState, bring_up_to_date,
+    is_another_set,
 };
 use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
-use crate::store::RunDir;
+use crate::store::{Look, RunDir};
 use rilievo_scene::StageId;
 use serde::Serialize;
 use std::path::Path;
@@ -143,6 +144,14 @@ fn work_in(
         resources,
         console,
     };
+    if ranks::team().is_first()
+        && plan.state(run, StageId::Shading, Look::Sizes)? != StageState::Valid
+    {
+        plan.expected = Estimate::of(request, &inputs, resources);
+        if let Some(expected) = &plan.expected {
+            expected.tell(console, rayon::current_num_threads());
+        }
+    }
     let redone = bring_up_to_date(&context, plan, range)?;
     Ok(!redone.is_empty())
 }

@@ -7,6 +7,7 @@ mod anchors;
 mod artifacts;
 mod context;
 mod errors;
+mod estimate;
 mod execute;
 mod features;
 mod fusion;
@@ -23,6 +24,7 @@ mod spheres;
 
 pub use context::Context;
 pub use errors::{from_fusion, from_lighting, from_shading};
+pub use estimate::{Cost, Estimate};
 pub use execute::{Range, bring_up_to_date, run_stage};
 pub use features::{load_keypoints, load_pairs};
 pub use fusion::write_mesh;

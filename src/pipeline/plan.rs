@@ -1,5 +1,6 @@
 //! What each stage is made from, and whether its result in the run directory is still that.
 
+use super::estimate::Estimate;
 use super::inputs::Inputs;
 use super::request::{Request, SphereInput};
 use crate::exit::Failure;
@@ -67,6 +68,8 @@ pub fn upstream(stage: StageId) -> &'static [StageId] {
 /// Ingredients of all stages, as of now.
 pub struct Plan {
     ingredients: BTreeMap<StageId, Ingredients>,
+    /// What a run of all stages is expected to cost, where that was told.
+    pub expected: Option<Estimate>,
 }
 
 impl Plan {
@@ -87,7 +90,10 @@ impl Plan {
             };
             ingredients.insert(stage, own);
         }
-        Self { ingredients }
+        Self {
+            ingredients,
+            expected: None,
+        }
     }
 
     /// What a stage would be made from now.

@@ -1,7 +1,7 @@
 //! What a run's manifests tell, with the types of the stages' reports. Its JSON is `report.json`.
 
 use super::outcome::Outcome;
-use crate::pipeline::{Plan, Request, ShadingFacts, StageState};
+use crate::pipeline::{Cost, Estimate, Plan, Request, ShadingFacts, StageState};
 use crate::store::{Ingredients, Look, Manifest, RunDir};
 use crate::system;
 use rilievo_features::FeaturesReport;
@@ -31,6 +31,10 @@ pub struct Facts {
     pub threads: Option<usize>,
     /// Largest memory of any stage, bytes.
     pub peak_memory_bytes: Option<u64>,
+    /// What the whole run was expected to cost, where that was told.
+    pub expected: Option<Estimate>,
+    /// What the stages did cost, where all are there and tell it.
+    pub cost: Option<Cost>,
     /// What to cite.
     pub citation: &'static str,
 }
@@ -146,6 +150,9 @@ impl Facts {
             warnings: Vec::new(),
             threads: None,
             peak_memory_bytes: None,
+            num_stages: 0,
+            cpu_seconds: Some(0.0),
+            disk_bytes: 0,
         };
         let stages = Stages {
             photos: gathered.stage(StageId::Photos)?,
@@ -155,6 +162,7 @@ impl Facts {
             shading: gathered.stage(StageId::Shading)?,
             fusion: gathered.stage(StageId::Fusion)?,
         };
+        let cost = gathered.cost();
         Ok(Self {
             program: system::PROGRAM,
             outcome: outcome.clone(),
@@ -163,6 +171,8 @@ impl Facts {
             warnings: gathered.warnings,
             threads: gathered.threads,
             peak_memory_bytes: gathered.peak_memory_bytes,
+            expected: plan.and_then(|plan| plan.expected),
+            cost,
             citation: "Queau, Melou, Durou, Cremers: Dense Multi-view 3D-reconstruction Without \
                        Dense Correspondences. ICCV 2017",
         })
@@ -176,9 +186,24 @@ struct Gathered<'a> {
     warnings: Vec<Warning>,
     threads: Option<usize>,
     peak_memory_bytes: Option<u64>,
+    num_stages: usize,
+    /// None where a stage does not tell its own.
+    cpu_seconds: Option<f64>,
+    disk_bytes: u64,
 }
 
 impl Gathered<'_> {
+    fn cost(&self) -> Option<Cost> {
+        if self.num_stages < StageId::ALL.len() {
+            return None;
+        }
+        Some(Cost {
+            cpu_seconds: self.cpu_seconds?,
+            peak_memory_bytes: self.peak_memory_bytes? as f64,
+            disk_bytes: self.disk_bytes as f64,
+        })
+    }
+
     fn stage<R: DeserializeOwned>(&mut self, id: StageId) -> anyhow::Result<Option<Stage<R>>> {
         let Ok(Some(mut manifest)) = self.run.manifest(id) else {
             return Ok(None);
@@ -186,6 +211,10 @@ impl Gathered<'_> {
         let messages = manifest.warnings.drain(..);
         self.warnings
             .extend(messages.map(|message| Warning { stage: id, message }));
+        self.num_stages += 1;
+        let cpu_seconds = self.cpu_seconds.zip(manifest.cpu_seconds);
+        self.cpu_seconds = cpu_seconds.map(|(sum, of_stage)| sum + of_stage);
+        self.disk_bytes += manifest.files.values().map(|file| file.bytes).sum::<u64>();
         self.threads = Some(manifest.threads);
         self.peak_memory_bytes = manifest.peak_memory_bytes.max(self.peak_memory_bytes);
         let state = self.plan.map(|plan| plan.state(self.run, id, Look::Sizes));

@@ -3,6 +3,7 @@
 use super::element::{ABSENT, folded, json, number, percent, table, text, word};
 use super::plot;
 use crate::pipeline::ShadingFacts;
+use crate::pipeline::{Cost, Estimate};
 use crate::report::facts::{Facts, Made, Stage};
 use maud::{Markup, html};
 use rilievo_features::{FeaturesReport, PairReport};
@@ -35,11 +36,30 @@ pub fn sections(facts: &Facts) -> Markup {
                 dt { "program" } dd { (facts.program) }
                 dt { "threads" } dd { (facts.threads.map_or(ABSENT.to_owned(), |n| n.to_string())) }
                 dt { "peak memory" } dd { (megabytes(facts.peak_memory_bytes)) }
+                @if let (Some(expected), Some(cost)) = (&facts.expected, &facts.cost) {
+                    dt { "cost, and what was expected" }
+                    dd { (compared(expected, cost)) }
+                }
                 dt { "citation" } dd { (facts.citation) }
             }
             (folded("What was asked for", false, &json(&facts.request)))
         }
     }
+}
+
+/// What the run did cost beside what it was expected to.
+fn compared(expected: &Estimate, cost: &Cost) -> String {
+    let gigabytes = |bytes: f64| format!("{:.2} GB", 1e-9 * bytes);
+    format!(
+        "{:.0} CPU s ({:.0} to {:.0}), {} of memory ({}), {} on disk ({})",
+        cost.cpu_seconds,
+        expected.least_cpu_seconds,
+        expected.cost.cpu_seconds,
+        gigabytes(cost.peak_memory_bytes),
+        gigabytes(expected.cost.peak_memory_bytes),
+        gigabytes(cost.disk_bytes),
+        gigabytes(expected.cost.disk_bytes),
+    )
 }
 
 fn megabytes(bytes: Option<u64>) -> String {

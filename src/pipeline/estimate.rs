@@ -1,0 +1,187 @@
+//! What a run will cost, told before it begins: CPU time, memory, disk.
+//!
+//! Costs are proportional to pixels of photos or of the object, or to photos and pairs. The factors were measured with
+//! `benches/scale` and on photos of 18 megapixels (`benches/EXPERIMENTS.md`), and are scaled by how fast this machine
+//! solves a small system against the one that they were measured on.
+
+use super::inputs::{Inputs, PhotoInput};
+use super::parallel::Resources;
+use super::request::Request;
+use crate::observe::Console;
+use rayon::prelude::*;
+use rilievo_io::{photo_size, read_mask};
+use rilievo_numerics::plate_solver::PlateSolver;
+use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
+use rilievo_scene::Mask;
+use serde::Serialize;
+use std::time::Instant;
+
+/// What a run is expected to cost, or did cost.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Cost {
+    /// CPU time of all threads, seconds.
+    pub cpu_seconds: f64,
+    /// Largest resident memory, bytes.
+    pub peak_memory_bytes: f64,
+    /// Size of the finished run directory, bytes.
+    pub disk_bytes: f64,
+}
+
+/// What a run is expected to cost.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// With the relief of photos whose brightness agrees.
+    #[serde(flatten)]
+    pub cost: Cost,
+    /// CPU time where the photos' brightness disagrees, so that their finest levels are interpolated, seconds.
+    pub least_cpu_seconds: f64,
+    /// Disk space that is used besides while the run goes on, bytes.
+    pub working_disk_bytes: f64,
+}
+
+/// Photos without a mask are counted as if the object filled them; masks that are looked at for the object's share.
+const MAX_NUM_MASKS: usize = 4;
+/// Seconds that the calibration takes on the machine that the factors were measured on.
+const REFERENCE_SECONDS: f64 = 0.1;
+
+/// What decides the cost.
+#[derive(Clone, Copy, Debug)]
+struct Work {
+    photos: f64,
+    /// Pixels of all photos, and of the largest one.
+    photo_px: f64,
+    largest_px: f64,
+    /// Pixels of the object in all photos.
+    object_px: f64,
+    /// Pixels of the object in all photos at the finest level that is solved as a whole.
+    whole_px: f64,
+    pairs: f64,
+}
+
+impl Estimate {
+    /// Of a request's photos; `None` where no photo tells its size.
+    pub fn of(request: &Request, inputs: &Inputs, resources: Resources) -> Option<Self> {
+        let work = Work::of(request, inputs)?;
+        Some(work.estimate(request, resources, slowness()))
+    }
+
+    /// Tells it.
+    pub fn tell(&self, console: &Console, threads: usize) {
+        let cost = &self.cost;
+        let minutes = |seconds: f64| seconds / threads.max(1) as f64 / 60.0;
+        console.note(&format!(
+            "expected: {:.0} to {:.0} CPU s (about {:.0} to {:.0} min on {threads} threads), {:.1} GB of memory, {:.1} GB on disk \
+             and {:.1} GB more while it works",
+            self.least_cpu_seconds,
+            cost.cpu_seconds,
+            minutes(self.least_cpu_seconds).ceil(),
+            minutes(cost.cpu_seconds).ceil(),
+            1e-9 * cost.peak_memory_bytes,
+            1e-9 * cost.disk_bytes,
+            1e-9 * self.working_disk_bytes,
+        ));
+    }
+}
+
+impl Work {
+    fn of(request: &Request, inputs: &Inputs) -> Option<Self> {
+        let size = |photo: &PhotoInput| photo_size(&photo.path).map(|(w, h)| (w * h) as f64);
+        let sizes: Vec<f64> = inputs.photos.par_iter().filter_map(size).collect();
+        if sizes.is_empty() {
+            return None;
+        }
+        let photos = inputs.photos.len() as f64;
+        // Photos whose header does not tell are like the others.
+        let photo_px = sizes.iter().sum::<f64>() * photos / sizes.len() as f64;
+        let object_px = object_share(inputs) * photo_px;
+        let options = &request.options.shading.photo;
+        let mut whole_px = object_px;
+        while whole_px / photos > options.max_fine_pixels.max(options.coarse_pixels) as f64 {
+            whole_px /= 4.0;
+        }
+        let all_pairs = 0.5 * photos * (photos - 1.0);
+        Some(Self {
+            photos,
+            photo_px,
+            largest_px: sizes.iter().copied().fold(0.0, f64::max),
+            object_px,
+            whole_px,
+            pairs: if photos > 20.0 {
+                all_pairs.min(12.0 * photos * photos.log2())
+            } else {
+                all_pairs
+            },
+        })
+    }
+
+    fn estimate(&self, request: &Request, resources: Resources, slowness: f64) -> Estimate {
+        // CPU seconds of the reference machine.
+        let without_relief = 2e-8 * self.photo_px
+            + 1.1e-6 * self.photo_px
+            + 0.1 * self.pairs
+            + 3.0 * self.photos
+            + 5e-5 * self.whole_px
+            + 1.2e-6 * self.object_px;
+        // Levels between the one that is solved as a whole and the photo's own, a third more than the last of them.
+        let relief = 12e-6 * 4.0 / 3.0 * (self.object_px - self.whole_px).max(0.0);
+        let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
+        // Crops are half larger than the object.
+        let shading = (1.5 * 34.0 + 120.0) * self.whole_px + 75.0 * self.largest_px;
+        let fusion = (request.options.fusion.memory_mib << 20) as f64;
+        let detection = 60.0 * self.largest_px * rayon::current_num_threads() as f64;
+        let needed = shading
+            .max(detection)
+            .max(fusion.min(500.0 * self.object_px));
+        Estimate {
+            cost: Cost {
+                cpu_seconds: slowness * (without_relief + relief),
+                peak_memory_bytes: needed.min(given),
+                disk_bytes: 12.0 * self.photo_px + 100.0 * self.object_px,
+            },
+            least_cpu_seconds: slowness * without_relief,
+            working_disk_bytes: 1.5 * 40.0 * self.object_px,
+        }
+    }
+}
+
+/// Share of the object in the photos, by some of the masks.
+fn object_share(inputs: &Inputs) -> f64 {
+    let masks: Vec<_> = inputs
+        .photos
+        .iter()
+        .filter_map(|p| p.mask.as_ref())
+        .collect();
+    let step = masks.len().div_ceil(MAX_NUM_MASKS).max(1);
+    let some: Vec<_> = masks.into_iter().step_by(step).collect();
+    let shares: Vec<f64> = some
+        .par_iter()
+        .filter_map(|(path, _)| read_mask(path).ok())
+        .map(|mask| {
+            let masked = mask.data.iter().filter(|&&is| is).count();
+            masked as f64 / mask.data.len().max(1) as f64
+        })
+        .collect();
+    if shares.is_empty() {
+        return 1.0;
+    }
+    shares.iter().sum::<f64>() / shares.len() as f64
+}
+
+/// How much longer this machine takes than the one that the factors were measured on: the best of three small systems, so
+/// that other programs at work do not count.
+fn slowness() -> f64 {
+    const SIDE: usize = 96;
+    let numbering = PixelNumbering::new(&Mask::filled(SIDE, SIDE, true));
+    let mut system = PlateSystem::new(numbering.len());
+    for i in 0..numbering.len() {
+        system.add_point(i, 1.0, i as f64);
+    }
+    let seconds = (0..3).map(|_| {
+        let began = Instant::now();
+        let solved = PlateSolver::direct(&numbering).and_then(|solver| solver.solve(&system));
+        // A system of ones is always solved; what it gives is not looked at.
+        drop(solved);
+        began.elapsed().as_secs_f64()
+    });
+    seconds.fold(f64::INFINITY, f64::min) / REFERENCE_SECONDS
+}
