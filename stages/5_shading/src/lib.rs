@@ -19,40 +19,17 @@ pub mod paper;
 pub mod photo;
 mod photo_of;
 mod report;
+mod surroundings;
 
 pub use error::{LightMisfit, ShadingError};
 pub use options::{ShadingModel, ShadingOptions};
 pub use report::ShadingReport;
+pub use surroundings::Surroundings;
 
-use rilievo_scene::{
-    Checkpoint, LightingCalibration, MemoryScratch, NoCheckpoint, Observer, PhotoSet, PosedViews,
-    Scratch, ShadedView, ShadedViews,
-};
+use rilievo_scene::{LightingCalibration, PhotoSet, PosedViews, ShadedView, ShadedViews};
 
 /// Raised with every change of the stage that changes its results.
 pub const VERSION: u32 = 22;
-
-/// What a run has around it.
-#[derive(Clone, Copy)]
-pub struct Surroundings<'a> {
-    /// Is told of progress and warnings, and may stop the run.
-    pub observer: &'a dyn Observer,
-    /// Keeps how far the photo model is; the paper's model begins anew.
-    pub checkpoint: &'a dyn Checkpoint,
-    /// Where fine levels are put aside.
-    pub scratch: &'a dyn Scratch,
-}
-
-impl<'a> Surroundings<'a> {
-    /// Everything in memory, nothing kept.
-    pub fn in_memory(observer: &'a dyn Observer) -> Self {
-        Self {
-            observer,
-            checkpoint: &NoCheckpoint,
-            scratch: &MemoryScratch,
-        }
-    }
-}
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///

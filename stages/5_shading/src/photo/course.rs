@@ -2,8 +2,9 @@
 
 use super::memory;
 use super::options::PhotoOptions;
-use super::output::{self, FineShape, FoundShape, Shape};
+use super::output;
 use super::report::PhotoReport;
+use super::shape::{FineShape, FoundShape, Shape};
 use super::views::Scene;
 use crate::error::{ShadingError, warn};
 use rayon::prelude::*;
@@ -99,7 +100,7 @@ impl Course<'_> {
 
     /// Exact solvers of a level: where values have to reach across what no view knows.
     pub(crate) fn solvers(&self, at: usize) -> SolverSet {
-        let keeps = memory::keeps_solvers(&self.scene, at, self.options);
+        let keeps = memory::keeps_solvers(self.scene.level(at), self.options, self.scene.bytes());
         SolverSet::direct(self.scene.frames.len(), keeps)
     }
 
@@ -119,7 +120,7 @@ impl Course<'_> {
 
     /// Solvers of a finer level: its surface is about right from the start.
     pub(crate) fn finer_solvers(&self, at: usize) -> SolverSet {
-        let keeps = memory::keeps_solvers(&self.scene, at, self.options);
+        let keeps = memory::keeps_solvers(self.scene.level(at), self.options, self.scene.bytes());
         SolverSet::iterative(self.scene.frames.len(), keeps)
     }
 

@@ -3,7 +3,6 @@
 //! Bytes per pixel were measured as the largest resident memory of runs on 4 photos of 4 and of 18 megapixels.
 
 use super::options::PhotoOptions;
-use super::views::Scene;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
 use rilievo_scene::{PhotoSet, PosedView, PosedViews};
@@ -151,24 +150,29 @@ pub(crate) fn photos_at_once(posed: &PosedViews, options: &PhotoOptions) -> usiz
 }
 
 /// Tiles that may be worked on at once.
-pub(crate) fn tiles_at_once(options: &PhotoOptions, scene: &Scene) -> usize {
+pub(crate) fn tiles_at_once(options: &PhotoOptions, in_use: f64) -> usize {
     let most = 2 * rayon::current_num_threads();
-    at_once(options, scene.bytes(), tile_bytes()).min(most)
+    at_once(options, in_use, tile_bytes()).min(most)
 }
 
 /// Whether exact solvers of all views at a level may be kept between the rounds.
-pub(crate) fn keeps_solvers(scene: &Scene, at: usize, options: &PhotoOptions) -> bool {
-    let masked: usize = scene.level(at).views.iter().map(|v| v.pixels.len()).sum();
-    let in_work = solve_bytes(scene.level(at)) * rayon::current_num_threads() as f64;
-    let in_use = scene.bytes() + in_work + SOLVER_BYTES * masked as f64;
+pub(crate) fn keeps_solvers(level: &Level, options: &PhotoOptions, in_use: f64) -> bool {
+    let masked: usize = level.views.iter().map(|v| v.pixels.len()).sum();
+    let in_work = solve_bytes(level) * rayon::current_num_threads() as f64;
+    let in_use = in_use + in_work + SOLVER_BYTES * masked as f64;
     options.memory.is_none_or(|given| given as f64 > in_use)
 }
 
 /// Views of which everything at level `at` may be in memory at once.
-pub(crate) fn views_at_once(scene: &Scene, at: usize, options: &PhotoOptions) -> usize {
+pub(crate) fn views_at_once(
+    views: &[StoredView],
+    at: usize,
+    options: &PhotoOptions,
+    in_use: f64,
+) -> usize {
     let crop = |view: &StoredView| view.size(at).0 * view.size(at).1;
-    let largest = scene.stored.iter().map(crop).max().unwrap_or(1);
-    at_once(options, scene.bytes(), VIEW_BYTES * largest as f64).min(rayon::current_num_threads())
+    let largest = views.iter().map(crop).max().unwrap_or(1);
+    at_once(options, in_use, VIEW_BYTES * largest as f64).min(rayon::current_num_threads())
 }
 
 #[cfg(test)]

@@ -53,6 +53,7 @@ mod report;
 mod search;
 mod searched;
 mod shading;
+mod shape;
 mod solve;
 #[cfg(test)]
 mod solvers_tests;
@@ -69,8 +70,8 @@ pub use output::ShapedViews;
 pub use report::{PhotoReport, PhotoViewReport, StepReport};
 pub use validation::ValidationReport;
 
-use crate::Surroundings;
 use crate::error::ShadingError;
+use crate::surroundings::Surroundings;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 
 /// Dense shape of all posed views, at least two.

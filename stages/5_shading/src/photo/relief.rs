@@ -12,10 +12,10 @@ use super::iteration::{IterationWeights, MatchLeft, PHOTOS_ONLY, step_weights};
 use super::light::Light;
 use super::matching::{self, Likeness};
 use super::memory;
-use super::output::{FineShape, Shape};
 use super::progress::{After, Next, ReliefRounds};
 use super::report::StepReport;
 use super::shading::{PixelHarmonics, PixelLight, ShadingTerm, ShadingWeights};
+use super::shape::{FineShape, Shape};
 use super::solve::{FUSION_PX, finer_weights};
 use super::step::{self, StepOptions};
 use crate::error::ShadingError;
@@ -224,7 +224,8 @@ impl Course<'_> {
 
     /// Views in groups that are worked on at once.
     fn views_at_once(&self, at: usize) -> Vec<Vec<usize>> {
-        let at_once = memory::views_at_once(&self.scene, at, self.options);
+        let at_once =
+            memory::views_at_once(&self.scene.stored, at, self.options, self.scene.bytes());
         let views: Vec<usize> = (0..self.scene.frames.len()).collect();
         views.chunks(at_once).map(<[usize]>::to_vec).collect()
     }
@@ -269,7 +270,7 @@ impl Course<'_> {
         let level = scene.stored_level(fine, &sharpness);
         let truncation = FUSION_PX / level.focal();
         let reading = self.reading();
-        let at_once = memory::tiles_at_once(self.options, scene);
+        let at_once = memory::tiles_at_once(self.options, scene.bytes());
         let team = self.observer.team();
         let fused = StoredSurface::new(&scene.stored, at, self.scratch)?;
         for i in 0..scene.frames.len() {
@@ -409,7 +410,7 @@ impl Course<'_> {
         let num_views = level.views.len();
         let num_rounds = self.options.num_relief_rounds;
         let team = self.observer.team();
-        let at_once = memory::tiles_at_once(self.options, scene);
+        let at_once = memory::tiles_at_once(self.options, scene.bytes());
         let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
         let mut likeness = Likeness::default();
         // Even views first, as in the outer iterations.

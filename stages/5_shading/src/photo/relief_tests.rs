@@ -5,17 +5,17 @@
 use super::iteration::{iteration_weights, step_weights};
 use super::light::{self, LightScene};
 use super::options::PhotoOptions;
-use super::output::FineShape;
 use super::relief::{CoarseLight, ViewAtLevel, sample_cores};
 use super::rendered_tests::{
     World, depths, known_light, loaded, of_spheres, options, photographed,
 };
 use super::report::PhotoReport;
 use super::shading::{PixelLight, ShadingTerm};
+use super::shape::FineShape;
 use super::solve::finer_weights;
 use super::{run, step};
-use crate::Surroundings;
 use crate::error::ShadingError;
+use crate::surroundings::Surroundings;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{

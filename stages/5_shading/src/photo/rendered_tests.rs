@@ -9,7 +9,7 @@ use super::report::PhotoReport;
 use super::validation::validate;
 use super::views::{self, Scene};
 use super::{distant, shading};
-use crate::Surroundings;
+use crate::surroundings::Surroundings;
 use nalgebra::{Point2, Point3};
 use rilievo_numerics::plate_solver::SolverSet;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};

@@ -5,12 +5,13 @@ use super::course::{Course, Probe};
 use super::iteration::{IterationWeights, PHOTOS_ONLY, iteration_weights};
 use super::light::Light;
 use super::options::PhotoOptions;
-use super::output::{FoundShape, Shape, ShapedViews};
+use super::output::ShapedViews;
 use super::progress::{After, Next, OuterIterations, Progress};
 use super::report::PhotoReport;
+use super::shape::{FoundShape, Shape};
 use super::views::Scene;
-use crate::Surroundings;
 use crate::error::ShadingError;
+use crate::surroundings::Surroundings;
 use rilievo_scene::{LightSource, LightingCalibration, PosedViews};
 
 /// An outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights

@@ -4,8 +4,8 @@
 use super::light::{self, Light};
 use super::memory;
 use super::options::PhotoOptions;
-use super::output::FineShape;
 use super::shading::PixelHarmonics;
+use super::shape::FineShape;
 use super::surround::SmallPhoto;
 use crate::error::ShadingError;
 use crate::photo_of::photo_of;
