@@ -6,7 +6,7 @@ use crate::exit::Failure;
 use crate::store::{FileScratch, StageWriter};
 use rilievo_fusion::Inputs;
 use rilievo_io::{CloudPlyWriter, ViewerFrame, write_mesh_glb, write_mesh_obj, write_mesh_ply};
-use rilievo_scene::{Mesh, Observer, PosedViews};
+use rilievo_scene::{CloudError, CloudPoint, CloudSink, Mesh, Observer, PosedViews};
 use std::path::PathBuf;
 
 /// Fuses all views.
@@ -14,10 +14,6 @@ use std::path::PathBuf;
 /// # Errors
 /// When nothing agrees, the memory does not suffice, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
-    // Not divided: the others wait for the result.
-    if !context.console.team().is_first() {
-        return Ok(serde_json::Value::Null);
-    }
     let photos = super::photos::load_without_masks(context)?;
     let views = super::poses::load(context.run)?;
     let maps = super::shading::MapFiles::open(context.run)?;
@@ -28,12 +24,27 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         scratch: &FileScratch::new(writer.dir()),
     };
     let options = &context.request.options.fusion;
+    // The first process alone keeps what all of them make together.
+    if !context.console.team().is_first() {
+        let fused = rilievo_fusion::run(inputs, &mut Nowhere, options, context.console);
+        fused.map_err(from_fusion)?;
+        return Ok(serde_json::Value::Null);
+    }
     let mut cloud = CloudPlyWriter::create(&writer.path("cloud.ply")?, views.scale.unit)?;
     let fused = rilievo_fusion::run(inputs, &mut cloud, options, context.console);
     let (mesh, report) = fused.map_err(from_fusion)?;
     cloud.finish()?;
     write_mesh(&mesh, &views, &|name| Ok(writer.path(name)?))?;
     Ok(serde_json::to_value(report)?)
+}
+
+/// Keeps no point.
+struct Nowhere;
+
+impl CloudSink for Nowhere {
+    fn add(&mut self, _points: &[CloudPoint]) -> Result<(), CloudError> {
+        Ok(())
+    }
 }
 
 /// Writes a mesh in all formats, to the paths of their names.

@@ -12,8 +12,10 @@ use crate::reader::Reader;
 use crate::tsdf::Volume;
 use crate::view::View;
 use nalgebra::{Point3, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// A vertex with what the views give it.
+#[derive(Serialize, Deserialize)]
 pub(crate) struct Dressed {
     pub position: [f32; 3],
     pub normal: [f32; 3],

@@ -1,6 +1,6 @@
 //! Errors of stage 6.
 
-use rilievo_scene::{CloudError, Inconsistent, OptionError, PixelError, ScratchError};
+use rilievo_scene::{CloudError, Inconsistent, OptionError, PixelError, ScratchError, TeamError};
 
 /// Why the views could not be fused.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -66,6 +66,9 @@ pub enum FusionError {
         /// The smallest memory that would do, MiB.
         needed_mib: usize,
     },
+    /// Another process of the run failed.
+    #[error(transparent)]
+    Team(#[from] TeamError),
     /// Working data could not be put aside or read back.
     #[error(transparent)]
     Scratch(#[from] ScratchError),

@@ -19,6 +19,7 @@ use crate::reader::Reader;
 use crate::view::{Pixels, Surface, View};
 use nalgebra::{Point2, Point3, Vector3};
 use rilievo_scene::CloudPoint;
+use serde::{Deserialize, Serialize};
 
 /// Points per squared footprint that the better views must give together before the others leave
 /// a place to them. At 2 nearly no place is farther than a footprint from a point; every pixel of every
@@ -56,7 +57,7 @@ enum Verdict {
 }
 
 /// What one page gives.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 pub(crate) struct PageShare {
     pub points: Vec<CloudPoint>,
     pub num_tried: usize,

@@ -13,12 +13,12 @@ use crate::reader::Readers;
 use crate::report::{Layering, ViewFusion};
 use crate::thin::Thinner;
 use crate::views::Stock;
-use rayon::prelude::*;
+use rilievo_scene::team::divided;
 use rilievo_scene::{CloudPoint, CloudSink, Observer, Scratch, StageId};
 
-/// Pages whose points are gathered between two words to the observer, for each thread: few enough that their points
-/// are small against all memory.
-const PAGES_AT_ONCE: usize = 32;
+/// Pages whose points are gathered between two words to the observer: few enough that their points are small against all
+/// memory.
+const PAGES_AT_ONCE: usize = 256;
 
 /// The cloud in numbers.
 #[derive(Clone, Debug, Default)]
@@ -85,20 +85,15 @@ pub(crate) fn gather(
         .then(|| Thinner::new(scratch, options))
         .transpose()?;
     let readers = Readers::new(&stock.shelf, memory::num_pages(options));
-    let mut num_candidates = 0;
+    let (team, mut num_candidates) = (observer.team(), 0);
     for (view, report) in views.iter().zip(reports) {
-        for pages in view
-            .pages
-            .kept()
-            .chunks(PAGES_AT_ONCE * rayon::current_num_threads())
-        {
+        for pages in view.pages.kept().chunks(PAGES_AT_ONCE) {
             let flow =
                 observer.progress(StageId::Fusion, "gathering points", (view.idx, views.len()));
             flow.ok_or(FusionError::Interrupted)?;
-            let shares: Vec<PageShare> = pages
-                .par_iter()
-                .map(|&page| readers.with(|pixels| judge.page(pixels, views, view, page)))
-                .collect::<Result<_, _>>()?;
+            let shares: Vec<PageShare> = divided(team, pages.len(), usize::MAX, |k| {
+                readers.with(|pixels| judge.page(pixels, views, view, pages[k]))
+            })?;
             for share in shares {
                 num_candidates += share.num_tried;
                 report.num_inconsistent += share.num_inconsistent;

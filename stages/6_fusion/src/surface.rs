@@ -19,7 +19,9 @@ use fast_surface_nets::ndshape::{ConstShape, ConstShape3u32};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use rilievo_scene::team::divided;
 use rilievo_scene::{Mesh, Observer, Room, Scratch, ScratchError, StageId};
+use serde::{Deserialize, Serialize};
 
 /// A block with one layer of neighbours on either side.
 const PADDED: u32 = SIDE as u32 + 2;
@@ -33,8 +35,11 @@ const CELLS: u32 = SIDE as u32 + 1;
 const VERTEX_BYTES: usize = 12 + 12 + 3;
 const TRIANGLE_BYTES: usize = 3 * 2;
 
+/// Blocks that are worked on one after the other.
+const BLOCKS_IN_ROW: usize = 32;
+
 /// What one block gives.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 struct Piece {
     /// Number of each vertex's cell in the block, ascending.
     cells: Vec<u16>,
@@ -79,13 +84,16 @@ pub(crate) fn extract(
     let mut place = 0;
     for first in (0..volume.num_blocks()).step_by(BLOCKS_AT_ONCE) {
         step("extracting the surface", first, volume.num_blocks())?;
-        let made: Vec<Piece> = (first..volume.num_blocks().min(first + BLOCKS_AT_ONCE))
-            .into_par_iter()
-            .map_init(SurfaceNetsBuffer::default, |buffer, idx| {
-                extract_block(&volume, &dresser, &readers, idx, buffer)
-            })
-            .collect::<Result<_, _>>()?;
-        place += pieces.put_aside(made, place)?;
+        let end = volume.num_blocks().min(first + BLOCKS_AT_ONCE);
+        let num_rows = (end - first).div_ceil(BLOCKS_IN_ROW);
+        let made = divided(observer.team(), num_rows, usize::MAX, |row| {
+            let begin = first + row * BLOCKS_IN_ROW;
+            let mut buffer = SurfaceNetsBuffer::default();
+            (begin..end.min(begin + BLOCKS_IN_ROW))
+                .map(|idx| extract_block(&volume, &dresser, &readers, idx, &mut buffer))
+                .collect::<Result<Vec<Piece>, FusionError>>()
+        })?;
+        place += pieces.put_aside(made.into_iter().flatten().collect(), place)?;
     }
     drop(readers);
     step("joining the surface", 0, 1)?;

@@ -23,6 +23,7 @@ use crate::view::{Pixels, View};
 use crate::views::Stock;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use rilievo_scene::team::divided;
 use rilievo_scene::{Observer, Room, Scratch, ScratchError, StageId};
 
 /// Voxels along the edge of a block.
@@ -105,7 +106,7 @@ impl Volume {
         Ok(distances)
     }
 
-    fn write(&self, idx: usize, distances: &[f32; VOLUME]) -> Result<(), ScratchError> {
+    fn write(&self, idx: usize, distances: &[f32]) -> Result<(), ScratchError> {
         let mut bytes = [0; BLOCK_BYTES];
         for (four, distance) in bytes.as_chunks_mut::<4>().0.iter_mut().zip(distances) {
             *four = distance.to_le_bytes();
@@ -176,16 +177,18 @@ pub(crate) fn integrate(
             (first, num_blocks),
         );
         flow.ok_or(FusionError::Interrupted)?;
-        (first..num_blocks.min(first + BLOCKS_AT_ONCE))
-            .into_par_iter()
-            .try_for_each(|idx| {
-                let near = volume.near(views, idx);
-                let distances = readers.with(|pixels| {
-                    let corner = volume.corner(idx);
-                    fill(pixels, &near, &corner, voxel, volume.truncation, min_cosine)
-                })?;
-                Ok::<_, FusionError>(volume.write(idx, &distances)?)
+        let count = BLOCKS_AT_ONCE.min(num_blocks - first);
+        let filled = divided(observer.team(), count, usize::MAX, |k| {
+            let near = volume.near(views, first + k);
+            let distances = readers.with(|pixels| {
+                let corner = volume.corner(first + k);
+                fill(pixels, &near, &corner, voxel, volume.truncation, min_cosine)
             })?;
+            Ok::<_, FusionError>(distances.to_vec())
+        })?;
+        for (k, distances) in filled.iter().enumerate() {
+            volume.write(first + k, distances)?;
+        }
     }
     Ok(Some(volume))
 }
