@@ -97,10 +97,10 @@ mod together {
     fn any_number_of_ranks_and_threads_gives_the_same_bytes() {
         let dir = tempfile::tempdir().unwrap();
         let alone = dir.path().join("alone");
-        by_one(&alone, "3_poses");
+        by_one(&alone, "6_fusion");
         for (num, threads) in [(1, "2"), (2, "1"), (3, "1"), (5, "2")] {
             let run = dir.path().join(format!("ranks-{num}"));
-            let mut arguments = until("3_poses", reconstruct_arguments(&synthetic_set(), &run));
+            let mut arguments = until("6_fusion", reconstruct_arguments(&synthetic_set(), &run));
             arguments.extend(["--threads".to_owned(), threads.to_owned()]);
             let Some(output) = on_ranks(num, &arguments) else {
                 return;
@@ -114,11 +114,26 @@ mod together {
             // One rank speaks for all.
             assert_eq!(stderr.matches("1_photos: starting").count(), 1, "{stderr}");
             assert!(!run.join(".work").exists());
-            for stage in ["1_photos", "2_features", "3_poses"] {
-                let of = |run: &PathBuf| json_of(&run.join(stage).join("manifest.json"));
-                for key in ["items", "files", "warnings", "report", "fingerprint"] {
-                    assert_eq!(of(&alone)[key], of(&run)[key], "{num} ranks, {stage} {key}");
+            let of = |run: &PathBuf, stage: &str, key: &str| {
+                json_of(&run.join(stage).join("manifest.json"))[key].clone()
+            };
+            for stage in [
+                "1_photos",
+                "2_features",
+                "3_poses",
+                "4_lighting",
+                "5_shading",
+                "6_fusion",
+            ] {
+                for key in ["items", "files", "warnings", "fingerprint"] {
+                    let [one, several] = [&alone, &run].map(|run| of(run, stage, key));
+                    assert_eq!(one, several, "{num} ranks, {stage} {key}");
                 }
+            }
+            // Later reports tell times.
+            for stage in ["1_photos", "2_features", "3_poses"] {
+                let [one, several] = [&alone, &run].map(|run| of(run, stage, "report"));
+                assert_eq!(one, several, "{num} ranks, {stage}");
             }
         }
     }

@@ -82,6 +82,7 @@ pub fn from_shading(error: ShadingError) -> anyhow::Error {
             Failure::input(format!("--memory {given_mib}M"), error.to_string()).into()
         }
         ShadingError::Checkpoint(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        ShadingError::Team(error) => error.into(),
         ShadingError::Scratch(error) => Failure::ReadOrWrite(error.to_string()).into(),
         ShadingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         ShadingError::Numerics { .. } => anyhow::Error::new(error),
@@ -104,6 +105,7 @@ pub fn from_fusion(error: FusionError) -> anyhow::Error {
         FusionError::Interrupted => Failure::Interrupted.into(),
         FusionError::Inconsistent(error) => damaged(&error),
         FusionError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
+        FusionError::Team(error) => error.into(),
         FusionError::Scratch(error) => Failure::ReadOrWrite(error.to_string()).into(),
         FusionError::Cloud(error) => Failure::ReadOrWrite(error.to_string()).into(),
         FusionError::OutOfMemory { given_mib, .. } => {
