@@ -250,31 +250,36 @@ fn a_blurred_photo_gains_no_relief() {
     assert!(with[1] < 1.1 * without[1], "roughness {without:?} {with:?}");
 }
 
+/// One thread with as little memory as the run can do with, so that solvers are made anew each time and views and tiles
+/// come one by one, against two threads and any memory.
 #[test]
-fn threads_do_not_change_the_relief() {
+fn neither_threads_nor_memory_change_the_relief() {
     let (scene, photographs) = options(Subject::Stone, LightModel::Shadowed, (240, 180));
     let world = photographed(scene, &photographs, None);
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
-    let options = PhotoOptions {
+    let mut options = PhotoOptions {
         coarse_pixels: 3000,
         max_fine_pixels: 3000,
         num_outer_iterations: 1,
         num_rays: 32,
         ..PhotoOptions::default()
     };
-    let [one, two] = [1, 2].map(|num_threads| {
+    let solve = |options: &PhotoOptions| {
+        let around = Surroundings::in_memory(&Silent);
+        run(&world.photos, &world.posed, &lighting, options, around)
+    };
+    options.memory = Some(1);
+    let needed = match solve(&options) {
+        Err(ShadingError::OutOfMemory { needed_mib, .. }) => needed_mib << 20,
+        other => panic!("{other:?}"),
+    };
+    let [one, two] = [(1, Some(needed)), (2, None)].map(|(num_threads, memory)| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(num_threads);
-        let solve = || {
-            run(
-                &world.photos,
-                &world.posed,
-                &lighting,
-                &options,
-                Surroundings::in_memory(&Silent),
-            )
-            .unwrap()
+        let options = PhotoOptions {
+            memory,
+            ..options.clone()
         };
-        pool.build().unwrap().install(solve)
+        pool.build().unwrap().install(|| solve(&options).unwrap())
     });
     let levels = one.1.steps.iter().filter(|step| step.kind == "relief");
     assert!(levels.count() > 0, "no relief");
