@@ -115,31 +115,35 @@ impl Work {
     }
 
     fn estimate(&self, request: &Request, resources: Resources, slowness: f64) -> Estimate {
-        // CPU seconds of the reference machine.
-        let without_relief = 2e-8 * self.photo_px
-            + 1.1e-6 * self.photo_px
-            + 0.1 * self.pairs
-            + 3.0 * self.photos
-            + 5e-5 * self.whole_px
-            + 1.2e-6 * self.object_px;
+        // CPU seconds of the reference machine: photos read and lit, keypoints, pairs, poses with anchors, levels that are
+        // solved as a whole, points and mesh.
+        let without_relief = 1.3e-7 * self.photo_px
+            + 2.4e-7 * self.photo_px
+            + 0.05 * self.pairs
+            + 2.5e-7 * self.photo_px
+            + self.photos
+            + 1.6e-4 * self.whole_px
+            + 1.0e-5 * self.object_px;
         // Levels between the one that is solved as a whole and the photo's own, a third more than the last of them.
         let relief = 12e-6 * 4.0 / 3.0 * (self.object_px - self.whole_px).max(0.0);
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
-        // Crops are half larger than the object.
-        let shading = (1.5 * 34.0 + 120.0) * self.whole_px + 75.0 * self.largest_px;
+        let threads = rayon::current_num_threads() as f64;
+        // Crops are half larger than the object; every thread solves a view.
+        let shading = (1.5 * 34.0 + 120.0) * self.whole_px
+            + (1300.0 * threads * self.whole_px / self.photos).max(75.0 * self.largest_px);
         let fusion = (request.options.fusion.memory_mib << 20) as f64;
-        let detection = 60.0 * self.largest_px * rayon::current_num_threads() as f64;
+        let detection = 45.0 * self.largest_px * threads;
         let needed = shading
             .max(detection)
-            .max(fusion.min(500.0 * self.object_px));
+            .max(fusion.min(60.0 * self.object_px));
         Estimate {
             cost: Cost {
                 cpu_seconds: slowness * (without_relief + relief),
                 peak_memory_bytes: needed.min(given),
-                disk_bytes: 12.0 * self.photo_px + 100.0 * self.object_px,
+                disk_bytes: 7.0 * self.photo_px + 88.0 * self.object_px,
             },
             least_cpu_seconds: slowness * without_relief,
-            working_disk_bytes: 1.5 * 40.0 * self.object_px,
+            working_disk_bytes: 45.0 * self.object_px,
         }
     }
 }

@@ -12,7 +12,7 @@ use super::views::SolvedFrame;
 use super::{albedo, hidden_light, validation};
 use crate::error::ShadingError;
 use nalgebra::Point3;
-use rilievo_numerics::plate_solver::SolverSet;
+use rilievo_numerics::solver_set::SolverSet;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LightKind, Lighting, LightingCalibration, PosedViews, ViewLighting};
 use rilievo_stereo::spread;

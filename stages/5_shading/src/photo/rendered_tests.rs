@@ -11,7 +11,7 @@ use super::views::{self, Scene};
 use super::{distant, shading};
 use crate::surroundings::Surroundings;
 use nalgebra::{Point2, Point3};
-use rilievo_numerics::plate_solver::SolverSet;
+use rilievo_numerics::solver_set::SolverSet;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
     Alone, FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,

@@ -10,7 +10,7 @@ use super::memory;
 use super::report::{PhotoViewReport, StepReport};
 use crate::error::ShadingError;
 use nalgebra::Point3;
-use rilievo_numerics::plate_solver::SolverSet;
+use rilievo_numerics::solver_set::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
 use rilievo_stereo::patchmatch::{self, PatchCost, Planes};

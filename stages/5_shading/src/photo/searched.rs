@@ -13,7 +13,7 @@ use super::course::Course;
 use super::report::StepReport;
 use super::solve::FUSION_PX;
 use crate::error::ShadingError;
-use rilievo_numerics::plate_solver::SolverSet;
+use rilievo_numerics::solver_set::SolverSet;
 use rilievo_scene::PosedViews;
 use rilievo_stereo::patchmatch::{PatchCost, Planes};
 use rilievo_stereo::start;

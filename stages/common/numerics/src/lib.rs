@@ -10,4 +10,5 @@ mod multigrid;
 pub mod plate_solver;
 pub mod plate_system;
 pub mod robust;
+pub mod solver_set;
 pub mod thin_plate;

@@ -2,9 +2,6 @@
 
 mod cholesky;
 mod gradients;
-mod set;
-
-pub use set::SolverSet;
 
 use crate::plate_system::{PixelNumbering, PlateError, PlateSystem};
 use cholesky::Cholesky;

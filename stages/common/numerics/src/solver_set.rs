@@ -1,6 +1,6 @@
 //! The solvers of several views.
 
-use super::PlateSolver;
+use crate::plate_solver::PlateSolver;
 use crate::plate_system::{PixelNumbering, PlateError};
 use std::sync::{Arc, OnceLock};
 
