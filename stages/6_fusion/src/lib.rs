@@ -6,7 +6,7 @@
 //! 1. `views`, `shelf`: maps are loaded one by one, checked, cut to the object and put aside in pages; borders,
 //!    depth edges and grazing surface are left out. All later steps read the pages that they need (`view`,
 //!    `reader`), of the views that may see the place (`reach`).
-//! 2. `pairs`, `reconcile`, `settle`: how far the views lie apart, and a joint robust adjustment of the
+//! 2. `pairs`, `reconcile`, `correction`, `settle`: how far the views lie apart, and a joint robust adjustment of the
 //!    smooth part of it.
 //! 3. `points`, `judge`, `color`, `thin`: every piece of surface once, from the view that resolves it best, at
 //!    the mean of the views that agree.
@@ -20,6 +20,7 @@
 //! a statue.
 
 mod color;
+mod correction;
 mod dress;
 mod error;
 mod holes;

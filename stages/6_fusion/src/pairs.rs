@@ -4,9 +4,9 @@
 //! in `Y`; their distance along the mean normal is `d = n·(Y − X)`, positive where `j` lies
 //! further out.
 
+use crate::correction::Corrections;
 use crate::options::FusionOptions;
 use crate::reader::Sampler;
-use crate::reconcile::Corrections;
 use crate::report::Layering;
 use crate::view::{Pixels, Surface, View};
 use crate::views::Stock;

@@ -1,7 +1,7 @@
 //! Which views can say something about a piece of space, so that nothing is compared with the others.
 
 use crate::pairs::MIN_FACING;
-use crate::view::View;
+use crate::view::{Farthest, View};
 use nalgebra::{Point3, Vector3};
 
 /// A lens that distorts enlarges a piece of space by less than this.
@@ -9,19 +9,6 @@ const ENLARGED: f64 = 1.5;
 /// The surface lies between pixels, and by so many footprints behind all of them.
 const MARGIN_PX: f64 = 2.0;
 const BEYOND_PX: f64 = 4.0;
-
-/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the view says
-/// nothing about.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Farthest {
-    pub columns: usize,
-    pub depths: Vec<f32>,
-}
-
-impl Farthest {
-    /// Side of the squares, pixels: about what a block covers.
-    pub const SIDE: usize = 8;
-}
 
 /// A ball in the world.
 #[derive(Clone, Copy, Debug)]

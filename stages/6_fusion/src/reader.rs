@@ -3,8 +3,8 @@
 //! A [`Reader`] holds the pages that it read last, up to a bound that has no effect on results; each thread
 //! has its own. A [`Sampler`] holds none, for pixels far apart.
 
+use crate::correction::Corrections;
 use crate::error::FusionError;
-use crate::reconcile::Corrections;
 use crate::shelf::{NONE, PAGE_BYTES, PAGE_SIDE, Pages, Pixel, RECORD_WITH_RAY, Shelf};
 use crate::view::{Pixels, View};
 use rilievo_scene::ScratchError;

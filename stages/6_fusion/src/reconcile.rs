@@ -1,7 +1,7 @@
 //! Brings the views' depth maps onto each other where they are off by a smooth offset.
 //!
 //! Every view gets a correction of its log depth, `z' = z e^{u(x, y)}`, bilinear between nodes of
-//! a coarse grid, so that it can bend but not follow detail. All are found together:
+//! a coarse grid ([`Corrections`]), so that it can bend but not follow detail. All are found together:
 //!
 //! `min Σ_pairs ρ((d + s_i u_i + s_j u_j) / (σ a)) + Σ_nodes (f u / τ)² + Σ_edges (2 f Δu / τ)²`
 //!
@@ -12,6 +12,7 @@
 //!
 //! Steps: pairs on a grid; weights; conjugate gradients on the normal equations; correct; again.
 
+use crate::correction::{Corrections, Grid};
 use crate::error::FusionError;
 use crate::options::FusionOptions;
 use crate::pairs::{Pair, find_pairs, layering};
@@ -38,48 +39,6 @@ const CG_STOP: Stop = Stop {
 };
 /// Pairs are drawn about this densely: enough that a node sees dozens, few enough to be quick.
 const MAX_NUM_PAIRS: usize = 400_000;
-
-/// Nodes of one view's correction.
-#[derive(Clone, Debug)]
-struct Grid {
-    /// Index of the first node among all unknowns.
-    start: usize,
-    columns: usize,
-    rows: usize,
-    /// Focal length, pixels: from a change of log depth to footprints.
-    focal_px: f64,
-}
-
-/// Corrections of all views.
-#[derive(Clone, Debug)]
-pub(crate) struct Corrections {
-    grids: Vec<Grid>,
-    /// Changes of log depth at the nodes.
-    values: Vec<f64>,
-    spacing_px: f64,
-}
-
-impl Corrections {
-    /// Change of the log depth at a pixel of a view.
-    #[inline]
-    pub fn at(&self, view: usize, x: usize, y: usize) -> f64 {
-        let nodes = self.grids[view].nodes(x as f64, y as f64, self.spacing_px);
-        nodes
-            .iter()
-            .map(|(node, weight)| self.values[*node] * weight)
-            .sum()
-    }
-
-    /// A depth of a view as it is corrected; 0 stays.
-    #[inline]
-    pub fn corrected(&self, view: usize, x: usize, y: usize, depth: f32) -> f32 {
-        if depth > 0.0 {
-            (f64::from(depth) * self.at(view, x, y).exp()) as f32
-        } else {
-            depth
-        }
-    }
-}
 
 /// Outcome of [`reconcile`].
 #[derive(Clone, Debug, Default)]
@@ -118,13 +77,8 @@ pub(crate) fn reconcile(
     if !options.reconcile || pairs.is_empty() {
         return Ok(result);
     }
-    let grids = grids_of(&stock.views, options.reconcile_grid_px);
-    let num_nodes = grids.iter().map(|g| g.columns * g.rows).sum();
-    let mut corrections = Corrections {
-        grids,
-        values: vec![0.0; num_nodes],
-        spacing_px: options.reconcile_grid_px,
-    };
+    let mut corrections = Corrections::none(&stock.views, options.reconcile_grid_px);
+    let num_nodes = corrections.values.len();
     for iteration in 0..MAX_NUM_ITERATIONS {
         let total = &corrections.values;
         let step = solve(&pairs, &corrections.grids, total, options, num_nodes);
@@ -161,42 +115,6 @@ pub(crate) fn reconcile(
     }
     result.corrections = (result.num_iterations > 0).then_some(corrections);
     Ok(result)
-}
-
-fn grids_of(views: &[View], spacing_px: f64) -> Vec<Grid> {
-    let mut start = 0;
-    views
-        .iter()
-        .map(|view| {
-            let nodes = |pixels: usize| ((pixels - 1) as f64 / spacing_px).ceil() as usize + 1;
-            let grid = Grid {
-                start,
-                columns: nodes(view.camera.width).max(2),
-                rows: nodes(view.camera.height).max(2),
-                focal_px: view.camera.focal_px(),
-            };
-            start += grid.columns * grid.rows;
-            grid
-        })
-        .collect()
-}
-
-impl Grid {
-    /// The four nodes around a pixel, with their weights.
-    #[inline]
-    fn nodes(&self, x: f64, y: f64, spacing_px: f64) -> [(usize, f64); 4] {
-        let (u, v) = (x / spacing_px, y / spacing_px);
-        let i = (u as usize).min(self.columns - 2);
-        let j = (v as usize).min(self.rows - 2);
-        let (fu, fv) = (u - i as f64, v - j as f64);
-        let at = |i: usize, j: usize| self.start + j * self.columns + i;
-        [
-            (at(i, j), (1.0 - fu) * (1.0 - fv)),
-            (at(i + 1, j), fu * (1.0 - fv)),
-            (at(i, j + 1), (1.0 - fu) * fv),
-            (at(i + 1, j + 1), fu * fv),
-        ]
-    }
 }
 
 /// A residual that is linear in eight unknowns.

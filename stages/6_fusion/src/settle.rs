@@ -1,8 +1,8 @@
 //! The views' depths as they are fused: corrected, and what is to be known of them beforehand.
 
-use crate::reach::Farthest;
-use crate::reconcile::Corrections;
+use crate::correction::Corrections;
 use crate::shelf::PAGE_SIDE;
+use crate::view::Farthest;
 use crate::views::Stock;
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;

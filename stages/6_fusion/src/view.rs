@@ -6,7 +6,6 @@
 //! tangent planes. On a curve their errors are `±κ t(1−t)/2`, so that the mean is the cubic
 //! Hermite interpolant, exact to third order. Planes are exact in both.
 
-use crate::reach::Farthest;
 use crate::shelf::{Pages, Pixel};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rilievo_scene::{Intrinsics, RigidTransform};
@@ -29,6 +28,19 @@ pub(crate) struct View {
     pub first_px: Option<[usize; 2]>,
     pub pages: Pages,
     pub farthest: Farthest,
+}
+
+/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the view says
+/// nothing about.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Farthest {
+    pub columns: usize,
+    pub depths: Vec<f32>,
+}
+
+impl Farthest {
+    /// Side of the squares, pixels: about what a block covers.
+    pub const SIDE: usize = 8;
 }
 
 /// Pixels of views, by whatever way they are read.

@@ -3,10 +3,9 @@
 use crate::color;
 use crate::error::FusionError;
 use crate::options::FusionOptions;
-use crate::reach::Farthest;
 use crate::report::ViewFusion;
 use crate::shelf::{Pixel, Shelf};
-use crate::view::{View, pinhole_ray};
+use crate::view::{Farthest, View, pinhole_ray};
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{
