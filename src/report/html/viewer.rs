@@ -6,7 +6,7 @@
 use super::picture::base64;
 use crate::store::RunDir;
 use maud::{Markup, PreEscaped, html};
-use rilievo_io::read_cloud_ply;
+use rilievo_io::read_thinned_cloud_ply;
 use rilievo_scene::{CloudPoint, PosedViews, StageId};
 
 /// Points beyond this many are thinned out: 2.4 MB in the page, fluent on a phone.
@@ -21,12 +21,11 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
     if !path.exists() {
         return Ok(Markup::default());
     }
-    let cloud = read_cloud_ply(&path)?;
-    let Some((low, high)) = bounds(&cloud.points) else {
+    let cloud = read_thinned_cloud_ply(&path, MAX_NUM_POINTS)?;
+    let (points, [low, high]) = (&cloud.points, cloud.bounds);
+    if points.is_empty() {
         return Ok(Markup::default());
-    };
-    let step = cloud.points.len().div_ceil(MAX_NUM_POINTS);
-    let points: Vec<&CloudPoint> = cloud.points.iter().step_by(step).collect();
+    }
     let cameras: Vec<_> = posed
         .views
         .iter()
@@ -46,7 +45,7 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
     let data = serde_json::json!({
         "low": low, "high": high, "count": points.len(), "cameras": cameras,
     });
-    let packed = base64(&pack(&points, low, high));
+    let packed = base64(&pack(points, low, high));
     Ok(html! {
         section {
             h2 { "The result in 3D" }
@@ -74,7 +73,7 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
                 }
                 p.hint {
                     "Drag or arrow keys turn, wheel or + and - come nearer, 0 goes back. "
-                    (points.len()) " of " (cloud.points.len()) " points are shown."
+                    (points.len()) " of " (cloud.num_points) " points are shown."
                 }
             }
             script type="application/json" id="viewer-data" {
@@ -93,19 +92,7 @@ fn escape_script(json: &str) -> String {
     json.replace('<', "\\u003c")
 }
 
-fn bounds(points: &[CloudPoint]) -> Option<([f32; 3], [f32; 3])> {
-    let mut low = points.first()?.position;
-    let mut high = low;
-    for point in points {
-        for axis in 0..3 {
-            low[axis] = low[axis].min(point.position[axis]);
-            high[axis] = high[axis].max(point.position[axis]);
-        }
-    }
-    Some((low, high))
-}
-
-fn pack(points: &[&CloudPoint], low: [f32; 3], high: [f32; 3]) -> Vec<u8> {
+fn pack(points: &[CloudPoint], low: [f32; 3], high: [f32; 3]) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(points.len() * 12);
     for point in points {
         for axis in 0..3 {
@@ -135,8 +122,8 @@ mod tests {
             num_views: 2,
         };
         let points = [point(-1.0), point(1.0)];
-        let (low, high) = bounds(&points).unwrap();
-        let bytes = pack(&[&points[0], &points[1]], low, high);
+        let (low, high) = ([-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]);
+        let bytes = pack(&points, low, high);
         assert_eq!(bytes.len(), 24);
         assert_eq!(bytes[..2], [0, 0]);
         assert_eq!(bytes[12..14], [255, 255]);

@@ -85,7 +85,8 @@ pub use photo::{
 };
 pub use photo_writer::{DeepFormat, encode_photo_jpeg, write_photo_deep, write_photo_jpeg};
 pub use ply::{
-    CloudPlyWriter, mesh_ply_file, read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply,
+    CloudPlyWriter, ThinnedCloud, mesh_ply_file, read_cloud_ply, read_mesh_ply,
+    read_thinned_cloud_ply, write_cloud_ply, write_mesh_ply,
 };
 pub use preview::{Preview, encode_preview_png, write_preview_png};
 pub use scene_file::{

@@ -2,8 +2,9 @@
 
 use super::header::{Element, Format, Header, Property, Scalar};
 use crate::error::IoError;
-use crate::files::read_regular;
+use crate::files::{open_regular, read_regular};
 use rilievo_scene::{CloudPoint, Mesh, PointCloud};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Values of a vertex that are understood, in the order of their slots.
@@ -151,12 +152,12 @@ fn parse(bytes: &[u8]) -> Result<Content, String> {
     Ok(content)
 }
 
-fn parse_vertices(
-    element: &Element,
-    body: &mut Body<'_>,
-    content: &mut Content,
-) -> Result<(), String> {
-    let slots: Vec<Option<(usize, f64)>> = element
+/// A vertex, in the order of [`VERTEX_PROPERTIES`].
+type Vertex = [f64; VERTEX_PROPERTIES.len()];
+
+/// For every property of an element of vertices its slot and the factor of its values, where it is understood.
+fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
+    element
         .properties
         .iter()
         .map(|property| {
@@ -173,7 +174,42 @@ fn parse_vertices(
             };
             (property.list.is_none()).then_some((slot, scale))
         })
-        .collect();
+        .collect()
+}
+
+/// The next vertex; `values` is reused.
+fn next_vertex(
+    element: &Element,
+    slots: &[Option<(usize, f64)>],
+    body: &mut Body<'_>,
+    values: &mut Vec<f64>,
+) -> Result<Vertex, String> {
+    let mut vertex = [0.0; VERTEX_PROPERTIES.len()];
+    for (property, slot) in element.properties.iter().zip(slots) {
+        body.property(property, values)?;
+        if let (Some((slot, scale)), [value]) = (slot, &values[..]) {
+            vertex[*slot] = value * scale;
+        }
+    }
+    Ok(vertex)
+}
+
+fn point(v: &Vertex) -> CloudPoint {
+    CloudPoint {
+        position: [v[0] as f32, v[1] as f32, v[2] as f32],
+        normal: [v[3] as f32, v[4] as f32, v[5] as f32],
+        color: [byte(v[6]), byte(v[7]), byte(v[8])],
+        confidence: v[9] as f32,
+        num_views: byte(v[10]),
+    }
+}
+
+fn parse_vertices(
+    element: &Element,
+    body: &mut Body<'_>,
+    content: &mut Content,
+) -> Result<(), String> {
+    let slots = slots(element);
     for (slot, _) in slots.iter().flatten() {
         content.has[*slot] = true;
     }
@@ -183,13 +219,7 @@ fn parse_vertices(
     }
     let mut values = Vec::new();
     for _ in 0..element.count {
-        let mut vertex = [0.0; VERTEX_PROPERTIES.len()];
-        for (property, slot) in element.properties.iter().zip(&slots) {
-            body.property(property, &mut values)?;
-            if let (Some((slot, scale)), [value]) = (slot, &values[..]) {
-                vertex[*slot] = value * scale;
-            }
-        }
+        let vertex = next_vertex(element, &slots, body, &mut values)?;
         content.vertices.push(vertex);
     }
     Ok(())
@@ -242,18 +272,77 @@ fn byte(value: f64) -> u8 {
 /// When the file cannot be read or is no PLY with `x y z`.
 pub fn read_cloud_ply(path: &Path) -> Result<PointCloud, IoError> {
     let content = load(path)?;
-    let points = content
-        .vertices
-        .iter()
-        .map(|v| CloudPoint {
-            position: [v[0] as f32, v[1] as f32, v[2] as f32],
-            normal: [v[3] as f32, v[4] as f32, v[5] as f32],
-            color: [byte(v[6]), byte(v[7]), byte(v[8])],
-            confidence: v[9] as f32,
-            num_views: byte(v[10]),
-        })
-        .collect();
+    let points = content.vertices.iter().map(point).collect();
     Ok(PointCloud { points })
+}
+
+/// Some points of a cloud, evenly spread over the file, with what is known of all.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ThinnedCloud {
+    /// Every n-th point.
+    pub points: Vec<CloudPoint>,
+    /// Points of the whole cloud.
+    pub num_points: usize,
+    /// Their smallest and largest coordinates.
+    pub bounds: [[f32; 3]; 2],
+}
+
+/// Bytes of a file that hold its header.
+const HEADER_BYTES: u64 = 1 << 16;
+
+/// Reads at most `most` points of a binary cloud, such as this program writes, in the memory of these.
+///
+/// # Errors
+/// When the file cannot be read, or is no binary PLY whose first element are vertices with `x y z` and without lists.
+pub fn read_thinned_cloud_ply(path: &Path, most: usize) -> Result<ThinnedCloud, IoError> {
+    let failed = |error: std::io::Error| IoError::read(path, &error);
+    let mut file = open_regular(path)?;
+    let mut head = Vec::new();
+    file.by_ref()
+        .take(HEADER_BYTES)
+        .read_to_end(&mut head)
+        .map_err(failed)?;
+    let not_such = |reason: String| IoError::input(path, reason);
+    let header = Header::parse(&head).map_err(not_such)?;
+    let element = header
+        .elements
+        .first()
+        .filter(|element| element.name == "vertex" && header.format != Format::Ascii)
+        .filter(|element| element.properties.iter().all(|p| p.list.is_none()))
+        .ok_or_else(|| not_such("is no binary cloud of plain vertices".to_owned()))?;
+    let slots = slots(element);
+    let has = |slot: usize| slots.iter().flatten().any(|(known, _)| *known == slot);
+    if !(0..3).all(has) {
+        return Err(not_such(NO_POSITIONS.to_owned()));
+    }
+    file.seek(SeekFrom::Start(header.body_at as u64))
+        .map_err(failed)?;
+    let mut from = BufReader::with_capacity(1 << 20, file);
+    let record_bytes = element.properties.iter().map(|p| p.scalar.size()).sum();
+    let (mut record, mut values) = (vec![0; record_bytes], Vec::new());
+    let step = element.count.div_ceil(most.max(1)).max(1);
+    let mut cloud = ThinnedCloud {
+        points: Vec::with_capacity(element.count.min(most)),
+        num_points: element.count,
+        bounds: [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]],
+    };
+    for number in 0..element.count {
+        from.read_exact(&mut record).map_err(failed)?;
+        let mut body = Body::Binary {
+            bytes: &record,
+            big_endian: header.format == Format::BigEndian,
+        };
+        let vertex = next_vertex(element, &slots, &mut body, &mut values).map_err(not_such)?;
+        let found = point(&vertex);
+        for (k, &value) in found.position.iter().enumerate() {
+            cloud.bounds[0][k] = cloud.bounds[0][k].min(value);
+            cloud.bounds[1][k] = cloud.bounds[1][k].max(value);
+        }
+        if number % step == 0 {
+            cloud.points.push(found);
+        }
+    }
+    Ok(cloud)
 }
 
 /// Reads a mesh; polygons are cut into triangles.

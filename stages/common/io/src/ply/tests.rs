@@ -157,3 +157,28 @@ fn damage_is_told_and_no_part_panics() {
     };
     assert!(write_mesh_ply(&at(&folder), &lopsided, Unit::Metre).is_err());
 }
+
+#[test]
+fn a_cloud_is_thinned_evenly_with_the_bounds_of_all() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("cloud.ply");
+    let point = |k: usize| CloudPoint {
+        position: [k as f32, -(k as f32), 0.5],
+        normal: [0.0, 0.0, -1.0],
+        color: [k as u8, 2, 3],
+        confidence: 0.5,
+        num_views: 3,
+    };
+    let cloud = PointCloud {
+        points: (0..100).map(point).collect(),
+    };
+    write_cloud_ply(&path, &cloud, Unit::Metre).unwrap();
+    let thinned = read_thinned_cloud_ply(&path, 30).unwrap();
+    let expected: Vec<CloudPoint> = cloud.points.iter().step_by(4).copied().collect();
+    assert_eq!(thinned.points, expected);
+    assert_eq!(thinned.num_points, 100);
+    assert_eq!(thinned.bounds, [[0.0, -99.0, 0.5], [99.0, 0.0, 0.5]]);
+    let whole = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &whole[..whole.len() - 1]).unwrap();
+    assert!(read_thinned_cloud_ply(&path, 30).is_err());
+}
