@@ -9,6 +9,7 @@ mod output;
 mod cli;
 mod commands;
 mod config;
+mod cost;
 mod exit;
 mod interrupt;
 mod observe;

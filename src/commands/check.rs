@@ -3,9 +3,10 @@
 use super::reporting::reporting_found;
 use crate::cli::CheckArgs;
 use crate::config::{StageOptions, take_over};
+use crate::cost::Estimate;
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Estimate, Inputs, Request, Resources, check_photos};
+use crate::pipeline::{Inputs, Request, Resources, check_photos, expect};
 use rilievo_photos::PhotosReport;
 
 /// Runs the command.
@@ -53,7 +54,6 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     }
     found.warnings.clone_from(&inputs.warnings);
     let resources = Resources::new(&args.work);
-    let expected = Estimate::of(&request, &inputs, resources);
     let (report, warnings, problems) = check_photos(&request, &inputs, resources, console)?;
     for line in report.table(&warnings).to_string().lines() {
         console.note(&format!("  {line}"));
@@ -61,10 +61,7 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     let usable = report.photos.len();
     found.report = Some(report);
     found.warnings.extend(warnings);
-    if let Some(expected) = &expected {
-        expected.tell(console, rayon::current_num_threads());
-    }
-    found.expected = expected;
+    found.expected = expect(&request, &inputs, resources, console);
     if problems.is_empty() {
         console.note(&format!("all {usable} photos can be used"));
         return Ok(());

@@ -6,7 +6,7 @@ use crate::cli::{ReconstructArgs, WorkArgs};
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{
-    Context, Estimate, Inputs, Plan, Range, Request, Resources, StageState, bring_up_to_date,
+    Context, Inputs, Plan, Range, Request, Resources, StageState, bring_up_to_date, expect,
     is_another_set,
 };
 use crate::ranks;
@@ -147,10 +147,7 @@ fn work_in(
     if ranks::team().is_first()
         && plan.state(run, StageId::Shading, Look::Sizes)? != StageState::Valid
     {
-        plan.expected = Estimate::of(request, &inputs, resources);
-        if let Some(expected) = &plan.expected {
-            expected.tell(console, rayon::current_num_threads());
-        }
+        plan.expected = expect(request, &inputs, resources, console);
     }
     let redone = bring_up_to_date(&context, plan, range)?;
     Ok(!redone.is_empty())

@@ -7,37 +7,14 @@
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::Resources;
 use super::request::Request;
+use crate::cost::{Cost, Estimate};
 use crate::observe::Console;
 use rayon::prelude::*;
 use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
 use rilievo_scene::Mask;
-use serde::Serialize;
 use std::time::Instant;
-
-/// What a run is expected to cost, or did cost.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Cost {
-    /// CPU time of all threads, seconds.
-    pub cpu_seconds: f64,
-    /// Largest resident memory, bytes.
-    pub peak_memory_bytes: f64,
-    /// Size of the finished run directory, bytes.
-    pub disk_bytes: f64,
-}
-
-/// What a run is expected to cost.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Estimate {
-    /// With the relief of photos whose brightness agrees.
-    #[serde(flatten)]
-    pub cost: Cost,
-    /// CPU time where the photos' brightness disagrees, so that their finest levels are interpolated, seconds.
-    pub least_cpu_seconds: f64,
-    /// Disk space that is used besides while the run goes on, bytes.
-    pub working_disk_bytes: f64,
-}
 
 /// Photos without a mask are counted as if the object filled them; masks that are looked at for the object's share.
 const MAX_NUM_MASKS: usize = 4;
@@ -58,29 +35,29 @@ struct Work {
     pairs: f64,
 }
 
-impl Estimate {
-    /// Of a request's photos; `None` where no photo tells its size.
-    pub fn of(request: &Request, inputs: &Inputs, resources: Resources) -> Option<Self> {
-        let work = Work::of(request, inputs)?;
-        Some(work.estimate(request, resources, slowness()))
-    }
-
-    /// Tells it.
-    pub fn tell(&self, console: &Console, threads: usize) {
-        let cost = &self.cost;
-        let minutes = |seconds: f64| seconds / threads.max(1) as f64 / 60.0;
-        console.note(&format!(
+/// What a request is expected to cost, told to the user; `None` where no photo tells its size.
+pub fn expect(
+    request: &Request,
+    inputs: &Inputs,
+    resources: Resources,
+    console: &Console,
+) -> Option<Estimate> {
+    let work = Work::of(request, inputs)?;
+    let expected = work.estimate(request, resources, slowness());
+    let (cost, threads) = (&expected.cost, rayon::current_num_threads());
+    let minutes = |seconds: f64| seconds / threads.max(1) as f64 / 60.0;
+    console.note(&format!(
             "expected: {:.0} to {:.0} CPU s (about {:.0} to {:.0} min on {threads} threads), {:.1} GB of memory, {:.1} GB on disk \
              and {:.1} GB more while it works",
-            self.least_cpu_seconds,
+            expected.least_cpu_seconds,
             cost.cpu_seconds,
-            minutes(self.least_cpu_seconds).ceil(),
+            minutes(expected.least_cpu_seconds).ceil(),
             minutes(cost.cpu_seconds).ceil(),
             1e-9 * cost.peak_memory_bytes,
             1e-9 * cost.disk_bytes,
-            1e-9 * self.working_disk_bytes,
+            1e-9 * expected.working_disk_bytes,
         ));
-    }
+    Some(expected)
 }
 
 impl Work {

@@ -114,6 +114,7 @@ pub fn run_stage(
         items: Default::default(),
         seconds,
         cpu_seconds: Some(system::cpu_seconds() - cpu_before),
+        expected: plan.expected,
         threads: rayon::current_num_threads(),
         peak_memory_bytes: system::peak_memory(),
         warnings,

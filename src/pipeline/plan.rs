@@ -1,8 +1,8 @@
 //! What each stage is made from, and whether its result in the run directory is still that.
 
-use super::estimate::Estimate;
 use super::inputs::Inputs;
 use super::request::{Request, SphereInput};
+use crate::cost::Estimate;
 use crate::exit::Failure;
 use crate::store::{Ingredients, Look, RunDir, StoreError, hash_json};
 use rilievo_scene::StageId;

@@ -1,7 +1,8 @@
 //! What a run's manifests tell, with the types of the stages' reports. Its JSON is `report.json`.
 
 use super::outcome::Outcome;
-use crate::pipeline::{Cost, Estimate, Plan, Request, ShadingFacts, StageState};
+use crate::cost::{Cost, Estimate};
+use crate::pipeline::{Plan, Request, ShadingFacts, StageState};
 use crate::store::{Ingredients, Look, Manifest, RunDir};
 use crate::system;
 use rilievo_features::FeaturesReport;
@@ -153,6 +154,7 @@ impl Facts {
             num_stages: 0,
             cpu_seconds: Some(0.0),
             disk_bytes: 0,
+            expected: None,
         };
         let stages = Stages {
             photos: gathered.stage(StageId::Photos)?,
@@ -171,7 +173,7 @@ impl Facts {
             warnings: gathered.warnings,
             threads: gathered.threads,
             peak_memory_bytes: gathered.peak_memory_bytes,
-            expected: plan.and_then(|plan| plan.expected),
+            expected: gathered.expected,
             cost,
             citation: "Queau, Melou, Durou, Cremers: Dense Multi-view 3D-reconstruction Without \
                        Dense Correspondences. ICCV 2017",
@@ -190,6 +192,7 @@ struct Gathered<'a> {
     /// None where a stage does not tell its own.
     cpu_seconds: Option<f64>,
     disk_bytes: u64,
+    expected: Option<Estimate>,
 }
 
 impl Gathered<'_> {
@@ -212,6 +215,7 @@ impl Gathered<'_> {
         self.warnings
             .extend(messages.map(|message| Warning { stage: id, message }));
         self.num_stages += 1;
+        self.expected = manifest.expected.or(self.expected);
         let cpu_seconds = self.cpu_seconds.zip(manifest.cpu_seconds);
         self.cpu_seconds = cpu_seconds.map(|(sum, of_stage)| sum + of_stage);
         self.disk_bytes += manifest.files.values().map(|file| file.bytes).sum::<u64>();

@@ -5,6 +5,7 @@ use super::error::StoreError;
 use super::files::{hash_file, is_inside, own_file};
 use super::fingerprint::Ingredients;
 use super::sealed::{seal, unseal};
+use crate::cost::Estimate;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -64,6 +65,9 @@ pub struct Manifest {
     /// do not tell it.
     #[serde(default)]
     pub cpu_seconds: Option<f64>,
+    /// What the whole run was expected to cost when the stage was made, where that was told.
+    #[serde(default)]
+    pub expected: Option<Estimate>,
     /// Threads that worked on it.
     pub threads: usize,
     /// Largest resident memory while the stage ran, bytes; `None` where the system does not tell.

@@ -348,6 +348,7 @@ mod tests {
             items: BTreeMap::new(),
             seconds: 0.0,
             cpu_seconds: None,
+            expected: None,
             threads: 1,
             peak_memory_bytes: None,
             warnings: Vec::new(),

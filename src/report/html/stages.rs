@@ -2,8 +2,8 @@
 
 use super::element::{ABSENT, folded, json, number, percent, table, text, word};
 use super::plot;
+use crate::cost::{Cost, Estimate};
 use crate::pipeline::ShadingFacts;
-use crate::pipeline::{Cost, Estimate};
 use crate::report::facts::{Facts, Made, Stage};
 use maud::{Markup, html};
 use rilievo_features::{FeaturesReport, PairReport};

@@ -40,6 +40,9 @@ use std::time::Instant;
 /// Side of the samples on which a view's noise is measured, pixels, and their largest number.
 const SAMPLE_PX: usize = 128;
 const MAX_NUM_SAMPLES: usize = 8;
+/// Tiles whose increments are in memory together; the same in all processes of a run, whatever memory and threads they
+/// have.
+const TILES_AT_A_TIME: usize = 8;
 /// Factor of the increments: each round goes part of the way to where the views agree, since the others' surfaces
 /// are held fixed meanwhile.
 const OVER_RELAXATION: f64 = 1.7;
@@ -437,7 +440,7 @@ impl Course<'_> {
             // Progress counts tiles, as if all views had as many.
             let total = num_rounds * num_views * cores.len();
             let mut num_done = (rounds.num_done * num_views + place) * cores.len();
-            for cores in cores.chunks(at_once * team.size()) {
+            for cores in cores.chunks(TILES_AT_A_TIME.max(2 * team.size())) {
                 self.tell(KIND, num_done, total)?;
                 let steps: Vec<TileStep> = divided(team, cores.len(), at_once, |k| {
                     view.step(&cores[k]).map_err(|error| match error {
