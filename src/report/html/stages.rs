@@ -476,7 +476,7 @@ fn fusion(facts: &FusionReport) -> Markup {
         }
         @if let Some(share) = facts.share_apart {
             p {
-                "points more than three pixel footprints from the surface of a view that covers them (two walls in the \
+                "points more than three pixel footprints from the surfaces of most views that cover them (two walls in the \
                  place of one): " (number(100.0 * share, 2)) " % of " (facts.num_covered) " points that another view covers"
             }
         }

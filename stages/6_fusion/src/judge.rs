@@ -51,7 +51,7 @@ enum Verdict {
         point: CloudPoint,
         /// Points per squared footprint that all views together give here.
         coverage: f64,
-        /// Whether a view that covers the point has its surface apart from it; `None` where no view does.
+        /// Whether most views that cover the point have their surfaces apart from it; `None` where no view does.
         is_apart: Option<bool>,
     },
 }
@@ -64,6 +64,8 @@ pub(crate) struct PageShare {
     pub num_inconsistent: usize,
     pub num_covered: usize,
     pub num_apart: usize,
+    /// Of the pixel that was judged last.
+    walls: Vec<f64>,
 }
 
 /// What all pixels are judged by.
@@ -101,7 +103,7 @@ impl Judge<'_> {
                 };
                 share.num_tried += 1;
                 let ray = view.ray(x, y, &pixel);
-                match self.pixel(pixels, &near, view, &ray, &surface) {
+                match self.pixel(pixels, &near, view, &ray, &surface, &mut share.walls) {
                     Verdict::Inconsistent => share.num_inconsistent += 1,
                     Verdict::Elsewhere => {}
                     Verdict::Keep {
@@ -179,14 +181,15 @@ impl Judge<'_> {
             };
             if let Verdict::Keep {
                 point, is_apart, ..
-            } = self.pixel(pixels, near, view, &ray, &surface)
+            } = self.pixel(pixels, near, view, &ray, &surface, &mut share.walls)
             {
                 share.keep(point, is_apart);
             }
         }
     }
 
-    /// Judges the surface of a view along a ray of its camera by the views near it, itself among them.
+    /// Judges the surface of a view along a ray of its camera by the views near it, itself among them. `walls` is left
+    /// holding where those that cover the point have their surfaces, along the normal.
     fn pixel(
         &self,
         pixels: &mut Reader<'_>,
@@ -194,6 +197,7 @@ impl Judge<'_> {
         view: &View,
         ray: &Vector3<f64>,
         surface: &Surface,
+        walls: &mut Vec<f64>,
     ) -> Verdict {
         let options = self.options;
         let candidate = Candidate::of(view, ray, surface);
@@ -210,14 +214,10 @@ impl Judge<'_> {
         let mut normal = candidate.normal * own_weight;
         let (mut better, mut all) = (0.0, own_density);
         let mut finest = candidate.footprint;
-        // Where the views that cover the point have their surfaces, along the normal.
-        let mut walls: Option<[f64; 2]> = None;
+        walls.clear();
         for other in near.iter().filter(|other| other.idx != view.idx) {
             let (sight, covers) = look(pixels, other, &candidate, tolerance, min_normal_cosine);
-            if let Some(distance) = covers {
-                let [low, high] = walls.unwrap_or([distance; 2]);
-                walls = Some([low.min(distance), high.max(distance)]);
-            }
+            walls.extend(covers);
             match sight {
                 Sight::Same {
                     distance,
@@ -282,11 +282,12 @@ impl Judge<'_> {
             confidence: confidence as f32,
             num_views: num_agree.min(255) as u8,
         };
-        let max = APART_PX * candidate.footprint;
+        let is_far = |wall: &&f64| (**wall - mean_offset).abs() > APART_PX * candidate.footprint;
+        let is_apart = 2 * walls.iter().filter(is_far).count() > walls.len();
         Verdict::Keep {
             point,
             coverage: all * finest * finest,
-            is_apart: walls.map(|ends| ends.iter().any(|end| (end - mean_offset).abs() > max)),
+            is_apart: (!walls.is_empty()).then_some(is_apart),
         }
     }
 }

@@ -92,8 +92,10 @@ impl Pixels for Reader<'_> {
         let Some(bytes) = self.frame(pages, page) else {
             return [Pixel::default(); 4];
         };
-        [0, 1, PAGE_SIDE, PAGE_SIDE + 1]
-            .map(|next| Pixel::read(&bytes[(number + next) * pages.record..][..pages.record]))
+        // Written out: a map over an array copies every pixel once more, a sixth of all time.
+        let at =
+            |next: usize| Pixel::read(&bytes[(number + next) * pages.record..][..pages.record]);
+        [at(0), at(1), at(PAGE_SIDE), at(PAGE_SIDE + 1)]
     }
 }
 

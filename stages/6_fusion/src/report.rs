@@ -77,9 +77,9 @@ pub struct FusionReport {
     /// the point along the normal. All points count, also those that a spacing thins out.
     #[serde(default)]
     pub num_covered: usize,
-    /// Share of those points from which the surface of a view that covers them lies farther than three
-    /// pixel footprints: where it is large, the views' surfaces are two walls and not one. `None` where no
-    /// point is covered.
+    /// Share of those points from which most views that cover them have their surfaces farther than three pixel
+    /// footprints: where it is large, the views' surfaces are two walls and not one. A single view counts
+    /// little, for relief may hide a point from it. `None` where no point is covered.
     #[serde(default)]
     pub share_apart: Option<f64>,
     /// Distance between views as they came.

@@ -55,18 +55,22 @@ impl Pixel {
 
     #[inline]
     pub fn read(bytes: &[u8]) -> Self {
-        let float = |k: usize| {
-            let four = bytes.get(4 * k..4 * k + 4).and_then(|b| b.try_into().ok());
-            f32::from_le_bytes(four.unwrap_or_default())
+        let Some(b) = bytes.first_chunk::<RECORD>() else {
+            return Self::default();
         };
+        let float =
+            |k: usize| f32::from_le_bytes([b[4 * k], b[4 * k + 1], b[4 * k + 2], b[4 * k + 3]]);
+        let ray = bytes.get(RECORD..).and_then(<[u8]>::first_chunk::<8>);
         Self {
             depth: float(0),
             normal: [float(1), float(2), float(3)],
             confidence: float(4),
-            color: [bytes[20], bytes[21], bytes[22]],
-            gives: bytes[23] & GIVES != 0,
-            is_kept: bytes[23] & IS_KEPT != 0,
-            ray: [float(6), float(7)],
+            color: [b[20], b[21], b[22]],
+            gives: b[23] & GIVES != 0,
+            is_kept: b[23] & IS_KEPT != 0,
+            ray: ray.map_or([0.0; 2], |&[a, b, c, d, e, f, g, h]| {
+                [[a, b, c, d], [e, f, g, h]].map(f32::from_le_bytes)
+            }),
         }
     }
 }
