@@ -19,7 +19,7 @@ use std::time::Instant;
 /// Photos without a mask are counted as if the object filled them; masks that are looked at for the object's share.
 const MAX_NUM_MASKS: usize = 4;
 /// Seconds that the calibration takes on the machine that the factors were measured on.
-const REFERENCE_SECONDS: f64 = 0.1;
+const REFERENCE_SECONDS: f64 = 0.013;
 
 /// What decides the cost.
 #[derive(Clone, Copy, Debug)]
@@ -92,6 +92,9 @@ impl Work {
     }
 
     fn estimate(&self, request: &Request, resources: Resources, slowness: f64) -> Estimate {
+        // Light and shape take turns at the coarse level.
+        let coarse_px = request.options.shading.photo.coarse_pixels as f64 * self.photos;
+        let coarse_px = coarse_px.min(self.whole_px);
         // CPU seconds of the reference machine: photos read and lit, keypoints, pairs, poses with anchors, levels that are
         // solved as a whole, points and mesh.
         let without_relief = 1.3e-7 * self.photo_px
@@ -99,7 +102,8 @@ impl Work {
             + 0.05 * self.pairs
             + 2.5e-7 * self.photo_px
             + self.photos
-            + 1.6e-4 * self.whole_px
+            + 3.3e-4 * coarse_px
+            + 1.4e-4 * (self.whole_px - coarse_px)
             + 1.0e-5 * self.object_px;
         // Levels between the one that is solved as a whole and the photo's own, a third more than the last of them.
         let relief = 12e-6 * 4.0 / 3.0 * (self.object_px - self.whole_px).max(0.0);

@@ -100,7 +100,7 @@ mod tests {
                 (1.0_f64 - 1.2e-4 * (0.7 * x).sin() * (0.6 * y).cos()).ln()
             })
             .collect();
-        let harmonics = vec![vec![
+        let harmonics = [vec![
             [[0.1, -0.2, -0.5, 0.4, 0.0, 0.0, 0.0, 0.0, 0.0]; 3];
             depth.len()
         ]];
