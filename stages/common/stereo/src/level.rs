@@ -281,7 +281,7 @@ impl LevelView {
         ) > 0.5
     }
 
-    /// [`Self::depth_at`] where the photo is unclipped too: its intensities may be compared.
+    /// [`ViewGrid::depth_at`] where the photo is unclipped too: its intensities may be compared.
     #[inline]
     pub fn unclipped_depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
         self.depth_at(raster, x, y)
