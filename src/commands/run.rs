@@ -7,6 +7,7 @@ use crate::observe::Console;
 use crate::pipeline::{Context, Inputs, Plan, Resources, run_stage};
 use crate::report::{Judgement, Outcome, Report};
 use crate::store::RunDir;
+use rilievo_scene::StageId;
 
 /// Runs the command.
 ///
@@ -21,7 +22,9 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Judgement> {
     let resources = Resources::new(&args.work);
     let run = RunDir::open(&args.run)?;
     let mut request = stored_request(&run)?;
-    args.work.bound(&mut request.options.fusion);
+    if args.stage == StageId::Fusion {
+        args.work.bound(&mut request.options.fusion);
+    }
     let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
     check_upstream(&run, &plan, args.stage)?;
