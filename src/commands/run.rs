@@ -9,6 +9,7 @@ use crate::pipeline::{Context, Inputs, Plan, Resources, run_stage};
 use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
 use crate::store::RunDir;
+use rilievo_scene::StageId;
 
 /// Runs the command.
 ///
@@ -24,7 +25,9 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
     check_options(&serde_json::json!({"stage": args.stage}))?;
     let run = open_run(&args.run, || Ok(RunDir::open(&args.run)?))?;
     let mut request = stored_request(&run)?;
-    args.work.bound(&mut request.options.fusion);
+    if args.stage == StageId::Fusion {
+        args.work.bound(&mut request.options.fusion);
+    }
     let inputs = Inputs::scan(&request)?;
     let plan = Plan::new(&request, &inputs);
     check_inputs(&inputs, &plan)?;

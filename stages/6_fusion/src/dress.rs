@@ -96,6 +96,28 @@ impl<'a> Dresser<'a> {
                 break;
             }
         }
+        if weights == 0.0 {
+            // Turned away from all, as at the end of what was seen: the nearest surface on any view's ray made it.
+            let gap = |view: &&View, pixels: &mut Reader<'_>| {
+                let in_cam = view.pose.apply(position);
+                let seen = (in_cam.z > 0.0).then(|| view.along(pixels, &in_cam))??;
+                Some(((seen.depth - in_cam.z).abs(), view.to_world(&seen.normal)))
+            };
+            let mut nearest = f64::INFINITY;
+            for view in near {
+                let Some((gap, seen)) = gap(view, pixels).filter(|(gap, _)| *gap < nearest) else {
+                    continue;
+                };
+                nearest = gap;
+                normal = seen;
+                colors = Blend::default();
+                let place = view.camera.project(&view.pose.apply(position));
+                if let Some(place) = place.filter(|_| view.has_photo) {
+                    self.palette
+                        .add(pixels, view, [place.x, place.y], &mut colors);
+                }
+            }
+        }
         Dressed {
             position: position.coords.map(|c| c as f32).into(),
             normal: normal
