@@ -14,6 +14,7 @@ use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
 use rilievo_scene::Mask;
+use rilievo_shading::photo::Sizes;
 use std::time::Instant;
 
 /// Photos without a mask are counted as if the object filled them; masks that are looked at for the object's share.
@@ -21,13 +22,16 @@ const MAX_NUM_MASKS: usize = 4;
 /// Seconds that the calibration takes on the machine that the factors were measured on.
 const REFERENCE_SECONDS: f64 = 0.013;
 
+/// Pixels of a crop over those of the object in it.
+const CROP_SHARE: f64 = 1.5;
+
 /// What decides the cost.
 #[derive(Clone, Copy, Debug)]
 struct Work {
     photos: f64,
-    /// Pixels of all photos, and of the largest one.
+    /// Pixels of all photos.
     photo_px: f64,
-    largest_px: f64,
+    sizes: Sizes,
     /// Pixels of the object in all photos.
     object_px: f64,
     /// Pixels of the object in all photos at the finest level that is solved as a whole.
@@ -71,16 +75,18 @@ impl Work {
         // Photos whose header does not tell are like the others.
         let photo_px = sizes.iter().sum::<f64>() * photos / sizes.len() as f64;
         let object_px = object_share(inputs) * photo_px;
-        let options = &request.options.shading.photo;
-        let mut whole_px = object_px;
-        while whole_px / photos > options.max_fine_pixels.max(options.coarse_pixels) as f64 {
-            whole_px /= 4.0;
-        }
+        let sizes = Sizes {
+            num_views: inputs.photos.len(),
+            crops: CROP_SHARE * object_px,
+            masked: object_px,
+            largest_frame: sizes.iter().copied().fold(0.0, f64::max),
+        };
+        let whole_px = sizes.whole_share(&request.options.shading.photo) * object_px;
         let all_pairs = 0.5 * photos * (photos - 1.0);
         Some(Self {
             photos,
             photo_px,
-            largest_px: sizes.iter().copied().fold(0.0, f64::max),
+            sizes,
             object_px,
             whole_px,
             pairs: if photos > 20.0 {
@@ -108,12 +114,10 @@ impl Work {
         // Levels between the one that is solved as a whole and the photo's own, a third more than the last of them.
         let relief = 12e-6 * 4.0 / 3.0 * (self.object_px - self.whole_px).max(0.0);
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
-        let threads = rayon::current_num_threads() as f64;
-        // Crops are half larger than the object; every thread solves a view.
-        let shading = (1.5 * 34.0 + 120.0) * self.whole_px
-            + (1300.0 * threads * self.whole_px / self.photos).max(75.0 * self.largest_px);
+        let threads = rayon::current_num_threads();
+        let shading = self.sizes.taken(&request.options.shading.photo, threads);
         let fusion = (request.options.fusion.memory_mib << 20) as f64;
-        let detection = 45.0 * self.largest_px * threads;
+        let detection = 45.0 * self.sizes.largest_frame * threads as f64;
         let needed = shading
             .max(detection)
             .max(fusion.min(60.0 * self.object_px));

@@ -122,7 +122,7 @@ fn aligned(
     for group in scene.groups() {
         scene.hold(group.clone())?;
         let interrupted = || PosesError::Interrupted;
-        let step = step.after(group.start);
+        let step = step.after(group.start).of(num_views);
         nodes.extend(step.run(group.len(), usize::MAX, interrupted, |k| {
             Ok(cover(&scene, group.start + k))
         })?);

@@ -33,11 +33,16 @@ const SOLVER_BYTES: f64 = 150.0;
 const FRAME_BYTES: f64 = 75.0;
 
 /// What decides the memory, in pixels.
-struct Sizes {
-    num_views: usize,
-    crops: f64,
-    masked: f64,
-    largest_frame: f64,
+#[derive(Clone, Copy, Debug)]
+pub struct Sizes {
+    /// Number of views.
+    pub num_views: usize,
+    /// Pixels of all views' crops to their masks.
+    pub crops: f64,
+    /// Masked pixels of all views.
+    pub masked: f64,
+    /// Pixels of the largest photo.
+    pub largest_frame: f64,
 }
 
 impl Sizes {
@@ -66,7 +71,7 @@ impl Sizes {
     }
 
     /// Share of the pixels that the finest level has which is solved as a whole.
-    fn whole_share(&self, options: &PhotoOptions) -> f64 {
+    pub fn whole_share(&self, options: &PhotoOptions) -> f64 {
         let mean = self.masked / self.num_views.max(1) as f64;
         let mut share = 1.0;
         while mean * share > options.max_fine_pixels.max(options.coarse_pixels) as f64 {
@@ -75,12 +80,18 @@ impl Sizes {
         share
     }
 
-    /// The smallest memory with which the run can go on to its end.
+    /// The smallest memory with which the run can go on to its end, bytes.
     fn needed(&self, options: &PhotoOptions) -> f64 {
+        self.taken(options, 1)
+    }
+
+    /// Memory that a run takes which solves so many views at once, bytes.
+    pub fn taken(&self, options: &PhotoOptions, at_once: usize) -> f64 {
         let share = self.whole_share(options);
+        let solved = share * self.masked * at_once as f64 / self.num_views.max(1) as f64;
         let at_a_time = [
             tile_bytes(),
-            FACTOR_BYTES * share * self.masked / self.num_views.max(1) as f64,
+            FACTOR_BYTES * solved,
             FRAME_BYTES * self.largest_frame,
         ];
         resident(share * self.crops, share * self.masked)

@@ -65,6 +65,7 @@ mod validation;
 mod views;
 
 pub use course::Probe;
+pub use memory::Sizes;
 pub use options::PhotoOptions;
 pub use output::ShapedViews;
 pub use report::{PhotoReport, PhotoViewReport, StepReport};

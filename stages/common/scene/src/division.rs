@@ -13,6 +13,8 @@ pub struct DividedStep<'a> {
     stage: StageId,
     step: &'a str,
     num_before: usize,
+    /// Items of the whole step, where this is a part of it.
+    num_in_all: Option<usize>,
 }
 
 impl<'a> DividedStep<'a> {
@@ -23,6 +25,7 @@ impl<'a> DividedStep<'a> {
             stage,
             step,
             num_before: 0,
+            num_in_all: None,
         }
     }
 
@@ -30,6 +33,15 @@ impl<'a> DividedStep<'a> {
     #[must_use]
     pub fn after(self, num_before: usize) -> Self {
         Self { num_before, ..self }
+    }
+
+    /// The same as a part of a step of so many items in all.
+    #[must_use]
+    pub fn of(self, num_in_all: usize) -> Self {
+        Self {
+            num_in_all: Some(num_in_all),
+            ..self
+        }
     }
 
     /// Works on the items as [`divided`] does, until the observer asks to stop. What is told of the progress is this
@@ -64,7 +76,8 @@ impl<'a> DividedStep<'a> {
     }
 
     fn tell(self, done: usize, num_items: usize) -> Flow {
-        let told = (self.num_before + done, self.num_before + num_items);
+        let num_in_all = self.num_in_all.unwrap_or(self.num_before + num_items);
+        let told = (self.num_before + done, num_in_all);
         self.observer.progress(self.stage, self.step, told)
     }
 }
