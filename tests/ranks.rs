@@ -45,6 +45,7 @@ mod together {
     use super::common::{
         SmallDisk, arg, differences, json_of, noise_run, reconstruct_arguments, synthetic_set,
     };
+    use rilievo_scene::StageId;
     use std::path::{Path, PathBuf};
     use std::process::{Command, Output, Stdio};
     use std::time::{Duration, Instant};
@@ -117,14 +118,7 @@ mod together {
             let of = |run: &PathBuf, stage: &str, key: &str| {
                 json_of(&run.join(stage).join("manifest.json"))[key].clone()
             };
-            for stage in [
-                "1_photos",
-                "2_features",
-                "3_poses",
-                "4_lighting",
-                "5_shading",
-                "6_fusion",
-            ] {
+            for stage in StageId::ALL.map(StageId::name) {
                 for key in ["items", "files", "warnings", "fingerprint"] {
                     let [one, several] = [&alone, &run].map(|run| of(run, stage, key));
                     assert_eq!(one, several, "{num} ranks, {stage} {key}");

@@ -4,19 +4,12 @@
 //! and 64 without it) at about a megapixel, reconstructs it, and prints for every stage CPU seconds, peak resident memory
 //! and disk space, and the exponents `e` of `cost ~ N^e` fitted through them.
 
+use rilievo_scene::StageId;
 use std::error::Error;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_rilievo");
-const STAGES: [&str; 6] = [
-    "1_photos",
-    "2_features",
-    "3_poses",
-    "4_lighting",
-    "5_shading",
-    "6_fusion",
-];
 /// Arc over which photos are taken, degrees a photo and at most: more photos go farther around, then closer together.
 const ARC_PER_PHOTO_DEG: f64 = 15.0;
 const MAX_ARC_DEG: f64 = 340.0;
@@ -118,7 +111,8 @@ fn measured(folder: &Path, n: usize, size: &str) -> Result<Vec<Cost>, Box<dyn Er
         ],
         &shading,
     )?;
-    STAGES.iter().map(|stage| cost(&run.join(stage))).collect()
+    let stages = StageId::ALL.iter();
+    stages.map(|stage| cost(&run.join(stage.name()))).collect()
 }
 
 fn program(arguments: &[&str], config: &Path) -> Result<(), Box<dyn Error>> {
@@ -163,7 +157,8 @@ fn print_set(n: usize, costs: &[Cost]) {
         peak_mb: sum.peak_mb.max(cost.peak_mb),
         disk_mb: sum.disk_mb + cost.disk_mb,
     });
-    for (stage, cost) in STAGES
+    let stages = StageId::ALL.map(StageId::name);
+    for (stage, cost) in stages
         .iter()
         .chain(&["all"])
         .zip(costs.iter().chain([&total]))
@@ -183,7 +178,7 @@ fn print_growth(numbers: &[usize], costs: &[Vec<Cost>]) {
         return;
     }
     println!("exponents        CPU     peak     disk");
-    for (k, stage) in STAGES.iter().enumerate() {
+    for (k, stage) in StageId::ALL.map(StageId::name).iter().enumerate() {
         let fitted = |value: fn(&Cost) -> f64| {
             let values: Vec<f64> = costs.iter().map(|of_set| value(&of_set[k])).collect();
             exponent(numbers, &values)

@@ -133,6 +133,17 @@ fn permuted_photos_give_the_same_model() {
     assert!(center < 1e-4 && rotation < 0.01, "{center} {rotation}");
 }
 
+fn assert_same_with_any_threads(world: &World) {
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| solve(world))
+    };
+    assert_eq!(with(1), with(3));
+}
+
 #[test]
 fn the_number_of_threads_does_not_change_a_bit() {
     let world = world(&WorldOptions {
@@ -140,14 +151,7 @@ fn the_number_of_threads_does_not_change_a_bit() {
         outlier_share: 0.1,
         ..WorldOptions::default()
     });
-    let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
-        pool.install(|| solve(&world))
-    };
-    assert_eq!(with(1), with(3));
+    assert_same_with_any_threads(&world);
 }
 
 #[test]
@@ -214,14 +218,7 @@ fn the_number_of_threads_does_not_change_a_bit_of_many_views() {
         num_keypoints: 150,
         ..RingsOptions::default()
     });
-    let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
-        pool.install(|| solve(&world))
-    };
-    assert_eq!(with(1), with(3));
+    assert_same_with_any_threads(&world);
 }
 
 #[test]

@@ -325,12 +325,6 @@ impl Level {
         let sum: f64 = self.views.iter().map(|v| v.camera.focal()).sum();
         sum / self.views.len().max(1) as f64
     }
-
-    /// Mean number of masked pixels of a view.
-    pub fn mean_pixels(&self) -> usize {
-        let sum: usize = self.views.iter().map(|v| v.pixels.len()).sum();
-        sum / self.views.len().max(1)
-    }
 }
 
 /// Most views that one is compared with: which of them agree is told in the bits of a byte.
