@@ -240,7 +240,9 @@ fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
 
 fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto, Failure> {
     let mask = if mask {
-        Some(Arc::new(read_mask(&dir.join(mask_file(&facts.name)))?))
+        Some(Arc::new(
+            read_mask(&dir.join(mask_file(&facts.name)))?.packed(),
+        ))
     } else {
         None
     };
@@ -386,7 +388,7 @@ fn write(
     let mut files = vec![linear];
     if let Some(mask) = &prepared.mask {
         let file = mask_file(&name);
-        write_mask(&writer.path(&file)?, mask).map_err(fatal)?;
+        write_mask(&writer.path(&file)?, &mask.unpacked()).map_err(fatal)?;
         files.push(file);
     }
     let kept = Kept::Usable {

@@ -220,7 +220,7 @@ fn fitted_lighting(
 ) -> anyhow::Result<(Lighting, String)> {
     let (lighting, fit) = rilievo_lighting::fit_on_shape(
         image,
-        Some(mask),
+        Some(&mask.packed()),
         &camera.intrinsics,
         shape,
         clip_level.unwrap_or(f32::INFINITY),

@@ -7,8 +7,8 @@ use crate::options::PhotosOptions;
 use crate::report::PhotoFacts;
 use crate::{edges, mask, measures};
 use rilievo_scene::{
-    DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, PixelSource,
-    RigidTransform,
+    DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, PackedMask,
+    PixelSource, RigidTransform,
 };
 use std::sync::Arc;
 
@@ -34,7 +34,7 @@ pub struct PreparedPhoto {
     /// Its pixels.
     pub pixels: Arc<dyn PixelSource>,
     /// Its object mask, where the user gave masks.
-    pub mask: Option<Arc<Mask>>,
+    pub mask: Option<Arc<PackedMask>>,
     /// Everything else.
     pub facts: PhotoFacts,
 }
@@ -44,7 +44,7 @@ impl PreparedPhoto {
     pub fn in_memory(image: LinearImage, mask: Option<Mask>, facts: PhotoFacts) -> Self {
         Self {
             pixels: Arc::new(InMemoryPixels(Arc::new(image))),
-            mask: mask.map(Arc::new),
+            mask: mask.map(|mask| Arc::new(mask.packed())),
             facts,
         }
     }

@@ -183,9 +183,9 @@ mod tests {
         let camera = Intrinsics::pinhole(width, height, 200.0, 75.0, 65.0);
         Photo {
             focal_source: FocalSource::Guess,
-            mask: Some(Arc::new(Mask::from_fn(width, height, |x, _| {
-                x < 75 * scale
-            }))),
+            mask: Some(Arc::new(
+                Mask::from_fn(width, height, |x, _| x < 75 * scale).packed(),
+            )),
             ..rilievo_synthetic::testing::photo("blobs.png", image, camera)
         }
     }

@@ -42,7 +42,7 @@ fn load(dir: &Path, wanted: &[usize], linear: bool) -> Result<Truth, Failure> {
         let mask = read_mask(&dir.join("masks").join(format!("{name}.png")))?;
         let image = linear_of(&decode_photo(&path)?);
         let photo = Photo {
-            mask: Some(Arc::new(mask)),
+            mask: Some(Arc::new(mask.packed())),
             clip_level: 0.99,
             ..photo(&file, image, camera.intrinsics)
         };

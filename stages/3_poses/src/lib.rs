@@ -14,7 +14,6 @@ mod incremental;
 mod initial_pair;
 mod known_distance;
 mod lens;
-mod loading;
 mod model;
 mod narrow;
 pub mod options;
@@ -46,7 +45,7 @@ use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews,
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 9;
+pub const VERSION: u32 = 10;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;
@@ -277,7 +276,7 @@ fn finish_on_patches(
     observer: &dyn Observer,
 ) -> Result<(), PosesError> {
     let model = &mut reconstruction.model;
-    let at_once = loading::num_at_once(scene.photos, options.memory);
+    let at_once = rilievo_scene::loading::num_at_once(scene.photos, options.memory);
     model.refined = Some(refinement::refine_tracks(scene, model, at_once, observer)?);
     for round in 0..2 {
         let scope = AdjustmentScope {

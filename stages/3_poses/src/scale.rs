@@ -22,6 +22,7 @@ use rilievo_photometry::sphere::{
     LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, WorldScale,
     locate_request,
 };
+use rilievo_scene::loading::num_at_once;
 use rilievo_scene::{
     MarkedSphere, Observer, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
 };
@@ -77,7 +78,15 @@ pub fn apply(
             WorldScale::Free
         };
         let (placed, frameless) = in_known_frame(request, has_given_poses);
-        let found = locate_request(photos, &posed.views, &placed, world_scale, &options.sphere);
+        let at_once = num_at_once(photos, options.memory);
+        let found = locate_request(
+            photos,
+            &posed.views,
+            &placed,
+            world_scale,
+            &options.sphere,
+            at_once,
+        );
         let found = match found {
             Ok(mut located) => {
                 located.missing.extend(frameless);

@@ -17,8 +17,8 @@ use nalgebra::{Point2, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, Reading};
 use rilievo_photometry::samples::surface_pixels;
 use rilievo_scene::{
-    DepthMap, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage, Mask, NormalMap,
-    Observer, PhotoSet, PosedViews, Raster, StageId, ViewIdx, ViewLighting,
+    DepthMap, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage, NormalMap,
+    Observer, PackedMask, PhotoSet, PosedViews, Raster, StageId, ViewIdx, ViewLighting,
 };
 
 /// Fits the lighting of one image on a known depth.
@@ -29,7 +29,7 @@ use rilievo_scene::{
 /// [`LightingError::ShapeSize`], [`LightingError::Fit`].
 pub fn fit_on_shape(
     image: &LinearImage,
-    mask: Option<&Mask>,
+    mask: Option<&PackedMask>,
     intrinsics: &Intrinsics,
     depth: &DepthMap,
     clip_level: f32,
@@ -63,7 +63,7 @@ fn normals_on(
 /// Normals (camera frame) and intensities of a surface's pixels.
 fn pool(
     image: &LinearImage,
-    mask: Option<&Mask>,
+    mask: Option<&PackedMask>,
     normals: &NormalMap,
     clip_level: f32,
     options: &LightingOptions,

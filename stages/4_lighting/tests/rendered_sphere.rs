@@ -148,6 +148,7 @@ fn single(off_axis_deg: f64, radius_px: f64, shadow: fn(f64, f64) -> f64, cut: f
         &request,
         WorldScale::Metric,
         &options,
+        2,
     );
     posed.spheres = vec![found.unwrap().fits.remove(0).sphere];
     let (calibration, _) = run(
@@ -267,6 +268,7 @@ fn around(kind: LightKind, gains: [f64; 5]) -> (PhotoSet, PosedViews, Lighting) 
         &request,
         WorldScale::Metric,
         &options,
+        2,
     )
     .unwrap()
     .fits

@@ -114,7 +114,7 @@ fn marked(world: &World, radii: [f64; 2]) -> SphereRequest {
 fn located(world: &World, request: &SphereRequest) -> LocatedSpheres {
     let views = &world.posed.views;
     let options = SphereOptions::default();
-    locate_request(&world.photos, views, request, WorldScale::Free, &options).unwrap()
+    locate_request(&world.photos, views, request, WorldScale::Free, &options, 2).unwrap()
 }
 
 /// Error of the common scale, and of each centre in metres with its stated deviation.

@@ -91,7 +91,7 @@ fn lit(on_object: &Lighting, on_ball: &Lighting, albedo: f64, kind: LightKind) -
         });
         let maps = Maps::of(&camera, object);
         let photo = Photo {
-            mask: Some(Arc::new(maps.mask)),
+            mask: Some(Arc::new(maps.mask.packed())),
             ..photo(&format!("view{k}.png"), image, camera)
         };
         made.push(photo, pose);

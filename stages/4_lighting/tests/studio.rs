@@ -55,7 +55,14 @@ fn no_sphere_is_found_where_there_is_none() {
     };
     let options = SphereOptions::default();
     let views = &set.posed.views[..4];
-    let result = locate_request(&set.photos, views, &find(0.04), WorldScale::Free, &options);
+    let result = locate_request(
+        &set.photos,
+        views,
+        &find(0.04),
+        WorldScale::Free,
+        &options,
+        2,
+    );
     assert!(result.is_err(), "{result:?}");
 }
 
@@ -68,7 +75,15 @@ fn locate_in(set: &mut Set, num_views: usize) {
     }
     let request = find(set.radius);
     let options = SphereOptions::default();
-    let found = locate_request(&set.photos, &shrunk, &request, WorldScale::Free, &options).unwrap();
+    let found = locate_request(
+        &set.photos,
+        &shrunk,
+        &request,
+        WorldScale::Free,
+        &options,
+        2,
+    )
+    .unwrap();
     assert!(found.other_sizes.is_empty(), "{:?}", found.other_sizes);
     assert_eq!(found.fits.len(), 1, "{:?}", found.fits);
     let fit = &found.fits[0];

@@ -45,7 +45,7 @@ fn ball(exposures: &[f64]) -> Rendered {
         });
         let maps = Maps::of(&camera, surface);
         let photo = Photo {
-            mask: Some(Arc::new(maps.mask.clone())),
+            mask: Some(Arc::new(maps.mask.packed())),
             ..photo(&format!("view{i}.png"), image, camera)
         };
         made.push(photo, pose);

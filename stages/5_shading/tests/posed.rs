@@ -55,7 +55,7 @@ fn world() -> World {
             sphere(&pose, pixel).map(|(_, n)| rows.map(|row| row.evaluate(&n)))
         });
         let photo = Photo {
-            mask: Some(Arc::new(maps.mask)),
+            mask: Some(Arc::new(maps.mask.packed())),
             clip_level: 5.0,
             ..photo(&format!("view{index}.png"), image, camera())
         };

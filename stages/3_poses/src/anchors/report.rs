@@ -3,7 +3,7 @@
 use super::grow::Node;
 use super::options::AnchorMode;
 use crate::error::PosesError;
-use rilievo_scene::{Anchor, AnchorObservation, Observer, PhotoSet, PosedViews};
+use rilievo_scene::{Anchor, AnchorObservation, Mask, Observer, PhotoSet, PosedViews};
 use serde::{Deserialize, Serialize};
 
 /// Anchors of one view.
@@ -97,7 +97,8 @@ pub(super) fn report(
         .map(|(view, seen)| {
             let mut sigmas: Vec<f64> = seen.iter().map(|o| o.sigma_ln_depth).collect();
             let coverage = photos.photos[view.photo.0].mask.as_ref().map(|mask| {
-                let mut covered = vec![false; mask.data.len()];
+                let (width, height) = (mask.width(), mask.height());
+                let mut covered = Mask::filled(width, height, false);
                 let radius = COVERAGE_RADIUS_PX as isize;
                 for o in &seen {
                     let (cx, cy) = (o.pixel[0].round() as isize, o.pixel[1].round() as isize);
@@ -106,12 +107,12 @@ pub(super) fn report(
                             if dx * dx + dy * dy <= radius * radius
                                 && mask.contains(cx + dx, cy + dy)
                             {
-                                covered[mask.index((cx + dx) as usize, (cy + dy) as usize)] = true;
+                                *covered.at_mut((cx + dx) as usize, (cy + dy) as usize) = true;
                             }
                         }
                     }
                 }
-                covered.iter().filter(|&&c| c).count() as f64 / mask.count().max(1) as f64
+                covered.count() as f64 / mask.count().max(1) as f64
             });
             ViewAnchors {
                 file_name: view.file_name.clone(),

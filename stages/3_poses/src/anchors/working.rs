@@ -72,11 +72,10 @@ impl WorkingView {
         let unclipped = Raster::from_fn(image.width, image.height, |x, y| {
             image.pixel(x, y).iter().all(|&v| v < photo.clip_level)
         });
-        let mask = photo.mask.as_deref().filter(|m| m.same_size(&unclipped));
-        let object = match mask {
-            Some(mask) => mask.clone(),
-            None => Mask::filled(image.width, image.height, true),
-        };
+        let mask = photo.mask.as_ref().map(|mask| mask.unpacked());
+        let mask = mask.filter(|mask| mask.same_size(&unclipped));
+        let has_mask = mask.is_some();
+        let object = mask.unwrap_or_else(|| Mask::filled(image.width, image.height, true));
         // Beyond the photo's frame nothing is known, as beyond the mask.
         let rectification = Rectification::new(&lens);
         let (grey, [object, unclipped]) = if rectification.is_identity() {
@@ -125,7 +124,7 @@ impl WorkingView {
             ],
             texels,
             object,
-            has_mask: mask.is_some(),
+            has_mask,
         })
     }
 

@@ -11,7 +11,6 @@ mod align;
 mod image;
 
 use crate::error::PosesError;
-use crate::loading::map_few_at_once;
 use crate::model::{Model, RefinedPixel, RefinedPixels};
 use crate::projection::CenteredPose;
 use crate::scene::Scene;
@@ -19,6 +18,7 @@ use align::{AffineMap, Template};
 use image::Pyramid;
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector2, Vector3};
 use rayon::prelude::*;
+use rilievo_scene::loading::map_few_at_once;
 use rilievo_scene::{Flow, Intrinsics, Observer};
 
 /// Least correlation of an aligned patch.

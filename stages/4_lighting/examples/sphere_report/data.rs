@@ -63,7 +63,7 @@ impl Set {
                 marks.push((PhotoIdx(idx), SphereMark::Mask(mask)));
             }
             let photo = Photo {
-                mask: mask.map(Arc::new),
+                mask: mask.map(|mask| Arc::new(mask.packed())),
                 ..photo
             };
             taken.push(photo, camera.cam_from_world.ok_or("pose")?);
@@ -108,7 +108,7 @@ impl Set {
         let object = self.photos.photos[photo.0].mask.as_ref();
         let in_front: Vec<_> = pixels
             .iter()
-            .filter(|p| !object.is_some_and(|m| *m.at(p.x, p.y)))
+            .filter(|p| !object.is_some_and(|m| m.contains(p.x as isize, p.y as isize)))
             .collect();
         let both = in_front.iter().filter(|p| *mask.at(p.x, p.y)).count();
         both as f64 / (in_front.len() + mask.count() - both) as f64
@@ -175,7 +175,10 @@ impl Set {
         let (mut error, mut size) = (0.0, 0.0);
         for y in 0..image.height {
             for x in 0..image.width {
-                let masked = photo.mask.as_ref().is_some_and(|m| !*m.at(x, y));
+                let masked = photo
+                    .mask
+                    .as_ref()
+                    .is_some_and(|m| !m.contains(x as isize, y as isize));
                 let [a, b, c] = *normals.at(x, y);
                 if masked || (a == 0.0 && b == 0.0 && c == 0.0) {
                     continue;

@@ -49,7 +49,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let options = SphereOptions::default();
     let start = std::time::Instant::now();
-    let found = locate_request(&set.photos, &set.posed.views, &request, scale, &options)?;
+    let found = locate_request(&set.photos, &set.posed.views, &request, scale, &options, 2)?;
     println!(
         "{} located in {:.2} s, of other sizes {:?}, {:?}",
         found.fits.len(),

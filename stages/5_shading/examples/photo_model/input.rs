@@ -44,7 +44,7 @@ pub fn load(folder: &Path, photo_folder: &str, names: &[String]) -> Result<Input
             find_file(&folder.join("masks"), name).ok_or_else(|| format!("no mask {name}"))?;
         let image = linear_of(&decode_photo(&path)?);
         let photo = Photo {
-            mask: Some(Arc::new(read_mask(&mask)?)),
+            mask: Some(Arc::new(read_mask(&mask)?.packed())),
             clip_level: 0.98,
             ..photo(file_name, image, camera.intrinsics)
         };

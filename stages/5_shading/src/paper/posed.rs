@@ -34,7 +34,7 @@ pub(crate) fn run(
             })?;
         let image = photo.linear()?;
         let mask = match photo.mask.as_deref() {
-            Some(mask) => mask.clone(),
+            Some(mask) => mask.unpacked(),
             None => {
                 let message = format!(
                     "{}: no mask, the whole frame is taken for the object",

@@ -92,7 +92,7 @@ fn load(folder: &Path, names: &[&str]) -> Truth {
             focal_source: FocalSource::CameraFile,
             camera_group: 0,
             orientation: 1,
-            mask: Some(Arc::new(mask)),
+            mask: Some(Arc::new(mask.packed())),
             clip_level: 0.98,
             given_cam_from_world: None,
         });

@@ -57,9 +57,8 @@ impl Sizes {
             let frame = (view.intrinsics.width * view.intrinsics.height) as f64;
             let (crop, masked) = match &photo_of(photos, view)?.mask {
                 Some(mask) => {
-                    let window = Window::around(mask, 0).unwrap_or_default();
-                    let masked = mask.data.iter().filter(|&&is| is).count();
-                    ((window.width * window.height) as f64, masked as f64)
+                    let window = Window::around(&mask.unpacked(), 0).unwrap_or_default();
+                    ((window.width * window.height) as f64, mask.count() as f64)
                 }
                 None => (frame, frame),
             };

@@ -112,7 +112,7 @@ pub(super) fn photographed(
             focal_source: FocalSource::CameraFile,
             camera_group: 0,
             orientation: 1,
-            mask: Some(Arc::new(view.object_mask.clone())),
+            mask: Some(Arc::new(view.object_mask.packed())),
             clip_level: 0.99,
             given_cam_from_world: None,
         });

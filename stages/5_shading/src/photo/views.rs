@@ -11,7 +11,7 @@ use crate::error::ShadingError;
 use crate::photo_of::photo_of;
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{Mask, PhotoSet, PosedViews, Scratch, ScratchError, ViewIdx};
+use rilievo_scene::{Mask, PackedMask, PhotoSet, PosedViews, Scratch, ScratchError, ViewIdx};
 use rilievo_stereo::camera::Camera;
 use rilievo_stereo::level::{self, Level, LevelView};
 use rilievo_stereo::rectify::Rectification;
@@ -30,17 +30,17 @@ pub(crate) struct SolvedFrame {
     pub corner: (usize, usize),
     pub rectification: Rectification,
     /// The mask in the photo's own frame; none: all of it.
-    pub mask: Option<Arc<Mask>>,
+    pub mask: Option<Arc<PackedMask>>,
     /// Exposure gain that the pyramid's images were divided by.
     pub gain: [f64; 3],
 }
 
 impl SolvedFrame {
     /// The mask in the photo's own frame.
-    pub fn own_mask(&self) -> Cow<'_, Mask> {
+    pub fn own_mask(&self) -> Mask {
         match &self.mask {
-            Some(mask) => Cow::Borrowed(mask.as_ref()),
-            None => Cow::Owned(Mask::filled(self.size.0, self.size.1, true)),
+            Some(mask) => mask.unpacked(),
+            None => Mask::filled(self.size.0, self.size.1, true),
         }
     }
 }
@@ -254,7 +254,7 @@ fn load_view(
     let straight = (!rectification.is_identity()).then(|| rectification.straighten(&image, &mask));
     let (pixels, straight_mask) = match &straight {
         Some((pixels, straight_mask)) => (pixels, straight_mask),
-        None => (image.as_ref(), mask.as_ref()),
+        None => (image.as_ref(), &mask),
     };
     let small = SmallPhoto::new(&camera, pixels, straight_mask, photo.clip_level);
     let (view, corner) = LevelView::from_photo(&camera, pixels, straight_mask, photo.clip_level);

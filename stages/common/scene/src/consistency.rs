@@ -116,8 +116,9 @@ impl PhotoSet {
             check.camera(&photo.intrinsics, name)?;
             if let Some(mask) = &photo.mask {
                 let size = (photo.intrinsics.width, photo.intrinsics.height);
-                let fits = (mask.width, mask.height) == size && mask.data.len() == size.0 * size.1;
-                check.that(fits, || format!("the mask of {name} has another size"))?;
+                check.that((mask.width(), mask.height()) == size, || {
+                    format!("the mask of {name} has another size")
+                })?;
             }
             if let Some(pose) = &photo.given_cam_from_world {
                 check.pose(pose, name)?;

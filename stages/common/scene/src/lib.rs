@@ -21,9 +21,11 @@ pub mod division;
 pub mod events;
 pub mod ids;
 pub mod lighting;
+pub mod loading;
 pub mod maps;
 pub mod matches;
 pub mod options;
+mod packed_mask;
 pub mod photos;
 pub mod poses;
 pub mod raster;
@@ -48,6 +50,7 @@ pub use lighting::{Lighting, SphericalHarmonics};
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};
 pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
 pub use options::{InTable, OptionError, fulfils, in_range};
+pub use packed_mask::PackedMask;
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
 pub use poses::{
     Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,

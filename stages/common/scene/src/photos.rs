@@ -2,7 +2,8 @@
 
 use crate::camera::{FocalSource, Intrinsics};
 use crate::ids::PhotoIdx;
-use crate::raster::{LinearImage, Mask};
+use crate::packed_mask::PackedMask;
+use crate::raster::LinearImage;
 use crate::transform::RigidTransform;
 use std::sync::Arc;
 
@@ -53,7 +54,7 @@ pub struct Photo {
     /// EXIF orientation, 1 to 8; noted, not applied.
     pub orientation: u8,
     /// Object mask, `None` when the user gave no masks.
-    pub mask: Option<Arc<Mask>>,
+    pub mask: Option<Arc<PackedMask>>,
     /// Linear value at and above which a channel counts as clipped.
     pub clip_level: f32,
     /// Pose given by the user.

@@ -150,11 +150,8 @@ pub fn photograph(shapes: &[Shape], settings: &Settings) -> Scene {
             }
         }
         let mask = settings.masks.then(|| {
-            Arc::new(Mask {
-                width,
-                height,
-                data: depth.data.iter().map(|&z| z > 0.0).collect(),
-            })
+            let is_object = |x, y| *depth.at(x, y) > 0.0;
+            Arc::new(Mask::from_fn(width, height, is_object).packed())
         });
         let name = format!("view{idx}");
         scene.posed.views.push(PosedView {

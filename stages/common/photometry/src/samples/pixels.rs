@@ -7,7 +7,7 @@
 use crate::harmonics::Reading;
 use crate::sphere::SphereInCamera;
 use nalgebra::{Point2, Vector3};
-use rilievo_scene::{Intrinsics, LinearImage, Mask, NormalMap, Photo, PosedView};
+use rilievo_scene::{Intrinsics, LinearImage, NormalMap, PackedMask, Photo, PosedView};
 
 /// Which pixels count.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,7 +92,7 @@ pub struct Shot<'a> {
     /// Linear pixels.
     pub image: &'a LinearImage,
     /// The object, which stands before the sphere or beside it.
-    pub object: Option<&'a Mask>,
+    pub object: Option<&'a PackedMask>,
     /// Value from which a channel is clipped.
     pub clip_level: f32,
     /// Camera.
@@ -180,7 +180,7 @@ fn in_front_of(
 /// Pixels with a normal, at most `max_num` of them, evenly spread.
 pub fn surface_pixels(
     image: &LinearImage,
-    mask: Option<&Mask>,
+    mask: Option<&PackedMask>,
     normals: &NormalMap,
     max_num: usize,
 ) -> Vec<(usize, usize, Vector3<f64>)> {

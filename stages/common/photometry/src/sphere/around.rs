@@ -8,7 +8,7 @@ use super::cone::SphereInCamera;
 use super::error::SphereError;
 use super::locate::SphereFit;
 use super::posed_image::PosedImage;
-use rilievo_scene::{Intrinsics, LinearImage, Mask, PhotoSet, PosedView};
+use rilievo_scene::{Intrinsics, LinearImage, Mask, PackedMask, PhotoSet, PosedView};
 use std::sync::Arc;
 
 /// What the photos show around the spheres that outlines located, one list per fit: parts of the
@@ -103,10 +103,11 @@ impl Part {
         }
     }
 
-    fn of_mask(&self, whole: &Mask) -> Mask {
+    fn of_mask(&self, whole: &PackedMask) -> PackedMask {
         Mask::from_fn(self.width, self.height, |x, y| {
             whole.contains((x + self.x0) as isize, (y + self.y0) as isize)
         })
+        .packed()
     }
 }
 

@@ -24,7 +24,7 @@ use super::error::SphereError;
 use super::mark::{MarkFit, cone_from_points, distance_px};
 use super::options::SphereOptions;
 use nalgebra::{Matrix3, Matrix4, Point2, Point3, Vector3, Vector4};
-use rilievo_scene::{Intrinsics, LocatedSphere, MarkedSphere, PhotoIdx, RigidTransform};
+use rilievo_scene::{Intrinsics, LocatedSphere, MarkedSphere, PhotoIdx, PosedView, RigidTransform};
 use serde::{Deserialize, Serialize};
 
 /// Outline of the sphere in one posed view.
@@ -38,6 +38,18 @@ pub struct PosedOutline {
     pub cam_from_world: RigidTransform,
     /// Outline points, pixels (at least five, [`super::outline_of_mark`]).
     pub outline: Vec<Point2<f64>>,
+}
+
+impl PosedOutline {
+    /// The outline in a view.
+    pub fn of(view: &PosedView, outline: Vec<Point2<f64>>) -> Self {
+        Self {
+            photo: view.photo,
+            intrinsics: view.intrinsics,
+            cam_from_world: view.cam_from_world,
+            outline,
+        }
+    }
 }
 
 /// Whether the world's unit is known.

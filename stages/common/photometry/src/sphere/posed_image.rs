@@ -3,7 +3,8 @@
 use super::cone::SphereInCamera;
 use super::error::SphereError;
 use rilievo_scene::{
-    Intrinsics, LinearImage, LocatedSphere, Mask, PhotoIdx, PhotoSet, PosedView, RigidTransform,
+    Intrinsics, LinearImage, LocatedSphere, PackedMask, PhotoIdx, PhotoSet, PosedView,
+    RigidTransform,
 };
 use std::sync::Arc;
 
@@ -11,7 +12,7 @@ use std::sync::Arc;
 pub(super) struct Photo<'a> {
     pub image: &'a LinearImage,
     pub intrinsics: &'a Intrinsics,
-    pub object: Option<&'a Mask>,
+    pub object: Option<&'a PackedMask>,
     pub clip_level: f32,
 }
 
@@ -34,12 +35,28 @@ pub struct PosedImage {
     /// Pose, in the world's unit.
     pub cam_from_world: RigidTransform,
     /// Object mask: no outline is looked for on it.
-    pub object: Option<Arc<Mask>>,
+    pub object: Option<Arc<PackedMask>>,
     /// Linear value from which a channel counts as clipped.
     pub clip_level: f32,
 }
 
 impl PosedImage {
+    /// The whole photo of a posed view.
+    ///
+    /// # Errors
+    /// [`SphereError::Pixels`].
+    pub fn load(photos: &PhotoSet, view: &PosedView) -> Result<Self, SphereError> {
+        let photo = &photos.photos[view.photo.0];
+        Ok(Self {
+            photo: view.photo,
+            image: photo.linear()?,
+            intrinsics: view.intrinsics,
+            cam_from_world: view.cam_from_world,
+            object: photo.mask.clone(),
+            clip_level: photo.clip_level,
+        })
+    }
+
     /// The sphere in this camera's frame.
     pub fn sphere(&self, located: &LocatedSphere) -> SphereInCamera {
         SphereInCamera::seen(located, &self.cam_from_world)
@@ -54,28 +71,4 @@ impl PosedImage {
             clip_level: self.clip_level,
         }
     }
-}
-
-/// The whole photos of posed views.
-///
-/// # Errors
-/// [`SphereError::Pixels`].
-pub fn load_posed_images(
-    photos: &PhotoSet,
-    views: &[PosedView],
-) -> Result<Vec<PosedImage>, SphereError> {
-    views
-        .iter()
-        .map(|view| {
-            let photo = &photos.photos[view.photo.0];
-            Ok(PosedImage {
-                photo: view.photo,
-                image: photo.linear()?,
-                intrinsics: view.intrinsics,
-                cam_from_world: view.cam_from_world,
-                object: photo.mask.clone(),
-                clip_level: photo.clip_level,
-            })
-        })
-        .collect()
 }

@@ -23,7 +23,7 @@ use super::cone::{OutlineCone, SphereInCamera};
 use super::posed_image::Photo;
 use crate::harmonics::{FitOptions, fit_robust};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
-use rilievo_scene::{LinearImage, Mask, SphericalHarmonics};
+use rilievo_scene::{LinearImage, PackedMask, SphericalHarmonics};
 
 /// Weakest step that counts, relative to the mean intensity around it; JPEG blocks and noise stay
 /// below.
@@ -238,7 +238,7 @@ impl Profile {
         image: &LinearImage,
         at: &Point2<f64>,
         normal: &Vector2<f64>,
-        exclude: Option<&Mask>,
+        exclude: Option<&PackedMask>,
     ) -> bool {
         for k in 0..self.num_samples {
             let p = at + normal * (k as f64 * STEP_PX - self.inner_px);

@@ -4,7 +4,6 @@ use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
 use super::options::SphereOptions;
 use super::posed_image::PosedImage;
 use super::refine::{Effort, refine_outline};
-use nalgebra::Point2;
 use rilievo_scene::LocatedSphere;
 
 /// Repeats the fit on the edges found near the outline that it predicts, in all photos. Keeps the
@@ -43,19 +42,14 @@ fn edges_in_views(
             let found = refine_outline(&view.as_photo(), &predicted, search_px, Effort::Thorough);
             // A quarter of the outline still fixes the ellipse's centre across that arc.
             let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;
-            enough.then(|| outlined(view, found.points))
+            enough.then(|| PosedOutline {
+                photo: view.photo,
+                intrinsics: view.intrinsics,
+                cam_from_world: view.cam_from_world,
+                outline: found.points,
+            })
         })
         .collect()
-}
-
-/// A sphere's outline in a view.
-pub(super) fn outlined(view: &PosedImage, outline: Vec<Point2<f64>>) -> PosedOutline {
-    PosedOutline {
-        photo: view.photo,
-        intrinsics: view.intrinsics,
-        cam_from_world: view.cam_from_world,
-        outline,
-    }
 }
 
 fn with_missing(mut next: SphereFit, before: &SphereFit) -> SphereFit {

@@ -16,7 +16,6 @@ use super::error::SphereError;
 use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
 use super::mark::outline_of_mark;
 use super::options::SphereOptions;
-use super::posed_image::load_posed_images;
 use super::refit::refine_in_views;
 use super::several::{CommonScale, common_scale, without_doubles};
 use rayon::prelude::*;
@@ -38,7 +37,8 @@ pub struct LocatedSpheres {
 /// Locates the spheres that a request describes in posed views.
 ///
 /// With [`WorldScale::Free`], multiply the world by `scale` of the result, where there is one, to
-/// make it metric. A sphere that cannot be located does not hinder the others.
+/// make it metric. A sphere that cannot be located does not hinder the others. A search has `at_once` whole photos in
+/// memory at most.
 ///
 /// # Errors
 /// That of the first sphere where none can be located, [`SphereError::Pixels`]; [`SphereError::NoView`] when the request has no sphere.
@@ -48,6 +48,7 @@ pub fn locate_request(
     request: &SphereRequest,
     scale: WorldScale,
     options: &SphereOptions,
+    at_once: usize,
 ) -> Result<LocatedSpheres, SphereError> {
     options.validate()?;
     let mut located = LocatedSpheres::default();
@@ -81,8 +82,7 @@ pub fn locate_request(
         fit.sphere.name.clone_from(name);
     }
     if let Some(radius) = request.search_radius {
-        let images = load_posed_images(photos, views)?;
-        let found = detect(&images, radius, scale, options)?;
+        let found = detect(photos, views, radius, scale, options, at_once)?;
         located.fits.extend(found.fits);
         located.other_sizes = found.other_sizes;
     }
@@ -109,12 +109,7 @@ fn locate_marked(
         .iter()
         .filter_map(|(photo, mark)| {
             let view = views.iter().find(|view| view.photo == *photo)?;
-            Some(PosedOutline {
-                photo: *photo,
-                intrinsics: view.intrinsics,
-                cam_from_world: view.cam_from_world,
-                outline: outline_of_mark(mark),
-            })
+            Some(PosedOutline::of(view, outline_of_mark(mark)))
         })
         .collect();
     if outlines.is_empty() {

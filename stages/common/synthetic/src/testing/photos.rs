@@ -57,7 +57,7 @@ pub fn in_memory(image: LinearImage) -> Arc<InMemoryPixels> {
 /// A rendered photo, masked by the object.
 pub fn rendered_photo(file_name: &str, view: &RenderedView) -> Photo {
     Photo {
-        mask: Some(Arc::new(view.object_mask.clone())),
+        mask: Some(Arc::new(view.object_mask.packed())),
         ..photo(file_name, view.image.clone(), view.intrinsics)
     }
 }

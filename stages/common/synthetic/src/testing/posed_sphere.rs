@@ -68,7 +68,7 @@ pub fn sphere_world() -> SphereWorld {
         let maps = Maps::of(&camera, object);
         let name = format!("v{index}");
         let photo = Photo {
-            mask: Some(Arc::new(maps.mask.clone())),
+            mask: Some(Arc::new(maps.mask.packed())),
             clip_level: 5.0,
             ..photo(&format!("{name}.png"), image, camera)
         };

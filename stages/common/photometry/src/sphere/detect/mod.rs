@@ -17,18 +17,19 @@ mod edges;
 mod verify;
 mod votes;
 
+use super::around::load_around;
 use super::cone::{OutlineCone, SphereInCamera};
 use super::error::SphereError;
 use super::locate::{PosedOutline, SphereFit, WorldScale, crossing, locate};
 use super::options::SphereOptions;
 use super::posed_image::{Photo, PosedImage};
 use super::refine::{Effort, refine_outline};
-use super::refit::{outlined, refine_in_views};
+use super::refit::refine_in_views;
 use super::several::overlap;
 use super::shading::shading;
 use nalgebra::Point3;
-use rayon::prelude::*;
-use rilievo_scene::{Intrinsics, LinearImage, LocatedSphere};
+use rilievo_scene::loading::map_few_at_once;
+use rilievo_scene::{Intrinsics, LinearImage, LocatedSphere, PhotoSet, PosedView};
 use verify::Candidate;
 
 /// Circles that are looked at more closely per photo.
@@ -133,28 +134,30 @@ const SAME_SIZE: f64 = 0.03;
 /// Finds all spheres of a radius in posed photos.
 ///
 /// `radius` in metres; in a metric world a sphere must have it to 10 %, elsewhere the best one is
-/// taken as having it.
+/// taken as having it. Whole photos are in memory while candidates are sought, `at_once` of them.
 ///
 /// # Errors
-/// [`SphereError::NotFound`], and those of [`locate`].
+/// [`SphereError::NotFound`], [`SphereError::Pixels`], and those of [`locate`].
 pub fn detect(
-    images: &[PosedImage],
+    photos: &PhotoSet,
+    views: &[PosedView],
     radius: f64,
     scale: WorldScale,
     options: &SphereOptions,
+    at_once: usize,
 ) -> Result<Detected, SphereError> {
     options.validate()?;
-    let mut found: Vec<Vec<Candidate>> = images
-        .par_iter()
-        .map(|view| candidates(&view.as_photo(), options))
-        .collect();
+    let mut found: Vec<Vec<Candidate>> = map_few_at_once(views, at_once, |view| {
+        let image = PosedImage::load(photos, view)?;
+        Ok::<_, SphereError>(candidates(&image.as_photo(), options))
+    })?;
     let num_with = found.iter().filter(|list| !list.is_empty()).count();
     let mut known: Vec<SphereFit> = Vec::new();
     let mut detected = Detected::default();
     let mut num_refused = 0;
     while known.len() < MAX_SPHERES && num_refused < MAX_REFUSED {
         let search = Search {
-            images,
+            views,
             found: &found,
             known: &known,
             options,
@@ -162,8 +165,13 @@ pub fn detect(
         let Some((_, agreeing)) = search.best_proposal(radius, scale) else {
             break;
         };
-        match confirmed(images, &found, &agreeing, radius, scale, options) {
+        let outlines: Vec<PosedOutline> = agreeing
+            .iter()
+            .map(|&(view, k)| PosedOutline::of(&views[view], found[view][k].outline.clone()))
+            .collect();
+        match confirmed(photos, views, &outlines, radius, scale, options) {
             Ok(fit) if known.iter().all(|k| !overlap(&k.sphere, &fit.sphere)) => known.push(fit),
+            Err(error @ SphereError::Pixels(_)) => return Err(error),
             // What is no sphere leaves room for the next best, once there is one to lean on.
             Err(error) if known.is_empty() => return Err(error),
             _ => num_refused += 1,
@@ -190,7 +198,7 @@ pub fn detect(
             why: format!(
                 "{num_with} of {} photos have a round outline with the shading of a sphere, but no \
                  two of them agree on one place and size; mark it in two photos",
-                images.len()
+                views.len()
             ),
         });
     }
@@ -204,20 +212,23 @@ pub fn detect(
 
 /// The fit on the outlines of candidates that agree, refined and confirmed.
 fn confirmed(
-    images: &[PosedImage],
-    found: &[Vec<Candidate>],
-    agreeing: &[(usize, usize)],
+    photos: &PhotoSet,
+    views: &[PosedView],
+    outlines: &[PosedOutline],
     radius: f64,
     scale: WorldScale,
     options: &SphereOptions,
 ) -> Result<SphereFit, SphereError> {
-    let outlines: Vec<PosedOutline> = agreeing
-        .iter()
-        .map(|&(view, candidate)| outlined(&images[view], found[view][candidate].outline.clone()))
-        .collect();
-    let first = locate(&outlines, radius, scale, options)?;
-    let fit = refine_in_views(images, first, radius, scale, options);
-    confirm(images, fit, options)
+    let first = locate(outlines, radius, scale, options)?;
+    let around = load_around(
+        photos,
+        views,
+        std::slice::from_ref(&first),
+        options.search_px,
+    )?;
+    let images: Vec<PosedImage> = around.into_iter().flatten().collect();
+    let fit = refine_in_views(&images, first, radius, scale, options);
+    confirm(&images, views.len(), fit, options)
 }
 
 /// A proposal in the world, with the `(view, candidate)` pairs that agree with it.
@@ -228,7 +239,7 @@ const AGREEMENT: f64 = 0.12;
 
 /// What proposals are made from.
 struct Search<'a> {
-    images: &'a [PosedImage],
+    views: &'a [PosedView],
     found: &'a [Vec<Candidate>],
     /// Spheres that stand already.
     known: &'a [SphereFit],
@@ -241,13 +252,13 @@ impl Search<'_> {
     }
 
     fn best_proposal(&self, radius: f64, scale: WorldScale) -> Option<Proposal> {
-        let images = self.images;
+        let views = self.views;
         let mut best: Option<(f64, Proposal)> = None;
-        for first in 0..images.len() {
-            for second in first + 1..images.len() {
+        for first in 0..views.len() {
+            for second in first + 1..views.len() {
                 for a in self.left(first) {
                     for b in self.left(second) {
-                        let Some(sphere) = pair(&images[first], a, &images[second], b) else {
+                        let Some(sphere) = pair(&views[first], a, &views[second], b) else {
                             continue;
                         };
                         let fits =
@@ -283,9 +294,9 @@ impl Search<'_> {
 
     fn agreeing_candidates(&self, sphere: &(Point3<f64>, f64)) -> Vec<(usize, usize)> {
         let mut agreeing = Vec::new();
-        for (view, image) in self.images.iter().enumerate() {
+        for (view, posed) in self.views.iter().enumerate() {
             let in_camera = SphereInCamera {
-                center: image.cam_from_world.apply(&sphere.0),
+                center: posed.cam_from_world.apply(&sphere.0),
                 radius: sphere.1,
             };
             let Some(cone) = in_camera.cone() else {
@@ -308,9 +319,9 @@ impl Search<'_> {
 
 /// Nearest point of two candidates' axes and the radius there; `None` where they disagree.
 fn pair(
-    view_a: &PosedImage,
+    view_a: &PosedView,
     a: &Candidate,
-    view_b: &PosedImage,
+    view_b: &PosedView,
     b: &Candidate,
 ) -> Option<(Point3<f64>, f64)> {
     let poses = [&view_a.cam_from_world, &view_b.cam_from_world];
@@ -331,9 +342,10 @@ fn pair(
 const CONFIRM_PX: f64 = 2.0;
 
 /// The common sphere must be seen where it is predicted, and shaded as a sphere, in most of the
-/// photos that should show it.
+/// photos that should show it. `images` are the parts around it of those `num_views` that may show it.
 fn confirm(
     images: &[PosedImage],
+    num_views: usize,
     fit: SphereFit,
     options: &SphereOptions,
 ) -> Result<SphereFit, SphereError> {
@@ -374,7 +386,7 @@ fn confirm(
     let share = rilievo_numerics::robust::quantile(&mut explained, 0.5).unwrap_or(0.0);
     let num_alike = num_seen - num_unlike.min(num_seen);
     // Two photos agree by chance now and then, three hardly ever.
-    let at_least: usize = if images.len() < 4 { 2 } else { 3 };
+    let at_least: usize = if num_views < 4 { 2 } else { 3 };
     let needed = at_least.max((2 * num_expected).div_ceil(3));
     let is_sphere = is_convincing(support, share) && residual <= options.max_shading_residual;
     if num_alike < needed || !is_sphere {

@@ -3,8 +3,8 @@
 //! A loaded photo takes 12 bytes a pixel and its preparation as much again, what is kept of it far
 //! less: with a thread per core the loaded ones would outweigh all that is kept.
 
+use crate::photos::PhotoSet;
 use rayon::prelude::*;
-use rilievo_scene::PhotoSet;
 
 /// Photos that are held in memory at once at most.
 const MAX_NUM_LOADED: usize = 3;
@@ -21,6 +21,9 @@ pub fn num_at_once(photos: &PhotoSet, memory: Option<u64>) -> usize {
 }
 
 /// Maps items in parallel, a few at once, in their order.
+///
+/// # Errors
+/// That of an item of the first few that fail.
 pub fn map_few_at_once<T: Sync, R: Send, E: Send>(
     items: &[T],
     at_once: usize,
