@@ -155,6 +155,13 @@ pub struct MaskArgs {
     /// Folder for the masks; pictures to look at go to DIR-overlays
     #[arg(short, long, value_name = "DIR", default_value = "masks")]
     pub output: PathBuf,
+    /// A run of these photos whose poses tell the object, at least until stage 3. Without it, masks are sought before a
+    /// plain backdrop, and where there is none by poses found in DIR-run
+    #[arg(long, value_name = "RUN")]
+    pub run: Option<PathBuf>,
+    /// Cameras for poses that are found, as for `reconstruct`
+    #[arg(long, value_name = "FILE|COLMAP_DIR", conflicts_with = "run")]
+    pub cameras: Option<PathBuf>,
     /// Writes over masks that are there already
     #[arg(long)]
     pub overwrite: bool,

@@ -9,13 +9,13 @@ use super::parallel::Resources;
 use super::request::Request;
 use crate::cost::{Cost, Estimate};
 use crate::observe::Console;
+use crate::system::cpu_seconds;
 use rayon::prelude::*;
 use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
 use rilievo_scene::Mask;
 use rilievo_shading::photo::Sizes;
-use std::time::Instant;
 
 /// Photos without a mask are counted as if the object filled them; masks that are looked at for the object's share.
 const MAX_NUM_MASKS: usize = 4;
@@ -36,6 +36,8 @@ struct Work {
     object_px: f64,
     /// Pixels of the object in all photos at the finest level that is solved as a whole.
     whole_px: f64,
+    /// The same at the level at which the surface is found.
+    coarse_px: f64,
     pairs: f64,
 }
 
@@ -81,7 +83,9 @@ impl Work {
             masked: object_px,
             largest_frame: sizes.iter().copied().fold(0.0, f64::max),
         };
-        let whole_px = sizes.whole_share(&request.options.shading.photo) * object_px;
+        let options = &request.options.shading.photo;
+        let whole_px = sizes.whole_share(options) * object_px;
+        let coarse_px = sizes.coarse_share(options) * object_px;
         let all_pairs = 0.5 * photos * (photos - 1.0);
         Some(Self {
             photos,
@@ -89,6 +93,7 @@ impl Work {
             sizes,
             object_px,
             whole_px,
+            coarse_px,
             pairs: if photos > 20.0 {
                 all_pairs.min(12.0 * photos * photos.log2())
             } else {
@@ -98,19 +103,16 @@ impl Work {
     }
 
     fn estimate(&self, request: &Request, resources: Resources, slowness: f64) -> Estimate {
-        // Light and shape take turns at the coarse level.
-        let coarse_px = request.options.shading.photo.coarse_pixels as f64 * self.photos;
-        let coarse_px = coarse_px.min(self.whole_px);
         // CPU seconds of the reference machine: photos read and lit, keypoints, pairs, poses with anchors, levels that are
-        // solved as a whole, points and mesh.
+        // solved as a whole (at the coarse one light and shape take turns), points and mesh.
         let without_relief = 1.3e-7 * self.photo_px
-            + 2.4e-7 * self.photo_px
-            + 0.05 * self.pairs
+            + 3.9e-7 * self.photo_px
+            + 0.12 * self.pairs
             + 2.5e-7 * self.photo_px
             + self.photos
-            + 3.3e-4 * coarse_px
-            + 1.4e-4 * (self.whole_px - coarse_px)
-            + 1.0e-5 * self.object_px;
+            + 3.2e-4 * self.coarse_px
+            + 0.8e-4 * (self.whole_px - self.coarse_px)
+            + 1.35e-5 * self.object_px;
         // Levels between the one that is solved as a whole and the photo's own, a third more than the last of them.
         let relief = 12e-6 * 4.0 / 3.0 * (self.object_px - self.whole_px).max(0.0);
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
@@ -125,11 +127,21 @@ impl Work {
             cost: Cost {
                 cpu_seconds: slowness * (without_relief + relief),
                 peak_memory_bytes: needed.min(given),
-                disk_bytes: 7.0 * self.photo_px + 88.0 * self.object_px,
+                disk_bytes: self.disk_bytes(),
             },
             least_cpu_seconds: slowness * without_relief,
             working_disk_bytes: 45.0 * self.object_px,
         }
+    }
+}
+
+impl Work {
+    /// Photos, maps, what the report shows of each photo; and cloud and mesh, as large as the surface that is seen: photos
+    /// that go on around the object add to it, those between them do not.
+    fn disk_bytes(&self) -> f64 {
+        const PHOTOS_AROUND: f64 = 14.0;
+        let surface = (self.photos / PHOTOS_AROUND).sqrt().min(1.0) * self.object_px / self.photos;
+        6.0 * self.photo_px + 45.0 * self.object_px + 4.5e6 * self.photos + 2200.0 * surface
     }
 }
 
@@ -156,8 +168,8 @@ fn object_share(inputs: &Inputs) -> f64 {
     shares.iter().sum::<f64>() / shares.len() as f64
 }
 
-/// How much longer this machine takes than the one that the factors were measured on: the best of three small systems, so
-/// that other programs at work do not count.
+/// How much longer this machine takes than the one that the factors were measured on: the best of a few small systems, by
+/// CPU time, so that other programs at work do not count.
 fn slowness() -> f64 {
     const SIDE: usize = 96;
     let numbering = PixelNumbering::new(&Mask::filled(SIDE, SIDE, true));
@@ -165,12 +177,12 @@ fn slowness() -> f64 {
     for i in 0..numbering.len() {
         system.add_point(i, 1.0, i as f64);
     }
-    let seconds = (0..3).map(|_| {
-        let began = Instant::now();
+    let seconds = (0..5).map(|_| {
+        let before = cpu_seconds();
         let solved = PlateSolver::direct(&numbering).and_then(|solver| solver.solve(&system));
         // A system of ones is always solved; what it gives is not looked at.
         drop(solved);
-        began.elapsed().as_secs_f64()
+        cpu_seconds() - before
     });
     seconds.fold(f64::INFINITY, f64::min) / REFERENCE_SECONDS
 }

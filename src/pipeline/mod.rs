@@ -29,7 +29,7 @@ pub use execute::{Range, bring_up_to_date, run_stage};
 pub use features::{load_keypoints, load_pairs};
 pub use fusion::write_mesh;
 pub use halves::{ShapedHalf, shaped_halves};
-pub use inputs::Inputs;
+pub use inputs::{Inputs, PhotoInput};
 pub use parallel::{Resources, start_threads};
 pub use photos::{check as check_photos, linear_photo, map_photos};
 pub use plan::{Plan, StageState, is_another_set, upstream};

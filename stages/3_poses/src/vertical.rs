@@ -6,9 +6,8 @@
 //! than lies, seen from the cameras' own upright, is a wall and does not count. Else the mean of
 //! the cameras' upright directions, with EXIF's orientation, for cameras that were held level.
 
-use nalgebra::{Matrix3, Point3, Vector3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use nalgebra::{Point3, Vector3};
+use rilievo_numerics::plane::Plane;
 use rilievo_scene::{PhotoSet, PosedViews};
 use serde::{Deserialize, Serialize};
 
@@ -106,61 +105,18 @@ fn ground(photos: &PhotoSet, posed: &PosedViews, upright: &Vector3<f64>) -> Opti
         .iter()
         .map(|v| v.cam_from_world.center_in_source())
         .collect();
-    let middle = mean(&points);
+    let sum: Vector3<f64> = points.iter().map(|p| p.coords).sum();
+    let middle = Point3::from(sum / points.len() as f64);
     let reach = centers.iter().map(|c| (c - middle).norm()).sum::<f64>() / centers.len() as f64;
-    let limit = MAX_OFF_PLANE * reach;
-    let near = |normal: &Vector3<f64>, at: &Point3<f64>| -> Vec<Point3<f64>> {
-        let off = |p: &&Point3<f64>| (*p - at).dot(normal).abs() <= limit;
-        points.iter().filter(off).copied().collect()
-    };
-    let mut rng = ChaCha8Rng::seed_from_u64(points.len() as u64);
-    let mut best: Vec<Point3<f64>> = Vec::new();
-    for _ in 0..NUM_TRIPLES {
-        let [a, b, c] = [(); 3].map(|()| points[rng.random_range(0..points.len())]);
-        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(limit * limit) else {
-            continue;
-        };
-        let support = near(&normal, &a);
-        if support.len() > best.len() {
-            best = support;
-        }
-    }
-    let (normal, _) = plane(&best)?;
-    let inliers = near(&normal, &mean(&best));
-    let (normal, sigma) = plane(&inliers)?;
-    let share = inliers.len() as f64 / points.len() as f64;
     // The ground is seen from above.
-    let above = centers.iter().map(|c| (c - mean(&inliers)).dot(&normal));
-    let up = normal * above.sum::<f64>().signum();
-    let leans = up.angle(upright).to_degrees() > MAX_LEAN_DEG;
-    (share >= MIN_GROUND_SHARE && inliers.len() >= MIN_NUM_POINTS && !leans).then(|| Vertical {
-        up_in_world: up.into(),
+    let ground = Plane::of_most(&points, MAX_OFF_PLANE * reach, NUM_TRIPLES, |_, _| true)?;
+    let ground = ground.facing(&centers);
+    let share = ground.num_points as f64 / points.len() as f64;
+    let leans = ground.normal.angle(upright).to_degrees() > MAX_LEAN_DEG;
+    (share >= MIN_GROUND_SHARE && ground.num_points >= MIN_NUM_POINTS && !leans).then(|| Vertical {
+        up_in_world: ground.normal.into(),
         source: VerticalSource::Ground,
-        sigma_deg: sigma.to_degrees(),
+        sigma_deg: ground.sigma.to_degrees(),
         ground_share: Some(share),
     })
-}
-
-fn mean(points: &[Point3<f64>]) -> Point3<f64> {
-    let sum: Vector3<f64> = points.iter().map(|p| p.coords).sum();
-    Point3::from(sum / points.len().max(1) as f64)
-}
-
-/// Normal of the plane through points, and its standard deviation in radians; `None` when they lie
-/// on a line.
-fn plane(points: &[Point3<f64>]) -> Option<(Vector3<f64>, f64)> {
-    let middle = mean(points);
-    let scatter = points.iter().fold(Matrix3::zeros(), |sum, p| {
-        let d = p - middle;
-        sum + d * d.transpose()
-    });
-    let eigen = scatter.symmetric_eigen();
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    let [least, second] = [order[0], order[1]].map(|k| eigen.eigenvalues[k].max(0.0));
-    if points.len() < 3 || second.is_nan() || second <= 16.0 * least {
-        return None;
-    }
-    let sigma = (least / (points.len() as f64 * second)).sqrt();
-    Some((eigen.eigenvectors.column(order[0]).into_owned(), sigma))
 }

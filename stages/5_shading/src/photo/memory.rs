@@ -71,9 +71,19 @@ impl Sizes {
 
     /// Share of the pixels that the finest level has which is solved as a whole.
     pub fn whole_share(&self, options: &PhotoOptions) -> f64 {
+        self.share_within(options.max_fine_pixels.max(options.coarse_pixels))
+    }
+
+    /// Share of the pixels that the finest level has at which the surface is found.
+    pub fn coarse_share(&self, options: &PhotoOptions) -> f64 {
+        self.share_within(options.coarse_pixels)
+    }
+
+    /// Share of the finest level's pixels that the first level of at most so many pixels a view has.
+    fn share_within(&self, max_pixels: usize) -> f64 {
         let mean = self.masked / self.num_views.max(1) as f64;
         let mut share = 1.0;
-        while mean * share > options.max_fine_pixels.max(options.coarse_pixels) as f64 {
+        while mean * share > max_pixels as f64 {
             share /= 4.0;
         }
         share

@@ -7,6 +7,7 @@ pub mod corner_poisson;
 pub mod derivatives;
 pub mod least_squares;
 mod multigrid;
+pub mod plane;
 pub mod plate_solver;
 pub mod plate_system;
 pub mod robust;

@@ -1,11 +1,15 @@
-//! `rilievo mask PHOTOS`: proposes masks of an object before a plain backdrop.
+//! `rilievo mask PHOTOS`: proposes masks of an object, before a plain backdrop by the backdrop, elsewhere by the
+//! photos' poses.
 //!
 //! ```text
 //! DIR/NAME.png            the proposed mask, white is object
 //! DIR-overlays/NAME.png   the photo with the mask's outline, what it leaves out darkened
+//! DIR-run/                the run that the poses come from, where one was needed and none was given
 //! ```
 //!
 //! A mask that is there already is left alone: it may have been corrected by hand.
+
+mod by_poses;
 
 use super::reporting::reporting_found;
 use crate::cli::MaskArgs;
@@ -14,12 +18,13 @@ use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, linear_photo, map_photos};
 use crate::store::create_folder;
+use by_poses::PosedProposal;
 use rilievo_io::{Preview, write_mask, write_preview_png};
 use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
 use rilievo_scene::{LinearImage, Mask};
 use std::path::{Path, PathBuf};
 
-/// Certainty below which the user is asked to look closely.
+/// Certainty below which the user is asked to look closely, of a mask before a backdrop.
 const CLEAR: f64 = 0.6;
 
 /// Longer side of the pictures to look at.
@@ -46,8 +51,35 @@ pub fn mask(args: &MaskArgs) -> anyhow::Result<()> {
 
 /// What became of a photo.
 enum Proposed {
-    Written(MaskProposal),
+    Before(MaskProposal),
+    ByPoses(PosedProposal),
     Kept,
+    /// Why there is no mask.
+    Without(String),
+}
+
+/// Where masks and the pictures to look at go.
+struct Target {
+    masks: PathBuf,
+    overlays: PathBuf,
+}
+
+impl Target {
+    fn mask(&self, name: &str) -> PathBuf {
+        self.masks.join(format!("{name}.png"))
+    }
+
+    fn write(&self, name: &str, image: &LinearImage, mask: &Mask) -> Result<(), Failure> {
+        // Made only now, so that nothing is left where no mask is found.
+        for folder in [&self.masks, &self.overlays] {
+            create_folder(folder)?;
+        }
+        write_mask(&self.mask(name), mask)?;
+        let overlay = overlay(image, mask);
+        let picture = self.overlays.join(format!("{name}.png"));
+        write_preview_png(&picture, Preview::Linear(&overlay), OVERLAY_SIDE_PX)?;
+        Ok(())
+    }
 }
 
 fn propose(
@@ -62,7 +94,10 @@ fn propose(
     for problem in &inputs.skipped {
         console.note(&format!("  {problem}"));
     }
-    let overlays = overlay_folder(&args.output);
+    let target = Target {
+        overlays: beside(&args.output, "-overlays"),
+        masks: args.output.clone(),
+    };
     let resources = Resources::new(&args.work);
     let outcomes = map_photos(
         &inputs,
@@ -70,44 +105,57 @@ fn propose(
         "proposing masks",
         &console.of_command("mask"),
         |photo| -> anyhow::Result<Proposed> {
-            let target = args.output.join(format!("{}.png", photo.name));
-            if target.exists() && !args.overwrite {
+            if target.mask(&photo.name).exists() && !args.overwrite {
                 return Ok(Proposed::Kept);
             }
-            let image = linear_photo(&request, photo)?;
-            let proposal = propose_mask(&photo.file_name, &image)
-                .map_err(|error| Failure::NoResult(error.to_string()))?;
-            // Made only now, so that nothing is left where no mask is found.
-            for folder in [&args.output, &overlays] {
-                create_folder(folder)?;
+            if args.run.is_some() {
+                return Ok(Proposed::Without(String::new()));
             }
-            write_mask(&target, &proposal.mask).map_err(Failure::from)?;
-            let overlay = overlay(&image, &proposal.mask);
-            let picture = overlays.join(format!("{}.png", photo.name));
-            write_preview_png(&picture, Preview::Linear(&overlay), OVERLAY_SIDE_PX)
-                .map_err(Failure::from)?;
-            Ok(Proposed::Written(proposal))
+            let image = linear_photo(&request, photo)?;
+            match propose_mask(&photo.file_name, &image) {
+                Ok(proposal) => {
+                    target.write(&photo.name, &image, &proposal.mask)?;
+                    Ok(Proposed::Before(proposal))
+                }
+                Err(error) => Ok(Proposed::Without(error.to_string())),
+            }
         },
     )
     .ok_or(Failure::Interrupted)?;
 
     let mut unusable: Vec<Problem> = inputs.unreadable.clone();
-    let mut without = Vec::new();
-    for (photo, outcome) in inputs.photos.iter().zip(outcomes) {
-        let name = &photo.file_name;
-        match outcome {
-            Ok(Proposed::Written(proposal)) => {
-                console.note(&format!("  {name}: {}", sentence(&proposal)));
-                told.push(facts(name, &proposal));
-            }
-            Ok(Proposed::Kept) => console.note(&format!(
-                "  {name}: has a mask already, left as it is (--overwrite makes it anew)"
-            )),
+    let mut proposed = Vec::with_capacity(outcomes.len());
+    for outcome in outcomes {
+        proposed.push(match outcome {
+            Ok(found) => Some(found),
             Err(error) => match error.downcast_ref::<Failure>() {
-                Some(Failure::Input(problems)) => unusable.extend(problems.iter().cloned()),
-                Some(Failure::NoResult(reason)) => without.push(reason.clone()),
+                Some(Failure::Input(problems)) => {
+                    unusable.extend(problems.iter().cloned());
+                    None
+                }
                 _ => return Err(error),
             },
+        });
+    }
+    by_poses::propose(args, &request, &inputs, &target, console, &mut proposed)?;
+
+    let mut without = Vec::new();
+    for (photo, found) in inputs.photos.iter().zip(&proposed) {
+        let name = &photo.file_name;
+        match found {
+            Some(Proposed::Before(proposal)) => {
+                console.note(&format!("  {name}: {}", sentence(proposal)));
+                told.push(facts(name, proposal));
+            }
+            Some(Proposed::ByPoses(proposal)) => {
+                console.note(&format!("  {name}: {}", proposal.sentence()));
+                told.push(proposal.facts(name));
+            }
+            Some(Proposed::Kept) => console.note(&format!(
+                "  {name}: has a mask already, left as it is (--overwrite makes it anew)"
+            )),
+            Some(Proposed::Without(reason)) => without.push(reason.clone()),
+            None => {}
         }
     }
     if !unusable.is_empty() {
@@ -117,20 +165,21 @@ fn propose(
         return Err(Failure::Input(unusable).into());
     }
     if !without.is_empty() {
+        without.dedup();
         return Err(Failure::NoResult(without.join("\n")).into());
     }
     console.note(&format!(
         "masks are in {}, pictures to look at in {}; correct the masks by hand where needed",
-        args.output.display(),
-        overlays.display()
+        target.masks.display(),
+        target.overlays.display()
     ));
     Ok(())
 }
 
 /// `masks-overlays` beside `masks`: among the masks, the pictures would be taken for masks.
-fn overlay_folder(masks: &Path) -> PathBuf {
+fn beside(masks: &Path, ending: &str) -> PathBuf {
     let mut name = masks.file_name().unwrap_or_default().to_os_string();
-    name.push("-overlays");
+    name.push(ending);
     masks.with_file_name(name)
 }
 
@@ -157,6 +206,7 @@ fn sentence(proposal: &MaskProposal) -> String {
 fn facts(photo: &str, proposal: &MaskProposal) -> serde_json::Value {
     serde_json::json!({
         "photo": photo,
+        "method": "backdrop",
         "coverage": proposal.mask.coverage(),
         "backdrop": proposal.backdrop,
         "certainty": proposal.certainty(),

@@ -1,0 +1,187 @@
+//! What the outlines of all photos say together of places in space.
+//!
+//! Whatever belongs to the object lies within its outline in every photo that has it in its frame. A place that most
+//! photos see off the object is not the object's, whatever a single photo took it for; and what one photo left out,
+//! though the others have it, is looked at again.
+
+use crate::error::SegmentationError;
+use crate::points::{ObjectPoints, project};
+use crate::raster::distance_from;
+use nalgebra::{Point3, Vector3};
+use rilievo_scene::{Mask, PosedView};
+
+/// Cells along the longest side of the box around the object's points, which is this much larger on every side.
+const NUM_CELLS: usize = 80;
+const MARGIN: f64 = 0.2;
+/// Fewest photos that can outvote one.
+const MIN_NUM_PHOTOS: usize = 3;
+/// Share of the photos that may see a place off the object which belongs to it all the same, of a mask that is to be
+/// believed.
+const MAX_OFF_BELIEVED: f64 = 0.1;
+
+/// The object in a photo as it was cut at first, on a small image.
+#[derive(Clone, Debug)]
+pub struct Sketch {
+    /// The mask.
+    pub mask: Mask,
+    /// Pixels of the photo per pixel of the mask.
+    pub reduction: usize,
+}
+
+/// In how many photos' frames a place is, and in how many of them off the object.
+#[derive(Clone, Copy, Debug, Default)]
+struct Votes {
+    seen: usize,
+    off: usize,
+}
+
+/// The photos' votes on the cells of a box around the object.
+#[derive(Debug)]
+pub struct Consensus {
+    cells: Vec<Point3<f64>>,
+    side: f64,
+    votes: Vec<Votes>,
+}
+
+impl Consensus {
+    /// From the sketches of views; `None` with too few of them to outvote one.
+    ///
+    /// # Errors
+    /// [`SegmentationError::OpenCv`].
+    pub fn of(
+        points: &ObjectPoints,
+        views: &[PosedView],
+        sketches: &[Option<Sketch>],
+    ) -> Result<Option<Self>, SegmentationError> {
+        let num = sketches.iter().flatten().count();
+        let Some((cells, side)) = cells_around(&points.object).filter(|_| num >= MIN_NUM_PHOTOS)
+        else {
+            return Ok(None);
+        };
+        let mut consensus = Self {
+            votes: vec![Votes::default(); cells.len()],
+            cells,
+            side,
+        };
+        for (view, sketch) in views.iter().zip(sketches) {
+            let Some(sketch) = sketch else { continue };
+            let near = consensus.widened(view, sketch)?;
+            for (cell, votes) in consensus.cells.iter().zip(&mut consensus.votes) {
+                if let Some((x, y)) = small_pixel(view, sketch, cell) {
+                    votes.seen += 1;
+                    votes.off += usize::from(!*near.at(x, y));
+                }
+            }
+        }
+        Ok(Some(consensus))
+    }
+
+    /// Where places appear in a view that at most a share of the photos see off the object, on the sketch's image.
+    ///
+    /// # Errors
+    /// [`SegmentationError::OpenCv`].
+    pub fn seen_by(
+        &self,
+        view: &PosedView,
+        sketch: &Sketch,
+        max_off: f64,
+    ) -> Result<Mask, SegmentationError> {
+        self.projected(view, sketch, |votes, _| {
+            votes.seen >= MIN_NUM_PHOTOS && votes.off as f64 <= max_off * votes.seen as f64
+        })
+    }
+
+    /// Share of a view's mask that lies within the outlines of the others; `sketch` is the one that voted.
+    ///
+    /// # Errors
+    /// [`SegmentationError::OpenCv`].
+    pub fn agreement(&self, view: &PosedView, sketch: &Sketch) -> Result<f64, SegmentationError> {
+        let near = self.widened(view, sketch)?;
+        let others = self.projected(view, sketch, |votes, (x, y)| {
+            let (seen, off) = (votes.seen - 1, votes.off - usize::from(!*near.at(x, y)));
+            seen + 1 >= MIN_NUM_PHOTOS && off as f64 <= MAX_OFF_BELIEVED * seen as f64
+        })?;
+        let pixels = sketch.mask.data.iter().zip(&others.data);
+        let (num, within) = pixels.fold((0, 0), |(num, within), (&own, &left)| {
+            (num + usize::from(own), within + usize::from(own && left))
+        });
+        Ok(within as f64 / num.max(1) as f64)
+    }
+
+    /// Cells that fulfil a condition, on a view's small image, each as wide as it appears.
+    fn projected(
+        &self,
+        view: &PosedView,
+        sketch: &Sketch,
+        is: impl Fn(Votes, (usize, usize)) -> bool,
+    ) -> Result<Mask, SegmentationError> {
+        let mut centres = Mask::filled(sketch.mask.width, sketch.mask.height, false);
+        for (cell, &votes) in self.cells.iter().zip(&self.votes) {
+            if let Some(at) = small_pixel(view, sketch, cell)
+                && is(votes, at)
+            {
+                *centres.at_mut(at.0, at.1) = true;
+            }
+        }
+        self.spread(view, sketch, &centres)
+    }
+
+    /// A sketch's mask, wider by half a cell: what is thinner than a cell has no cell's centre in it.
+    fn widened(&self, view: &PosedView, sketch: &Sketch) -> Result<Mask, SegmentationError> {
+        self.spread(view, sketch, &sketch.mask)
+    }
+
+    fn spread(
+        &self,
+        view: &PosedView,
+        sketch: &Sketch,
+        mask: &Mask,
+    ) -> Result<Mask, SegmentationError> {
+        let depth = view
+            .cam_from_world
+            .apply(&self.cells[self.cells.len() / 2])
+            .z;
+        let cell_px = view.intrinsics.focal_px() * self.side / depth.max(1e-9);
+        // From a cell's centre to its corners.
+        let radius = (0.87 * cell_px / sketch.reduction as f64) as f32;
+        let distance = distance_from(mask)?;
+        Ok(Mask::from_fn(mask.width, mask.height, |x, y| {
+            *distance.at(x, y) <= radius
+        }))
+    }
+}
+
+/// Centres of the cells of a box around points, and a cell's side.
+fn cells_around(points: &[Point3<f64>]) -> Option<(Vec<Point3<f64>>, f64)> {
+    let first = points.first()?;
+    let (mut low, mut high) = (first.coords, first.coords);
+    for p in points {
+        low = low.inf(&p.coords);
+        high = high.sup(&p.coords);
+    }
+    let margin = Vector3::repeat(MARGIN * (high - low).max());
+    (low, high) = (low - margin, high + margin);
+    let side = (high - low).max() / NUM_CELLS as f64;
+    if !(side > 0.0 && side.is_finite()) {
+        return None;
+    }
+    let num = (high - low).map(|v| (v / side).ceil().max(1.0) as usize);
+    let mut cells = Vec::with_capacity(num.x * num.y * num.z);
+    for z in 0..num.z {
+        for y in 0..num.y {
+            for x in 0..num.x {
+                let at = [x, y, z].map(|v| (v as f64 + 0.5) * side);
+                cells.push(Point3::from(low + Vector3::from(at)));
+            }
+        }
+    }
+    Some((cells, side))
+}
+
+/// The pixel of a sketch that shows a place; `None` outside the frame.
+fn small_pixel(view: &PosedView, sketch: &Sketch, place: &Point3<f64>) -> Option<(usize, usize)> {
+    let pixel = project(view, place)?;
+    let of = |v: f64| ((v + 0.5) / sketch.reduction as f64).max(0.0) as usize;
+    let (x, y) = (of(pixel.x), of(pixel.y));
+    (x < sketch.mask.width && y < sketch.mask.height).then_some((x, y))
+}
