@@ -266,6 +266,77 @@ fn masks_are_proposed_shown_and_never_written_over() {
     assert!(!none.exists() && !dir.path().join("none-overlays").exists());
 }
 
+#[test]
+fn masks_are_proposed_by_the_photos_poses_where_a_mat_is_in_the_picture() {
+    let dir = tempfile::tempdir().unwrap();
+    let set = dir.path().join("set");
+    done(&[
+        "synth",
+        arg(&set),
+        "--views",
+        "5",
+        "--size",
+        "640x480",
+        "--seed",
+        "5",
+    ]);
+    let (photos, masks) = (set.join("photos"), dir.path().join("masks"));
+    let cameras = set.join("intrinsics.json");
+    let found = [
+        "mask",
+        arg(&photos),
+        "-o",
+        arg(&masks),
+        "--cameras",
+        arg(&cameras),
+        "--json",
+    ];
+    let (code, stdout, stderr) = run(&found);
+    assert_eq!(code, 0, "{stderr}");
+    let last: serde_json::Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
+    for told in last["masks"].as_array().unwrap() {
+        assert_eq!(told["method"], "poses");
+        assert!(told["certainty"].as_f64().unwrap() > 0.8, "{told}");
+    }
+    for k in 1..=5 {
+        let name = format!("IMG_{k:04}.png");
+        let found = read_mask(&masks.join(&name)).unwrap();
+        let truth = read_mask(&set.join("masks").join(&name)).unwrap();
+        let count = |is: fn(bool, bool) -> bool| {
+            let pixels = found.data.iter().zip(&truth.data);
+            pixels.filter(|(a, b)| is(**a, **b)).count() as f64
+        };
+        let overlap = count(|a, b| a && b) / count(|a, b| a || b);
+        assert!(overlap > 0.93, "{name}: {overlap}");
+    }
+    // The same from the run that it made, and nothing from one of other photos.
+    let again = dir.path().join("again");
+    let made = dir.path().join("masks-run");
+    done(&["mask", arg(&photos), "-o", arg(&again), "--run", arg(&made)]);
+    let bytes = |folder: &Path| std::fs::read(folder.join("IMG_0003.png")).unwrap();
+    assert_eq!(bytes(&masks), bytes(&again));
+    std::fs::rename(photos.join("IMG_0002.jpg"), photos.join("other.jpg")).unwrap();
+    let only = photos.join("other.jpg");
+    let some = photos.join("IMG_0001.jpg");
+    let other = dir.path().join("other");
+    let both = [
+        "mask",
+        arg(&only),
+        arg(&some),
+        "-o",
+        arg(&other),
+        "--run",
+        arg(&made),
+    ];
+    let (code, _, stderr) = run(&both);
+    assert_eq!(code, 4, "{stderr}");
+    assert!(
+        stderr.contains("other.jpg has no pose in the run"),
+        "{stderr}"
+    );
+    assert!(other.join("IMG_0001.png").exists());
+}
+
 /// Long: some three gigabytes and half a minute.
 #[test]
 #[ignore = "needs three gigabytes"]

@@ -84,7 +84,8 @@ pub fn propose(
     proposed: &mut [Option<Proposed>],
 ) -> anyhow::Result<()> {
     let is_without = |found: &Option<Proposed>| matches!(found, Some(Proposed::Without(_)));
-    if !proposed.iter().any(is_without) {
+    // One photo alone has no pose.
+    if !proposed.iter().any(is_without) || inputs.photos.len() < 2 {
         return Ok(());
     }
     let posed = match &args.run {

@@ -76,7 +76,8 @@ impl Consensus {
         Ok(Some(consensus))
     }
 
-    /// Where places appear in a view that at most a share of the photos see off the object, on the sketch's image.
+    /// Where places appear in a view that at most a share of the photos, or `or_num` of them, see off the object, on the
+    /// sketch's image.
     ///
     /// # Errors
     /// [`SegmentationError::OpenCv`].
@@ -84,10 +85,11 @@ impl Consensus {
         &self,
         view: &PosedView,
         sketch: &Sketch,
-        max_off: f64,
+        (max_off, or_num): (f64, usize),
     ) -> Result<Mask, SegmentationError> {
         self.projected(view, sketch, |votes, _| {
-            votes.seen >= MIN_NUM_PHOTOS && votes.off as f64 <= max_off * votes.seen as f64
+            let allowed = or_num.max((max_off * votes.seen as f64) as usize);
+            votes.seen >= MIN_NUM_PHOTOS && votes.off <= allowed
         })
     }
 

@@ -36,9 +36,10 @@ const MIN_REGION: f64 = 0.01;
 const MAX_HOLE: f64 = 0.0005;
 /// Half width of the band in which the border is drawn again, pixels of the small image.
 const BAND_PX: f32 = 3.0;
-/// Share of the photos that may see a place off the object, so that it may be the object's, and so that it rather is.
-const MAX_OFF_POSSIBLE: f64 = 0.4;
-const MAX_OFF_LIKELY: f64 = 0.15;
+/// Share of the photos, or number, that may see a place off the object, so that it may be the object's, and so that it
+/// rather is. Beside the object a place is off it in about a quarter of the photos of a ring.
+const MAX_OFF_POSSIBLE: (f64, usize) = (0.2, 1);
+const MAX_OFF_LIKELY: (f64, usize) = (0.15, 0);
 /// Brightness of the photos' brightest hundredth when they are encoded in 8 bits.
 const BRIGHT: f32 = 0.8;
 
@@ -225,8 +226,8 @@ pub fn outline(
         let (x, y) = (p.x.round() as isize, p.y.round() as isize);
         mask.contains(x, y)
     });
-    let gap = prepared.gap();
-    let near = (0..cut.data.len()).filter(|&k| cut.data[k] && prepared.from_own.data[k] <= gap);
+    let is_near = |k: usize| prepared.from_own.data[k] <= reach;
+    let near = (0..cut.data.len()).filter(|&k| cut.data[k] && is_near(k));
     Ok(Outline {
         inside: inside.count() as f64 / prepared.object_pixels.len() as f64,
         covered: near.count() as f64 / cut.count().max(1) as f64,
