@@ -335,6 +335,30 @@ fn masks_are_proposed_by_the_photos_poses_where_a_mat_is_in_the_picture() {
         "{stderr}"
     );
     assert!(other.join("IMG_0001.png").exists());
+    // One photo is enough where its pose is known, but not another one of its name.
+    let place = |name: &str| dir.path().join(name);
+    let (single, swapped) = (place("single"), place("swapped"));
+    done(&["mask", arg(&some), "-o", arg(&single), "--run", arg(&made)]);
+    std::fs::copy(photos.join("IMG_0003.jpg"), &some).unwrap();
+    let (code, _, stderr) = run(&["mask", arg(&some), "-o", arg(&swapped), "--run", arg(&made)]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(stderr.contains("not the photo of that name"), "{stderr}");
+    assert!(!swapped.exists());
+    // A run that was not made for masks is not replaced.
+    std::fs::rename(masks.join("IMG_0002.png"), masks.join("other.png")).unwrap();
+    let (whole, its_run) = (place("whole"), place("whole-run"));
+    let asked = [
+        "reconstruct",
+        arg(&photos),
+        "--masks",
+        arg(&masks),
+        "--until",
+        "1_photos",
+    ];
+    done(&[&asked[..], &["-o", arg(&its_run)]].concat());
+    let (code, _, stderr) = run(&["mask", arg(&photos), "-o", arg(&whole)]);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("--run"), "{stderr}");
 }
 
 /// Long: some three gigabytes and half a minute.

@@ -11,8 +11,9 @@ Examples:
   rilievo check photos --masks masks --cameras intrinsics.json";
 
 pub const MASK: &str = "\
-Example:
-  rilievo mask photos -o masks";
+Examples:
+  rilievo mask photos -o masks
+  rilievo mask photos -o masks --run run";
 
 pub const RECONSTRUCT: &str = "\
 Examples:

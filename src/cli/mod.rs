@@ -45,7 +45,7 @@ pub enum Command {
     /// Looks at photos and masks before anything is computed: what is good, what is not, what to do
     #[command(after_help = examples::CHECK)]
     Check(CheckArgs),
-    /// Proposes masks of an object before a plain backdrop, to be looked at and corrected
+    /// Proposes masks of an object, by a plain backdrop or by the photos' poses, to be looked at and corrected
     #[command(after_help = examples::MASK)]
     Mask(MaskArgs),
     /// Photographs to depth maps, a point cloud and a mesh

@@ -95,7 +95,7 @@ impl Work {
             whole_px,
             coarse_px,
             pairs: if photos > 20.0 {
-                all_pairs.min(12.0 * photos * photos.log2())
+                all_pairs.min(6.0 * photos * photos.log2())
             } else {
                 all_pairs
             },
@@ -122,7 +122,7 @@ impl Work {
         let detection = 45.0 * self.sizes.largest_frame * threads as f64;
         let needed = shading
             .max(detection)
-            .max(fusion.min(60.0 * self.object_px));
+            .max(fusion.min(0.2e9 + 26.0 * self.object_px));
         Estimate {
             cost: Cost {
                 cpu_seconds: slowness * (without_relief + relief),

@@ -32,7 +32,7 @@ pub use halves::{ShapedHalf, shaped_halves};
 pub use inputs::{Inputs, PhotoInput};
 pub use parallel::{Resources, start_threads};
 pub use photos::{check as check_photos, linear_photo, map_photos};
-pub use plan::{Plan, StageState, is_another_set, upstream};
+pub use plan::{Plan, StageState, is_another_set, photo_role, upstream};
 pub use poses::load as load_poses;
 pub use request::{LightingInput, Request, SphereInput};
 pub use shading::{ShadingFacts, shown_albedo, write_maps};

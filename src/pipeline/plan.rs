@@ -146,7 +146,7 @@ fn options(stage: StageId, request: &Request) -> serde_json::Value {
 }
 
 /// The role of a photo among the inputs of stage 1.
-fn photo_role(file_name: &str) -> String {
+pub fn photo_role(file_name: &str) -> String {
     format!("photo {file_name}")
 }
 

@@ -1,22 +1,24 @@
 //! Masks from the photos' poses: what stands in the middle of what the photos look at.
 
-use super::{Proposed, Target, beside};
+use super::target::{Target, beside};
 use crate::cli::MaskArgs;
 use crate::commands::reconstruct::{Allowed, bring_run_up_to_date};
-use crate::exit::Failure;
+use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::pipeline::{
-    Inputs, PhotoInput, Range, Request, Resources, linear_photo, load_poses, map_photos,
+    Inputs, PhotoInput, Range, Request, Resources, linear_photo, load_poses, map_photos, photo_role,
 };
-use crate::store::RunDir;
+use crate::store::{Manifest, RunDir, StoreError};
 use rilievo_scene::{LinearImage, PosedView, PosedViews, StageId};
-use rilievo_segmentation::{Consensus, SeenPoints, SegmentationError, outline, sketch};
-use std::collections::BTreeMap;
+use rilievo_segmentation::{Consensus, SeenPoints, SegmentationError, Sketch, outline, sketch};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 /// Certainty below which the user is asked to look closely.
 const CLEAR: f64 = 0.9;
 
 /// How sure a proposed mask is.
+#[derive(Clone)]
 pub struct PosedProposal {
     coverage: f64,
     /// Share of the object's matched points inside.
@@ -71,74 +73,80 @@ impl PosedProposal {
 }
 
 /// Proposes masks for the photos that are without, and writes them. The poses come from the run that was given, else from
-/// one beside the masks.
+/// one beside the masks. All photos with a pose vote on what is the object, those with a mask too, so that a mask does not
+/// depend on which others are there already.
+///
+/// `without` has why a photo is without a mask, for those that are. Returns a proposal or a new reason for these, and the
+/// photos that cannot be read or are not those of the run.
 ///
 /// # Errors
-/// When there are no poses, a photo cannot be read again, or a mask cannot be written.
+/// When there is no run or it is damaged, or a mask cannot be written.
 pub fn propose(
     args: &MaskArgs,
     request: &Request,
     inputs: &Inputs,
     target: &Target,
     console: &Console,
-    proposed: &mut [Option<Proposed>],
-) -> anyhow::Result<()> {
-    let is_without = |found: &Option<Proposed>| matches!(found, Some(Proposed::Without(_)));
-    // One photo alone has no pose.
-    if !proposed.iter().any(is_without) || inputs.photos.len() < 2 {
-        return Ok(());
+    without: &[Option<String>],
+) -> anyhow::Result<(Vec<Found>, Vec<Problem>)> {
+    let none = || (vec![None; without.len()], Vec::new());
+    if without.iter().all(Option::is_none) {
+        return Ok(none());
     }
     let posed = match &args.run {
         Some(run) => load_poses(&RunDir::open_to_read(run)?)?,
+        // One photo alone has no pose.
+        None if inputs.photos.len() < 2 => return Ok(none()),
         None => match posed_here(args, request, console) {
             Ok(posed) => posed,
-            // Photos that have no poses are no worse off than before; why is told with them.
-            Err(error) if matches!(error.downcast_ref(), Some(Failure::NoResult(_))) => {
-                for found in proposed.iter_mut() {
-                    if let Some(Proposed::Without(reason)) = found {
-                        *reason += &format!("; nor do the photos' poses tell it: {error:#}");
-                    }
-                }
-                return Ok(());
-            }
-            Err(error) => return Err(error),
+            Err(error) => match error.downcast_ref() {
+                // Photos that have no poses are no worse off than before; why is told with them.
+                Some(Failure::NoResult(why)) => return Ok((nor(without, why), Vec::new())),
+                _ => return Err(error),
+            },
         },
     };
+    let sane = posed.check();
+    sane.map_err(|error| Failure::RunDirectory(error.to_string()))?;
     let views = &posed.views;
-    let points = SeenPoints::new(&posed).part(views);
-    let points = points.map_err(|error| Failure::NoResult(error.to_string()))?;
-    let wanted: BTreeMap<&str, usize> = (inputs.photos.iter().zip(proposed.iter()))
-        .filter(|(_, found)| is_without(found))
-        .filter_map(|(photo, _)| {
-            let has_name = |view: &PosedView| view.file_name == photo.file_name;
-            Some((photo.file_name.as_str(), views.iter().position(has_name)?))
-        })
+    let points = match SeenPoints::new(&posed).part(views) {
+        Ok(points) => points,
+        Err(error) => return Ok((nor(without, &error.to_string()), Vec::new())),
+    };
+    let index_of: BTreeMap<&str, usize> = (views.iter().enumerate())
+        .map(|(index, view)| (view.file_name.as_str(), index))
+        .collect();
+    let to_cut: BTreeSet<usize> = (inputs.photos.iter().zip(without))
+        .filter(|(_, reason)| reason.is_some())
+        .filter_map(|(photo, _)| index_of.get(photo.file_name.as_str()).copied())
         .collect();
     let mut cut = Cut {
         request,
         inputs,
         resources: Resources::new(&args.work),
         console,
+        made_from: match &args.run {
+            Some(run) => RunDir::open_to_read(run)?.manifest(StageId::Photos)?,
+            None => None,
+        },
         views,
-        wanted: &wanted,
+        index_of: &index_of,
         reasons: BTreeMap::new(),
+        problems: Vec::new(),
     };
-    let sketches = cut.each("sketching the object", |index, _, image| {
+    let with_pose = |_: usize| true;
+    let sketches = cut.each("sketching the object", with_pose, |index, _, image| {
         Ok(sketch(&points, index, &views[index], image)?)
     })?;
     let consensus = Consensus::of(&points, views, &sketches)?;
-    let outlines = cut.each("outlining the object", |index, photo, image| {
+    let is_wanted = |index: usize| to_cut.contains(&index) && sketches[index].is_some();
+    let outlines = cut.each("outlining the object", is_wanted, |index, photo, image| {
         let own = sketches[index].as_ref();
         let own = own.ok_or_else(|| SegmentationError::NotInPhoto {
             photo: photo.file_name.clone(),
         })?;
-        let found = outline(
-            &points,
-            index,
-            &views[index],
-            image,
-            (own, consensus.as_ref()),
-        )?;
+        let known = (own, consensus.as_ref());
+        let found = outline(&points, index, &views[index], image, known)?;
         target.write(&photo.name, image, &found.mask)?;
         let proposal = PosedProposal {
             coverage: found.mask.coverage(),
@@ -149,28 +157,44 @@ pub fn propose(
         Ok((proposal, found.sketch))
     })?;
     let (mut proposals, last): (Vec<_>, Vec<_>) = outlines.into_iter().map(Option::unzip).unzip();
+    // Photos with a mask of their own vote with their sketch.
+    let last: Vec<Option<Sketch>> = (last.into_iter().zip(sketches))
+        .map(|(last, first)| last.or(first))
+        .collect();
     if let Some(consensus) = Consensus::of(&points, views, &last)? {
         for ((proposal, sketch), view) in proposals.iter_mut().zip(&last).zip(views) {
             if let (Some(proposal), Some(sketch)) = (proposal, sketch) {
-                proposal.agreement = Some(consensus.agreement(view, sketch)?);
+                proposal.agreement = consensus.agreement(view, sketch)?;
             }
         }
     }
-    for (photo, found) in inputs.photos.iter().zip(proposed.iter_mut()) {
-        if !is_without(found) {
-            continue;
-        }
+    let found = inputs.photos.iter().zip(without).map(|(photo, reason)| {
+        reason.as_ref()?;
         let name = photo.file_name.as_str();
-        let index = wanted.get(name);
-        *found = Some(match index.and_then(|&index| proposals[index].take()) {
-            Some(proposal) => Proposed::ByPoses(proposal),
-            None => Proposed::Without(match index.and_then(|index| cut.reasons.remove(index)) {
-                Some(reason) => reason,
-                None => format!("{name} has no pose in the run; draw its mask in an image editor"),
-            }),
-        });
-    }
-    Ok(())
+        let index = index_of.get(name);
+        let proposal = index.and_then(|&index| proposals[index].take());
+        Some(proposal.ok_or_else(|| {
+            let reason = index.and_then(|index| cut.reasons.remove(index));
+            reason.unwrap_or_else(|| {
+                format!("{name} has no pose in the run; draw its mask in an image editor")
+            })
+        }))
+    });
+    Ok((found.collect(), cut.problems))
+}
+
+/// What became of a photo that was without a mask.
+type Found = Option<Result<PosedProposal, String>>;
+
+/// Why photos are without a mask, and that their poses do not help either.
+fn nor(without: &[Option<String>], why: &str) -> Vec<Found> {
+    let both = |reason: &String| match reason.is_empty() {
+        true => why.to_owned(),
+        false => format!("{reason}; nor do the photos' poses tell it: {why}"),
+    };
+    let each = without.iter();
+    each.map(|reason| Some(Err(both(reason.as_ref()?))))
+        .collect()
 }
 
 /// What photos are cut with.
@@ -179,19 +203,24 @@ struct Cut<'a> {
     inputs: &'a Inputs,
     resources: Resources,
     console: &'a Console,
+    /// The photos that a given run was made from.
+    made_from: Option<Manifest>,
     views: &'a [PosedView],
-    /// The photos that are to be cut, by file name, with the number of their view.
-    wanted: &'a BTreeMap<&'a str, usize>,
+    /// Number of the view of a photo, by file name.
+    index_of: &'a BTreeMap<&'a str, usize>,
     /// Why views have no mask.
     reasons: BTreeMap<usize, String>,
+    /// Photos that cannot be used.
+    problems: Vec<Problem>,
 }
 
 impl Cut<'_> {
-    /// Works on the views of all wanted photos, given number, photo and pixels. A view in which the object cannot be told
-    /// has no result and a reason.
+    /// Works on the views that are `wanted`, given number, photo and pixels. A view in which the object cannot be told has
+    /// no result and a reason.
     fn each<R: Send>(
         &mut self,
         step: &str,
+        wanted: impl Fn(usize) -> bool + Sync,
         work: impl Fn(usize, &PhotoInput, &LinearImage) -> anyhow::Result<R> + Sync,
     ) -> anyhow::Result<Vec<Option<R>>> {
         let outcomes = map_photos(
@@ -200,8 +229,8 @@ impl Cut<'_> {
             step,
             &self.console.of_command("mask"),
             |photo| {
-                let index = *self.wanted.get(photo.file_name.as_str())?;
-                Some((index, self.one(index, photo, &work)))
+                let index = *self.index_of.get(photo.file_name.as_str())?;
+                wanted(index).then(|| (index, self.one(index, photo, &work)))
             },
         )
         .ok_or(Failure::Interrupted)?;
@@ -209,12 +238,18 @@ impl Cut<'_> {
         for (index, outcome) in outcomes.into_iter().flatten() {
             match outcome {
                 Ok(result) => results[index] = Some(result),
-                Err(error) => match error.downcast_ref::<SegmentationError>() {
-                    Some(reason) => {
-                        self.reasons.entry(index).or_insert(reason.to_string());
+                Err(error) => {
+                    if let Some(reason) = error.downcast_ref::<SegmentationError>() {
+                        self.reasons.insert(index, reason.to_string());
+                    } else if let Some(Failure::Input(problems)) = error.downcast_ref() {
+                        let mut problems = problems.clone();
+                        let reason = problems.iter().map(ToString::to_string).collect();
+                        self.reasons.insert(index, reason);
+                        self.problems.append(&mut problems);
+                    } else {
+                        return Err(error);
                     }
-                    None => return Err(error),
-                },
+                }
             }
         }
         Ok(results)
@@ -226,13 +261,17 @@ impl Cut<'_> {
         photo: &PhotoInput,
         work: &impl Fn(usize, &PhotoInput, &LinearImage) -> anyhow::Result<R>,
     ) -> anyhow::Result<R> {
+        let is_other = self.made_from.as_ref().is_some_and(|made_from| {
+            let hash = made_from
+                .ingredients
+                .inputs
+                .get(&photo_role(&photo.file_name));
+            hash.is_some_and(|hash| *hash != photo.hash)
+        });
         let image = linear_photo(self.request, photo)?;
         let camera = &self.views[index].intrinsics;
-        if (camera.width, camera.height) != (image.width, image.height) {
-            let reason = format!(
-                "is {}x{}, in the run {}x{}: give the run of these photos",
-                image.width, image.height, camera.width, camera.height
-            );
+        if is_other || (camera.width, camera.height) != (image.width, image.height) {
+            let reason = "is not the photo of that name that the run was made from; give the run of these photos";
             return Err(Failure::input(&photo.path, reason).into());
         }
         work(index, photo, &image)
@@ -250,6 +289,14 @@ fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyhow::
         redo_from: None,
         until: StageId::Poses,
     };
+    if is_of_somebody(&root)? {
+        return Err(Failure::Usage(format!(
+            "{root} holds a run with masks, a sphere, a light or shapes, which finding poses there would replace: say --run \
+             {root} to use its poses, or choose another folder with -o",
+            root = root.display()
+        ))
+        .into());
+    }
     let allowed = Allowed { overwrite: false };
     let request = Request {
         cameras: args.cameras.clone(),
@@ -257,4 +304,18 @@ fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyhow::
     };
     bring_run_up_to_date(&request, &root, range, allowed, &args.work, console)?;
     load_poses(&RunDir::open_to_read(&root)?)
+}
+
+/// Whether a folder holds a run that was not made to find poses for masks.
+fn is_of_somebody(root: &Path) -> Result<bool, StoreError> {
+    if !root.join("run.json").exists() {
+        return Ok(false);
+    }
+    let run = RunDir::open_to_read(root)?;
+    let asked = run.read_run_file()?.request;
+    let is_plain = |key: &str, plain: serde_json::Value| asked.get(key) == Some(&plain);
+    Ok(!is_plain("masks", serde_json::Value::Null)
+        || !is_plain("sphere", serde_json::json!("none"))
+        || !is_plain("lighting", serde_json::json!("found"))
+        || run.manifest(StageId::Lighting)?.is_some())
 }

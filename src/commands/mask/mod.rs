@@ -10,6 +10,7 @@
 //! A mask that is there already is left alone: it may have been corrected by hand.
 
 mod by_poses;
+mod target;
 
 use super::reporting::reporting_found;
 use crate::cli::MaskArgs;
@@ -17,24 +18,13 @@ use crate::config::{StageOptions, take_over};
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, linear_photo, map_photos};
-use crate::store::create_folder;
+use crate::store::RunDir;
 use by_poses::PosedProposal;
-use rilievo_io::{Preview, write_mask, write_preview_png};
 use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
-use rilievo_scene::{LinearImage, Mask};
-use std::path::{Path, PathBuf};
+use target::{Target, beside};
 
 /// Certainty below which the user is asked to look closely, of a mask before a backdrop.
 const CLEAR: f64 = 0.6;
-
-/// Longer side of the pictures to look at.
-const OVERLAY_SIDE_PX: usize = 1600;
-
-/// Brightness of what the mask leaves out, in the pictures.
-const OUTSIDE: f32 = 0.25;
-
-/// Linear red of the outline.
-const OUTLINE: [f32; 3] = [1.0, 0.05, 0.02];
 
 /// Runs the command.
 ///
@@ -58,30 +48,6 @@ enum Proposed {
     Without(String),
 }
 
-/// Where masks and the pictures to look at go.
-struct Target {
-    masks: PathBuf,
-    overlays: PathBuf,
-}
-
-impl Target {
-    fn mask(&self, name: &str) -> PathBuf {
-        self.masks.join(format!("{name}.png"))
-    }
-
-    fn write(&self, name: &str, image: &LinearImage, mask: &Mask) -> Result<(), Failure> {
-        // Made only now, so that nothing is left where no mask is found.
-        for folder in [&self.masks, &self.overlays] {
-            create_folder(folder)?;
-        }
-        write_mask(&self.mask(name), mask)?;
-        let overlay = overlay(image, mask);
-        let picture = self.overlays.join(format!("{name}.png"));
-        write_preview_png(&picture, Preview::Linear(&overlay), OVERLAY_SIDE_PX)?;
-        Ok(())
-    }
-}
-
 fn propose(
     args: &MaskArgs,
     console: &Console,
@@ -89,6 +55,12 @@ fn propose(
 ) -> anyhow::Result<()> {
     let mut options = StageOptions::default();
     take_over(&mut options.photos.encoding, args.encoding);
+    if let Some(run) = &args.run {
+        RunDir::open_to_read(run)?;
+    }
+    if let Some(cameras) = args.cameras.as_ref().filter(|path| !path.exists()) {
+        return Err(Failure::input(cameras, "does not exist").into());
+    }
     let request = Request::of_photos(args.photos.clone(), options);
     let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {
@@ -137,7 +109,23 @@ fn propose(
             },
         });
     }
-    by_poses::propose(args, &request, &inputs, &target, console, &mut proposed)?;
+    let without = proposed.iter().map(|found| match found {
+        Some(Proposed::Without(reason)) => Some(reason.clone()),
+        _ => None,
+    });
+    let without: Vec<Option<String>> = without.collect();
+    // What was proposed before is told also where this fails.
+    let by_poses = by_poses::propose(args, &request, &inputs, &target, console, &without);
+    let by_poses = by_poses.map(|(found, problems)| {
+        for (slot, found) in proposed.iter_mut().zip(found) {
+            match found {
+                Some(Ok(proposal)) => *slot = Some(Proposed::ByPoses(proposal)),
+                Some(Err(reason)) => *slot = Some(Proposed::Without(reason)),
+                None => {}
+            }
+        }
+        problems
+    });
 
     let mut without = Vec::new();
     for (photo, found) in inputs.photos.iter().zip(&proposed) {
@@ -158,6 +146,7 @@ fn propose(
             None => {}
         }
     }
+    unusable.extend(by_poses?);
     if !unusable.is_empty() {
         without
             .iter()
@@ -174,13 +163,6 @@ fn propose(
         target.overlays.display()
     ));
     Ok(())
-}
-
-/// `masks-overlays` beside `masks`: among the masks, the pictures would be taken for masks.
-fn beside(masks: &Path, ending: &str) -> PathBuf {
-    let mut name = masks.file_name().unwrap_or_default().to_os_string();
-    name.push(ending);
-    masks.with_file_name(name)
 }
 
 fn sentence(proposal: &MaskProposal) -> String {
@@ -214,31 +196,4 @@ fn facts(photo: &str, proposal: &MaskProposal) -> serde_json::Value {
         "doubtful_share": proposal.doubtful_share,
         "border_share": proposal.border_share,
     })
-}
-
-/// The photo in colours, darkened outside the mask, with its outline.
-fn overlay(image: &LinearImage, mask: &Mask) -> LinearImage {
-    let mut picture = LinearImage::filled(image.width, image.height, 3, 0.0);
-    // As wide as a line of the picture that is shown.
-    let reach = (image.width.max(image.height) / OVERLAY_SIDE_PX) as isize + 1;
-    for y in 0..image.height {
-        for x in 0..image.width {
-            let inside = *mask.at(x, y);
-            let (px, py) = (x as isize, y as isize);
-            let on_outline = inside
-                && [(reach, 0), (-reach, 0), (0, reach), (0, -reach)]
-                    .iter()
-                    .any(|(dx, dy)| !mask.contains(px + dx, py + dy));
-            let light = if inside { 1.0 } else { OUTSIDE };
-            let from = image.pixel(x, y);
-            let to = picture.pixel_mut(x, y);
-            for (channel, value) in to.iter_mut().enumerate() {
-                *value = light * from[channel.min(image.channels - 1)];
-            }
-            if on_outline {
-                to.copy_from_slice(&OUTLINE);
-            }
-        }
-    }
-    picture
 }

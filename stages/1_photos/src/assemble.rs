@@ -310,7 +310,7 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         warnings.push(
             "no photo has a mask (--masks, or an alpha channel): the whole frame is taken for the \
              object, which is slower and lets what stands around it into the model; `rilievo mask` \
-             proposes masks before an even backdrop, elsewhere any image editor makes them"
+             proposes masks, to be looked at and corrected"
                 .to_owned(),
         );
     }

@@ -40,6 +40,7 @@ struct Votes {
 pub struct Consensus {
     cells: Vec<Point3<f64>>,
     side: f64,
+    middle: Point3<f64>,
     votes: Vec<Votes>,
 }
 
@@ -54,14 +55,15 @@ impl Consensus {
         sketches: &[Option<Sketch>],
     ) -> Result<Option<Self>, SegmentationError> {
         let num = sketches.iter().flatten().count();
-        let Some((cells, side)) = cells_around(&points.object).filter(|_| num >= MIN_NUM_PHOTOS)
-        else {
+        let cells = cells_around(&points.object).filter(|_| num >= MIN_NUM_PHOTOS);
+        let Some((cells, side, middle)) = cells else {
             return Ok(None);
         };
         let mut consensus = Self {
             votes: vec![Votes::default(); cells.len()],
             cells,
             side,
+            middle,
         };
         for (view, sketch) in views.iter().zip(sketches) {
             let Some(sketch) = sketch else { continue };
@@ -93,21 +95,27 @@ impl Consensus {
         })
     }
 
-    /// Share of a view's mask that lies within the outlines of the others; `sketch` is the one that voted.
+    /// Share of a view's mask that lies within the outlines of the others, where there are enough of them to tell; `None`
+    /// where there are nowhere. `sketch` is the one that voted.
     ///
     /// # Errors
     /// [`SegmentationError::OpenCv`].
-    pub fn agreement(&self, view: &PosedView, sketch: &Sketch) -> Result<f64, SegmentationError> {
+    pub fn agreement(
+        &self,
+        view: &PosedView,
+        sketch: &Sketch,
+    ) -> Result<Option<f64>, SegmentationError> {
         let near = self.widened(view, sketch)?;
+        let told = self.projected(view, sketch, |votes, _| votes.seen >= MIN_NUM_PHOTOS)?;
         let others = self.projected(view, sketch, |votes, (x, y)| {
-            let (seen, off) = (votes.seen - 1, votes.off - usize::from(!*near.at(x, y)));
-            seen + 1 >= MIN_NUM_PHOTOS && off as f64 <= MAX_OFF_BELIEVED * seen as f64
+            let off = votes.off - usize::from(!*near.at(x, y));
+            votes.seen >= MIN_NUM_PHOTOS && off as f64 <= MAX_OFF_BELIEVED * (votes.seen - 1) as f64
         })?;
-        let pixels = sketch.mask.data.iter().zip(&others.data);
-        let (num, within) = pixels.fold((0, 0), |(num, within), (&own, &left)| {
-            (num + usize::from(own), within + usize::from(own && left))
+        let own = (0..sketch.mask.data.len()).filter(|&k| sketch.mask.data[k] && told.data[k]);
+        let (num, within) = own.fold((0, 0), |(num, within), k| {
+            (num + 1, within + usize::from(others.data[k]))
         });
-        Ok(within as f64 / num.max(1) as f64)
+        Ok((num > 0).then(|| within as f64 / f64::from(num)))
     }
 
     /// Cells that fulfil a condition, on a view's small image, each as wide as it appears.
@@ -139,11 +147,9 @@ impl Consensus {
         sketch: &Sketch,
         mask: &Mask,
     ) -> Result<Mask, SegmentationError> {
-        let depth = view
-            .cam_from_world
-            .apply(&self.cells[self.cells.len() / 2])
-            .z;
-        let cell_px = view.intrinsics.focal_px() * self.side / depth.max(1e-9);
+        // A camera inside the box sees cells of any size; those of its middle's distance stand for all.
+        let depth = (view.cam_from_world.apply(&self.middle)).coords.norm();
+        let cell_px = view.intrinsics.focal_px() * self.side / depth.max(self.side);
         // From a cell's centre to its corners.
         let radius = (0.87 * cell_px / sketch.reduction as f64) as f32;
         let distance = distance_from(mask)?;
@@ -153,8 +159,8 @@ impl Consensus {
     }
 }
 
-/// Centres of the cells of a box around points, and a cell's side.
-fn cells_around(points: &[Point3<f64>]) -> Option<(Vec<Point3<f64>>, f64)> {
+/// Centres of the cells of a box around points, a cell's side, and the box's middle.
+fn cells_around(points: &[Point3<f64>]) -> Option<(Vec<Point3<f64>>, f64, Point3<f64>)> {
     let first = points.first()?;
     let (mut low, mut high) = (first.coords, first.coords);
     for p in points {
@@ -177,7 +183,7 @@ fn cells_around(points: &[Point3<f64>]) -> Option<(Vec<Point3<f64>>, f64)> {
             }
         }
     }
-    Some((cells, side))
+    Some((cells, side, Point3::from(0.5 * (low + high))))
 }
 
 /// The pixel of a sketch that shows a place; `None` outside the frame.

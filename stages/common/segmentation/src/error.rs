@@ -23,6 +23,6 @@ pub enum SegmentationError {
         photo: String,
     },
     /// OpenCV failed.
-    #[error("the border cannot be cut: {0}")]
+    #[error("the library that cuts masks failed ({0}); draw the masks in an image editor")]
     OpenCv(#[from] opencv::Error),
 }

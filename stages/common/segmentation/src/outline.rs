@@ -3,8 +3,8 @@
 //! What the object looks like is learnt at its projected points, what everything else looks like where it cannot be and
 //! where points of other things are seen. Between the two the graph cut decides. In a first [`sketch`] the object can be
 //! no farther than [`REACH`] from its points, and the cut starts with the area that they cover closely; in the
-//! [`outline`] what most other photos' sketches leave out cannot be the object's, and the cut starts with what nearly all
-//! of them have.
+//! [`outline`] what a fifth of the photos' sketches leave out cannot be the object's, and what nearly all of them have may
+//! be, also beyond that reach.
 
 use crate::consensus::{Consensus, Sketch};
 use crate::cut::{Label, Models};
@@ -217,11 +217,22 @@ pub fn outline(
     let reduction = prepared.reduction;
     let fine = image.width.max(image.height).div_ceil(SIDE_PX[1]);
     let mask = if fine < reduction {
-        let drawn = drawn_again(&cut, reduction, image, fine, &mut models)?;
+        let drawn = drawn_again(
+            (&cut, &prepared.on_object),
+            reduction,
+            image,
+            fine,
+            &mut models,
+        )?;
         enlarged(&drawn, fine, image)
     } else {
         enlarged(&cut, reduction, image)
     };
+    if mask.count() == 0 {
+        return Err(SegmentationError::NotInPhoto {
+            photo: view.file_name.clone(),
+        });
+    }
     let inside = prepared.object_pixels.iter().filter(|p| {
         let (x, y) = (p.x.round() as isize, p.y.round() as isize);
         mask.contains(x, y)
@@ -336,7 +347,7 @@ fn tidied(cut: &Mask, on_object: &Mask) -> Result<Mask, SegmentationError> {
 
 /// The border drawn again on a larger image, in a band around where it was.
 fn drawn_again(
-    cut: &Mask,
+    (cut, on_object): (&Mask, &Mask),
     reduction: usize,
     image: &LinearImage,
     fine: usize,
@@ -350,6 +361,8 @@ fn drawn_again(
         let (sx, sy) = (of(x).min(cut.width - 1), of(y).min(cut.height - 1));
         let label = match (*inwards.at(sx, sy), *outwards.at(sx, sy)) {
             (depth, _) if depth > BAND_PX => Label::Object,
+            // What is thinner than the band is held by its points.
+            (depth, _) if depth > 0.0 && *on_object.at(sx, sy) => Label::Object,
             (_, off) if off > BAND_PX => Label::Other,
             (depth, _) if depth > 0.0 => Label::PerhapsObject,
             _ => Label::PerhapsOther,

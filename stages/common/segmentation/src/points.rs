@@ -66,8 +66,6 @@ pub struct ObjectPoints {
     pub beside: Vec<Point3<f64>>,
     /// Of each view, the pixels at which it sees something that is not the object.
     pub other_pixels: Vec<Vec<Point2<f64>>>,
-    /// Share of the points near the object that lie on planes without anything behind them.
-    pub support_share: f64,
 }
 
 impl SeenPoints {
@@ -156,7 +154,6 @@ impl SeenPoints {
             others.map(|(_, pixel)| *pixel).collect()
         });
         let object = of(Part::Object);
-        let on_support = near.iter().filter(|&&k| parts[k] == Part::Support).count();
         Ok(ObjectPoints {
             feet: planes
                 .first()
@@ -164,7 +161,6 @@ impl SeenPoints {
             object,
             beside: of(Part::Beside),
             other_pixels: other_pixels.collect(),
-            support_share: on_support as f64 / near.len().max(1) as f64,
         })
     }
 

@@ -121,8 +121,13 @@ fn agreements(world: &World, sketches: &[Option<Sketch>]) -> Option<Vec<f64>> {
     let consensus = Consensus::of(&parted(world), views, sketches).expect("votes")?;
     let all = views.iter().zip(sketches.iter().flatten());
     Some(
-        all.map(|(view, own)| consensus.agreement(view, own).expect("a share"))
-            .collect(),
+        all.map(|(view, own)| {
+            consensus
+                .agreement(view, own)
+                .expect("votes")
+                .expect("others")
+        })
+        .collect(),
     )
 }
 

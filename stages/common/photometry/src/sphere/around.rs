@@ -27,15 +27,18 @@ pub(super) fn load_around(
     }
     for view in views {
         let photo = &photos.photos[view.photo.0];
-        let image = photo.linear()?;
-        for (list, fit) in around.iter_mut().zip(fits) {
-            if fit.views.is_empty() {
-                continue;
-            }
+        let part_of = |fit: &SphereFit| {
             let seen = SphereInCamera::seen(&fit.sphere, &view.cam_from_world);
-            let Some(part) = part_around(&seen, &view.intrinsics, search_px) else {
-                continue;
-            };
+            let part = part_around(&seen, &view.intrinsics, search_px);
+            part.filter(|_| !fit.views.is_empty())
+        };
+        let parts: Vec<Option<Part>> = fits.iter().map(part_of).collect();
+        if parts.iter().all(Option::is_none) {
+            continue;
+        }
+        let image = photo.linear()?;
+        for (list, part) in around.iter_mut().zip(parts) {
+            let Some(part) = part else { continue };
             list.push(PosedImage {
                 photo: view.photo,
                 image: Arc::new(part.of_image(&image)),
