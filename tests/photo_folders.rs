@@ -296,7 +296,7 @@ fn masks_are_proposed_by_the_photos_poses_where_a_mat_is_in_the_picture() {
     let last: serde_json::Value = serde_json::from_str(stdout.lines().last().unwrap()).unwrap();
     for told in last["masks"].as_array().unwrap() {
         assert_eq!(told["method"], "poses");
-        assert!(told["certainty"].as_f64().unwrap() > 0.8, "{told}");
+        assert!(told["consistency"].as_f64().unwrap() > 0.8, "{told}");
     }
     for k in 1..=5 {
         let name = format!("IMG_{k:04}.png");

@@ -14,10 +14,11 @@ use rilievo_segmentation::{Consensus, SeenPoints, SegmentationError, Sketch, out
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Certainty below which the user is asked to look closely.
+/// Consistency below which the user is asked to look closely.
 const CLEAR: f64 = 0.9;
 
-/// How sure a proposed mask is.
+/// How well a proposed mask agrees with the object's points and with the other photos. What all photos get wrong alike, it
+/// does not tell.
 #[derive(Clone)]
 pub struct PosedProposal {
     coverage: f64,
@@ -30,8 +31,8 @@ pub struct PosedProposal {
 }
 
 impl PosedProposal {
-    /// Trust in one number, 0 to 1.
-    fn certainty(&self) -> f64 {
+    /// The least of the shares.
+    fn consistency(&self) -> f64 {
         self.inside
             .min(self.covered)
             .min(self.agreement.unwrap_or(1.0))
@@ -40,11 +41,11 @@ impl PosedProposal {
     /// For people.
     pub fn sentence(&self) -> String {
         let mut text = format!(
-            "{:.1} % of the frame by the photos' poses, certainty {:.2}",
+            "{:.1} % of the frame by the photos' poses, consistency with points and other photos {:.2}",
             100.0 * self.coverage,
-            self.certainty()
+            self.consistency()
         );
-        let worst = self.certainty();
+        let worst = self.consistency();
         if worst < CLEAR {
             text += "; not clear, look closely: ";
             text += match self {
@@ -64,7 +65,7 @@ impl PosedProposal {
             "photo": photo,
             "method": "poses",
             "coverage": self.coverage,
-            "certainty": self.certainty(),
+            "consistency": self.consistency(),
             "points_inside_share": self.inside,
             "near_points_share": self.covered,
             "agreement_share": self.agreement,

@@ -109,7 +109,7 @@ mod tests {
     fn scene() -> Vec<Point3<f64>> {
         let at = |k: usize| [(k % 20) as f64, (k / 20) as f64];
         let on = (0..400)
-            .map(|k| at(k))
+            .map(at)
             .map(|[x, y]| Point3::new(x, y, 0.1 * x + 2.0));
         let off = (0..300).map(|k| (k, at(k)));
         let off =

@@ -106,12 +106,16 @@ impl Consensus {
         sketch: &Sketch,
     ) -> Result<Option<f64>, SegmentationError> {
         let near = self.widened(view, sketch)?;
+        // Off the box around the object nothing is the object's, whoever sees it.
+        let in_box = self.projected(view, sketch, |_, _| true)?;
         let told = self.projected(view, sketch, |votes, _| votes.seen >= MIN_NUM_PHOTOS)?;
         let others = self.projected(view, sketch, |votes, (x, y)| {
             let off = votes.off - usize::from(!*near.at(x, y));
             votes.seen >= MIN_NUM_PHOTOS && off as f64 <= MAX_OFF_BELIEVED * (votes.seen - 1) as f64
         })?;
-        let own = (0..sketch.mask.data.len()).filter(|&k| sketch.mask.data[k] && told.data[k]);
+        let counts = |k: &usize| told.data[*k] || !in_box.data[*k];
+        let own = (0..sketch.mask.data.len()).filter(|&k| sketch.mask.data[k]);
+        let own = own.filter(counts);
         let (num, within) = own.fold((0, 0), |(num, within), k| {
             (num + 1, within + usize::from(others.data[k]))
         });

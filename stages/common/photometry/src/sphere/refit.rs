@@ -42,7 +42,7 @@ fn edges_in_views(
             let found = refine_outline(&view.as_photo(), &predicted, search_px, Effort::Thorough);
             // A quarter of the outline still fixes the ellipse's centre across that arc.
             let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;
-            enough.then(|| PosedOutline {
+            enough.then_some(PosedOutline {
                 photo: view.photo,
                 intrinsics: view.intrinsics,
                 cam_from_world: view.cam_from_world,
