@@ -51,19 +51,27 @@ pub fn expect(
     let work = Work::of(request, inputs)?;
     let expected = work.estimate(request, resources, slowness());
     let (cost, threads) = (&expected.cost, rayon::current_num_threads());
-    let minutes = |seconds: f64| seconds / threads.max(1) as f64 / 60.0;
+    let minutes = |seconds: f64| (seconds / threads.max(1) as f64 / 60.0).ceil();
+    let (least, most) = (expected.least_cpu_seconds, cost.cpu_seconds);
     console.note(&format!(
-            "expected: {:.0} to {:.0} CPU s (about {:.0} to {:.0} min on {threads} threads), {:.1} GB of memory, {:.1} GB on disk \
-             and {:.1} GB more while it works",
-            expected.least_cpu_seconds,
-            cost.cpu_seconds,
-            minutes(expected.least_cpu_seconds).ceil(),
-            minutes(cost.cpu_seconds).ceil(),
-            1e-9 * cost.peak_memory_bytes,
-            1e-9 * cost.disk_bytes,
-            1e-9 * expected.working_disk_bytes,
-        ));
+        "expected: {} CPU s (about {} min on {threads} threads), {:.1} GB of memory, {:.1} GB on disk and {:.1} GB more while \
+         it works",
+        span(least, most),
+        span(minutes(least), minutes(most)),
+        1e-9 * cost.peak_memory_bytes,
+        1e-9 * cost.disk_bytes,
+        1e-9 * expected.working_disk_bytes,
+    ));
     Some(expected)
+}
+
+/// "3 to 5", or "4" where both are the same.
+fn span(least: f64, most: f64) -> String {
+    let (least, most) = (format!("{least:.0}"), format!("{most:.0}"));
+    if least == most {
+        return most;
+    }
+    format!("{least} to {most}")
 }
 
 impl Work {
