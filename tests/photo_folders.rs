@@ -11,6 +11,7 @@ use common::{
 };
 use rilievo_io::{read_mask, write_mask, write_photo_jpeg};
 use rilievo_scene::{LinearImage, Mask};
+use rilievo_synthetic::testing::overlap;
 use std::path::Path;
 
 fn object() -> Mask {
@@ -302,11 +303,7 @@ fn masks_are_proposed_by_the_photos_poses_where_a_mat_is_in_the_picture() {
         let name = format!("IMG_{k:04}.png");
         let found = read_mask(&masks.join(&name)).unwrap();
         let truth = read_mask(&set.join("masks").join(&name)).unwrap();
-        let count = |is: fn(bool, bool) -> bool| {
-            let pixels = found.data.iter().zip(&truth.data);
-            pixels.filter(|(a, b)| is(**a, **b)).count() as f64
-        };
-        let overlap = count(|a, b| a && b) / count(|a, b| a || b);
+        let overlap = overlap(&found, &truth);
         assert!(overlap > 0.93, "{name}: {overlap}");
     }
     // The same from the run that it made, and nothing from one of other photos.

@@ -139,7 +139,7 @@ pub fn check_inputs(inputs: &Inputs, plan: &Plan) -> anyhow::Result<()> {
             Some(_) => {}
         }
     }
-    for (file, _) in own.iter().filter(|own| !first.contains(own)) {
+    for (file, _) in &own {
         if !first.iter().any(|(other, _)| other == file) {
             problems.push(problem(file, "is there, but not for rank 0"));
         }

@@ -3,16 +3,19 @@
 use super::target::{Target, beside};
 use crate::cli::MaskArgs;
 use crate::commands::reconstruct::{Allowed, bring_run_up_to_date};
+use crate::commands::stored::stored_request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::pipeline::{
-    Inputs, PhotoInput, Range, Request, Resources, linear_photo, load_poses, map_photos, photo_role,
+    Inputs, LightingInput, PhotoInput, Range, Request, Resources, SphereInput, linear_photo,
+    load_poses, map_photos, photo_role,
 };
-use crate::store::{Manifest, RunDir, StoreError};
-use rilievo_scene::{LinearImage, PosedView, PosedViews, StageId};
+use crate::store::{Manifest, RunDir};
+use rilievo_scene::{LinearImage, PosedView, StageId};
 use rilievo_segmentation::{Consensus, SeenPoints, SegmentationError, Sketch, outline, sketch};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Consistency below which the user is asked to look closely.
 const CLEAR: f64 = 0.9;
@@ -94,12 +97,12 @@ pub fn propose(
     if without.iter().all(Option::is_none) {
         return Ok(none());
     }
-    let posed = match &args.run {
-        Some(run) => load_poses(&RunDir::open_to_read(run)?)?,
+    let run = match &args.run {
+        Some(run) => RunDir::open_to_read(run)?,
         // One photo alone has no pose.
         None if inputs.photos.len() < 2 => return Ok(none()),
         None => match posed_here(args, request, console) {
-            Ok(posed) => posed,
+            Ok(run) => run,
             Err(error) => match error.downcast_ref() {
                 // Photos that have no poses are no worse off than before; why is told with them.
                 Some(Failure::NoResult(why)) => return Ok((nor(without, why), Vec::new())),
@@ -107,6 +110,7 @@ pub fn propose(
             },
         },
     };
+    let posed = load_poses(&run)?;
     let sane = posed.check();
     sane.map_err(|error| Failure::RunDirectory(error.to_string()))?;
     let views = &posed.views;
@@ -126,37 +130,34 @@ pub fn propose(
         inputs,
         resources: Resources::new(&args.work),
         console,
-        made_from: match &args.run {
-            Some(run) => RunDir::open_to_read(run)?.manifest(StageId::Photos)?,
-            None => None,
-        },
+        made_from: run.manifest(StageId::Photos)?,
         views,
         index_of: &index_of,
         reasons: BTreeMap::new(),
         problems: Vec::new(),
     };
-    let with_pose = |_: usize| true;
-    let sketches = cut.each("sketching the object", with_pose, |index, _, image| {
+    let all = |_: usize| Some(());
+    let sketches = cut.each("sketching the object", all, |index, (), _, image| {
         Ok(sketch(&points, index, &views[index], image)?)
     })?;
     let consensus = Consensus::of(&points, views, &sketches)?;
-    let is_wanted = |index: usize| to_cut.contains(&index) && sketches[index].is_some();
-    let outlines = cut.each("outlining the object", is_wanted, |index, photo, image| {
-        let own = sketches[index].as_ref();
-        let own = own.ok_or_else(|| SegmentationError::NotInPhoto {
-            photo: photo.file_name.clone(),
-        })?;
-        let known = (own, consensus.as_ref());
-        let found = outline(&points, index, &views[index], image, known)?;
-        target.write(&photo.name, image, &found.mask)?;
-        let proposal = PosedProposal {
-            coverage: found.mask.coverage(),
-            inside: found.inside,
-            covered: found.covered,
-            agreement: None,
-        };
-        Ok((proposal, found.sketch))
-    })?;
+    let sketch_of = |index: usize| sketches[index].as_ref().filter(|_| to_cut.contains(&index));
+    let outlines = cut.each(
+        "outlining the object",
+        sketch_of,
+        |index, own, photo, image| {
+            let known = (own, consensus.as_ref());
+            let found = outline(&points, index, &views[index], image, known)?;
+            target.write(&photo.name, image, &found.mask)?;
+            let proposal = PosedProposal {
+                coverage: found.mask.coverage(),
+                inside: found.inside,
+                covered: found.covered,
+                agreement: None,
+            };
+            Ok((proposal, found.sketch))
+        },
+    )?;
     let (mut proposals, last): (Vec<_>, Vec<_>) = outlines.into_iter().map(Option::unzip).unzip();
     // Photos with a mask of their own vote with their sketch.
     let last: Vec<Option<Sketch>> = (last.into_iter().zip(sketches))
@@ -204,7 +205,7 @@ struct Cut<'a> {
     inputs: &'a Inputs,
     resources: Resources,
     console: &'a Console,
-    /// The photos that a given run was made from.
+    /// The photos that the run was made from.
     made_from: Option<Manifest>,
     views: &'a [PosedView],
     /// Number of the view of a photo, by file name.
@@ -216,13 +217,13 @@ struct Cut<'a> {
 }
 
 impl Cut<'_> {
-    /// Works on the views that are `wanted`, given number, photo and pixels. A view in which the object cannot be told has
-    /// no result and a reason.
-    fn each<R: Send>(
+    /// Works on the views for which `with` has something, given number, that, photo and pixels. A view in which the object
+    /// cannot be told has no result and a reason.
+    fn each<T, R: Send>(
         &mut self,
         step: &str,
-        wanted: impl Fn(usize) -> bool + Sync,
-        work: impl Fn(usize, &PhotoInput, &LinearImage) -> anyhow::Result<R> + Sync,
+        with: impl Fn(usize) -> Option<T> + Sync,
+        work: impl Fn(usize, T, &PhotoInput, &LinearImage) -> anyhow::Result<R> + Sync,
     ) -> anyhow::Result<Vec<Option<R>>> {
         let outcomes = map_photos(
             self.inputs,
@@ -231,7 +232,10 @@ impl Cut<'_> {
             &self.console.of_command("mask"),
             |photo| {
                 let index = *self.index_of.get(photo.file_name.as_str())?;
-                wanted(index).then(|| (index, self.one(index, photo, &work)))
+                let given = with(index)?;
+                let image = self.image(index, photo);
+                let result = image.and_then(|image| work(index, given, photo, &image));
+                Some((index, result))
             },
         )
         .ok_or(Failure::Interrupted)?;
@@ -256,31 +260,28 @@ impl Cut<'_> {
         Ok(results)
     }
 
-    fn one<R>(
-        &self,
-        index: usize,
-        photo: &PhotoInput,
-        work: &impl Fn(usize, &PhotoInput, &LinearImage) -> anyhow::Result<R>,
-    ) -> anyhow::Result<R> {
-        let is_other = self.made_from.as_ref().is_some_and(|made_from| {
-            let hash = made_from
-                .ingredients
-                .inputs
-                .get(&photo_role(&photo.file_name));
-            hash.is_some_and(|hash| *hash != photo.hash)
-        });
+    /// The pixels of the photo that the run was made from.
+    fn image(&self, index: usize, photo: &PhotoInput) -> anyhow::Result<Arc<LinearImage>> {
+        let other = || {
+            let reason = "is not the photo of that name that the run was made from; give the run of these photos";
+            Err(Failure::input(&photo.path, reason).into())
+        };
+        let made_from = self.made_from.as_ref().map(|made| &made.ingredients.inputs);
+        let hash = made_from.and_then(|inputs| inputs.get(&photo_role(&photo.file_name)));
+        if hash.is_some_and(|hash| *hash != photo.hash) {
+            return other();
+        }
         let image = linear_photo(self.request, photo)?;
         let camera = &self.views[index].intrinsics;
-        if is_other || (camera.width, camera.height) != (image.width, image.height) {
-            let reason = "is not the photo of that name that the run was made from; give the run of these photos";
-            return Err(Failure::input(&photo.path, reason).into());
+        if (camera.width, camera.height) != (image.width, image.height) {
+            return other();
         }
-        work(index, photo, &image)
+        Ok(image)
     }
 }
 
-/// The photos' poses, from a run beside the masks.
-fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyhow::Result<PosedViews> {
+/// A run beside the masks, with the photos' poses.
+fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyhow::Result<RunDir> {
     let root = beside(&args.output, "-run");
     console.note(&format!(
         "  some photos have no plain backdrop: the object is told by the photos' poses, in {}",
@@ -304,19 +305,18 @@ fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyhow::
         ..request.clone()
     };
     bring_run_up_to_date(&request, &root, range, allowed, &args.work, console)?;
-    load_poses(&RunDir::open_to_read(&root)?)
+    Ok(RunDir::open_to_read(&root)?)
 }
 
 /// Whether a folder holds a run that was not made to find poses for masks.
-fn is_of_somebody(root: &Path) -> Result<bool, StoreError> {
+fn is_of_somebody(root: &Path) -> anyhow::Result<bool> {
     if !root.join("run.json").exists() {
         return Ok(false);
     }
     let run = RunDir::open_to_read(root)?;
-    let asked = run.read_run_file()?.request;
-    let is_plain = |key: &str, plain: serde_json::Value| asked.get(key) == Some(&plain);
-    Ok(!is_plain("masks", serde_json::Value::Null)
-        || !is_plain("sphere", serde_json::json!("none"))
-        || !is_plain("lighting", serde_json::json!("found"))
+    let asked = stored_request(&run)?;
+    Ok(asked.masks.is_some()
+        || asked.sphere != SphereInput::None
+        || asked.lighting != LightingInput::Found
         || run.manifest(StageId::Lighting)?.is_some())
 }

@@ -6,8 +6,9 @@
 //! proposes a point and the one that most sightings support wins.
 
 use crate::projection::{CenteredPose, project_with_jacobian};
-use nalgebra::{Matrix3, Point2, Point3, SMatrix, SVector, Vector3};
+use nalgebra::{Point2, Point3, SMatrix, SVector, Vector3};
 use rilievo_numerics::least_squares::{LeastSquaresOptions, LeastSquaresProblem, minimize};
+use rilievo_numerics::lines::normal_equations;
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::Intrinsics;
 
@@ -47,13 +48,7 @@ pub struct TriangulationLimits {
 
 /// Point nearest to all rays.
 fn nearest_to_rays(centers: &[Point3<f64>], rays: &[Vector3<f64>]) -> Option<Point3<f64>> {
-    let mut normal = Matrix3::zeros();
-    let mut right = Vector3::zeros();
-    for (center, ray) in centers.iter().zip(rays) {
-        let across = Matrix3::identity() - ray * ray.transpose();
-        normal += across;
-        right += across * center.coords;
-    }
+    let (normal, right) = normal_equations(centers.iter().copied().zip(rays.iter().copied()));
     let solution = normal.cholesky()?.solve(&right);
     solution
         .iter()

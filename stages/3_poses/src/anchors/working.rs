@@ -102,8 +102,8 @@ impl WorkingView {
             data: grey.data,
         });
         let object = window.cut(&object);
-        let clipped = dilate(&inverted(window.cut(&unclipped)), CLIP_REACH_PX);
-        let margin = dilate(&inverted(object.clone()), MASK_MARGIN_PX);
+        let clipped = dilate(&window.cut(&unclipped).inverted(), CLIP_REACH_PX);
+        let margin = dilate(&object.clone().inverted(), MASK_MARGIN_PX);
         let texels = texels(&grey, &object, |x, y| {
             !*clipped.at(x, y)
                 && !*margin.at(x, y)
@@ -163,12 +163,6 @@ impl WorkingView {
     pub fn texel(&self, x: usize, y: usize) -> &Texel {
         &self.texels[y * self.camera.width + x]
     }
-}
-
-/// The pixels that a mask leaves out.
-fn inverted(mut mask: Mask) -> Mask {
-    mask.data.iter_mut().for_each(|flag| *flag = !*flag);
-    mask
 }
 
 /// Blurred logarithm, its gradient and the flag of every pixel.

@@ -6,6 +6,7 @@ pub mod corner_grid;
 pub mod corner_poisson;
 pub mod derivatives;
 pub mod least_squares;
+pub mod lines;
 mod multigrid;
 pub mod plane;
 pub mod plate_solver;

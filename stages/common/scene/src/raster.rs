@@ -116,6 +116,13 @@ impl Mask {
         self.count() as f64 / self.data.len().max(1) as f64
     }
 
+    /// The pixels that it leaves out.
+    #[must_use]
+    pub fn inverted(mut self) -> Self {
+        self.data.iter_mut().for_each(|is| *is = !*is);
+        self
+    }
+
     /// Value at `(x, y)`, `false` outside the raster.
     #[inline]
     pub fn contains(&self, x: isize, y: isize) -> bool {

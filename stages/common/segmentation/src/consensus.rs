@@ -7,7 +7,7 @@
 use crate::error::SegmentationError;
 use crate::points::{ObjectPoints, project};
 use crate::raster::distance_from;
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
 use rilievo_scene::{Mask, PosedView};
 
 /// Cells along the longest side of the box around the object's points, which is this much larger on every side.
@@ -28,6 +28,14 @@ pub struct Sketch {
     pub reduction: usize,
 }
 
+impl Sketch {
+    /// Its pixel that shows a place; `None` outside the frame.
+    fn pixel_of(&self, view: &PosedView, place: &Point3<f64>) -> Option<(usize, usize)> {
+        let size = (self.mask.width, self.mask.height);
+        small_pixel(&project(view, place)?, self.reduction, size)
+    }
+}
+
 /// In how many photos' frames a place is, and in how many of them off the object.
 #[derive(Clone, Copy, Debug, Default)]
 struct Votes {
@@ -45,6 +53,38 @@ pub struct Consensus {
 }
 
 impl Consensus {
+    /// The cells of a box around points, on which nobody has voted; `None` where the points have no extent.
+    fn around(points: &[Point3<f64>]) -> Option<Self> {
+        let first = points.first()?;
+        let (mut low, mut high) = (first.coords, first.coords);
+        for p in points {
+            low = low.inf(&p.coords);
+            high = high.sup(&p.coords);
+        }
+        let margin = Vector3::repeat(MARGIN * (high - low).max());
+        (low, high) = (low - margin, high + margin);
+        let side = (high - low).max() / NUM_CELLS as f64;
+        if !(side > 0.0 && side.is_finite()) {
+            return None;
+        }
+        let num = (high - low).map(|v| (v / side).ceil().max(1.0) as usize);
+        let mut cells = Vec::with_capacity(num.x * num.y * num.z);
+        for z in 0..num.z {
+            for y in 0..num.y {
+                for x in 0..num.x {
+                    let at = [x, y, z].map(|v| (v as f64 + 0.5) * side);
+                    cells.push(Point3::from(low + Vector3::from(at)));
+                }
+            }
+        }
+        Some(Self {
+            votes: vec![Votes::default(); cells.len()],
+            cells,
+            side,
+            middle: Point3::from(0.5 * (low + high)),
+        })
+    }
+
     /// From the sketches of views; `None` with too few of them to outvote one.
     ///
     /// # Errors
@@ -55,21 +95,15 @@ impl Consensus {
         sketches: &[Option<Sketch>],
     ) -> Result<Option<Self>, SegmentationError> {
         let num = sketches.iter().flatten().count();
-        let cells = cells_around(&points.object).filter(|_| num >= MIN_NUM_PHOTOS);
-        let Some((cells, side, middle)) = cells else {
+        let cells = Self::around(&points.object).filter(|_| num >= MIN_NUM_PHOTOS);
+        let Some(mut consensus) = cells else {
             return Ok(None);
-        };
-        let mut consensus = Self {
-            votes: vec![Votes::default(); cells.len()],
-            cells,
-            side,
-            middle,
         };
         for (view, sketch) in views.iter().zip(sketches) {
             let Some(sketch) = sketch else { continue };
             let near = consensus.widened(view, sketch)?;
             for (cell, votes) in consensus.cells.iter().zip(&mut consensus.votes) {
-                if let Some((x, y)) = small_pixel(view, sketch, cell) {
+                if let Some((x, y)) = sketch.pixel_of(view, cell) {
                     votes.seen += 1;
                     votes.off += usize::from(!*near.at(x, y));
                 }
@@ -78,20 +112,22 @@ impl Consensus {
         Ok(Some(consensus))
     }
 
-    /// Where places appear in a view that at most a share of the photos, or `or_num` of them, see off the object, on the
-    /// sketch's image.
+    /// Where places appear in a view that at most a share of the photos, or a number of them, see off the object, on the
+    /// sketch's image; for each of several such bounds.
     ///
     /// # Errors
     /// [`SegmentationError::OpenCv`].
-    pub fn seen_by(
+    pub fn seen_by<const N: usize>(
         &self,
         view: &PosedView,
         sketch: &Sketch,
-        (max_off, or_num): (f64, usize),
-    ) -> Result<Mask, SegmentationError> {
+        max_off: [(f64, usize); N],
+    ) -> Result<[Mask; N], SegmentationError> {
         self.projected(view, sketch, |votes, _| {
-            let allowed = or_num.max((max_off * votes.seen as f64) as usize);
-            votes.seen >= MIN_NUM_PHOTOS && votes.off <= allowed
+            max_off.map(|(share, num)| {
+                let allowed = num.max((share * votes.seen as f64) as usize);
+                votes.seen >= MIN_NUM_PHOTOS && votes.off <= allowed
+            })
         })
     }
 
@@ -106,13 +142,13 @@ impl Consensus {
         sketch: &Sketch,
     ) -> Result<Option<f64>, SegmentationError> {
         let near = self.widened(view, sketch)?;
-        // Off the box around the object nothing is the object's, whoever sees it.
-        let in_box = self.projected(view, sketch, |_, _| true)?;
-        let told = self.projected(view, sketch, |votes, _| votes.seen >= MIN_NUM_PHOTOS)?;
-        let others = self.projected(view, sketch, |votes, (x, y)| {
+        let [in_box, told, others] = self.projected(view, sketch, |votes, (x, y)| {
+            let is_told = votes.seen >= MIN_NUM_PHOTOS;
             let off = votes.off - usize::from(!*near.at(x, y));
-            votes.seen >= MIN_NUM_PHOTOS && off as f64 <= MAX_OFF_BELIEVED * (votes.seen - 1) as f64
+            let is_within = off as f64 <= MAX_OFF_BELIEVED * (votes.seen - 1) as f64;
+            [true, is_told, is_told && is_within]
         })?;
+        // Off the box around the object nothing is the object's, whoever sees it.
         let counts = |k: &usize| told.data[*k] || !in_box.data[*k];
         let own = (0..sketch.mask.data.len()).filter(|&k| sketch.mask.data[k]);
         let own = own.filter(counts);
@@ -122,22 +158,26 @@ impl Consensus {
         Ok((num > 0).then(|| within as f64 / f64::from(num)))
     }
 
-    /// Cells that fulfil a condition, on a view's small image, each as wide as it appears.
-    fn projected(
+    /// Cells that fulfil each of several conditions, on a view's small image, each cell as wide as it appears.
+    fn projected<const N: usize>(
         &self,
         view: &PosedView,
         sketch: &Sketch,
-        is: impl Fn(Votes, (usize, usize)) -> bool,
-    ) -> Result<Mask, SegmentationError> {
-        let mut centres = Mask::filled(sketch.mask.width, sketch.mask.height, false);
+        are: impl Fn(Votes, (usize, usize)) -> [bool; N],
+    ) -> Result<[Mask; N], SegmentationError> {
+        let (width, height) = (sketch.mask.width, sketch.mask.height);
+        let mut masks = [(); N].map(|()| Mask::filled(width, height, false));
         for (cell, &votes) in self.cells.iter().zip(&self.votes) {
-            if let Some(at) = small_pixel(view, sketch, cell)
-                && is(votes, at)
-            {
-                *centres.at_mut(at.0, at.1) = true;
+            if let Some((x, y)) = sketch.pixel_of(view, cell) {
+                for (mask, is) in masks.iter_mut().zip(are(votes, (x, y))) {
+                    *mask.at_mut(x, y) |= is;
+                }
             }
         }
-        self.spread(view, sketch, &centres)
+        for mask in &mut masks {
+            *mask = self.spread(view, sketch, mask)?;
+        }
+        Ok(masks)
     }
 
     /// A sketch's mask, wider by half a cell: what is thinner than a cell has no cell's centre in it.
@@ -163,37 +203,12 @@ impl Consensus {
     }
 }
 
-/// Centres of the cells of a box around points, a cell's side, and the box's middle.
-fn cells_around(points: &[Point3<f64>]) -> Option<(Vec<Point3<f64>>, f64, Point3<f64>)> {
-    let first = points.first()?;
-    let (mut low, mut high) = (first.coords, first.coords);
-    for p in points {
-        low = low.inf(&p.coords);
-        high = high.sup(&p.coords);
-    }
-    let margin = Vector3::repeat(MARGIN * (high - low).max());
-    (low, high) = (low - margin, high + margin);
-    let side = (high - low).max() / NUM_CELLS as f64;
-    if !(side > 0.0 && side.is_finite()) {
-        return None;
-    }
-    let num = (high - low).map(|v| (v / side).ceil().max(1.0) as usize);
-    let mut cells = Vec::with_capacity(num.x * num.y * num.z);
-    for z in 0..num.z {
-        for y in 0..num.y {
-            for x in 0..num.x {
-                let at = [x, y, z].map(|v| (v as f64 + 0.5) * side);
-                cells.push(Point3::from(low + Vector3::from(at)));
-            }
-        }
-    }
-    Some((cells, side, Point3::from(0.5 * (low + high))))
-}
-
-/// The pixel of a sketch that shows a place; `None` outside the frame.
-fn small_pixel(view: &PosedView, sketch: &Sketch, place: &Point3<f64>) -> Option<(usize, usize)> {
-    let pixel = project(view, place)?;
-    let of = |v: f64| ((v + 0.5) / sketch.reduction as f64).max(0.0) as usize;
-    let (x, y) = (of(pixel.x), of(pixel.y));
-    (x < sketch.mask.width && y < sketch.mask.height).then_some((x, y))
+/// The pixel of a reduced image under one of the photo; `None` outside.
+pub(crate) fn small_pixel(
+    pixel: &Point2<f64>,
+    reduction: usize,
+    (width, height): (usize, usize),
+) -> Option<(usize, usize)> {
+    let [x, y] = [pixel.x, pixel.y].map(|v| ((v + 0.5) / reduction as f64).max(0.0) as usize);
+    (x < width && y < height).then_some((x, y))
 }

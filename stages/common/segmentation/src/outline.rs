@@ -6,7 +6,7 @@
 //! [`outline`] what a fifth of the photos' sketches leave out cannot be the object's, and what nearly all of them have may
 //! be, also beyond that reach.
 
-use crate::consensus::{Consensus, Sketch};
+use crate::consensus::{Consensus, Sketch, small_pixel};
 use crate::cut::{Label, Models};
 use crate::error::SegmentationError;
 use crate::points::{ObjectPoints, project};
@@ -88,9 +88,7 @@ impl Prepared {
         };
         let object_pixels = projected(&points.object);
         if object_pixels.len() < MIN_NUM_POINTS {
-            return Err(SegmentationError::NotInPhoto {
-                photo: view.file_name.clone(),
-            });
+            return Err(not_in(view));
         }
         let mut standing = object_pixels.clone();
         standing.extend(projected(&points.feet));
@@ -136,7 +134,11 @@ impl Prepared {
     }
 
     /// The cut with models that are learnt from what is sure and from the object's points' surroundings.
-    fn cut(&self, labels: &Raster<u8>, photo: &str) -> Result<(Mask, Models), SegmentationError> {
+    fn cut(
+        &self,
+        labels: &Raster<u8>,
+        view: &PosedView,
+    ) -> Result<(Mask, Models), SegmentationError> {
         let (mut pixels, mut is_object) = (Vec::new(), Vec::new());
         for y in 0..self.small.height {
             for x in 0..self.small.width {
@@ -148,13 +150,17 @@ impl Prepared {
             }
         }
         if !is_object.contains(&false) || !is_object.contains(&true) {
-            return Err(SegmentationError::NotInPhoto {
-                photo: photo.to_owned(),
-            });
+            return Err(not_in(view));
         }
         let mut models = Models::learn(&pixels, &is_object)?;
         let cut = models.cut(&self.small, labels, ROUNDS[0])?;
         Ok((tidied(&cut, &self.on_object)?, models))
+    }
+}
+
+fn not_in(view: &PosedView) -> SegmentationError {
+    SegmentationError::NotInPhoto {
+        photo: view.file_name.clone(),
     }
 }
 
@@ -177,7 +183,7 @@ pub fn sketch(
         |x, y| *prepared.from_object.at(x, y) <= reach,
         |x, y| *inwards.at(x, y) > 0.9 * gap,
     );
-    let (mask, _) = prepared.cut(&labels, &view.file_name)?;
+    let (mask, _) = prepared.cut(&labels, view)?;
     Ok(Sketch {
         mask,
         reduction: prepared.reduction,
@@ -197,10 +203,9 @@ pub fn outline(
 ) -> Result<Outline, SegmentationError> {
     let prepared = Prepared::new(points, index, view, image)?;
     let (possible, likely) = match consensus {
-        Some(consensus) => (
-            consensus.seen_by(view, own, MAX_OFF_POSSIBLE)?,
-            consensus.seen_by(view, own, MAX_OFF_LIKELY)?,
-        ),
+        Some(consensus) => consensus
+            .seen_by(view, own, [MAX_OFF_POSSIBLE, MAX_OFF_LIKELY])?
+            .into(),
         None => (
             Mask::filled(prepared.small.width, prepared.small.height, true),
             own.mask.clone(),
@@ -213,7 +218,7 @@ pub fn outline(
         |x, y| *likely.at(x, y) || *possible.at(x, y) && is_near(x, y),
         |x, y| *own.mask.at(x, y) || *likely.at(x, y) && !is_near(x, y),
     );
-    let (cut, mut models) = prepared.cut(&labels, &view.file_name)?;
+    let (cut, mut models) = prepared.cut(&labels, view)?;
     let reduction = prepared.reduction;
     let fine = image.width.max(image.height).div_ceil(SIDE_PX[1]);
     let mask = if fine < reduction {
@@ -229,9 +234,7 @@ pub fn outline(
         enlarged(&cut, reduction, image)
     };
     if mask.count() == 0 {
-        return Err(SegmentationError::NotInPhoto {
-            photo: view.file_name.clone(),
-        });
+        return Err(not_in(view));
     }
     let inside = prepared.object_pixels.iter().filter(|p| {
         let (x, y) = (p.x.round() as isize, p.y.round() as isize);
@@ -264,8 +267,7 @@ fn extent(pixels: &[Point2<f64>]) -> f64 {
 fn onto_reduced(pixels: &[Point2<f64>], reduction: usize, size: (usize, usize)) -> Mask {
     let mut mask = Mask::filled(size.0, size.1, false);
     for p in pixels {
-        let [x, y] = [p.x, p.y].map(|v| ((v + 0.5) / reduction as f64).max(0.0) as usize);
-        if x < size.0 && y < size.1 {
+        if let Some((x, y)) = small_pixel(p, reduction, size) {
             *mask.at_mut(x, y) = true;
         }
     }
@@ -331,8 +333,7 @@ fn tidied(cut: &Mask, on_object: &Mask) -> Result<Mask, SegmentationError> {
         height: cut.height,
         data: number.data.iter().map(|&region| is_kept(region)).collect(),
     };
-    let outside = Mask::from_fn(kept.width, kept.height, |x, y| !*kept.at(x, y));
-    let (number, num_regions) = regions(&outside)?;
+    let (number, num_regions) = regions(&kept.clone().inverted())?;
     let mut area = vec![0_usize; num_regions];
     number
         .data
@@ -354,8 +355,7 @@ fn drawn_again(
     models: &mut Models,
 ) -> Result<Mask, SegmentationError> {
     let larger = reduced(image, fine);
-    let outside = Mask::from_fn(cut.width, cut.height, |x, y| !*cut.at(x, y));
-    let (inwards, outwards) = (distance_from(&outside)?, distance_from(cut)?);
+    let (inwards, outwards) = (distance_from(&cut.clone().inverted())?, distance_from(cut)?);
     let labels = Raster::from_fn(larger.width, larger.height, |x, y| {
         let of = |v: usize| (v * fine + fine / 2) / reduction;
         let (sx, sy) = (of(x).min(cut.width - 1), of(y).min(cut.height - 1));

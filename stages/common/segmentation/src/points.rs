@@ -4,7 +4,8 @@
 //! parts it.
 
 use crate::error::SegmentationError;
-use nalgebra::{Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector3};
+use rilievo_numerics::lines::nearest_point;
 use rilievo_numerics::plane::Plane;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{PosedView, PosedViews};
@@ -44,6 +45,8 @@ enum Part {
     Object,
     Beside,
     Support,
+    /// Alone, or just above a support: it may be either.
+    Unsure,
     Elsewhere,
 }
 
@@ -132,25 +135,22 @@ impl SeenPoints {
             planes.any(|plane| plane.distance(p) < 2.0 * ON_PLANE * reach)
         };
         for &k in &near {
-            if on_some(&self.points[k]) {
-                parts[k] = Part::Support;
-            }
+            parts[k] = match on_some(&self.points[k]) {
+                true => Part::Support,
+                false => Part::Unsure,
+            };
         }
         for group in groups[1..].iter().filter(|g| g.len() >= MIN_BESIDE_POINTS) {
             group.iter().for_each(|&k| parts[k] = Part::Beside);
         }
         object.iter().for_each(|&k| parts[k] = Part::Object);
-        // Points that stand alone, or just above a support, may be either.
-        let alone =
-            |k: usize| parts[k] == Part::Elsewhere && (self.points[k] - focus).norm() < reach;
         let of = |part: Part| -> Vec<Point3<f64>> {
             let all = self.points.iter().zip(&parts);
             all.filter(|(_, p)| **p == part).map(|(p, _)| *p).collect()
         };
         let other_pixels = self.seen.iter().map(|list| {
-            let others = list
-                .iter()
-                .filter(|(k, _)| parts[*k] != Part::Object && !alone(*k));
+            let is_other = |k: usize| !matches!(parts[k], Part::Object | Part::Unsure);
+            let others = list.iter().filter(|(k, _)| is_other(*k));
             others.map(|(_, pixel)| *pixel).collect()
         });
         let object = of(Part::Object);
@@ -270,20 +270,16 @@ fn center(view: &PosedView) -> Point3<f64> {
 
 /// The point that the middles of the frames look at, and the cameras' median distance from it.
 fn focus(views: &[PosedView]) -> Option<(Point3<f64>, f64)> {
-    let mut matrix = Matrix3::zeros();
-    let mut right = Vector3::zeros();
-    for view in views {
+    let axes = views.iter().map(|view| {
         let camera = &view.intrinsics;
         let middle = Point2::new(
             0.5 * camera.width as f64 - 0.5,
             0.5 * camera.height as f64 - 0.5,
         );
-        let axis = (view.cam_from_world.rotation.inverse() * camera.ray(&middle)).normalize();
-        let across = Matrix3::identity() - axis * axis.transpose();
-        matrix += across;
-        right += across * center(view).coords;
-    }
-    let focus = Point3::from(matrix.try_inverse()? * right);
+        let axis = view.cam_from_world.rotation.inverse() * camera.ray(&middle);
+        (center(view), axis.normalize())
+    });
+    let focus = nearest_point(axes)?;
     let mut distances: Vec<f64> = views.iter().map(|v| (center(v) - focus).norm()).collect();
     let reach = median(&mut distances)?;
     (reach > 0.0 && reach.is_finite()).then_some((focus, reach))

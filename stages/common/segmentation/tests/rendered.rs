@@ -4,11 +4,11 @@
 #![allow(clippy::expect_used)]
 
 use nalgebra::Point3;
-use rilievo_scene::{Mask, PhotoIdx, PosedViews, SparsePoint, TrackElement, ViewIdx};
+use rilievo_scene::{PhotoIdx, PosedViews, SparsePoint, TrackElement, ViewIdx};
 use rilievo_segmentation::{
     Consensus, Outline, SeenPoints, SegmentationError, Sketch, outline, sketch,
 };
-use rilievo_synthetic::testing::{Random, posed_view};
+use rilievo_synthetic::testing::{Random, overlap, posed_view};
 use rilievo_synthetic::{
     RenderOptions, RenderedView, Scene, SceneOptions, Subject, render, true_tracks,
 };
@@ -91,14 +91,6 @@ fn uncovered(view: &RenderedView, position: [f64; 3]) -> Option<[f64; 2]> {
     (inside && !covered).then_some(pixel.into())
 }
 
-fn overlap(a: &Mask, b: &Mask) -> f64 {
-    let count = |is: fn(bool, bool) -> bool| {
-        let pairs = a.data.iter().zip(&b.data);
-        pairs.filter(|(a, b)| is(**a, **b)).count() as f64
-    };
-    count(|a, b| a && b) / count(|a, b| a || b).max(1.0)
-}
-
 fn outlines(world: &World) -> Vec<Outline> {
     let points = parted(world);
     let views = || world.posed.views.iter().zip(&world.views).enumerate();
@@ -137,8 +129,8 @@ fn an_object_on_a_mat_is_cut_out_without_the_sphere_beside_it() {
         let world = world(subject);
         let found = outlines(&world);
         for (outline, rendered) in found.iter().zip(&world.views) {
-            let overlap = overlap(&outline.mask, &rendered.object_mask);
-            assert!(overlap > 0.95, "{subject:?} {}: {overlap}", rendered.name);
+            let share = overlap(&outline.mask, &rendered.object_mask);
+            assert!(share > 0.95, "{subject:?} {}: {share}", rendered.name);
             assert!(outline.inside > 0.98, "{subject:?} {}", outline.inside);
             for sphere in &rendered.sphere_masks {
                 let on_sphere = sphere.data.iter().zip(&outline.mask.data);

@@ -5,8 +5,9 @@
 //! the sparse points. Per pixel, inverse depths are sampled and kept while all masks contain them.
 
 use crate::camera::{Camera, Warp};
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use rilievo_numerics::lines::nearest_point;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::Mask;
 
@@ -83,8 +84,7 @@ pub fn object_ranges(
 
 /// Centre and radius of a ball around the object, from the masks.
 pub fn object_ball(outlines: &[Outline]) -> Option<(Point3<f64>, f64)> {
-    let mut normal = Matrix3::zeros();
-    let mut rhs = Vector3::zeros();
+    let mut axes = Vec::new();
     let mut extents = Vec::new();
     for Outline { camera, mask, .. } in outlines {
         let inside = || {
@@ -101,15 +101,13 @@ pub fn object_ball(outlines: &[Outline]) -> Option<(Point3<f64>, f64)> {
         }
         let (x, y) = (x / n, y / n);
         let direction = camera.rotation.tr_mul(&camera.ray(x, y)).normalize();
-        let across = Matrix3::identity() - direction * direction.transpose();
-        normal += across;
-        rhs += across * camera.center.coords;
+        axes.push((camera.center, direction));
         let farthest = inside()
             .map(|(px, py)| ((px - x) / camera.fx).hypot((py - y) / camera.fy))
             .fold(0.0, f64::max);
         extents.push((camera, farthest));
     }
-    let center = Point3::from(normal.try_inverse()? * rhs);
+    let center = nearest_point(axes)?;
     let mut radius = 0.0_f64;
     for (camera, farthest) in extents {
         // A camera with the centre behind it is posed wrongly, and tells no size.

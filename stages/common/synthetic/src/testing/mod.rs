@@ -4,6 +4,7 @@
 //! [`Scene`](crate::Scene) and [`Renderer`](crate::Renderer) photograph a whole object; here is what
 //! suffices where a test renders its own few pixels, or none.
 
+mod masks;
 pub mod mat_file;
 mod mutated;
 mod photos;
@@ -12,6 +13,7 @@ mod random;
 mod shared_data;
 mod surfaces;
 
+pub use masks::overlap;
 pub use mutated::mutated;
 pub use photos::{
     Impatient, PAPER_LIGHT, PosedPhotos, in_memory, linear_of, look_at, photo, posed_view,
