@@ -1,8 +1,9 @@
 //! Accuracy against the truth: error maps of every view and how the errors are distributed.
 
 use super::element::{figure, folded};
-use super::picture::{self, Window};
+use super::picture::{Album, Window};
 use super::plot;
+use super::views::bar;
 use maud::{Markup, html};
 use rilievo_scene::Raster;
 
@@ -10,6 +11,9 @@ use rilievo_scene::Raster;
 const DEPTH_MAX: f32 = 0.01;
 /// Angle between normals that is shown as full brightness, degrees.
 const NORMAL_MAX_DEG: f32 = 30.0;
+
+/// Bytes of the page that all maps may take.
+const MAP_BYTES: usize = 900_000;
 
 /// Errors of one view's pixels; negative where there is nothing to compare.
 #[derive(Clone, Debug)]
@@ -53,42 +57,47 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Mark
             sizes,
         ),
     ];
+    let album = Album::new(MAP_BYTES, 2 * views.len());
     html! {
         section id="accuracy" {
             h2 { "Accuracy against the truth" }
             pre { (table) }
             @for (title, unit, errors) in curves { (plot::cumulative(title, unit, errors)) }
             @for (index, view) in views.iter().enumerate() {
-                (folded(&format!("Errors of {}", view.name), index == 0, &maps(view)))
+                (folded(&format!("Errors of {}", view.name), index == 0, &maps(&album, view)))
             }
         }
     }
 }
 
-fn maps(view: &ViewErrors) -> Markup {
-    html! {
-        div.pictures {
-            @if let Some(map) = &view.depth_rel {
-                (figure(
-                    &picture::scalar(map, compared(map), DEPTH_MAX),
-                    &format!("Depth errors of {}", view.name),
-                    &html! {
-                        "Relative depth error: dark is none, bright " (100.0 * DEPTH_MAX)
-                        " % and more, grey not compared"
-                    },
-                ))
-            }
-            @if let Some(map) = &view.normal_deg {
-                (figure(
-                    &picture::scalar(map, compared(map), NORMAL_MAX_DEG),
-                    &format!("Normal errors of {}", view.name),
-                    &html! {
-                        "Angle between normals: dark is none, bright " (NORMAL_MAX_DEG) "° and more"
-                    },
-                ))
-            }
-        }
-    }
+fn maps(album: &Album, view: &ViewErrors) -> Markup {
+    let error_map = |map: &Option<Raster<f32>>, max: f32, what: &str, most: &str| {
+        let map = map.as_ref()?;
+        let caption = html! { (what) "; grey was not compared" (bar("inferno", "0", most)) };
+        let alt = format!("{what} of {}", view.name);
+        Some(figure(
+            &album.scalar(map, compared(map), max),
+            &alt,
+            &caption,
+        ))
+    };
+    let depth_max = format!("{} % and more", 100.0 * DEPTH_MAX);
+    let normal_max = format!("{NORMAL_MAX_DEG}° and more");
+    let maps = [
+        error_map(
+            &view.depth_rel,
+            DEPTH_MAX,
+            "Relative error of depth",
+            &depth_max,
+        ),
+        error_map(
+            &view.normal_deg,
+            NORMAL_MAX_DEG,
+            "Angle between normals",
+            &normal_max,
+        ),
+    ];
+    html! { div.pictures.errors { @for map in maps.into_iter().flatten() { (map) } } }
 }
 
 /// The part of a map where something is compared; all of it where nothing is.

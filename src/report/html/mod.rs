@@ -94,10 +94,14 @@ pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Resul
         Some(_) => Some(load_poses(run)?),
         None => None,
     };
-    let overview = overview::section(run, facts, judgement, posed.as_ref())?;
+    let (coarse, damaged) = match viewer::coarse_mesh(run) {
+        Ok(coarse) => (coarse, None),
+        Err(error) => (None, Some(unreadable(&error))),
+    };
+    let overview = overview::section(run, facts, judgement, posed.as_ref(), coarse.as_ref());
     let (viewer, views) = match &posed {
         Some(posed) => (
-            viewer::section(run, posed).unwrap_or_else(|error| unreadable(&error)),
+            coarse.as_ref().map(|coarse| viewer::section(coarse, posed)),
             views::section(run, facts, posed).unwrap_or_else(|error| unreadable(&error)),
         ),
         None => Default::default(),
@@ -114,7 +118,9 @@ pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Resul
             body {
                 a.skip href="#main" { "skip to the results" }
                 main id="main" {
-                    (overview) (viewer) (views)
+                    (overview)
+                    @for part in [viewer, damaged].into_iter().flatten() { (part) }
+                    (views)
                     (Addition::Evaluation.place()) (Addition::Halves.place())
                     (stages::sections(facts))
                 }

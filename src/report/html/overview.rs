@@ -1,29 +1,30 @@
 //! The first screen: what came out, whether to trust it, and why.
 
 use super::element::{ABSENT, number, percent};
-use super::picture::{self, Window};
+use super::picture::{Album, Window};
 use crate::pipeline::{LightingInput, Request, SphereInput};
 use crate::report::facts::{Facts, Stages};
 use crate::report::verdict::{Judgement, Verdict};
 use crate::store::RunDir;
 use maud::{Markup, html};
-use rilievo_io::{read_depth, read_normal};
+use rilievo_io::{CoarseMesh, read_depth, read_normal};
 use rilievo_scene::{PosedViews, StageId, Unit};
 use rilievo_shading::ShadingModel;
 
+/// Bytes of the page that the first picture may take.
+const PICTURE_BYTES: usize = 200_000;
+
 /// The section.
-///
-/// # Errors
-/// When a map cannot be read.
 pub fn section(
     run: &RunDir,
     facts: &Facts,
     judgement: &Judgement,
     posed: Option<&PosedViews>,
-) -> anyhow::Result<Markup> {
+    coarse: Option<&CoarseMesh>,
+) -> Markup {
     let Judgement { verdict, reasons } = judgement;
     let picture = picture_of_result(run, posed);
-    Ok(html! {
+    html! {
         header { h1 { "rilievo report" } }
         section.overview {
             @if let Some(picture) = picture {
@@ -41,7 +42,7 @@ pub fn section(
                     ul { @for reason in reasons { li { (reason) } } }
                 }
                 dl {
-                    @for (name, value) in key_numbers(facts, posed) { dt { (name) } dd { (value) } }
+                    @for (name, value) in key_numbers(facts, posed, coarse) { dt { (name) } dd { (value) } }
                 }
                 // What agreement between views cannot tell.
                 p.hint {
@@ -52,7 +53,7 @@ pub fn section(
             }
         }
         (warnings(facts))
-    })
+    }
 }
 
 fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String> {
@@ -65,13 +66,17 @@ fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String>
             let (Ok(depth), Ok(normal)) = (read_depth(&depth), read_normal(&normal)) else {
                 continue;
             };
-            return Some(picture::normals(&normal, Window::around(&depth)));
+            return Some(Album::new(PICTURE_BYTES, 1).normals(&normal, Window::around(&depth)));
         }
     }
     None
 }
 
-fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 10] {
+fn key_numbers(
+    facts: &Facts,
+    posed: Option<&PosedViews>,
+    coarse: Option<&CoarseMesh>,
+) -> [(&'static str, String); 12] {
     let stages = &facts.stages;
     let photos = stages.photos.as_ref().map(|stage| &stage.report);
     let poses = stages.poses.as_ref().map(|stage| &stage.report);
@@ -94,6 +99,11 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
                 poses.map_or(0, |poses| poses.views.len()),
                 photos.map_or(0, |photos| photos.photos.len())
             ),
+        ),
+        ("size", size_of(coarse, metric)),
+        (
+            "a pixel covers",
+            length(fusion.map(|fusion| fusion.layering_after.footprint)),
         ),
         (
             "mean reprojection error",
@@ -122,6 +132,22 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
         ),
         ("mesh triangles", count(mesh.map(|mesh| mesh.num_triangles))),
     ]
+}
+
+/// Lengths of the box around the surface.
+fn size_of(coarse: Option<&CoarseMesh>, metric: bool) -> String {
+    let Some([low, high]) = coarse.map(|coarse| coarse.bounds) else {
+        return ABSENT.to_owned();
+    };
+    let lengths: Vec<f32> = (0..3).map(|k| high[k] - low[k]).collect();
+    if metric {
+        let [x, y, z] = [0, 1, 2].map(|k| format!("{:.1}", 1e3 * lengths[k]));
+        return format!("{x} x {y} x {z} mm");
+    }
+    format!(
+        "{:.3} x {:.3} x {:.3} (no scale)",
+        lengths[0], lengths[1], lengths[2]
+    )
 }
 
 /// What the run was given, in a line.

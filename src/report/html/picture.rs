@@ -1,12 +1,10 @@
 //! Maps and photos as pictures inside the page, cut to the object so that detail shows.
 
-use crate::exit::Failure;
-use rilievo_io::{Preview, encode_photo_jpeg, encode_preview_png};
+use rilievo_io::{Preview, encode_preview_jpeg, picture_as_jpeg};
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster};
 
-/// Longer side of a picture, pixels: detail enough, and eight views below 25 MB.
-pub const MAX_SIDE: usize = 900;
-const JPEG_QUALITY: u8 = 85;
+/// Longer side of a picture, pixels: what the page shows is not wider.
+const MAX_SIDE: usize = 900;
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,44 +52,6 @@ impl Window {
     }
 }
 
-/// A photo, reduced to the page's size.
-///
-/// # Errors
-/// When it cannot be encoded.
-pub fn photo(image: &LinearImage, window: Window, exposure: f32) -> Result<String, Failure> {
-    let step = window.width.max(window.height).div_ceil(MAX_SIDE);
-    photo_at(image, window, exposure, step)
-}
-
-/// A photo, reduced by a factor.
-///
-/// # Errors
-/// When it cannot be encoded.
-pub fn photo_at(
-    image: &LinearImage,
-    window: Window,
-    exposure: f32,
-    step: usize,
-) -> Result<String, Failure> {
-    let (width, height) = (window.width / step, window.height / step);
-    let mut small = LinearImage::filled(width, height, image.channels, 0.0);
-    let scale = exposure / (step * step) as f32;
-    for y in 0..height {
-        for x in 0..width {
-            for dy in 0..step {
-                for dx in 0..step {
-                    let from = image.pixel(window.x + x * step + dx, window.y + y * step + dy);
-                    for (sum, value) in small.pixel_mut(x, y).iter_mut().zip(from) {
-                        *sum += value * scale;
-                    }
-                }
-            }
-        }
-    }
-    let bytes = encode_photo_jpeg(&small, JPEG_QUALITY)?;
-    Ok(format!("data:image/jpeg;base64,{}", base64(&bytes)))
-}
-
 /// Factor that brings the object's bright pixels to three quarters of white, so that dark photos
 /// can be judged too.
 pub fn exposure(image: &LinearImage, depth: &DepthMap) -> f32 {
@@ -111,25 +71,69 @@ pub fn exposure(image: &LinearImage, depth: &DepthMap) -> f32 {
     if *value > 0.0 { 0.75 / *value } else { 1.0 }
 }
 
-/// A normal map.
-pub fn normals(map: &NormalMap, window: Window) -> String {
-    png(Preview::Normal(&window.cut(map)))
+/// Makes pictures that stay together below a number of bytes, each as data URL.
+#[derive(Clone, Copy, Debug)]
+pub struct Album {
+    max_bytes: usize,
 }
 
-/// A depth map.
-pub fn depth(map: &DepthMap, window: Window) -> String {
-    png(Preview::Depth(&window.cut(map)))
+impl Album {
+    /// For so many pictures that take so many bytes of the page at most.
+    pub fn new(page_bytes: usize, num_pictures: usize) -> Self {
+        // Base64 writes three bytes as four.
+        let share = page_bytes / num_pictures.max(1) * 3 / 4;
+        Self { max_bytes: share }
+    }
+
+    /// A photo.
+    pub fn photo(&self, image: &LinearImage, window: Window, exposure: f32) -> String {
+        let step = (window.width.max(window.height) / MAX_SIDE).max(1);
+        let (width, height) = (window.width / step, window.height / step);
+        let mut small = LinearImage::filled(width, height, image.channels, 0.0);
+        let scale = exposure / (step * step) as f32;
+        for y in 0..height {
+            for x in 0..width {
+                for dy in 0..step {
+                    for dx in 0..step {
+                        let from = image.pixel(window.x + x * step + dx, window.y + y * step + dy);
+                        for (sum, value) in small.pixel_mut(x, y).iter_mut().zip(from) {
+                            *sum += value * scale;
+                        }
+                    }
+                }
+            }
+        }
+        self.jpeg(Preview::Linear(&small))
+    }
+
+    /// A normal map.
+    pub fn normals(&self, map: &NormalMap, window: Window) -> String {
+        self.jpeg(Preview::Normal(&window.cut(map)))
+    }
+
+    /// A depth map.
+    pub fn depth(&self, map: &DepthMap, window: Window) -> String {
+        self.jpeg(Preview::Depth(&window.cut(map)))
+    }
+
+    /// A map of errors or shares, `max` and above bright.
+    pub fn scalar(&self, map: &Raster<f32>, window: Window, max: f32) -> String {
+        let map = &window.cut(map);
+        self.jpeg(Preview::Error { map, max })
+    }
+
+    /// A picture file; `None` where its bytes are no picture.
+    pub fn file(&self, bytes: &[u8]) -> Option<String> {
+        picture_as_jpeg(bytes, MAX_SIDE, self.max_bytes).map(|bytes| data_url(&bytes))
+    }
+
+    fn jpeg(&self, preview: Preview<'_>) -> String {
+        data_url(&encode_preview_jpeg(preview, MAX_SIDE, self.max_bytes))
+    }
 }
 
-/// A map of errors or shares, `max` and above bright.
-pub fn scalar(map: &Raster<f32>, window: Window, max: f32) -> String {
-    let map = &window.cut(map);
-    png(Preview::Error { map, max })
-}
-
-fn png(preview: Preview<'_>) -> String {
-    let bytes = encode_preview_png(preview, MAX_SIDE);
-    format!("data:image/png;base64,{}", base64(&bytes))
+fn data_url(jpeg: &[u8]) -> String {
+    format!("data:image/jpeg;base64,{}", base64(jpeg))
 }
 
 /// Base64 of RFC 4648 with padding.

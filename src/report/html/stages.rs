@@ -367,14 +367,13 @@ fn shading(facts: &ShadingFacts) -> Markup {
         "after the best gain",
         "with the best distant light",
     ];
-    let mut rest = facts.clone();
-    let convergence: Vec<Markup> = rest
+    let convergence: Vec<Markup> = facts
         .solver
         .paper
         .views
-        .iter_mut()
+        .iter()
         .map(|view| {
-            let records = std::mem::take(&mut view.iterations);
+            let records = &view.iterations;
             let column = |of: fn(&rilievo_shading::paper::IterationRecord) -> f64| -> Vec<f64> {
                 records.iter().map(of).collect()
             };
@@ -392,8 +391,7 @@ fn shading(facts: &ShadingFacts) -> Markup {
         (table("Photos and light, differences on the result", &head, &light))
         @if let Some(photo) = &facts.solver.photo { (trust(photo)) }
         @for plot in convergence { (plot) }
-        // What the solver tells depends on the model that was asked for; show all of it.
-        (folded("Everything that the solver tells", false, &json(&rest)))
+        p { "Everything that the solver tells stands in " a href="report.json" { "report.json" } "." }
     }
 }
 

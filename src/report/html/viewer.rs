@@ -1,31 +1,37 @@
-//! Data of the interactive view: a thinned cloud and the cameras, packed for the page's script.
+//! Data of the interactive view: a coarse mesh and the cameras, packed for the page's script.
 //!
-//! A point is 12 bytes, little endian: position as 3 × u16 over the bounding box, normal as
-//! 3 × i8 over ±127, colour as 3 × u8.
+//! A vertex is 12 bytes, little endian: position as 3 × u16 over the bounding box, normal as
+//! 3 × i8 over ±127, colour as 3 × u8. Behind the vertices stand the triangles, 3 × u16 each.
 
 use super::picture::base64;
 use crate::store::RunDir;
 use maud::{Markup, PreEscaped, html};
-use rilievo_io::read_thinned_cloud_ply;
-use rilievo_scene::{CloudPoint, PosedViews, StageId};
+use rilievo_io::{CoarseMesh, read_coarse_mesh_ply};
+use rilievo_scene::{Mesh, PosedViews, StageId, Unit};
 
-/// Points beyond this many are thinned out: 2.4 MB in the page, fluent on a phone.
-const MAX_NUM_POINTS: usize = 150_000;
+/// Vertices of the view: 1.1 MB in the page, fluent on a phone, and 16 bits tell them apart.
+const MAX_NUM_VERTICES: usize = 30_000;
 
-/// The section; empty when there is no cloud.
+/// The run's mesh with few vertices; `None` without a mesh.
 ///
 /// # Errors
-/// When the cloud cannot be read.
-pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
-    let path = run.stage_dir(StageId::Fusion).join("cloud.ply");
+/// When the mesh cannot be read.
+pub fn coarse_mesh(run: &RunDir) -> anyhow::Result<Option<CoarseMesh>> {
+    let path = run.stage_dir(StageId::Fusion).join("mesh.ply");
     if !path.exists() {
-        return Ok(Markup::default());
+        return Ok(None);
     }
-    let cloud = read_thinned_cloud_ply(&path, MAX_NUM_POINTS)?;
-    let (points, [low, high]) = (&cloud.points, cloud.bounds);
-    if points.is_empty() {
-        return Ok(Markup::default());
-    }
+    let coarse = read_coarse_mesh_ply(&path, MAX_NUM_VERTICES)?;
+    Ok((!coarse.mesh.triangles.is_empty()).then_some(coarse))
+}
+
+/// The section.
+pub fn section(coarse: &CoarseMesh, posed: &PosedViews) -> Markup {
+    let CoarseMesh {
+        mesh,
+        num_triangles,
+        bounds: [low, high],
+    } = coarse;
     let cameras: Vec<_> = posed
         .views
         .iter()
@@ -43,14 +49,18 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
         })
         .collect();
     let data = serde_json::json!({
-        "low": low, "high": high, "count": points.len(), "cameras": cameras,
+        "low": low, "high": high, "vertices": mesh.vertices.len(), "cameras": cameras,
+        "metric": posed.scale.unit == Unit::Metre,
     });
-    let packed = base64(&pack(points, low, high));
-    Ok(html! {
-        section {
+    let packed = base64(&pack(mesh, *low, *high));
+    html! {
+        section.on-screen {
             h2 { "The result in 3D" }
             div.viewer {
-                canvas id="viewer" tabindex="0" role="img" aria-label=(CANVAS) {}
+                div.stage {
+                    canvas id="viewer" tabindex="0" role="img" aria-label=(CANVAS) {}
+                    div id="viewer-scale" { span {} }
+                }
                 p id="viewer-message" role="status" {}
                 div.controls {
                     label {
@@ -70,41 +80,45 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
                         input id="light-y" type="range" min="-90" max="90" value="35";
                     }
                     label { input id="viewer-cameras" type="checkbox"; " cameras" }
+                    label { input id="viewer-measure" type="checkbox"; " measure: choose two points" }
                 }
                 p.hint {
-                    "Drag or arrow keys turn, wheel or + and - come nearer, 0 goes back. "
-                    (points.len()) " of " (cloud.num_points) " points are shown."
+                    "Drag or arrow keys turn; two fingers, the right button or shift and drag move; wheel (after a \
+                     click), pinch, + and - come nearer; 0 goes back. A coarse surface of "
+                    (mesh.triangles.len()) " triangles stands for the " (num_triangles) " of "
+                    a href="6_fusion/mesh.ply" { "mesh.ply" } "."
                 }
             }
             script type="application/json" id="viewer-data" {
                 (PreEscaped(escape_script(&data.to_string())))
             }
-            script type="text/plain" id="viewer-points" { (PreEscaped(packed)) }
+            script type="text/plain" id="viewer-mesh" { (PreEscaped(packed)) }
         }
-    })
+    }
 }
 
 /// What the canvas is to those who cannot see it.
-const CANVAS: &str = "Point cloud that can be turned with the mouse or the arrow keys, and relit";
+const CANVAS: &str = "Surface that can be turned with the mouse or the arrow keys, and relit";
 
 /// JSON inside a script element must not close it.
 fn escape_script(json: &str) -> String {
     json.replace('<', "\\u003c")
 }
 
-fn pack(points: &[CloudPoint], low: [f32; 3], high: [f32; 3]) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(points.len() * 12);
-    for point in points {
+fn pack(mesh: &Mesh, low: [f32; 3], high: [f32; 3]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(mesh.vertices.len() * 12 + mesh.triangles.len() * 6);
+    for (index, vertex) in mesh.vertices.iter().enumerate() {
         for axis in 0..3 {
             let extent = (high[axis] - low[axis]).max(f32::MIN_POSITIVE);
-            let share = (point.position[axis] - low[axis]) / extent;
+            let share = (vertex[axis] - low[axis]) / extent;
             bytes.extend(((share * 65535.0).round() as u16).to_le_bytes());
         }
-        for axis in 0..3 {
-            bytes.push((point.normal[axis] * 127.0).round() as i8 as u8);
-        }
-        bytes.extend(point.color);
+        let normal = mesh.normals.get(index).copied().unwrap_or_default();
+        bytes.extend(normal.map(|n| (n * 127.0).round() as i8 as u8));
+        bytes.extend(mesh.colors.get(index).copied().unwrap_or([128; 3]));
     }
+    let corners = mesh.triangles.iter().flatten();
+    bytes.extend(corners.flat_map(|&corner| (corner as u16).to_le_bytes()));
     bytes
 }
 
@@ -113,21 +127,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_are_packed_over_their_bounds() {
-        let point = |x: f32| CloudPoint {
-            position: [x, 0.0, 1.0],
-            normal: [0.0, -1.0, 0.0],
-            color: [1, 2, 3],
-            confidence: 1.0,
-            num_views: 2,
+    fn a_mesh_is_packed_over_its_bounds() {
+        let mesh = Mesh {
+            vertices: vec![[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]],
+            normals: vec![[0.0, -1.0, 0.0]; 3],
+            colors: vec![[1, 2, 3]; 3],
+            triangles: vec![[0, 2, 1]],
         };
-        let points = [point(-1.0), point(1.0)];
-        let (low, high) = ([-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]);
-        let bytes = pack(&points, low, high);
-        assert_eq!(bytes.len(), 24);
+        let bytes = pack(&mesh, [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]);
+        assert_eq!(bytes.len(), 3 * 12 + 6);
         assert_eq!(bytes[..2], [0, 0]);
         assert_eq!(bytes[12..14], [255, 255]);
         assert_eq!(bytes[6..12], [0, 129, 0, 1, 2, 3]);
+        assert_eq!(bytes[36..], [0, 0, 2, 0, 1, 0]);
         assert_eq!(escape_script("a</script>"), "a\\u003c/script>");
     }
 }

@@ -2,8 +2,8 @@
 //! confidence; and the whole photo with sparse points and the outlines of the spheres.
 
 use super::element::{figure, folded, number, percent};
-use super::matches::{self, Thumb};
-use super::picture::{self, MAX_SIDE, Window};
+use super::matches::{self, Shown};
+use super::picture::{self, Album, Window};
 use crate::pipeline::shown_albedo;
 use crate::report::facts::{Facts, Stages};
 use crate::store::{RunDir, own_file};
@@ -13,33 +13,68 @@ use rilievo_io::{read_channel, read_depth, read_linear, read_normal};
 use rilievo_scene::{LinearImage, LocatedSphere, PosedView, PosedViews, Raster, StageId, Unit};
 use std::path::Path;
 
-/// Longer side of the photos between which matches are drawn, pixels.
-const THUMB_SIDE: usize = 480;
 /// Relative difference of photo and result that is shown as full brightness.
 const DIFFERENCE_MAX: f32 = 0.25;
 
-/// The section with all views that have a dense shape, or at least a pose.
+/// Views beyond this many have no pictures in the page: they would be too small to tell anything.
+const MAX_NUM_VIEWS: usize = 40;
+/// Bytes of the page that all pictures of all views may take.
+const PICTURE_BYTES: usize = 3_600_000;
+/// Pictures of a view that has all.
+const NUM_PICTURES: usize = 9;
+/// Anchors and sparse points drawn in all photos together: a dot takes some fifteen bytes.
+const NUM_DOTS: usize = 30_000;
+
+/// The section with the views that have a dense shape, or at least a pose; of many some, evenly chosen.
 ///
 /// # Errors
 /// When maps cannot be read.
 pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Result<Markup> {
+    let num_views = posed.views.len();
+    let every = num_views.div_ceil(MAX_NUM_VIEWS).max(1);
+    let num_shown = num_views.div_ceil(every);
+    let album = Album::new(PICTURE_BYTES, num_shown * NUM_PICTURES);
     let mut views = Vec::new();
-    let mut thumbs = Vec::new();
-    for (index, view) in posed.views.iter().enumerate() {
+    let mut shown = Vec::new();
+    for (index, view) in posed.views.iter().enumerate().step_by(every) {
         let file = format!("linear/{}.exr", view.name);
         let mut photo = read_linear(&run.stage_dir(StageId::Photos).join(file))?;
         // The results explain the photo at the set's exposure.
         let gain = exposure_gain(&facts.stages, &view.file_name) as f32;
         photo.data.iter_mut().for_each(|value| *value *= gain);
-        let content = one(run, &facts.stages, posed, index, &photo)?;
+        let page = Page {
+            run,
+            album,
+            max_dots: NUM_DOTS / num_shown,
+        };
+        let content = page.one(&facts.stages, posed, index, &photo)?;
         views.push(folded(&view.file_name, index == 0, &content));
-        thumbs.push(thumb(&photo)?);
+        shown.push(Shown {
+            view: index,
+            picture: picture_id(index),
+            width: photo.width as f64,
+            height: photo.height as f64,
+        });
     }
-    let matches = matches::section(run, posed, &thumbs)?;
+    let matches = matches::section(run, posed, &shown)?;
     Ok(html! {
-        section { h2 { "Views" } @for view in views { (view) } }
+        section {
+            h2 { "Views" }
+            @if every > 1 {
+                p {
+                    "Every " (every) ". of " (num_views) " views is shown. The pictures of all lie in "
+                    code { "5_shading/" } ", a folder a kind."
+                }
+            }
+            @for view in views { (view) }
+        }
         (matches)
     })
+}
+
+/// Name of a photo's picture within the page.
+fn picture_id(view: usize) -> String {
+    format!("photo-{view}")
 }
 
 /// Factor that brought a photo to the set's exposure.
@@ -52,107 +87,190 @@ fn exposure_gain(stages: &Stages, file_name: &str) -> f64 {
     gain.copied().unwrap_or(1.0)
 }
 
-fn one(
-    run: &RunDir,
-    stages: &Stages,
-    posed: &PosedViews,
-    index: usize,
-    photo: &LinearImage,
-) -> anyhow::Result<Markup> {
-    let view = &posed.views[index];
-    let maps = run.stage_dir(StageId::Shading);
-    let dense = if maps.join(format!("depth/{}.exr", view.name)).exists() {
-        dense(&maps, view, posed.scale.unit, photo)?
-    } else {
-        Markup::default()
-    };
-    let overlay = overlay(posed, index, view, photo)?;
-    Ok(html! { (numbers(stages, view)) (dense) (overlay) (sphere(run, &view.name)) })
+/// What pictures are made with.
+struct Page<'a> {
+    run: &'a RunDir,
+    album: Album,
+    max_dots: usize,
 }
 
-/// The photo, small enough to stand in the page a second time.
-fn thumb(photo: &LinearImage) -> anyhow::Result<Thumb> {
-    let step = photo.width.max(photo.height).div_ceil(THUMB_SIDE);
-    Ok(Thumb {
-        picture: picture::photo_at(photo, Window::whole(photo.width, photo.height), 1.0, step)?,
-        width: (photo.width / step) as f64,
-        height: (photo.height / step) as f64,
-        step: step as f64,
-    })
-}
+impl Page<'_> {
+    fn one(
+        &self,
+        stages: &Stages,
+        posed: &PosedViews,
+        index: usize,
+        photo: &LinearImage,
+    ) -> anyhow::Result<Markup> {
+        let view = &posed.views[index];
+        let maps = self.run.stage_dir(StageId::Shading);
+        let dense = if maps.join(format!("depth/{}.exr", view.name)).exists() {
+            self.dense(&maps, view, posed.scale.unit, photo)?
+        } else {
+            Markup::default()
+        };
+        let overlay = self.overlay(posed, index, photo);
+        let sphere = self.sphere(&view.name);
+        Ok(html! { (numbers(stages, view)) (dense) (overlay) (sphere) })
+    }
 
-/// Photo, result and maps of the object.
-fn dense(maps: &Path, view: &PosedView, unit: Unit, photo: &LinearImage) -> anyhow::Result<Markup> {
-    let file = |kind: &str| maps.join(kind).join(format!("{}.exr", view.name));
-    let depth = read_depth(&file("depth"))?;
-    let window = Window::around(&depth);
-    let exposure = picture::exposure(photo, &depth);
-    let name = &view.name;
-    let observed = picture::photo(photo, window, exposure)?;
-    let show = |picture: &str, what: &str, legend: &str, scale: Markup| {
-        let caption = html! { (what) ": " (legend) (scale) };
-        figure(picture, &format!("{what} of {name}"), &caption)
-    };
-    let mut pictures = Vec::new();
-    let mut comparison = Markup::default();
-    if file("rendered").exists() {
-        let rendered = read_linear(&file("rendered"))?;
-        comparison = compared(
-            name,
-            &observed,
-            &picture::photo(&rendered, window, exposure)?,
-        );
-        let difference = relative_difference(photo, &rendered, &depth);
+    /// Photo, result and maps of the object.
+    fn dense(
+        &self,
+        maps: &Path,
+        view: &PosedView,
+        unit: Unit,
+        photo: &LinearImage,
+    ) -> anyhow::Result<Markup> {
+        let file = |kind: &str| maps.join(kind).join(format!("{}.exr", view.name));
+        let depth = read_depth(&file("depth"))?;
+        let window = Window::around(&depth);
+        let exposure = picture::exposure(photo, &depth);
+        let (album, name) = (&self.album, &view.name);
+        let observed = album.photo(photo, window, exposure);
+        let show = |picture: &str, kind: &str, what: &str, legend: &str, scale: Markup| {
+            let caption = html! { (what) ": " (legend) (scale) };
+            let whole = format!("{}/{kind}/{name}.png", StageId::Shading);
+            let link = maps.join(kind).join(format!("{name}.png")).exists();
+            let figure = figure(picture, &format!("{what} of {name}"), &caption);
+            html! { @if link { a.whole href=(whole) { (figure) } } @else { (figure) } }
+        };
+        let mut pictures = Vec::new();
+        let mut comparison = Markup::default();
+        if file("rendered").exists() {
+            let rendered = read_linear(&file("rendered"))?;
+            let explained = album.photo(&rendered, window, exposure);
+            comparison = compared(name, &observed, &explained);
+            let difference = relative_difference(photo, &rendered, &depth);
+            pictures.push(show(
+                &album.scalar(&difference, window, DIFFERENCE_MAX),
+                "rendered",
+                "Relative difference",
+                "where photo and result disagree",
+                bar(
+                    "inferno",
+                    "0",
+                    &format!("{:.0} % and more", 100.0 * DIFFERENCE_MAX),
+                ),
+            ));
+        } else {
+            let nothing = Markup::default();
+            pictures.push(show(&observed, "", "Photo", "cut to the object", nothing));
+        }
+        let normal = read_normal(&file("normal"))?;
         pictures.push(show(
-            &picture::scalar(&difference, window, DIFFERENCE_MAX),
-            "Relative difference",
-            "where photo and result disagree",
-            bar(
-                "inferno",
-                "0",
-                &format!("{:.0} % and more", 100.0 * DIFFERENCE_MAX),
-            ),
-        ));
-    } else {
-        pictures.push(show(
-            &observed,
-            "Photo",
-            "cut to the object",
+            &album.normals(&normal, window),
+            "normal",
+            "Normals",
+            "red: to the right, green: up, blue: to the camera",
             Markup::default(),
         ));
-    }
-    let normal = read_normal(&file("normal"))?;
-    pictures.push(show(
-        &picture::normals(&normal, window),
-        "Normals",
-        "red: to the right, green: up, blue: to the camera",
-        Markup::default(),
-    ));
-    pictures.push(show(
-        &picture::depth(&depth, window),
-        "Depth",
-        "along the optical axis",
-        depth_legend(&depth, unit),
-    ));
-    if file("albedo").exists() {
-        let albedo = shown_albedo(&read_linear(&file("albedo"))?);
         pictures.push(show(
-            &picture::photo(&albedo, window, 1.0)?,
-            "Albedo",
-            "relative to the mean, which is a middle grey",
-            Markup::default(),
+            &album.depth(&depth, window),
+            "depth",
+            "Depth",
+            "along the optical axis",
+            depth_legend(&depth, unit),
         ));
+        if file("albedo").exists() {
+            let albedo = shown_albedo(&read_linear(&file("albedo"))?);
+            pictures.push(show(
+                &album.photo(&albedo, window, 1.0),
+                "albedo",
+                "Albedo",
+                "relative to the mean, which is a middle grey",
+                Markup::default(),
+            ));
+        }
+        if file("confidence").exists() {
+            let confidence = read_channel(&file("confidence"), "C")?;
+            pictures.push(show(
+                &album.scalar(&confidence, window, 1.0),
+                "confidence",
+                "Confidence",
+                "how well the photos determine a pixel",
+                bar("inferno", "0", "1: well"),
+            ));
+        }
+        Ok(html! { (comparison) div.pictures { @for picture in pictures { (picture) } } })
     }
-    if file("confidence").exists() {
-        let confidence = read_channel(&file("confidence"), "C")?;
-        pictures.push(show(
-            &picture::scalar(&confidence, window, 1.0),
-            "Confidence",
-            "how well the photos determine a pixel",
-            bar("inferno", "0", "1: well"),
-        ));
+
+    /// The whole photo with sparse points and the spheres' outlines.
+    fn overlay(&self, posed: &PosedViews, index: usize, photo: &LinearImage) -> Markup {
+        let view = &posed.views[index];
+        // Drawn in a frame of a thousand units, where a tenth is exact enough.
+        let unit = photo.width.max(photo.height) as f64 / 1000.0;
+        let at = |value: f64| format!("{:.1}", value / unit);
+        let sightings = posed.points.iter().flat_map(|point| &point.track);
+        let points = sightings.filter(|s| s.view.0 == index).map(|s| s.pixel);
+        let seen = posed.anchors.iter().flat_map(|anchor| &anchor.observations);
+        let anchors = seen.filter(|o| o.view.0 == index).map(|o| o.pixel);
+        let (num_points, points) = self.dots(points.collect(), &at);
+        let (num_anchors, anchors) = self.dots(anchors.collect(), &at);
+        let outlines: Vec<String> = posed
+            .spheres
+            .iter()
+            .filter_map(|sphere| outline(sphere, view))
+            .map(|outline| {
+                let corners = outline
+                    .iter()
+                    .map(|[x, y]| format!("{},{}", at(*x), at(*y)));
+                corners.collect::<Vec<_>>().join(" ")
+            })
+            .collect();
+        let of_spheres = match outlines.len() {
+            0 => String::new(),
+            1 => "; outline of the reference sphere where it should be".to_owned(),
+            n => format!("; outlines of {n} reference spheres where they should be"),
+        };
+        let (width, height) = (at(photo.width as f64), at(photo.height as f64));
+        let whole = Window::whole(photo.width, photo.height);
+        let picture = self.album.photo(photo, whole, 1.0);
+        html! {
+            figure.overlay {
+                svg viewBox=(format!("0 0 {width} {height}")) role="img"
+                    aria-label=(format!("Photo {}", view.name)) {
+                    image id=(picture_id(index)) href=(picture) width=(width) height=(height) {}
+                    path.anchors d=(anchors) {}
+                    path.points d=(points) {}
+                    @for outline in &outlines { polygon points=(outline) {} }
+                }
+                figcaption {
+                    (num_anchors) " depth anchors (green), " (num_points) " sparse points (yellow)"
+                    (of_spheres)
+                }
+            }
+        }
     }
-    Ok(html! { (comparison) div.pictures { @for picture in pictures { (picture) } } })
+
+    /// The sphere as stage 4 saw it, where there is a picture of that.
+    fn sphere(&self, name: &str) -> Markup {
+        let file = format!("overlay/{name}.png");
+        let path = self.run.stage_dir(StageId::Lighting).join(&file);
+        let bytes = own_file(&path).ok().flatten();
+        let Some(picture) = bytes.and_then(|bytes| self.album.file(&bytes)) else {
+            return Markup::default();
+        };
+        html! {
+            figure {
+                a href=(format!("{}/{file}", StageId::Lighting)) {
+                    img loading="lazy" src=(picture) alt=(format!("Sphere in {name}"));
+                }
+                figcaption {
+                    "Reference sphere: fitted outline; re-rendered under the light; pixels left out \
+                     (magenta: clipped, blue: more than 10 % off the light, grey: margin or hidden)"
+                }
+            }
+        }
+    }
+
+    /// The number of places, and a path of dots at so many of them as the page bears: a tenth of the size of circles.
+    fn dots(&self, places: Vec<[f64; 2]>, at: &impl Fn(f64) -> String) -> (usize, String) {
+        let every = places.len().div_ceil(self.max_dots.max(1)).max(1);
+        let drawn = places.iter().step_by(every);
+        let dots = drawn.map(|[x, y]| format!("M{} {}h0", at(*x), at(*y)));
+        (places.len(), dots.collect())
+    }
 }
 
 /// Photo and re-rendered result over each other, with a slider between them.
@@ -191,7 +309,7 @@ fn depth_legend(depth: &Raster<f32>, unit: Unit) -> Markup {
 }
 
 /// A colour scale with the values at its ends.
-fn bar(colors: &str, low: &str, high: &str) -> Markup {
+pub fn bar(colors: &str, low: &str, high: &str) -> Markup {
     html! {
         span.scale {
             span { (low) }
@@ -262,87 +380,6 @@ fn numbers(stages: &Stages, view: &PosedView) -> Markup {
     ];
     html! {
         dl.facts { @for (name, value) in rows { div { dt { (name) } dd { (value) } } } }
-    }
-}
-
-/// The whole photo with sparse points and the spheres' outlines.
-fn overlay(
-    posed: &PosedViews,
-    index: usize,
-    view: &PosedView,
-    photo: &LinearImage,
-) -> anyhow::Result<Markup> {
-    let window = Window::whole(photo.width, photo.height);
-    let step = photo.width.max(photo.height).div_ceil(MAX_SIDE) as f64;
-    let at = |value: f64| format!("{:.1}", value / step);
-    let sightings = posed.points.iter().flat_map(|point| &point.track);
-    let points: Vec<[f64; 2]> = sightings
-        .filter(|s| s.view.0 == index)
-        .map(|s| s.pixel)
-        .collect();
-    // A path of dots: a tenth of the size of circles, and there are thousands.
-    let mut dots = String::new();
-    let mut num_anchors = 0;
-    for anchor in &posed.anchors {
-        for seen in anchor.observations.iter().filter(|o| o.view.0 == index) {
-            num_anchors += 1;
-            dots += &format!("M{} {}h0", at(seen.pixel[0]), at(seen.pixel[1]));
-        }
-    }
-    let outlines: Vec<String> = posed
-        .spheres
-        .iter()
-        .filter_map(|sphere| outline(sphere, view))
-        .map(|outline| {
-            let corners = outline
-                .iter()
-                .map(|[x, y]| format!("{},{}", at(*x), at(*y)));
-            corners.collect::<Vec<_>>().join(" ")
-        })
-        .collect();
-    let of_spheres = match outlines.len() {
-        0 => String::new(),
-        1 => "; outline of the reference sphere where it should be".to_owned(),
-        n => format!("; outlines of {n} reference spheres where they should be"),
-    };
-    let (width, height) = (photo.width as f64 / step, photo.height as f64 / step);
-    let picture = picture::photo(photo, window, 1.0)?;
-    Ok(html! {
-        figure.overlay {
-            div {
-                img loading="lazy" src=(picture) alt=(format!("Photo {}", view.name));
-                svg viewBox=(format!("0 0 {width:.0} {height:.0}")) aria-hidden="true" {
-                    path d=(dots) {}
-                    @for [x, y] in &points { circle cx=(at(*x)) cy=(at(*y)) r="2" {} }
-                    @for outline in &outlines { polygon points=(outline) {} }
-                }
-            }
-            figcaption {
-                (num_anchors) " depth anchors (green), " (points.len()) " sparse points (yellow)"
-                (of_spheres)
-            }
-        }
-    })
-}
-
-/// The sphere as stage 4 saw it, where there is a picture of that.
-fn sphere(run: &RunDir, name: &str) -> Markup {
-    let file = format!("overlay/{name}.png");
-    let path = run.stage_dir(StageId::Lighting).join(&file);
-    let Some(bytes) = own_file(&path).ok().flatten() else {
-        return Markup::default();
-    };
-    let picture = format!("data:image/png;base64,{}", picture::base64(&bytes));
-    html! {
-        figure {
-            a href=(format!("{}/{file}", StageId::Lighting)) {
-                img loading="lazy" src=(picture) alt=(format!("Sphere in {name}"));
-            }
-            figcaption {
-                "Reference sphere: fitted outline; re-rendered under the light; pixels left out \
-                 (magenta: clipped, blue: more than 10 % off the light, grey: margin or hidden)"
-            }
-        }
     }
 }
 

@@ -1,4 +1,4 @@
-//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG.
+//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG, or as JPEG of few bytes.
 //!
 //! | map | colours |
 //! |---|---|
@@ -13,7 +13,9 @@ use crate::error::IoError;
 use crate::files::OutputFile;
 use crate::mask::encode_png;
 use colorous::{Gradient, INFERNO, VIRIDIS};
-use image::ExtendedColorType;
+use image::codecs::jpeg::JpegEncoder;
+use image::imageops::{self, FilterType};
+use image::{ExtendedColorType, RgbImage};
 use rilievo_scene::{DepthMap, LinearImage, NormalMap, Raster, srgb};
 use std::path::Path;
 
@@ -52,8 +54,8 @@ pub fn write_preview_png(
     OutputFile::new(path, encode_preview_png(preview, max_side)).write()
 }
 
-/// The same as bytes of a PNG file, to embed elsewhere; a map without pixels gives one black pixel.
-pub fn encode_preview_png(preview: Preview<'_>, max_side: usize) -> Vec<u8> {
+/// The same as bytes of a PNG file; a map without pixels gives one black pixel.
+fn encode_preview_png(preview: Preview<'_>, max_side: usize) -> Vec<u8> {
     let picture = shrink(paint(preview), max_side);
     let samples: Vec<u8> = picture.data.iter().flatten().copied().collect();
     let encode =
@@ -61,6 +63,50 @@ pub fn encode_preview_png(preview: Preview<'_>, max_side: usize) -> Vec<u8> {
     encode(&samples, picture.width, picture.height)
         .or_else(|_| encode(&[0, 0, 0], 1, 1))
         .unwrap_or_default()
+}
+
+const JPEG_QUALITY: u8 = 85;
+/// A picture below this side, in pixels, shows nothing: it is not reduced further.
+const LEAST_SIDE: u32 = 48;
+
+/// A picture as bytes of a JPEG file, to embed elsewhere, at most `max_side` pixels on its longer side, and reduced
+/// until it has at most `max_bytes`; a map without pixels gives one black pixel.
+pub fn encode_preview_jpeg(preview: Preview<'_>, max_side: usize, max_bytes: usize) -> Vec<u8> {
+    let picture = paint(preview);
+    let (width, height) = (picture.width as u32, picture.height as u32);
+    let whole = RgbImage::from_raw(width, height, picture.data.into_flattened());
+    reduced_jpeg(&whole.unwrap_or_default(), max_side, max_bytes)
+}
+
+/// The same of a picture file's bytes; `None` where they are no picture.
+pub fn picture_as_jpeg(bytes: &[u8], max_side: usize, max_bytes: usize) -> Option<Vec<u8>> {
+    let whole = image::load_from_memory(bytes).ok()?.to_rgb8();
+    Some(reduced_jpeg(&whole, max_side, max_bytes))
+}
+
+fn reduced_jpeg(whole: &RgbImage, max_side: usize, max_bytes: usize) -> Vec<u8> {
+    let longer = whole.width().max(whole.height());
+    let mut side = longer.min(max_side as u32).max(1);
+    loop {
+        let scale = f64::from(side) / f64::from(longer.max(1));
+        let reduced = |length: u32| ((f64::from(length) * scale).round() as u32).max(1);
+        let (width, height) = (reduced(whole.width()), reduced(whole.height()));
+        let small = if longer > 0 {
+            imageops::resize(whole, width, height, FilterType::Triangle)
+        } else {
+            RgbImage::new(1, 1)
+        };
+        let mut bytes = Vec::new();
+        let encoder = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY);
+        // What is too large for JPEG is reduced until it is not.
+        let fits = small.write_with_encoder(encoder).is_ok() && bytes.len() <= max_bytes;
+        if fits || side <= LEAST_SIDE {
+            return bytes;
+        }
+        // Bytes grow a little more slowly than pixels.
+        let share = (max_bytes as f64 / bytes.len().max(1) as f64).sqrt();
+        side = (f64::from(side) * (0.95 * share).clamp(0.3, 0.95)) as u32;
+    }
 }
 
 fn map_color(gradient: Gradient, share: f32) -> Rgb {
@@ -219,6 +265,30 @@ mod tests {
         assert_eq!(pixels[3..6], [252, 255, 164]);
         assert_eq!(pixels[6..9], [252, 255, 164]);
         assert_eq!(pixels[9..], NO_ERROR_VALUE);
+    }
+
+    #[test]
+    fn a_jpeg_stays_below_its_bytes_whatever_it_shows() {
+        let mut random = 1u32;
+        let noise = Raster::from_fn(700, 300, |_, _| {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 8) as f32 / (1 << 24) as f32
+        });
+        let preview = Preview::Error {
+            map: &noise,
+            max: 1.0,
+        };
+        for most in [3_000, 20_000, 80_000] {
+            let bytes = encode_preview_jpeg(preview, 600, most);
+            assert!(bytes.len() <= most, "{} of {most}", bytes.len());
+            assert!(2 * bytes.len() > most, "{} of {most}", bytes.len());
+            let picture = image::load_from_memory(&bytes).unwrap();
+            let aspect = f64::from(picture.width()) / f64::from(picture.height());
+            assert!((aspect / (7.0 / 3.0) - 1.0).abs() < 0.05, "{aspect}");
+        }
+        let empty = Raster::from_fn(0, 0, |_, _| 0.0f32);
+        let one = encode_preview_jpeg(Preview::Depth(&empty), 600, 1_000);
+        assert_eq!(image::load_from_memory(&one).unwrap().width(), 1);
     }
 
     #[test]

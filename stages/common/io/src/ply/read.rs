@@ -2,9 +2,8 @@
 
 use super::header::{Element, Format, Header, Property, Scalar};
 use crate::error::IoError;
-use crate::files::{open_regular, read_regular};
+use crate::files::read_regular;
 use rilievo_scene::{CloudPoint, Mesh, PointCloud};
-use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Values of a vertex that are understood, in the order of their slots.
@@ -23,12 +22,12 @@ const VERTEX_PROPERTIES: [&str; 11] = [
 ];
 
 /// Numbers of the body, one after another.
-enum Body<'a> {
+pub(super) enum Body<'a> {
     Text(std::str::SplitAsciiWhitespace<'a>),
     Binary { bytes: &'a [u8], big_endian: bool },
 }
 
-const NO_POSITIONS: &str = "has no vertices with x, y and z";
+pub(super) const NO_POSITIONS: &str = "has no vertices with x, y and z";
 
 const TOO_SHORT: &str = "the file ends too early";
 
@@ -47,7 +46,7 @@ impl<'a> Body<'a> {
         })
     }
 
-    fn next(&mut self, scalar: Scalar) -> Result<f64, String> {
+    pub(super) fn next(&mut self, scalar: Scalar) -> Result<f64, String> {
         match self {
             Self::Text(words) => {
                 let word = words.next().ok_or(TOO_SHORT)?;
@@ -153,10 +152,10 @@ fn parse(bytes: &[u8]) -> Result<Content, String> {
 }
 
 /// A vertex, in the order of [`VERTEX_PROPERTIES`].
-type Vertex = [f64; VERTEX_PROPERTIES.len()];
+pub(super) type Vertex = [f64; VERTEX_PROPERTIES.len()];
 
 /// For every property of an element of vertices its slot and the factor of its values, where it is understood.
-fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
+pub(super) fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
     element
         .properties
         .iter()
@@ -178,7 +177,7 @@ fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
 }
 
 /// The next vertex; `values` is reused.
-fn next_vertex(
+pub(super) fn next_vertex(
     element: &Element,
     slots: &[Option<(usize, f64)>],
     body: &mut Body<'_>,
@@ -262,7 +261,7 @@ fn load(path: &Path) -> Result<Content, IoError> {
 }
 
 /// `as` casts of floating point saturate, which is what a colour or count out of range should do.
-fn byte(value: f64) -> u8 {
+pub(super) fn byte(value: f64) -> u8 {
     value.round() as u8
 }
 
@@ -274,75 +273,6 @@ pub fn read_cloud_ply(path: &Path) -> Result<PointCloud, IoError> {
     let content = load(path)?;
     let points = content.vertices.iter().map(point).collect();
     Ok(PointCloud { points })
-}
-
-/// Some points of a cloud, evenly spread over the file, with what is known of all.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ThinnedCloud {
-    /// Every n-th point.
-    pub points: Vec<CloudPoint>,
-    /// Points of the whole cloud.
-    pub num_points: usize,
-    /// Their smallest and largest coordinates.
-    pub bounds: [[f32; 3]; 2],
-}
-
-/// Bytes of a file that hold its header.
-const HEADER_BYTES: u64 = 1 << 16;
-
-/// Reads at most `most` points of a binary cloud, such as this program writes, in the memory of these.
-///
-/// # Errors
-/// When the file cannot be read, or is no binary PLY whose first element are vertices with `x y z` and without lists.
-pub fn read_thinned_cloud_ply(path: &Path, most: usize) -> Result<ThinnedCloud, IoError> {
-    let failed = |error: std::io::Error| IoError::read(path, &error);
-    let mut file = open_regular(path)?;
-    let mut head = Vec::new();
-    file.by_ref()
-        .take(HEADER_BYTES)
-        .read_to_end(&mut head)
-        .map_err(failed)?;
-    let not_such = |reason: String| IoError::input(path, reason);
-    let header = Header::parse(&head).map_err(not_such)?;
-    let element = header
-        .elements
-        .first()
-        .filter(|element| element.name == "vertex" && header.format != Format::Ascii)
-        .filter(|element| element.properties.iter().all(|p| p.list.is_none()))
-        .ok_or_else(|| not_such("is no binary cloud of plain vertices".to_owned()))?;
-    let slots = slots(element);
-    let has = |slot: usize| slots.iter().flatten().any(|(known, _)| *known == slot);
-    if !(0..3).all(has) {
-        return Err(not_such(NO_POSITIONS.to_owned()));
-    }
-    file.seek(SeekFrom::Start(header.body_at as u64))
-        .map_err(failed)?;
-    let mut from = BufReader::with_capacity(1 << 20, file);
-    let record_bytes = element.properties.iter().map(|p| p.scalar.size()).sum();
-    let (mut record, mut values) = (vec![0; record_bytes], Vec::new());
-    let step = element.count.div_ceil(most.max(1)).max(1);
-    let mut cloud = ThinnedCloud {
-        points: Vec::with_capacity(element.count.min(most)),
-        num_points: element.count,
-        bounds: [[f32::INFINITY; 3], [f32::NEG_INFINITY; 3]],
-    };
-    for number in 0..element.count {
-        from.read_exact(&mut record).map_err(failed)?;
-        let mut body = Body::Binary {
-            bytes: &record,
-            big_endian: header.format == Format::BigEndian,
-        };
-        let vertex = next_vertex(element, &slots, &mut body, &mut values).map_err(not_such)?;
-        let found = point(&vertex);
-        for (k, &value) in found.position.iter().enumerate() {
-            cloud.bounds[0][k] = cloud.bounds[0][k].min(value);
-            cloud.bounds[1][k] = cloud.bounds[1][k].max(value);
-        }
-        if number % step == 0 {
-            cloud.points.push(found);
-        }
-    }
-    Ok(cloud)
 }
 
 /// Reads a mesh; polygons are cut into triangles.

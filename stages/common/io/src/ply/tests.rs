@@ -159,26 +159,52 @@ fn damage_is_told_and_no_part_panics() {
 }
 
 #[test]
-fn a_cloud_is_thinned_evenly_with_the_bounds_of_all() {
+fn a_coarse_mesh_keeps_the_surface_in_few_vertices() {
     let dir = tempfile::tempdir().unwrap();
-    let path = dir.path().join("cloud.ply");
-    let point = |k: usize| CloudPoint {
-        position: [k as f32, -(k as f32), 0.5],
-        normal: [0.0, 0.0, -1.0],
-        color: [k as u8, 2, 3],
-        confidence: 0.5,
-        num_views: 3,
+    let path = dir.path().join("mesh.ply");
+    // A plane of 40 x 40 squares, one unit each.
+    let at = |x: u32, y: u32| y * 41 + x;
+    let corners = |k: u32| {
+        let (x, y) = (k % 40, k / 40);
+        let (a, b, c, d) = (at(x, y), at(x + 1, y), at(x + 1, y + 1), at(x, y + 1));
+        [[a, b, c], [a, c, d]]
     };
-    let cloud = PointCloud {
-        points: (0..100).map(point).collect(),
+    let vertex = |k: u32| [(k % 41) as f32, (k / 41) as f32, 2.0];
+    let mesh = Mesh {
+        vertices: (0..41 * 41).map(vertex).collect(),
+        normals: vec![[0.0, 0.0, -1.0]; 41 * 41],
+        colors: vec![[10, 20, 30]; 41 * 41],
+        triangles: (0..1600).flat_map(corners).collect(),
     };
-    write_cloud_ply(&path, &cloud, Unit::Metre).unwrap();
-    let thinned = read_thinned_cloud_ply(&path, 30).unwrap();
-    let expected: Vec<CloudPoint> = cloud.points.iter().step_by(4).copied().collect();
-    assert_eq!(thinned.points, expected);
-    assert_eq!(thinned.num_points, 100);
-    assert_eq!(thinned.bounds, [[0.0, -99.0, 0.5], [99.0, 0.0, 0.5]]);
+    write_mesh_ply(&path, &mesh, Unit::Metre).unwrap();
+    let same = read_coarse_mesh_ply(&path, 10_000).unwrap();
+    assert_eq!(same.mesh.vertices.len(), mesh.vertices.len());
+    assert_eq!(same.mesh.triangles.len(), 3200);
+    assert_eq!(
+        (same.num_triangles, same.bounds),
+        (3200, [[0.0, 0.0, 2.0], [40.0, 40.0, 2.0]])
+    );
+    let coarse = read_coarse_mesh_ply(&path, 120).unwrap();
+    let Mesh {
+        vertices,
+        normals,
+        colors,
+        triangles,
+    } = &coarse.mesh;
+    assert!((60..=120).contains(&vertices.len()), "{}", vertices.len());
+    assert!(vertices.iter().all(|v| v[2] == 2.0));
+    assert_eq!(normals, &vec![[0.0, 0.0, -1.0]; vertices.len()]);
+    assert_eq!(colors, &vec![[10, 20, 30]; vertices.len()]);
+    // They still turn the same way, and cover most of the plane once.
+    let areas = triangles.iter().map(|t| {
+        let [a, b, c] = t.map(|k| vertices[k as usize].map(f64::from));
+        0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    });
+    let areas: Vec<f64> = areas.collect();
+    assert!(areas.iter().all(|area| *area > -1e-6), "{areas:?}");
+    let area: f64 = areas.iter().sum();
+    assert!((0.75..1.0).contains(&(area / 1600.0)), "{area}");
     let whole = std::fs::read(&path).unwrap();
     std::fs::write(&path, &whole[..whole.len() - 1]).unwrap();
-    assert!(read_thinned_cloud_ply(&path, 30).is_err());
+    assert!(read_coarse_mesh_ply(&path, 120).is_err());
 }
