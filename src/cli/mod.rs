@@ -248,8 +248,9 @@ pub struct ReconstructArgs {
     /// Run directory: results, and what is needed to go on from there
     #[arg(short, long, value_name = "RUN")]
     pub output: PathBuf,
-    /// Folder of object masks (white on black), named as the photos
-    #[arg(long, value_name = "DIR")]
+    /// Folder of object masks (white on black), named as the photos; `none` takes the whole frame. Without it, masks are
+    /// proposed after stage 3 and used where they are sure: RUN/masks, with pictures to look at in RUN/masks-overlays
+    #[arg(long, value_name = "DIR|none")]
     pub masks: Option<PathBuf>,
     /// Cameras: cameras.json, the folder of a COLMAP model, or another program's file
     #[arg(long, value_name = "FILE|COLMAP_DIR")]

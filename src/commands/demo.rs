@@ -2,7 +2,7 @@
 //! alone through all six stages, and measured against the truth.
 
 use super::evaluate::{self, Comparison};
-use super::reconstruct::{Allowed, bring_run_up_to_date};
+use super::bring::{Allowed, bring_run_up_to_date};
 use super::reporting::reporting_judged;
 use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
 use crate::cli::{DemoArgs, SynthFormat};
@@ -47,7 +47,8 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
         until: StageId::Fusion,
     };
     let allowed = Allowed { overwrite: true };
-    let judgement = bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
+    let brought = bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
+    let judgement = brought.tell(&run, console);
     let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     let evaluation = comparison.measure()?;
     comparison.show(&evaluation)?;

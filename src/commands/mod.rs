@@ -1,5 +1,6 @@
 //! One file per command of the command line.
 
+mod bring;
 mod cameras;
 mod check;
 mod clean;

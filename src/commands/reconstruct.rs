@@ -1,20 +1,11 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
-use super::handshake::{check_inputs, check_options, open_run};
+use super::bring::{Allowed, bring_run_up_to_date};
+use super::mask::with_proposed_masks;
 use super::reporting::reporting_judged;
-use crate::cli::{ReconstructArgs, WorkArgs};
-use crate::exit::Failure;
-use crate::observe::Console;
-use crate::pipeline::{
-    Context, Inputs, Plan, Range, Request, Resources, StageState, bring_up_to_date, expect,
-    is_another_set,
-};
-use crate::ranks;
-use crate::report::{Judgement, Outcome, Report};
-use crate::store::{Look, RunDir};
+use crate::cli::ReconstructArgs;
+use crate::pipeline::{Range, Request};
 use rilievo_scene::StageId;
-use serde::Serialize;
-use std::path::Path;
 
 /// Runs the command.
 ///
@@ -27,128 +18,16 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
     };
     let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
     reporting_judged(args.work.json, args.strict, facts, |console| {
-        let request = Request::from_args(args)?;
+        let mut request = Request::from_args(args)?;
         let allowed = Allowed {
             overwrite: args.overwrite,
         };
-        bring_run_up_to_date(&request, &args.output, range, allowed, &args.work, console)
+        let (root, work) = (&args.output, &args.work);
+        // Poses need no masks, and everything after them gains by them.
+        if args.masks.is_none() && range.until > StageId::Poses {
+            request = with_proposed_masks(request, root, allowed, work, console)?;
+        }
+        let brought = bring_run_up_to_date(&request, root, range, allowed, work, console)?;
+        Ok(brought.tell(root, console))
     })
-}
-
-/// What the user allows beyond what is safe.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Allowed {
-    /// Results of other photos may be replaced.
-    pub overwrite: bool,
-}
-
-/// Opens or creates a run directory for a request and brings its stages up to date; tells how far the
-/// result can be relied on. Of several processes all work, and the first one tells.
-///
-/// # Errors
-/// As [`reconstruct`].
-pub fn bring_run_up_to_date(
-    request: &Request,
-    root: &Path,
-    range: Range,
-    allowed: Allowed,
-    work: &WorkArgs,
-    console: &Console,
-) -> anyhow::Result<Option<Judgement>> {
-    if let (Some(from), until) = (range.redo_from, range.until)
-        && from > until
-    {
-        return Err(Failure::Usage(format!("--from {from} comes after --until {until}")).into());
-    }
-    let resources = Resources::new(work);
-    check_options(&serde_json::json!({"request": request, "range": range, "allowed": allowed}))?;
-    let run = open_run(root, || {
-        let run = RunDir::create_or_open(root)?;
-        if run.is_new() {
-            // Written first, so that the folder is known as ours whatever follows.
-            run.write_run_file(request)?;
-        }
-        Ok(run)
-    })?;
-    if let Ok(found) = run.read_run_file()
-        && let Some(repaired) = found.repaired
-    {
-        console.note(&format!("warning: {repaired}"));
-    }
-    let mut plan = None;
-    let outcome = work_in(&run, request, range, allowed, resources, console, &mut plan);
-    let outcome = ranks::agree(outcome);
-    if !ranks::team().is_first() {
-        return outcome.map(|_| None);
-    }
-    let told = Outcome::of(outcome.as_ref().err());
-    let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
-        if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
-            report.write(&run)?;
-        }
-        Ok(report)
-    });
-    // A report that cannot be written must not hide why the run failed.
-    let redone = outcome?;
-    let report = report?;
-    if redone {
-        console.note(&format!("results are in {}", root.display()));
-    } else {
-        console.note(&format!(
-            "everything in {} is up to date: nothing to do",
-            root.display()
-        ));
-    }
-    Ok(Some(report.into_judgement()))
-}
-
-/// A finished run of other photos is somebody's work: it is not replaced by accident.
-fn same_object(run: &RunDir, inputs: &Inputs) -> Result<(), Failure> {
-    match run.manifest(StageId::Photos) {
-        Ok(Some(manifest)) if is_another_set(inputs, &manifest.ingredients) => {
-            Err(Failure::Usage(format!(
-                "{} holds a run of other photos (none of {} is the same): choose another folder \
-                 with -o, or say --overwrite to replace its results",
-                run.root().display(),
-                inputs.photos.len(),
-            )))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Brings stages up to date; tells whether anything had to be done.
-fn work_in(
-    run: &RunDir,
-    request: &Request,
-    range: Range,
-    allowed: Allowed,
-    resources: Resources,
-    console: &Console,
-    planned: &mut Option<Plan>,
-) -> anyhow::Result<bool> {
-    let inputs = Inputs::scan(request)?;
-    let plan = planned.insert(Plan::new(request, &inputs));
-    check_inputs(&inputs, plan)?;
-    if !allowed.overwrite {
-        same_object(run, &inputs)?;
-    }
-    if ranks::team().is_first() {
-        // A request whose files cannot be used does not replace the one that the results are of.
-        run.write_run_file(request)?;
-    }
-    let context = Context {
-        run,
-        request,
-        inputs: &inputs,
-        resources,
-        console,
-    };
-    if ranks::team().is_first()
-        && plan.state(run, StageId::Shading, Look::Sizes)? != StageState::Valid
-    {
-        plan.expected = expect(request, &inputs, resources, console);
-    }
-    let redone = bring_up_to_date(&context, plan, range)?;
-    Ok(!redone.is_empty())
 }

@@ -69,7 +69,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             rilievo_photos::VERSION,
             &options,
             Inputs::photo_hash(photo),
-            context.request.masks.is_some(),
+            photo.mask.is_some() || context.request.needs_masks(),
         ));
         match one(context, writer, photo, key) {
             Ok(kept) => Ok(Ok(kept)),
@@ -325,14 +325,14 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
         }
         None if decoded.alpha.is_some() => decoded.alpha.clone(),
         None => match &request.masks {
-            Some(folder) => {
+            Some(folder) if request.needs_masks() => {
                 return Err(Trouble::Request(of_photo(format!(
                     "has no mask in {}; name it {}.png",
                     folder.display(),
                     photo.name
                 ))));
             }
-            None => None,
+            _ => None,
         },
     };
     let camera = photo.camera.as_ref().map(|camera| GivenCamera {

@@ -180,10 +180,11 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
                     hashes.insert(format!("camera of {file}"), hash_json(&camera));
                 }
             }
-            // With masks asked for, a photo without one is an error and not a choice.
+            // It has no effect where all photos have one.
+            let masked = inputs.photos.iter().all(|photo| photo.mask.is_some());
             hashes.insert(
                 "masks asked for".into(),
-                request.masks.is_some().to_string(),
+                (masked || request.needs_masks()).to_string(),
             );
             // A build without it leaves those photos out.
             hashes.insert(

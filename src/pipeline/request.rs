@@ -62,6 +62,9 @@ pub struct Request {
     /// Folder of masks.
     #[serde(with = "paths::optional")]
     pub masks: Option<PathBuf>,
+    /// Whether these masks were proposed by the program, and nobody said that they are right.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub masks_proposed: bool,
     /// Camera file or COLMAP folder.
     #[serde(with = "paths::optional")]
     pub cameras: Option<PathBuf>,
@@ -79,11 +82,17 @@ impl Request {
         Self {
             photos,
             masks: None,
+            masks_proposed: false,
             cameras: None,
             sphere: SphereInput::None,
             lighting: LightingInput::Found,
             options,
         }
+    }
+
+    /// Whether a photo without a mask is an error and not a choice.
+    pub fn needs_masks(&self) -> bool {
+        self.masks.is_some() && !self.masks_proposed
     }
 
     /// The request for a run directory that was moved together with its photos and files: paths that
@@ -161,7 +170,11 @@ impl Request {
                 .iter()
                 .map(|path| existing(path, "photos"))
                 .collect::<Result<_, _>>()?,
-            masks: optional(args.masks.as_deref(), "--masks")?,
+            masks: match &args.masks {
+                Some(word) if word.to_str() == Some("none") => None,
+                folder => optional(folder.as_deref(), "--masks")?,
+            },
+            masks_proposed: false,
             cameras: optional(args.cameras.as_deref(), "--cameras")?,
             sphere: sphere_input(&args.sphere, args.sphere_radius)?,
             lighting,

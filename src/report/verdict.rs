@@ -88,6 +88,13 @@ impl Judgement {
             );
         }
         judgement.judge(&facts.stages);
+        if facts.request.masks_proposed {
+            judgement.note(
+                Verdict::Usable,
+                "the masks were proposed by the program: look at masks-overlays/ in the run directory, correct what is \
+                 wrong in masks/, and give them with --masks",
+            );
+        }
         judgement
     }
 

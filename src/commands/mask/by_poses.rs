@@ -2,7 +2,7 @@
 
 use super::target::{Target, beside};
 use crate::cli::MaskArgs;
-use crate::commands::reconstruct::{Allowed, bring_run_up_to_date};
+use crate::commands::bring::{Allowed, bring_run_up_to_date};
 use crate::commands::stored::stored_request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
@@ -20,6 +20,15 @@ use std::sync::Arc;
 /// Consistency below which the user is asked to look closely.
 const CLEAR: f64 = 0.9;
 
+/// A run with poses, and the photos to propose masks for.
+pub struct PosedPhotos<'a> {
+    pub run: &'a RunDir,
+    pub request: &'a Request,
+    pub inputs: &'a Inputs,
+    pub resources: Resources,
+    pub console: &'a Console,
+}
+
 /// How well a proposed mask agrees with the object's points and with the other photos. What all photos get wrong alike, it
 /// does not tell.
 #[derive(Clone)]
@@ -35,10 +44,15 @@ pub struct PosedProposal {
 
 impl PosedProposal {
     /// The least of the shares.
-    fn consistency(&self) -> f64 {
+    pub fn consistency(&self) -> f64 {
         self.inside
             .min(self.covered)
             .min(self.agreement.unwrap_or(1.0))
+    }
+
+    /// Whether it needs no closer look.
+    pub fn is_clear(&self) -> bool {
+        self.consistency() >= CLEAR
     }
 
     /// For people.
@@ -76,41 +90,21 @@ impl PosedProposal {
     }
 }
 
-/// Proposes masks for the photos that are without, and writes them. The poses come from the run that was given, else from
-/// one beside the masks. All photos with a pose vote on what is the object, those with a mask too, so that a mask does not
-/// depend on which others are there already.
+/// Proposes masks for the photos that are without, and writes them. All photos with a pose vote on what is the object, those
+/// with a mask too, so that a mask does not depend on which others are there already.
 ///
 /// `without` has why a photo is without a mask, for those that are. Returns a proposal or a new reason for these, and the
 /// photos that cannot be read or are not those of the run.
 ///
 /// # Errors
-/// When there is no run or it is damaged, or a mask cannot be written.
+/// When the run is damaged, or a mask cannot be written.
 pub fn propose(
-    args: &MaskArgs,
-    request: &Request,
-    inputs: &Inputs,
+    photos: &PosedPhotos<'_>,
     target: &Target,
-    console: &Console,
     without: &[Option<String>],
 ) -> anyhow::Result<(Vec<Found>, Vec<Problem>)> {
-    let none = || (vec![None; without.len()], Vec::new());
-    if without.iter().all(Option::is_none) {
-        return Ok(none());
-    }
-    let run = match &args.run {
-        Some(run) => RunDir::open_to_read(run)?,
-        // One photo alone has no pose.
-        None if inputs.photos.len() < 2 => return Ok(none()),
-        None => match posed_here(args, request, console) {
-            Ok(run) => run,
-            Err(error) => match error.downcast_ref() {
-                // Photos that have no poses are no worse off than before; why is told with them.
-                Some(Failure::NoResult(why)) => return Ok((nor(without, why), Vec::new())),
-                _ => return Err(error),
-            },
-        },
-    };
-    let posed = load_poses(&run)?;
+    let PosedPhotos { run, inputs, .. } = photos;
+    let posed = load_poses(run)?;
     let sane = posed.check();
     sane.map_err(|error| Failure::RunDirectory(error.to_string()))?;
     let views = &posed.views;
@@ -126,10 +120,7 @@ pub fn propose(
         .filter_map(|(photo, _)| index_of.get(photo.file_name.as_str()).copied())
         .collect();
     let mut cut = Cut {
-        request,
-        inputs,
-        resources: Resources::new(&args.work),
-        console,
+        photos,
         made_from: run.manifest(StageId::Photos)?,
         views,
         index_of: &index_of,
@@ -186,10 +177,10 @@ pub fn propose(
 }
 
 /// What became of a photo that was without a mask.
-type Found = Option<Result<PosedProposal, String>>;
+pub type Found = Option<Result<PosedProposal, String>>;
 
 /// Why photos are without a mask, and that their poses do not help either.
-fn nor(without: &[Option<String>], why: &str) -> Vec<Found> {
+pub fn nor(without: &[Option<String>], why: &str) -> Vec<Found> {
     let both = |reason: &String| match reason.is_empty() {
         true => why.to_owned(),
         false => format!("{reason}; nor do the photos' poses tell it: {why}"),
@@ -201,10 +192,7 @@ fn nor(without: &[Option<String>], why: &str) -> Vec<Found> {
 
 /// What photos are cut with.
 struct Cut<'a> {
-    request: &'a Request,
-    inputs: &'a Inputs,
-    resources: Resources,
-    console: &'a Console,
+    photos: &'a PosedPhotos<'a>,
     /// The photos that the run was made from.
     made_from: Option<Manifest>,
     views: &'a [PosedView],
@@ -226,10 +214,10 @@ impl Cut<'_> {
         work: impl Fn(usize, T, &PhotoInput, &LinearImage) -> anyhow::Result<R> + Sync,
     ) -> anyhow::Result<Vec<Option<R>>> {
         let outcomes = map_photos(
-            self.inputs,
-            self.resources,
+            self.photos.inputs,
+            self.photos.resources,
             step,
-            &self.console.of_command("mask"),
+            &self.photos.console.of_command("mask"),
             |photo| {
                 let index = *self.index_of.get(photo.file_name.as_str())?;
                 let given = with(index)?;
@@ -271,7 +259,7 @@ impl Cut<'_> {
         if hash.is_some_and(|hash| *hash != photo.hash) {
             return other();
         }
-        let image = linear_photo(self.request, photo)?;
+        let image = linear_photo(self.photos.request, photo)?;
         let camera = &self.views[index].intrinsics;
         if (camera.width, camera.height) != (image.width, image.height) {
             return other();
@@ -281,7 +269,10 @@ impl Cut<'_> {
 }
 
 /// A run beside the masks, with the photos' poses.
-fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyhow::Result<RunDir> {
+///
+/// # Errors
+/// When the photos have no poses, or the folder holds somebody's run.
+pub fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyhow::Result<RunDir> {
     let root = beside(&args.output, "-run");
     console.note(&format!(
         "  some photos have no plain backdrop: the object is told by the photos' poses, in {}",

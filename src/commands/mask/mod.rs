@@ -10,7 +10,10 @@
 //! A mask that is there already is left alone: it may have been corrected by hand.
 
 mod by_poses;
+mod of_run;
 mod target;
+
+pub use of_run::with_proposed_masks;
 
 use super::reporting::reporting_found;
 use crate::cli::MaskArgs;
@@ -19,7 +22,7 @@ use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, linear_photo, map_photos};
 use crate::store::RunDir;
-use by_poses::PosedProposal;
+use by_poses::{Found, PosedPhotos, PosedProposal};
 use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
 use target::{Target, beside};
 
@@ -115,7 +118,7 @@ fn propose(
     });
     let without: Vec<Option<String>> = without.collect();
     // What was proposed before is told also where this fails.
-    let by_poses = by_poses::propose(args, &request, &inputs, &target, console, &without);
+    let by_poses = by_poses(args, &request, &inputs, &target, console, &without);
     let by_poses = by_poses.map(|(found, problems)| {
         for (slot, found) in proposed.iter_mut().zip(found) {
             match found {
@@ -163,6 +166,42 @@ fn propose(
         target.overlays.display()
     ));
     Ok(())
+}
+
+/// Proposals by poses for the photos that are without a mask, from the run that was given, else from one beside the masks.
+fn by_poses(
+    args: &MaskArgs,
+    request: &Request,
+    inputs: &Inputs,
+    target: &Target,
+    console: &Console,
+    without: &[Option<String>],
+) -> anyhow::Result<(Vec<Found>, Vec<Problem>)> {
+    let none = || (vec![None; without.len()], Vec::new());
+    if without.iter().all(Option::is_none) {
+        return Ok(none());
+    }
+    let run = match &args.run {
+        Some(run) => RunDir::open_to_read(run)?,
+        // One photo alone has no pose.
+        None if inputs.photos.len() < 2 => return Ok(none()),
+        None => match by_poses::posed_here(args, request, console) {
+            Ok(run) => run,
+            Err(error) => match error.downcast_ref() {
+                // Photos that have no poses are no worse off than before; why is told with them.
+                Some(Failure::NoResult(why)) => return Ok((by_poses::nor(without, why), Vec::new())),
+                _ => return Err(error),
+            },
+        },
+    };
+    let photos = PosedPhotos {
+        run: &run,
+        request,
+        inputs,
+        resources: Resources::new(&args.work),
+        console,
+    };
+    by_poses::propose(&photos, target, without)
 }
 
 fn sentence(proposal: &MaskProposal) -> String {

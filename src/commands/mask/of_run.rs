@@ -1,0 +1,244 @@
+//! Masks that a run proposes for itself.
+//!
+//! ```text
+//! RUN/masks/NAME.png            the proposed masks, white is object; they may be corrected
+//! RUN/masks-overlays/NAME.png   the photos with the masks' outlines
+//! RUN/masks-unsure/NAME.png     the proposals in place of `masks` where they are not used
+//! RUN/masks.json                the photos that they were made from, and how sure each is
+//! ```
+
+use super::by_poses::{PosedPhotos, PosedProposal, propose};
+use super::target::Target;
+use crate::cli::WorkArgs;
+use crate::commands::bring::{Allowed, bring_run_up_to_date};
+use crate::exit::Failure;
+use crate::observe::Console;
+use crate::pipeline::{Inputs, PhotoInput, Range, Request, Resources, load_poses};
+use crate::ranks;
+use crate::store::{RunDir, absolute, create_folder, own_file, seal, unseal, write_atomically};
+use rilievo_photos::PhotosReport;
+use rilievo_scene::StageId;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+const FOLDER: &str = "masks";
+const UNSURE: &str = "masks-unsure";
+const OVERLAYS: &str = "masks-overlays";
+const RECORD: &str = "masks.json";
+/// Where proposals lie until all are there.
+const PARTIAL: &str = "masks.partial";
+
+/// What masks were proposed from, and how they came out.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Record {
+    /// The poses that they follow from.
+    poses: String,
+    /// Why they are not used; `None` where they are.
+    unsure: Option<String>,
+    /// By the photo's file name.
+    photos: BTreeMap<String, Proposed>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Proposed {
+    /// Content hash of the photo.
+    photo: String,
+    /// Agreement with the object's points and with the other photos, 0 to 1; `None` for a photo without a pose, which has
+    /// no mask.
+    consistency: Option<f64>,
+}
+
+/// The request with the masks that the run proposed for itself; proposes them where they are missing, which takes the
+/// photos' poses. As it was where the photos have masks in themselves, or where the proposals are not sure: then why is told.
+///
+/// # Errors
+/// When a photo cannot be read, there are no poses, or masks cannot be written.
+pub fn with_proposed_masks(
+    request: Request,
+    root: &Path,
+    allowed: Allowed,
+    work: &WorkArgs,
+    console: &Console,
+) -> anyhow::Result<Request> {
+    let root = &absolute(root)?;
+    let proposed = || Request {
+        masks: Some(root.join(FOLDER)),
+        masks_proposed: true,
+        ..request.clone()
+    };
+    let range = Range {
+        redo_from: None,
+        until: StageId::Poses,
+    };
+    // Where all are there, the poses that they came from need not be made again.
+    if root.join(FOLDER).is_dir() {
+        let Some(record) = record_of(root) else {
+            let folder = root.join(FOLDER);
+            return Err(Failure::Usage(format!(
+                "{folder} was not proposed by this run: say --masks {folder} to use it",
+                folder = folder.display()
+            ))
+            .into());
+        };
+        let inputs = Inputs::scan(&proposed())?;
+        if record.is_used(root) && inputs.photos.iter().all(|photo| record.has(photo)) {
+            return Ok(proposed());
+        }
+    }
+    bring_run_up_to_date(&request, root, range, allowed, work, console)?;
+    let outcome = if ranks::team().is_first() {
+        propose_into(root, &request, work, console)
+    } else {
+        Ok(())
+    };
+    ranks::agree(outcome)?;
+    Ok(match record_of(root) {
+        Some(record) if record.is_used(root) => proposed(),
+        _ => request,
+    })
+}
+
+/// What is known of the masks of a run; `None` where none were proposed, or the record is damaged.
+fn record_of(root: &Path) -> Option<Record> {
+    let text = own_file(&root.join(RECORD)).ok().flatten()?;
+    serde_json::from_value(unseal(&text).ok()?).ok()
+}
+
+fn propose_into(
+    root: &Path,
+    request: &Request,
+    work: &WorkArgs,
+    console: &Console,
+) -> anyhow::Result<()> {
+    let run = RunDir::open_to_read(root)?;
+    let poses = run.manifest(StageId::Poses)?;
+    let poses = poses.map_or(String::new(), |manifest| manifest.fingerprint);
+    let photos = run.manifest(StageId::Photos)?;
+    let photos = photos.map(|manifest| serde_json::from_value::<PhotosReport>(manifest.report));
+    if photos.transpose()?.is_some_and(|report| report.num_masks > 0) {
+        return Ok(());
+    }
+    let before = record_of(root).unwrap_or_default();
+    if let Some(why) = before.unsure.as_ref().filter(|_| before.poses == poses) {
+        not_used(console, root, why);
+        return Ok(());
+    }
+    let inputs = Inputs::scan(request)?;
+    let partial = Target {
+        masks: root.join(PARTIAL),
+        overlays: root.join(OVERLAYS),
+    };
+    if partial.masks.exists() {
+        std::fs::remove_dir_all(&partial.masks)?;
+    }
+    let posed = PosedPhotos {
+        run: &run,
+        request,
+        inputs: &inputs,
+        resources: Resources::new(work),
+        console,
+    };
+    let all = vec![Some(String::new()); inputs.photos.len()];
+    let (found, problems) = propose(&posed, &partial, &all)?;
+    if !problems.is_empty() {
+        return Err(Failure::Input(problems).into());
+    }
+    let with_pose: BTreeSet<String> = load_poses(&run)?
+        .views
+        .into_iter()
+        .map(|view| view.file_name)
+        .collect();
+    let mut record = Record {
+        poses,
+        ..Record::default()
+    };
+    for (photo, found) in inputs.photos.iter().zip(found) {
+        let proposal = match found {
+            Some(Ok(proposal)) => proposal,
+            // Stages after the poses have no use for it.
+            _ if !with_pose.contains(&photo.file_name) => {
+                record.put(photo, None);
+                continue;
+            }
+            Some(Err(why)) => {
+                record.unsure.get_or_insert(why);
+                continue;
+            }
+            None => continue,
+        };
+        if !proposal.is_clear() {
+            let why = format!("{}: {}", photo.file_name, proposal.sentence());
+            record.unsure.get_or_insert(why);
+        }
+        record.put(photo, Some(&proposal));
+    }
+    keep(root, &record, &inputs, &before)?;
+    match &record.unsure {
+        Some(why) => not_used(console, root, why),
+        None => console.note(&format!(
+            "  masks: proposed by the photos' poses for {} photos; look at {}, correct those in {}, and say --masks {} when \
+             they are right",
+            record.photos.values().filter(|p| p.consistency.is_some()).count(),
+            root.join(OVERLAYS).display(),
+            root.join(FOLDER).display(),
+            root.join(FOLDER).display(),
+        )),
+    }
+    Ok(())
+}
+
+impl Record {
+    fn put(&mut self, photo: &PhotoInput, proposal: Option<&PosedProposal>) {
+        let made = Proposed {
+            photo: photo.hash.clone(),
+            consistency: proposal.map(PosedProposal::consistency),
+        };
+        self.photos.insert(photo.file_name.clone(), made);
+    }
+
+    fn is_used(&self, root: &Path) -> bool {
+        self.unsure.is_none() && root.join(FOLDER).is_dir()
+    }
+
+    /// Whether a photo has the mask that was made from it, or was without a pose then.
+    fn has(&self, photo: &PhotoInput) -> bool {
+        let known = self.photos.get(&photo.file_name);
+        let known = known.filter(|known| known.photo == photo.hash);
+        known.is_some_and(|known| known.consistency.is_none() || photo.mask.is_some())
+    }
+}
+
+/// Puts the proposals in their place. A mask of the same photo that lies there stays: it may have been corrected.
+fn keep(root: &Path, record: &Record, inputs: &Inputs, before: &Record) -> anyhow::Result<()> {
+    let folder = root.join(if record.unsure.is_some() { UNSURE } else { FOLDER });
+    let partial = root.join(PARTIAL);
+    if !record.photos.is_empty() {
+        create_folder(&folder)?;
+    }
+    for photo in &inputs.photos {
+        let file = format!("{}.png", photo.name);
+        let (from, to): (PathBuf, PathBuf) = (partial.join(&file), folder.join(&file));
+        let known = before.photos.get(&photo.file_name);
+        let same = known.is_some_and(|known| known.photo == photo.hash);
+        if from.exists() && !(same && to.exists()) {
+            std::fs::rename(from, to)?;
+        }
+    }
+    if partial.exists() {
+        std::fs::remove_dir_all(&partial)?;
+    }
+    write_atomically(&root.join(RECORD), &seal(record)?)?;
+    Ok(())
+}
+
+fn not_used(console: &Console, root: &Path, why: &str) {
+    let mut text = format!(
+        "warning: no masks are used, since what is the object is not sure ({why}); the whole frame is taken for it. Draw masks"
+    );
+    if root.join(UNSURE).exists() {
+        text += &format!(", or correct those in {}", root.join(UNSURE).display());
+    }
+    text += ", and give them with --masks DIR; --masks none says that the whole frame is meant";
+    console.note(&text);
+}
