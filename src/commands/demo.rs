@@ -1,8 +1,8 @@
 //! `rilievo demo`: a synthetic scene, photographed to JPEG files, reconstructed from those files
 //! alone through all six stages, and measured against the truth.
 
-use super::evaluate::{self, Comparison};
 use super::bring::{Allowed, bring_run_up_to_date};
+use super::evaluate::{self, Comparison};
 use super::reporting::reporting_judged;
 use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
 use crate::cli::{DemoArgs, SynthFormat};

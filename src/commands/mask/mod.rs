@@ -189,7 +189,9 @@ fn by_poses(
             Ok(run) => run,
             Err(error) => match error.downcast_ref() {
                 // Photos that have no poses are no worse off than before; why is told with them.
-                Some(Failure::NoResult(why)) => return Ok((by_poses::nor(without, why), Vec::new())),
+                Some(Failure::NoResult(why)) => {
+                    return Ok((by_poses::nor(without, why), Vec::new()));
+                }
                 _ => return Err(error),
             },
         },

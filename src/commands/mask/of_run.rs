@@ -116,7 +116,10 @@ fn propose_into(
     let poses = poses.map_or(String::new(), |manifest| manifest.fingerprint);
     let photos = run.manifest(StageId::Photos)?;
     let photos = photos.map(|manifest| serde_json::from_value::<PhotosReport>(manifest.report));
-    if photos.transpose()?.is_some_and(|report| report.num_masks > 0) {
+    if photos
+        .transpose()?
+        .is_some_and(|report| report.num_masks > 0)
+    {
         return Ok(());
     }
     let before = record_of(root).unwrap_or_default();
@@ -211,7 +214,11 @@ impl Record {
 
 /// Puts the proposals in their place. A mask of the same photo that lies there stays: it may have been corrected.
 fn keep(root: &Path, record: &Record, inputs: &Inputs, before: &Record) -> anyhow::Result<()> {
-    let folder = root.join(if record.unsure.is_some() { UNSURE } else { FOLDER });
+    let folder = root.join(if record.unsure.is_some() {
+        UNSURE
+    } else {
+        FOLDER
+    });
     let partial = root.join(PARTIAL);
     if !record.photos.is_empty() {
         create_folder(&folder)?;

@@ -10,7 +10,8 @@
 //!    smooth part of it.
 //! 3. `points`, `judge`, `color`, `thin`: every piece of surface once, from the view that resolves it best, at
 //!    the mean of the views that agree.
-//! 4. `tsdf`, `surface`, `dress`, `rim`, `holes`: signed distances of all views, their zero set as a mesh.
+//! 4. `tsdf`, `surface`, `dress`: signed distances of all views, their zero set as a mesh; `manifold`, `rim`, `pieces`,
+//!    `holes`: what is made of its edges and loose ends.
 //!
 //! In memory are one view while it is loaded, then the pages that the threads work on (`memory`), and in the
 //! end the mesh. The cloud is the same for any memory that suffices; the mesh's cells are larger where it would
@@ -25,9 +26,11 @@ mod dress;
 mod error;
 mod holes;
 mod judge;
+mod manifold;
 mod memory;
 mod options;
 mod pairs;
+mod pieces;
 mod points;
 mod reach;
 mod reader;
@@ -54,7 +57,7 @@ use rilievo_scene::{
 use views::Stock;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 6;
+pub const VERSION: u32 = 7;
 
 /// Views that each view is compared with for offsets: more only repeat what these say.
 const NUM_NEIGHBOURS: usize = 4;

@@ -59,8 +59,29 @@ pub struct MeshReport {
     pub coarsened_by: f64,
     /// What the cells take, beside the memory, MiB.
     pub memory_mib: f64,
+    /// Pieces that hang together.
+    #[serde(default)]
+    pub num_pieces: usize,
     /// Pieces that were too small to be surface and were dropped.
     pub num_dropped_pieces: usize,
+    /// Share of the triangles that were dropped with them.
+    #[serde(default)]
+    pub dropped_share: f64,
+    /// Edges that more than two triangles shared, before their sheets were separated.
+    #[serde(default)]
+    pub num_separated_edges: usize,
+    /// Holes that were closed by a smooth surface.
+    #[serde(default)]
+    pub num_closed_holes: usize,
+    /// Area of what closes them, world's unit squared.
+    #[serde(default)]
+    pub closed_area: f64,
+    /// Loops in which the surface ends.
+    #[serde(default)]
+    pub num_open_loops: usize,
+    /// Length of these together, world's unit.
+    #[serde(default)]
+    pub boundary_length: f64,
     /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points are, world's
     /// unit.
     pub mean_distance_to_cloud: Option<f64>,

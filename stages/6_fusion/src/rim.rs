@@ -26,9 +26,9 @@ fn edges_of(t: [u32; 3]) -> [(u32, u32); 3] {
     [0, 1, 2].map(|k| key(t[k], t[(k + 1) % 3]))
 }
 
-/// Whether the triangles around a vertex leave a gap, or more than two share an edge: around a closed fan every neighbour
-/// comes once before and once after its successor, so that a sum over mixed indices with both signs is zero.
-pub(crate) fn on_rim(mesh: &Mesh) -> Vec<bool> {
+/// Whether the triangles around a vertex leave a gap: around a closed fan every neighbour comes once before and once after
+/// its successor, so that a sum over mixed indices with both signs is zero.
+fn on_rim(mesh: &Mesh) -> Vec<bool> {
     let mixed = |v: u32| {
         let v = (u64::from(v) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         (v ^ v >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9)
@@ -125,6 +125,54 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
             mesh.vertices[v as usize] = position.map(|c| c as f32).into();
         }
     }
+}
+
+/// Loops of boundary edges, against the direction in which their triangles run along them. A loop that meets a vertex
+/// twice is two.
+pub(crate) fn boundary_loops(mesh: &Mesh) -> Vec<Vec<u32>> {
+    let on_rim = on_rim(mesh);
+    // A directed edge that is run through more often than its opposite is a boundary. As a boundary the edges are
+    // balanced in every vertex, so that a walk along them always closes.
+    let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
+    for t in &mesh.triangles {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            if on_rim[a as usize] && on_rim[b as usize] {
+                *edges.entry(key(a, b)).or_default() += if a < b { 1 } else { -1 };
+            }
+        }
+    }
+    let mut next: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
+    for (&(a, b), &excess) in &edges {
+        let (from, to) = if excess > 0 { (b, a) } else { (a, b) };
+        for _ in 0..excess.abs() {
+            next.entry(from).or_default().push(to);
+        }
+    }
+    let mut loops = Vec::new();
+    while let Some((&start, _)) = next.first_key_value() {
+        let mut walk = vec![start];
+        let mut place = BTreeMap::from([(start, 0)]);
+        let mut at = start;
+        while let Some(successors) = next.get_mut(&at) {
+            let to = successors.pop();
+            if successors.is_empty() {
+                next.remove(&at);
+            }
+            let Some(to) = to else { break };
+            if let Some(&begin) = place.get(&to) {
+                let closed = walk.split_off(begin);
+                closed.iter().for_each(|v| {
+                    place.remove(v);
+                });
+                loops.push(closed);
+            }
+            place.insert(to, walk.len());
+            walk.push(to);
+            at = to;
+        }
+    }
+    loops
 }
 
 #[cfg(test)]

@@ -3,18 +3,18 @@
 //! Surface nets block by block (each block with one layer of its neighbours); a vertex belongs to the block of
 //! its cell, which gives it its normal and colour ([`dress`]), and triangles name vertices by their cells. The
 //! pieces are put aside until the number of vertices is known, then joined. Triangles with a corner in a cell
-//! that touches an unknown voxel are no surface but the end of what was seen, and are dropped; so are small
-//! loose pieces. The end is smoothed ([`rim`]).
+//! that touches an unknown voxel are no surface but the end of what was seen, and are dropped. Sheets that share an
+//! edge are separated ([`manifold`]), the end is smoothed ([`rim`]), small loose pieces are dropped ([`pieces`]) and
+//! small holes closed ([`holes`]).
 
 use crate::dress::{Dressed, Dresser};
 use crate::error::FusionError;
-use crate::holes::close;
 use crate::options::FusionOptions;
 use crate::reader::Readers;
 use crate::report::MeshReport;
-use crate::rim;
 use crate::tsdf::{BLOCKS_AT_ONCE, Key, SIDE, UNKNOWN, VOLUME, Volume};
 use crate::views::Stock;
+use crate::{holes, manifold, pieces, rim};
 use fast_surface_nets::ndshape::{ConstShape, ConstShape3u32};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use nalgebra::Vector3;
@@ -27,8 +27,8 @@ use serde::{Deserialize, Serialize};
 const PADDED: u32 = SIDE as u32 + 2;
 type PaddedShape = ConstShape3u32<PADDED, PADDED, PADDED>;
 
-/// A piece with fewer triangles than this share of the largest one is no surface.
-const MIN_PIECE: f64 = 0.005;
+/// Holes with a shorter edge than this many cells are closed: they are three times as wide as the views are averaged.
+const MAX_HOLE_CELLS: f64 = 40.0;
 /// Cells along the edge of a block with those of the next blocks that its triangles touch.
 const CELLS: u32 = SIDE as u32 + 1;
 /// Bytes of a vertex and of a triangle that are put aside.
@@ -107,11 +107,30 @@ pub(crate) fn extract(
         ..MeshReport::default()
     };
     drop((pieces, volume));
+    report.num_separated_edges = manifold::separate(&mut mesh);
     rim::smooth(&mut mesh);
-    report.num_dropped_pieces = drop_small_pieces(&mut mesh);
-    if options.watertight {
-        close(&mut mesh);
-    }
+    let pieces = pieces::drop_small(&mut mesh);
+    report.num_pieces = pieces.num_kept;
+    report.num_dropped_pieces = pieces.num_dropped;
+    report.dropped_share = pieces.dropped_share;
+    let longest = if options.watertight {
+        f64::INFINITY
+    } else {
+        MAX_HOLE_CELLS * report.voxel
+    };
+    let loops = rim::boundary_loops(&mesh);
+    let short = loops
+        .into_iter()
+        .filter(|ring| holes::length(&mesh, ring) <= longest);
+    let closed: Vec<Vec<u32>> = short.collect();
+    let closed = holes::close(&mut mesh, &closed);
+    report.num_closed_holes = closed.num_holes;
+    report.closed_area = closed.area;
+    // A filling may run along an edge that is there already.
+    manifold::separate(&mut mesh);
+    let open = rim::boundary_loops(&mesh);
+    report.num_open_loops = open.len();
+    report.boundary_length = open.iter().map(|ring| holes::length(&mesh, ring)).sum();
     report.num_vertices = mesh.vertices.len();
     report.num_triangles = mesh.triangles.len();
     Ok((mesh, report))
@@ -298,58 +317,4 @@ impl Pieces {
             })
             .collect()
     }
-}
-
-/// Drops pieces that are small against the largest one, and vertices that no triangle uses.
-fn drop_small_pieces(mesh: &mut Mesh) -> usize {
-    let mut parent: Vec<u32> = (0..mesh.vertices.len() as u32).collect();
-    fn root(parent: &mut [u32], mut v: u32) -> u32 {
-        while parent[v as usize] != v {
-            parent[v as usize] = parent[parent[v as usize] as usize];
-            v = parent[v as usize];
-        }
-        v
-    }
-    for triangle in &mesh.triangles {
-        let mut low = root(&mut parent, triangle[0]);
-        for &v in &triangle[1..] {
-            let other = root(&mut parent, v);
-            let lower = low.min(other);
-            parent[low as usize] = lower;
-            parent[other as usize] = lower;
-            low = lower;
-        }
-    }
-    let mut sizes = vec![0_u32; mesh.vertices.len()];
-    for t in &mesh.triangles {
-        sizes[root(&mut parent, t[0]) as usize] += 1;
-    }
-    let largest = sizes.iter().copied().max().unwrap_or(0);
-    let is_small = |size: u32| f64::from(size) < MIN_PIECE * f64::from(largest);
-    let num_dropped = sizes.iter().filter(|&&s| s > 0 && is_small(s)).count();
-    mesh.triangles
-        .retain(|t| !is_small(sizes[root(&mut parent, t[0]) as usize]));
-    // Compact the vertices in their order.
-    let mut index = parent;
-    index.fill(u32::MAX);
-    for v in mesh.triangles.iter().flatten() {
-        index[*v as usize] = 0;
-    }
-    let mut count = 0;
-    for (v, i) in index.iter_mut().enumerate() {
-        if *i == 0 {
-            *i = count as u32;
-            mesh.vertices[count] = mesh.vertices[v];
-            mesh.normals[count] = mesh.normals[v];
-            mesh.colors[count] = mesh.colors[v];
-            count += 1;
-        }
-    }
-    mesh.vertices.truncate(count);
-    mesh.normals.truncate(count);
-    mesh.colors.truncate(count);
-    for v in mesh.triangles.iter_mut().flatten() {
-        *v = index[*v as usize];
-    }
-    num_dropped
 }

@@ -20,6 +20,8 @@ const MAX_SURPRISE: f64 = 0.5;
 /// Pixels around the depths that are kept, so that interpolation meets the border of the depths
 /// before the border of the map.
 const MARGIN: usize = 2;
+/// Pixels over which a view's weight grows from its border on, so that no seam shows where it ends among others.
+const BLEND_PX: f32 = 8.0;
 
 /// All views, and where their pixels lie.
 #[derive(Debug)]
@@ -94,12 +96,13 @@ fn put_aside(
     shelf: &mut Shelf,
 ) -> Result<View, FusionError> {
     let size = [maps.camera.width, maps.camera.height];
+    let blend = border_blend(&maps.depth);
     let pixel = |x: usize, y: usize| {
         let i = y * size[0] + x;
         Pixel {
             depth: maps.depth.data[i],
             normal: maps.normal.data[i],
-            confidence: maps.confidence.as_ref().map_or(1.0, |c| c.data[i]),
+            confidence: blend.data[i] * maps.confidence.as_ref().map_or(1.0, |c| c.data[i]),
             color: colors.map_or([0; 3], |colors| colors[i]),
             gives: maps.gives.data[i],
             is_kept: true,
@@ -293,6 +296,53 @@ fn drop_edges(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion)
     }
 }
 
+/// Weight of a pixel by its distance from where the map ends, 0 there and 1 from [`BLEND_PX`] on. Distances are those of
+/// steps to the eight neighbours. Single pixels without a depth are no end: their eight neighbours are without one there.
+fn border_blend(depth: &DepthMap) -> Raster<f32> {
+    let (width, height) = (depth.width, depth.height);
+    let is_end = |x: usize, y: usize| {
+        let (columns, rows) = (x.saturating_sub(1)..=x + 1, y.saturating_sub(1)..=y + 1);
+        let mut around = rows.flat_map(|v| columns.clone().map(move |u| (u, v)));
+        around.all(|(u, v)| u >= width || v >= height || *depth.at(u, v) <= 0.0)
+    };
+    let mut distance = Raster::from_fn(width, height, |x, y| {
+        let at_frame = x == 0 || y == 0 || x + 1 == width || y + 1 == height;
+        if at_frame || is_end(x, y) {
+            0.0
+        } else {
+            BLEND_PX
+        }
+    });
+    let diagonal = std::f32::consts::SQRT_2;
+    let steps = [
+        (-1, 0, 1.0),
+        (-1, -1, diagonal),
+        (0, -1, 1.0),
+        (1, -1, diagonal),
+    ];
+    let mut relax = |x: usize, y: usize, sign: isize| {
+        let mut least = *distance.at(x, y);
+        if least > 0.0 {
+            for (dx, dy, length) in steps {
+                let from = (
+                    x.wrapping_add_signed(sign * dx),
+                    y.wrapping_add_signed(sign * dy),
+                );
+                least = least.min(*distance.at(from.0, from.1) + length);
+            }
+            *distance.at_mut(x, y) = least;
+        }
+    };
+    for y in 0..height {
+        (0..width).for_each(|x| relax(x, y, 1));
+    }
+    for y in (0..height).rev() {
+        (0..width).rev().for_each(|x| relax(x, y, -1));
+    }
+    distance.data.iter_mut().for_each(|d| *d /= BLEND_PX);
+    distance
+}
+
 /// Marks the pixels that give points: `border_px` from the map's border, and not grazing.
 fn mark_givers(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion) {
     let (width, height) = (maps.depth.width, maps.depth.height);
@@ -333,6 +383,34 @@ fn mark_givers(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion
         inside.data[i] = false;
     }
     maps.gives = inside;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_grow_from_every_border_on() {
+        let mut depth = DepthMap::filled(80, 60, 1.0);
+        *depth.at_mut(20, 30) = 0.0;
+        for (x, y) in (39..42).flat_map(|x| (29..32).map(move |y| (x, y))) {
+            *depth.at_mut(x, y) = 0.0;
+        }
+        let blend = border_blend(&depth);
+        let expected = |x: usize, y: usize| {
+            let frame = x.min(y).min(79 - x).min(59 - y) as f64;
+            let hole = (x as f64 - 40.0).hypot(y as f64 - 30.0);
+            frame.min(hole).min(f64::from(BLEND_PX)) / f64::from(BLEND_PX)
+        };
+        for y in 0..60 {
+            for x in 0..80 {
+                // Steps to eight neighbours are at most 8.2 % longer than the straight line.
+                let (got, wanted) = (f64::from(*blend.at(x, y)), expected(x, y));
+                let fits = got >= wanted - 1e-6 && got <= 1.083 * wanted + 1e-6;
+                assert!(fits, "{x} {y}: {got} {wanted}");
+            }
+        }
+    }
 }
 
 #[cfg(test)]

@@ -13,4 +13,5 @@ pub mod plate_solver;
 pub mod plate_system;
 pub mod robust;
 pub mod solver_set;
+pub mod sparse_cholesky;
 pub mod thin_plate;
