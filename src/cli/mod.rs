@@ -124,6 +124,17 @@ pub struct DemoArgs {
     pub work: WorkArgs,
 }
 
+/// What is said of the reference sphere.
+#[derive(Clone, Debug, Args)]
+pub struct SphereArgs {
+    /// Reference sphere: its file, `auto` to find it, or `none`
+    #[arg(long, value_name = "FILE|auto|none", default_value = "none")]
+    pub sphere: PathBuf,
+    /// Radius of the reference sphere
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    pub sphere_radius: Option<f64>,
+}
+
 /// `rilievo check`
 #[derive(Debug, Args)]
 pub struct CheckArgs {
@@ -136,6 +147,8 @@ pub struct CheckArgs {
     /// Cameras: cameras.json, or another program's
     #[arg(long, value_name = "FILE|DIR")]
     pub cameras: Option<PathBuf>,
+    #[command(flatten)]
+    pub sphere: SphereArgs,
     /// How samples relate to light
     #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
@@ -255,12 +268,8 @@ pub struct ReconstructArgs {
     /// Cameras: cameras.json, the folder of a COLMAP model, or another program's file
     #[arg(long, value_name = "FILE|COLMAP_DIR")]
     pub cameras: Option<PathBuf>,
-    /// Reference sphere: its file, `auto` to find it, or `none`
-    #[arg(long, value_name = "FILE|auto|none", default_value = "none")]
-    pub sphere: PathBuf,
-    /// Radius of the reference sphere
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
-    pub sphere_radius: Option<f64>,
+    #[command(flatten)]
+    pub sphere: SphereArgs,
     /// Distance between the camera centres of two photos: makes the model metric without a sphere.
     /// Between marked points instead: table `poses.known_distance` of the config file
     #[arg(long, value_name = "PHOTO,PHOTO,METRES", value_parser = parse_known_distance)]

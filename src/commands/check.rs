@@ -6,7 +6,7 @@ use crate::config::{StageOptions, take_over};
 use crate::cost::Estimate;
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Inputs, Request, Resources, check_photos, expect};
+use crate::pipeline::{Inputs, Request, Resources, SphereInput, check_photos, expect};
 use rilievo_photos::PhotosReport;
 
 /// Runs the command.
@@ -43,16 +43,20 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     let request = Request {
         masks: args.masks.clone(),
         cameras: args.cameras.clone(),
+        sphere: SphereInput::from_args(&args.sphere)?,
         ..Request::of_photos(args.photos.clone(), options)
     };
     let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {
         console.note(&format!("  {problem}"));
     }
-    for warning in &inputs.warnings {
+    let mut of_files = inputs.warnings.clone();
+    of_files.extend(inputs.sphere_warnings.iter().cloned());
+    of_files.extend(spheres(&inputs, console));
+    for warning in &of_files {
         console.note(&format!("  warning: {warning}"));
     }
-    found.warnings.clone_from(&inputs.warnings);
+    found.warnings = of_files;
     let resources = Resources::new(&args.work);
     let (report, warnings, problems) = check_photos(&request, &inputs, resources, console)?;
     for line in report.table(&warnings).to_string().lines() {
@@ -71,4 +75,37 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
         problems.len()
     ));
     Err(Failure::Input(problems).into())
+}
+
+/// Tells in how many of the photos each sphere is marked; returns what is wrong with that.
+fn spheres(inputs: &Inputs, console: &Console) -> Vec<String> {
+    let mut warnings = Vec::new();
+    for sphere in inputs.sphere.iter().flat_map(|file| &file.spheres) {
+        let is_there = |name: &&String| {
+            let mut photos = inputs.photos.iter();
+            photos.any(|photo| photo.file_name == **name || photo.name == **name)
+        };
+        let marks = sphere.views.iter().map(|(photo, _)| photo);
+        let (known, unknown): (Vec<_>, Vec<_>) = marks.partition(is_there);
+        console.note(&format!(
+            "  {}: radius {}, marked in {} of {} photos",
+            sphere.name,
+            sphere.radius,
+            known.len(),
+            inputs.photos.len()
+        ));
+        if let Some(photo) = unknown.first() {
+            warnings.push(format!(
+                "{} is marked in {photo}, which is not among the photos",
+                sphere.name
+            ));
+        }
+        if known.len() < 2 && sphere.center.is_none() {
+            warnings.push(format!(
+                "{} is marked in fewer than two of the photos: its place and the size cannot be told",
+                sphere.name
+            ));
+        }
+    }
+    warnings
 }

@@ -1,7 +1,7 @@
 //! What the user asked for: everything but how to work. Stored in `run.json`, so that `status`,
 //! `why` and `run` need only the run directory.
 
-use crate::cli::ReconstructArgs;
+use crate::cli::{ReconstructArgs, SphereArgs};
 use crate::config::{StageOptions, take_over};
 use crate::exit::Failure;
 use crate::paths;
@@ -29,6 +29,44 @@ pub enum SphereInput {
         /// Radius from the command line, metres.
         radius: Option<f64>,
     },
+}
+
+impl SphereInput {
+    /// What a command line says of the sphere.
+    ///
+    /// # Errors
+    /// A radius that no sphere has, one without a sphere, and a file that does not exist.
+    pub fn from_args(args: &SphereArgs) -> Result<Self, Failure> {
+        if let Some(radius) = args.sphere_radius
+            && !rilievo_io::SPHERE_RADII.contains(&radius)
+        {
+            let usable = rilievo_io::SPHERE_RADII;
+            return Err(Failure::Usage(if radius.is_finite() && radius > 0.0 {
+                format!(
+                    "--sphere-radius {radius:e} is no sphere's radius in metres: {:e} to {:e} can be meant",
+                    usable.start(),
+                    usable.end()
+                )
+            } else {
+                format!("--sphere-radius {radius} must be a positive length in metres")
+            }));
+        }
+        let (sphere, radius) = (args.sphere.as_path(), args.sphere_radius);
+        match (sphere.to_str(), radius) {
+            (Some("none"), None) => Ok(Self::None),
+            (Some("none"), Some(_)) => Err(Failure::Usage(
+                "--sphere-radius needs --sphere auto or --sphere FILE".to_owned(),
+            )),
+            (Some("auto"), Some(radius)) => Ok(Self::Auto { radius }),
+            (Some("auto"), None) => Err(Failure::Usage(
+                "--sphere auto needs --sphere-radius METRES".to_owned(),
+            )),
+            _ => Ok(Self::File {
+                path: existing(sphere, "--sphere")?,
+                radius,
+            }),
+        }
+    }
 }
 
 /// Where the lighting is to be had from.
@@ -137,20 +175,6 @@ impl Request {
         args.surface.apply(&mut options.fusion);
         args.work.bound(&mut options.fusion);
         options.validate()?;
-        if let Some(radius) = args.sphere_radius
-            && !rilievo_io::SPHERE_RADII.contains(&radius)
-        {
-            let usable = rilievo_io::SPHERE_RADII;
-            return Err(Failure::Usage(if radius.is_finite() && radius > 0.0 {
-                format!(
-                    "--sphere-radius {radius:e} is no sphere's radius in metres: {:e} to {:e} can be meant",
-                    usable.start(),
-                    usable.end()
-                )
-            } else {
-                format!("--sphere-radius {radius} must be a positive length in metres")
-            }));
-        }
         let lighting = match (&args.lighting, &args.lighting_shape) {
             (Some(spec), _) => {
                 let (path, name) = split_lighting_spec(spec);
@@ -176,27 +200,10 @@ impl Request {
             },
             masks_proposed: false,
             cameras: optional(args.cameras.as_deref(), "--cameras")?,
-            sphere: sphere_input(&args.sphere, args.sphere_radius)?,
+            sphere: SphereInput::from_args(&args.sphere)?,
             lighting,
             options,
         })
-    }
-}
-
-fn sphere_input(sphere: &Path, radius: Option<f64>) -> Result<SphereInput, Failure> {
-    match (sphere.to_str(), radius) {
-        (Some("none"), None) => Ok(SphereInput::None),
-        (Some("none"), Some(_)) => Err(Failure::Usage(
-            "--sphere-radius needs --sphere auto or --sphere FILE".to_owned(),
-        )),
-        (Some("auto"), Some(radius)) => Ok(SphereInput::Auto { radius }),
-        (Some("auto"), None) => Err(Failure::Usage(
-            "--sphere auto needs --sphere-radius METRES".to_owned(),
-        )),
-        _ => Ok(SphereInput::File {
-            path: existing(sphere, "--sphere")?,
-            radius,
-        }),
     }
 }
 

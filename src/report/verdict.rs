@@ -48,9 +48,9 @@ impl Verdict {
 
 /// Reprojection error above which poses are doubtful, pixels: twice what keypoints allow.
 const DOUBTFUL_REPROJECTION_PX: f64 = 1.0;
-/// Share of the median number of points of the views below which one of them hangs by a thread. Views at
-/// the end of an arc share points with one side only and keep a quarter; a view with a wrong focal length
-/// keeps less than a tenth.
+/// Points below which a view that has less than [`FEW_POINTS_SHARE`] of the median number hangs by a thread. Views at the
+/// end of an arc share points with one side only and keep a quarter, or a seventh of very many.
+const FEW_POINTS: usize = 100;
 const FEW_POINTS_SHARE: f64 = 1.0 / 6.0;
 /// Points that a view keeps of its matches, over what the median view keeps, below which its matches
 /// contradict its pose. Good sets have .7 and more; one photo cropped 1.4 times has .37.
@@ -223,7 +223,8 @@ impl Judgement {
         counts.sort_unstable();
         let usual = counts.get(counts.len() / 2).copied().unwrap_or(0);
         for view in &poses.views {
-            if (view.num_points as f64) < FEW_POINTS_SHARE * usual as f64 {
+            let few = view.num_points < FEW_POINTS;
+            if few && (view.num_points as f64) < FEW_POINTS_SHARE * usual as f64 {
                 self.note(
                     Verdict::Usable,
                     format!(
@@ -506,6 +507,8 @@ mod tests {
             verdict(|j| j.judge_poses(&ends_of_an_arc, 4)),
             Verdict::Good
         );
+        let ends_of_many = poses(&[448, 3179, 3300, 3179, 518]);
+        assert_eq!(verdict(|j| j.judge_poses(&ends_of_many, 5)), Verdict::Good);
         let mut judgement = Judgement::nothing_against();
         judgement.judge_poses(&poses(&[1100, 2900, 91, 1500]), 4);
         assert_eq!(judgement.verdict, Verdict::Usable);

@@ -10,9 +10,6 @@ use rilievo_numerics::robust::median;
 use rilievo_scene::{FocalSource, Observer, Photo, PhotoSet, StageId};
 use std::sync::Arc;
 
-/// Ratio of colours between photos from which the user is warned: a tenth is a visible tint.
-const WHITE_BALANCE_WARNING: f64 = 1.1;
-
 /// Noise over level from which the user is warned: at a tenth of the shading's own range.
 const NOISE_WARNING: f64 = 0.05;
 
@@ -309,8 +306,8 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
     if report.num_masks == 0 {
         warnings.push(
             "no photo has a mask (--masks, or an alpha channel): the whole frame is taken for the \
-             object, which is slower and lets what stands around it into the model; `rilievo mask` \
-             proposes masks, to be looked at and corrected"
+             object, which is slower and lets what stands around it into the model, unless masks are \
+             proposed and sure; `rilievo mask` proposes them to be looked at and corrected"
                 .to_owned(),
         );
     }
@@ -343,14 +340,6 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
             } else {
                 " and was evened out by EXIF (photos.normalize_exposure)"
             }
-        ));
-    }
-    if let Some(spread) = report.white_balance_spread
-        && spread > WHITE_BALANCE_WARNING
-    {
-        warnings.push(format!(
-            "colours differ by a factor of {spread:.2} between the photos: fix the white balance, \
-             unless lights of several colours shine on the object"
         ));
     }
     warnings

@@ -32,6 +32,8 @@ const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 
 /// Sharpness below which a photo is worth a word.
 const BLURRED: f64 = 0.6;
+/// Ratio of a channel's gain against green's between photos from which it is told: a tenth is a visible tint.
+const DRIFTING_COLORS: f64 = 1.1;
 
 /// What the light misses of single places, in units of its median residual, that still counts as the light's or the
 /// pigment's. Less bends the surface into what neither explains: stains, the light in a deep hole.
@@ -86,6 +88,7 @@ pub(crate) fn solve(
         course.keep(&progress, light.as_ref(), new_light)?;
     }
     course.tell_of_blur()?;
+    course.tell_of_white_balance()?;
     // Light and pigment are known at the finest level that was solved as a whole.
     let at = course.scene.finest;
     let (shape, reduced) = match course.fine.take() {
@@ -294,6 +297,26 @@ impl Course<'_> {
             })
             .collect();
         told.into_iter().try_for_each(|message| self.warn(message))
+    }
+
+    /// Warns of colours that drift from photo to photo: one place of the surface is as red against green in all.
+    fn tell_of_white_balance(&mut self) -> Result<(), ShadingError> {
+        let tints = |channel: usize| {
+            let views = self.report.views.iter();
+            let tints = views.map(|view| view.gain[channel] / view.gain[1]);
+            let (low, high) = tints.fold((f64::INFINITY, 0.0_f64), |(low, high), tint| {
+                (low.min(tint), high.max(tint))
+            });
+            high / low
+        };
+        let spread = tints(0).max(tints(2));
+        if spread.is_finite() && spread > DRIFTING_COLORS {
+            let message = format!(
+                "the white balance differs by a factor of {spread:.2} between the photos, and was evened out: fix it"
+            );
+            self.warn(message)?;
+        }
+        Ok(())
     }
 
     /// Whether no finer level than `at` is solved, be it as a whole or by tiles.
