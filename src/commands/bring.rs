@@ -28,6 +28,8 @@ pub struct Brought {
     pub redone: bool,
     /// How far the result can be relied on; of several processes the first one judges.
     pub judgement: Option<Judgement>,
+    /// Size of the result, where there is one.
+    size: Option<String>,
 }
 
 impl Brought {
@@ -40,6 +42,10 @@ impl Brought {
             } else {
                 format!("everything in {root} is up to date: nothing to do")
             });
+            console.note(&format!("open {root}/report.html first"));
+            if let Some(size) = &self.size {
+                console.note(&format!("size: {size}"));
+            }
         }
         self.judgement
     }
@@ -85,6 +91,7 @@ pub fn bring_run_up_to_date(
         return outcome.map(|redone| Brought {
             redone,
             judgement: None,
+            size: None,
         });
     }
     let told = Outcome::of(outcome.as_ref().err());
@@ -95,9 +102,11 @@ pub fn bring_run_up_to_date(
         Ok(report)
     });
     // A report that cannot be written must not hide why the run failed.
+    let (redone, report) = (outcome?, report?);
     Ok(Brought {
-        redone: outcome?,
-        judgement: Some(report?.into_judgement()),
+        redone,
+        size: report.size(),
+        judgement: Some(report.into_judgement()),
     })
 }
 

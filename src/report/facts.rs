@@ -10,7 +10,7 @@ use rilievo_fusion::FusionReport;
 use rilievo_lighting::LightingReport;
 use rilievo_photos::PhotosReport;
 use rilievo_poses::PosesReport;
-use rilievo_scene::StageId;
+use rilievo_scene::{ScaleSource, StageId, Unit};
 use serde::de::DeserializeOwned;
 use serde::ser::SerializeMap;
 use serde::{Serialize, Serializer};
@@ -58,6 +58,32 @@ pub struct Stages {
     pub lighting: Option<Stage<LightingReport>>,
     pub shading: Option<Stage<ShadingFacts>>,
     pub fusion: Option<Stage<FusionReport>>,
+}
+
+impl Stages {
+    /// Lengths of the box around the mesh, what a pixel covers, and what the size rests on, in a line.
+    pub fn size(&self) -> Option<String> {
+        let fusion = &self.fusion.as_ref()?.report;
+        let scale = &self.poses.as_ref()?.report.scale;
+        let [low, high] = fusion.mesh.as_ref()?.bounds?;
+        let lengths = [0, 1, 2].map(|k| f64::from(high[k] - low[k]));
+        let footprint = fusion.layering_after.footprint;
+        if scale.unit == Unit::Arbitrary {
+            let [x, y, z] = lengths.map(|length| format!("{length:.3}"));
+            return Some(format!("{x} x {y} x {z} in arbitrary units (nothing gave the size)"));
+        }
+        let [x, y, z] = lengths.map(|length| format!("{:.1}", 1e3 * length));
+        let source = match scale.source {
+            ScaleSource::Sphere => "the stated radius of the sphere",
+            ScaleSource::GivenPoses => "the given cameras",
+            ScaleSource::KnownDistance => "the stated distance",
+            ScaleSource::Gauge => "nothing",
+        };
+        Some(format!(
+            "{x} x {y} x {z} mm by {source}, {:.3} mm a pixel",
+            1e3 * footprint
+        ))
+    }
 }
 
 /// A committed stage.

@@ -96,6 +96,11 @@ impl Report {
         })
     }
 
+    /// Size of the result, in a line; `None` without a mesh.
+    pub fn size(&self) -> Option<String> {
+        self.facts.stages.size()
+    }
+
     /// How far the result can be relied on.
     pub fn into_judgement(self) -> Judgement {
         self.verdict

@@ -98,7 +98,7 @@ pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Resul
         Ok(coarse) => (coarse, None),
         Err(error) => (None, Some(unreadable(&error))),
     };
-    let overview = overview::section(run, facts, judgement, posed.as_ref(), coarse.as_ref());
+    let overview = overview::section(run, facts, judgement, posed.as_ref());
     let (viewer, views) = match &posed {
         Some(posed) => (
             coarse.as_ref().map(|coarse| viewer::section(coarse, posed)),

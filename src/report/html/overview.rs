@@ -7,7 +7,7 @@ use crate::report::facts::{Facts, Stages};
 use crate::report::verdict::{Judgement, Verdict};
 use crate::store::RunDir;
 use maud::{Markup, html};
-use rilievo_io::{CoarseMesh, read_depth, read_normal};
+use rilievo_io::{read_depth, read_normal};
 use rilievo_scene::{PosedViews, StageId, Unit};
 use rilievo_shading::ShadingModel;
 
@@ -20,7 +20,6 @@ pub fn section(
     facts: &Facts,
     judgement: &Judgement,
     posed: Option<&PosedViews>,
-    coarse: Option<&CoarseMesh>,
 ) -> Markup {
     let Judgement { verdict, reasons } = judgement;
     let picture = picture_of_result(run, posed);
@@ -42,7 +41,7 @@ pub fn section(
                     ul { @for reason in reasons { li { (reason) } } }
                 }
                 dl {
-                    @for (name, value) in key_numbers(facts, posed, coarse) { dt { (name) } dd { (value) } }
+                    @for (name, value) in key_numbers(facts, posed) { dt { (name) } dd { (value) } }
                 }
                 // What agreement between views cannot tell.
                 p.hint {
@@ -72,11 +71,7 @@ fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String>
     None
 }
 
-fn key_numbers(
-    facts: &Facts,
-    posed: Option<&PosedViews>,
-    coarse: Option<&CoarseMesh>,
-) -> [(&'static str, String); 12] {
+fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 12] {
     let stages = &facts.stages;
     let photos = stages.photos.as_ref().map(|stage| &stage.report);
     let poses = stages.poses.as_ref().map(|stage| &stage.report);
@@ -100,7 +95,7 @@ fn key_numbers(
                 photos.map_or(0, |photos| photos.photos.len())
             ),
         ),
-        ("size", size_of(coarse, metric)),
+        ("size", stages.size().unwrap_or_else(|| ABSENT.to_owned())),
         (
             "a pixel covers",
             length(fusion.map(|fusion| fusion.layering_after.footprint)),
@@ -132,22 +127,6 @@ fn key_numbers(
         ),
         ("mesh triangles", count(mesh.map(|mesh| mesh.num_triangles))),
     ]
-}
-
-/// Lengths of the box around the surface.
-fn size_of(coarse: Option<&CoarseMesh>, metric: bool) -> String {
-    let Some([low, high]) = coarse.map(|coarse| coarse.bounds) else {
-        return ABSENT.to_owned();
-    };
-    let lengths: Vec<f32> = (0..3).map(|k| high[k] - low[k]).collect();
-    if metric {
-        let [x, y, z] = [0, 1, 2].map(|k| format!("{:.1}", 1e3 * lengths[k]));
-        return format!("{x} x {y} x {z} mm");
-    }
-    format!(
-        "{:.3} x {:.3} x {:.3} (no scale)",
-        lengths[0], lengths[1], lengths[2]
-    )
 }
 
 /// What the run was given, in a line.

@@ -53,6 +53,9 @@ pub struct MeshReport {
     pub num_vertices: usize,
     /// Triangles.
     pub num_triangles: usize,
+    /// Smallest and largest coordinates of the vertices.
+    #[serde(default)]
+    pub bounds: Option<[[f32; 3]; 2]>,
     /// Edge of a cell, world's unit.
     pub voxel: f64,
     /// Factor by which the cells are larger than asked for, to stay within the memory; 1: not.
