@@ -6,8 +6,8 @@
 mod common;
 
 use common::{
-    arg, done, noise_photos, reconstruct_until, reconstructed_until, rilievo, run, with_exif,
-    write_noise_photo,
+    arg, done, json_of, noise_photos, reconstruct_until, reconstructed_until, rilievo, run,
+    with_exif, write_noise_photo,
 };
 use rilievo_io::{read_mask, write_mask, write_photo_jpeg};
 use rilievo_scene::{LinearImage, Mask};
@@ -356,6 +356,65 @@ fn masks_are_proposed_by_the_photos_poses_where_a_mat_is_in_the_picture() {
     let (code, _, stderr) = run(&["mask", arg(&photos), "-o", arg(&whole)]);
     assert_eq!(code, 2, "{stderr}");
     assert!(stderr.contains("--run"), "{stderr}");
+}
+
+#[test]
+fn a_run_without_masks_proposes_its_own_and_keeps_what_was_corrected() {
+    let dir = tempfile::tempdir().unwrap();
+    let (set, run_dir) = (dir.path().join("set"), dir.path().join("run"));
+    let made = "synth --views 5 --size 640x480 --seed 5";
+    let made: Vec<&str> = made.split(' ').chain([arg(&set)]).collect();
+    done(&made);
+    let photos = set.join("photos");
+    let (cameras, sphere) = (set.join("intrinsics.json"), set.join("sphere.json"));
+    let given = ["--cameras", arg(&cameras), "--sphere", arg(&sphere)];
+    let reconstruct = |more: &[&str]| {
+        let more = [&given[..], more].concat();
+        reconstructed_until("4_lighting", &photos, &run_dir, &more)
+    };
+    let verdict = || {
+        let report = json_of(&run_dir.join("report.json"));
+        let reasons = report["verdict"]["reasons"].as_array().unwrap().clone();
+        let told = |text: &str| reasons.iter().any(|r| r.as_str().unwrap().contains(text));
+        [
+            told("were proposed by the program"),
+            told("no photo has an object mask"),
+        ]
+    };
+    let first = reconstruct(&[]);
+    assert!(
+        first.contains("masks: proposed by the photos' poses for 5 photos"),
+        "{first}"
+    );
+    assert_eq!(verdict(), [true, false]);
+    let masks = run_dir.join("masks");
+    for k in 1..=5 {
+        let name = format!("IMG_{k:04}.png");
+        let found = read_mask(&masks.join(&name)).unwrap();
+        let truth = read_mask(&set.join("masks").join(&name)).unwrap();
+        assert!(overlap(&found, &truth) > 0.93, "{name}");
+        assert!(run_dir.join("masks-overlays").join(&name).exists());
+    }
+    assert!(reconstruct(&[]).contains("nothing to do"));
+    // Who says that they are right has the same result, and no word against them.
+    assert!(reconstruct(&["--masks", arg(&masks)]).contains("nothing to do"));
+    assert_eq!(verdict(), [false, false]);
+    // A corrected mask is taken up, and stays where masks are proposed again.
+    let corrected = read_mask(&set.join("masks/IMG_0002.png")).unwrap();
+    write_mask(&masks.join("IMG_0002.png"), &corrected).unwrap();
+    assert!(!reconstruct(&[]).contains("nothing to do"));
+    std::fs::remove_file(masks.join("IMG_0004.png")).unwrap();
+    reconstruct(&[]);
+    assert!(masks.join("IMG_0004.png").exists());
+    assert_eq!(read_mask(&masks.join("IMG_0002.png")).unwrap(), corrected);
+    // The whole frame for who asks for it, and no masks that this run did not make.
+    reconstruct(&["--masks", "none"]);
+    assert_eq!(verdict(), [false, true]);
+    std::fs::remove_file(run_dir.join("masks.json")).unwrap();
+    let more = [&given[..], &["--overwrite"]].concat();
+    let (code, _, stderr) = reconstruct_until("4_lighting", &photos, &run_dir, &more);
+    assert_eq!(code, 2, "{stderr}");
+    assert!(stderr.contains("was not proposed by this run"), "{stderr}");
 }
 
 /// Long: some three gigabytes and half a minute.

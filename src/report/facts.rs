@@ -70,7 +70,9 @@ impl Stages {
         let footprint = fusion.layering_after.footprint;
         if scale.unit == Unit::Arbitrary {
             let [x, y, z] = lengths.map(|length| format!("{length:.3}"));
-            return Some(format!("{x} x {y} x {z} in arbitrary units (nothing gave the size)"));
+            return Some(format!(
+                "{x} x {y} x {z} in arbitrary units (nothing gave the size)"
+            ));
         }
         let [x, y, z] = lengths.map(|length| format!("{:.1}", 1e3 * length));
         let source = match scale.source {
