@@ -8,6 +8,9 @@ use std::time::Duration;
 
 const TEMPLATE: &str = "{prefix} {msg} [{bar:30}] {pos}/{len} {per_sec}, {eta} left";
 
+/// Of a step in one go, which has nothing to count.
+const SPINNER: &str = "{prefix} {msg} {spinner} {elapsed}";
+
 /// One bar at a time, for the step at hand.
 pub struct Bars {
     bar: Option<(String, ProgressBar)>,
@@ -25,7 +28,7 @@ impl Bars {
             self.clear();
         }
         let (_, bar) = self.bar.get_or_insert_with(|| {
-            let style = ProgressStyle::with_template(TEMPLATE)
+            let style = ProgressStyle::with_template(if total == 1 { SPINNER } else { TEMPLATE })
                 .unwrap_or_else(|_| ProgressStyle::default_bar());
             let bar = ProgressBar::new(total as u64)
                 .with_style(style)

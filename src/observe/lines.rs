@@ -63,7 +63,11 @@ impl Display for Lines {
         if pace.due(INTERVAL) || done == total {
             let left = pace.left(done, total).filter(|_| done < total);
             let left = left.map_or(String::new(), |d| format!(", {} left", in_words(d)));
-            tell!("{of}: {step} {done}/{total}{left}");
+            match (done, total) {
+                // A step in one go has nothing to count.
+                (0, 1) => tell!("{of}: {step}"),
+                _ => tell!("{of}: {step} {done}/{total}{left}"),
+            }
         }
     }
 

@@ -61,6 +61,8 @@ const DOUBTFUL_FOCAL_CHANGE: f64 = 0.1;
 /// Relative difference of photos and what shape and light explain, above which they contradict each
 /// other: nine distant harmonics leave 10 to 12 % on real objects, half-hidden light up to 20 %.
 const DOUBTFUL_LIGHT: f64 = 0.2;
+/// Where the usual photo differs by more, what was solved is not what the photos show.
+const UNTRUSTED_LIGHT: f64 = 0.4;
 /// Share of a view that no other view sees, above which the shape has too little to check it.
 const DOUBTFUL_SEEN_ALONE: f64 = 0.4;
 /// Share of the surface that several views confirm, below which most of it is a guess.
@@ -372,18 +374,27 @@ impl Judgement {
 
     /// Names the photos that differ too much from what shape and light explain.
     fn judge_residuals<'a>(&mut self, views: impl Iterator<Item = (&'a str, f64)>) {
-        let doubtful: Vec<_> = views.filter(|(_, rms)| *rms > DOUBTFUL_LIGHT).collect();
+        let views: Vec<_> = views.collect();
+        let mut residuals: Vec<f64> = views.iter().map(|(_, rms)| *rms).collect();
+        let usual = median(&mut residuals).unwrap_or(0.0);
+        let doubtful = views.into_iter().filter(|(_, rms)| *rms > DOUBTFUL_LIGHT);
+        let doubtful: Vec<_> = doubtful.collect();
         if doubtful.is_empty() {
             return;
         }
         let names: Vec<&str> = doubtful.iter().map(|(name, _)| *name).collect();
         let largest = doubtful.iter().fold(0.0_f64, |max, (_, rms)| max.max(*rms));
+        let verdict = if usual > UNTRUSTED_LIGHT {
+            Verdict::NotToBeTrusted
+        } else {
+            Verdict::Usable
+        };
         self.note(
-            Verdict::Usable,
+            verdict,
             format!(
                 "shape and light miss the brightness of {} by up to {:.0} % (well-lit matte objects: \
-                 below {:.0} %): gloss, stains, a lamp that moved, or light from nearby; softer light \
-                 from several sides helps",
+                 below {:.0} %): masks beside the object, gloss, stains, a lamp that moved, or light from \
+                 nearby; softer light from several sides helps",
                 names.join(", "),
                 100.0 * largest,
                 100.0 * DOUBTFUL_LIGHT
@@ -481,6 +492,8 @@ mod tests {
         };
         assert_eq!(verdict(|j| j.judge_light_fit(&light(0.1))), Verdict::Good);
         assert_eq!(verdict(|j| j.judge_light_fit(&light(0.3))), Verdict::Usable);
+        let nothing_fits = verdict(|j| j.judge_light_fit(&light(0.5)));
+        assert_eq!(nothing_fits, Verdict::NotToBeTrusted);
 
         let nothing = verdict(|j| j.judge(&Stages::default()));
         assert_eq!(nothing, Verdict::NotFinished);
