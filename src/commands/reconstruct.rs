@@ -1,7 +1,7 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
 use super::bring::{Allowed, bring_run_up_to_date};
-use super::mask::with_proposed_masks;
+use super::mask::with_own_masks;
 use super::reporting::reporting_judged;
 use crate::cli::ReconstructArgs;
 use crate::pipeline::{Range, Request};
@@ -23,10 +23,14 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
             overwrite: args.overwrite,
         };
         let (root, work) = (&args.output, &args.work);
-        // Poses need no masks, and everything after them gains by them.
-        if args.masks.is_none() && range.until > StageId::Poses {
-            request = with_proposed_masks(request, root, allowed, work, console)?;
-        }
+        request = with_own_masks(
+            request,
+            args.masks.is_none(),
+            root,
+            range,
+            (allowed, work),
+            console,
+        )?;
         let brought = bring_run_up_to_date(&request, root, range, allowed, work, console)?;
         Ok(brought.tell(root, console))
     })

@@ -34,5 +34,5 @@ pub use parallel::{Resources, start_threads};
 pub use photos::{check as check_photos, linear_photo, map_photos};
 pub use plan::{Plan, StageState, is_another_set, photo_role, upstream};
 pub use poses::load as load_poses;
-pub use request::{LightingInput, Request, SphereInput};
+pub use request::{LightingInput, MaskOrigin, Request, SphereInput};
 pub use shading::{ShadingFacts, shown_albedo, write_maps};

@@ -91,6 +91,19 @@ pub enum LightingInput {
     },
 }
 
+/// Where masks come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MaskOrigin {
+    /// The user made them.
+    #[default]
+    Given,
+    /// The run proposed them for itself, but for photos that had no pose, and nobody said that they are right.
+    Proposed,
+    /// The same, and the user said so.
+    Accepted,
+}
+
 /// A reconstruction, as asked for.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Request {
@@ -100,9 +113,9 @@ pub struct Request {
     /// Folder of masks.
     #[serde(with = "paths::optional")]
     pub masks: Option<PathBuf>,
-    /// Whether these masks were proposed by the program, and nobody said that they are right.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub masks_proposed: bool,
+    /// Where these masks come from.
+    #[serde(default)]
+    pub masks_from: MaskOrigin,
     /// Camera file or COLMAP folder.
     #[serde(with = "paths::optional")]
     pub cameras: Option<PathBuf>,
@@ -120,7 +133,7 @@ impl Request {
         Self {
             photos,
             masks: None,
-            masks_proposed: false,
+            masks_from: MaskOrigin::Given,
             cameras: None,
             sphere: SphereInput::None,
             lighting: LightingInput::Found,
@@ -130,7 +143,7 @@ impl Request {
 
     /// Whether a photo without a mask is an error and not a choice.
     pub fn needs_masks(&self) -> bool {
-        self.masks.is_some() && !self.masks_proposed
+        self.masks.is_some() && self.masks_from == MaskOrigin::Given
     }
 
     /// The request for a run directory that was moved together with its photos and files: paths that
@@ -198,7 +211,7 @@ impl Request {
                 Some(word) if word.to_str() == Some("none") => None,
                 folder => optional(folder.as_deref(), "--masks")?,
             },
-            masks_proposed: false,
+            masks_from: MaskOrigin::Given,
             cameras: optional(args.cameras.as_deref(), "--cameras")?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,

@@ -82,7 +82,7 @@ impl Stages {
             ScaleSource::Gauge => "nothing",
         };
         Some(format!(
-            "{x} x {y} x {z} mm by {source}, {:.3} mm a pixel",
+            "{x} x {y} x {z} mm along the world's axes, by {source}; {:.3} mm a pixel",
             1e3 * footprint
         ))
     }

@@ -1,7 +1,7 @@
 //! How far a result can be relied on, and why.
 
 use super::facts::{Facts, Stages};
-use crate::pipeline::{ShadingFacts, StageState};
+use crate::pipeline::{MaskOrigin, ShadingFacts, StageState};
 use rilievo_features::FeaturesReport;
 use rilievo_fusion::Layering;
 use rilievo_lighting::LightingReport;
@@ -52,6 +52,8 @@ const DOUBTFUL_REPROJECTION_PX: f64 = 1.0;
 /// end of an arc share points with one side only and keep a quarter, or a seventh of very many.
 const FEW_POINTS: usize = 100;
 const FEW_POINTS_SHARE: f64 = 1.0 / 6.0;
+/// Share of the median number below which it does whatever the number: a wrong focal length leaves less.
+const VERY_FEW_POINTS_SHARE: f64 = 0.1;
 /// Points that a view keeps of its matches, over what the median view keeps, below which its matches
 /// contradict its pose. Good sets have .7 and more; one photo cropped 1.4 times has .37.
 const FEW_KEPT_SHARE: f64 = 0.5;
@@ -68,6 +70,14 @@ const DOUBTFUL_SEEN_ALONE: f64 = 0.4;
 /// Share of the surface that several views confirm, below which most of it is a guess.
 const DOUBTFUL_CONFIRMED: f64 = 0.6;
 const UNTRUSTED_CONFIRMED: f64 = 0.3;
+/// Share of a view's surface that other views confirm, over that of the usual view, below which it shows something else
+/// than they do. Views at the ends of an arc have .9 and more; one photo of an object that was moved by six degrees has .3.
+const CONTRADICTED_SHARE: f64 = 0.6;
+/// Disagreement of a photo with the others about the brightness of one place from which, where it is so many times that of
+/// the photo that agrees best, something moved between them. Good sets have up to .02 and 1.3 times; an object that was
+/// moved by six degrees has .065 in some and .022 in others.
+const DISAGREEMENT: f64 = 0.04;
+const UNEVEN_DISAGREEMENT: f64 = 2.5;
 /// Distance between overlapping views, in pixel footprints, above which they form layers.
 const DOUBTFUL_LAYERING_PX: f64 = 2.0;
 
@@ -90,7 +100,7 @@ impl Judgement {
             );
         }
         judgement.judge(&facts.stages);
-        if facts.request.masks_proposed {
+        if facts.request.masks_from == MaskOrigin::Proposed {
             judgement.note(
                 Verdict::Usable,
                 "the masks were proposed by the program: look at masks-overlays/ in the run directory, correct what is \
@@ -225,8 +235,9 @@ impl Judgement {
         counts.sort_unstable();
         let usual = counts.get(counts.len() / 2).copied().unwrap_or(0);
         for view in &poses.views {
-            let few = view.num_points < FEW_POINTS;
-            if few && (view.num_points as f64) < FEW_POINTS_SHARE * usual as f64 {
+            let share = view.num_points as f64 / usual.max(1) as f64;
+            let few = view.num_points < FEW_POINTS && share < FEW_POINTS_SHARE;
+            if few || share < VERY_FEW_POINTS_SHARE {
                 self.note(
                     Verdict::Usable,
                     format!(
@@ -348,6 +359,47 @@ impl Judgement {
             }
         }
         self.judge_confirmed(photo.views.iter().map(|v| (v.num_pixels, v.confirmed)));
+        let views = photo.views.iter();
+        let found: Vec<_> = views
+            .map(|v| (v.name.clone(), v.confirmed, v.disagreement))
+            .collect();
+        self.judge_agreement(&found);
+    }
+
+    /// Names photos that show something else than the others: name, share that others confirm, disagreement.
+    fn judge_agreement(&mut self, views: &[(String, f64, f64)]) {
+        let mut shares: Vec<f64> = views.iter().map(|(_, confirmed, _)| *confirmed).collect();
+        let usual = median(&mut shares).unwrap_or(0.0);
+        for (name, confirmed, _) in views {
+            if *confirmed < CONTRADICTED_SHARE * usual {
+                self.note(
+                    Verdict::Usable,
+                    format!(
+                        "other photos confirm only {:.0} % of what {name} shows, where a usual photo has {:.0} %: the \
+                         object or the lamp was moved, or its pose is wrong; leave it out",
+                        100.0 * confirmed,
+                        100.0 * usual
+                    ),
+                );
+            }
+        }
+        let least = views
+            .iter()
+            .fold(f64::INFINITY, |least, view| least.min(view.2));
+        let worst = views.iter().max_by(|a, b| a.2.total_cmp(&b.2));
+        if let Some((name, _, most)) = worst.filter(|view| view.2 > DISAGREEMENT)
+            && *most > UNEVEN_DISAGREEMENT * least
+        {
+            self.note(
+                Verdict::Usable,
+                format!(
+                    "the photos disagree unevenly about how bright one place is, by {:.1} % in {name} and by {:.1} % in \
+                     another: the object or the lamp was moved between them",
+                    100.0 * most,
+                    100.0 * least
+                ),
+            );
+        }
     }
 
     fn judge_confirmed(&mut self, views: impl Iterator<Item = (usize, f64)>) {
@@ -567,6 +619,25 @@ mod tests {
             verdict(|j| j.judge_confirmed(std::iter::empty())),
             Verdict::Good
         );
+    }
+
+    #[test]
+    fn photos_that_show_something_else_are_named() {
+        let judged = |views: &[(f64, f64)]| {
+            let named =
+                |(k, &(confirmed, disagreement))| (format!("IMG_{k}"), confirmed, disagreement);
+            let views: Vec<_> = views.iter().enumerate().map(named).collect();
+            let mut judgement = Judgement::nothing_against();
+            judgement.judge_agreement(&views);
+            judgement
+        };
+        let good = [(0.92, 0.019), (0.98, 0.02), (0.99, 0.018), (0.93, 0.019)];
+        assert_eq!(judged(&good).verdict, Verdict::Good);
+        let one_moved = judged(&[(0.92, 0.028), (0.97, 0.022), (0.3, 0.059), (0.98, 0.02)]);
+        assert!(one_moved.reasons[0].contains("only 30 % of what IMG_2 shows"));
+        let half_moved = judged(&[(0.89, 0.024), (0.94, 0.066), (0.93, 0.067), (0.93, 0.022)]);
+        assert_eq!(half_moved.verdict, Verdict::Usable);
+        assert!(half_moved.reasons[0].contains("6.7 % in IMG_2 and by 2.2 %"));
     }
 
     #[test]

@@ -12,7 +12,15 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Folders beside those of the stages.
-const FOLDERS: [&str; 3] = [".work", ".old", "evaluation"];
+const FOLDERS: [&str; 7] = [
+    ".work",
+    ".old",
+    "evaluation",
+    "masks",
+    "masks-overlays",
+    "masks-unsure",
+    "masks.partial",
+];
 
 /// File by which processes tell whether they see the same run directory.
 const MARKER: &str = ".work/ranks";

@@ -13,7 +13,7 @@ mod by_poses;
 mod of_run;
 mod target;
 
-pub use of_run::with_proposed_masks;
+pub use of_run::with_own_masks;
 
 use super::reporting::reporting_found;
 use crate::cli::MaskArgs;

@@ -13,14 +13,14 @@ use crate::cli::WorkArgs;
 use crate::commands::bring::{Allowed, bring_run_up_to_date};
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Inputs, PhotoInput, Range, Request, Resources, load_poses};
+use crate::pipeline::{Inputs, MaskOrigin, PhotoInput, Range, Request, Resources, load_poses};
 use crate::ranks;
 use crate::store::{RunDir, absolute, create_folder, own_file, seal, unseal, write_atomically};
 use rilievo_photos::PhotosReport;
 use rilievo_scene::StageId;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 const FOLDER: &str = "masks";
 const UNSURE: &str = "masks-unsure";
@@ -40,7 +40,7 @@ struct Record {
     photos: BTreeMap<String, Proposed>,
 }
 
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Proposed {
     /// Content hash of the photo.
     photo: String,
@@ -49,54 +49,77 @@ struct Proposed {
     consistency: Option<f64>,
 }
 
-/// The request with the masks that the run proposed for itself; proposes them where they are missing, which takes the
-/// photos' poses. As it was where the photos have masks in themselves, or where the proposals are not sure: then why is told.
+/// The request with the masks that the run proposed for itself, where the user has none (`wanted`) or says that these are
+/// right. Proposes them where they are missing and a stage after the poses is asked for, which takes the photos' poses. As it
+/// was where the photos have masks in themselves, or where the proposals are not sure: then why is told.
 ///
 /// # Errors
 /// When a photo cannot be read, there are no poses, or masks cannot be written.
-pub fn with_proposed_masks(
+pub fn with_own_masks(
     request: Request,
+    wanted: bool,
     root: &Path,
-    allowed: Allowed,
-    work: &WorkArgs,
+    range: Range,
+    (allowed, work): (Allowed, &WorkArgs),
     console: &Console,
 ) -> anyhow::Result<Request> {
     let root = &absolute(root)?;
-    let proposed = || Request {
-        masks: Some(root.join(FOLDER)),
-        masks_proposed: true,
+    let folder = root.join(FOLDER);
+    let own = |masks_from: MaskOrigin| Request {
+        masks: Some(folder.clone()),
+        masks_from,
         ..request.clone()
     };
-    let range = Range {
+    let record = record_of(root);
+    let is_used = |record: &Option<Record>| record.as_ref().is_some_and(|r| r.is_used(root));
+    if !wanted {
+        let accepted = request.masks.as_ref() == Some(&folder) && is_used(&record);
+        return Ok(if accepted {
+            own(MaskOrigin::Accepted)
+        } else {
+            request
+        });
+    }
+    if record.is_none() && is_filled(&folder) {
+        return Err(Failure::Usage(format!(
+            "{folder} was not proposed by this run: say --masks {folder} to use it",
+            folder = folder.display()
+        ))
+        .into());
+    }
+    let mut for_poses = request.clone();
+    if let Some(record) = record.as_ref().filter(|record| record.is_used(root)) {
+        for_poses = own(MaskOrigin::Proposed);
+        let inputs = Inputs::scan(&for_poses)?;
+        // Where all are there, the poses that they came from need not be made again.
+        if inputs.photos.iter().all(|photo| record.has(photo)) {
+            return Ok(for_poses);
+        }
+    }
+    if range.until <= StageId::Poses {
+        return Ok(for_poses);
+    }
+    let poses = Range {
         redo_from: None,
         until: StageId::Poses,
     };
-    // Where all are there, the poses that they came from need not be made again.
-    if root.join(FOLDER).is_dir() {
-        let Some(record) = record_of(root) else {
-            let folder = root.join(FOLDER);
-            return Err(Failure::Usage(format!(
-                "{folder} was not proposed by this run: say --masks {folder} to use it",
-                folder = folder.display()
-            ))
-            .into());
-        };
-        let inputs = Inputs::scan(&proposed())?;
-        if record.is_used(root) && inputs.photos.iter().all(|photo| record.has(photo)) {
-            return Ok(proposed());
-        }
-    }
-    bring_run_up_to_date(&request, root, range, allowed, work, console)?;
+    bring_run_up_to_date(&for_poses, root, poses, allowed, work, console)?;
     let outcome = if ranks::team().is_first() {
-        propose_into(root, &request, work, console)
+        propose_into(root, &for_poses, work, console)
     } else {
         Ok(())
     };
     ranks::agree(outcome)?;
-    Ok(match record_of(root) {
-        Some(record) if record.is_used(root) => proposed(),
-        _ => request,
+    Ok(if is_used(&record_of(root)) {
+        own(MaskOrigin::Proposed)
+    } else {
+        request
     })
+}
+
+/// Whether a folder is there and holds something.
+fn is_filled(folder: &Path) -> bool {
+    std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_some())
 }
 
 /// What is known of the masks of a run; `None` where none were proposed, or the record is damaged.
@@ -111,7 +134,8 @@ fn propose_into(
     work: &WorkArgs,
     console: &Console,
 ) -> anyhow::Result<()> {
-    let run = RunDir::open_to_read(root)?;
+    // With its lock: another process must not propose at the same time.
+    let run = RunDir::open(root)?;
     let poses = run.manifest(StageId::Poses)?;
     let poses = poses.map_or(String::new(), |manifest| manifest.fingerprint);
     let photos = run.manifest(StageId::Photos)?;
@@ -130,7 +154,7 @@ fn propose_into(
     let inputs = Inputs::scan(request)?;
     let partial = Target {
         masks: root.join(PARTIAL),
-        overlays: root.join(OVERLAYS),
+        overlays: root.join(PARTIAL).join(OVERLAYS),
     };
     if partial.masks.exists() {
         std::fs::remove_dir_all(&partial.masks)?;
@@ -159,7 +183,7 @@ fn propose_into(
     for (photo, found) in inputs.photos.iter().zip(found) {
         let proposal = match found {
             Some(Ok(proposal)) => proposal,
-            // Stages after the poses have no use for it.
+            // As long as it has none, stages after the poses have no use for it.
             _ if !with_pose.contains(&photo.file_name) => {
                 record.put(photo, None);
                 continue;
@@ -170,6 +194,11 @@ fn propose_into(
             }
             None => continue,
         };
+        // What lies there may have been corrected, and stays.
+        if let Some(known) = before.kept(root, photo) {
+            record.photos.insert(photo.file_name.clone(), known.clone());
+            continue;
+        }
         if !proposal.is_clear() {
             let why = format!("{}: {}", photo.file_name, proposal.sentence());
             record.unsure.get_or_insert(why);
@@ -201,7 +230,15 @@ impl Record {
     }
 
     fn is_used(&self, root: &Path) -> bool {
-        self.unsure.is_none() && root.join(FOLDER).is_dir()
+        self.unsure.is_none() && is_filled(&root.join(FOLDER))
+    }
+
+    /// What is known of the mask of a photo that is used and lies there.
+    fn kept(&self, root: &Path, photo: &PhotoInput) -> Option<&Proposed> {
+        let known = self.photos.get(&photo.file_name)?;
+        let file = root.join(FOLDER).join(format!("{}.png", photo.name));
+        let same = known.photo == photo.hash && known.consistency.is_some();
+        (same && self.is_used(root) && file.exists()).then_some(known)
     }
 
     /// Whether a photo has the mask that was made from it, or was without a pose then.
@@ -219,23 +256,27 @@ fn keep(root: &Path, record: &Record, inputs: &Inputs, before: &Record) -> anyho
     } else {
         FOLDER
     });
+    let overlays = root.join(OVERLAYS);
     let partial = root.join(PARTIAL);
     if !record.photos.is_empty() {
         create_folder(&folder)?;
+        create_folder(&overlays)?;
     }
+    // Written first: what is missing beside it is proposed again.
+    write_atomically(&root.join(RECORD), &seal(record)?)?;
     for photo in &inputs.photos {
         let file = format!("{}.png", photo.name);
-        let (from, to): (PathBuf, PathBuf) = (partial.join(&file), folder.join(&file));
+        let (from, to) = (partial.join(&file), folder.join(&file));
         let known = before.photos.get(&photo.file_name);
         let same = known.is_some_and(|known| known.photo == photo.hash);
         if from.exists() && !(same && to.exists()) {
+            std::fs::rename(partial.join(OVERLAYS).join(&file), overlays.join(&file))?;
             std::fs::rename(from, to)?;
         }
     }
     if partial.exists() {
         std::fs::remove_dir_all(&partial)?;
     }
-    write_atomically(&root.join(RECORD), &seal(record)?)?;
     Ok(())
 }
 

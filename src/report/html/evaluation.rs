@@ -12,6 +12,8 @@ const DEPTH_MAX: f32 = 0.01;
 /// Angle between normals that is shown as full brightness, degrees.
 const NORMAL_MAX_DEG: f32 = 30.0;
 
+/// Views beyond this many have no maps in the page.
+const MAX_NUM_VIEWS: usize = 40;
 /// Bytes of the page that all maps may take.
 const MAP_BYTES: usize = 900_000;
 
@@ -57,13 +59,14 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Mark
             sizes,
         ),
     ];
-    let album = Album::new(MAP_BYTES, 2 * views.len());
+    let every = views.len().div_ceil(MAX_NUM_VIEWS).max(1);
+    let album = Album::new(MAP_BYTES, 2 * views.len().div_ceil(every));
     html! {
         section id="accuracy" {
             h2 { "Accuracy against the truth" }
             pre { (table) }
             @for (title, unit, errors) in curves { (plot::cumulative(title, unit, errors)) }
-            @for (index, view) in views.iter().enumerate() {
+            @for (index, view) in views.iter().step_by(every).enumerate() {
                 (folded(&format!("Errors of {}", view.name), index == 0, &maps(&album, view)))
             }
         }

@@ -45,7 +45,7 @@ pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Resul
         let page = Page {
             run,
             album,
-            max_dots: NUM_DOTS / num_shown,
+            max_dots: NUM_DOTS / (2 * num_shown),
         };
         let content = page.one(&facts.stages, posed, index, &photo)?;
         views.push(folded(&view.file_name, index == 0, &content));

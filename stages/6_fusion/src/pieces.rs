@@ -3,7 +3,7 @@
 use rilievo_scene::Mesh;
 
 /// A piece with fewer triangles than this share of the largest one is no surface.
-const MIN_PIECE: f64 = 0.005;
+pub(crate) const MIN_PIECE: f64 = 0.005;
 
 /// What became of the pieces.
 #[derive(Debug, PartialEq)]

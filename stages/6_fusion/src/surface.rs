@@ -116,7 +116,10 @@ pub(crate) fn extract(
     let longest = if options.watertight {
         f64::INFINITY
     } else {
-        MAX_HOLE_CELLS * report.voxel
+        // The outline of a piece that is just large enough to stay is no hole: N triangles of half a cell's area are a
+        // disc of 2 π N cells² around.
+        let smallest = pieces::MIN_PIECE * mesh.triangles.len() as f64;
+        MAX_HOLE_CELLS.min((std::f64::consts::TAU * smallest).sqrt()) * report.voxel
     };
     let loops = rim::boundary_loops(&mesh);
     let short = loops

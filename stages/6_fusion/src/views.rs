@@ -20,7 +20,7 @@ const MAX_SURPRISE: f64 = 0.5;
 /// Pixels around the depths that are kept, so that interpolation meets the border of the depths
 /// before the border of the map.
 const MARGIN: usize = 2;
-/// Pixels over which a view's weight grows from its border on, so that no seam shows where it ends among others.
+/// Pixels over which a view's confidence grows from its border on, so that no seam shows where it ends among others.
 const BLEND_PX: f32 = 8.0;
 
 /// All views, and where their pixels lie.

@@ -9,7 +9,7 @@ use faer::{Conj, MatMut, Par, Side};
 use std::collections::BTreeMap;
 
 /// Solves `A x = b` in the place of each `b`. `entries` holds the lower triangle of `A` by column and row, the diagonal
-/// complete. `None` where `A` is not positive definite, or does not fit the memory.
+/// complete. `None` where `A` is not positive definite.
 pub fn solve(entries: &BTreeMap<(usize, usize), f64>, right_sides: &mut [Vec<f64>]) -> Option<()> {
     let n = right_sides.first()?.len();
     if n == 0 {
