@@ -140,10 +140,11 @@ fn propose_into(
     let poses = poses.map_or(String::new(), |manifest| manifest.fingerprint);
     let photos = run.manifest(StageId::Photos)?;
     let photos = photos.map(|manifest| serde_json::from_value::<PhotosReport>(manifest.report));
-    if photos
+    let masked = photos
         .transpose()?
-        .is_some_and(|report| report.num_masks > 0)
-    {
+        .is_some_and(|report| report.num_masks > 0);
+    // Then they are the photos' own, as an alpha channel.
+    if masked && request.masks.is_none() {
         return Ok(());
     }
     let before = record_of(root).unwrap_or_default();
