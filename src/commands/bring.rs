@@ -25,9 +25,9 @@ pub struct Allowed {
 /// What bringing a run up to date came to.
 pub struct Brought {
     /// Whether anything had to be done.
-    pub redone: bool,
+    redone: bool,
     /// How far the result can be relied on; of several processes the first one judges.
-    pub judgement: Option<Judgement>,
+    judgement: Option<Judgement>,
     /// Size of the result, where there is one.
     size: Option<String>,
 }

@@ -7,6 +7,7 @@ use crate::cost::Estimate;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, SphereInput, check_photos, expect};
+use rilievo_io::is_mark_of;
 use rilievo_photos::PhotosReport;
 
 /// Runs the command.
@@ -83,7 +84,7 @@ fn spheres(inputs: &Inputs, console: &Console) -> Vec<String> {
     for sphere in inputs.sphere.iter().flat_map(|file| &file.spheres) {
         let is_there = |name: &&String| {
             let mut photos = inputs.photos.iter();
-            photos.any(|photo| photo.file_name == **name || photo.name == **name)
+            photos.any(|photo| is_mark_of(name, &photo.file_name, &photo.name))
         };
         let marks = sphere.views.iter().map(|(photo, _)| photo);
         let (known, unknown): (Vec<_>, Vec<_>) = marks.partition(is_there);

@@ -359,15 +359,14 @@ impl Judgement {
             }
         }
         self.judge_confirmed(photo.views.iter().map(|v| (v.num_pixels, v.confirmed)));
-        let views = photo.views.iter();
-        let found: Vec<_> = views
-            .map(|v| (v.name.clone(), v.confirmed, v.disagreement))
-            .collect();
+        let found = photo.views.iter();
+        let found = found.map(|v| (v.name.as_str(), v.confirmed, v.disagreement));
+        let found: Vec<_> = found.collect();
         self.judge_agreement(&found);
     }
 
     /// Names photos that show something else than the others: name, share that others confirm, disagreement.
-    fn judge_agreement(&mut self, views: &[(String, f64, f64)]) {
+    fn judge_agreement(&mut self, views: &[(&str, f64, f64)]) {
         let mut shares: Vec<f64> = views.iter().map(|(_, confirmed, _)| *confirmed).collect();
         let usual = median(&mut shares).unwrap_or(0.0);
         for (name, confirmed, _) in views {
@@ -624,9 +623,11 @@ mod tests {
     #[test]
     fn photos_that_show_something_else_are_named() {
         let judged = |views: &[(f64, f64)]| {
-            let named =
-                |(k, &(confirmed, disagreement))| (format!("IMG_{k}"), confirmed, disagreement);
-            let views: Vec<_> = views.iter().enumerate().map(named).collect();
+            let names = ["IMG_0", "IMG_1", "IMG_2", "IMG_3"];
+            let named = names.into_iter().zip(views);
+            let views: Vec<_> = named
+                .map(|(name, &(confirmed, disagreement))| (name, confirmed, disagreement))
+                .collect();
             let mut judgement = Judgement::nothing_against();
             judgement.judge_agreement(&views);
             judgement

@@ -7,11 +7,11 @@ use crate::commands::stored::stored_request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::pipeline::{
-    Inputs, LightingInput, PhotoInput, Range, Request, Resources, SphereInput, linear_photo,
-    load_poses, map_photos, photo_role,
+    Context, LightingInput, PhotoInput, Range, Request, SphereInput, linear_photo, map_photos,
+    photo_role,
 };
 use crate::store::{Manifest, RunDir};
-use rilievo_scene::{LinearImage, PosedView, StageId};
+use rilievo_scene::{LinearImage, PosedView, PosedViews, StageId};
 use rilievo_segmentation::{Consensus, SeenPoints, SegmentationError, Sketch, outline, sketch};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -19,15 +19,6 @@ use std::sync::Arc;
 
 /// Consistency below which the user is asked to look closely.
 const CLEAR: f64 = 0.9;
-
-/// A run with poses, and the photos to propose masks for.
-pub struct PosedPhotos<'a> {
-    pub run: &'a RunDir,
-    pub request: &'a Request,
-    pub inputs: &'a Inputs,
-    pub resources: Resources,
-    pub console: &'a Console,
-}
 
 /// How well a proposed mask agrees with the object's points and with the other photos. What all photos get wrong alike, it
 /// does not tell.
@@ -90,7 +81,7 @@ impl PosedProposal {
     }
 }
 
-/// Proposes masks for the photos that are without, and writes them. All photos with a pose vote on what is the object, those
+/// Proposes masks for the photos that are without, by the poses of a run, and writes them. All photos with a pose vote on what is the object, those
 /// with a mask too, so that a mask does not depend on which others are there already.
 ///
 /// `without` has why a photo is without a mask, for those that are. Returns a proposal or a new reason for these, and the
@@ -99,16 +90,16 @@ impl PosedProposal {
 /// # Errors
 /// When the run is damaged, or a mask cannot be written.
 pub fn propose(
-    photos: &PosedPhotos<'_>,
+    context: &Context<'_>,
+    posed: &PosedViews,
     target: &Target,
     without: &[Option<String>],
 ) -> anyhow::Result<(Vec<Found>, Vec<Problem>)> {
-    let PosedPhotos { run, inputs, .. } = photos;
-    let posed = load_poses(run)?;
+    let Context { run, inputs, .. } = context;
     let sane = posed.check();
     sane.map_err(|error| Failure::RunDirectory(error.to_string()))?;
     let views = &posed.views;
-    let points = match SeenPoints::new(&posed).part(views) {
+    let points = match SeenPoints::new(posed).part(views) {
         Ok(points) => points,
         Err(error) => return Ok((nor(without, &error.to_string()), Vec::new())),
     };
@@ -120,7 +111,7 @@ pub fn propose(
         .filter_map(|(photo, _)| index_of.get(photo.file_name.as_str()).copied())
         .collect();
     let mut cut = Cut {
-        photos,
+        context,
         made_from: run.manifest(StageId::Photos)?,
         views,
         index_of: &index_of,
@@ -192,7 +183,7 @@ pub fn nor(without: &[Option<String>], why: &str) -> Vec<Found> {
 
 /// What photos are cut with.
 struct Cut<'a> {
-    photos: &'a PosedPhotos<'a>,
+    context: &'a Context<'a>,
     /// The photos that the run was made from.
     made_from: Option<Manifest>,
     views: &'a [PosedView],
@@ -214,10 +205,10 @@ impl Cut<'_> {
         work: impl Fn(usize, T, &PhotoInput, &LinearImage) -> anyhow::Result<R> + Sync,
     ) -> anyhow::Result<Vec<Option<R>>> {
         let outcomes = map_photos(
-            self.photos.inputs,
-            self.photos.resources,
+            self.context.inputs,
+            self.context.resources,
             step,
-            &self.photos.console.of_command("mask"),
+            &self.context.console.of_command("mask"),
             |photo| {
                 let index = *self.index_of.get(photo.file_name.as_str())?;
                 let given = with(index)?;
@@ -259,7 +250,7 @@ impl Cut<'_> {
         if hash.is_some_and(|hash| *hash != photo.hash) {
             return other();
         }
-        let image = linear_photo(self.photos.request, photo)?;
+        let image = linear_photo(self.context.request, photo)?;
         let camera = &self.views[index].intrinsics;
         if (camera.width, camera.height) != (image.width, image.height) {
             return other();

@@ -20,9 +20,9 @@ use crate::cli::MaskArgs;
 use crate::config::{StageOptions, take_over};
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
-use crate::pipeline::{Inputs, Request, Resources, linear_photo, map_photos};
+use crate::pipeline::{Context, Inputs, Request, Resources, linear_photo, load_poses, map_photos};
 use crate::store::RunDir;
-use by_poses::{Found, PosedPhotos, PosedProposal};
+use by_poses::{Found, PosedProposal};
 use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
 use target::{Target, beside};
 
@@ -196,14 +196,14 @@ fn by_poses(
             },
         },
     };
-    let photos = PosedPhotos {
+    let context = Context {
         run: &run,
         request,
         inputs,
         resources: Resources::new(&args.work),
         console,
     };
-    by_poses::propose(&photos, target, without)
+    by_poses::propose(&context, &load_poses(&run)?, target, without)
 }
 
 fn sentence(proposal: &MaskProposal) -> String {

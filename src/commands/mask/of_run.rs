@@ -7,13 +7,15 @@
 //! RUN/masks.json                the photos that they were made from, and how sure each is
 //! ```
 
-use super::by_poses::{PosedPhotos, PosedProposal, propose};
+use super::by_poses::{PosedProposal, propose};
 use super::target::Target;
 use crate::cli::WorkArgs;
 use crate::commands::bring::{Allowed, bring_run_up_to_date};
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::{Inputs, MaskOrigin, PhotoInput, Range, Request, Resources, load_poses};
+use crate::pipeline::{
+    Context, Inputs, MaskOrigin, PhotoInput, Range, Request, Resources, load_poses,
+};
 use crate::ranks;
 use crate::store::{RunDir, absolute, create_folder, own_file, seal, unseal, write_atomically};
 use rilievo_photos::PhotosReport;
@@ -160,7 +162,7 @@ fn propose_into(
     if partial.masks.exists() {
         std::fs::remove_dir_all(&partial.masks)?;
     }
-    let posed = PosedPhotos {
+    let context = Context {
         run: &run,
         request,
         inputs: &inputs,
@@ -168,15 +170,12 @@ fn propose_into(
         console,
     };
     let all = vec![Some(String::new()); inputs.photos.len()];
-    let (found, problems) = propose(&posed, &partial, &all)?;
+    let posed = load_poses(&run)?;
+    let (found, problems) = propose(&context, &posed, &partial, &all)?;
     if !problems.is_empty() {
         return Err(Failure::Input(problems).into());
     }
-    let with_pose: BTreeSet<String> = load_poses(&run)?
-        .views
-        .into_iter()
-        .map(|view| view.file_name)
-        .collect();
+    let with_pose: BTreeSet<&str> = posed.views.iter().map(|v| v.file_name.as_str()).collect();
     let mut record = Record {
         poses,
         ..Record::default()
@@ -185,7 +184,7 @@ fn propose_into(
         let proposal = match found {
             Some(Ok(proposal)) => proposal,
             // As long as it has none, stages after the poses have no use for it.
-            _ if !with_pose.contains(&photo.file_name) => {
+            _ if !with_pose.contains(photo.file_name.as_str()) => {
                 record.put(photo, None);
                 continue;
             }

@@ -94,14 +94,10 @@ pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Resul
         Some(_) => Some(load_poses(run)?),
         None => None,
     };
-    let (coarse, damaged) = match viewer::coarse_mesh(run) {
-        Ok(coarse) => (coarse, None),
-        Err(error) => (None, Some(unreadable(&error))),
-    };
     let overview = overview::section(run, facts, judgement, posed.as_ref());
     let (viewer, views) = match &posed {
         Some(posed) => (
-            coarse.as_ref().map(|coarse| viewer::section(coarse, posed)),
+            viewer::section(run, posed).unwrap_or_else(|error| unreadable(&error)),
             views::section(run, facts, posed).unwrap_or_else(|error| unreadable(&error)),
         ),
         None => Default::default(),
@@ -118,9 +114,7 @@ pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Resul
             body {
                 a.skip href="#main" { "skip to the results" }
                 main id="main" {
-                    (overview)
-                    @for part in [viewer, damaged].into_iter().flatten() { (part) }
-                    (views)
+                    (overview) (viewer) (views)
                     (Addition::Evaluation.place()) (Addition::Halves.place())
                     (stages::sections(facts))
                 }

@@ -12,26 +12,23 @@ use rilievo_scene::{Mesh, PosedViews, StageId, Unit};
 /// Vertices of the view: 1.1 MB in the page, fluent on a phone, and 16 bits tell them apart.
 const MAX_NUM_VERTICES: usize = 30_000;
 
-/// The run's mesh with few vertices; `None` without a mesh.
+/// The section; empty when there is no mesh.
 ///
 /// # Errors
 /// When the mesh cannot be read.
-pub fn coarse_mesh(run: &RunDir) -> anyhow::Result<Option<CoarseMesh>> {
+pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
     let path = run.stage_dir(StageId::Fusion).join("mesh.ply");
     if !path.exists() {
-        return Ok(None);
+        return Ok(Markup::default());
     }
-    let coarse = read_coarse_mesh_ply(&path, MAX_NUM_VERTICES)?;
-    Ok((!coarse.mesh.triangles.is_empty()).then_some(coarse))
-}
-
-/// The section.
-pub fn section(coarse: &CoarseMesh, posed: &PosedViews) -> Markup {
     let CoarseMesh {
         mesh,
         num_triangles,
         bounds: [low, high],
-    } = coarse;
+    } = read_coarse_mesh_ply(&path, MAX_NUM_VERTICES)?;
+    if mesh.triangles.is_empty() {
+        return Ok(Markup::default());
+    }
     let cameras: Vec<_> = posed
         .views
         .iter()
@@ -52,8 +49,8 @@ pub fn section(coarse: &CoarseMesh, posed: &PosedViews) -> Markup {
         "low": low, "high": high, "vertices": mesh.vertices.len(), "cameras": cameras,
         "metric": posed.scale.unit == Unit::Metre,
     });
-    let packed = base64(&pack(mesh, *low, *high));
-    html! {
+    let packed = base64(&pack(&mesh, low, high));
+    Ok(html! {
         section.on-screen {
             h2 { "The result in 3D" }
             div.viewer {
@@ -94,7 +91,7 @@ pub fn section(coarse: &CoarseMesh, posed: &PosedViews) -> Markup {
             }
             script type="text/plain" id="viewer-mesh" { (PreEscaped(packed)) }
         }
-    }
+    })
 }
 
 /// What the canvas is to those who cannot see it.

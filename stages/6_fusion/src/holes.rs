@@ -7,6 +7,7 @@
 //! modeling on arbitrary meshes", SIGGRAPH 1998, with the scale-dependent umbrella of Desbrun and others, 1999).
 //! The filling says nothing about the object.
 
+use crate::rim::at;
 use nalgebra::Vector3;
 use rilievo_numerics::sparse_cholesky;
 use rilievo_scene::Mesh;
@@ -30,8 +31,10 @@ pub(crate) fn length(mesh: &Mesh, ring: &[u32]) -> f64 {
     edges.map(|[a, b]| (at(mesh, a) - at(mesh, b)).norm()).sum()
 }
 
-fn at(mesh: &Mesh, v: u32) -> Vector3<f64> {
-    Vector3::from(mesh.vertices[v as usize].map(f64::from))
+/// Colour of a vertex, black in a mesh without.
+fn color(mesh: &Mesh, v: u32) -> Vector3<f64> {
+    let color = mesh.colors.get(v as usize).copied().unwrap_or_default();
+    Vector3::from(color.map(f64::from))
 }
 
 /// Fills loops, which run against the triangles that they bound.
@@ -61,6 +64,9 @@ pub(crate) fn close(mesh: &mut Mesh, loops: &[Vec<u32>]) -> Closed {
 struct Filling {
     /// The loop.
     ring: Vec<u32>,
+    /// Mean place and colour of its vertices.
+    center: Vector3<f64>,
+    mean_color: Vector3<f64>,
     /// Number of the first new vertex; all that follow are its.
     first: u32,
     triangles: Vec<[u32; 3]>,
@@ -69,8 +75,13 @@ struct Filling {
 impl Filling {
     /// Rings that shrink towards the loop's centroid.
     fn new(mesh: &mut Mesh, ring: &[u32]) -> Self {
+        let mean = |of: &dyn Fn(u32) -> Vector3<f64>| {
+            ring.iter().map(|&v| of(v)).sum::<Vector3<f64>>() / ring.len() as f64
+        };
         let mut filling = Self {
             ring: ring.to_vec(),
+            center: mean(&|v| at(mesh, v)),
+            mean_color: mean(&|v| color(mesh, v)),
             first: mesh.vertices.len() as u32,
             triangles: Vec::new(),
         };
@@ -78,7 +89,6 @@ impl Filling {
             filling.triangles.push([a, b, c]);
             return filling;
         }
-        let center = ring.iter().map(|&v| at(mesh, v)).sum::<Vector3<f64>>() / ring.len() as f64;
         let mut edge = length(mesh, ring) / ring.len() as f64;
         let whole = ring.len() as f64 * edge / std::f64::consts::TAU;
         let mut radius = whole;
@@ -95,13 +105,13 @@ impl Filling {
             let inner: Vec<u32> = (0..count)
                 .map(|k| {
                     let place = k as f64 / count as f64 * ring.len() as f64;
-                    filling.add(mesh, place, share, &center)
+                    filling.add(mesh, place, share)
                 })
                 .collect();
             filling.strip(&outer, &inner);
             outer = inner;
         }
-        let hub = filling.add(mesh, 0.0, 0.0, &center);
+        let hub = filling.add(mesh, 0.0, 0.0);
         let next = |k: usize| outer[(k + 1) % outer.len()];
         let fan = (0..outer.len()).map(|k| [outer[k], next(k), hub]);
         filling.triangles.extend(fan);
@@ -109,24 +119,17 @@ impl Filling {
     }
 
     /// A vertex at a place along the loop, in vertices, at a share of the way from the center to it.
-    fn add(&self, mesh: &mut Mesh, place: f64, share: f64, center: &Vector3<f64>) -> u32 {
+    fn add(&self, mesh: &mut Mesh, place: f64, share: f64) -> u32 {
         let number = self.ring.len();
         let (k, part) = (place as usize % number, place.fract());
         let ends = [self.ring[k], self.ring[(k + 1) % number]];
         let rim = at(mesh, ends[0]).lerp(&at(mesh, ends[1]), part);
-        let position = center.lerp(&rim, share);
+        let position = self.center.lerp(&rim, share);
         mesh.vertices.push(position.map(|c| c as f32).into());
         if !mesh.colors.is_empty() {
-            let mean = |channel: usize| {
-                let all = self.ring.iter().map(|&v| mesh.colors[v as usize][channel]);
-                all.map(f64::from).sum::<f64>() / number as f64
-            };
-            let color = [0, 1, 2].map(|channel| {
-                let [a, b] = ends.map(|v| f64::from(mesh.colors[v as usize][channel]));
-                let rim = a + part * (b - a);
-                (share * rim + (1.0 - share) * mean(channel)).round() as u8
-            });
-            mesh.colors.push(color);
+            let [a, b] = ends.map(|v| color(mesh, v));
+            let color = self.mean_color.lerp(&a.lerp(&b, part), share);
+            mesh.colors.push(color.map(|c| c.round() as u8).into());
         }
         if !mesh.normals.is_empty() {
             mesh.normals.push([0.0; 3]);

@@ -5,6 +5,7 @@
 //! it, and what belongs together keeps the edge's vertices, while the others get copies. An edge that is the only one
 //! between its two sheets is divided in one of them.
 
+use crate::rim::{at, key};
 use nalgebra::Vector3;
 use rilievo_scene::Mesh;
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,10 +32,6 @@ pub(crate) fn separate(mesh: &mut Mesh) -> usize {
 }
 
 type Edge = (u32, u32);
-
-fn key(a: u32, b: u32) -> Edge {
-    (a.min(b), a.max(b))
-}
 
 /// Edges of more than two triangles, with these.
 fn shared_edges(mesh: &Mesh) -> BTreeMap<Edge, Vec<u32>> {
@@ -76,8 +73,7 @@ fn pairs(mesh: &Mesh, edges: &BTreeMap<Edge, Vec<u32>>) -> Pairs {
 /// A triangle `(a, b, c)` has the solid on the side from which its angle around the edge falls, one of `(b, a, c)` on
 /// the other; the two around one solid are a pair.
 fn pairs_of(mesh: &Mesh, (a, b): Edge, triangles: &[u32]) -> Vec<[u32; 2]> {
-    let at = |v: u32| Vector3::from(mesh.vertices[v as usize].map(f64::from));
-    let Some(axis) = (at(b) - at(a)).try_normalize(0.0) else {
+    let Some(axis) = (at(mesh, b) - at(mesh, a)).try_normalize(0.0) else {
         return Vec::new();
     };
     let side = axis.cross(&if axis.x.abs() < 0.5 {
@@ -92,7 +88,7 @@ fn pairs_of(mesh: &Mesh, (a, b): Edge, triangles: &[u32]) -> Vec<[u32; 2]> {
         let Some(k) = (0..3).find(|&k| key(corners[k], corners[(k + 1) % 3]) == (a, b)) else {
             continue;
         };
-        let third = at(corners[(k + 2) % 3]) - at(a);
+        let third = at(mesh, corners[(k + 2) % 3]) - at(mesh, a);
         let angle = third.dot(&up).atan2(third.dot(&side));
         if corners[k] == a {
             forward.push((angle, t));

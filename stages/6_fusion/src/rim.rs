@@ -17,8 +17,14 @@ const NUM_SMOOTHINGS: usize = 5;
 
 type Edges = BTreeMap<(u32, u32), u32>;
 
-fn key(a: u32, b: u32) -> (u32, u32) {
+/// An edge, whichever way it is run through.
+pub(crate) fn key(a: u32, b: u32) -> (u32, u32) {
     (a.min(b), a.max(b))
+}
+
+/// Place of a vertex.
+pub(crate) fn at(mesh: &Mesh, v: u32) -> Vector3<f64> {
+    Vector3::from(mesh.vertices[v as usize].map(f64::from))
 }
 
 /// Edges of a triangle, by their vertices in ascending order.
@@ -94,7 +100,6 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
     }
     let mut normals: BTreeMap<u32, Vector3<f64>> =
         along.keys().map(|&v| (v, Vector3::zeros())).collect();
-    let at = |mesh: &Mesh, v: u32| Vector3::from(mesh.vertices[v as usize].map(f64::from));
     for t in &mesh.triangles {
         if !t.iter().any(|v| normals.contains_key(v)) {
             continue;
@@ -181,12 +186,11 @@ mod tests {
 
     /// Length of all edges that one triangle alone has.
     fn length(mesh: &Mesh) -> f64 {
-        let at = |v: u32| Vector3::from(mesh.vertices[v as usize].map(f64::from));
         let all: Vec<usize> = (0..mesh.triangles.len()).collect();
         rim_edges(mesh, &all, &vec![true; mesh.vertices.len()])
             .iter()
             .filter(|(_, count)| **count == 1)
-            .map(|((a, b), _)| (at(*a) - at(*b)).norm())
+            .map(|((a, b), _)| (at(mesh, *a) - at(mesh, *b)).norm())
             .sum()
     }
 

@@ -88,12 +88,20 @@ pub struct SphereFile {
     pub left_out: Vec<(PathBuf, String)>,
 }
 
+/// A name, and what it is without folder and without ending: either may be meant.
+fn meant(name: &str) -> [&str; 3] {
+    [name, last_part(name), stem(name)]
+}
+
 /// A photo of the set by its name with or without ending or folder.
 fn find_photo(photos: &PhotoSet, name: &str) -> Option<PhotoIdx> {
-    photos
-        .find(name)
-        .or_else(|| photos.find(last_part(name)))
-        .or_else(|| photos.find(stem(name)))
+    meant(name).iter().find_map(|name| photos.find(name))
+}
+
+/// Whether a mark's photo, named with or without ending or folder, is the one of a file name and its stem.
+pub fn is_mark_of(name: &str, file_name: &str, stem: &str) -> bool {
+    let mut meant = meant(name).into_iter();
+    meant.any(|name| name == file_name || name == stem)
 }
 
 impl SphereFile {

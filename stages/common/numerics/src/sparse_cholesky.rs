@@ -3,9 +3,11 @@
 //! One thread: the blocking of more would change the last bits.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::sparse::linalg::cholesky::{LltRef, SymmetricOrdering, factorize_symbolic_cholesky};
+use faer::sparse::linalg::cholesky::{
+    SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, MatMut, Par, Side};
+use faer::{Conj, Index, MatMut, Par, Side};
 use std::collections::BTreeMap;
 
 /// Solves `A x = b` in the place of each `b`. `entries` holds the lower triangle of `A` by column and row, the diagonal
@@ -30,23 +32,38 @@ pub fn solve(entries: &BTreeMap<(usize, usize), f64>, right_sides: &mut [Vec<f64
         Default::default(),
     );
     let symbolic = analysed.ok()?;
+    solve_analysed(
+        &symbolic,
+        SparseColMatRef::new(pattern, &values),
+        right_sides,
+    )
+}
+
+/// Solves `A x = b` in the place of each `b` with an order and analysis of the pattern of `A`'s lower triangle; `None` where
+/// `A` is not positive definite.
+pub(crate) fn solve_analysed<I: Index>(
+    symbolic: &SymbolicCholesky<I>,
+    lower: SparseColMatRef<'_, I, f64>,
+    right_sides: &mut [Vec<f64>],
+) -> Option<()> {
     let mut factor = vec![0.0; symbolic.len_val()];
     let scratch = symbolic.factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
     let factored = symbolic.factorize_numeric_llt(
         &mut factor,
-        SparseColMatRef::new(pattern, &values),
+        lower,
         Side::Lower,
         Default::default(),
         Par::Seq,
         MemStack::new(&mut MemBuffer::new(scratch)),
         Default::default(),
     );
-    factored.ok()?;
+    let llt = factored.ok()?;
     for right in right_sides.iter_mut() {
         let scratch = symbolic.solve_in_place_scratch::<f64>(1, Par::Seq);
-        LltRef::new(&symbolic, &factor).solve_in_place_with_conj(
+        let rows = right.len();
+        llt.solve_in_place_with_conj(
             Conj::No,
-            MatMut::from_column_major_slice_mut(right, n, 1),
+            MatMut::from_column_major_slice_mut(right, rows, 1),
             Par::Seq,
             MemStack::new(&mut MemBuffer::new(scratch)),
         );

@@ -1,12 +1,12 @@
 //! Sparse Cholesky factorisation whose symbolic part is computed once.
 
 use crate::plate_system::{OFFSETS, PixelNumbering, PlateError, PlateSystem};
-use faer::dyn_stack::{MemBuffer, MemStack};
+use crate::sparse_cholesky::solve_analysed;
+use faer::Side;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
-use faer::{Conj, MatMut, Par, Side};
 
 /// Factorisation of systems over one numbering: ordered and analysed once, factorised often.
 #[derive(Debug)]
@@ -68,36 +68,11 @@ impl Cholesky {
         }
         let pattern =
             SymbolicSparseColMatRef::new_checked(n, n, &self.column_starts, None, &self.rows);
-        let matrix = SparseColMatRef::new(pattern, &values);
-        let mut factor = vec![0.0; self.symbolic.len_val()];
-        let scratch = self
-            .symbolic
-            .factorize_numeric_llt_scratch::<f64>(Par::Seq, Default::default());
-        let llt = self
-            .symbolic
-            .factorize_numeric_llt(
-                &mut factor,
-                matrix,
-                Side::Lower,
-                Default::default(),
-                Par::Seq,
-                MemStack::new(&mut MemBuffer::new(scratch)),
-                Default::default(),
-            )
-            .map_err(|_| PlateError::NotPositiveDefinite { num_unknowns: n })?;
-        let mut x = system.rhs.clone();
-        llt.solve_in_place_with_conj(
-            Conj::No,
-            MatMut::from_column_major_slice_mut(&mut x, n, 1),
-            Par::Seq,
-            MemStack::new(&mut MemBuffer::new(
-                self.symbolic.solve_in_place_scratch::<f64>(1, Par::Seq),
-            )),
-        );
-        if x.iter().all(|v| v.is_finite()) {
-            Ok(x)
-        } else {
-            Err(PlateError::NotPositiveDefinite { num_unknowns: n })
-        }
+        let lower = SparseColMatRef::new(pattern, &values);
+        let mut x = [system.rhs.clone()];
+        let solved = solve_analysed(&self.symbolic, lower, &mut x);
+        solved.ok_or(PlateError::NotPositiveDefinite { num_unknowns: n })?;
+        let [x] = x;
+        Ok(x)
     }
 }
