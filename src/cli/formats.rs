@@ -18,4 +18,6 @@ pub enum ExportFormat {
     Cameras(CameraFormat),
     /// Lighting.
     Lights(LightFormat),
+    /// A script that makes the cameras in Blender.
+    Blender,
 }

@@ -31,7 +31,8 @@ pub(super) fn import_formats() -> impl TypedValueParser<Value = ImportFormat> {
 pub(super) fn export_formats() -> impl TypedValueParser<Value = ExportFormat> {
     let cameras = CameraFormat::ALL.map(|f| (f.name().into(), ExportFormat::Cameras(f)));
     let lights = LightFormat::ALL.map(|f| (f.name().into(), ExportFormat::Lights(f)));
-    one_of(cameras.into_iter().chain(lights).collect())
+    let blender = [("blender".into(), ExportFormat::Blender)];
+    one_of(cameras.into_iter().chain(lights).chain(blender).collect())
 }
 
 /// Values by their names, which the help lists.

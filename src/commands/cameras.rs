@@ -7,8 +7,8 @@ use crate::pipeline::load_poses;
 use crate::store::RunDir;
 use rilievo_io::colmap::{ColmapModel, binary_files, text_files};
 use rilievo_io::{
-    CameraFile, CameraFormat, LightFormat, camera_files, cameras_file, import_cameras_with_photos,
-    is_diligent, light_file, read_lighting,
+    CameraFile, CameraFormat, LightFormat, blender_file, camera_files, cameras_file,
+    import_cameras_with_photos, is_diligent, light_file, read_lighting,
 };
 use rilievo_scene::StageId;
 use std::path::Path;
@@ -71,6 +71,7 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
     let format = match args.format {
         ExportFormat::Cameras(format) => format,
         ExportFormat::Lights(format) => return export_lights(args, format, run.as_ref()),
+        ExportFormat::Blender => return export_blender(args, run.as_ref()),
     };
     let (cameras, num_points, files) = match &run {
         Some(run) => {
@@ -103,6 +104,24 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         cameras.cameras.len(),
         args.output.display(),
         format.name()
+    )?;
+    Ok(())
+}
+
+fn export_blender(args: &ExportArgs, run: Option<&RunDir>) -> anyhow::Result<()> {
+    let cameras = match run {
+        Some(run) => CameraFile::from_posed_views(&load_poses(run)?),
+        None => read(&args.source, None, None)?.0,
+    };
+    let file = blender_file(&args.output, &cameras).map_err(Failure::from)?;
+    output_files::write(&[file], args.overwrite)?;
+    let posed = cameras.cameras.iter();
+    say!(
+        "{} cameras are in {}: run it in Blender's Text Editor, or with blender --python",
+        posed
+            .filter(|camera| camera.cam_from_world.is_some())
+            .count(),
+        args.output.display(),
     )?;
     Ok(())
 }

@@ -30,7 +30,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         fused.map_err(from_fusion)?;
         return Ok(serde_json::Value::Null);
     }
-    let mut cloud = CloudPlyWriter::create(&writer.path("cloud.ply")?, views.scale.unit)?;
+    let mut cloud = CloudPlyWriter::create(&writer.path("cloud.ply")?, views.coordinates())?;
     let fused = rilievo_fusion::run(inputs, &mut cloud, options, context.console);
     let (mesh, report) = fused.map_err(from_fusion)?;
     cloud.finish()?;
@@ -56,13 +56,13 @@ pub fn write_mesh(
     views: &PosedViews,
     path: &dyn Fn(&str) -> Result<PathBuf, Failure>,
 ) -> Result<(), Failure> {
-    let unit = views.scale.unit;
-    write_mesh_ply(&path("mesh.ply")?, mesh, unit)?;
+    let world = views.coordinates();
+    write_mesh_ply(&path("mesh.ply")?, mesh, world)?;
     // An empty mesh is valid PLY, and nothing that a viewer could show.
     if !mesh.triangles.is_empty() {
-        write_mesh_obj(&path("mesh.obj")?, mesh, unit)?;
+        write_mesh_obj(&path("mesh.obj")?, mesh, world)?;
         let frame = ViewerFrame::from_views(views);
-        write_mesh_glb(&path("mesh.glb")?, mesh, unit, &frame)?;
+        write_mesh_glb(&path("mesh.glb")?, mesh, world.unit, &frame)?;
     }
     Ok(())
 }

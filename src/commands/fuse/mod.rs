@@ -17,6 +17,7 @@ use rilievo_io::CloudPlyWriter;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
     MapSource, PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, StageId, Unit,
+    WorldFrame,
 };
 use std::path::Path;
 use std::time::Instant;
@@ -186,6 +187,7 @@ fn posed(views: &Views, unit: Unit) -> PosedViews {
     });
     PosedViews {
         scale,
+        frame: WorldFrame::Given,
         views: posed.collect(),
         ..PosedViews::default()
     }

@@ -14,6 +14,7 @@ mod incremental;
 mod initial_pair;
 mod known_distance;
 mod lens;
+mod level;
 mod model;
 mod narrow;
 pub mod options;
@@ -41,11 +42,13 @@ use adjustment::BundleOptions;
 use incremental::Reconstruction;
 use model::{AdjustmentScope, IntrinsicsScope};
 use rilievo_numerics::robust::RobustLoss;
-use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest};
+use rilievo_scene::{
+    FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, WorldFrame,
+};
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 10;
+pub const VERSION: u32 = 11;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;
@@ -100,7 +103,19 @@ pub fn run(
         &mut report,
         observer,
     )?;
-    report.vertical = vertical::find(photos, &posed);
+    let vertical = vertical::find(photos, &posed);
+    let ground = vertical.and_then(|(_, ground)| ground);
+    report.vertical = vertical.map(|(vertical, _)| vertical);
+    if given.is_none() {
+        level::apply(
+            photos,
+            ground.as_ref(),
+            &mut posed,
+            report.vertical.as_mut(),
+        );
+    } else {
+        posed.frame = WorldFrame::Given;
+    }
     let left_out = posed.unregistered.iter();
     let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));
     for message in report

@@ -8,7 +8,7 @@
 
 use nalgebra::{Point3, Vector3};
 use rilievo_numerics::plane::Plane;
-use rilievo_scene::{PhotoSet, PosedViews};
+use rilievo_scene::{PhotoSet, PosedViews, SparsePoint};
 use serde::{Deserialize, Serialize};
 
 /// What the vertical was told from.
@@ -47,20 +47,38 @@ const MAX_LEAN_DEG: f64 = 60.0;
 /// Cameras whose upright directions differ more were turned at will.
 const MAX_SPREAD_DEG: f64 = 25.0;
 
-/// The vertical, or `None` when neither ground nor cameras tell it.
-pub fn find(photos: &PhotoSet, posed: &PosedViews) -> Option<Vertical> {
-    let upright = upright(photos, posed);
-    let ground = upright.and_then(|(up, _)| ground(photos, posed, &up));
-    ground.or_else(|| {
-        upright
-            .filter(|&(_, spread_deg)| spread_deg <= MAX_SPREAD_DEG)
-            .map(|(up, spread_deg)| Vertical {
-                up_in_world: up.into(),
-                source: VerticalSource::Cameras,
-                sigma_deg: spread_deg,
-                ground_share: None,
-            })
-    })
+/// The vertical, and the ground with its normal upwards; `None` when neither ground nor cameras tell it.
+pub fn find(photos: &PhotoSet, posed: &PosedViews) -> Option<(Vertical, Option<Plane>)> {
+    let (up, spread_deg) = upright(photos, posed)?;
+    if let Some((vertical, ground)) = ground(photos, posed, &up) {
+        return Some((vertical, Some(ground)));
+    }
+    let vertical = Vertical {
+        up_in_world: up.into(),
+        source: VerticalSource::Cameras,
+        sigma_deg: spread_deg,
+        ground_share: None,
+    };
+    (spread_deg <= MAX_SPREAD_DEG).then_some((vertical, None))
+}
+
+/// The points that a mask shows to be the object's, and all others.
+pub fn object_and_rest(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+) -> (Vec<Point3<f64>>, Vec<Point3<f64>>) {
+    let on_object = |view: usize, pixel: &[f64; 2]| {
+        let mask = photos.photos[posed.views[view].photo.0].mask.as_ref();
+        mask.is_some_and(|m| m.contains(pixel[0].round() as isize, pixel[1].round() as isize))
+    };
+    let is_object = |p: &SparsePoint| p.track.iter().any(|t| on_object(t.view.0, &t.pixel));
+    let (object, rest): (Vec<&SparsePoint>, Vec<&SparsePoint>) =
+        posed.points.iter().partition(|p| is_object(p));
+    let places = |points: Vec<&SparsePoint>| {
+        let points = points.into_iter();
+        points.map(|p| Point3::from(p.position)).collect()
+    };
+    (places(object), places(rest))
 }
 
 /// Mean upright direction of the cameras, and the RMS angle of the cameras to it, degrees.
@@ -86,17 +104,12 @@ fn upright(photos: &PhotoSet, posed: &PosedViews) -> Option<(Vector3<f64>, f64)>
 }
 
 /// The plane that most points off the object lie on.
-fn ground(photos: &PhotoSet, posed: &PosedViews, upright: &Vector3<f64>) -> Option<Vertical> {
-    let on_object = |view: usize, pixel: &[f64; 2]| {
-        let mask = photos.photos[posed.views[view].photo.0].mask.as_ref();
-        mask.is_some_and(|m| m.contains(pixel[0].round() as isize, pixel[1].round() as isize))
-    };
-    let points: Vec<Point3<f64>> = posed
-        .points
-        .iter()
-        .filter(|p| !p.track.iter().any(|t| on_object(t.view.0, &t.pixel)))
-        .map(|p| Point3::from(p.position))
-        .collect();
+fn ground(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    upright: &Vector3<f64>,
+) -> Option<(Vertical, Plane)> {
+    let (_, points) = object_and_rest(photos, posed);
     if points.len() < MIN_NUM_POINTS {
         return None;
     }
@@ -113,10 +126,12 @@ fn ground(photos: &PhotoSet, posed: &PosedViews, upright: &Vector3<f64>) -> Opti
     let ground = ground.facing(&centers);
     let share = ground.num_points as f64 / points.len() as f64;
     let leans = ground.normal.angle(upright).to_degrees() > MAX_LEAN_DEG;
-    (share >= MIN_GROUND_SHARE && ground.num_points >= MIN_NUM_POINTS && !leans).then(|| Vertical {
+    let vertical = Vertical {
         up_in_world: ground.normal.into(),
         source: VerticalSource::Ground,
         sigma_deg: ground.sigma.to_degrees(),
         ground_share: Some(share),
-    })
+    };
+    let is_sure = share >= MIN_GROUND_SHARE && ground.num_points >= MIN_NUM_POINTS && !leans;
+    is_sure.then_some((vertical, ground))
 }

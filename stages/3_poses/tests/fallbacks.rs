@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rilievo_poses::{
     KnownDistance, MarkedPoints, PosesError, PosesOptions, PosesReport, VerticalSource, run,
 };
-use rilievo_scene::{FocalSource, PosedViews, Recorder, ScaleSource, Silent, Unit};
+use rilievo_scene::{FocalSource, PosedViews, Recorder, ScaleSource, Silent, Unit, WorldFrame};
 
 fn solve_with(world: &World, options: &PosesOptions) -> (PosedViews, PosesReport) {
     let (posed, report, _) = solve_and_tell(world, options);
@@ -311,6 +311,20 @@ fn the_vertical_follows_from_the_ground_or_from_the_cameras() {
     let angle = up.angle(&truth).to_degrees();
     assert!(angle < 0.05, "{angle}");
     assert!(vertical.sigma_deg < 0.05, "{}", vertical.sigma_deg);
+    // The world is level: z upwards from the table, on which the origin lies, cameras in front.
+    assert_eq!(posed.frame, WorldFrame::Level);
+    assert!((Vector3::from(vertical.up_in_world) - Vector3::z()).norm() < 1e-9);
+    let reach = posed.views[0].cam_from_world.translation.norm();
+    let heights = posed.points.iter().map(|p| p.position[2].abs());
+    let num_on_table = heights.filter(|&z| z < 0.002 * reach).count();
+    assert!(2 * num_on_table > posed.points.len(), "{num_on_table}");
+    let centers = posed.views.iter();
+    let centers = centers.map(|v| v.cam_from_world.center_in_source());
+    let mean = centers.map(|c| c.coords).sum::<Vector3<f64>>() / posed.views.len() as f64;
+    assert!(
+        mean.z > 0.0 && mean.y < 0.0 && mean.x.abs() < 1e-2 * reach,
+        "{mean}"
+    );
 
     let (poses, points) = arc(&[0.0, 15.0, 30.0, 45.0, 60.0], 300);
     let set = from_truth(&settings, poses, &points, &mut rng);
@@ -319,6 +333,9 @@ fn the_vertical_follows_from_the_ground_or_from_the_cameras() {
     assert_eq!(vertical.source, VerticalSource::Cameras);
     let up = posed.views[0].cam_from_world.rotation * Vector3::from(vertical.up_in_world);
     let truth = set.cam_from_world[0].rotation * Vector3::z();
+    assert_eq!(posed.frame, WorldFrame::FirstCamera);
+    let first = posed.views[0].cam_from_world;
+    assert!(first.rotation.angle() < 1e-9 && first.translation.norm() < 1e-9);
     // All cameras look down by 17°, around an arc of 60°: the mean leans as they do.
     let angle = up.angle(&truth).to_degrees();
     assert!(angle < 20.0, "{angle}");

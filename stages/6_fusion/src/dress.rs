@@ -48,8 +48,8 @@ impl<'a> Dresser<'a> {
     }
 
     /// Views that may see a block's vertices.
-    pub fn near(&self, block: usize) -> Vec<&'a View> {
-        self.volume.near(self.views, block)
+    pub fn near(&self, pixels: &mut Reader<'_>, block: usize) -> Vec<&'a View> {
+        self.volume.best(pixels, self.views, block)
     }
 
     /// Dresses a vertex where the distances grow along `gradient`.

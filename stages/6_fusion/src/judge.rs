@@ -90,10 +90,12 @@ impl Judge<'_> {
         let Some(patch) = self.patch(pixels, view, page) else {
             return share;
         };
-        let near: Vec<&View> = views
+        // Those that resolve the patch best come first: they soonest tell that a place is theirs.
+        let mut near: Vec<&View> = views
             .iter()
             .filter(|other| other.idx == view.idx || patch.may_be_seen_by(other))
             .collect();
+        near.sort_by(|a, b| patch.density(b).total_cmp(&patch.density(a)));
         let [across, down] = view.pages.extent(page);
         for y in down {
             for x in across.clone() {
@@ -249,12 +251,13 @@ impl Judge<'_> {
                 Sight::SeenThrough => num_through += 1,
                 Sight::Nothing | Sight::Hidden => {}
             }
+            let is_enough = better * finest * finest >= ENOUGH;
+            if is_enough && num_agree >= self.min_num_views && num_through < num_agree {
+                return Verdict::Elsewhere;
+            }
         }
         if num_agree < self.min_num_views || num_through >= num_agree {
             return Verdict::Inconsistent;
-        }
-        if better * finest * finest >= ENOUGH {
-            return Verdict::Elsewhere;
         }
         let normal = normal.normalize();
         let mean_offset = offset / weights;

@@ -20,6 +20,7 @@
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
 //! a statue.
 
+mod best;
 mod color;
 mod correction;
 mod dress;

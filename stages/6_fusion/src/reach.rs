@@ -83,6 +83,14 @@ impl Patch {
         })
     }
 
+    /// Pixels of a view per area of the patch's middle, 0 where the view sees it from behind.
+    pub fn density(&self, view: &View) -> f64 {
+        let ray = self.ball.center - view.center;
+        let depth = view.pose.apply(&self.ball.center).z;
+        let cosine = -self.axis.dot(&ray) / ray.norm();
+        cosine.max(0.0) / view.footprint(depth).powi(2)
+    }
+
     /// Whether a view may see a point of the patch from its front.
     pub fn may_be_seen_by(&self, view: &View) -> bool {
         let ray = self.ball.center - view.center;

@@ -189,9 +189,9 @@ fn extract_block(
         })
         .collect();
     let mut piece = Piece::default();
-    let near = dresser.near(idx);
     let corner = volume.corner(idx);
     readers.with(|pixels| {
+        let near = dresser.near(pixels, idx);
         for (i, cell) in buffer.surface_points.iter().enumerate() {
             if !is_known[i] || cell.iter().any(|&c| c as usize >= SIDE) {
                 continue;

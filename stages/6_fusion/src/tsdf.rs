@@ -13,6 +13,7 @@
 //! SIGGRAPH 1996, eqs. 1 and 2. Departure: distances along the normal instead of the ray, so that
 //! views from different directions measure one quantity.
 
+use crate::best::best;
 use crate::error::FusionError;
 use crate::judge::weight;
 use crate::memory;
@@ -87,12 +88,17 @@ impl Volume {
         self.origin + Vector3::from(self.key(idx).map(|k| f64::from(k) * edge))
     }
 
-    /// Views that may say something about a block.
-    pub fn near<'a>(&self, views: &'a [View], idx: usize) -> Vec<&'a View> {
+    /// Views that shape a block, of those that may say something about it.
+    pub fn best<'a>(
+        &self,
+        pixels: &mut Reader<'_>,
+        views: &'a [View],
+        idx: usize,
+    ) -> Vec<&'a View> {
         let ball = Ball::of_cube(&self.corner(idx), SIDE as f64 * self.voxel);
         let behind = MAX_BEHIND * self.truncation;
         let near = views.iter().filter(|v| ball.is_reached_by(v, behind));
-        near.collect()
+        best(pixels, near.collect(), &ball.center, self.truncation)
     }
 
     /// Distances of a block.
@@ -179,10 +185,10 @@ pub(crate) fn integrate(
         flow.ok_or(FusionError::Interrupted)?;
         let count = BLOCKS_AT_ONCE.min(num_blocks - first);
         let filled = divided(observer.team(), count, usize::MAX, |k| {
-            let near = volume.near(views, first + k);
             let distances = readers.with(|pixels| {
+                let best = volume.best(pixels, views, first + k);
                 let corner = volume.corner(first + k);
-                fill(pixels, &near, &corner, voxel, volume.truncation, min_cosine)
+                fill(pixels, &best, &corner, voxel, volume.truncation, min_cosine)
             })?;
             Ok::<_, FusionError>(distances.to_vec())
         })?;
@@ -273,7 +279,7 @@ fn block_codes(
     Ok(all)
 }
 
-/// Distances of the block with its first corner there, of the views that reach it.
+/// Distances of the block with its first corner there, of the views that shape it.
 fn fill(
     pixels: &mut Reader<'_>,
     views: &[&View],

@@ -110,16 +110,15 @@ impl View {
     #[inline]
     pub fn along(&self, pixels: &mut impl Pixels, in_cam: &Point3<f64>) -> Option<Surface> {
         let place = self.camera.project(in_cam)?;
-        let (x0, y0) = (place.x.floor(), place.y.floor());
-        if x0 < 0.0
-            || y0 < 0.0
-            || x0 + 1.0 >= self.camera.width as f64
-            || y0 + 1.0 >= self.camera.height as f64
-        {
+        if !(place.x >= 0.0 && place.y >= 0.0) {
             return None;
         }
-        let (fx, fy) = (place.x - x0, place.y - y0);
-        let (x, y) = (x0 as usize, y0 as usize);
+        let (x, y) = (place.x as usize, place.y as usize);
+        let [columns, rows] = [self.camera.width, self.camera.height].map(|n| n.saturating_sub(1));
+        if x >= columns || y >= rows {
+            return None;
+        }
+        let (fx, fy) = (place.x - x as f64, place.y - y as f64);
         let ray = in_cam.coords / in_cam.z;
         let (mut chord, mut planes, mut confidence) = (0.0, 0.0, 0.0);
         let (mut normal, mut total) = (Vector3::zeros(), 0.0);

@@ -56,7 +56,8 @@ mod words;
 mod xml;
 
 pub use adapters::{
-    CameraFormat, camera_files, export_cameras, import_cameras, import_cameras_with_photos,
+    CameraFormat, blender_file, camera_files, export_cameras, import_cameras,
+    import_cameras_with_photos,
 };
 pub use cameras::{
     CameraEntry, CameraFile, CameraIndex, cameras_file, read_cameras, write_cameras,

@@ -54,7 +54,7 @@ pub use packed_mask::PackedMask;
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
 pub use poses::{
     Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,
-    SparsePoint, TrackElement, Unit, Unregistered,
+    SparsePoint, TrackElement, Unit, Unregistered, WorldCoordinates, WorldFrame,
 };
 pub use raster::{LinearImage, Mask, Raster, bilinear};
 pub use scratch::{MemoryScratch, Room, Scratch, ScratchError};

@@ -53,6 +53,58 @@ pub struct Scale {
     pub relative_sigma: Option<f64>,
 }
 
+/// Where the world's axes lie.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WorldFrame {
+    /// The first posed camera's axes: x right, y down, z forward.
+    #[default]
+    FirstCamera,
+    /// Those of the poses that were given.
+    Given,
+    /// z upwards from the ground that the object stands on, the origin on it under the object's middle, the
+    /// cameras or the first of them on the side of -y.
+    Level,
+}
+
+impl WorldFrame {
+    /// What to tell who opens a file in this frame.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::FirstCamera => "first camera: x right, y down, z forward",
+            Self::Given => "that of the given cameras",
+            Self::Level => "level: z up, origin on the ground under the object, front towards -y",
+        }
+    }
+}
+
+/// What coordinates in the world mean.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WorldCoordinates {
+    /// Unit of every length.
+    pub unit: Unit,
+    /// Where the axes lie.
+    pub frame: WorldFrame,
+}
+
+/// In the frame of cameras that are given.
+impl From<Unit> for WorldCoordinates {
+    fn from(unit: Unit) -> Self {
+        let frame = WorldFrame::Given;
+        Self { unit, frame }
+    }
+}
+
+impl PosedViews {
+    /// What coordinates in the world mean.
+    pub fn coordinates(&self) -> WorldCoordinates {
+        WorldCoordinates {
+            unit: self.scale.unit,
+            frame: self.frame,
+        }
+    }
+}
+
 /// A photo with a pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PosedView {
@@ -154,6 +206,9 @@ pub struct PosedViews {
     pub anchors: Vec<Anchor>,
     /// Unit and origin of the scale.
     pub scale: Scale,
+    /// Where the axes lie.
+    #[serde(default)]
+    pub frame: WorldFrame,
     /// The reference spheres that were located.
     pub spheres: Vec<LocatedSphere>,
     /// Why none of the reference spheres that were asked for was located.

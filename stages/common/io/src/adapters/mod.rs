@@ -13,12 +13,14 @@
 //! | OpenMVS | `scene.mvs` (interface archive) | the same | 0 | camera from world, and centre |
 //! | IDR, NeuS | `cameras.npz` with `image/` | the same | 0 | projection matrix `K [R t]` |
 //! | TUM | `pose.txt` with `intrinsics.txt` | the same | 0 | world from camera |
+//! | Blender | a script, written only | x right, y up, z backward | shifts from the image's middle | world from camera |
 //!
 //! All become a [`CameraFile`] with our conventions, converted in both directions; a camera that a
 //! format cannot hold is refused by name, never approximated. Formats that leave out the images'
 //! size take it from the photos beside them, or in a folder that is named.
 
 mod axes;
+mod blender;
 mod bundler;
 mod metashape;
 mod middlebury;
@@ -30,6 +32,8 @@ mod sfm_data;
 mod transforms;
 mod tum;
 mod undistorted;
+
+pub use blender::blender_file;
 
 use crate::cameras::{CameraFile, cameras_file, read_cameras};
 use crate::colmap;

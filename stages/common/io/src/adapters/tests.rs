@@ -626,3 +626,46 @@ fn more_cameras_than_a_numpy_file_counts_are_refused() {
     let error = camera_files(path, CameraFormat::Npz, &many(32_768)).unwrap_err();
     assert!(error.to_string().contains("32767 cameras"), "{error}");
 }
+
+#[test]
+fn blenders_script_holds_lens_shift_and_place() {
+    let original = cameras(plain());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cameras.py");
+    blender_file(&path, &original).unwrap().write().unwrap();
+    let text = std::fs::read_to_string(&path).unwrap();
+    let listed = text.lines().filter(|line| line.starts_with("    {"));
+    let mut back = original.clone();
+    let mut count = 0;
+    for (line, entry) in listed.zip(&mut back.cameras) {
+        let given: serde_json::Value = serde_json::from_str(line.trim_end_matches(',')).unwrap();
+        let number = |v: &serde_json::Value| v.as_f64().unwrap();
+        let [w, h] = [0, 1].map(|k| number(&given["resolution"][k]));
+        let [right, up] = [0, 1].map(|k| number(&given["shift"][k]));
+        let fx = number(&given["lens"]) / 36.0 * w;
+        let aspect = number(&given["pixel_aspect"]);
+        // The window moves to the right and upwards: the principal point to the left and down.
+        let (cx, cy) = (
+            0.5 * (w - 1.0) - right * w,
+            0.5 * (h - 1.0) + up * w / aspect,
+        );
+        let intrinsics = &mut entry.intrinsics;
+        (intrinsics.fx, intrinsics.fy) = (fx, fx / aspect);
+        (intrinsics.cx, intrinsics.cy) = (cx, cy);
+        let m = |i: usize, j: usize| number(&given["world_from_camera"][i][j]);
+        // Blender's axes: y up, z backward.
+        let rotation = Matrix3::from_fn(|i, j| if j == 0 { m(i, j) } else { -m(i, j) });
+        let rotation = nalgebra::Rotation3::from_matrix_unchecked(rotation);
+        let center = Point3::new(m(0, 3), m(1, 3), m(2, 3));
+        entry.cam_from_world = Some(RigidTransform::from_world_pose(rotation, center));
+        count += 1;
+    }
+    assert_eq!(count, 3);
+    let worst = largest_projection_difference(&original, &back);
+    assert!(worst < SAME_PX, "{worst}");
+
+    let mut bent = cameras(plain());
+    bent.cameras[1].intrinsics.distortion.k1 = -0.1;
+    let error = blender_file(Path::new("cameras.py"), &bent).unwrap_err();
+    assert!(error.to_string().contains("IMG_0001"), "{error}");
+}

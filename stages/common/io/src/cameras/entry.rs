@@ -54,7 +54,9 @@ impl CameraFile {
             unregistered: unregistered
                 .map(|photo| (photo.file_name.clone(), photo.reason.clone()))
                 .collect(),
-            extra: serde_json::Map::new(),
+            extra: [("frame".to_owned(), views.frame.words().into())]
+                .into_iter()
+                .collect(),
         }
     }
 

@@ -1,7 +1,7 @@
 //! Binary glTF 2.0: one mesh with normals and colours, for viewers and the web.
 //!
-//! glTF wants metres, y up and the front towards z. The world of a reconstruction has no such axes;
-//! [`ViewerFrame`] takes them from the cameras: up is the mean of their upward axes, the front is
+//! glTF wants metres, y up and the front towards z. A level world is turned by a quarter; any other has no
+//! such axes, and [`ViewerFrame`] takes them from the cameras: up is the mean of their upward axes, the front is
 //! where they stand. Vertex colours are linear by the specification and stored with 16 bits, since
 //! eight would show steps in dark tones.
 //!
@@ -13,7 +13,7 @@ use super::check::check;
 use crate::error::IoError;
 use crate::files::write_pieces;
 use nalgebra::{Matrix3, Vector3};
-use rilievo_scene::{Mesh, PosedViews, Unit, srgb};
+use rilievo_scene::{Mesh, PosedViews, Unit, WorldFrame, srgb};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::Path;
@@ -38,9 +38,13 @@ pub struct ViewerFrame {
 }
 
 impl ViewerFrame {
-    /// Up from the cameras' upward axes, the front from where they look; the first camera's axes
-    /// where those contradict each other.
+    /// A level world's own axes. Else up from the cameras' upward axes, the front from where they look; the first
+    /// camera's axes where those contradict each other.
     pub fn from_views(posed: &PosedViews) -> Self {
+        if posed.frame == WorldFrame::Level {
+            let rotation = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0);
+            return Self { rotation };
+        }
         let mean = |axis: Vector3<f64>| -> Vector3<f64> {
             let axes = posed.views.iter();
             axes.map(|v| v.cam_from_world.rotation.inverse() * axis)

@@ -9,7 +9,7 @@
 use super::check::check;
 use crate::error::IoError;
 use crate::files::write_pieces;
-use rilievo_scene::{Mesh, Unit};
+use rilievo_scene::{Mesh, WorldCoordinates};
 use std::io::Write;
 use std::path::Path;
 
@@ -17,13 +17,18 @@ use std::path::Path;
 ///
 /// # Errors
 /// When the file cannot be written, or the mesh is inconsistent.
-pub fn write_mesh_obj(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoError> {
+pub fn write_mesh_obj(
+    path: &Path,
+    mesh: &Mesh,
+    world: impl Into<WorldCoordinates>,
+) -> Result<(), IoError> {
     check(path, mesh)?;
+    let world = world.into();
     write_pieces(path, |out| {
-        let unit = unit.name();
+        let (unit, frame) = (world.unit.name(), world.frame.words());
         writeln!(
             out,
-            "# unit {unit}\n# frame world of cameras.json\no object"
+            "# unit {unit}\n# frame world of cameras.json, {frame}\no object"
         )?;
         for (i, [x, y, z]) in mesh.vertices.iter().enumerate() {
             write!(out, "v {x} {y} {z}")?;

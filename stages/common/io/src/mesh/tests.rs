@@ -1,6 +1,8 @@
 use super::*;
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use rilievo_scene::{Intrinsics, Mesh, PhotoIdx, PosedView, PosedViews, RigidTransform, Unit};
+use rilievo_scene::{
+    Intrinsics, Mesh, PhotoIdx, PosedView, PosedViews, RigidTransform, Unit, WorldFrame,
+};
 use std::path::Path;
 
 fn triangle() -> Mesh {
@@ -43,6 +45,12 @@ fn viewers_get_y_up_and_the_front_towards_them() {
         ViewerFrame::from_views(&PosedViews::default()).rotation,
         Matrix3::identity()
     );
+    // Of a level world z is up and -y the front, wherever the cameras look.
+    turned.frame = WorldFrame::Level;
+    let frame = ViewerFrame::from_views(&turned).rotation;
+    assert_eq!(frame * Vector3::z(), Vector3::y());
+    assert_eq!(frame * -Vector3::y(), Vector3::z());
+    assert_eq!(frame.determinant(), 1.0);
 }
 
 #[test]

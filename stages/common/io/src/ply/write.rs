@@ -3,16 +3,17 @@
 use crate::error::IoError;
 use crate::files::{OutputFile, write_pieces};
 use crate::mesh::check::check;
-use rilievo_scene::{CloudError, CloudPoint, CloudSink, Mesh, PointCloud, Unit};
+use rilievo_scene::{CloudError, CloudPoint, CloudSink, Mesh, PointCloud, WorldCoordinates};
 use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 
-fn preamble(unit: Unit) -> String {
+fn preamble(world: WorldCoordinates) -> String {
     format!(
         "ply\nformat binary_little_endian 1.0\ncomment unit {}\n\
-         comment frame world of cameras.json\n",
-        unit.name()
+         comment frame world of cameras.json, {}\n",
+        world.unit.name(),
+        world.frame.words()
     )
 }
 
@@ -26,9 +27,9 @@ fn put(out: &mut impl Write, values: [f32; 3]) -> std::io::Result<()> {
 const COUNT_COLUMNS: usize = 20;
 
 /// Header of a cloud; of one length for any number of points, so that it can be written over: the comment is filled up.
-fn cloud_header(unit: Unit, num_points: u64) -> String {
+fn cloud_header(world: WorldCoordinates, num_points: u64) -> String {
     let count = num_points.to_string();
-    let mut header = preamble(unit);
+    let mut header = preamble(world);
     header.truncate(header.trim_end().len());
     header.extend(std::iter::repeat_n(' ', COUNT_COLUMNS - count.len()));
     header += &format!("\nelement vertex {count}\n");
@@ -46,7 +47,7 @@ fn cloud_header(unit: Unit, num_points: u64) -> String {
 pub struct CloudPlyWriter {
     path: PathBuf,
     out: BufWriter<File>,
-    unit: Unit,
+    world: WorldCoordinates,
     num_points: u64,
 }
 
@@ -55,16 +56,17 @@ impl CloudPlyWriter {
     ///
     /// # Errors
     /// When it cannot be written.
-    pub fn create(path: &Path, unit: Unit) -> Result<Self, IoError> {
+    pub fn create(path: &Path, world: impl Into<WorldCoordinates>) -> Result<Self, IoError> {
+        let world = world.into();
         let begin = || {
             let mut out = BufWriter::new(File::create(path)?);
-            out.write_all(cloud_header(unit, 0).as_bytes())?;
+            out.write_all(cloud_header(world, 0).as_bytes())?;
             Ok(out)
         };
         Ok(Self {
             path: path.to_owned(),
             out: begin().map_err(|error: std::io::Error| IoError::write(path, error))?,
-            unit,
+            world,
             num_points: 0,
         })
     }
@@ -74,7 +76,7 @@ impl CloudPlyWriter {
     /// # Errors
     /// When the file cannot be written.
     pub fn finish(mut self) -> Result<(), IoError> {
-        let header = cloud_header(self.unit, self.num_points);
+        let header = cloud_header(self.world, self.num_points);
         let mut end = || {
             self.out.rewind()?;
             self.out.write_all(header.as_bytes())?;
@@ -112,8 +114,12 @@ impl CloudSink for CloudPlyWriter {
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn write_cloud_ply(path: &Path, cloud: &PointCloud, unit: Unit) -> Result<(), IoError> {
-    let mut writer = CloudPlyWriter::create(path, unit)?;
+pub fn write_cloud_ply(
+    path: &Path,
+    cloud: &PointCloud,
+    world: impl Into<WorldCoordinates>,
+) -> Result<(), IoError> {
+    let mut writer = CloudPlyWriter::create(path, world)?;
     writer.put(&cloud.points)?;
     writer.finish()
 }
@@ -122,24 +128,33 @@ pub fn write_cloud_ply(path: &Path, cloud: &PointCloud, unit: Unit) -> Result<()
 ///
 /// # Errors
 /// When the file cannot be written, or the mesh is inconsistent.
-pub fn write_mesh_ply(path: &Path, mesh: &Mesh, unit: Unit) -> Result<(), IoError> {
+pub fn write_mesh_ply(
+    path: &Path,
+    mesh: &Mesh,
+    world: impl Into<WorldCoordinates>,
+) -> Result<(), IoError> {
     check(path, mesh)?;
-    write_pieces(path, |out| put_mesh(out, mesh, unit))
+    let world = world.into();
+    write_pieces(path, |out| put_mesh(out, mesh, world))
 }
 
 /// The same, to be written.
 ///
 /// # Errors
 /// When the mesh is inconsistent.
-pub fn mesh_ply_file(path: &Path, mesh: &Mesh, unit: Unit) -> Result<OutputFile, IoError> {
+pub fn mesh_ply_file(
+    path: &Path,
+    mesh: &Mesh,
+    world: impl Into<WorldCoordinates>,
+) -> Result<OutputFile, IoError> {
     check(path, mesh)?;
     let mut content = Vec::new();
-    put_mesh(&mut content, mesh, unit).map_err(|error| IoError::write(path, error))?;
+    put_mesh(&mut content, mesh, world.into()).map_err(|error| IoError::write(path, error))?;
     Ok(OutputFile::new(path, content))
 }
 
-fn put_mesh(out: &mut impl Write, mesh: &Mesh, unit: Unit) -> std::io::Result<()> {
-    out.write_all(preamble(unit).as_bytes())?;
+fn put_mesh(out: &mut impl Write, mesh: &Mesh, world: WorldCoordinates) -> std::io::Result<()> {
+    out.write_all(preamble(world).as_bytes())?;
     writeln!(out, "element vertex {}", mesh.vertices.len())?;
     out.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
     if !mesh.normals.is_empty() {

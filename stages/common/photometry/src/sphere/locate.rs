@@ -478,6 +478,7 @@ fn refine(
     let mut damping = 1e-4;
     let evaluate = |state: &State| -> Option<Normal> {
         let mut normal = Normal::default();
+        let mut wider = Vector4::zeros();
         for k in known {
             let sphere = k.in_camera(state);
             let axis = sphere.cone()?.axis;
@@ -507,10 +508,12 @@ fn refine(
                     *bias += row * (w * amplitude);
                 }
             }
-            for bias in bias_rows {
-                normal.bias += bias * bias.transpose();
+            wider += bias_rows[0];
+            for moved in &bias_rows[1..] {
+                normal.bias += moved * moved.transpose();
             }
         }
+        normal.bias += wider * wider.transpose();
         Some(normal)
     };
     let unused = usize::from(!free_radius);
@@ -578,7 +581,8 @@ struct Normal {
     cost: f64,
     square: f64,
     weight: f64,
-    /// Sum over the views of the outer products of each view's summed rows: what offsets common
-    /// to one view's outline (wider, moved), independent between views, do.
+    /// Outer products of summed rows: what offsets common to a whole outline do. Moved it is by each view's own
+    /// offset; wider by one of all views, since what makes a matte sphere seem larger or smaller (its own falling
+    /// brightness, blur, gamma, the ground) is the same in all of them and does not average out.
     bias: Matrix4<f64>,
 }

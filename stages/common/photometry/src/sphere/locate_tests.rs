@@ -74,6 +74,32 @@ fn exact_outlines_give_center_and_scale_exactly() {
 }
 
 #[test]
+fn an_outline_that_is_wider_in_all_views_stays_within_the_stated_deviation() {
+    // A tenth of a pixel of about 70: eight photos do not average it out.
+    let mut wider = views(1.0, 0.05);
+    for view in &mut wider {
+        let num = view.outline.len() as f64;
+        let sum = view
+            .outline
+            .iter()
+            .map(|p| p.coords)
+            .sum::<nalgebra::Vector2<f64>>();
+        let middle = Point2::from(sum / num);
+        for point in &mut view.outline {
+            *point += (*point - middle).normalize() * 0.1;
+        }
+    }
+    let fit = locate(&wider, RADIUS, WorldScale::Free, &SphereOptions::default()).unwrap();
+    let scale = fit.scale.unwrap();
+    let error = (scale.metres_per_unit - 1.0).abs();
+    let sigma = scale.relative_sigma;
+    assert!(
+        error > 1e-3 && error < 1.5 * sigma && sigma < 1.5 * error,
+        "{error} {sigma}"
+    );
+}
+
+#[test]
 fn noise_stays_within_the_stated_deviations() {
     let options = SphereOptions {
         outline_bias_px: 0.0,

@@ -13,7 +13,7 @@ pub struct SphereOptions {
     /// Share of a mark's outline that must lie on one cone; below it the mark is no disc.
     pub min_inlier_share: f64,
     /// Systematic uncertainty of an outline, pixels: where the edge of a matte sphere is seen
-    /// depends on blur, gamma and background, alike along the whole outline. It enters the
+    /// depends on blur, gamma and background, alike along the whole outline and in all photos. It enters the
     /// standard deviations of centre and scale.
     pub outline_bias_px: f64,
     /// Relative standard deviation of a stated radius, where several spheres are compared: a

@@ -1,0 +1,131 @@
+//! Which views shape a block of the volume where many see it.
+//!
+//! Beyond a dozen views of one wall another one adds cost and next to no accuracy. A view gives way where
+//! [`ENOUGH`] others see the same wall better, judged where its ray through the block's middle meets it.
+
+use crate::judge::weight;
+use crate::pairs::Candidate;
+use crate::reader::Reader;
+use crate::view::View;
+use nalgebra::{Point3, Vector3};
+
+/// Views of one wall that are enough.
+const ENOUGH: usize = 12;
+/// Least cosine between the normals of one wall.
+const SAME_WALL_COSINE: f64 = 0.5;
+
+/// A view's surface along its ray through the block's middle.
+struct Sighting {
+    weight: f64,
+    point: Point3<f64>,
+    normal: Vector3<f64>,
+}
+
+/// Those of the views near a block around `center` that shape it, in their order. Views whose surfaces there lie
+/// within `truncation` of each other (world's unit) along the normal see the same wall.
+pub(crate) fn best<'a>(
+    pixels: &mut Reader<'_>,
+    near: Vec<&'a View>,
+    center: &Point3<f64>,
+    truncation: f64,
+) -> Vec<&'a View> {
+    if near.len() <= ENOUGH {
+        return near;
+    }
+    let sightings: Vec<Option<Sighting>> = near
+        .iter()
+        .map(|view| {
+            let in_cam = view.pose.apply(center);
+            let surface = (in_cam.z > 0.0).then(|| view.along(pixels, &in_cam))??;
+            let ray = in_cam.coords / in_cam.z;
+            let cosine = -surface.normal.dot(&ray) / ray.norm();
+            let seen = Candidate::of(view, &ray, &surface);
+            Some(Sighting {
+                weight: weight(surface.confidence, cosine, seen.footprint),
+                point: seen.point,
+                normal: seen.normal,
+            })
+        })
+        .collect();
+    let gives_way = |own: &Sighting| {
+        let is_better = |other: &&Sighting| {
+            other.weight > own.weight
+                && own.normal.dot(&other.normal) >= SAME_WALL_COSINE
+                && own.normal.dot(&(other.point - own.point)).abs() <= truncation
+        };
+        sightings.iter().flatten().filter(is_better).count() >= ENOUGH
+    };
+    // A view whose map ends beside the middle may be the only one that sees the block's other end.
+    let stays = |own: &Option<Sighting>| !own.as_ref().is_some_and(gives_way);
+    let chosen = near.iter().zip(&sightings).filter(|(_, own)| stays(own));
+    chosen.map(|(view, _)| *view).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reader::Readers;
+    use crate::settle::settle;
+    use crate::views::Stock;
+    use crate::views::testing::stock;
+    use nalgebra::Point2;
+    use rilievo_scene::{Intrinsics, PosedViews, ShadedViews};
+    use rilievo_synthetic::testing::{Maps, look_at, posed_view};
+
+    const THICKNESS: f64 = 0.02;
+
+    /// A plate across the z axis, seen from `num` places on an arc before it and as many behind it.
+    fn plate(num: usize) -> Stock {
+        let camera = Intrinsics::pinhole(64, 48, 90.0, 31.5, 23.5);
+        let (mut posed, mut shaded) = (PosedViews::default(), ShadedViews::default());
+        for v in 0..2 * num {
+            let side = if v < num { -1.0 } else { 1.0 };
+            let angle = (v % num) as f64 / num as f64 * 1.2 - 0.55;
+            let center = Point3::new(2.0 * angle.sin(), 0.0, side * 2.0 * angle.cos());
+            let pose = look_at(center, Point3::origin(), -Vector3::y());
+            let normal = pose.rotation * (Vector3::z() * side);
+            let offset = normal.dot(&pose.translation) + 0.5 * THICKNESS;
+            let maps = Maps::of(&camera, |[x, y]| {
+                let depth = offset / normal.dot(&camera.ray(&Point2::new(x, y)));
+                Some((depth, normal))
+            });
+            let name = format!("IMG_{v}");
+            posed.views.push(posed_view(v, &name, camera, pose));
+            shaded.views.push(maps.shaded(v, &name));
+        }
+        let mut stock = stock(&posed, &shaded);
+        settle(&mut stock, None).expect("room in memory");
+        stock
+    }
+
+    /// Indices of the views that shape the middle.
+    fn chosen(stock: &Stock) -> Vec<usize> {
+        let readers = Readers::new(&stock.shelf, 64);
+        let found = readers.with(|pixels| {
+            let near = stock.views.iter().collect();
+            let chosen = best(pixels, near, &Point3::origin(), 0.1);
+            chosen.iter().map(|view| view.idx).collect()
+        });
+        found.expect("room in memory")
+    }
+
+    #[test]
+    fn few_views_all_shape() {
+        let stock = plate(ENOUGH / 2);
+        assert_eq!(chosen(&stock), (0..ENOUGH).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn the_best_of_many_shape_and_each_side_of_a_thin_wall_has_its_own() {
+        let num = 3 * ENOUGH;
+        let chosen = chosen(&plate(num));
+        for side in 0..2 {
+            let of_side: Vec<usize> = chosen.iter().copied().filter(|v| v / num == side).collect();
+            assert_eq!(of_side.len(), ENOUGH, "{chosen:?}");
+            // The most frontal ones: the middle of the arc is at 55 parts of 120.
+            let middle = side * num + num * 55 / 120;
+            let mut apart = of_side.iter().map(|v| v.abs_diff(middle));
+            assert!(apart.all(|n| n <= ENOUGH / 2 + 1), "{of_side:?}");
+        }
+    }
+}
