@@ -7,6 +7,7 @@ mod words;
 
 use crate::config::take_over;
 use crate::raw_child::DecodeRawArgs;
+use clap::builder::RangedU64ValueParser;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 pub use formats::{ExportFormat, ImportFormat};
 use parse::{
@@ -326,6 +327,10 @@ pub struct SurfaceArgs {
     /// its resolution
     #[arg(long, value_name = "LENGTH")]
     pub spacing: Option<f64>,
+    /// Triangles of the mesh at most, such as 200000 for the web and phones; its vertices keep the normals of
+    /// the dense mesh
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(100..))]
+    pub triangles: Option<usize>,
     /// Closes the mesh where no view saw anything
     #[arg(long)]
     pub watertight: bool,
@@ -339,6 +344,7 @@ impl SurfaceArgs {
     pub fn apply(self, options: &mut FusionOptions) {
         take_over(&mut options.spacing, self.spacing);
         options.watertight |= self.watertight;
+        take_over(&mut options.max_num_triangles, self.triangles);
         take_over(&mut options.color, self.color);
     }
 }

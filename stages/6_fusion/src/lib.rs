@@ -40,6 +40,7 @@ mod report;
 mod rim;
 mod settle;
 mod shelf;
+mod simplify;
 mod surface;
 mod thin;
 mod tsdf;

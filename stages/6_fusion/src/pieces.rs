@@ -45,8 +45,18 @@ pub(crate) fn drop_small(mesh: &mut Mesh) -> Pieces {
     let num_triangles = mesh.triangles.len();
     mesh.triangles
         .retain(|t| !is_small(sizes[root(&mut parent, t[0]) as usize]));
-    // Compact the vertices in their order.
-    let mut index = parent;
+    drop_unused(mesh, parent);
+    Pieces {
+        num_kept: kept.len(),
+        num_dropped: dropped.len(),
+        dropped_share: dropped.iter().map(|&size| f64::from(size)).sum::<f64>()
+            / num_triangles.max(1) as f64,
+    }
+}
+
+/// Drops vertices that no triangle uses; the others keep their order. `index` is memory for a number a vertex, of any
+/// content.
+pub(crate) fn drop_unused(mesh: &mut Mesh, mut index: Vec<u32>) {
     index.fill(u32::MAX);
     for v in mesh.triangles.iter().flatten() {
         index[*v as usize] = 0;
@@ -66,11 +76,5 @@ pub(crate) fn drop_small(mesh: &mut Mesh) -> Pieces {
     mesh.colors.truncate(count);
     for v in mesh.triangles.iter_mut().flatten() {
         *v = index[*v as usize];
-    }
-    Pieces {
-        num_kept: kept.len(),
-        num_dropped: dropped.len(),
-        dropped_share: dropped.iter().map(|&size| f64::from(size)).sum::<f64>()
-            / num_triangles.max(1) as f64,
     }
 }

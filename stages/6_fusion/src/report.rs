@@ -85,6 +85,12 @@ pub struct MeshReport {
     /// Length of these together, world's unit.
     #[serde(default)]
     pub boundary_length: f64,
+    /// Triangles before it was made lighter, where it was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub num_triangles_before: Option<usize>,
+    /// By how much that moved the surface at most, world's unit.
+    #[serde(default)]
+    pub simplified_by: f64,
     /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points are, world's
     /// unit.
     pub mean_distance_to_cloud: Option<f64>,

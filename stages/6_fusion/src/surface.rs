@@ -14,7 +14,7 @@ use crate::reader::Readers;
 use crate::report::MeshReport;
 use crate::tsdf::{BLOCKS_AT_ONCE, Key, SIDE, UNKNOWN, VOLUME, Volume};
 use crate::views::Stock;
-use crate::{holes, manifold, pieces, rim};
+use crate::{holes, manifold, pieces, rim, simplify};
 use fast_surface_nets::ndshape::{ConstShape, ConstShape3u32};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use nalgebra::Vector3;
@@ -131,6 +131,10 @@ pub(crate) fn extract(
     report.closed_area = closed.area;
     // A filling may run along an edge that is there already.
     manifold::separate(&mut mesh);
+    if options.max_num_triangles > 0 && mesh.triangles.len() > options.max_num_triangles {
+        report.num_triangles_before = Some(mesh.triangles.len());
+        report.simplified_by = simplify::simplify(&mut mesh, options.max_num_triangles);
+    }
     let open = rim::boundary_loops(&mesh);
     report.num_open_loops = open.len();
     report.boundary_length = open.iter().map(|ring| holes::length(&mesh, ring)).sum();
