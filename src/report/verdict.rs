@@ -63,6 +63,13 @@ const DOUBTFUL_FOCAL_CHANGE: f64 = 0.1;
 /// Relative difference of photos and what shape and light explain, above which they contradict each
 /// other: nine distant harmonics leave 10 to 12 % on real objects, half-hidden light up to 20 %.
 const DOUBTFUL_LIGHT: f64 = 0.2;
+/// What light and pigment leave of the usual photo at the level where they are fitted, from which on the surface shines, is
+/// stained or moved: matte objects leave .012 to .03, one with a sheen of .4 leaves .049 and its normals err half as
+/// much again.
+const MATTE_LIGHT: f64 = 0.04;
+/// Pixels over which the photos' residuals are alike, from which the photos are out of focus or enlarged. Sharp JPEG photos
+/// have 2 to 7; blurred by three pixels all of them have 17.
+const BLURRED_PX: f64 = 10.0;
 /// Where the usual photo differs by more, what was solved is not what the photos show.
 const UNTRUSTED_LIGHT: f64 = 0.4;
 /// Share of a view that no other view sees, above which the shape has too little to check it.
@@ -336,6 +343,9 @@ impl Judgement {
         };
         let views = photo.views.iter();
         self.judge_residuals(views.filter_map(|v| Some((v.name.as_str(), v.light_residual?))));
+        let left = photo.views.iter().filter_map(|v| v.light_residual);
+        self.judge_matte(median(&mut left.collect::<Vec<_>>()));
+        self.judge_sharpness(photo.alike_px());
         for view in &photo.views {
             if view.light_residual.is_none() {
                 self.note(
@@ -363,6 +373,31 @@ impl Judgement {
         let found = found.map(|v| (v.name.as_str(), v.confirmed, v.disagreement));
         let found: Vec<_> = found.collect();
         self.judge_agreement(&found);
+    }
+
+    /// By what light and pigment leave of the usual photo.
+    fn judge_matte(&mut self, left: Option<f64>) {
+        if let Some(left) = left.filter(|left| (MATTE_LIGHT..=DOUBTFUL_LIGHT).contains(left)) {
+            self.note(
+                Verdict::Usable,
+                format!(
+                    "light and pigment leave {:.1} % of the photos' brightness unexplained, where matte objects leave 1                      to 3 %: a sheen, stains, or something moved; normals err more than usual. Dull it with powder or                      spray where that is allowed, and take larger, softer light",
+                    100.0 * left
+                ),
+            );
+        }
+    }
+
+    /// By the pixels over which residuals between the photos are alike.
+    fn judge_sharpness(&mut self, alike_px: Option<f64>) {
+        if let Some(side) = alike_px.filter(|&side| side > BLURRED_PX) {
+            self.note(
+                Verdict::Usable,
+                format!(
+                    "the photos hold no detail finer than about {side:.0} px (sharp ones: 2 to 7): they are out of focus,                      were moved, or were enlarged; relief is lost and normals err more. Focus, close the aperture, use a                      tripod"
+                ),
+            );
+        }
     }
 
     /// Names photos that show something else than the others: name, share that others confirm, disagreement.
@@ -504,6 +539,7 @@ mod tests {
     use super::*;
     use rilievo_lighting::ViewLightReport;
     use rilievo_poses::ViewReport;
+    use rilievo_shading::photo::{PhotoReport, StepReport};
 
     fn verdict(change: impl FnOnce(&mut Judgement)) -> Verdict {
         let mut judgement = Judgement::nothing_against();
@@ -618,6 +654,26 @@ mod tests {
             verdict(|j| j.judge_confirmed(std::iter::empty())),
             Verdict::Good
         );
+    }
+
+    #[test]
+    fn gloss_and_blur_are_told() {
+        let matte = |left| verdict(|j| j.judge_matte(left));
+        assert_eq!(matte(None), Verdict::Good);
+        assert_eq!(matte(Some(0.03)), Verdict::Good);
+        assert_eq!(matte(Some(0.049)), Verdict::Usable);
+        let sharp = |correlation| {
+            let mut photo = PhotoReport::default();
+            photo.steps.push(StepReport {
+                match_correlation: correlation,
+                ..Default::default()
+            });
+            verdict(|j| j.judge_sharpness(photo.alike_px()))
+        };
+        assert_eq!(sharp(None), Verdict::Good);
+        assert_eq!(sharp(Some(0.74)), Verdict::Good);
+        assert_eq!(sharp(Some(0.89)), Verdict::Usable);
+        assert_eq!(sharp(Some(1.0)), Verdict::Usable);
     }
 
     #[test]

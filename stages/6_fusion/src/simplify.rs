@@ -95,7 +95,7 @@ mod tests {
         for t in &mesh.triangles {
             let [a, b, c] = t.map(|v| nalgebra::Vector3::from(mesh.vertices[v as usize]));
             let depth = 1.0 - (b - a).cross(&(c - a)).normalize().dot(&a);
-            assert!(depth >= 0.0 && depth < 0.1, "{depth}");
+            assert!((0.0..0.1).contains(&depth), "{depth}");
             depths += depth;
         }
         // Triangles of equal edges lie 0.005 below the sphere.

@@ -105,4 +105,12 @@ impl PhotoReport {
     pub(crate) fn sharpness(&self) -> Vec<f64> {
         self.views.iter().map(|view| view.sharpness).collect()
     }
+
+    /// Side of the area over which the residuals between the photos are alike at the end, pixels of the last step's
+    /// level: `(1 + ρ) / (1 - ρ)` of neighbours that correlate by ρ. Detail finer than that the photos do not hold.
+    pub fn alike_px(&self) -> Option<f64> {
+        let mut steps = self.steps.iter().rev();
+        let rho = steps.find_map(|step| step.match_correlation)?;
+        Some((1.0 + rho) / (1.0 - rho).max(f64::EPSILON))
+    }
 }

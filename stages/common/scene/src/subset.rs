@@ -83,7 +83,9 @@ mod tests {
     use crate::camera::Intrinsics;
     use crate::ids::PhotoIdx;
     use crate::lighting::Lighting;
-    use crate::poses::{PosedView, Scale, ScaleSource, SparsePoint, TrackElement, Unit};
+    use crate::poses::{
+        PosedView, Scale, ScaleSource, SparsePoint, TrackElement, Unit, WorldFrame,
+    };
     use crate::sphere::LightKind;
     use crate::transform::RigidTransform;
 
@@ -118,6 +120,7 @@ mod tests {
                 source: ScaleSource::Sphere,
                 relative_sigma: None,
             },
+            frame: WorldFrame::Level,
             spheres: Vec::new(),
             no_sphere: None,
         }
