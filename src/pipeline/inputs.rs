@@ -10,6 +10,7 @@ use rilievo_io::{
     CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, SphereFile, import_cameras,
     masks_among, read_cameras, read_lighting,
 };
+use rilievo_scene::WorldFrame;
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
@@ -42,6 +43,8 @@ pub struct Inputs {
     pub skipped: Vec<Problem>,
     /// Things that the user should know (cameras of photos that are not there).
     pub warnings: Vec<String>,
+    /// Where the world's axes lie if the cameras' poses are given.
+    pub frame: WorldFrame,
     /// The sphere file.
     pub sphere: Option<SphereFile>,
     /// What is odd about what was said of the spheres.
@@ -74,6 +77,7 @@ impl Inputs {
             unreadable,
             skipped,
             warnings,
+            frame: cameras.map_or(WorldFrame::Given, |cameras| cameras.frame()),
             sphere: spheres.file,
             sphere_warnings: spheres.warnings,
             sphere_hashes: spheres.hashes,

@@ -8,7 +8,9 @@ use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
 use rilievo_io::{CameraFile, decode_photo, write_cameras, write_colmap_text};
-use rilievo_scene::{LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId};
+use rilievo_scene::{
+    LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId, WorldFrame,
+};
 
 const POSED_VIEWS: &str = "posed_views.json";
 
@@ -42,6 +44,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_poses)?;
+    if views.frame == WorldFrame::Given {
+        views.frame = context.inputs.frame;
+    }
     if let Some(why) = &mut views.no_sphere
         && !unused.is_empty()
     {

@@ -15,7 +15,7 @@ use rilievo_io::{
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
     ConfidenceMap, DepthMap, Intrinsics, MapSource, NormalMap, PixelError, RigidTransform,
-    ShadedImages, ShadedView, Unit, ViewIdx,
+    ShadedImages, ShadedView, Unit, ViewIdx, WorldFrame,
 };
 use std::path::{Path, PathBuf};
 
@@ -53,6 +53,8 @@ pub struct Views {
     format: Format,
     /// Unit of all lengths.
     pub unit: Unit,
+    /// Where the world's axes lie.
+    pub frame: WorldFrame,
     /// The views, in the cameras' order.
     pub views: Vec<View>,
     /// Factor of all depths on the way out.
@@ -213,6 +215,7 @@ fn of_openmvs(files: &[PathBuf]) -> Result<Views, Failure> {
     Ok(Views {
         format: Format::OpenMvs,
         unit: Unit::Arbitrary,
+        frame: WorldFrame::Given,
         views,
         factor: 1.0,
     })
@@ -333,6 +336,7 @@ fn assemble(
     Ok(Views {
         format,
         unit: cameras.unit,
+        frame: cameras.frame(),
         views,
         factor: 1.0,
     })

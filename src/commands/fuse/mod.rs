@@ -17,7 +17,6 @@ use rilievo_io::CloudPlyWriter;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
     MapSource, PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, StageId, Unit,
-    WorldFrame,
 };
 use std::path::Path;
 use std::time::Instant;
@@ -80,7 +79,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         maps: &views,
         scratch: &FileScratch::new(writing.path()),
     };
-    let mut cloud = CloudPlyWriter::create(&writing.path().join("cloud.ply"), unit)?;
+    let mut cloud = CloudPlyWriter::create(&writing.path().join("cloud.ply"), posed.coordinates())?;
     let (mesh, report) = rilievo_fusion::run(inputs, &mut cloud, &options.fusion, console)
         .map_err(|error| match (error, unit_hint(&views)) {
             (error @ FusionError::NothingAgrees { .. }, Some(hint)) => {
@@ -187,7 +186,7 @@ fn posed(views: &Views, unit: Unit) -> PosedViews {
     });
     PosedViews {
         scale,
-        frame: WorldFrame::Given,
+        frame: views.frame,
         views: posed.collect(),
         ..PosedViews::default()
     }

@@ -1,6 +1,6 @@
 //! What camera files of every kind hold.
 
-use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit};
+use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit, WorldFrame};
 
 /// One camera of a file.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,6 +57,17 @@ impl CameraFile {
             extra: [("frame".to_owned(), views.frame.words().into())]
                 .into_iter()
                 .collect(),
+        }
+    }
+
+    /// Where the world's axes lie: level where the file's key `frame` says so.
+    pub fn frame(&self) -> WorldFrame {
+        let level = WorldFrame::Level;
+        let told = self.extra.get("frame").and_then(|frame| frame.as_str());
+        if told == Some(level.words()) {
+            level
+        } else {
+            WorldFrame::Given
         }
     }
 
