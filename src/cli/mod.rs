@@ -216,7 +216,8 @@ pub struct ExportArgs {
     /// A run directory, or a camera file
     pub source: PathBuf,
     /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras. npz
-    /// is that of IDR and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of AliceVision
+    /// is that of IDR and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of AliceVision;
+    /// blender is a script that makes the cameras there
     #[arg(long, value_name = "FORMAT", value_parser = export_formats())]
     pub format: ExportFormat,
     /// The file or folder to write
@@ -327,8 +328,8 @@ pub struct SurfaceArgs {
     /// its resolution
     #[arg(long, value_name = "LENGTH")]
     pub spacing: Option<f64>,
-    /// Triangles of the mesh at most, such as 200000 for the web and phones; its vertices keep the normals of
-    /// the dense mesh
+    /// Leaves about N triangles of the mesh, such as 200000 for the web and phones; its vertices keep the normals
+    /// of the dense mesh
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(100..))]
     pub triangles: Option<usize>,
     /// Closes the mesh where no view saw anything

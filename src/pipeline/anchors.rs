@@ -9,7 +9,7 @@ use serde::Serialize;
 #[derive(Serialize)]
 struct Table<'a> {
     unit: Unit,
-    frame: &'static str,
+    frame: String,
     views: Vec<&'a str>,
     columns: Columns,
     anchors: Vec<Row<'a>>,
@@ -44,7 +44,7 @@ fn table(views: &PosedViews) -> Table<'_> {
         |o: &AnchorObservation| (o.view.0, o.pixel[0], o.pixel[1], o.depth, o.sigma_ln_depth);
     Table {
         unit: views.scale.unit,
-        frame: "world of cameras.json",
+        frame: frame(views),
         views: views.views.iter().map(|v| v.file_name.as_str()).collect(),
         columns: Columns {
             covariance: ["xx", "xy", "xz", "yy", "yz", "zz"],
@@ -63,6 +63,10 @@ fn table(views: &PosedViews) -> Table<'_> {
     }
 }
 
+fn frame(views: &PosedViews) -> String {
+    format!("world of cameras.json, {}", views.frame.words())
+}
+
 /// Standard deviation along the most uncertain axis is at most the root of the trace; that is what
 /// a viewer can colour by.
 fn sigma(anchor: &Anchor) -> f64 {
@@ -77,9 +81,10 @@ fn ply(views: &PosedViews) -> Vec<u8> {
     };
     let mut bytes = format!(
         "ply\nformat binary_little_endian 1.0\ncomment unit {unit}\n\
-         comment frame world of cameras.json\ncomment sigma: root of the covariance's trace\n\
+         comment frame {}\ncomment sigma: root of the covariance's trace\n\
          element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          property float sigma\nproperty uchar views\nend_header\n",
+        frame(views),
         views.anchors.len()
     )
     .into_bytes();

@@ -193,7 +193,12 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
             );
             hashes
         }
-        StageId::Poses => inputs.sphere_hashes.clone(),
+        StageId::Poses => {
+            let mut hashes = inputs.sphere_hashes.clone();
+            let frame = inputs.frame.words().to_owned();
+            hashes.insert("frame of given cameras".into(), frame);
+            hashes
+        }
         StageId::Lighting => {
             let mut hashes = inputs.lighting_hashes.clone();
             if request.sphere != SphereInput::None {

@@ -60,8 +60,8 @@ const FEW_KEPT_SHARE: f64 = 0.5;
 /// Relative change of a stated focal length by the adjustment above which one of both is wrong. Focal
 /// lengths of EXIF data are rounded to some per cent.
 const DOUBTFUL_FOCAL_CHANGE: f64 = 0.1;
-/// Relative difference of photos and what shape and light explain, above which they contradict each
-/// other: nine distant harmonics leave 10 to 12 % on real objects, half-hidden light up to 20 %.
+/// Relative difference of a photo and what shape and light explain, above which they contradict each
+/// other: nine distant harmonics (model paper) leave 10 to 12 % on real objects, half-hidden light up to 20 %.
 const DOUBTFUL_LIGHT: f64 = 0.2;
 /// What light and pigment leave of the usual photo at the level where they are fitted, from which on the surface shines, is
 /// stained or moved: matte objects leave .012 to .03, one with a sheen of .4 leaves .049 and its normals err half as
@@ -70,6 +70,8 @@ const MATTE_LIGHT: f64 = 0.04;
 /// Pixels over which the photos' residuals are alike, from which the photos are out of focus or enlarged. Sharp JPEG photos
 /// have 2 to 7; blurred by three pixels all of them have 17.
 const BLURRED_PX: f64 = 10.0;
+/// More is not told: residuals are alike without end where nothing differs.
+const MOST_BLURRED_PX: f64 = 50.0;
 /// Where the usual photo differs by more, what was solved is not what the photos show.
 const UNTRUSTED_LIGHT: f64 = 0.4;
 /// Share of a view that no other view sees, above which the shape has too little to check it.
@@ -381,7 +383,9 @@ impl Judgement {
             self.note(
                 Verdict::Usable,
                 format!(
-                    "light and pigment leave {:.1} % of the photos' brightness unexplained, where matte objects leave 1                      to 3 %: a sheen, stains, or something moved; normals err more than usual. Dull it with powder or                      spray where that is allowed, and take larger, softer light",
+                    "light and pigment leave {:.1} % of the photos' brightness unexplained, where matte objects leave 1 \
+                     to 3 %: a sheen, stains, or something moved; normals err more than usual. Dull it with powder or \
+                     spray where that is allowed, and take larger, softer light",
                     100.0 * left
                 ),
             );
@@ -394,7 +398,10 @@ impl Judgement {
             self.note(
                 Verdict::Usable,
                 format!(
-                    "the photos hold no detail finer than about {side:.0} px (sharp ones: 2 to 7): they are out of focus,                      were moved, or were enlarged; relief is lost and normals err more. Focus, close the aperture, use a                      tripod"
+                    "the photos hold no detail finer than about {:.0} px (sharp ones: 2 to 7): they are out of focus, \
+                     were moved, or were enlarged; relief is lost and normals err more. Focus, close the aperture, use a \
+                     tripod",
+                    side.min(MOST_BLURRED_PX)
                 ),
             );
         }
@@ -665,6 +672,7 @@ mod tests {
         let sharp = |correlation| {
             let mut photo = PhotoReport::default();
             photo.steps.push(StepReport {
+                level: 0,
                 match_correlation: correlation,
                 ..Default::default()
             });

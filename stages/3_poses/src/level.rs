@@ -6,7 +6,6 @@
 
 use crate::vertical::{Vertical, object_and_rest};
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
-use rilievo_numerics::lines::nearest_point;
 use rilievo_numerics::plane::Plane;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{PhotoSet, PosedViews, RigidTransform, WorldFrame};
@@ -15,9 +14,11 @@ use rilievo_scene::{PhotoSet, PosedViews, RigidTransform, WorldFrame};
 const MIN_OBJECT_POINTS: usize = 30;
 /// Share of the object's points beyond its middle's box on either side: single wrong ones.
 const BEYOND: f64 = 0.02;
-/// Cameras that stand nearer together around the object than this share of their distance, as a mean of directions,
-/// go all round and have no side: the first one is in front then.
+/// Length of the mean of the directions to the cameras below which they go all round and have no side: the first one is
+/// in front then.
 const MIN_ONE_SIDED: f64 = 0.3;
+/// Least slope at which a camera looks down on the ground, as a sine: others look past the object into the distance.
+const MIN_DOWN: f64 = 0.05;
 
 /// Turns and moves the world so that it lies as the module says; the vertical with it.
 pub fn apply(
@@ -45,10 +46,18 @@ pub fn apply(
     }
     for sphere in &mut posed.spheres {
         sphere.center_in_world = moved(sphere.center_in_world);
+        // Along the new axes, of errors that are independent along the old ones.
+        let squares = Vector3::from(sphere.center_sigma).map(|s| s * s);
+        let turned = new_from_old.rotation_matrix().map(|r| r * r) * squares;
+        sphere.center_sigma = turned.map(f64::sqrt).into();
     }
     if let Some(vertical) = vertical {
         let up = Vector3::from(vertical.up_in_world);
-        vertical.up_in_world = (new_from_old.rotation * up).into();
+        let up = match posed.frame {
+            WorldFrame::Level => Vector3::z(),
+            _ => new_from_old.rotation * up,
+        };
+        vertical.up_in_world = up.into();
     }
 }
 
@@ -60,14 +69,26 @@ fn level_from_world(
 ) -> Option<RigidTransform> {
     let up = ground.normal;
     let cameras: Vec<_> = posed.views.iter().map(|v| v.cam_from_world).collect();
-    let axis = |pose: &RigidTransform| pose.rotation.inverse() * Vector3::z();
-    let focus = nearest_point(cameras.iter().map(|c| (c.center_in_source(), axis(c))))?;
     // Horizontal axes of any direction, to measure the object's sides along.
-    let any = focus - cameras.first()?.center_in_source();
-    let x = up.cross(&any).try_normalize(1e-9 * any.norm())?;
+    let x = (if up.x.abs() < 0.7 {
+        Vector3::x()
+    } else {
+        Vector3::y()
+    })
+    .cross(&up)
+    .normalize();
     let frame = Matrix3::from_rows(&[x.transpose(), up.cross(&x).transpose(), up.transpose()]);
     let (object, _) = object_and_rest(photos, posed);
-    let middle = middle_of(&object, &frame).unwrap_or(focus);
+    let middle = middle_of(&object, &frame, (MIN_OBJECT_POINTS, BEYOND)).or_else(|| {
+        // What most cameras look at on the ground.
+        let looked_at = cameras.iter().filter_map(|pose| {
+            let axis = pose.rotation.inverse() * Vector3::z();
+            let (center, down) = (pose.center_in_source(), -axis.dot(&up));
+            (down > MIN_DOWN).then(|| center + axis * (ground.distance(&center) / down))
+        });
+        let looked_at: Vec<_> = looked_at.collect();
+        middle_of(&looked_at, &frame, (cameras.len().div_ceil(2), 0.5))
+    })?;
     let origin = middle - up * ground.distance(&middle);
 
     let across = |v: Vector3<f64>| v - up * up.dot(&v);
@@ -83,7 +104,8 @@ fn level_from_world(
     } else {
         towards(&cameras[0])
     };
-    let y = -front.try_normalize(1e-9 * any.norm())?;
+    // Cameras right above the object have no side.
+    let y = -front.try_normalize(f64::EPSILON).unwrap_or(x);
     let rows = Matrix3::from_rows(&[y.cross(&up).transpose(), y.transpose(), up.transpose()]);
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows));
     Some(RigidTransform {
@@ -92,16 +114,21 @@ fn level_from_world(
     })
 }
 
-/// Middle of the box around points along the rows of `frame`; `None` of few.
-fn middle_of(points: &[Point3<f64>], frame: &Matrix3<f64>) -> Option<Point3<f64>> {
-    if points.len() < MIN_OBJECT_POINTS {
+/// Middle of the box around points along the rows of `frame`, but for a share `beyond` on each side; `None` of fewer
+/// than `least`.
+fn middle_of(
+    points: &[Point3<f64>],
+    frame: &Matrix3<f64>,
+    (least, beyond): (usize, f64),
+) -> Option<Point3<f64>> {
+    if points.len() < least.max(1) {
         return None;
     }
     let mut middle = Vector3::zeros();
     for k in 0..3 {
         let along = frame.row(k).transpose();
         let mut places: Vec<f64> = points.iter().map(|p| along.dot(&p.coords)).collect();
-        let [low, high] = [BEYOND, 1.0 - BEYOND].map(|share| quantile(&mut places, share));
+        let [low, high] = [beyond, 1.0 - beyond].map(|share| quantile(&mut places, share));
         middle += along * (0.5 * (low? + high?));
     }
     Some(Point3::from(middle))

@@ -1,7 +1,7 @@
 //! Which views shape a block of the volume where many see it.
 //!
 //! Beyond a dozen views of one wall another one adds cost and next to no accuracy. A view gives way where
-//! [`ENOUGH`] others see the same wall better, judged where its ray through the block's middle meets it.
+//! [`ENOUGH`] others see the same wall better, judged where its rays through the block's middle and corners meet it.
 
 use crate::judge::weight;
 use crate::pairs::Candidate;
@@ -14,51 +14,58 @@ const ENOUGH: usize = 12;
 /// Least cosine between the normals of one wall.
 const SAME_WALL_COSINE: f64 = 0.5;
 
-/// A view's surface along its ray through the block's middle.
+/// A view's surface along its ray through a place.
 struct Sighting {
     weight: f64,
     point: Point3<f64>,
     normal: Vector3<f64>,
 }
 
-/// Those of the views near a block around `center` that shape it, in their order. Views whose surfaces there lie
-/// within `truncation` of each other (world's unit) along the normal see the same wall.
+/// Those of the views near the block with its first corner there that shape it, in their order: all but those that give
+/// way at the block's middle and at all of its corners where they have surface that is not more oblique than
+/// `min_cosine`. Views whose surfaces lie within `truncation` of each other (world's unit) along the normal see the same
+/// wall.
 pub(crate) fn best<'a>(
     pixels: &mut Reader<'_>,
     near: Vec<&'a View>,
-    center: &Point3<f64>,
-    truncation: f64,
+    (corner, edge): (&Point3<f64>, f64),
+    (truncation, min_cosine): (f64, f64),
 ) -> Vec<&'a View> {
     if near.len() <= ENOUGH {
         return near;
     }
-    let sightings: Vec<Option<Sighting>> = near
-        .iter()
-        .map(|view| {
-            let in_cam = view.pose.apply(center);
+    // A view that has surface nowhere here stays: it may have some in between.
+    let (mut is_needed, mut is_asked) = (vec![false; near.len()], vec![false; near.len()]);
+    let corners = (0..8).map(|k| [k & 1, k >> 1 & 1, k >> 2].map(f64::from));
+    for share in corners.chain([[0.5; 3]]) {
+        let place = corner + Vector3::from(share) * edge;
+        let mut sight = |view: &&View| {
+            let in_cam = view.pose.apply(&place);
             let surface = (in_cam.z > 0.0).then(|| view.along(pixels, &in_cam))??;
             let ray = in_cam.coords / in_cam.z;
             let cosine = -surface.normal.dot(&ray) / ray.norm();
             let seen = Candidate::of(view, &ray, &surface);
-            Some(Sighting {
+            (cosine >= min_cosine).then(|| Sighting {
                 weight: weight(surface.confidence, cosine, seen.footprint),
                 point: seen.point,
                 normal: seen.normal,
             })
-        })
-        .collect();
-    let gives_way = |own: &Sighting| {
-        let is_better = |other: &&Sighting| {
-            other.weight > own.weight
-                && own.normal.dot(&other.normal) >= SAME_WALL_COSINE
-                && own.normal.dot(&(other.point - own.point)).abs() <= truncation
         };
-        sightings.iter().flatten().filter(is_better).count() >= ENOUGH
-    };
-    // A view whose map ends beside the middle may be the only one that sees the block's other end.
-    let stays = |own: &Option<Sighting>| !own.as_ref().is_some_and(gives_way);
-    let chosen = near.iter().zip(&sightings).filter(|(_, own)| stays(own));
-    chosen.map(|(view, _)| *view).collect()
+        let sightings: Vec<Option<Sighting>> = near.iter().map(&mut sight).collect();
+        for (k, own) in sightings.iter().enumerate() {
+            let Some(own) = own else { continue };
+            let is_better = |other: &&Sighting| {
+                other.weight > own.weight
+                    && own.normal.dot(&other.normal) >= SAME_WALL_COSINE
+                    && own.normal.dot(&(other.point - own.point)).abs() <= truncation
+            };
+            is_asked[k] = true;
+            is_needed[k] |= sightings.iter().flatten().filter(is_better).count() < ENOUGH;
+        }
+    }
+    let chosen = near.into_iter().zip(is_needed.iter().zip(is_asked));
+    let stays = chosen.filter(|(_, (needed, asked))| **needed || !asked);
+    stays.map(|(view, _)| view).collect()
 }
 
 #[cfg(test)]
@@ -103,7 +110,8 @@ mod tests {
         let readers = Readers::new(&stock.shelf, 64);
         let found = readers.with(|pixels| {
             let near = stock.views.iter().collect();
-            let chosen = best(pixels, near, &Point3::origin(), 0.1);
+            let corner = Point3::new(-0.01, -0.01, -0.01);
+            let chosen = best(pixels, near, (&corner, 0.02), (0.1, 0.1));
             chosen.iter().map(|view| view.idx).collect()
         });
         found.expect("room in memory")

@@ -47,7 +47,7 @@ impl<'a> Dresser<'a> {
         }
     }
 
-    /// Views that may see a block's vertices.
+    /// Views that shape a block.
     pub fn near(&self, pixels: &mut Reader<'_>, block: usize) -> Vec<&'a View> {
         self.volume.best(pixels, self.views, block)
     }

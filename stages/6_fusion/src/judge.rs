@@ -56,6 +56,13 @@ enum Verdict {
     },
 }
 
+/// Views that may see a page's surface, those first that resolve it best.
+struct Near<'a> {
+    views: Vec<&'a View>,
+    /// No pixel of theirs on it is smaller than this, world's unit.
+    finest: f64,
+}
+
 /// What one page gives.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct PageShare {
@@ -96,6 +103,11 @@ impl Judge<'_> {
             .filter(|other| other.idx == view.idx || patch.may_be_seen_by(other))
             .collect();
         near.sort_by(|a, b| patch.density(b).total_cmp(&patch.density(a)));
+        let footprints = near.iter().map(|view| patch.least_footprint(view));
+        let near = Near {
+            finest: footprints.fold(f64::INFINITY, f64::min),
+            views: near,
+        };
         let [across, down] = view.pages.extent(page);
         for y in down {
             for x in across.clone() {
@@ -158,7 +170,7 @@ impl Judge<'_> {
     fn split(
         &self,
         pixels: &mut Reader<'_>,
-        near: &[&View],
+        near: &Near<'_>,
         view: &View,
         [x, y]: [usize; 2],
         n: usize,
@@ -195,7 +207,7 @@ impl Judge<'_> {
     fn pixel(
         &self,
         pixels: &mut Reader<'_>,
-        near: &[&View],
+        near: &Near<'_>,
         view: &View,
         ray: &Vector3<f64>,
         surface: &Surface,
@@ -217,7 +229,7 @@ impl Judge<'_> {
         let (mut better, mut all) = (0.0, own_density);
         let mut finest = candidate.footprint;
         walls.clear();
-        for other in near.iter().filter(|other| other.idx != view.idx) {
+        for other in near.views.iter().filter(|other| other.idx != view.idx) {
             let (sight, covers) = look(pixels, other, &candidate, tolerance, min_normal_cosine);
             walls.extend(covers);
             match sight {
@@ -251,13 +263,16 @@ impl Judge<'_> {
                 Sight::SeenThrough => num_through += 1,
                 Sight::Nothing | Sight::Hidden => {}
             }
-            let is_enough = better * finest * finest >= ENOUGH;
+            let is_enough = better * near.finest * near.finest >= ENOUGH;
             if is_enough && num_agree >= self.min_num_views && num_through < num_agree {
                 return Verdict::Elsewhere;
             }
         }
         if num_agree < self.min_num_views || num_through >= num_agree {
             return Verdict::Inconsistent;
+        }
+        if better * finest * finest >= ENOUGH {
+            return Verdict::Elsewhere;
         }
         let normal = normal.normalize();
         let mean_offset = offset / weights;
@@ -273,7 +288,7 @@ impl Judge<'_> {
             * (-0.5 * spread * spread).exp();
         let color = self.palette.color(
             pixels,
-            near,
+            &near.views,
             view.idx,
             &position,
             tolerance.max(2.0 * candidate.footprint),

@@ -59,7 +59,7 @@ use rilievo_scene::{
 use views::Stock;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 7;
+pub const VERSION: u32 = 8;
 
 /// Views that each view is compared with for offsets: more only repeat what these say.
 const NUM_NEIGHBOURS: usize = 4;

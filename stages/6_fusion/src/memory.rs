@@ -15,6 +15,8 @@ const LOAD_BYTES: usize = 56;
 /// Bytes of a block of the volume with the surface in it: on average 30 vertices and 60 triangles of 54 bytes a vertex,
 /// and half as much again while loose pieces are dropped.
 const BLOCK_BYTES: usize = 2_400;
+/// Further bytes while a mesh is made lighter: about 100 a triangle.
+const SIMPLIFY_BYTES: usize = 6_000;
 /// Share of the memory that the mesh has.
 const MESH_SHARE: f64 = 0.6;
 /// Share of the memory for pages that threads hold.
@@ -55,7 +57,8 @@ pub(crate) fn num_pages(options: &FusionOptions) -> usize {
 
 /// Blocks of the volume whose mesh the memory holds.
 pub(crate) fn max_num_blocks(options: &FusionOptions) -> usize {
-    (share(options, MESH_SHARE) / BLOCK_BYTES).max(1)
+    let simplify = usize::from(options.max_num_triangles > 0) * SIMPLIFY_BYTES;
+    (share(options, MESH_SHARE) / (BLOCK_BYTES + simplify)).max(1)
 }
 
 /// Points that may be sorted at once, of so many bytes each.

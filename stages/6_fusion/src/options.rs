@@ -57,7 +57,8 @@ pub struct FusionOptions {
     /// Distance from the surface over which the views are averaged, cells. Must exceed the
     /// noise of the depths; large values close narrow grooves.
     pub truncation_voxels: f64,
-    /// Triangles of the mesh at most, whose vertices keep their normals; 0 keeps all.
+    /// Triangles that about are left of the mesh, more where its pieces and holes need them; vertices keep their normals.
+    /// 0 keeps all.
     pub max_num_triangles: usize,
     /// Whether the mesh is closed where no view saw anything.
     pub watertight: bool,
@@ -114,7 +115,7 @@ impl FusionOptions {
             reconcile_max_offset_px in 0.001..=1e4,
             voxel_px in 0.01..=1e4,
             truncation_voxels in 1.5..=50.0,
-            max_num_triangles in 0..=1 << 32,
+            max_num_triangles in 0..=u32::MAX as usize,
             memory_mib in Self::MIN_MEMORY_MIB..=1 << 24,
         )
     }

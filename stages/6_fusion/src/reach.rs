@@ -91,6 +91,12 @@ impl Patch {
         cosine.max(0.0) / view.footprint(depth).powi(2)
     }
 
+    /// Size that no pixel of a view on the patch falls below, world's unit.
+    pub fn least_footprint(&self, view: &View) -> f64 {
+        let depth = view.pose.apply(&self.ball.center).z - self.ball.radius;
+        view.footprint(depth.max(0.0))
+    }
+
     /// Whether a view may see a point of the patch from its front.
     pub fn may_be_seen_by(&self, view: &View) -> bool {
         let ray = self.ball.center - view.center;

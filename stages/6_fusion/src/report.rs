@@ -88,7 +88,7 @@ pub struct MeshReport {
     /// Triangles before it was made lighter, where it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub num_triangles_before: Option<usize>,
-    /// By how much that moved the surface at most, world's unit.
+    /// By how much that moved the surface, as the quadrics estimate it, world's unit.
     #[serde(default)]
     pub simplified_by: f64,
     /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points are, world's

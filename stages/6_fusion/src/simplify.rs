@@ -8,8 +8,8 @@ use crate::pieces::drop_unused;
 use meshopt::{SimplifyOptions, simplify_decoder};
 use rilievo_scene::Mesh;
 
-/// Leaves at most about `max_num_triangles`, more where the surface's pieces and holes need them; returns by how much
-/// the surface moved at most, world's unit.
+/// Leaves about `max_num_triangles`, more where the surface's pieces and holes need them; returns by how much the surface
+/// moved, as the quadrics estimate it, world's unit.
 pub(crate) fn simplify(mesh: &mut Mesh, max_num_triangles: usize) -> f64 {
     if mesh.triangles.len() <= max_num_triangles {
         return 0.0;
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn a_light_sphere_is_still_one_within_the_error_that_is_told() {
+    fn a_light_sphere_is_still_one() {
         let mut mesh = sphere(40);
         let num_before = mesh.triangles.len();
         let error = simplify(&mut mesh, 1000);

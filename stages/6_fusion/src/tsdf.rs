@@ -59,6 +59,8 @@ pub(crate) struct Volume {
     pub voxel: f64,
     /// Distance over which views are averaged, world's unit.
     pub truncation: f64,
+    /// Cosine of incidence below which a view is too oblique to shape the mesh.
+    pub min_cosine: f64,
     pub origin: Point3<f64>,
     /// Codes of the blocks, in ascending order.
     codes: Vec<u64>,
@@ -95,10 +97,12 @@ impl Volume {
         views: &'a [View],
         idx: usize,
     ) -> Vec<&'a View> {
-        let ball = Ball::of_cube(&self.corner(idx), SIDE as f64 * self.voxel);
+        let (corner, edge) = (self.corner(idx), SIDE as f64 * self.voxel);
+        let ball = Ball::of_cube(&corner, edge);
         let behind = MAX_BEHIND * self.truncation;
         let near = views.iter().filter(|v| ball.is_reached_by(v, behind));
-        best(pixels, near.collect(), &ball.center, self.truncation)
+        let limits = (self.truncation, self.min_cosine);
+        best(pixels, near.collect(), (&corner, edge), limits)
     }
 
     /// Distances of a block.
@@ -169,12 +173,12 @@ pub(crate) fn integrate(
     let volume = Volume {
         voxel,
         truncation: options.truncation_voxels * voxel,
+        min_cosine: options.max_grazing_deg.to_radians().cos(),
         origin,
         codes,
         room: scratch.room()?,
         coarsened_by,
     };
-    let min_cosine = options.max_grazing_deg.to_radians().cos();
     let num_blocks = volume.num_blocks();
     for first in (0..num_blocks).step_by(BLOCKS_AT_ONCE) {
         let flow = observer.progress(
@@ -188,7 +192,14 @@ pub(crate) fn integrate(
             let distances = readers.with(|pixels| {
                 let best = volume.best(pixels, views, first + k);
                 let corner = volume.corner(first + k);
-                fill(pixels, &best, &corner, voxel, volume.truncation, min_cosine)
+                fill(
+                    pixels,
+                    &best,
+                    &corner,
+                    voxel,
+                    volume.truncation,
+                    volume.min_cosine,
+                )
             })?;
             Ok::<_, FusionError>(distances.to_vec())
         })?;

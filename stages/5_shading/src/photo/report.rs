@@ -106,11 +106,13 @@ impl PhotoReport {
         self.views.iter().map(|view| view.sharpness).collect()
     }
 
-    /// Side of the area over which the residuals between the photos are alike at the end, pixels of the last step's
-    /// level: `(1 + ρ) / (1 - ρ)` of neighbours that correlate by ρ. Detail finer than that the photos do not hold.
+    /// Side of the area over which the residuals between the photos are alike in the last step, pixels:
+    /// `(1 + ρ) / (1 - ρ)` of neighbours that correlate by ρ. Detail finer than that the photos do not hold. `None`
+    /// where the photos' own pixels were not looked at.
     pub fn alike_px(&self) -> Option<f64> {
         let mut steps = self.steps.iter().rev();
-        let rho = steps.find_map(|step| step.match_correlation)?;
+        let last = steps.find(|step| step.match_correlation.is_some())?;
+        let rho = last.match_correlation.filter(|_| last.level == 0)?;
         Some((1.0 + rho) / (1.0 - rho).max(f64::EPSILON))
     }
 }

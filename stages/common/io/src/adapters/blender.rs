@@ -33,6 +33,7 @@ for number, given in enumerate(CAMERAS, start=1):
     data.lens = given["lens"]
     data.shift_x, data.shift_y = given["shift"]
     data.display_size = SIZE
+    data.clip_start, data.clip_end = 0.01 * SIZE, 1e4 * SIZE
     data["resolution"] = given["resolution"]
     camera = bpy.data.objects.new(given["name"], data)
     camera.matrix_world = Matrix(given["world_from_camera"])
@@ -47,7 +48,7 @@ for number, given in enumerate(CAMERAS, start=1):
     marker.camera = camera
     if number == 1:
         scene.camera = camera
-        # The size is the scene's in Blender: where photos differ, it is in each camera's "resolution".
+        # Size and pixels' shape are the scene's in Blender: where photos differ, each camera has its "resolution".
         scene.render.resolution_x, scene.render.resolution_y = given["resolution"]
         scene.render.resolution_percentage = 100
         aspect = given["pixel_aspect"]
@@ -98,7 +99,6 @@ pub fn blender_file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoE
     let middle: Vector3<f64> = centers.iter().map(|c| c.coords / num).sum();
     let around = centers.iter().map(|c| (c.coords - middle).norm() / num);
     let size = 0.2 * around.sum::<f64>();
-    let frame = cameras.extra.get("frame").and_then(|frame| frame.as_str());
     // A list in JSON without true, false and null is one in Python.
     let entries: Vec<String> = list.iter().map(|entry| format!("    {entry},\n")).collect();
     let text = format!(
@@ -111,7 +111,7 @@ pub fn blender_file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoE
          SIZE = {}\n\
          CAMERAS = [\n{}]\n{SCRIPT}",
         cameras.unit.name(),
-        frame.unwrap_or("world of the cameras"),
+        cameras.frame().words(),
         if size > 0.0 { size } else { 1.0 },
         entries.concat(),
     );

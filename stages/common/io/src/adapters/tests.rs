@@ -664,6 +664,21 @@ fn blenders_script_holds_lens_shift_and_place() {
     let worst = largest_projection_difference(&original, &back);
     assert!(worst < SAME_PX, "{worst}");
 
+    // Words of a foreign file shall not become lines of the script.
+    let mut foreign = original.clone();
+    let words = "x\nimport os";
+    foreign.extra.insert("frame".into(), words.into());
+    foreign.cameras[0].image = Some("a\"\n'b.png".into());
+    blender_file(&path, &foreign).unwrap().write().unwrap();
+    let text = std::fs::read_to_string(&path).unwrap();
+    assert_eq!(text.matches("import os").count(), 1, "{text}");
+    assert_eq!(
+        text.lines()
+            .filter(|line| line.starts_with("    {"))
+            .count(),
+        3
+    );
+
     let mut bent = cameras(plain());
     bent.cameras[1].intrinsics.distortion.k1 = -0.1;
     let error = blender_file(Path::new("cameras.py"), &bent).unwrap_err();

@@ -28,7 +28,7 @@ impl PlateSolver {
     }
 
     /// To two digits, by conjugate gradients from zero: for increments of a surface that is about
-    /// right already. Time and memory are proportional to the number of pixels.
+    /// right already. Time is proportional to the number of pixels, memory to that of the rectangle around them.
     pub fn iterative(numbering: &PixelNumbering) -> Self {
         Self(Kind::Iterative(ConjugateGradients::new(numbering)))
     }
@@ -138,6 +138,39 @@ mod tests {
         let size = largest(exact.iter().copied());
         let apart = largest(exact.iter().zip(&near).map(|(a, b)| a - b));
         assert!(apart < 0.02 * size, "{apart} of {size}");
+    }
+
+    #[test]
+    fn conjugate_gradients_know_every_neighbour_on_masks_of_any_shape() {
+        let masks = [
+            // The whole frame; columns and rows of one pixel; holes, gaps in rows, and rows without any.
+            Raster::from_fn(9, 7, |_, _| true),
+            Raster::from_fn(1, 20, |_, _| true),
+            Raster::from_fn(20, 1, |_, _| true),
+            Raster::from_fn(1, 1, |_, _| true),
+            Raster::from_fn(23, 19, |x, y| (7 * x + 5 * y) % 4 != 0 && y % 6 != 3),
+            Raster::from_fn(12, 12, |x, y| x % 11 == 0 || y % 11 == 0),
+        ];
+        for mask in masks {
+            let numbering = PixelNumbering::new(&mask);
+            let mut system = plate(&numbering);
+            for i in 0..numbering.len() {
+                let value = ((3 * i % 7) as f64 - 3.0) * 0.5;
+                system.add_point(i, 0.5 + (i % 3) as f64, value);
+            }
+            let exact = PlateSolver::direct(&numbering).and_then(|s| s.solve(&system));
+            let near = PlateSolver::iterative(&numbering).solve(&system);
+            let (Ok(exact), Ok(near)) = (exact, near) else {
+                panic!("no solution")
+            };
+            let size = largest(exact.iter().copied());
+            let apart = largest(exact.iter().zip(&near).map(|(a, b)| a - b));
+            assert!(
+                apart < 0.03 * size,
+                "{} pixels: {apart} of {size}",
+                exact.len()
+            );
+        }
     }
 
     #[test]

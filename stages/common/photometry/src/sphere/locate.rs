@@ -16,7 +16,7 @@
 //!    is outvoted.
 //! 3. Levenberg–Marquardt over the outline points of the agreeing views, Huber loss.
 //! 4. Covariance: `σ_p² (JᵀJ)⁻¹` with neighbouring points counted as one per pixel of blur, plus
-//!    the outline's systematic offset, which does not average out within a view.
+//!    the outline's systematic offset: moved, it does not average out within a view; wider, not over the views either.
 
 use super::cone::{OutlineCone, SphereInCamera};
 use super::confirm::MarkEvidence;

@@ -125,9 +125,8 @@ pub fn common_scale(fits: &[SphereFit], options: &SphereOptions) -> CommonScale 
     }
     let weighted = || active.iter().map(|(_, s)| (s, 1.0 / variance(s)));
     let (mean, sum) = weighted_mean(weighted());
-    let outlines: f64 = weighted()
-        .map(|(s, w)| (w / sum * s.relative_sigma).powi(2))
-        .sum();
+    // What makes an outline seem wider is the same for all spheres: their deviations add up and do not average out.
+    let outlines: f64 = weighted().map(|(s, w)| w / sum * s.relative_sigma).sum();
     let scatter: f64 = weighted()
         .map(|(s, w)| w / sum * (s.metres_per_unit.ln() - mean).powi(2))
         .sum();
@@ -135,7 +134,7 @@ pub fn common_scale(fits: &[SphereFit], options: &SphereOptions) -> CommonScale 
     CommonScale {
         estimate: Some(ScaleEstimate {
             metres_per_unit: mean.exp(),
-            relative_sigma: outlines.max(between).sqrt(),
+            relative_sigma: outlines.max(between.sqrt()),
         }),
         contradictions,
     }

@@ -246,7 +246,7 @@ fn at(maps: &ShadedView, place: Point2<f64>, max_step: f64) -> Option<(f64, Vect
 mod tests {
     use super::*;
     use crate::testing::Random;
-    use rilievo_scene::{Intrinsics, PhotoIdx, RigidTransform, Scale, ViewIdx};
+    use rilievo_scene::{Intrinsics, PhotoIdx, RigidTransform, ViewIdx};
 
     const SIZE: usize = 200;
     const FOCAL: f64 = 400.0;
@@ -266,12 +266,7 @@ mod tests {
         };
         PosedViews {
             views: offsets.iter().enumerate().map(view).collect(),
-            unregistered: Vec::new(),
-            points: Vec::new(),
-            anchors: Vec::new(),
-            scale: Scale::default(),
-            spheres: Vec::new(),
-            no_sphere: None,
+            ..PosedViews::default()
         }
     }
 
