@@ -229,8 +229,11 @@ mod tests {
         let estimate = common.estimate.unwrap();
         let error = (estimate.metres_per_unit / 2.701 - 1.0).abs();
         assert!(error < 1e-6, "{error}");
-        // The two differ by 0.074 %: half of that is the error of their mean.
+        // The two differ by 0.074 %, half of which is the error of their mean; what both outlines share is more.
         let sigma = estimate.relative_sigma;
+        assert!((sigma - 5e-4).abs() < 1e-9, "{sigma}");
+        let apart = scale_of(&[fit("a", 2.700, 2e-4), fit("b", 2.702, 2e-4)]);
+        let sigma = apart.estimate.unwrap().relative_sigma;
         assert!((sigma - 3.7e-4).abs() < 0.1e-4, "{sigma}");
         assert!(common.contradictions.is_empty());
     }
