@@ -44,7 +44,7 @@ fn table(views: &PosedViews) -> Table<'_> {
         |o: &AnchorObservation| (o.view.0, o.pixel[0], o.pixel[1], o.depth, o.sigma_ln_depth);
     Table {
         unit: views.scale.unit,
-        frame: frame(views),
+        frame: views.frame.of_file(),
         views: views.views.iter().map(|v| v.file_name.as_str()).collect(),
         columns: Columns {
             covariance: ["xx", "xy", "xz", "yy", "yz", "zz"],
@@ -63,10 +63,6 @@ fn table(views: &PosedViews) -> Table<'_> {
     }
 }
 
-fn frame(views: &PosedViews) -> String {
-    format!("world of cameras.json, {}", views.frame.words())
-}
-
 /// Standard deviation along the most uncertain axis is at most the root of the trace; that is what
 /// a viewer can colour by.
 fn sigma(anchor: &Anchor) -> f64 {
@@ -75,16 +71,13 @@ fn sigma(anchor: &Anchor) -> f64 {
 }
 
 fn ply(views: &PosedViews) -> Vec<u8> {
-    let unit = match views.scale.unit {
-        Unit::Metre => "metre",
-        Unit::Arbitrary => "arbitrary",
-    };
     let mut bytes = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment unit {unit}\n\
+        "ply\nformat binary_little_endian 1.0\ncomment unit {}\n\
          comment frame {}\ncomment sigma: root of the covariance's trace\n\
          element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          property float sigma\nproperty uchar views\nend_header\n",
-        frame(views),
+        views.scale.unit.name(),
+        views.frame.of_file(),
         views.anchors.len()
     )
     .into_bytes();

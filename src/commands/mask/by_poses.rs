@@ -81,8 +81,8 @@ impl PosedProposal {
     }
 }
 
-/// Proposes masks for the photos that are without, by the poses of a run, and writes them. All photos with a pose vote on what is the object, those
-/// with a mask too, so that a mask does not depend on which others are there already.
+/// Proposes masks for the photos that are without, by the poses of a run, and writes them. All photos with a pose vote on
+/// what is the object, those with a mask too, so that a mask does not depend on which others are there already.
 ///
 /// `without` has why a photo is without a mask, for those that are. Returns a proposal or a new reason for these, and the
 /// photos that cannot be read or are not those of the run.

@@ -4,11 +4,11 @@
 //! under the object's middle, and the cameras on the side of -y, which is the front. Else the axes of the first
 //! posed camera.
 
-use crate::vertical::{Vertical, object_and_rest};
+use crate::vertical::Vertical;
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use rilievo_numerics::plane::Plane;
 use rilievo_numerics::robust::quantile;
-use rilievo_scene::{PhotoSet, PosedViews, RigidTransform, WorldFrame};
+use rilievo_scene::{PosedViews, RigidTransform, WorldFrame};
 
 /// Fewest points inside the masks that tell where the object is.
 const MIN_OBJECT_POINTS: usize = 30;
@@ -20,14 +20,15 @@ const MIN_ONE_SIDED: f64 = 0.3;
 /// Least slope at which a camera looks down on the ground, as a sine: others look past the object into the distance.
 const MIN_DOWN: f64 = 0.05;
 
-/// Turns and moves the world so that it lies as the module says; the vertical with it.
+/// Turns and moves the world so that it lies as the module says; the vertical with it. `object` are the points that
+/// masks show to be the object's.
 pub fn apply(
-    photos: &PhotoSet,
+    object: &[Point3<f64>],
     ground: Option<&Plane>,
     posed: &mut PosedViews,
     vertical: Option<&mut Vertical>,
 ) {
-    let level = ground.and_then(|ground| level_from_world(photos, posed, ground));
+    let level = ground.and_then(|ground| level_from_world(object, posed, ground));
     posed.frame = match level {
         Some(_) => WorldFrame::Level,
         None => WorldFrame::FirstCamera,
@@ -63,23 +64,21 @@ pub fn apply(
 
 /// The way to axes on a ground whose normal points upwards; `None` where the object's place is not known.
 fn level_from_world(
-    photos: &PhotoSet,
+    object: &[Point3<f64>],
     posed: &PosedViews,
     ground: &Plane,
 ) -> Option<RigidTransform> {
     let up = ground.normal;
     let cameras: Vec<_> = posed.views.iter().map(|v| v.cam_from_world).collect();
     // Horizontal axes of any direction, to measure the object's sides along.
-    let x = (if up.x.abs() < 0.7 {
+    let oblique = if up.x.abs() < 0.7 {
         Vector3::x()
     } else {
         Vector3::y()
-    })
-    .cross(&up)
-    .normalize();
+    };
+    let x = oblique.cross(&up).normalize();
     let frame = Matrix3::from_rows(&[x.transpose(), up.cross(&x).transpose(), up.transpose()]);
-    let (object, _) = object_and_rest(photos, posed);
-    let middle = middle_of(&object, &frame, (MIN_OBJECT_POINTS, BEYOND)).or_else(|| {
+    let middle = middle_of(object, &frame, (MIN_OBJECT_POINTS, BEYOND)).or_else(|| {
         // What most cameras look at on the ground.
         let looked_at = cameras.iter().filter_map(|pose| {
             let axis = pose.rotation.inverse() * Vector3::z();

@@ -103,12 +103,13 @@ pub fn run(
         &mut report,
         observer,
     )?;
-    let vertical = vertical::find(photos, &posed);
+    let (object, rest) = vertical::object_and_rest(photos, &posed);
+    let vertical = vertical::find(photos, &posed, &rest);
     let ground = vertical.and_then(|(_, ground)| ground);
     report.vertical = vertical.map(|(vertical, _)| vertical);
     if given.is_none() {
         level::apply(
-            photos,
+            &object,
             ground.as_ref(),
             &mut posed,
             report.vertical.as_mut(),

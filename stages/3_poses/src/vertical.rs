@@ -47,10 +47,15 @@ const MAX_LEAN_DEG: f64 = 60.0;
 /// Cameras whose upright directions differ more were turned at will.
 const MAX_SPREAD_DEG: f64 = 25.0;
 
-/// The vertical, and the ground with its normal upwards; `None` when neither ground nor cameras tell it.
-pub fn find(photos: &PhotoSet, posed: &PosedViews) -> Option<(Vertical, Option<Plane>)> {
+/// The vertical, and the ground with its normal upwards, among the points off the object; `None` when neither ground nor
+/// cameras tell it.
+pub fn find(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    off_object: &[Point3<f64>],
+) -> Option<(Vertical, Option<Plane>)> {
     let (up, spread_deg) = upright(photos, posed)?;
-    if let Some((vertical, ground)) = ground(photos, posed, &up) {
+    if let Some((vertical, ground)) = ground(posed, off_object, &up) {
         return Some((vertical, Some(ground)));
     }
     let vertical = Vertical {
@@ -105,11 +110,10 @@ fn upright(photos: &PhotoSet, posed: &PosedViews) -> Option<(Vector3<f64>, f64)>
 
 /// The plane that most points off the object lie on.
 fn ground(
-    photos: &PhotoSet,
     posed: &PosedViews,
+    points: &[Point3<f64>],
     upright: &Vector3<f64>,
 ) -> Option<(Vertical, Plane)> {
-    let (_, points) = object_and_rest(photos, posed);
     if points.len() < MIN_NUM_POINTS {
         return None;
     }
@@ -122,7 +126,7 @@ fn ground(
     let middle = Point3::from(sum / points.len() as f64);
     let reach = centers.iter().map(|c| (c - middle).norm()).sum::<f64>() / centers.len() as f64;
     // The ground is seen from above.
-    let ground = Plane::of_most(&points, MAX_OFF_PLANE * reach, NUM_TRIPLES, |_, _| true)?;
+    let ground = Plane::of_most(points, MAX_OFF_PLANE * reach, NUM_TRIPLES, |_, _| true)?;
     let ground = ground.facing(&centers);
     let share = ground.num_points as f64 / points.len() as f64;
     let leans = ground.normal.angle(upright).to_degrees() > MAX_LEAN_DEG;

@@ -131,8 +131,9 @@ pub(crate) fn extract(
     report.closed_area = closed.area;
     // A filling may run along an edge that is there already.
     manifold::separate(&mut mesh);
-    if options.max_num_triangles > 0 && mesh.triangles.len() > options.max_num_triangles {
-        report.num_triangles_before = Some(mesh.triangles.len());
+    if options.max_num_triangles > 0 {
+        let num_before = mesh.triangles.len();
+        report.num_triangles_before = Some(num_before).filter(|&n| n > options.max_num_triangles);
         report.simplified_by = simplify::simplify(&mut mesh, options.max_num_triangles);
     }
     let open = rim::boundary_loops(&mesh);

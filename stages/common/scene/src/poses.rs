@@ -68,6 +68,11 @@ pub enum WorldFrame {
 }
 
 impl WorldFrame {
+    /// What a file of a run in this frame says of it.
+    pub fn of_file(self) -> String {
+        format!("world of cameras.json, {}", self.words())
+    }
+
     /// What to tell who opens a file in this frame.
     pub fn words(self) -> &'static str {
         match self {

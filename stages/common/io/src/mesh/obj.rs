@@ -25,11 +25,8 @@ pub fn write_mesh_obj(
     check(path, mesh)?;
     let world = world.into();
     write_pieces(path, |out| {
-        let (unit, frame) = (world.unit.name(), world.frame.words());
-        writeln!(
-            out,
-            "# unit {unit}\n# frame world of cameras.json, {frame}\no object"
-        )?;
+        let (unit, frame) = (world.unit.name(), world.frame.of_file());
+        writeln!(out, "# unit {unit}\n# frame {frame}\no object")?;
         for (i, [x, y, z]) in mesh.vertices.iter().enumerate() {
             write!(out, "v {x} {y} {z}")?;
             match mesh.colors.get(i) {

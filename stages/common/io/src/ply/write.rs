@@ -11,9 +11,9 @@ use std::path::{Path, PathBuf};
 fn preamble(world: WorldCoordinates) -> String {
     format!(
         "ply\nformat binary_little_endian 1.0\ncomment unit {}\n\
-         comment frame world of cameras.json, {}\n",
+         comment frame {}\n",
         world.unit.name(),
-        world.frame.words()
+        world.frame.of_file()
     )
 }
 

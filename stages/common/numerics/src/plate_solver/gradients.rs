@@ -123,7 +123,7 @@ impl ConjugateGradients {
             part[..row.len()].copy_from_slice(&rhs[row.clone()]);
             self.forward(couplings, row, &mut part, &mut residual);
         }
-        let mut norm2: f64 = self.sum(|i| residual[i] * residual[i]);
+        let mut norm2: f64 = residual.iter().map(|r| r * r).sum();
         let target = norm2 * TOLERANCE * TOLERANCE;
         let mut turn = 0.0;
         for _ in 0..MAX_NUM_ITERATIONS {
@@ -167,10 +167,6 @@ impl ConjugateGradients {
             norm2 = next;
         }
         Some(x)
-    }
-
-    fn sum(&self, at: impl Fn(usize) -> f64) -> f64 {
-        self.rows.iter().flat_map(Range::clone).map(at).sum()
     }
 
     /// A row of `y` in `(I + L) y = g`, where `part` holds `g` of it and the rows above are solved.
