@@ -13,9 +13,7 @@ use rilievo_io::{
     IoError, IoErrorKind, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
 };
 use rilievo_lighting::LightingRequest;
-use rilievo_scene::{
-    LightingCalibration, Observer, PhotoSet, PosedViews, SphereRequest, StageId, ViewIdx,
-};
+use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, StageId, ViewIdx};
 
 const CALIBRATION: &str = "calibration.json";
 
@@ -98,12 +96,10 @@ fn lighting_request(
         }
         LightingInput::Found => {
             // Photos that the sphere file names in vain were told by stage 3.
-            let (sphere, _) = super::poses::sphere_request(context, photos)?;
-            Ok(
-                sphere.map_or(LightingRequest::OwnShape, |sphere: SphereRequest| {
-                    LightingRequest::Sphere(sphere)
-                }),
-            )
+            let spheres = super::poses::sphere_request(context, photos)?;
+            Ok(spheres.map_or(LightingRequest::OwnShape, |spheres| {
+                LightingRequest::Sphere(spheres.request)
+            }))
         }
     }
 }

@@ -7,7 +7,7 @@ use super::errors::from_poses;
 use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
-use rilievo_io::{CameraFile, decode_photo, write_cameras, write_colmap_text};
+use rilievo_io::{CameraFile, SpheresInSet, decode_photo, write_cameras, write_colmap_text};
 use rilievo_scene::{
     LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId, WorldFrame,
 };
@@ -21,7 +21,29 @@ const POSED_VIEWS: &str = "posed_views.json";
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     let photos = super::photos::load(context)?;
     let matches = super::features::load(context, &photos.photos)?;
-    let (sphere, unused) = sphere_request(context, &photos)?;
+    let (sphere, unused) = match sphere_request(context, &photos)? {
+        None => (None, Vec::new()),
+        Some(SpheresInSet {
+            request,
+            absent,
+            upright,
+        }) => {
+            if let [first, others @ ..] = &upright[..] {
+                let more = match others.len() {
+                    0 => String::new(),
+                    n => format!(" and {n} more"),
+                };
+                context.console.warn(
+                    StageId::Poses,
+                    format!(
+                        "{first}{more}: the sphere is marked in the photo as EXIF turns it; the mark was \
+                         turned back to the pixels as stored"
+                    ),
+                );
+            }
+            (Some(request), absent)
+        }
+    };
     for warning in &context.inputs.sphere_warnings {
         context.console.warn(StageId::Poses, warning);
     }
@@ -91,33 +113,34 @@ pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
     Ok(views)
 }
 
-/// What the user said of the reference spheres, for a set of photos; and the photos that the sphere
-/// file names but the set lacks.
+/// What the user said of the reference spheres, for a set of photos.
 ///
 /// # Errors
 /// When the sphere file does not fit the photos, or a calibration photo cannot be read.
 pub fn sphere_request(
     context: &Context<'_>,
     photos: &PhotoSet,
-) -> Result<(Option<SphereRequest>, Vec<String>), Failure> {
+) -> Result<Option<SpheresInSet>, Failure> {
     if let SphereInput::Auto { radius } = context.request.sphere {
         let request = SphereRequest {
             search_radius: Some(radius),
             light: None,
             ..SphereRequest::default()
         };
-        return Ok((Some(request), Vec::new()));
+        return Ok(Some(SpheresInSet {
+            request,
+            ..SpheresInSet::default()
+        }));
     }
     let Some(file) = &context.inputs.sphere else {
-        return Ok((None, Vec::new()));
+        return Ok(None);
     };
     let images = file
         .calibration
         .iter()
         .map(|calibration| calibration_image(context, &calibration.image))
         .collect::<Result<Vec<_>, _>>()?;
-    let (request, missing) = file.to_request(photos, images)?;
-    Ok((Some(request), missing))
+    Ok(Some(file.to_request(photos, images)?))
 }
 
 fn calibration_image(

@@ -5,7 +5,8 @@ use crate::paths::text_of;
 use rilievo_io::{decode_photo, is_photo_name};
 use rilievo_photos::{Encoding, linearize};
 use rilievo_scene::{
-    FocalSource, LinearImage, Photo, PhotoIdx, PhotoSet, PixelError, PixelSource, PosedViews,
+    FocalSource, LinearImage, Orientation, Photo, PhotoIdx, PhotoSet, PixelError, PixelSource,
+    PosedViews,
 };
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -56,7 +57,7 @@ pub fn find(folder: &Path, posed: &mut PosedViews) -> Result<PhotoSet, Failure> 
             intrinsics: view.intrinsics,
             focal_source: FocalSource::CameraFile,
             camera_group: 0,
-            orientation: 1,
+            orientation: Orientation::UPRIGHT,
             mask: None,
             clip_level: 1.0,
             given_cam_from_world: None,

@@ -10,7 +10,7 @@ use rilievo_io::{
     LightingFile, SceneFile, SceneView, decode_photo, read_cameras, read_lighting, read_mask,
     read_matches_csv, read_scene, split_lighting_spec,
 };
-use rilievo_scene::{DepthMap, Lighting, LinearImage, Mask, StageId};
+use rilievo_scene::{DepthMap, Lighting, LinearImage, Mask, Orientation, StageId};
 use rilievo_shading::paper::{DepthPrior, ShadingProblem, ShadingView, ViewLight, ViewMatches};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -135,7 +135,14 @@ fn read_view(
         .ok_or_else(|| Failure::input(&view.camera, "holds no camera"))?;
     let mask_file = args.mask.as_ref().or(view.mask.as_ref());
     let mask = match mask_file {
-        Some(path) => read_mask(path).map_err(Failure::from)?,
+        Some(path) => {
+            let mask = read_mask(path).map_err(Failure::from)?;
+            let number = decoded.exif.orientation;
+            let orientation = number.and_then(Orientation::of_exif).unwrap_or_default();
+            orientation
+                .mask_by_size(mask, (image.width, image.height))
+                .0
+        }
         None => Mask::filled(image.width, image.height, true),
     };
     if !(mask.width == image.width && mask.height == image.height) {

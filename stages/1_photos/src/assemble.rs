@@ -7,7 +7,7 @@ use crate::options::PhotosOptions;
 use crate::prepare::PreparedPhoto;
 use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
 use rilievo_numerics::robust::median;
-use rilievo_scene::{FocalSource, Observer, Photo, PhotoSet, StageId};
+use rilievo_scene::{FocalSource, Observer, Orientation, Photo, PhotoSet, StageId};
 use std::sync::Arc;
 
 /// Noise over level from which the user is warned: at a tenth of the shading's own range.
@@ -257,9 +257,12 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         "has pixels that are not numbers; they were set to zero",
     );
     about(
-        which(&|f| f.orientation != 1),
-        "EXIF asks to rotate it for display; it is used as stored, and masks and cameras must be \
-         in that frame",
+        which(&|f| f.orientation != Orientation::UPRIGHT),
+        "EXIF asks to turn it for display; it is used as stored, and so are cameras, maps and exports",
+    );
+    about(
+        which(&|f| f.mask_was_upright),
+        "the mask was drawn over the photo as EXIF turns it; it was turned back to the pixels as stored",
     );
     about(
         which(&|f| {

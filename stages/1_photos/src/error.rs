@@ -99,7 +99,7 @@ pub enum PhotosError {
     /// The mask has another size than the photo.
     #[error(
         "mask of {photo} has {mask_width} x {mask_height} pixels, the photo {width} x {height}; \
-         export it at the photo's size, not rotated"
+         export it at the photo's size, as stored or upright as EXIF turns the photo"
     )]
     MaskSize {
         /// The photo.

@@ -16,8 +16,8 @@
 //! Beside the way: [`backdrop`] proposes masks of objects before a plain backdrop, and [`table`]
 //! writes the preflight for people.
 //!
-//! Pixels are never rotated or scaled: EXIF orientation is noted, and masks and cameras must be in
-//! the same, stored frame.
+//! Pixels are never rotated or scaled: everything is in the frame of the pixels as stored. EXIF's
+//! orientation is noted, and masks that were drawn over the photo as EXIF turns it are turned back.
 
 mod assemble;
 pub mod backdrop;
@@ -43,4 +43,4 @@ pub use prepare::{GivenCamera, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 5;
+pub const VERSION: u32 = 6;

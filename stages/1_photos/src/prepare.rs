@@ -7,8 +7,8 @@ use crate::options::PhotosOptions;
 use crate::report::PhotoFacts;
 use crate::{edges, mask, measures};
 use rilievo_scene::{
-    DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, PackedMask,
-    PixelSource, RigidTransform,
+    DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Orientation,
+    PackedMask, PixelSource, RigidTransform,
 };
 use std::sync::Arc;
 
@@ -65,7 +65,13 @@ pub fn prepare(
     options.validate()?;
     check_frame(&decoded, options)?;
     let size = (decoded.width, decoded.height);
-    if let Some(mask) = &mask {
+    let orientation = decoded
+        .exif
+        .orientation
+        .and_then(Orientation::of_exif)
+        .unwrap_or_default();
+    let mask = mask.map(|mask| orientation.mask_by_size(mask, size));
+    if let Some((mask, _)) = &mask {
         mask::check(&decoded.file_name, size, mask, options)?;
     }
     let first = match camera {
@@ -98,6 +104,11 @@ pub fn prepare(
         let photo = decoded.file_name;
         return Err(PhotosError::Beyond { photo, value });
     }
+    let mask = mask.map(|(mask, was_turned)| match was_turned {
+        true => (mask, true),
+        false => mask::turned_by_content(mask, &image, orientation),
+    });
+    let (mask, mask_was_upright) = mask.map_or((None, false), |(mask, was)| (Some(mask), was));
     let measured = measures::measure(&image, mask.as_ref(), clip_level);
     let facts = PhotoFacts {
         name: name_of(&decoded.file_name).to_owned(),
@@ -111,7 +122,8 @@ pub fn prepare(
         focal_source: first.source,
         focal_note: first.note,
         given_cam_from_world: camera.and_then(|camera| camera.cam_from_world),
-        orientation: decoded.exif.orientation.unwrap_or(1),
+        orientation,
+        mask_was_upright,
         mask_coverage: mask.as_ref().map(Mask::coverage),
         mask_edge_ratio: mask
             .as_ref()

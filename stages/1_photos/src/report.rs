@@ -1,6 +1,6 @@
 //! Facts of the preflight: what the photos are, before anything is computed from them.
 
-use rilievo_scene::{ExifFacts, FocalSource, Intrinsics, RigidTransform};
+use rilievo_scene::{ExifFacts, FocalSource, Intrinsics, Orientation, RigidTransform};
 use serde::{Deserialize, Serialize};
 
 /// Which curve was undone.
@@ -42,8 +42,11 @@ pub struct PhotoFacts {
     pub focal_note: String,
     /// Pose given by the user.
     pub given_cam_from_world: Option<RigidTransform>,
-    /// EXIF orientation, 1 to 8; noted, not applied.
-    pub orientation: u8,
+    /// How EXIF turns it for display, 1 to 8; pixels, mask and camera are as stored.
+    pub orientation: Orientation,
+    /// Whether the mask was given upright, as EXIF turns the photo, and was turned back.
+    #[serde(default)]
+    pub mask_was_upright: bool,
     /// Share of the frame that the mask marks, where there is a mask.
     pub mask_coverage: Option<f64>,
     /// How much stronger brightness changes along the mask's border than along the same border shifted,

@@ -1,6 +1,7 @@
 //! The preflight as a table for people.
 
 use crate::report::{PhotoFacts, PhotosReport};
+use rilievo_scene::Orientation;
 use std::fmt;
 
 impl PhotosReport {
@@ -87,8 +88,8 @@ impl fmt::Display for Table<'_> {
 
 fn camera(photo: &PhotoFacts) -> String {
     let turned = match photo.orientation {
-        1 => String::new(),
-        n => format!(", orientation {n} not applied"),
+        Orientation::UPRIGHT => String::new(),
+        turned => format!(", orientation {} not applied", turned.number()),
     };
     format!("{}{turned}; {}", photo.focal_note, photo.encoding_reason)
 }

@@ -7,8 +7,8 @@ use rilievo_photos::{
     GivenCamera, PhotosError, PhotosOptions, PhotosReport, PreparedPhoto, assemble, prepare,
 };
 use rilievo_scene::{
-    DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, PhotoSet, Raster, Recorder, Samples,
-    Silent,
+    DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, Orientation, PhotoSet, Raster,
+    Recorder, Samples, Silent,
 };
 
 fn photo(file_name: &str, exif: ExifFacts) -> DecodedPhoto {
@@ -162,9 +162,61 @@ fn orientation_is_noted_and_changes_nothing() {
                 ..ExifFacts::default()
             },
         );
-        assert_eq!(turned.facts.orientation, orientation);
+        assert_eq!(turned.facts.orientation.number(), orientation);
         assert_eq!(turned.facts.intrinsics, plain.facts.intrinsics);
         assert_eq!(turned.pixels.load().unwrap(), plain_pixels);
+    }
+}
+
+#[test]
+fn masks_drawn_upright_are_turned_back_to_the_stored_frame() {
+    // A bright object, alike under no turn, before a dark ground.
+    let inside = |x: f64, y: f64| (8.0..30.0).contains(&x) && y > 5.0 && y < 40.0 - x;
+    for (width, height) in [(96, 60), (80, 80)] {
+        let stored = Mask::from_fn(width, height, |x, y| inside(x as f64, y as f64));
+        let values = stored.data.iter();
+        let decoded = |orientation| DecodedPhoto {
+            width,
+            height,
+            samples: Samples::U8(
+                values
+                    .clone()
+                    .flat_map(|&inside| [if inside { 180 } else { 20 }; 3])
+                    .collect(),
+            ),
+            ..photo(
+                "a.jpg",
+                ExifFacts {
+                    orientation: Some(orientation),
+                    ..ExifFacts::default()
+                },
+            )
+        };
+        for number in 1..=8 {
+            let orientation = Orientation::of_exif(number).unwrap();
+            let size = orientation.upright_size((width, height));
+            let upright = Mask::from_fn(size.0, size.1, |x, y| {
+                let at = orientation.to_stored([x as f64, y as f64], (width, height));
+                inside(at[0], at[1])
+            });
+            for (given, was_upright) in [(&stored, false), (&upright, number != 1)] {
+                let options = PhotosOptions::default();
+                let prepared = prepare(decoded(number), Some(given.clone()), None, &options);
+                let prepared = prepared.unwrap();
+                let found = prepared.mask.as_ref().unwrap().unpacked();
+                assert!(
+                    found == stored,
+                    "{number}, {width} x {height}, {was_upright}"
+                );
+                assert_eq!(prepared.facts.mask_was_upright, was_upright, "{number}");
+            }
+        }
+        // Upright by another turn than EXIF's.
+        if width != height {
+            let lying = Mask::from_fn(height, width, |x, y| inside(y as f64, x as f64));
+            let refused = prepare(decoded(1), Some(lying), None, &PhotosOptions::default());
+            assert!(matches!(refused, Err(PhotosError::MaskSize { .. })));
+        }
     }
 }
 

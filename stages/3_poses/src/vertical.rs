@@ -92,14 +92,8 @@ fn upright(photos: &PhotoSet, posed: &PosedViews) -> Option<(Vector3<f64>, f64)>
         .views
         .iter()
         .map(|view| {
-            // Where "up" of the scene lies in the stored picture (EXIF 2.32, tag Orientation).
-            let up_in_cam = match photos.photos[view.photo.0].orientation {
-                3 | 4 => Vector3::y(),
-                5 | 6 => -Vector3::x(),
-                7 | 8 => Vector3::x(),
-                _ => -Vector3::y(),
-            };
-            view.cam_from_world.rotation.inverse() * up_in_cam
+            let [x, y] = photos.photos[view.photo.0].orientation.up_in_stored();
+            view.cam_from_world.rotation.inverse() * Vector3::new(x, y, 0.0)
         })
         .collect();
     let mean = each.iter().sum::<Vector3<f64>>().try_normalize(1e-6)?;

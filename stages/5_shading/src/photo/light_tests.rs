@@ -10,8 +10,8 @@ use super::{distant, shading, surround};
 use nalgebra::{Matrix3, Point3, Rotation3};
 use rilievo_scene::{
     Alone, DepthMap, FocalSource, InMemoryPixels, Intrinsics, LightKind, LinearImage,
-    LocatedSphere, MarkedSphere, MemoryScratch, NormalMap, Photo, PhotoIdx, PhotoSet, PosedView,
-    PosedViews, RigidTransform,
+    LocatedSphere, MarkedSphere, MemoryScratch, NormalMap, Orientation, Photo, PhotoIdx, PhotoSet,
+    PosedView, PosedViews, RigidTransform,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -91,7 +91,7 @@ fn load(folder: &Path, names: &[&str]) -> Truth {
             intrinsics,
             focal_source: FocalSource::CameraFile,
             camera_group: 0,
-            orientation: 1,
+            orientation: Orientation::UPRIGHT,
             mask: Some(Arc::new(mask.packed())),
             clip_level: 0.98,
             given_cam_from_world: None,

@@ -15,8 +15,8 @@ use rilievo_numerics::solver_set::SolverSet;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
     Alone, FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
-    MarkedSphere, MemoryScratch, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews, ShadedViews,
-    Silent, SphereLight,
+    MarkedSphere, MemoryScratch, Orientation, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews,
+    ShadedViews, Silent, SphereLight,
 };
 use rilievo_stereo::level::Level;
 use rilievo_stereo::plate;
@@ -111,7 +111,7 @@ pub(super) fn photographed(
             intrinsics: view.intrinsics,
             focal_source: FocalSource::CameraFile,
             camera_group: 0,
-            orientation: 1,
+            orientation: Orientation::UPRIGHT,
             mask: Some(Arc::new(view.object_mask.packed())),
             clip_level: 0.99,
             given_cam_from_world: None,

@@ -94,6 +94,6 @@ pub use scene_file::{
     SceneFile, SceneMatches, SceneView, read_matches_csv, read_scene, write_matches_csv,
 };
 pub use sphere_file::{
-    MAX_NUM_SPHERES, SPHERE_RADII, SphereFile, SphereFileCalibration, SphereFileEntry, is_mark_of,
-    read_sphere_file,
+    MAX_NUM_SPHERES, SPHERE_RADII, SphereFile, SphereFileCalibration, SphereFileEntry,
+    SpheresInSet, is_mark_of, read_sphere_file,
 };

@@ -22,8 +22,8 @@ use crate::json::{self, Node};
 use crate::mask::read_mask;
 use nalgebra::Point3;
 use rilievo_scene::{
-    LightKind, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, SphereCalibration, SphereMark,
-    SphereRequest, Unit,
+    LightKind, LinearImage, MarkedSphere, Orientation, Photo, PhotoIdx, PhotoSet,
+    SphereCalibration, SphereMark, SphereRequest, Unit,
 };
 use std::collections::HashSet;
 use std::ops::RangeInclusive;
@@ -88,6 +88,17 @@ pub struct SphereFile {
     pub left_out: Vec<(PathBuf, String)>,
 }
 
+/// What a sphere file asks for in a set of photos.
+#[derive(Clone, Debug, Default)]
+pub struct SpheresInSet {
+    /// The spheres, marked in the frame of the pixels as stored.
+    pub request: SphereRequest,
+    /// Photos that the file names and the set lacks.
+    pub absent: Vec<String>,
+    /// Photos whose marks were drawn over the photo as EXIF turns it, and were turned back.
+    pub upright: Vec<String>,
+}
+
 /// A name, and what it is without folder and without ending: either may be meant.
 fn meant(name: &str) -> [&str; 3] {
     [name, last_part(name), stem(name)]
@@ -124,9 +135,27 @@ impl SphereFile {
         Ok(first)
     }
 
+    /// Whether the marks were drawn over photos as EXIF turns them: some fit their photos only so, and none
+    /// only in the frame of the pixels as stored. What draws marks turns all photos or none.
+    fn is_upright(&self, photos: &PhotoSet) -> bool {
+        let marks = self.spheres.iter().flat_map(|sphere| &sphere.views);
+        let fits = marks.filter_map(|(name, mark)| {
+            let photo = &photos.photos[find_photo(photos, name)?.0];
+            let stored = (photo.intrinsics.width, photo.intrinsics.height);
+            let upright = photo.orientation.upright_size(stored);
+            Some([stored, upright].map(|(width, height)| check_frame(mark, width, height).is_ok()))
+        });
+        let only = fits.fold([false; 2], |[stored, upright], fits| match fits {
+            [true, false] => [true, upright],
+            [false, true] => [stored, true],
+            _ => [stored, upright],
+        });
+        only == [false, true]
+    }
+
     /// The request for a set of photos; `calibration_images` are the calibration photos, linear,
-    /// in the file's order. Photos that the file names and the set lacks come back by name: a set
-    /// may be a part of what the file describes.
+    /// in the file's order. The set may be a part of what the file describes. Marks are in pixels as stored,
+    /// or all of them upright.
     ///
     /// # Errors
     /// When a calibration photo names a photo that the set lacks, its image is missing, or a mask
@@ -135,12 +164,15 @@ impl SphereFile {
         &self,
         photos: &PhotoSet,
         calibration_images: Vec<LinearImage>,
-    ) -> Result<(SphereRequest, Vec<String>), IoError> {
-        let mut request = SphereRequest {
-            light: self.light,
-            ..SphereRequest::default()
-        };
-        let mut absent = Vec::new();
+    ) -> Result<SpheresInSet, IoError> {
+        let mut in_set = SpheresInSet::default();
+        let SpheresInSet {
+            request,
+            absent,
+            upright,
+        } = &mut in_set;
+        request.light = self.light;
+        let is_upright = self.is_upright(photos);
         for entry in &self.spheres {
             let mut sphere = MarkedSphere {
                 name: entry.name.clone(),
@@ -155,11 +187,25 @@ impl SphereFile {
                     }
                     continue;
                 };
-                let camera = &photos.photos[photo.0].intrinsics;
-                check_frame(mark, camera.width, camera.height).map_err(|reason| {
+                let Photo {
+                    intrinsics,
+                    orientation,
+                    file_name,
+                    ..
+                } = &photos.photos[photo.0];
+                let stored = (intrinsics.width, intrinsics.height);
+                let mark = if is_upright && *orientation != Orientation::UPRIGHT {
+                    if !upright.contains(file_name) {
+                        upright.push(file_name.clone());
+                    }
+                    orientation.mark_to_stored(mark, stored)
+                } else {
+                    mark.clone()
+                };
+                check_frame(&mark, stored.0, stored.1).map_err(|reason| {
                     IoError::input(&self.path, format!("{}views.{name}: {reason}", entry.key))
                 })?;
-                sphere.marks.push((photo, mark.clone()));
+                sphere.marks.push((photo, mark));
             }
             sphere.marks.sort_by_key(|(photo, _)| *photo);
             request.spheres.push(sphere);
@@ -202,7 +248,7 @@ impl SphereFile {
                 mark: entry.mark.clone(),
             });
         }
-        Ok((request, absent))
+        Ok(in_set)
     }
 }
 

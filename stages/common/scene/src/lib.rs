@@ -25,6 +25,7 @@ pub mod loading;
 pub mod maps;
 pub mod matches;
 pub mod options;
+pub mod orientation;
 mod packed_mask;
 pub mod photos;
 pub mod poses;
@@ -50,6 +51,7 @@ pub use lighting::{Lighting, SphericalHarmonics};
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};
 pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
 pub use options::{InTable, OptionError, fulfils, in_range};
+pub use orientation::Orientation;
 pub use packed_mask::PackedMask;
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
 pub use poses::{

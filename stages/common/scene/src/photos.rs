@@ -2,6 +2,7 @@
 
 use crate::camera::{FocalSource, Intrinsics};
 use crate::ids::PhotoIdx;
+use crate::orientation::Orientation;
 use crate::packed_mask::PackedMask;
 use crate::raster::LinearImage;
 use crate::transform::RigidTransform;
@@ -51,8 +52,8 @@ pub struct Photo {
     pub focal_source: FocalSource,
     /// Photos of one group share their intrinsics (same body, lens, zoom and size).
     pub camera_group: usize,
-    /// EXIF orientation, 1 to 8; noted, not applied.
-    pub orientation: u8,
+    /// How EXIF turns it for display; pixels, mask and camera are as stored.
+    pub orientation: Orientation,
     /// Object mask, `None` when the user gave no masks.
     pub mask: Option<Arc<PackedMask>>,
     /// Linear value at and above which a channel counts as clipped.

@@ -3,8 +3,8 @@
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{
-    Distortion, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Photo, PhotoIdx,
-    PhotoSet, PosedView, PosedViews, Raster, RigidTransform,
+    Distortion, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Orientation, Photo,
+    PhotoIdx, PhotoSet, PosedView, PosedViews, Raster, RigidTransform,
 };
 use std::sync::Arc;
 
@@ -168,7 +168,7 @@ pub fn photograph(shapes: &[Shape], settings: &Settings) -> Scene {
             intrinsics: camera,
             focal_source: FocalSource::CameraFile,
             camera_group: 0,
-            orientation: 1,
+            orientation: Orientation::UPRIGHT,
             mask,
             clip_level: 0.98,
             given_cam_from_world: None,

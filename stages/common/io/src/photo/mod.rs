@@ -1,4 +1,4 @@
-//! Photos: JPEG, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with their metadata.
+//! Photos: JPEG, HEIC, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with their metadata.
 //!
 //! Nothing is linearised, rotated or scaled here; what the file says of its encoding is noted
 //! ([`DecodedPhoto::linear_by_metadata`], [`DecodedPhoto::profile_curve`]), and stage 1 decides.
@@ -16,6 +16,7 @@ mod exif_facts;
 mod float_tiff;
 mod floats;
 pub(crate) mod guard;
+mod heic;
 mod icc;
 mod jpeg;
 mod names;
@@ -71,6 +72,9 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
                 .with_hint("convert to 16-bit TIFF, OpenEXR or JPEG with one fixed development"),
         );
     }
+    if heic::is_heif(bytes) {
+        return guarded(path, || heic::decode(path, bytes));
+    }
     let format = image::guess_format(bytes)
         .ok()
         .filter(|format| {
@@ -84,7 +88,10 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
             )
         })
         .ok_or_else(|| {
-            IoError::input(path, "not a JPEG, PNG, TIFF, Radiance HDR or OpenEXR image")
+            IoError::input(
+                path,
+                "not a JPEG, HEIC, PNG, TIFF, Radiance HDR or OpenEXR image",
+            )
         })?;
     guarded(path, || match format {
         ImageFormat::OpenExr => decode_exr(path, bytes),

@@ -3,12 +3,12 @@
 use std::path::Path;
 
 /// Endings of photos that can be decoded.
-const PHOTO_ENDINGS: [&str; 8] = ["jpg", "jpeg", "jpe", "png", "tif", "tiff", "exr", "hdr"];
+const PHOTO_ENDINGS: [&str; 11] = [
+    "jpg", "jpeg", "jpe", "png", "tif", "tiff", "exr", "hdr", "heic", "heif", "hif",
+];
 
 /// Endings of photos that people have and this program cannot decode.
-pub(super) const FOREIGN_ENDINGS: [(&str, &str); 6] = [
-    ("heic", "HEIC"),
-    ("heif", "HEIF"),
+pub(super) const FOREIGN_ENDINGS: [(&str, &str); 4] = [
     ("avif", "AVIF"),
     ("webp", "WebP"),
     ("jxl", "JPEG XL"),
@@ -33,7 +33,7 @@ pub(crate) fn is_raw_name(path: &Path) -> bool {
 }
 
 /// Whether a file name has the ending of a photo, be it one that can be decoded or one of a format
-/// that is refused with advice (camera RAW, HEIC).
+/// that is refused with advice (camera RAW, WebP).
 pub fn is_photo_name(path: &Path) -> bool {
     let hidden = path
         .file_name()

@@ -129,17 +129,12 @@ fn encoding(
     if matches!(samples, Samples::F32(_)) {
         return (true, "floating point".to_owned(), None);
     }
+    if let Some(curve) = profile.and_then(icc::tone_curve) {
+        return by_profile(bits, curve);
+    }
     let told = |is_linear: bool, what: &str, curve: Option<Vec<f32>>| {
         (is_linear, format!("{bits} bit{what}"), curve)
     };
-    match profile.and_then(icc::tone_curve) {
-        Some(ToneCurve::Linear) => return told(true, ", linear colour profile", None),
-        Some(ToneCurve::Srgb) => return told(false, ", sRGB curve in its profile", None),
-        Some(ToneCurve::Other(table)) => {
-            return told(false, ", curve of its colour profile", Some(table));
-        }
-        None => {}
-    }
     let png = (format == ImageFormat::Png).then(|| png_chunks::color(bytes));
     match (png.flatten(), bits, profile) {
         (Some(PngColor::Linear), ..) => told(true, ", linear by its gamma", None),
@@ -155,6 +150,16 @@ fn encoding(
         }
         (None, _, None) => told(false, "", None),
     }
+}
+
+/// The same of a photo whose colour profile tells its curve.
+pub(super) fn by_profile(bits: u32, curve: ToneCurve) -> (bool, String, Option<Vec<f32>>) {
+    let (is_linear, what, table) = match curve {
+        ToneCurve::Linear => (true, "linear colour profile", None),
+        ToneCurve::Srgb => (false, "sRGB curve in its profile", None),
+        ToneCurve::Other(table) => (false, "curve of its colour profile", Some(table)),
+    };
+    (is_linear, format!("{bits} bit, {what}"), table)
 }
 
 /// Colour samples, number of colour channels, and whether alpha is at least one half.

@@ -1,10 +1,11 @@
 //! Columns and rows of a photo by its header alone.
 
 use super::guard::guarded;
+use super::heic;
 use super::names::is_raw_name;
 use crate::claims::MAX_PIXELS;
 use crate::error::IoError;
-use crate::files::open_regular;
+use crate::files::{open_regular, read_regular};
 use image::{ImageFormat, ImageReader};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek};
@@ -23,9 +24,15 @@ pub fn photo_size(path: &Path) -> Option<(usize, usize)> {
     let mut head = [0; HEAD_LEN];
     file.read_exact(&mut head).ok()?;
     file.rewind().ok()?;
-    let format = image::guess_format(&head).ok()?;
     let size = guarded(path, || {
-        of_format(format, &head, file).ok_or_else(|| IoError::input(path, "tells no size"))
+        let size = if heic::is_heif(&head) {
+            read_regular(path).ok().and_then(|bytes| heic::size(&bytes))
+        } else {
+            image::guess_format(&head)
+                .ok()
+                .and_then(|format| of_format(format, &head, file))
+        };
+        size.ok_or_else(|| IoError::input(path, "tells no size"))
     });
     let num_px = |&(width, height): &(usize, usize)| (width as u64).saturating_mul(height as u64);
     size.ok()

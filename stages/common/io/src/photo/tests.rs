@@ -240,7 +240,8 @@ fn what_is_no_photo_is_refused_by_name() {
         ("text.jpg", b"Dear Sir or Madam", "not a JPEG"),
         ("raw.NEF", b"MM\0*", "linear 16-bit TIFF"),
         ("raw.dng", b"II*\0", "dcraw_emu"),
-        ("phone.heic", b"....ftypheic", "HEIC"),
+        ("phone.heic", b"....ftypheic", "damaged"),
+        ("web.webp", b"RIFF", "WebP files cannot be decoded"),
     ] {
         let path = folder.path().join(name);
         std::fs::write(&path, content).unwrap();

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::mask::write_mask;
-use rilievo_scene::{InMemoryPixels, Intrinsics, Mask, Photo, Raster};
+use rilievo_scene::{InMemoryPixels, Intrinsics, Mask, Orientation, Photo, Raster};
 use std::sync::Arc;
 
 fn disc() -> Mask {
@@ -36,7 +36,7 @@ fn photos(names: &[&str]) -> PhotoSet {
                 intrinsics: Intrinsics::pinhole(40, 30, 50.0, 19.5, 14.5),
                 focal_source: rilievo_scene::FocalSource::Guess,
                 camera_group: 0,
-                orientation: 1,
+                orientation: Orientation::UPRIGHT,
                 mask: None,
                 clip_level: 1.0,
                 given_cam_from_world: None,
@@ -68,7 +68,9 @@ fn all_forms_are_read_and_found_in_the_set() {
     assert!(file.calibration[0].image.ends_with("CAL.jpg"));
     let image = LinearImage::filled(40, 30, 1, 0.2);
     let set = photos(&["a", "b", "c"]);
-    let (request, absent) = file.to_request(&set, vec![image]).unwrap();
+    let SpheresInSet {
+        request, absent, ..
+    } = file.to_request(&set, vec![image]).unwrap();
     assert_eq!(absent, ["gone"]);
     let sphere = &request.spheres[0];
     assert_eq!(sphere.marks.len(), 3);
@@ -88,7 +90,9 @@ const TWO: &str = r#"{"radius": 0.04, "spheres": [
 #[test]
 fn several_spheres_have_names_and_radii_of_their_own() {
     let mut file = read(TWO).unwrap();
-    let (request, absent) = file.to_request(&photos(&["a", "b"]), Vec::new()).unwrap();
+    let SpheresInSet {
+        request, absent, ..
+    } = file.to_request(&photos(&["a", "b"]), Vec::new()).unwrap();
     let told: Vec<_> = request
         .spheres
         .iter()
@@ -271,4 +275,35 @@ fn a_mark_outside_the_photo_is_refused() {
             "{message}"
         );
     }
+}
+
+#[test]
+fn upright_marks_of_turned_photos_are_turned_back_all_or_none() {
+    // Of 40 x 30 pixels as stored, 30 x 40 upright: the second circle lies below the stored frame.
+    let text = r#"{"radius": 1, "views": {"a": {"circle": [12, 20, 6]}, "b": {"circle": [5, 36, 2]},
+        "c": {"circle": [12, 20, 6]}}}"#;
+    let file = read(text).unwrap();
+    let mut set = photos(&["a", "b", "c"]);
+    set.photos[0].orientation = Orientation::of_exif(6).unwrap();
+    set.photos[1].orientation = Orientation::of_exif(8).unwrap();
+    let in_set = file.to_request(&set, Vec::new()).unwrap();
+    assert_eq!(in_set.upright, ["a.jpg", "b.jpg"]);
+    let centers: Vec<[f64; 2]> = in_set.request.spheres[0]
+        .marks
+        .iter()
+        .map(|(_, mark)| match mark {
+            SphereMark::Circle { center_px, .. } => *center_px,
+            other => panic!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(centers, [[20.0, 17.0], [3.0, 5.0], [12.0, 20.0]]);
+
+    // A mask of the stored size says that nothing was turned.
+    let text = text.replace(
+        r#""a": {"circle": [12, 20, 6]}"#,
+        r#""a": {"mask": "masks/a.png"}"#,
+    );
+    let refused = read(&text).unwrap().to_request(&set, Vec::new());
+    let message = refused.unwrap_err().to_string();
+    assert!(message.contains("views.b"), "{message}");
 }

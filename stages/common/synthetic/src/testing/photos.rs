@@ -4,8 +4,8 @@ use crate::view::RenderedView;
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{
     DecodedPhoto, Event, Flow, FocalSource, InMemoryPixels, Intrinsics, Lighting, LinearImage,
-    LocatedSphere, MarkedSphere, Observer, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews,
-    RigidTransform, Samples, SphericalHarmonics, srgb,
+    LocatedSphere, MarkedSphere, Observer, Orientation, Photo, PhotoIdx, PhotoSet, PosedView,
+    PosedViews, RigidTransform, Samples, SphericalHarmonics, srgb,
 };
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ pub fn photo(file_name: &str, image: LinearImage, intrinsics: Intrinsics) -> Pho
         intrinsics,
         focal_source: FocalSource::CameraFile,
         camera_group: 0,
-        orientation: 1,
+        orientation: Orientation::UPRIGHT,
         mask: None,
         clip_level: 1.0,
         given_cam_from_world: None,
