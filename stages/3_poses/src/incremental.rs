@@ -296,7 +296,10 @@ pub fn try_full_intrinsics(
 }
 
 /// Robust adjustment of the whole model.
-fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, PosesError> {
+///
+/// # Errors
+/// When it breaks down.
+pub fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, PosesError> {
     let scope = AdjustmentScope {
         step: "global",
         photos: None,

@@ -18,6 +18,7 @@ mod level;
 mod model;
 mod narrow;
 pub mod options;
+mod own_focal;
 mod p3p;
 mod projection;
 mod ranking;
@@ -48,7 +49,7 @@ use rilievo_scene::{
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 11;
+pub const VERSION: u32 = 12;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;
@@ -79,7 +80,8 @@ pub fn run(
         Some(poses) => (given::reconstruct(&scene, poses, options)?, Vec::new()),
         None => {
             let first = largest_model(&scene, options, observer)?;
-            larger_from_found_focal(&mut scene, first, options, observer)?
+            let found = larger_from_found_focal(&mut scene, first, options, observer)?;
+            with_own_focals(&mut scene, found, options, observer)?
         }
     };
     if !keeps_given {
@@ -124,6 +126,7 @@ pub fn run(
         .iter()
         .map(LensReport::advice)
         .chain(contradicted_exif(&scene, &reconstruction))
+        .chain(own_focal::warnings(&scene, &reconstruction.model))
         .chain(narrow::warning(&posed, options))
         .chain(left_out)
     {
@@ -168,6 +171,35 @@ fn larger_from_found_focal(
         Ok(second) if second.0.model.num_views() > model.num_views() => Ok(second),
         Err(PosesError::Interrupted) => Err(PosesError::Interrupted),
         _ => Ok(first),
+    }
+}
+
+/// Reconstructs once more with cameras of their own for photos that were zoomed or cropped, where there are any; the
+/// better model.
+fn with_own_focals(
+    scene: &mut Scene<'_>,
+    first: Found,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<Found, PosesError> {
+    let own = own_focal::find(scene, &first.0.model, options)?;
+    if own.is_empty() {
+        return Ok(first);
+    }
+    let (num_cameras, camera_of) = (scene.cameras.len(), scene.camera_of.clone());
+    own_focal::part(scene, &first.0.model, &own);
+    let better = |second: &Found| {
+        let size = |found: &Found| (found.0.model.num_views(), found.0.model.num_sightings());
+        size(second) > size(&first)
+    };
+    match largest_model(scene, options, observer) {
+        Ok(second) if better(&second) => Ok(second),
+        Err(PosesError::Interrupted) => Err(PosesError::Interrupted),
+        _ => {
+            scene.cameras.truncate(num_cameras);
+            scene.camera_of = camera_of;
+            Ok(first)
+        }
     }
 }
 

@@ -101,6 +101,11 @@ impl Model {
         self.points.iter().flatten().count()
     }
 
+    /// Number of sightings that support points.
+    pub fn num_sightings(&self) -> usize {
+        self.points.iter().flatten().map(|p| p.support.len()).sum()
+    }
+
     /// Current intrinsics, per camera.
     pub fn intrinsics(&self) -> Vec<Intrinsics> {
         self.cameras.iter().map(AdjustedCamera::current).collect()

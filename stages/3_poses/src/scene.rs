@@ -10,7 +10,7 @@ use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, PhotoSet};
 /// millimetres or thereabouts, at a focus nearer than infinity.
 pub const EXIF_FOCAL_SIGMA: f64 = 0.02;
 /// Standard deviation of `ln f` where nothing is known.
-const GUESS_FOCAL_SIGMA: f64 = 0.4;
+pub const GUESS_FOCAL_SIGMA: f64 = 0.4;
 /// Standard deviation of the principal point, as a share of the image's longer side.
 const PRINCIPAL_POINT_SIGMA: f64 = 0.02;
 /// Standard deviation of the distortion coefficients `k1, k2, p1, p2, k3`.
@@ -32,6 +32,8 @@ pub struct SceneCamera {
     pub prior_sigma: [Option<f64>; NUM_INTRINSICS],
     /// Logarithm of the focal length to start from, over the initial one.
     pub start_ln_focal: f64,
+    /// Whether it was made for photos that were zoomed or cropped, see [`crate::own_focal`].
+    pub is_own: bool,
 }
 
 /// The fixed part of the problem.
@@ -75,6 +77,7 @@ impl<'a> Scene<'a> {
                             options.refine_intrinsics,
                         ),
                         start_ln_focal: 0.0,
+                        is_own: false,
                     });
                     cameras.len() - 1
                 })

@@ -114,6 +114,81 @@ fn a_wrong_focal_length_in_exif_is_found_and_told() {
     }
 }
 
+/// Keypoints of a photo as after a zoom by a factor, or a crop beside the middle that was enlarged to the
+/// photo's size.
+fn zoom(set: &mut World, photo: usize, factor: f64, offset_px: [f64; 2]) {
+    let camera = camera();
+    for keypoint in &mut set.matches.photos[photo].keypoints {
+        let [x, y] = [
+            f64::from(keypoint.x) - camera.cx,
+            f64::from(keypoint.y) - camera.cy,
+        ];
+        keypoint.x = (camera.cx + offset_px[0] + factor * x) as f32;
+        keypoint.y = (camera.cy + offset_px[1] + factor * y) as f32;
+    }
+}
+
+#[test]
+fn zoomed_and_cropped_photos_get_a_focal_length_of_their_own() {
+    let settings = WorldOptions {
+        num_views: 8,
+        ..WorldOptions::default()
+    };
+    // Room for zooms.
+    let wide = |noise_px, outlier_share| {
+        let mut set = world(&WorldOptions {
+            noise_px: noise_px / 0.6,
+            outlier_share,
+            ..settings.clone()
+        });
+        for photo in 0..8 {
+            zoom(&mut set, photo, 0.6, [0.0; 2]);
+        }
+        for photo in &mut set.photos.photos {
+            photo.focal_source = FocalSource::Exif35mm;
+            photo.intrinsics.fx *= 0.6;
+            photo.intrinsics.fy *= 0.6;
+        }
+        set
+    };
+    for (outlier_share, zooms) in [
+        (0.0, vec![(2, 1.4, [0.0; 2])]),
+        (0.0, vec![(1, 1.5, [0.0; 2]), (5, 1.5, [0.0; 2])]),
+        (0.1, vec![(6, 0.7, [0.0; 2])]),
+        (0.0, vec![(3, 1.4, [50.0, -40.0]), (4, 0.8, [0.0; 2])]),
+    ] {
+        let mut set = wide(0.2, outlier_share);
+        for &(photo, factor, offset) in &zooms {
+            zoom(&mut set, photo, factor, offset);
+        }
+        let (posed, _, warnings) = solve_and_tell(&set, &options());
+        assert_eq!(posed.views.len(), 8, "{zooms:?}");
+        for view in &posed.views {
+            let zoom = zooms.iter().find(|(photo, ..)| *photo == view.photo.0);
+            let factor = zoom.map_or(1.0, |(_, factor, _)| *factor);
+            let error = view.intrinsics.fx / (factor * 780.0) - 1.0;
+            assert!(error.abs() < 0.015, "{zooms:?} {}: {error}", view.name);
+        }
+        let (center, rotation) = pose_errors(&posed, &set.cam_from_world);
+        let tolerance = if zooms[0].2 == [0.0; 2] { 0.005 } else { 0.03 };
+        assert!(center < tolerance, "{zooms:?}: {center} {rotation}");
+        let told = warnings.iter().filter(|w| w.contains("zoomed or cropped"));
+        assert!(told.count() >= 1, "{zooms:?}: {warnings:?}");
+    }
+    // Neither noise nor wrong matches, nor a zoom that is stated, make one.
+    for (noise_px, outlier_share) in [(0.2, 0.0), (1.0, 0.0), (0.3, 0.3)] {
+        let mut set = wide(noise_px, outlier_share);
+        zoom(&mut set, 2, 1.4, [0.0; 2]);
+        let zoomed = &mut set.photos.photos[2];
+        zoomed.camera_group = 1;
+        zoomed.intrinsics.fx *= 1.4;
+        zoomed.intrinsics.fy *= 1.4;
+        let (_, _, warnings) = solve_and_tell(&set, &options());
+        let told = warnings.iter().any(|w| w.contains("zoomed or cropped"));
+        assert!(!told, "{noise_px} {outlier_share}: {warnings:?}");
+    }
+}
+
 #[test]
 fn few_narrow_views_keep_to_the_focal_length_of_exif() {
     // Three photos over ten degrees hardly tell the focal length: EXIF, two per cent off, does.

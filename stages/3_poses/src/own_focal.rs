@@ -1,0 +1,230 @@
+//! Photos with a focal length of their own: zoomed, or cropped and enlarged.
+//!
+//! Photos of one camera share their focal length. One that was zoomed or cropped then agrees with few of its matches, at a
+//! wrong distance. Its pose is sought anew (see [`crate::resection`]) with other focal lengths among the points that the
+//! others determine; where far more of them agree, the photo is given a camera of its own, which later adjustments refine.
+
+use crate::error::PosesError;
+use crate::incremental::{adjust_all, limits};
+use crate::model::Model;
+use crate::options::PosesOptions;
+use crate::resection::resect;
+use crate::scene::{GUESS_FOCAL_SIGMA, Scene, SceneCamera};
+use nalgebra::{Point2, Point3};
+use rayon::prelude::*;
+use rilievo_scene::Intrinsics;
+
+/// Share of the points in sight that agree with a photo's pose, over the largest of all photos, from which on its focal
+/// length is not questioned.
+const ENOUGH: f64 = 0.75;
+/// How many times more points must agree with another focal length.
+const MIN_GAIN: f64 = 1.5;
+/// Least share of the points in sight that must.
+const MIN_SHARE: f64 = 0.4;
+/// Largest error of a point that agrees, over that of the options: wrong focal lengths are told by small errors, since
+/// distance makes up for most of them.
+const TIGHT: f64 = 1.0 / 3.0;
+/// Logarithms of the focal lengths that are tried, over the camera's: up to 2.5 times and as much less, first in steps at
+/// which neighbours still share half of the points that agree, then around the best of them.
+const STEP: f64 = 0.06;
+const NUM_STEPS: i32 = 15;
+const FINE_STEP: f64 = 0.015;
+const NUM_FINE_STEPS: i32 = 3;
+/// Least such logarithm that is another focal length: what focusing changes is less.
+const MIN_LN_FOCAL: f64 = 0.06;
+/// Posed photos beside them that must determine the points.
+const MIN_NUM_OTHERS: usize = 2;
+/// Points that are looked at for the search, evenly taken.
+const MAX_NUM_POINTS: usize = 400;
+/// Largest difference of logarithms between photos of one zoom.
+const SAME_ZOOM: f64 = 0.06;
+/// Standard deviation of the principal point of a cropped photo, as a share of its longer side.
+const CROP_OFFSET: f64 = 0.05;
+
+/// A photo whose matches agree with another focal length than its camera's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OwnFocal {
+    /// The photo.
+    pub photo: usize,
+    /// Logarithm of its focal length over its camera's.
+    pub ln_focal: f64,
+}
+
+/// Photos that agree with far more of the points in sight at another focal length, in order.
+///
+/// # Errors
+/// When an adjustment breaks down.
+pub fn find(
+    scene: &Scene<'_>,
+    model: &Model,
+    options: &PosesOptions,
+) -> Result<Vec<OwnFocal>, PosesError> {
+    let is_refined = |photo: usize| scene.cameras[scene.camera_of[photo]].prior_sigma[0].is_some();
+    let shares: Vec<Option<f64>> = (0..scene.num_photos())
+        .into_par_iter()
+        .map(|photo| {
+            let (num_agreeing, num) = Agreement::of(scene, model, photo, options)?.at(0.0);
+            Some(num_agreeing as f64 / num as f64)
+        })
+        .collect();
+    let largest = shares.iter().flatten().copied().fold(0.0, f64::max);
+    let is_suspect = |photo: &usize| {
+        is_refined(*photo) && shares[*photo].is_some_and(|share| share < ENOUGH * largest)
+    };
+    let suspects: Vec<usize> = (0..scene.num_photos()).filter(is_suspect).collect();
+    let num_left = (0..scene.num_photos())
+        .filter(|photo| model.poses[*photo].is_some() && !suspects.contains(photo))
+        .count();
+    if suspects.is_empty() || num_left < MIN_NUM_OTHERS {
+        return Ok(Vec::new());
+    }
+    // A wrong focal length bends what hangs on it: points and poses of the others alone.
+    let mut others = model.clone();
+    for &photo in &suspects {
+        others.poses[photo] = None;
+    }
+    let limits = limits(options);
+    for _ in 0..2 {
+        others.triangulate_all(scene, &limits);
+        adjust_all(&mut others, scene)?;
+    }
+    let found = suspects.into_par_iter().filter_map(|photo| {
+        let agreement = Agreement::of(scene, &others, photo, options)?;
+        let best_of = |ln_focals: &mut dyn Iterator<Item = f64>| {
+            ln_focals
+                .map(|ln_focal| (agreement.at(ln_focal).0, ln_focal))
+                // The first of equals: the order is fixed.
+                .fold(
+                    (0, 0.0),
+                    |best: (usize, f64), next| if next.0 > best.0 { next } else { best },
+                )
+        };
+        let around = |middle: f64, step: f64, num: i32| {
+            (-num..=num).map(move |k| middle + step * f64::from(k))
+        };
+        let coarse = best_of(&mut around(0.0, STEP, NUM_STEPS));
+        let (most, ln_focal) = best_of(&mut around(coarse.1, FINE_STEP, NUM_FINE_STEPS));
+        let (shared, num) = agreement.at(0.0);
+        let gains = most as f64 >= (MIN_GAIN * shared as f64).max(MIN_SHARE * num as f64);
+        (gains && ln_focal.abs() >= MIN_LN_FOCAL).then_some(OwnFocal { photo, ln_focal })
+    });
+    Ok(found.collect())
+}
+
+/// How many points in sight of a photo agree with it.
+struct Agreement {
+    camera: Intrinsics,
+    pixels: Vec<Point2<f64>>,
+    points: Vec<Point3<f64>>,
+    max_error_px: f64,
+    seed: [u64; 2],
+}
+
+impl Agreement {
+    /// `None` where too few points are in sight.
+    fn of(scene: &Scene<'_>, model: &Model, photo: usize, options: &PosesOptions) -> Option<Self> {
+        let (pixels, points) = some(model.visible_points(scene, photo));
+        (points.len() >= options.min_num_visible_points).then(|| Self {
+            camera: model.cameras[scene.camera_of[photo]].current(),
+            pixels,
+            points,
+            max_error_px: TIGHT * options.max_reprojection_error_px,
+            seed: [options.seed, photo as u64],
+        })
+    }
+
+    /// Points that agree with the best pose at a focal length, and all of them.
+    fn at(&self, ln_focal: f64) -> (usize, usize) {
+        let camera = scaled(&self.camera, ln_focal);
+        let found = resect(
+            &camera,
+            &self.pixels,
+            &self.points,
+            self.max_error_px,
+            self.seed,
+        );
+        (
+            found.map_or(0, |found| found.inliers.len()),
+            self.points.len(),
+        )
+    }
+}
+
+/// At most so many of the correspondences, evenly taken.
+fn some(
+    (pixels, points): (Vec<Point2<f64>>, Vec<Point3<f64>>),
+) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
+    let step = points.len().div_ceil(MAX_NUM_POINTS).max(1);
+    let every = pixels.into_iter().zip(points).step_by(step);
+    every.unzip()
+}
+
+fn scaled(camera: &Intrinsics, ln_focal: f64) -> Intrinsics {
+    let factor = ln_focal.exp();
+    Intrinsics {
+        fx: camera.fx * factor,
+        fy: camera.fy * factor,
+        ..*camera
+    }
+}
+
+/// Gives photos cameras of their own; those of one zoom share theirs.
+pub fn part(scene: &mut Scene<'_>, model: &Model, own: &[OwnFocal]) {
+    let mut order = own.to_vec();
+    order.sort_by(|a, b| {
+        let camera = |own: &OwnFocal| scene.camera_of[own.photo];
+        let by_camera = camera(a).cmp(&camera(b));
+        by_camera.then(a.ln_focal.total_cmp(&b.ln_focal))
+    });
+    let mut last: Option<(usize, f64)> = None;
+    for own in order {
+        let camera = scene.camera_of[own.photo];
+        let joins = |&(of, ln_focal): &(usize, f64)| {
+            of == camera && (own.ln_focal - ln_focal).abs() < SAME_ZOOM
+        };
+        if !last.as_ref().is_some_and(joins) {
+            let initial = scaled(&model.cameras[camera].current(), own.ln_focal);
+            let mut prior_sigma = scene.cameras[camera].prior_sigma;
+            let offset = CROP_OFFSET * initial.width.max(initial.height) as f64;
+            prior_sigma[0] = Some(GUESS_FOCAL_SIGMA);
+            prior_sigma[1] = Some(offset);
+            prior_sigma[2] = Some(offset);
+            scene.cameras.push(SceneCamera {
+                group: scene.cameras[camera].group,
+                initial,
+                prior_sigma,
+                start_ln_focal: 0.0,
+                is_own: true,
+            });
+        }
+        last = Some((camera, own.ln_focal));
+        scene.camera_of[own.photo] = scene.cameras.len() - 1;
+    }
+}
+
+/// A warning for each camera that was made for photos of a focal length of their own.
+pub fn warnings(scene: &Scene<'_>, model: &Model) -> Vec<String> {
+    let of = |camera: usize| {
+        let posed = (0..scene.num_photos())
+            .filter(move |&p| scene.camera_of[p] == camera && model.poses[p].is_some());
+        posed.map(|p| scene.photos.photos[p].file_name.as_str())
+    };
+    (0..scene.cameras.len())
+        .filter(|&k| scene.cameras[k].is_own)
+        .filter_map(|k| {
+            let first = of(k).next()?;
+            let more = match of(k).count() - 1 {
+                0 => String::new(),
+                n => format!(" and {n} more"),
+            };
+            let focal = model.cameras[k].current().focal_px();
+            let group = scene.cameras[k].group;
+            let shared = (0..k).find(|&other| scene.cameras[other].group == group)?;
+            Some(format!(
+                "{first}{more}: the matches say a focal length of {focal:.0} px where the camera has {:.0} px: zoomed \
+                 or cropped; the matches were believed",
+                model.cameras[shared].current().focal_px(),
+            ))
+        })
+        .collect()
+}
