@@ -1,13 +1,22 @@
 //! What the system may interrupt the program with: Ctrl-C and termination signals, of which the first
 //! asks for a resumable stop and the second aborts; limits on files and memory.
+//!
+//! A stop waits for the work at hand, some seconds at most. After them the program ends where it is: every file is
+//! complete or not there, so that the same command goes on from there too.
 
+use crate::exit::Failure;
 use signal_hook::consts::signal::{SIGABRT, SIGXFSZ};
 use signal_hook::low_level;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Once};
+use std::thread::Builder;
+use std::time::Duration;
 
 static STOP: AtomicBool = AtomicBool::new(false);
 static INSTALL: Once = Once::new();
+
+/// Time that the work at hand has to come to an end.
+const PATIENCE: Duration = Duration::from_secs(4);
 
 /// What is said where the program aborts: the standard library does when memory is refused.
 const ABORTED: &[u8] =
@@ -19,9 +28,15 @@ pub fn listen() {
     INSTALL.call_once(|| {
         let installed = ctrlc::set_handler(|| {
             if STOP.swap(true, Ordering::SeqCst) {
-                std::process::exit(130);
+                end();
             }
             tell!("stopping; once more aborts at once");
+            // Where no thread can be had, the work at hand is waited for.
+            let _ = Builder::new().spawn(|| -> () {
+                std::thread::sleep(PATIENCE);
+                tell!("{}", Failure::Interrupted);
+                end();
+            });
         });
         if let Err(error) = installed {
             // Without a handler the system's default ends the program, which is resumable too.
@@ -34,6 +49,11 @@ pub fn listen() {
             tell!("warning: signals cannot be caught: {error}");
         }
     });
+}
+
+/// Ends the program as a stop does.
+fn end() -> ! {
+    low_level::exit(Failure::Interrupted.code().into())
 }
 
 /// Ends an abort with a sentence and exit code 1 instead of a signal.

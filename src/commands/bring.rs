@@ -5,13 +5,13 @@ use crate::cli::WorkArgs;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{
-    Context, Inputs, Plan, Range, Request, Resources, StageState, bring_up_to_date, expect,
-    is_another_set,
+    Context, Inputs, Plan, REPORT, Range, Request, Resources, StageState, WRITING,
+    bring_up_to_date, expect, is_another_set,
 };
 use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
 use crate::store::{Look, RunDir};
-use rilievo_scene::StageId;
+use rilievo_scene::{Observer, StageId};
 use serde::Serialize;
 use std::path::Path;
 
@@ -94,6 +94,10 @@ pub fn bring_run_up_to_date(
             size: None,
         });
     }
+    // A stop was told already.
+    let _ = console
+        .of_command(REPORT)
+        .progress(StageId::Fusion, WRITING, (0, 1));
     let told = Outcome::of(outcome.as_ref().err());
     let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
         if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
@@ -156,7 +160,7 @@ fn work_in(
         && range.until >= StageId::Shading
         && plan.state(run, StageId::Shading, Look::Sizes)? != StageState::Valid
     {
-        plan.expected = expect(request, &inputs, resources, console);
+        plan.expected = expect(request, &inputs, resources, range.until, console);
     }
     let redone = bring_up_to_date(&context, plan, range)?;
     Ok(!redone.is_empty())

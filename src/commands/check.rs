@@ -9,6 +9,7 @@ use crate::observe::Console;
 use crate::pipeline::{Inputs, Request, Resources, SphereInput, check_photos, expect};
 use rilievo_io::is_mark_of;
 use rilievo_photos::PhotosReport;
+use rilievo_scene::StageId;
 
 /// Runs the command.
 ///
@@ -66,7 +67,7 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     let usable = report.photos.len();
     found.report = Some(report);
     found.warnings.extend(warnings);
-    found.expected = expect(&request, &inputs, resources, console);
+    found.expected = expect(&request, &inputs, resources, StageId::Fusion, console);
     if problems.is_empty() {
         console.note(&format!("all {usable} photos can be used"));
         return Ok(());

@@ -1,5 +1,6 @@
 //! What a way to show events has to show.
 
+use super::course::Standing;
 use rilievo_scene::{Event, StageId};
 
 /// How a stage came to its result.
@@ -16,9 +17,17 @@ pub enum StageNews {
 /// One way to show events.
 pub trait Display: Send {
     fn stage(&mut self, stage: StageId, news: &StageNews);
+    /// An iteration or a warning.
     fn event(&mut self, event: &Event);
-    /// Progress of a step of a command that belongs to no stage.
-    fn progress(&mut self, command: &str, step: &str, done: usize, total: usize);
+    /// Progress of a step of a stage, or of a command where it belongs to none: what is done of how much, and how far the
+    /// whole run is.
+    fn progress(
+        &mut self,
+        of: &str,
+        step: &str,
+        counts: (usize, usize),
+        standing: Option<Standing>,
+    );
     fn note(&mut self, message: &str);
     fn finished(&mut self, summary: &serde_json::Value);
 }

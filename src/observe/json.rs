@@ -1,5 +1,6 @@
 //! One JSON object a line on stdout, for other programs.
 
+use super::course::Standing;
 use super::display::{Display, StageNews};
 use rilievo_scene::{Event, StageId};
 use std::io::Write;
@@ -36,10 +37,21 @@ impl Display for JsonLines {
         }
     }
 
-    fn progress(&mut self, command: &str, step: &str, done: usize, total: usize) {
-        Self::print(&serde_json::json!({
-            "event": "progress", "stage": command, "step": step, "done": done, "total": total
-        }));
+    fn progress(
+        &mut self,
+        of: &str,
+        step: &str,
+        (done, total): (usize, usize),
+        standing: Option<Standing>,
+    ) {
+        let mut line = serde_json::json!({
+            "event": "progress", "stage": of, "step": step, "done": done, "total": total
+        });
+        if let Some(Standing { share, left }) = standing {
+            line["run_share"] = share.into();
+            line["run_seconds_left"] = left.as_secs_f64().into();
+        }
+        Self::print(&line);
     }
 
     fn note(&mut self, message: &str) {

@@ -1,5 +1,6 @@
 //! Plain lines on stderr, for logs and pipes: rare enough to read.
 
+use super::course::Standing;
 use super::display::{Display, StageNews};
 use super::pace::{Pace, in_words};
 use rilievo_scene::{Event, StageId};
@@ -34,12 +35,6 @@ impl Display for Lines {
 
     fn event(&mut self, event: &Event) {
         match event {
-            Event::Progress {
-                stage,
-                step,
-                done,
-                total,
-            } => self.progress(stage.name(), step, *done, *total),
             Event::Iteration {
                 stage,
                 iteration,
@@ -55,17 +50,33 @@ impl Display for Lines {
                 }
             }
             Event::Warning { stage, message } => tell!("{stage}: warning: {message}"),
+            Event::Progress { .. } => {}
         }
     }
 
-    fn progress(&mut self, of: &str, step: &str, done: usize, total: usize) {
+    fn progress(
+        &mut self,
+        of: &str,
+        step: &str,
+        (done, total): (usize, usize),
+        standing: Option<Standing>,
+    ) {
         let pace = self.pace(step, done);
         if pace.due(INTERVAL) || done == total {
-            let left = pace.left(done, total).filter(|_| done < total);
-            let left = left.map_or(String::new(), |d| format!(", {} left", in_words(d)));
+            let left = match standing {
+                Some(Standing { share, left }) => format!(
+                    " ({:.0} % of the run, about {} left)",
+                    100.0 * share,
+                    in_words(Duration::from_secs(left.as_secs()))
+                ),
+                None => {
+                    let left = pace.left(done, total).filter(|_| done < total);
+                    left.map_or(String::new(), |d| format!(", {} left", in_words(d)))
+                }
+            };
             match (done, total) {
                 // A step in one go has nothing to count.
-                (0, 1) => tell!("{of}: {step}"),
+                (0, 1) => tell!("{of}: {step}{left}"),
                 _ => tell!("{of}: {step} {done}/{total}{left}"),
             }
         }

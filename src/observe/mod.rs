@@ -4,47 +4,83 @@
 //! people goes to stderr; stdout carries results and the JSON lines.
 
 mod bars;
+mod course;
 mod display;
 mod json;
 mod lines;
 mod pace;
 mod quiet;
 
+pub use course::Part;
 pub use display::StageNews;
 
 use crate::interrupt;
 use crate::ranks;
+use course::{Course, Standing};
 use display::Display;
 use rilievo_scene::{Event, Flow, Observer, StageId, Team};
 use std::io::IsTerminal;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// The observer of a whole command.
 pub struct Console {
     display: Mutex<Box<dyn Display>>,
     warnings: Mutex<Vec<(StageId, String)>>,
+    course: SharedCourse,
+}
+
+/// The course of the run, where it is known; a bar looks at it between events.
+type SharedCourse = Arc<Mutex<Option<Course>>>;
+
+/// How far the run is.
+fn standing(course: &SharedCourse) -> Option<Standing> {
+    locked(course).as_ref()?.standing(Instant::now())
 }
 
 impl Console {
     /// A console that suits where the output goes; of several ranks the first one shows what all do.
     pub fn new(json: bool) -> Self {
+        let course = SharedCourse::default();
         let display: Box<dyn Display> = if !ranks::team().is_first() {
             Box::new(quiet::Quiet)
         } else if json {
             Box::new(json::JsonLines)
         } else if std::io::stderr().is_terminal() {
-            Box::new(bars::Bars::new())
+            Box::new(bars::Bars::new(course.clone()))
         } else {
             Box::new(lines::Lines::default())
         };
         Self {
             display: Mutex::new(display),
             warnings: Mutex::new(Vec::new()),
+            course,
         }
+    }
+
+    /// Tells what the run is expected to do from here on, so that it can be told how long it will take.
+    pub fn expect(&self, parts: Vec<Part>) {
+        match &mut *locked(&self.course) {
+            Some(course) => course.replace(parts),
+            none => *none = Some(Course::new(parts, Instant::now())),
+        }
+    }
+
+    /// Progress of a step, in the course of the run.
+    fn course_at(&self, of: &str, step: &str, done: usize, total: usize) -> Option<Standing> {
+        if let Some(course) = &mut *locked(&self.course) {
+            course.progress(of, step, done, total, Instant::now());
+        }
+        standing(&self.course)
     }
 
     /// Tells where a stage stands.
     pub fn stage(&self, stage: StageId, news: &StageNews) {
+        if let (StageNews::Reused | StageNews::Finished(_), Some(course)) =
+            (news, &mut *locked(&self.course))
+        {
+            course.stage_ends(stage);
+        }
         self.with(|display| display.stage(stage, news));
     }
 
@@ -96,7 +132,18 @@ impl Observer for Console {
         if let Event::Warning { stage, message } = &event {
             locked(&self.warnings).push((*stage, message.clone()));
         }
-        self.with(|display| display.event(&event));
+        if let Event::Progress {
+            stage,
+            step,
+            done,
+            total,
+        } = &event
+        {
+            let standing = self.course_at(stage.name(), step, *done, *total);
+            self.with(|display| display.progress(stage.name(), step, (*done, *total), standing));
+        } else {
+            self.with(|display| display.event(&event));
+        }
         self.flow()
     }
 
@@ -127,8 +174,9 @@ impl Observer for OfCommand<'_> {
         else {
             return self.console.event(event);
         };
+        let standing = self.console.course_at(self.command, step, *done, *total);
         self.console
-            .with(|display| display.progress(self.command, step, *done, *total));
+            .with(|display| display.progress(self.command, step, (*done, *total), standing));
         self.flow()
     }
 

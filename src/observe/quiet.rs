@@ -1,5 +1,6 @@
 //! Nothing: another rank shows what all do.
 
+use super::course::Standing;
 use super::display::{Display, StageNews};
 use rilievo_scene::{Event, StageId};
 
@@ -9,7 +10,14 @@ pub struct Quiet;
 impl Display for Quiet {
     fn stage(&mut self, _stage: StageId, _news: &StageNews) {}
     fn event(&mut self, _event: &Event) {}
-    fn progress(&mut self, _command: &str, _step: &str, _done: usize, _total: usize) {}
+    fn progress(
+        &mut self,
+        _of: &str,
+        _step: &str,
+        _counts: (usize, usize),
+        _standing: Option<Standing>,
+    ) {
+    }
     fn note(&mut self, _message: &str) {}
     fn finished(&mut self, _summary: &serde_json::Value) {}
 }

@@ -8,19 +8,32 @@ use super::inputs::{Inputs, PhotoInput};
 use super::parallel::Resources;
 use super::request::Request;
 use crate::cost::{Cost, Estimate};
-use crate::observe::Console;
+use crate::observe::{Console, Part};
 use crate::system::cpu_seconds;
 use rayon::prelude::*;
 use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
-use rilievo_scene::Mask;
+use rilievo_scene::{Mask, StageId};
 use rilievo_shading::photo::Sizes;
 
-/// Photos without a mask are counted as if the object filled them; masks that are looked at for the object's share.
+/// Masks that are looked at for the object's share.
 const MAX_NUM_MASKS: usize = 4;
 /// Seconds that the calibration takes on the machine that the factors were measured on.
 const REFERENCE_SECONDS: f64 = 0.013;
+
+/// The step that photos whose brightness disagrees go without.
+const RELIEF: &str = "relief";
+
+/// What follows the stages, as its progress is told.
+pub const REPORT: &str = "report";
+pub const WRITING: &str = "writing the report";
+
+/// Rounds of light and shape that are mostly taken.
+const NUM_ROUNDS: usize = 4;
+
+/// Share of the photos that the object takes where no mask tells it yet.
+const TYPICAL_SHARE: f64 = 0.25;
 
 /// Pixels of a crop over those of the object in it.
 const CROP_SHARE: f64 = 1.5;
@@ -41,15 +54,18 @@ struct Work {
     pairs: f64,
 }
 
-/// What a request is expected to cost, told to the user; `None` where no photo tells its size.
+/// What a request is expected to cost, told to the user with the course that it will take up to a stage; `None` where no
+/// photo tells its size.
 pub fn expect(
     request: &Request,
     inputs: &Inputs,
     resources: Resources,
+    until: StageId,
     console: &Console,
 ) -> Option<Estimate> {
-    let work = Work::of(request, inputs)?;
-    let expected = work.estimate(request, resources, slowness());
+    let work = Work::of(request, inputs, 1.0)?;
+    let slowness = slowness();
+    let expected = work.estimate(request, resources, slowness);
     let (cost, threads) = (&expected.cost, rayon::current_num_threads());
     let minutes = |seconds: f64| (seconds / threads.max(1) as f64 / 60.0).ceil();
     let (least, most) = (expected.least_cpu_seconds, cost.cpu_seconds);
@@ -62,7 +78,38 @@ pub fn expect(
         1e-9 * cost.disk_bytes,
         1e-9 * expected.working_disk_bytes,
     ));
+    console.expect(in_time(work.parts(), until, slowness));
     Some(expected)
+}
+
+/// The course of a run that proposes masks for itself after the poses, and begins again with them.
+pub fn expect_with_masks(request: &Request, inputs: &Inputs, until: StageId, console: &Console) {
+    let slowness = slowness();
+    let parts_with = |object_share, until| {
+        let work = Work::of(request, inputs, object_share);
+        work.map_or(Vec::new(), |work| in_time(work.parts(), until, slowness))
+    };
+    let mut parts = parts_with(1.0, StageId::Poses);
+    parts.extend(parts_with(TYPICAL_SHARE, until));
+    console.expect(parts);
+}
+
+/// The parts up to a stage, with seconds on this machine's threads.
+fn in_time(parts: Vec<Part>, until: StageId, slowness: f64) -> Vec<Part> {
+    let per_cpu_second = slowness / rayon::current_num_threads().max(1) as f64;
+    let of_stage = |part: &Part| {
+        StageId::ALL
+            .into_iter()
+            .find(|stage| stage.name() == part.of)
+    };
+    let parts = parts.into_iter();
+    parts
+        .filter(|part| of_stage(part).is_none_or(|stage| stage <= until))
+        .map(|part| Part {
+            seconds: per_cpu_second * part.seconds,
+            ..part
+        })
+        .collect()
 }
 
 /// "3 to 5", or "4" where both are the same.
@@ -75,7 +122,8 @@ fn span(least: f64, most: f64) -> String {
 }
 
 impl Work {
-    fn of(request: &Request, inputs: &Inputs) -> Option<Self> {
+    /// The object takes a share of photos that have no masks.
+    fn of(request: &Request, inputs: &Inputs, unmasked_share: f64) -> Option<Self> {
         let size = |photo: &PhotoInput| photo_size(&photo.path).map(|(w, h)| (w * h) as f64);
         let sizes: Vec<f64> = inputs.photos.par_iter().filter_map(size).collect();
         if sizes.is_empty() {
@@ -84,7 +132,7 @@ impl Work {
         let photos = inputs.photos.len() as f64;
         // Photos whose header does not tell are like the others.
         let photo_px = sizes.iter().sum::<f64>() * photos / sizes.len() as f64;
-        let object_px = object_share(inputs) * photo_px;
+        let object_px = object_share(inputs).unwrap_or(unmasked_share) * photo_px;
         let sizes = Sizes {
             num_views: inputs.photos.len(),
             crops: CROP_SHARE * object_px,
@@ -111,18 +159,12 @@ impl Work {
     }
 
     fn estimate(&self, request: &Request, resources: Resources, slowness: f64) -> Estimate {
-        // CPU seconds of the reference machine: photos read and lit, keypoints, pairs, poses with anchors, levels that are
-        // solved as a whole (at the coarse one light and shape take turns), points and mesh.
-        let without_relief = 1.3e-7 * self.photo_px
-            + 3.9e-7 * self.photo_px
-            + 0.12 * self.pairs
-            + 2.5e-7 * self.photo_px
-            + self.photos
-            + 3.2e-4 * self.coarse_px
-            + 0.8e-4 * (self.whole_px - self.coarse_px)
-            + 1.35e-5 * self.object_px;
-        // Levels between the one that is solved as a whole and the photo's own, a third more than the last of them.
-        let relief = 12e-6 * 4.0 / 3.0 * (self.object_px - self.whole_px).max(0.0);
+        let seconds = |is_counted: &dyn Fn(&Part) -> bool| {
+            let parts = self.parts().into_iter();
+            slowness * parts.filter(is_counted).map(|p| p.seconds).sum::<f64>()
+        };
+        let with_relief = seconds(&|part| part.instead_of.is_none());
+        let without = seconds(&|part| part.step != RELIEF);
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
         let threads = rayon::current_num_threads();
         let shading = self.sizes.taken(&request.options.shading.photo, threads);
@@ -133,17 +175,94 @@ impl Work {
             .max(fusion.min(0.2e9 + 26.0 * self.object_px));
         Estimate {
             cost: Cost {
-                cpu_seconds: slowness * (without_relief + relief),
+                cpu_seconds: with_relief.max(without),
                 peak_memory_bytes: needed.min(given),
                 disk_bytes: self.disk_bytes(),
             },
-            least_cpu_seconds: slowness * without_relief,
+            least_cpu_seconds: with_relief.min(without),
             working_disk_bytes: 45.0 * self.object_px,
         }
     }
 }
 
 impl Work {
+    /// The steps of a run, with CPU seconds of the reference machine. At the coarse level light and shape take turns; the
+    /// finer levels that are solved as a whole follow, then those of single photos, a third more than the last of them.
+    fn parts(&self) -> Vec<Part> {
+        let (n, photo_px, object_px) = (self.photos, self.photo_px, self.object_px);
+        let coarse = 1e-5 * self.coarse_px;
+        let part = |of: StageId, step, seconds| Part {
+            of: of.name(),
+            step,
+            seconds,
+            instead_of: None,
+        };
+        let shading = |step, seconds| part(StageId::Shading, step, seconds);
+        let mut parts = vec![
+            part(StageId::Photos, "reading photos", 6.5e-8 * photo_px),
+            part(
+                StageId::Features,
+                "detecting keypoints",
+                0.55 * n + 1.2e-7 * photo_px,
+            ),
+            part(StageId::Features, "matching pairs", 0.12 * self.pairs),
+            part(
+                StageId::Poses,
+                "registering photos",
+                0.5 * n + 1.9e-7 * photo_px,
+            ),
+            part(StageId::Poses, "growing anchors", 0.2 * n),
+            part(StageId::Lighting, "reading the sphere", 0.15 * n),
+            part(
+                StageId::Lighting,
+                "reading brightness at the anchors",
+                0.05 * n + 3e-8 * photo_px,
+            ),
+            shading("comparing exposures", 2.5 * coarse),
+            shading("searching depth", 7.0 * coarse),
+            shading("photos", 1.5 * coarse),
+        ];
+        for _ in 0..NUM_ROUNDS {
+            parts.push(shading("fitting light", 3.7 * coarse));
+            parts.push(shading("light and shape", 3.0 * coarse));
+        }
+        parts.extend([
+            Part {
+                instead_of: Some(RELIEF),
+                ..shading(
+                    "searching depth again",
+                    1e-4 * (self.whole_px - self.coarse_px),
+                )
+            },
+            shading("finer", 2.5e-5 * (self.whole_px - self.coarse_px)),
+            shading(RELIEF, 1.6e-5 * (object_px - self.whole_px).max(0.0)),
+            shading(
+                "writing maps, comparing them with the photos",
+                4e-7 * photo_px + 2e-6 * object_px,
+            ),
+            part(StageId::Fusion, "loading maps", 2.2e-6 * object_px),
+            part(StageId::Fusion, "gathering points", 2.3e-6 * object_px),
+            part(
+                StageId::Fusion,
+                "averaging signed distances",
+                5.3e-6 * object_px,
+            ),
+            part(
+                StageId::Fusion,
+                "extracting the surface",
+                1.4e-6 * object_px,
+            ),
+            part(StageId::Fusion, "joining the surface", 2.3e-6 * object_px),
+            Part {
+                of: REPORT,
+                step: WRITING,
+                seconds: 0.3 * n + 2.4e-7 * photo_px,
+                instead_of: None,
+            },
+        ]);
+        parts
+    }
+
     /// Photos, maps, what the report shows of each photo; and cloud and mesh, as large as the surface that is seen: photos
     /// that go on around the object add to it, those between them do not.
     fn disk_bytes(&self) -> f64 {
@@ -153,8 +272,8 @@ impl Work {
     }
 }
 
-/// Share of the object in the photos, by some of the masks.
-fn object_share(inputs: &Inputs) -> f64 {
+/// Share of the object in the photos, by some of the masks; `None` where there are none.
+fn object_share(inputs: &Inputs) -> Option<f64> {
     let masks: Vec<_> = inputs
         .photos
         .iter()
@@ -170,10 +289,7 @@ fn object_share(inputs: &Inputs) -> f64 {
             masked as f64 / mask.data.len().max(1) as f64
         })
         .collect();
-    if shares.is_empty() {
-        return 1.0;
-    }
-    shares.iter().sum::<f64>() / shares.len() as f64
+    (!shares.is_empty()).then(|| shares.iter().sum::<f64>() / shares.len() as f64)
 }
 
 /// How much longer this machine takes than the one that the factors were measured on: the best of a few small systems, by

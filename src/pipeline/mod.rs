@@ -24,7 +24,7 @@ mod spheres;
 
 pub use context::Context;
 pub use errors::{from_fusion, from_lighting, from_shading};
-pub use estimate::expect;
+pub use estimate::{REPORT, WRITING, expect, expect_with_masks};
 pub use execute::{Range, bring_up_to_date, run_stage};
 pub use features::{load_keypoints, load_pairs};
 pub use fusion::write_mesh;
