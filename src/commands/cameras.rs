@@ -10,7 +10,8 @@ use rilievo_io::{
     CameraFile, CameraFormat, LightFormat, blender_file, camera_files, cameras_file,
     import_cameras_with_photos, is_diligent, light_file, read_lighting,
 };
-use rilievo_scene::StageId;
+use rilievo_photos::PhotosReport;
+use rilievo_scene::{Orientation, StageId};
 use std::path::Path;
 
 /// `rilievo import`
@@ -71,7 +72,10 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
     let format = match args.format {
         ExportFormat::Cameras(format) => format,
         ExportFormat::Lights(format) => return export_lights(args, format, run.as_ref()),
-        ExportFormat::Blender => return export_blender(args, run.as_ref()),
+        ExportFormat::Blender => {
+            export_blender(args, run.as_ref())?;
+            return tell_of_turned_photos(run.as_ref());
+        }
     };
     let (cameras, num_points, files) = match &run {
         Some(run) => {
@@ -105,6 +109,31 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         args.output.display(),
         format.name()
     )?;
+    tell_of_turned_photos(run.as_ref())
+}
+
+/// Tells of photos that the program which the cameras are for may turn.
+fn tell_of_turned_photos(run: Option<&RunDir>) -> anyhow::Result<()> {
+    let manifest = run.map(|run| run.manifest(StageId::Photos)).transpose()?;
+    let Some(manifest) = manifest.flatten() else {
+        return Ok(());
+    };
+    let report: PhotosReport = serde_json::from_value(manifest.report)?;
+    let photos = report.photos.iter();
+    let turned: Vec<_> = photos
+        .filter(|photo| photo.orientation != Orientation::UPRIGHT)
+        .collect();
+    if let Some(first) = turned.first() {
+        let more = match turned.len() - 1 {
+            0 => String::new(),
+            n => format!(" and {n} more"),
+        };
+        tell!(
+            "{}{more}: EXIF asks to turn it for display; the cameras are those of the pixels as stored: have the \
+             other program ignore EXIF's orientation, or give it copies without (exiftool -Orientation=)",
+            first.file_name
+        );
+    }
     Ok(())
 }
 

@@ -1,9 +1,8 @@
 //! Progress on a terminal: one bar for the whole run where its course is known, else one for the step at hand.
 
-use super::course::Standing;
+use super::course::{SharedCourse, Standing, standing};
 use super::display::{Display, StageNews};
 use super::pace::in_words;
-use super::{SharedCourse, standing};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use rilievo_scene::{Event, StageId};
 use std::fmt::Write;

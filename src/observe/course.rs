@@ -6,6 +6,7 @@
 
 use rilievo_scene::StageId;
 use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Weight of the expectation against what was measured, as a share of the whole: it counts while little is behind.
@@ -150,6 +151,19 @@ impl Course {
             self.done.push(current.part);
         }
     }
+}
+
+/// The course of the run at hand, where it is known; a bar looks at it between events.
+pub type SharedCourse = Arc<Mutex<Option<Course>>>;
+
+/// How far the run is.
+pub fn standing(course: &SharedCourse) -> Option<Standing> {
+    locked(course).as_ref()?.standing(Instant::now())
+}
+
+/// What a mutex guards, also after a thread that held it panicked: what it says is still worth showing.
+pub fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Time of the steps that are expected.

@@ -16,11 +16,11 @@ pub use display::StageNews;
 
 use crate::interrupt;
 use crate::ranks;
-use course::{Course, Standing};
+use course::{Course, SharedCourse, Standing, locked, standing};
 use display::Display;
 use rilievo_scene::{Event, Flow, Observer, StageId, Team};
 use std::io::IsTerminal;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::Instant;
 
 /// The observer of a whole command.
@@ -28,14 +28,6 @@ pub struct Console {
     display: Mutex<Box<dyn Display>>,
     warnings: Mutex<Vec<(StageId, String)>>,
     course: SharedCourse,
-}
-
-/// The course of the run, where it is known; a bar looks at it between events.
-type SharedCourse = Arc<Mutex<Option<Course>>>;
-
-/// How far the run is.
-fn standing(course: &SharedCourse) -> Option<Standing> {
-    locked(course).as_ref()?.standing(Instant::now())
 }
 
 impl Console {
@@ -120,11 +112,6 @@ impl Console {
     fn with(&self, show: impl FnOnce(&mut dyn Display)) {
         show(locked(&self.display).as_mut());
     }
-}
-
-/// What a mutex guards, also after a thread that held it panicked: what it says is still worth showing.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Observer for Console {
