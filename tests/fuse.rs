@@ -106,8 +106,11 @@ fn maps_of_two_programs_give_one_surface() {
     done(&[&arguments[..], &["--scale", "1"]].concat());
     assert_eq!(num_points(&exr), num_points(&colmap));
 
-    // Without a scale the unit is unknown, and said to be; wider spacing leaves fewer points.
-    let (code, _, stderr) = run(&[&arguments[..], &["--spacing", "0.004"]].concat());
+    // Without a scale the unit is unknown, and said to be; wider spacing leaves fewer points, and a format that is not
+    // asked for leaves none of the earlier surface.
+    let more = ["--spacing", "0.004", "--formats", "glb"];
+    let (code, _, stderr) = run(&[&arguments[..], &more].concat());
+    assert!(colmap.join("mesh.glb").exists() && !colmap.join("mesh.obj").exists());
     assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("--scale"), "{stderr}");
     assert!(num_points(&colmap) * 4 < num_points(&exr));

@@ -13,7 +13,7 @@ pub use formats::{ExportFormat, ImportFormat};
 use parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
 };
-use rilievo_fusion::{ColorMode, FusionOptions};
+use rilievo_fusion::{ColorMode, FusionOptions, MeshFormat};
 use rilievo_photos::Encoding;
 use rilievo_poses::KnownDistance;
 use rilievo_poses::anchors::AnchorMode;
@@ -22,7 +22,9 @@ use rilievo_shading::ShadingModel;
 use rilievo_shading::paper::{Projection, Splitting};
 use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::PathBuf;
-use words::{ALIGNMENTS, ANCHORS, COLORS, ENCODINGS, MODELS, PROJECTIONS, SPLITTINGS, words};
+use words::{
+    ALIGNMENTS, ANCHORS, COLORS, ENCODINGS, MESH_FORMATS, MODELS, PROJECTIONS, SPLITTINGS, words,
+};
 
 /// Photographs of a plain, matte object to an accurate, finely detailed 3D model, by shading.
 #[derive(Debug, Parser)]
@@ -321,7 +323,7 @@ pub struct ReconstructArgs {
 }
 
 /// What the fused surface shall be like.
-#[derive(Clone, Copy, Debug, Args)]
+#[derive(Clone, Debug, Args)]
 pub struct SurfaceArgs {
     /// Distance between the points of the cloud, in metres (the cameras' unit where it is another);
     /// by default about one point a pixel of the best view. It thins the cloud only: the mesh keeps
@@ -335,6 +337,9 @@ pub struct SurfaceArgs {
     /// Closes the mesh where no view saw anything
     #[arg(long)]
     pub watertight: bool,
+    /// Formats of the mesh, separated by commas. [default: ply,obj,glb]
+    #[arg(long, value_name = "FORMATS", value_delimiter = ',', value_parser = words(MESH_FORMATS))]
+    pub formats: Option<Vec<MeshFormat>>,
     /// Colours as photographed, or with light and shadow taken out
     #[arg(long, value_name = "COLOR", value_parser = words(COLORS))]
     pub color: Option<ColorMode>,
@@ -342,11 +347,12 @@ pub struct SurfaceArgs {
 
 impl SurfaceArgs {
     /// Takes over what the command line says.
-    pub fn apply(self, options: &mut FusionOptions) {
+    pub fn apply(&self, options: &mut FusionOptions) {
         take_over(&mut options.spacing, self.spacing);
         options.watertight |= self.watertight;
         take_over(&mut options.max_num_triangles, self.triangles);
         take_over(&mut options.color, self.color);
+        take_over(&mut options.formats, self.formats.clone());
     }
 }
 

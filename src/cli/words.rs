@@ -2,7 +2,7 @@
 
 use super::parse::one_of;
 use clap::builder::{PossibleValue, TypedValueParser};
-use rilievo_fusion::ColorMode;
+use rilievo_fusion::{ColorMode, MeshFormat};
 use rilievo_photos::Encoding;
 use rilievo_poses::anchors::AnchorMode;
 use rilievo_shading::ShadingModel;
@@ -42,6 +42,20 @@ pub(super) const ANCHORS: Words<AnchorMode> = &[
 ];
 
 /// `--color`
+pub(super) const MESH_FORMATS: Words<MeshFormat> = &[
+    (
+        MeshFormat::Ply,
+        "ply",
+        "Stanford's PLY, which is always written",
+    ),
+    (MeshFormat::Obj, "obj", "Wavefront OBJ"),
+    (
+        MeshFormat::Glb,
+        "glb",
+        "Binary glTF, for viewers and the web",
+    ),
+];
+
 pub(super) const COLORS: Words<ColorMode> = &[
     (
         ColorMode::Photographed,

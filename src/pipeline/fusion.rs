@@ -1,10 +1,10 @@
-//! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, `mesh.obj` and `mesh.glb`.
+//! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, and where asked for `mesh.obj` and `mesh.glb`.
 
 use super::context::Context;
 use super::errors::from_fusion;
 use crate::exit::Failure;
 use crate::store::{FileScratch, StageWriter};
-use rilievo_fusion::Inputs;
+use rilievo_fusion::{Inputs, MeshFormat};
 use rilievo_io::{CloudPlyWriter, ViewerFrame, write_mesh_glb, write_mesh_obj, write_mesh_ply};
 use rilievo_scene::{CloudError, CloudPoint, CloudSink, Mesh, Observer, PosedViews};
 use std::path::PathBuf;
@@ -34,7 +34,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     let fused = rilievo_fusion::run(inputs, &mut cloud, options, context.console);
     let (mesh, report) = fused.map_err(from_fusion)?;
     cloud.finish()?;
-    write_mesh(&mesh, &views, &|name| Ok(writer.path(name)?))?;
+    write_mesh(&mesh, &views, &options.formats, &|name| {
+        Ok(writer.path(name)?)
+    })?;
     Ok(serde_json::to_value(report)?)
 }
 
@@ -47,20 +49,26 @@ impl CloudSink for Nowhere {
     }
 }
 
-/// Writes a mesh in all formats, to the paths of their names.
+/// Writes a mesh as PLY and in the other formats that are asked for, to the paths of their names.
 ///
 /// # Errors
 /// When a file cannot be written.
 pub fn write_mesh(
     mesh: &Mesh,
     views: &PosedViews,
+    formats: &[MeshFormat],
     path: &dyn Fn(&str) -> Result<PathBuf, Failure>,
 ) -> Result<(), Failure> {
     let world = views.coordinates();
     write_mesh_ply(&path("mesh.ply")?, mesh, world)?;
     // An empty mesh is valid PLY, and nothing that a viewer could show.
-    if !mesh.triangles.is_empty() {
+    if mesh.triangles.is_empty() {
+        return Ok(());
+    }
+    if formats.contains(&MeshFormat::Obj) {
         write_mesh_obj(&path("mesh.obj")?, mesh, world)?;
+    }
+    if formats.contains(&MeshFormat::Glb) {
         let frame = ViewerFrame::from_views(views);
         write_mesh_glb(&path("mesh.glb")?, mesh, world.unit, &frame)?;
     }

@@ -12,7 +12,7 @@ use crate::pipeline::{from_fusion, write_mesh};
 use crate::store::{FileScratch, StoreError, create_folder, own_file, write_atomically};
 use crate::system;
 use maps::Views;
-use rilievo_fusion::{FusionError, Inputs};
+use rilievo_fusion::{FusionError, Inputs, MeshFormat};
 use rilievo_io::CloudPlyWriter;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
@@ -88,7 +88,10 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
             (error, _) => from_fusion(error),
         })?;
     cloud.finish()?;
-    write_mesh(&mesh, &posed, &|name| Ok(writing.path().join(name)))?;
+    let formats = &options.fusion.formats;
+    write_mesh(&mesh, &posed, formats, &|name| {
+        Ok(writing.path().join(name))
+    })?;
     let written = std::fs::read_dir(writing.path());
     for file in written
         .map_err(StoreError::files("list", writing.path()))?
@@ -96,6 +99,13 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     {
         let path = args.output.join(file.file_name());
         std::fs::rename(file.path(), &path).map_err(StoreError::files("replace", &path))?;
+    }
+    // No format that was not asked for stays with an earlier surface.
+    for (format, file) in [(MeshFormat::Obj, "mesh.obj"), (MeshFormat::Glb, "mesh.glb")] {
+        let path = args.output.join(file);
+        if (mesh.triangles.is_empty() || !formats.contains(&format)) && path.exists() {
+            std::fs::remove_file(&path).map_err(StoreError::files("remove", &path))?;
+        }
     }
     let seconds = began.elapsed().as_secs_f64();
     let text = serde_json::json!({

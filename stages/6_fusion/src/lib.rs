@@ -48,7 +48,7 @@ mod view;
 mod views;
 
 pub use error::FusionError;
-pub use options::{ColorMode, FusionOptions};
+pub use options::{ColorMode, FusionOptions, MeshFormat};
 pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
 
 use points::CloudFacts;

@@ -15,6 +15,18 @@ pub enum ColorMode {
     Albedo,
 }
 
+/// Files in which the mesh is kept besides PLY.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MeshFormat {
+    /// Stanford's PLY, which the program itself reads: always there.
+    Ply,
+    /// Wavefront OBJ.
+    Obj,
+    /// Binary glTF.
+    Glb,
+}
+
 /// Options of [`crate::run`]. Lengths along and across the surface are in *pixel footprints*
 /// `z / f`, the size of a pixel on a surface at depth `z` that faces the camera, so that they need
 /// no knowledge of the object's size.
@@ -64,6 +76,8 @@ pub struct FusionOptions {
     pub watertight: bool,
     /// What the colours show.
     pub color: ColorMode,
+    /// Formats in which the caller keeps the mesh.
+    pub formats: Vec<MeshFormat>,
     /// Memory that fusion may take, MiB; the mesh's cells are made larger where it would need more, and the
     /// report says so. Less than one view needs to be loaded is an error. `--memory` sets it.
     pub memory_mib: usize,
@@ -88,6 +102,7 @@ impl Default for FusionOptions {
             max_num_triangles: 0,
             watertight: false,
             color: ColorMode::Photographed,
+            formats: vec![MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Glb],
             memory_mib: 4096,
         }
     }
