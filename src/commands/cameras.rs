@@ -11,7 +11,7 @@ use rilievo_io::{
     import_cameras_with_photos, is_diligent, light_file, read_lighting,
 };
 use rilievo_photos::PhotosReport;
-use rilievo_scene::{Orientation, StageId};
+use rilievo_scene::{Orientation, StageId, first_and_more};
 use std::path::Path;
 
 /// `rilievo import`
@@ -118,20 +118,16 @@ fn tell_of_turned_photos(run: Option<&RunDir>) -> anyhow::Result<()> {
     let Some(manifest) = manifest.flatten() else {
         return Ok(());
     };
-    let report: PhotosReport = serde_json::from_value(manifest.report)?;
+    // The files are written: a report that cannot be read is no reason to fail.
+    let report = serde_json::from_value(manifest.report);
+    let report: PhotosReport = report.unwrap_or_default();
     let photos = report.photos.iter();
-    let turned: Vec<_> = photos
-        .filter(|photo| photo.orientation != Orientation::UPRIGHT)
-        .collect();
-    if let Some(first) = turned.first() {
-        let more = match turned.len() - 1 {
-            0 => String::new(),
-            n => format!(" and {n} more"),
-        };
+    let turned = photos.filter(|photo| photo.orientation != Orientation::UPRIGHT);
+    if let Some(names) = first_and_more(turned.map(|photo| photo.file_name.as_str())) {
         tell!(
-            "{}{more}: EXIF asks to turn it for display; the cameras are those of the pixels as stored: have the \
-             other program ignore EXIF's orientation, or give it copies without (exiftool -Orientation=)",
-            first.file_name
+            "{names}: to be turned for display; the cameras are those of the pixels as stored. A program that turns \
+             photos needs copies that do not ask for it (of JPEG and TIFF: exiftool -Orientation= ; of HEIC: as \
+             JPEG or TIFF, not turned)",
         );
     }
     Ok(())

@@ -5,7 +5,7 @@ use super::context::Context;
 use super::errors::from_photos;
 use super::inputs::{Inputs, PhotoInput};
 use super::parallel::{Resources, divide_items, map_items};
-use super::request::Request;
+use super::request::{MaskOrigin, Request};
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
 use crate::store::{Item, StageWriter, StoreError, hash_bytes, hash_json};
@@ -15,7 +15,7 @@ use rilievo_io::{
     write_linear_half, write_mask,
 };
 use rilievo_photos::{
-    GivenCamera, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
+    GivenCamera, GivenMask, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
 };
 use rilievo_scene::{LinearImage, Observer, PhotoSet, Recorder, Silent, StageId};
 use serde::{Deserialize, Serialize};
@@ -321,9 +321,12 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
     let mask = match &photo.mask {
         Some((path, _)) => {
             mask_path = path.clone();
-            Some(read_mask(path).map_err(|error| Trouble::Request(error.into()))?)
+            Some(GivenMask {
+                mask: read_mask(path).map_err(|error| Trouble::Request(error.into()))?,
+                may_be_upright: request.masks_from == MaskOrigin::Given,
+            })
         }
-        None if decoded.alpha.is_some() => decoded.alpha.clone(),
+        None if decoded.alpha.is_some() => decoded.alpha.clone().map(GivenMask::as_stored),
         None => match &request.masks {
             Some(folder) if request.needs_masks() => {
                 return Err(Trouble::Request(of_photo(format!(

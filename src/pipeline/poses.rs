@@ -9,7 +9,7 @@ use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
 use rilievo_io::{CameraFile, SpheresInSet, decode_photo, write_cameras, write_colmap_text};
 use rilievo_scene::{
-    LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId, WorldFrame,
+    LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId, WorldFrame, first_and_more,
 };
 
 const POSED_VIEWS: &str = "posed_views.json";
@@ -27,19 +27,22 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             request,
             absent,
             upright,
+            may_be_upright,
         }) => {
-            if let [first, others @ ..] = &upright[..] {
-                let more = match others.len() {
-                    0 => String::new(),
-                    n => format!(" and {n} more"),
-                };
-                context.console.warn(
-                    StageId::Poses,
-                    format!(
-                        "{first}{more}: the sphere is marked in the photo as EXIF turns it; the mark was \
-                         turned back to the pixels as stored"
-                    ),
-                );
+            let told = if let Some(names) = first_and_more(upright.iter().map(String::as_str)) {
+                Some(format!(
+                    "{names}: the sphere is marked in the photo as EXIF turns it; the mark was turned back to the \
+                     pixels as stored"
+                ))
+            } else if may_be_upright {
+                let text = "EXIF turns some photos, and the sphere's marks fit them turned or not: they were taken in \
+                            pixels as stored";
+                Some(text.to_owned())
+            } else {
+                None
+            };
+            if let Some(text) = told {
+                context.console.warn(StageId::Poses, text);
             }
             (Some(request), absent)
         }

@@ -139,9 +139,13 @@ fn read_view(
             let mask = read_mask(path).map_err(Failure::from)?;
             let number = decoded.exif.orientation;
             let orientation = number.and_then(Orientation::of_exif).unwrap_or_default();
-            orientation
-                .mask_by_size(mask, (image.width, image.height))
-                .0
+            let size = (image.width, image.height);
+            let (mask, was_upright) = orientation.mask_by_size(mask, size);
+            if was_upright {
+                let text = "the mask was drawn over the image as EXIF turns it; it was turned back to the pixels as stored";
+                console.warn(StageId::Shading, text);
+            }
+            mask
         }
         None => Mask::filled(image.width, image.height, true),
     };

@@ -7,7 +7,7 @@ use crate::options::PhotosOptions;
 use crate::prepare::PreparedPhoto;
 use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
 use rilievo_numerics::robust::median;
-use rilievo_scene::{FocalSource, Observer, Orientation, Photo, PhotoSet, StageId};
+use rilievo_scene::{FocalSource, Observer, Orientation, Photo, PhotoSet, StageId, first_and_more};
 use std::sync::Arc;
 
 /// Noise over level from which the user is warned: at a tenth of the shading's own range.
@@ -227,15 +227,10 @@ fn white_balance_spread(facts: &[PhotoFacts]) -> Option<f64> {
 /// What the user should know, each with the photo and what to try.
 fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
     let mut warnings = Vec::new();
-    // One line for what concerns several photos: a list of five hundred is not read.
+    // One line for what concerns several photos.
     let mut about = |photos: Vec<&PhotoFacts>, text: &str| {
-        if let Some(first) = photos.first() {
-            let others = match photos.len() {
-                1 => String::new(),
-                n => format!(" and {} more", n - 1),
-            };
-            warnings.push(format!("{}{others}: {text}", first.file_name));
-        }
+        let names = first_and_more(photos.iter().map(|photo| photo.file_name.as_str()));
+        warnings.extend(names.map(|names| format!("{names}: {text}")));
     };
     let which = |condition: &dyn Fn(&PhotoFacts) -> bool| -> Vec<&PhotoFacts> {
         report.photos.iter().filter(|f| condition(f)).collect()

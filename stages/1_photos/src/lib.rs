@@ -39,7 +39,7 @@ pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use encoding::linearize;
 pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions};
-pub use prepare::{GivenCamera, PreparedPhoto, prepare};
+pub use prepare::{GivenCamera, GivenMask, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};
 
 /// Raised with every change of the stage that changes its results.

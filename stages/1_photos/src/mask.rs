@@ -46,9 +46,9 @@ pub(crate) fn border_share(mask: &Mask) -> f64 {
     marked as f64 / total.max(1) as f64
 }
 
-/// How many times better a turned mask's border must lie on the photo's edges to be preferred: an outline
-/// has 2 to 3 where a border elsewhere has less than 1; an object that looks alike turned has about 1.
-const TURNED_EDGE_RATIO: f64 = 1.5;
+/// What the border of a turned mask must have at least of the photo's edges, and how many times as much as the border of
+/// the mask as given: an outline has 2 to 3, a border elsewhere less than 1.
+const OUTLINE_EDGE_RATIO: f64 = 1.5;
 
 /// A mask in the stored frame, and whether it was drawn over the photo as EXIF turns it, where sizes do not
 /// tell (turned by half, mirrored, square): the object's outline is under one of both borders.
@@ -62,11 +62,12 @@ pub(crate) fn turned_by_content(
         return (mask, false);
     }
     let turned = orientation.raster_to_stored(&mask);
-    let on_edges = |mask: &Mask| edges::mask_edge_ratio(image, mask).unwrap_or(0.0);
-    if on_edges(&turned) > TURNED_EDGE_RATIO * on_edges(&mask) {
-        (turned, true)
-    } else {
-        (mask, false)
+    let on_edges = [&mask, &turned].map(|mask| edges::mask_edge_ratio(image, mask));
+    match on_edges {
+        [Some(given), Some(upright)] if upright > OUTLINE_EDGE_RATIO * given.max(1.0) => {
+            (turned, true)
+        }
+        _ => (mask, false),
     }
 }
 

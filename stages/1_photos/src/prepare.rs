@@ -25,6 +25,26 @@ pub struct GivenCamera {
     pub cam_from_world: Option<RigidTransform>,
 }
 
+/// A mask that belongs to a photo.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GivenMask {
+    /// White is object.
+    pub mask: Mask,
+    /// Whether it may have been drawn over the photo as EXIF turns it. The photo's own alpha channel and masks that the
+    /// program made are in the frame of the pixels as stored.
+    pub may_be_upright: bool,
+}
+
+impl GivenMask {
+    /// A mask in the frame of the pixels as stored.
+    pub fn as_stored(mask: Mask) -> Self {
+        Self {
+            mask,
+            may_be_upright: false,
+        }
+    }
+}
+
 /// A usable photo.
 ///
 /// To keep a large set out of memory, store the pixels and replace `pixels` by a source that reads
@@ -58,7 +78,7 @@ impl PreparedPhoto {
 /// Why this photo cannot be used; other photos may be.
 pub fn prepare(
     decoded: DecodedPhoto,
-    mask: Option<Mask>,
+    mask: Option<GivenMask>,
     camera: Option<GivenCamera>,
     options: &PhotosOptions,
 ) -> Result<PreparedPhoto, PhotosError> {
@@ -70,7 +90,11 @@ pub fn prepare(
         .orientation
         .and_then(Orientation::of_exif)
         .unwrap_or_default();
-    let mask = mask.map(|mask| orientation.mask_by_size(mask, size));
+    let may_be_upright = mask.as_ref().is_some_and(|mask| mask.may_be_upright);
+    let mask = mask.map(|given| match may_be_upright {
+        true => orientation.mask_by_size(given.mask, size),
+        false => (given.mask, false),
+    });
     if let Some((mask, _)) = &mask {
         mask::check(&decoded.file_name, size, mask, options)?;
     }
@@ -104,9 +128,9 @@ pub fn prepare(
         let photo = decoded.file_name;
         return Err(PhotosError::Beyond { photo, value });
     }
-    let mask = mask.map(|(mask, was_turned)| match was_turned {
-        true => (mask, true),
-        false => mask::turned_by_content(mask, &image, orientation),
+    let mask = mask.map(|(mask, was_turned)| match may_be_upright && !was_turned {
+        true => mask::turned_by_content(mask, &image, orientation),
+        false => (mask, was_turned),
     });
     let (mask, mask_was_upright) = mask.map_or((None, false), |(mask, was)| (Some(mask), was));
     let measured = measures::measure(&image, mask.as_ref(), clip_level);

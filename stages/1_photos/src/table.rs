@@ -89,7 +89,7 @@ impl fmt::Display for Table<'_> {
 fn camera(photo: &PhotoFacts) -> String {
     let turned = match photo.orientation {
         Orientation::UPRIGHT => String::new(),
-        turned => format!(", orientation {} not applied", turned.number()),
+        turned => format!(", orientation {}, used as stored", turned.number()),
     };
     format!("{}{turned}; {}", photo.focal_note, photo.encoding_reason)
 }

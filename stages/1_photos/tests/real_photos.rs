@@ -1,7 +1,7 @@
 //! Stage 1 on the photographs in the shared folder beside the repository, where it is there.
 
 use rilievo_io::{decode_photo, read_mask};
-use rilievo_photos::{PhotosOptions, assemble, prepare};
+use rilievo_photos::{GivenMask, PhotosOptions, assemble, prepare};
 use rilievo_scene::{FocalSource, Recorder};
 use rilievo_synthetic::testing::shared_data;
 
@@ -55,7 +55,7 @@ fn a_whole_folder_with_masks() {
         .map(|name| {
             let decoded = decode_photo(&folder.join(format!("photos/{name}.png"))).unwrap();
             let mask = read_mask(&folder.join(format!("masks/{name}.png"))).unwrap();
-            prepare(decoded, Some(mask), None, &options).unwrap()
+            prepare(decoded, Some(GivenMask::as_stored(mask)), None, &options).unwrap()
         })
         .to_vec();
     let told = Recorder::default();
@@ -94,7 +94,7 @@ fn every_given_mask_passes() {
             let mask = read_mask(&folder.join(format!("masks/{stem}.png"))).unwrap();
             let coverage = mask.coverage();
             let decoded = decode_photo(&path).unwrap();
-            let done = prepare(decoded, Some(mask), None, &options).unwrap();
+            let done = prepare(decoded, Some(GivenMask::as_stored(mask)), None, &options).unwrap();
             assert_eq!(
                 done.facts.mask_coverage,
                 Some(coverage),
@@ -132,7 +132,7 @@ fn photos_given_as_masks_are_refused_and_most_masks_of_other_photos_told() {
             let stem = other.file_stem().unwrap().to_string_lossy().into_owned();
             let mask = read_mask(&folder.join(format!("masks/{stem}.png"))).unwrap();
             let decoded = decode_photo(path).unwrap();
-            let done = prepare(decoded, Some(mask), None, &options).unwrap();
+            let done = prepare(decoded, Some(GivenMask::as_stored(mask)), None, &options).unwrap();
             num_pairs += 1;
             num_told += usize::from(done.facts.mask_edge_ratio.is_some_and(|r| r < 1.0));
         }

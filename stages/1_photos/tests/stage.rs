@@ -4,7 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use rilievo_photos::{
-    GivenCamera, PhotosError, PhotosOptions, PhotosReport, PreparedPhoto, assemble, prepare,
+    GivenCamera, GivenMask, PhotosError, PhotosOptions, PhotosReport, PreparedPhoto, assemble,
+    prepare,
 };
 use rilievo_scene::{
     DecodedPhoto, ExifFacts, FocalSource, Intrinsics, Mask, Orientation, PhotoSet, Raster,
@@ -48,10 +49,10 @@ fn prepared(file_name: &str, exif: ExifFacts) -> PreparedPhoto {
     .unwrap()
 }
 
-fn disc() -> Mask {
-    Raster::from_fn(64, 48, |x, y| {
+fn disc() -> GivenMask {
+    GivenMask::as_stored(Raster::from_fn(64, 48, |x, y| {
         (x as f64 - 30.0).hypot(y as f64 - 20.0) < 15.0
-    })
+    }))
 }
 
 fn zoom(focal_mm: f64) -> ExifFacts {
@@ -181,7 +182,11 @@ fn masks_drawn_upright_are_turned_back_to_the_stored_frame() {
             samples: Samples::U8(
                 values
                     .clone()
-                    .flat_map(|&inside| [if inside { 180 } else { 20 }; 3])
+                    .enumerate()
+                    .flat_map(|(i, &inside)| {
+                        let grain = (i * 7 % 11) as u8;
+                        [grain + if inside { 180 } else { 20 }; 3]
+                    })
                     .collect(),
             ),
             ..photo(
@@ -201,8 +206,11 @@ fn masks_drawn_upright_are_turned_back_to_the_stored_frame() {
             });
             for (given, was_upright) in [(&stored, false), (&upright, number != 1)] {
                 let options = PhotosOptions::default();
-                let prepared = prepare(decoded(number), Some(given.clone()), None, &options);
-                let prepared = prepared.unwrap();
+                let mask = GivenMask {
+                    mask: given.clone(),
+                    may_be_upright: true,
+                };
+                let prepared = prepare(decoded(number), Some(mask), None, &options).unwrap();
                 let found = prepared.mask.as_ref().unwrap().unpacked();
                 assert!(
                     found == stored,
@@ -214,9 +222,56 @@ fn masks_drawn_upright_are_turned_back_to_the_stored_frame() {
         // Upright by another turn than EXIF's.
         if width != height {
             let lying = Mask::from_fn(height, width, |x, y| inside(y as f64, x as f64));
-            let refused = prepare(decoded(1), Some(lying), None, &PhotosOptions::default());
+            let mask = GivenMask {
+                mask: lying,
+                may_be_upright: true,
+            };
+            let refused = prepare(decoded(1), Some(mask), None, &PhotosOptions::default());
             assert!(matches!(refused, Err(PhotosError::MaskSize { .. })));
         }
+    }
+}
+
+#[test]
+fn a_mask_is_not_turned_onto_edges_that_are_no_outline() {
+    // The object is hardly brighter than what is behind it; half turned, its border crosses a bright stripe.
+    let (width, height) = (96, 60);
+    let inside = |x: f64, y: f64| (x - 30.0).hypot(y - 28.0) < 16.0;
+    let mask = Mask::from_fn(width, height, |x, y| inside(x as f64, y as f64));
+    let value = |x: usize, y: usize| -> u8 {
+        let stripe = (78..82).contains(&x);
+        let grain = ((x * 7 + y * 13) % 11) as u8;
+        match (stripe, inside(x as f64, y as f64)) {
+            (true, _) => 150,
+            (false, true) => 104 + grain,
+            (false, false) => 100 + grain,
+        }
+    };
+    let decoded = DecodedPhoto {
+        width,
+        height,
+        samples: Samples::U8(
+            (0..height)
+                .flat_map(|y| (0..width).flat_map(move |x| [value(x, y); 3]))
+                .collect(),
+        ),
+        ..photo(
+            "a.jpg",
+            ExifFacts {
+                orientation: Some(3),
+                ..ExifFacts::default()
+            },
+        )
+    };
+    for may_be_upright in [true, false] {
+        let given = GivenMask {
+            mask: mask.clone(),
+            may_be_upright,
+        };
+        let options = PhotosOptions::default();
+        let prepared = prepare(decoded.clone(), Some(given), None, &options).unwrap();
+        assert!(!prepared.facts.mask_was_upright);
+        assert!(prepared.mask.unwrap().unpacked() == mask);
     }
 }
 

@@ -97,6 +97,8 @@ pub struct SpheresInSet {
     pub absent: Vec<String>,
     /// Photos whose marks were drawn over the photo as EXIF turns it, and were turned back.
     pub upright: Vec<String>,
+    /// Whether that cannot be told, since the marks fit the photos either way: they were taken as they are.
+    pub may_be_upright: bool,
 }
 
 /// A name, and what it is without folder and without ending: either may be meant.
@@ -136,26 +138,45 @@ impl SphereFile {
     }
 
     /// Whether the marks were drawn over photos as EXIF turns them: some fit their photos only so, and none
-    /// only in the frame of the pixels as stored. What draws marks turns all photos or none.
-    fn is_upright(&self, photos: &PhotoSet) -> bool {
+    /// only in the frame of the pixels as stored. What draws marks turns all photos or none. `None` where photos are
+    /// turned and the marks fit either way.
+    fn is_upright(&self, photos: &PhotoSet) -> Option<bool> {
         let marks = self.spheres.iter().flat_map(|sphere| &sphere.views);
-        let fits = marks.filter_map(|(name, mark)| {
-            let photo = &photos.photos[find_photo(photos, name)?.0];
-            let stored = (photo.intrinsics.width, photo.intrinsics.height);
-            let upright = photo.orientation.upright_size(stored);
-            Some([stored, upright].map(|(width, height)| check_frame(mark, width, height).is_ok()))
-        });
-        let only = fits.fold([false; 2], |[stored, upright], fits| match fits {
-            [true, false] => [true, upright],
-            [false, true] => [stored, true],
-            _ => [stored, upright],
-        });
-        only == [false, true]
+        let (mut only_stored, mut only_upright, mut either) = (0, 0, 0);
+        for (name, mark) in marks {
+            let Some(photo) = find_photo(photos, name) else {
+                continue;
+            };
+            let Photo {
+                intrinsics,
+                orientation,
+                ..
+            } = &photos.photos[photo.0];
+            if *orientation == Orientation::UPRIGHT {
+                continue;
+            }
+            let stored = (intrinsics.width, intrinsics.height);
+            let fits = [stored, orientation.upright_size(stored)]
+                .map(|(width, height)| check_frame(mark, width, height).is_ok());
+            match fits {
+                [true, false] => only_stored += 1,
+                [false, true] => only_upright += 1,
+                _ => either += 1,
+            }
+        }
+        // One among many is a slip of the pen, and refused.
+        if only_stored == 0 && 8 * only_upright > either {
+            Some(true)
+        } else if only_stored == 0 && either > 0 {
+            None
+        } else {
+            Some(false)
+        }
     }
 
     /// The request for a set of photos; `calibration_images` are the calibration photos, linear,
     /// in the file's order. The set may be a part of what the file describes. Marks are in pixels as stored,
-    /// or all of them upright.
+    /// or all of them upright; those of calibration photos are in pixels as stored.
     ///
     /// # Errors
     /// When a calibration photo names a photo that the set lacks, its image is missing, or a mask
@@ -170,9 +191,11 @@ impl SphereFile {
             request,
             absent,
             upright,
+            may_be_upright,
         } = &mut in_set;
         request.light = self.light;
         let is_upright = self.is_upright(photos);
+        *may_be_upright = is_upright.is_none();
         for entry in &self.spheres {
             let mut sphere = MarkedSphere {
                 name: entry.name.clone(),
@@ -194,7 +217,7 @@ impl SphereFile {
                     ..
                 } = &photos.photos[photo.0];
                 let stored = (intrinsics.width, intrinsics.height);
-                let mark = if is_upright && *orientation != Orientation::UPRIGHT {
+                let mark = if is_upright == Some(true) && *orientation != Orientation::UPRIGHT {
                     if !upright.contains(file_name) {
                         upright.push(file_name.clone());
                     }

@@ -73,7 +73,7 @@ pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoE
         );
     }
     if heic::is_heif(bytes) {
-        return guarded(path, || heic::decode(path, bytes));
+        return heic::decode(path, bytes);
     }
     let format = image::guess_format(bytes)
         .ok()

@@ -288,6 +288,7 @@ fn upright_marks_of_turned_photos_are_turned_back_all_or_none() {
     set.photos[1].orientation = Orientation::of_exif(8).unwrap();
     let in_set = file.to_request(&set, Vec::new()).unwrap();
     assert_eq!(in_set.upright, ["a.jpg", "b.jpg"]);
+    assert!(!in_set.may_be_upright);
     let centers: Vec<[f64; 2]> = in_set.request.spheres[0]
         .marks
         .iter()
@@ -306,4 +307,29 @@ fn upright_marks_of_turned_photos_are_turned_back_all_or_none() {
     let refused = read(&text).unwrap().to_request(&set, Vec::new());
     let message = refused.unwrap_err().to_string();
     assert!(message.contains("views.b"), "{message}");
+
+    // Marks that fit either way are taken as they are, and that is told.
+    let text =
+        r#"{"radius": 1, "views": {"a": {"circle": [12, 15, 6]}, "c": {"circle": [12, 20, 6]}}}"#;
+    let in_set = read(text).unwrap().to_request(&set, Vec::new()).unwrap();
+    assert!(in_set.upright.is_empty() && in_set.may_be_upright);
+
+    // One slip among many marks turns none of them.
+    let names: Vec<String> = (0..9).map(|k| format!("p{k}")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let mut set = photos(&names);
+    for photo in &mut set.photos {
+        photo.orientation = Orientation::of_exif(6).unwrap();
+    }
+    let marks: Vec<String> = (0..9)
+        .map(|k| {
+            format!(
+                r#""p{k}": {{"circle": [12, {}, 2]}}"#,
+                if k == 4 { 36 } else { 20 }
+            )
+        })
+        .collect();
+    let text = format!(r#"{{"radius": 1, "views": {{{}}}}}"#, marks.join(", "));
+    let refused = read(&text).unwrap().to_request(&set, Vec::new());
+    assert!(refused.unwrap_err().to_string().contains("views.p4"));
 }

@@ -50,7 +50,7 @@ fn pictures_are_those_that_were_coded_whatever_the_name_says() {
 }
 
 #[test]
-fn a_turn_that_exif_tells_too_is_noted_and_any_other_is_followed() {
+fn the_containers_turn_is_noted_whatever_exif_says() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.heic");
     let turned = read("a.heic", TURNED).unwrap();
@@ -64,26 +64,38 @@ fn a_turn_that_exif_tells_too_is_noted_and_any_other_is_followed() {
     let at = TURNED.windows(10).position(|w| w == tag).unwrap();
     let mut bytes = TURNED.to_vec();
     bytes[at + 9] = 1;
-    let upright = read("a.heic", &bytes).unwrap();
-    std::fs::write(&path, &bytes).unwrap();
-    assert_eq!(photo_size(&path), Some((100, 144)));
-    assert_eq!((upright.width, upright.height), (100, 144));
-    assert_eq!(upright.exif.orientation, None);
-    let (Samples::U8(upright), Samples::U8(stored)) = (&upright.samples, &turned.samples) else {
-        panic!("eight bits each");
-    };
-    let orientation = Orientation::of_exif(6).unwrap();
-    let raster = rilievo_scene::Raster::from_vec(
-        100,
-        144,
-        upright
-            .chunks_exact(3)
-            .map(|px| [px[0], px[1], px[2]])
-            .collect(),
-    )
-    .unwrap();
-    let back = orientation.raster_to_stored(&raster);
-    assert_eq!(back.data.concat(), *stored);
+    let same = read("a.heic", &bytes).unwrap();
+    assert_eq!(same.exif.orientation, Some(6));
+    assert_eq!((same.width, same.height), (144, 100));
+
+    // Turned by half: `irot` and the quarter turns against the clock.
+    let at = bytes.windows(4).position(|w| w == b"irot").unwrap();
+    assert_eq!(bytes[at + 4], 3);
+    bytes[at + 4] = 2;
+    assert_eq!(read("a.heic", &bytes).unwrap().exif.orientation, Some(3));
+    assert_eq!(read("a.heic", PLAIN).unwrap().exif.orientation, Some(1));
+}
+
+#[test]
+fn turns_and_mirrors_of_containers_are_orientations() {
+    use Transform::{MirrorHorizontal, MirrorVertical, Rotate90Ccw};
+    for (transforms, number) in [
+        (vec![], 1),
+        (vec![MirrorHorizontal], 2),
+        (vec![Rotate90Ccw(2)], 3),
+        (vec![MirrorVertical], 4),
+        // EXIF's 6 is turned with the clock for display, 8 against it.
+        (vec![Rotate90Ccw(3)], 6),
+        (vec![Rotate90Ccw(1)], 8),
+        (vec![Rotate90Ccw(1), MirrorVertical], 5),
+        (vec![Rotate90Ccw(1), MirrorHorizontal], 7),
+    ] {
+        assert_eq!(
+            turn(&transforms).map(Orientation::number),
+            Some(number),
+            "{transforms:?}"
+        );
+    }
 }
 
 #[test]
