@@ -1,13 +1,13 @@
 //! What the system may interrupt the program with: Ctrl-C and termination signals, of which the first
 //! asks for a resumable stop and the second aborts; limits on files and memory.
 //!
-//! A stop waits for the work at hand, some seconds at most. After them the program ends where it is: every file is
-//! complete or not there, so that the same command goes on from there too.
+//! A stop waits for the work at hand. In a run directory it waits some seconds at most: every file there is complete or
+//! not there, so that the same command goes on wherever it ended.
 
 use crate::exit::Failure;
 use signal_hook::consts::signal::{SIGABRT, SIGXFSZ};
 use signal_hook::low_level;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Once};
 use std::thread::Builder;
 use std::time::Duration;
@@ -15,8 +15,11 @@ use std::time::Duration;
 static STOP: AtomicBool = AtomicBool::new(false);
 static INSTALL: Once = Once::new();
 
-/// Time that the work at hand has to come to an end.
-const PATIENCE: Duration = Duration::from_secs(4);
+/// Seconds after which work that was asked to stop is ended where it is; 0 for work that cannot be resumed from anywhere.
+static PATIENCE: AtomicU64 = AtomicU64::new(0);
+
+/// Time for the last sentence, which nobody may read.
+const LAST_WORD: Duration = Duration::from_millis(200);
 
 /// What is said where the program aborts: the standard library does when memory is refused.
 const ABORTED: &[u8] =
@@ -30,13 +33,9 @@ pub fn listen() {
             if STOP.swap(true, Ordering::SeqCst) {
                 end();
             }
-            tell!("stopping; once more aborts at once");
             // Where no thread can be had, the work at hand is waited for.
-            let _ = Builder::new().spawn(|| -> () {
-                std::thread::sleep(PATIENCE);
-                tell!("{}", Failure::Interrupted);
-                end();
-            });
+            let _ = Builder::new().spawn(end_in_time);
+            tell!("stopping; once more aborts at once");
         });
         if let Err(error) = installed {
             // Without a handler the system's default ends the program, which is resumable too.
@@ -49,6 +48,25 @@ pub fn listen() {
             tell!("warning: signals cannot be caught: {error}");
         }
     });
+}
+
+/// Says that the work from here on can be resumed wherever it ends. Where it stops with `others`, the processes tell each
+/// other first.
+pub fn is_resumable(others: bool) {
+    PATIENCE.store(if others { 8 } else { 4 }, Ordering::Relaxed);
+}
+
+/// Waits for the work at hand, and ends it where it takes too long and can be resumed.
+fn end_in_time() {
+    let patience = PATIENCE.load(Ordering::Relaxed);
+    if patience == 0 {
+        return;
+    }
+    std::thread::sleep(Duration::from_secs(patience));
+    // Whoever should read it may have stopped to.
+    let _ = Builder::new().spawn(|| tell!("error: {}", Failure::Interrupted));
+    std::thread::sleep(LAST_WORD);
+    end()
 }
 
 /// Ends the program as a stop does.

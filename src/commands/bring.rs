@@ -3,6 +3,7 @@
 use super::handshake::{check_inputs, check_options, open_run};
 use crate::cli::WorkArgs;
 use crate::exit::Failure;
+use crate::interrupt;
 use crate::observe::Console;
 use crate::pipeline::{
     Context, Inputs, Plan, REPORT, Range, Request, Resources, StageState, WRITING,
@@ -84,6 +85,7 @@ pub fn bring_run_up_to_date(
     {
         console.note(&format!("warning: {repaired}"));
     }
+    interrupt::is_resumable(ranks::team().size() > 1);
     let mut plan = None;
     let outcome = work_in(&run, request, range, allowed, resources, console, &mut plan);
     let outcome = ranks::agree(outcome);

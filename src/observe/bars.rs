@@ -1,7 +1,7 @@
-//! Progress on a terminal: one bar for the whole run where its course is known, else one for the step at hand.
+//! Progress on a terminal: one bar for the whole run where its forecast is known, else one for the step at hand.
 
-use super::course::{SharedCourse, Standing, standing};
 use super::display::{Display, StageNews};
+use super::forecast::{Outlook, SharedForecast, outlook};
 use super::pace::in_words;
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use rilievo_scene::{Event, StageId};
@@ -30,13 +30,16 @@ const MIN_COLUMNS: usize = 20;
 pub struct Bars {
     /// With the step that it shows, or nothing where it shows the whole run.
     bar: Option<(Option<String>, ProgressBar)>,
-    course: SharedCourse,
+    forecast: SharedForecast,
 }
 
 impl Bars {
     /// No bar yet.
-    pub fn new(course: SharedCourse) -> Self {
-        Self { bar: None, course }
+    pub fn new(forecast: SharedForecast) -> Self {
+        Self {
+            bar: None,
+            forecast,
+        }
     }
 
     /// The bar of a step, or of the whole run.
@@ -57,11 +60,11 @@ impl Bars {
     }
 
     fn run_bar(&mut self) -> &ProgressBar {
-        let course = self.course.clone();
+        let forecast = self.forecast.clone();
         self.bar(None, || {
             let told = move |_: &ProgressState, out: &mut dyn Write| {
                 // Nothing is left to tell it to where this fails.
-                let _ = out.write_str(&drawn(standing(&course)));
+                let _ = out.write_str(&drawn(outlook(&forecast)));
             };
             let style = ProgressStyle::with_template(RUN)
                 .unwrap_or_else(|_| ProgressStyle::default_bar())
@@ -87,8 +90,8 @@ impl Bars {
         bar
     }
 
-    fn has_course(&self) -> bool {
-        standing(&self.course).is_some()
+    fn has_forecast(&self) -> bool {
+        outlook(&self.forecast).is_some()
     }
 
     fn clear(&mut self) {
@@ -111,8 +114,8 @@ impl Bars {
 }
 
 /// How far the run is, as a bar.
-fn drawn(standing: Option<Standing>) -> String {
-    let Some(Standing { share, left }) = standing else {
+fn drawn(outlook: Option<Outlook>) -> String {
+    let Some(Outlook { share, left }) = outlook else {
         return String::new();
     };
     let filled = ((share * WIDTH as f64) as usize).min(WIDTH);
@@ -126,9 +129,13 @@ fn drawn(standing: Option<Standing>) -> String {
 }
 
 /// A text in lines of so many columns, broken between words, the further ones indented by two more than the first. A word
-/// that is longer than a line stays whole.
+/// that is longer than a line stays whole, and so does a line that is set in columns.
 fn wrapped(text: &str, columns: usize) -> String {
     let indent = text.len() - text.trim_start().len();
+    let is_table = text.trim_start().contains("  ");
+    if is_table || text.chars().count() <= columns {
+        return text.to_owned();
+    }
     let mut out = " ".repeat(indent);
     let mut column = indent;
     for (k, word) in text.split_whitespace().enumerate() {
@@ -149,7 +156,7 @@ fn wrapped(text: &str, columns: usize) -> String {
 
 impl Display for Bars {
     fn stage(&mut self, stage: StageId, news: &StageNews) {
-        if !self.has_course() {
+        if !self.has_forecast() {
             self.clear();
         }
         let text = match news {
@@ -175,7 +182,7 @@ impl Display for Bars {
                 ..
             } => {
                 let told = format!("iterating, energy {energy:.3e}");
-                if self.has_course() {
+                if self.has_forecast() {
                     self.run_bar().set_message(format!("{stage}: {told}"));
                 } else {
                     let bar =
@@ -197,9 +204,9 @@ impl Display for Bars {
         of: &str,
         step: &str,
         (done, total): (usize, usize),
-        standing: Option<Standing>,
+        outlook: Option<Outlook>,
     ) {
-        if standing.is_some() {
+        if outlook.is_some() {
             let counts = match total {
                 0 | 1 => String::new(),
                 _ => format!(" {done}/{total}"),
@@ -231,6 +238,8 @@ mod tests {
         assert_eq!(wrapped(text, 20), expected);
         assert_eq!(wrapped(text, 80), text);
         assert_eq!(wrapped("", 20), "");
+        let row = "  IMG_0001.jpg    640 x 480     768.0    17.9";
+        assert_eq!(wrapped(row, 30), row);
         assert_eq!(
             wrapped("/a/very/long/path/of/a/file", 20),
             "/a/very/long/path/of/a/file"
@@ -239,14 +248,14 @@ mod tests {
 
     #[test]
     fn the_bar_fills_with_the_run() {
-        let standing = |share| {
-            Some(Standing {
+        let outlook = |share| {
+            Some(Outlook {
                 share,
                 left: Duration::from_secs(300),
             })
         };
         assert_eq!(
-            drawn(standing(0.5)),
+            drawn(outlook(0.5)),
             "[##########----------] 50 %, about 5 min left;"
         );
         assert_eq!(drawn(None), "");

@@ -1,6 +1,6 @@
 //! What a way to show events has to show.
 
-use super::course::Standing;
+use super::forecast::Outlook;
 use rilievo_scene::{Event, StageId};
 
 /// How a stage came to its result.
@@ -21,13 +21,7 @@ pub trait Display: Send {
     fn event(&mut self, event: &Event);
     /// Progress of a step of a stage, or of a command where it belongs to none: what is done of how much, and how far the
     /// whole run is.
-    fn progress(
-        &mut self,
-        of: &str,
-        step: &str,
-        counts: (usize, usize),
-        standing: Option<Standing>,
-    );
+    fn progress(&mut self, of: &str, step: &str, counts: (usize, usize), outlook: Option<Outlook>);
     fn note(&mut self, message: &str);
     fn finished(&mut self, summary: &serde_json::Value);
 }

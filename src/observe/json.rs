@@ -1,7 +1,7 @@
 //! One JSON object a line on stdout, for other programs.
 
-use super::course::Standing;
 use super::display::{Display, StageNews};
+use super::forecast::Outlook;
 use rilievo_scene::{Event, StageId};
 use std::io::Write;
 
@@ -42,12 +42,12 @@ impl Display for JsonLines {
         of: &str,
         step: &str,
         (done, total): (usize, usize),
-        standing: Option<Standing>,
+        outlook: Option<Outlook>,
     ) {
         let mut line = serde_json::json!({
             "event": "progress", "stage": of, "step": step, "done": done, "total": total
         });
-        if let Some(Standing { share, left }) = standing {
+        if let Some(Outlook { share, left }) = outlook {
             line["run_share"] = share.into();
             line["run_seconds_left"] = left.as_secs_f64().into();
         }

@@ -1,7 +1,7 @@
 //! Plain lines on stderr, for logs and pipes: rare enough to read.
 
-use super::course::Standing;
 use super::display::{Display, StageNews};
+use super::forecast::Outlook;
 use super::pace::{Pace, in_words};
 use rilievo_scene::{Event, StageId};
 use std::time::Duration;
@@ -59,12 +59,12 @@ impl Display for Lines {
         of: &str,
         step: &str,
         (done, total): (usize, usize),
-        standing: Option<Standing>,
+        outlook: Option<Outlook>,
     ) {
         let pace = self.pace(step, done);
         if pace.due(INTERVAL) || done == total {
-            let left = match standing {
-                Some(Standing { share, left }) => format!(
+            let left = match outlook {
+                Some(Outlook { share, left }) => format!(
                     " ({:.0} % of the run, about {} left)",
                     100.0 * share,
                     in_words(Duration::from_secs(left.as_secs()))

@@ -4,20 +4,20 @@
 //! people goes to stderr; stdout carries results and the JSON lines.
 
 mod bars;
-mod course;
 mod display;
+mod forecast;
 mod json;
 mod lines;
 mod pace;
 mod quiet;
 
-pub use course::Part;
 pub use display::StageNews;
+pub use forecast::ExpectedStep;
 
 use crate::interrupt;
 use crate::ranks;
-use course::{Course, SharedCourse, Standing, locked, standing};
 use display::Display;
+use forecast::{Forecast, Outlook, SharedForecast, locked, outlook};
 use rilievo_scene::{Event, Flow, Observer, StageId, Team};
 use std::io::IsTerminal;
 use std::sync::Mutex;
@@ -27,51 +27,52 @@ use std::time::Instant;
 pub struct Console {
     display: Mutex<Box<dyn Display>>,
     warnings: Mutex<Vec<(StageId, String)>>,
-    course: SharedCourse,
+    forecast: SharedForecast,
 }
 
 impl Console {
     /// A console that suits where the output goes; of several ranks the first one shows what all do.
     pub fn new(json: bool) -> Self {
-        let course = SharedCourse::default();
+        let forecast = SharedForecast::default();
         let display: Box<dyn Display> = if !ranks::team().is_first() {
             Box::new(quiet::Quiet)
         } else if json {
             Box::new(json::JsonLines)
         } else if std::io::stderr().is_terminal() {
-            Box::new(bars::Bars::new(course.clone()))
+            Box::new(bars::Bars::new(forecast.clone()))
         } else {
             Box::new(lines::Lines::default())
         };
         Self {
             display: Mutex::new(display),
             warnings: Mutex::new(Vec::new()),
-            course,
+            forecast,
         }
     }
 
-    /// Tells what the run is expected to do from here on, so that it can be told how long it will take.
-    pub fn expect(&self, parts: Vec<Part>) {
-        match &mut *locked(&self.course) {
-            Some(course) => course.replace(parts),
-            none => *none = Some(Course::new(parts, Instant::now())),
+    /// Takes what the run is expected to do from here on, and the seconds of what follows then, so that it can be told
+    /// how long it will take.
+    pub fn expect(&self, steps: Vec<ExpectedStep>, later: f64) {
+        match &mut *locked(&self.forecast) {
+            Some(forecast) => forecast.replace(steps, later),
+            none => *none = Some(Forecast::new(steps, later, Instant::now())),
         }
     }
 
-    /// Progress of a step, in the course of the run.
-    fn course_at(&self, of: &str, step: &str, done: usize, total: usize) -> Option<Standing> {
-        if let Some(course) = &mut *locked(&self.course) {
-            course.progress(of, step, done, total, Instant::now());
+    /// Progress of a step, in the forecast of the run.
+    fn progress_of(&self, of: &str, step: &str, done: usize, total: usize) -> Option<Outlook> {
+        if let Some(forecast) = &mut *locked(&self.forecast) {
+            forecast.progress(of, step, done, total, Instant::now());
         }
-        standing(&self.course)
+        outlook(&self.forecast)
     }
 
     /// Tells where a stage stands.
     pub fn stage(&self, stage: StageId, news: &StageNews) {
-        if let (StageNews::Reused | StageNews::Finished(_), Some(course)) =
-            (news, &mut *locked(&self.course))
+        if let (StageNews::Reused | StageNews::Finished(_), Some(forecast)) =
+            (news, &mut *locked(&self.forecast))
         {
-            course.stage_ends(stage);
+            forecast.stage_ends(stage);
         }
         self.with(|display| display.stage(stage, news));
     }
@@ -126,8 +127,8 @@ impl Observer for Console {
             total,
         } = &event
         {
-            let standing = self.course_at(stage.name(), step, *done, *total);
-            self.with(|display| display.progress(stage.name(), step, (*done, *total), standing));
+            let outlook = self.progress_of(stage.name(), step, *done, *total);
+            self.with(|display| display.progress(stage.name(), step, (*done, *total), outlook));
         } else {
             self.with(|display| display.event(&event));
         }
@@ -161,9 +162,9 @@ impl Observer for OfCommand<'_> {
         else {
             return self.console.event(event);
         };
-        let standing = self.console.course_at(self.command, step, *done, *total);
+        let outlook = self.console.progress_of(self.command, step, *done, *total);
         self.console
-            .with(|display| display.progress(self.command, step, (*done, *total), standing));
+            .with(|display| display.progress(self.command, step, (*done, *total), outlook));
         self.flow()
     }
 

@@ -1,7 +1,7 @@
 //! Nothing: another rank shows what all do.
 
-use super::course::Standing;
 use super::display::{Display, StageNews};
+use super::forecast::Outlook;
 use rilievo_scene::{Event, StageId};
 
 /// Shows nothing.
@@ -15,7 +15,7 @@ impl Display for Quiet {
         _of: &str,
         _step: &str,
         _counts: (usize, usize),
-        _standing: Option<Standing>,
+        _outlook: Option<Outlook>,
     ) {
     }
     fn note(&mut self, _message: &str) {}

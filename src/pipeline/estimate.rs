@@ -8,7 +8,7 @@ use super::inputs::{Inputs, PhotoInput};
 use super::parallel::Resources;
 use super::request::Request;
 use crate::cost::{Cost, Estimate};
-use crate::observe::{Console, Part};
+use crate::observe::{Console, ExpectedStep};
 use crate::system::cpu_seconds;
 use rayon::prelude::*;
 use rilievo_io::{photo_size, read_mask};
@@ -54,7 +54,7 @@ struct Work {
     pairs: f64,
 }
 
-/// What a request is expected to cost, told to the user with the course that it will take up to a stage; `None` where no
+/// What a request is expected to cost, told to the user with the forecast that it will take up to a stage; `None` where no
 /// photo tells its size.
 pub fn expect(
     request: &Request,
@@ -78,36 +78,37 @@ pub fn expect(
         1e-9 * cost.disk_bytes,
         1e-9 * expected.working_disk_bytes,
     ));
-    console.expect(in_time(work.parts(), until, slowness));
+    console.expect(in_time(work.steps(), until, slowness), 0.0);
     Some(expected)
 }
 
-/// The course of a run that proposes masks for itself after the poses, and begins again with them.
+/// The forecast of a run that proposes masks for itself after the poses, and begins again with them.
 pub fn expect_with_masks(request: &Request, inputs: &Inputs, until: StageId, console: &Console) {
     let slowness = slowness();
-    let parts_with = |object_share, until| {
+    let steps_with = |object_share, until| {
         let work = Work::of(request, inputs, object_share);
-        work.map_or(Vec::new(), |work| in_time(work.parts(), until, slowness))
+        work.map_or(Vec::new(), |work| in_time(work.steps(), until, slowness))
     };
-    let mut parts = parts_with(1.0, StageId::Poses);
-    parts.extend(parts_with(TYPICAL_SHARE, until));
-    console.expect(parts);
+    let later = steps_with(TYPICAL_SHARE, until);
+    let later = later.iter().filter(|step| step.replaces.is_none());
+    let later = later.map(|step| step.seconds).sum();
+    console.expect(steps_with(1.0, StageId::Poses), later);
 }
 
-/// The parts up to a stage, with seconds on this machine's threads.
-fn in_time(parts: Vec<Part>, until: StageId, slowness: f64) -> Vec<Part> {
+/// The steps up to a stage, with seconds on this machine's threads.
+fn in_time(steps: Vec<ExpectedStep>, until: StageId, slowness: f64) -> Vec<ExpectedStep> {
     let per_cpu_second = slowness / rayon::current_num_threads().max(1) as f64;
-    let of_stage = |part: &Part| {
+    let of_stage = |step: &ExpectedStep| {
         StageId::ALL
             .into_iter()
-            .find(|stage| stage.name() == part.of)
+            .find(|stage| stage.name() == step.of)
     };
-    let parts = parts.into_iter();
-    parts
-        .filter(|part| of_stage(part).is_none_or(|stage| stage <= until))
-        .map(|part| Part {
-            seconds: per_cpu_second * part.seconds,
-            ..part
+    let steps = steps.into_iter();
+    steps
+        .filter(|step| of_stage(step).is_none_or(|stage| stage <= until))
+        .map(|step| ExpectedStep {
+            seconds: per_cpu_second * step.seconds,
+            ..step
         })
         .collect()
 }
@@ -159,12 +160,12 @@ impl Work {
     }
 
     fn estimate(&self, request: &Request, resources: Resources, slowness: f64) -> Estimate {
-        let seconds = |is_counted: &dyn Fn(&Part) -> bool| {
-            let parts = self.parts().into_iter();
-            slowness * parts.filter(is_counted).map(|p| p.seconds).sum::<f64>()
+        let seconds = |is_counted: &dyn Fn(&ExpectedStep) -> bool| {
+            let steps = self.steps().into_iter();
+            slowness * steps.filter(is_counted).map(|p| p.seconds).sum::<f64>()
         };
-        let with_relief = seconds(&|part| part.instead_of.is_none());
-        let without = seconds(&|part| part.step != RELIEF);
+        let with_relief = seconds(&|step| step.replaces.is_none());
+        let without = seconds(&|step| step.step != RELIEF);
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
         let threads = rayon::current_num_threads();
         let shading = self.sizes.taken(&request.options.shading.photo, threads);
@@ -183,37 +184,35 @@ impl Work {
             working_disk_bytes: 45.0 * self.object_px,
         }
     }
-}
 
-impl Work {
     /// The steps of a run, with CPU seconds of the reference machine. At the coarse level light and shape take turns; the
     /// finer levels that are solved as a whole follow, then those of single photos, a third more than the last of them.
-    fn parts(&self) -> Vec<Part> {
+    fn steps(&self) -> Vec<ExpectedStep> {
         let (n, photo_px, object_px) = (self.photos, self.photo_px, self.object_px);
         let coarse = 1e-5 * self.coarse_px;
-        let part = |of: StageId, step, seconds| Part {
+        let of = |of: StageId, step, seconds| ExpectedStep {
             of: of.name(),
             step,
             seconds,
-            instead_of: None,
+            replaces: None,
         };
-        let shading = |step, seconds| part(StageId::Shading, step, seconds);
-        let mut parts = vec![
-            part(StageId::Photos, "reading photos", 6.5e-8 * photo_px),
-            part(
+        let shading = |step, seconds| of(StageId::Shading, step, seconds);
+        let mut steps = vec![
+            of(StageId::Photos, "reading photos", 6.5e-8 * photo_px),
+            of(
                 StageId::Features,
                 "detecting keypoints",
                 0.55 * n + 1.2e-7 * photo_px,
             ),
-            part(StageId::Features, "matching pairs", 0.12 * self.pairs),
-            part(
+            of(StageId::Features, "matching pairs", 0.12 * self.pairs),
+            of(
                 StageId::Poses,
                 "registering photos",
                 0.5 * n + 1.9e-7 * photo_px,
             ),
-            part(StageId::Poses, "growing anchors", 0.2 * n),
-            part(StageId::Lighting, "reading the sphere", 0.15 * n),
-            part(
+            of(StageId::Poses, "growing anchors", 0.2 * n),
+            of(StageId::Lighting, "reading the sphere", 0.15 * n),
+            of(
                 StageId::Lighting,
                 "reading brightness at the anchors",
                 0.05 * n + 3e-8 * photo_px,
@@ -223,12 +222,12 @@ impl Work {
             shading("photos", 1.5 * coarse),
         ];
         for _ in 0..NUM_ROUNDS {
-            parts.push(shading("fitting light", 3.7 * coarse));
-            parts.push(shading("light and shape", 3.0 * coarse));
+            steps.push(shading("fitting light", 3.7 * coarse));
+            steps.push(shading("light and shape", 3.0 * coarse));
         }
-        parts.extend([
-            Part {
-                instead_of: Some(RELIEF),
+        steps.extend([
+            ExpectedStep {
+                replaces: Some(RELIEF),
                 ..shading(
                     "searching depth again",
                     1e-4 * (self.whole_px - self.coarse_px),
@@ -240,27 +239,27 @@ impl Work {
                 "writing maps, comparing them with the photos",
                 4e-7 * photo_px + 2e-6 * object_px,
             ),
-            part(StageId::Fusion, "loading maps", 2.2e-6 * object_px),
-            part(StageId::Fusion, "gathering points", 2.3e-6 * object_px),
-            part(
+            of(StageId::Fusion, "loading maps", 2.2e-6 * object_px),
+            of(StageId::Fusion, "gathering points", 2.3e-6 * object_px),
+            of(
                 StageId::Fusion,
                 "averaging signed distances",
                 5.3e-6 * object_px,
             ),
-            part(
+            of(
                 StageId::Fusion,
                 "extracting the surface",
                 1.4e-6 * object_px,
             ),
-            part(StageId::Fusion, "joining the surface", 2.3e-6 * object_px),
-            Part {
+            of(StageId::Fusion, "joining the surface", 2.3e-6 * object_px),
+            ExpectedStep {
                 of: REPORT,
                 step: WRITING,
                 seconds: 0.3 * n + 2.4e-7 * photo_px,
-                instead_of: None,
+                replaces: None,
             },
         ]);
-        parts
+        steps
     }
 
     /// Photos, maps, what the report shows of each photo; and cloud and mesh, as large as the surface that is seen: photos

@@ -182,15 +182,22 @@ fn with_own_focals(
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Found, PosesError> {
-    let own = own_focal::find(scene, &first.0.model, options)?;
+    // The model stands without what this looks for.
+    let own = own_focal::find(scene, &first.0.model, options).unwrap_or_default();
     if own.is_empty() {
         return Ok(first);
     }
     let (num_cameras, camera_of) = (scene.cameras.len(), scene.camera_of.clone());
-    own_focal::part(scene, &first.0.model, &own);
+    own_focal::give_cameras(scene, &first.0.model, &own, options.refine_intrinsics);
     let better = |second: &Found| {
-        let size = |found: &Found| (found.0.model.num_views(), found.0.model.num_sightings());
-        size(second) > size(&first)
+        let num_views = [&first, second].map(|found| found.0.model.num_views());
+        let [before, after] = [&first, second].map(|found| {
+            let photos = own.iter().map(|own| own.photo);
+            photos
+                .map(|photo| found.0.model.num_sightings(scene, photo))
+                .sum::<usize>()
+        });
+        num_views[1] >= num_views[0] && after as f64 >= own_focal::MIN_GROWTH * before as f64
     };
     match largest_model(scene, options, observer) {
         Ok(second) if better(&second) => Ok(second),
@@ -220,10 +227,11 @@ fn contradicted_exif(scene: &Scene<'_>, reconstruction: &Reconstruction) -> Vec<
                 .find(|&p| scene.camera_of[p] == k && model.poses[p].is_some())?;
             let photo = &scene.photos.photos[photo];
             let deviation = model.cameras[k].deviation[0];
-            let from_exif = matches!(
-                photo.focal_source,
-                FocalSource::Exif35mm | FocalSource::ExifSensor
-            );
+            let from_exif = !scene.cameras[k].is_own
+                && matches!(
+                    photo.focal_source,
+                    FocalSource::Exif35mm | FocalSource::ExifSensor
+                );
             (from_exif && is_far(deviation)).then(|| {
                 format!(
                     "{} and others of its camera: the photos say a focal length of {:.0} px, EXIF {:.0} px ({:+.0} %): cropped photos or another sensor; the photos were believed",

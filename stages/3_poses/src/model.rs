@@ -101,9 +101,14 @@ impl Model {
         self.points.iter().flatten().count()
     }
 
-    /// Number of sightings that support points.
-    pub fn num_sightings(&self) -> usize {
-        self.points.iter().flatten().map(|p| p.support.len()).sum()
+    /// Number of points that a photo's sightings support.
+    pub fn num_sightings(&self, scene: &Scene<'_>, photo: usize) -> usize {
+        let sightings = scene.tracks_of[photo].iter();
+        let supports = |&(track, place): &(usize, usize)| {
+            let point = self.points[track].as_ref();
+            point.is_some_and(|point| point.support.binary_search(&place).is_ok())
+        };
+        sightings.filter(|sighting| supports(sighting)).count()
     }
 
     /// Current intrinsics, per camera.

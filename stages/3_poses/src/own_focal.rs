@@ -7,18 +7,23 @@
 use crate::error::PosesError;
 use crate::incremental::{adjust_all, limits};
 use crate::model::Model;
-use crate::options::PosesOptions;
+use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::projection::NUM_INTRINSICS;
 use crate::resection::resect;
 use crate::scene::{GUESS_FOCAL_SIGMA, Scene, SceneCamera};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
-use rilievo_scene::Intrinsics;
+use rilievo_numerics::robust::quantile;
+use rilievo_scene::{Intrinsics, first_and_more};
 
-/// Share of the points in sight that agree with a photo's pose, over the largest of all photos, from which on its focal
-/// length is not questioned.
+/// Share of the points in sight that agree with a photo's pose, over that of the photos that agree well (the upper
+/// quartile), from which on its focal length is not questioned.
 const ENOUGH: f64 = 0.75;
+const UPPER_QUARTILE: f64 = 0.75;
 /// How many times more points must agree with another focal length.
 const MIN_GAIN: f64 = 1.5;
+/// How many times more points the photos must hold in the model with their own cameras, at the options' larger error.
+pub const MIN_GROWTH: f64 = 1.1;
 /// Least share of the points in sight that must.
 const MIN_SHARE: f64 = 0.4;
 /// Largest error of a point that agrees, over that of the options: wrong focal lengths are told by small errors, since
@@ -63,13 +68,16 @@ pub fn find(
     let shares: Vec<Option<f64>> = (0..scene.num_photos())
         .into_par_iter()
         .map(|photo| {
-            let (num_agreeing, num) = Agreement::of(scene, model, photo, options)?.at(0.0);
+            let (num_agreeing, num) = PointsInSight::of(scene, model, photo, options)?.at(0.0);
             Some(num_agreeing as f64 / num as f64)
         })
         .collect();
-    let largest = shares.iter().flatten().copied().fold(0.0, f64::max);
+    let mut known: Vec<f64> = shares.iter().flatten().copied().collect();
+    let Some(good) = quantile(&mut known, UPPER_QUARTILE) else {
+        return Ok(Vec::new());
+    };
     let is_suspect = |photo: &usize| {
-        is_refined(*photo) && shares[*photo].is_some_and(|share| share < ENOUGH * largest)
+        is_refined(*photo) && shares[*photo].is_some_and(|share| share < ENOUGH * good)
     };
     let suspects: Vec<usize> = (0..scene.num_photos()).filter(is_suspect).collect();
     let num_left = (0..scene.num_photos())
@@ -89,10 +97,10 @@ pub fn find(
         adjust_all(&mut others, scene)?;
     }
     let found = suspects.into_par_iter().filter_map(|photo| {
-        let agreement = Agreement::of(scene, &others, photo, options)?;
+        let in_sight = PointsInSight::of(scene, &others, photo, options)?;
         let best_of = |ln_focals: &mut dyn Iterator<Item = f64>| {
             ln_focals
-                .map(|ln_focal| (agreement.at(ln_focal).0, ln_focal))
+                .map(|ln_focal| (in_sight.at(ln_focal).0, ln_focal))
                 // The first of equals: the order is fixed.
                 .fold(
                     (0, 0.0),
@@ -104,15 +112,15 @@ pub fn find(
         };
         let coarse = best_of(&mut around(0.0, STEP, NUM_STEPS));
         let (most, ln_focal) = best_of(&mut around(coarse.1, FINE_STEP, NUM_FINE_STEPS));
-        let (shared, num) = agreement.at(0.0);
+        let (shared, num) = in_sight.at(0.0);
         let gains = most as f64 >= (MIN_GAIN * shared as f64).max(MIN_SHARE * num as f64);
         (gains && ln_focal.abs() >= MIN_LN_FOCAL).then_some(OwnFocal { photo, ln_focal })
     });
     Ok(found.collect())
 }
 
-/// How many points in sight of a photo agree with it.
-struct Agreement {
+/// Points in sight of a photo.
+struct PointsInSight {
     camera: Intrinsics,
     pixels: Vec<Point2<f64>>,
     points: Vec<Point3<f64>>,
@@ -120,11 +128,15 @@ struct Agreement {
     seed: [u64; 2],
 }
 
-impl Agreement {
+impl PointsInSight {
     /// `None` where too few points are in sight.
     fn of(scene: &Scene<'_>, model: &Model, photo: usize, options: &PosesOptions) -> Option<Self> {
-        let (pixels, points) = some(model.visible_points(scene, photo));
-        (points.len() >= options.min_num_visible_points).then(|| Self {
+        let visible = model.visible_points(scene, photo);
+        if visible.0.len() < options.min_num_visible_points {
+            return None;
+        }
+        let (pixels, points) = some(visible);
+        Some(Self {
             camera: model.cameras[scene.camera_of[photo]].current(),
             pixels,
             points,
@@ -168,27 +180,43 @@ fn scaled(camera: &Intrinsics, ln_focal: f64) -> Intrinsics {
     }
 }
 
-/// Gives photos cameras of their own; those of one zoom share theirs.
-pub fn part(scene: &mut Scene<'_>, model: &Model, own: &[OwnFocal]) {
+/// Gives photos cameras of their own; those of one zoom share theirs. The principal point of a photo that is alone is free:
+/// it may be a crop beside the middle.
+pub fn give_cameras(
+    scene: &mut Scene<'_>,
+    model: &Model,
+    own: &[OwnFocal],
+    refine: RefineIntrinsics,
+) {
     let mut order = own.to_vec();
+    let mut shared_prior = [None; NUM_INTRINSICS];
     order.sort_by(|a, b| {
         let camera = |own: &OwnFocal| scene.camera_of[own.photo];
         let by_camera = camera(a).cmp(&camera(b));
         by_camera.then(a.ln_focal.total_cmp(&b.ln_focal))
     });
-    let mut last: Option<(usize, f64)> = None;
+    // Camera and focal length of the first photo of the camera that was made last.
+    let mut first: Option<(usize, f64)> = None;
     for own in order {
         let camera = scene.camera_of[own.photo];
         let joins = |&(of, ln_focal): &(usize, f64)| {
             of == camera && (own.ln_focal - ln_focal).abs() < SAME_ZOOM
         };
-        if !last.as_ref().is_some_and(joins) {
+        if first.as_ref().is_some_and(joins) {
+            if let Some(shared) = scene.cameras.last_mut() {
+                shared.prior_sigma[1..3].copy_from_slice(&shared_prior[1..3]);
+            }
+        } else {
+            first = Some((camera, own.ln_focal));
             let initial = scaled(&model.cameras[camera].current(), own.ln_focal);
             let mut prior_sigma = scene.cameras[camera].prior_sigma;
+            shared_prior = prior_sigma;
             let offset = CROP_OFFSET * initial.width.max(initial.height) as f64;
             prior_sigma[0] = Some(GUESS_FOCAL_SIGMA);
-            prior_sigma[1] = Some(offset);
-            prior_sigma[2] = Some(offset);
+            if refine != RefineIntrinsics::Focal {
+                prior_sigma[1] = Some(offset);
+                prior_sigma[2] = Some(offset);
+            }
             scene.cameras.push(SceneCamera {
                 group: scene.cameras[camera].group,
                 initial,
@@ -197,7 +225,6 @@ pub fn part(scene: &mut Scene<'_>, model: &Model, own: &[OwnFocal]) {
                 is_own: true,
             });
         }
-        last = Some((camera, own.ln_focal));
         scene.camera_of[own.photo] = scene.cameras.len() - 1;
     }
 }
@@ -212,16 +239,12 @@ pub fn warnings(scene: &Scene<'_>, model: &Model) -> Vec<String> {
     (0..scene.cameras.len())
         .filter(|&k| scene.cameras[k].is_own)
         .filter_map(|k| {
-            let first = of(k).next()?;
-            let more = match of(k).count() - 1 {
-                0 => String::new(),
-                n => format!(" and {n} more"),
-            };
+            let names = first_and_more(of(k))?;
             let focal = model.cameras[k].current().focal_px();
             let group = scene.cameras[k].group;
             let shared = (0..k).find(|&other| scene.cameras[other].group == group)?;
             Some(format!(
-                "{first}{more}: the matches say a focal length of {focal:.0} px where the camera has {:.0} px: zoomed \
+                "{names}: the matches say a focal length of {focal:.0} px where the camera has {:.0} px: zoomed \
                  or cropped; the matches were believed",
                 model.cameras[shared].current().focal_px(),
             ))

@@ -122,7 +122,7 @@ pub fn assemble(
             .cameras
             .iter()
             .zip(&cameras)
-            .filter(|(before, after)| before.initial.fx != after.fx)
+            .filter(|(before, after)| !before.is_own && before.initial.fx != after.fx)
             .map(|(before, after)| (before.group, before.initial.fx, after.fx))
             .collect(),
         lens: reconstruction.lens.clone(),
