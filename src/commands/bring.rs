@@ -96,10 +96,12 @@ pub fn bring_run_up_to_date(
             size: None,
         });
     }
-    // A stop was told already.
-    let _ = console
-        .of_command(REPORT)
-        .progress(StageId::Fusion, WRITING, (0, 1));
+    if outcome.is_ok() {
+        // A stop was told already.
+        let _ = console
+            .of_command(REPORT)
+            .progress(StageId::Fusion, WRITING, (0, 1));
+    }
     let told = Outcome::of(outcome.as_ref().err());
     let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
         if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
