@@ -18,7 +18,7 @@ const STEP: &str = "{prefix} {msg} [{bar:30}] {pos}/{len} {per_sec}, {eta} left"
 const SPINNER: &str = "{prefix} {msg} {spinner} {elapsed}";
 
 /// Characters of the bar of a run.
-const WIDTH: usize = 20;
+const WIDTH: usize = 10;
 
 /// Columns of a terminal that does not tell how many it has.
 const DEFAULT_COLUMNS: usize = 80;
@@ -120,7 +120,7 @@ fn drawn(outlook: Option<Outlook>) -> String {
     };
     let filled = ((share * WIDTH as f64) as usize).min(WIDTH);
     format!(
-        "[{}{}] {:.0} %, about {} left;",
+        "[{}{}] {:.0} %, {} left;",
         "#".repeat(filled),
         "-".repeat(WIDTH - filled),
         100.0 * share,
@@ -256,7 +256,7 @@ mod tests {
         };
         assert_eq!(
             drawn(outlook(0.5)),
-            "[##########----------] 50 %, about 5 min left;"
+            "[#####-----] 50 %, 5 min left;"
         );
         assert_eq!(drawn(None), "");
     }
