@@ -254,10 +254,7 @@ mod tests {
                 left: Duration::from_secs(300),
             })
         };
-        assert_eq!(
-            drawn(outlook(0.5)),
-            "[#####-----] 50 %, 5 min left;"
-        );
+        assert_eq!(drawn(outlook(0.5)), "[#####-----] 50 %, 5 min left;");
         assert_eq!(drawn(None), "");
     }
 }

@@ -8,7 +8,7 @@ use rilievo_lighting::LightingReport;
 use rilievo_numerics::robust::median;
 use rilievo_photos::PhotosReport;
 use rilievo_poses::PosesReport;
-use rilievo_scene::{FocalSource, PhotoIdx};
+use rilievo_scene::{FocalSource, Orientation, PhotoIdx, first_and_more};
 use serde::Serialize;
 
 /// How far a result can be relied on, best first.
@@ -184,6 +184,8 @@ impl Judgement {
     }
 
     fn judge_photos(&mut self, photos: &PhotosReport) {
+        let orientations = photos.photos.iter();
+        self.judge_orientations(orientations.map(|f| (f.file_name.as_str(), f.orientation)));
         let num_rejected = photos.rejected.len();
         if num_rejected > 0 {
             self.note(
@@ -192,6 +194,20 @@ impl Judgement {
             );
         }
         self.judge_masks(photos.num_masks, photos.photos.len());
+    }
+
+    fn judge_orientations<'a>(&mut self, photos: impl IntoIterator<Item = (&'a str, Orientation)>) {
+        let photos = photos.into_iter();
+        let mirrored = photos.filter(|(_, orientation)| orientation.is_mirrored());
+        if let Some(names) = first_and_more(mirrored.map(|(name, _)| name)) {
+            self.note(
+                Verdict::NotToBeTrusted,
+                format!(
+                    "{names}: EXIF says that the stored pixels are the scene's mirror image, and so is the model; \
+                     store them unmirrored"
+                ),
+            );
+        }
     }
 
     fn judge_masks(&mut self, num_masks: usize, num_photos: usize) {
@@ -639,6 +655,16 @@ mod tests {
         assert_eq!(cropped.verdict, Verdict::Usable);
         assert_eq!(cropped.reasons.len(), 1);
         assert!(cropped.reasons[0].starts_with("c.jpg keeps 14 points of 100 matches"));
+    }
+
+    #[test]
+    fn mirrored_photos_make_a_mirrored_model() {
+        let level = |number| {
+            let orientation = Orientation::of_exif(number).unwrap();
+            verdict(|j| j.judge_orientations([("a.jpg", orientation)]))
+        };
+        assert_eq!(level(6), Verdict::Good);
+        assert_eq!(level(5), Verdict::NotToBeTrusted);
     }
 
     #[test]

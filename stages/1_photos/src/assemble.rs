@@ -256,6 +256,11 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         "EXIF asks to turn it for display; it is used as stored, and so are cameras, maps and exports",
     );
     about(
+        which(&|f| f.orientation.is_mirrored()),
+        "EXIF says that the stored pixels are the scene's mirror image, and so would be the model; store it \
+         unmirrored (exiftran -a, or an image editor)",
+    );
+    about(
         which(&|f| f.mask_was_upright),
         "the mask was drawn over the photo as EXIF turns it; it was turned back to the pixels as stored",
     );

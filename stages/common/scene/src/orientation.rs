@@ -34,6 +34,11 @@ impl Orientation {
         self.0 >= 5
     }
 
+    /// Whether the stored picture is the scene's mirror image.
+    pub fn is_mirrored(self) -> bool {
+        matches!(self.0, 2 | 4 | 5 | 7)
+    }
+
     /// Columns and rows of the upright picture.
     pub fn upright_size(self, (width, height): (usize, usize)) -> (usize, usize) {
         if self.swaps_sides() {
@@ -209,6 +214,10 @@ mod tests {
             let upper = orientation.to_stored([1.0, 0.0], stored);
             let up = [upper[0] - lower[0], upper[1] - lower[1]];
             assert_eq!(up, orientation.up_in_stored(), "{orientation:?}");
+            let right = orientation.to_stored([2.0, 1.0], stored);
+            let right = [right[0] - lower[0], right[1] - lower[1]];
+            let handed = right[0] * up[1] - right[1] * up[0];
+            assert_eq!(orientation.is_mirrored(), handed > 0.0, "{orientation:?}");
         }
         assert_eq!(Orientation::of_exif(0), None);
         assert_eq!(Orientation::of_exif(9), None);
