@@ -29,6 +29,9 @@ const RELIEF: &str = "relief";
 pub const REPORT: &str = "report";
 pub const WRITING: &str = "writing the report";
 
+/// Steps that one thread does for the most part.
+const ON_ONE_THREAD: [&str; 3] = ["loading maps", "joining the surface", WRITING];
+
 /// Rounds of light and shape that are mostly taken.
 const NUM_ROUNDS: usize = 4;
 
@@ -97,7 +100,10 @@ pub fn expect_with_masks(request: &Request, inputs: &Inputs, until: StageId, con
 
 /// The steps up to a stage, with seconds on this machine's threads.
 fn in_time(steps: Vec<ExpectedStep>, until: StageId, slowness: f64) -> Vec<ExpectedStep> {
-    let per_cpu_second = slowness / rayon::current_num_threads().max(1) as f64;
+    let threads = |step: &ExpectedStep| match ON_ONE_THREAD.contains(&step.step) {
+        true => 1.0,
+        false => rayon::current_num_threads().max(1) as f64,
+    };
     let of_stage = |step: &ExpectedStep| {
         StageId::ALL
             .into_iter()
@@ -107,7 +113,7 @@ fn in_time(steps: Vec<ExpectedStep>, until: StageId, slowness: f64) -> Vec<Expec
     steps
         .filter(|step| of_stage(step).is_none_or(|stage| stage <= until))
         .map(|step| ExpectedStep {
-            seconds: per_cpu_second * step.seconds,
+            seconds: slowness * step.seconds / threads(&step),
             ..step
         })
         .collect()
@@ -237,7 +243,7 @@ impl Work {
             shading(RELIEF, 1.6e-5 * (object_px - self.whole_px).max(0.0)),
             shading(
                 "writing maps, comparing them with the photos",
-                4e-7 * photo_px + 2e-6 * object_px,
+                6e-7 * photo_px + 3e-6 * object_px,
             ),
             of(StageId::Fusion, "loading maps", 2.2e-6 * object_px),
             of(StageId::Fusion, "gathering points", 2.3e-6 * object_px),
