@@ -71,7 +71,7 @@ fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String>
     None
 }
 
-fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 12] {
+fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 13] {
     let stages = &facts.stages;
     let photos = stages.photos.as_ref().map(|stage| &stage.report);
     let poses = stages.poses.as_ref().map(|stage| &stage.report);
@@ -125,7 +125,29 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
             "points of the cloud",
             count(fusion.map(|fusion| fusion.num_points)),
         ),
-        ("mesh triangles", count(mesh.map(|mesh| mesh.num_triangles))),
+        (
+            "mesh triangles",
+            mesh.map_or(ABSENT.to_owned(), |mesh| match mesh.num_triangles_before {
+                Some(before) => format!(
+                    "{} of {before}, which moved the surface by {}",
+                    mesh.num_triangles,
+                    length(Some(mesh.simplified_by))
+                ),
+                None => mesh.num_triangles.to_string(),
+            }),
+        ),
+        (
+            "mesh pieces, open edges",
+            mesh.map_or(ABSENT.to_owned(), |mesh| {
+                format!(
+                    "{}, {} loops of {} in all; {} holes closed",
+                    mesh.num_pieces,
+                    mesh.num_open_loops,
+                    length(Some(mesh.boundary_length)),
+                    mesh.num_closed_holes
+                )
+            }),
+        ),
     ]
 }
 

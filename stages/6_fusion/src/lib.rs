@@ -66,6 +66,9 @@ const NUM_NEIGHBOURS: usize = 4;
 /// Smooth distance between views, in footprints, from which the layers show.
 const VISIBLE_LAYERING_PX: f64 = 1.0;
 
+/// How many times as many triangles as asked for are told.
+const MISSED_TRIANGLES: f64 = 1.2;
+
 /// What is fused.
 #[derive(Clone, Copy)]
 pub struct Inputs<'a> {
@@ -172,6 +175,14 @@ pub fn run(
                     "the mesh's cells are {:.2} times larger than asked for, to stay within {} MiB; \
                      raise the memory for more detail",
                     mesh_report.coarsened_by, options.memory_mib
+                );
+                warn(message)?;
+            }
+            let asked = options.max_num_triangles;
+            if asked > 0 && mesh_report.num_triangles as f64 > MISSED_TRIANGLES * asked as f64 {
+                let message = format!(
+                    "the mesh has {} triangles where about {asked} were asked for: its pieces and holes need them",
+                    mesh_report.num_triangles
                 );
                 warn(message)?;
             }
