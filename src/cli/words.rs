@@ -41,7 +41,7 @@ pub(super) const ANCHORS: Words<AnchorMode> = &[
     (AnchorMode::Sift, "sift", "Keypoint tracks alone"),
 ];
 
-/// `--color`
+/// `--formats`
 pub(super) const MESH_FORMATS: Words<MeshFormat> = &[
     (
         MeshFormat::Ply,
@@ -56,6 +56,7 @@ pub(super) const MESH_FORMATS: Words<MeshFormat> = &[
     ),
 ];
 
+/// `--color`
 pub(super) const COLORS: Words<ColorMode> = &[
     (
         ColorMode::Photographed,

@@ -7,7 +7,7 @@ use crate::interrupt;
 use crate::observe::Console;
 use crate::pipeline::{
     Context, Inputs, Plan, REPORT, Range, Request, Resources, StageState, WRITING,
-    bring_up_to_date, expect, is_another_set,
+    bring_up_to_date, expect, expect_with_masks, is_another_set,
 };
 use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
@@ -160,11 +160,14 @@ fn work_in(
         resources,
         console,
     };
-    if ranks::team().is_first()
-        && range.until >= StageId::Shading
-        && plan.state(run, StageId::Shading, Look::Sizes)? != StageState::Valid
-    {
-        plan.expected = expect(request, &inputs, resources, range.until, console);
+    if ranks::team().is_first() {
+        if let Some(until) = range.then_masked_until {
+            expect_with_masks(request, &inputs, until, console);
+        } else if range.until >= StageId::Shading
+            && plan.state(run, StageId::Shading, Look::Sizes)? != StageState::Valid
+        {
+            plan.expected = expect(request, &inputs, resources, range.until, console);
+        }
     }
     let redone = bring_up_to_date(&context, plan, range)?;
     Ok(!redone.is_empty())

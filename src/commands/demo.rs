@@ -45,6 +45,7 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
     let range = Range {
         redo_from: None,
         until: StageId::Fusion,
+        then_masked_until: None,
     };
     let allowed = Allowed { overwrite: true };
     let brought = bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;

@@ -15,6 +15,7 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
     let range = Range {
         redo_from: args.from,
         until: args.until.unwrap_or(StageId::Fusion),
+        then_masked_until: None,
     };
     let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
     reporting_judged(args.work.json, args.strict, facts, |console| {

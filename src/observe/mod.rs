@@ -17,7 +17,7 @@ pub use forecast::ExpectedStep;
 use crate::interrupt;
 use crate::ranks;
 use display::Display;
-use forecast::{Forecast, Outlook, SharedForecast, locked, outlook};
+use forecast::{Forecast, SharedForecast, locked, outlook};
 use rilievo_scene::{Event, Flow, Observer, StageId, Team};
 use std::io::IsTerminal;
 use std::sync::Mutex;
@@ -59,12 +59,13 @@ impl Console {
         }
     }
 
-    /// Progress of a step, in the forecast of the run.
-    fn progress_of(&self, of: &str, step: &str, done: usize, total: usize) -> Option<Outlook> {
+    /// Shows how far a step is, and the run with it.
+    fn show_progress(&self, of: &str, step: &str, done: usize, total: usize) {
         if let Some(forecast) = &mut *locked(&self.forecast) {
             forecast.progress(of, step, done, total, Instant::now());
         }
-        outlook(&self.forecast)
+        let outlook = outlook(&self.forecast);
+        self.with(|display| display.progress(of, step, (done, total), outlook));
     }
 
     /// Tells where a stage stands.
@@ -127,8 +128,7 @@ impl Observer for Console {
             total,
         } = &event
         {
-            let outlook = self.progress_of(stage.name(), step, *done, *total);
-            self.with(|display| display.progress(stage.name(), step, (*done, *total), outlook));
+            self.show_progress(stage.name(), step, *done, *total);
         } else {
             self.with(|display| display.event(&event));
         }
@@ -162,9 +162,8 @@ impl Observer for OfCommand<'_> {
         else {
             return self.console.event(event);
         };
-        let outlook = self.console.progress_of(self.command, step, *done, *total);
         self.console
-            .with(|display| display.progress(self.command, step, (*done, *total), outlook));
+            .show_progress(self.command, step, *done, *total);
         self.flow()
     }
 

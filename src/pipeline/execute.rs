@@ -20,6 +20,9 @@ pub struct Range {
     pub redo_from: Option<StageId>,
     /// Last stage.
     pub until: StageId,
+    /// Last stage of the whole run, where it goes on after these with masks that follow from them. Only for how long it
+    /// will take.
+    pub then_masked_until: Option<StageId>,
 }
 
 /// Brings stages up to date in order; tells which were redone.

@@ -21,32 +21,14 @@ const POSED_VIEWS: &str = "posed_views.json";
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     let photos = super::photos::load(context)?;
     let matches = super::features::load(context, &photos.photos)?;
-    let (sphere, unused) = match sphere_request(context, &photos)? {
-        None => (None, Vec::new()),
-        Some(SpheresInSet {
-            request,
-            absent,
-            upright,
-            may_be_upright,
-        }) => {
-            let told = if let Some(names) = first_and_more(upright.iter().map(String::as_str)) {
-                Some(format!(
-                    "{names}: the sphere is marked in the photo as EXIF turns it; the mark was turned back to the \
-                     pixels as stored"
-                ))
-            } else if may_be_upright {
-                let text = "EXIF turns some photos, and the sphere's marks fit them turned or not: they were taken in \
-                            pixels as stored";
-                Some(text.to_owned())
-            } else {
-                None
-            };
-            if let Some(text) = told {
-                context.console.warn(StageId::Poses, text);
-            }
-            (Some(request), absent)
+    let spheres = sphere_request(context, &photos)?.map(|spheres| {
+        if let Some(text) = of_marks(&spheres) {
+            context.console.warn(StageId::Poses, text);
         }
-    };
+        (spheres.request, spheres.absent)
+    });
+    let (sphere, unused) = spheres.unzip();
+    let unused = unused.unwrap_or_default();
     for warning in &context.inputs.sphere_warnings {
         context.console.warn(StageId::Poses, warning);
     }
@@ -144,6 +126,19 @@ pub fn sphere_request(
         .map(|calibration| calibration_image(context, &calibration.image))
         .collect::<Result<Vec<_>, _>>()?;
     Ok(Some(file.to_request(photos, images)?))
+}
+
+/// What to tell of the frame of marks.
+fn of_marks(spheres: &SpheresInSet) -> Option<String> {
+    if let Some(names) = first_and_more(spheres.upright.iter().map(String::as_str)) {
+        return Some(format!(
+            "{names}: the sphere is marked in the photo as EXIF turns it; the mark was turned back to the pixels as \
+             stored"
+        ));
+    }
+    let text = "EXIF turns some photos, and the sphere's marks fit them turned or not: they were taken in pixels as \
+                stored";
+    spheres.may_be_upright.then(|| text.to_owned())
 }
 
 fn calibration_image(

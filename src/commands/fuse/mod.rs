@@ -12,7 +12,7 @@ use crate::pipeline::{from_fusion, write_mesh};
 use crate::store::{FileScratch, StoreError, create_folder, own_file, write_atomically};
 use crate::system;
 use maps::Views;
-use rilievo_fusion::{FusionError, Inputs, MeshFormat};
+use rilievo_fusion::{FusionError, Inputs};
 use rilievo_io::CloudPlyWriter;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
@@ -92,6 +92,13 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     write_mesh(&mesh, &posed, formats, &|name| {
         Ok(writing.path().join(name))
     })?;
+    // A format that was not written now does not stay with an earlier surface.
+    for name in SURFACE {
+        let path = args.output.join(name);
+        if !writing.path().join(name).exists() && path.exists() {
+            std::fs::remove_file(&path).map_err(StoreError::files("remove", &path))?;
+        }
+    }
     let written = std::fs::read_dir(writing.path());
     for file in written
         .map_err(StoreError::files("list", writing.path()))?
@@ -99,13 +106,6 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     {
         let path = args.output.join(file.file_name());
         std::fs::rename(file.path(), &path).map_err(StoreError::files("replace", &path))?;
-    }
-    // No format that was not asked for stays with an earlier surface.
-    for (format, file) in [(MeshFormat::Obj, "mesh.obj"), (MeshFormat::Glb, "mesh.glb")] {
-        let path = args.output.join(file);
-        if (mesh.triangles.is_empty() || !formats.contains(&format)) && path.exists() {
-            std::fs::remove_file(&path).map_err(StoreError::files("remove", &path))?;
-        }
     }
     let seconds = began.elapsed().as_secs_f64();
     let text = serde_json::json!({
@@ -119,7 +119,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         "report": report,
     });
     write_atomically(
-        &args.output.join("report.json"),
+        &args.output.join(REPORT),
         &serde_json::to_vec_pretty(&text)?,
     )?;
     console.stage(StageId::Fusion, &StageNews::Finished(seconds));
@@ -132,20 +132,17 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Files that are written.
-const RESULTS: [&str; 5] = [
-    "cloud.ply",
-    "mesh.ply",
-    "mesh.obj",
-    "mesh.glb",
-    "report.json",
-];
+/// Files of the surface that are written.
+const SURFACE: [&str; 4] = ["cloud.ply", "mesh.ply", "mesh.obj", "mesh.glb"];
+
+const REPORT: &str = "report.json";
 
 /// Refuses to replace files that no earlier call of this command wrote.
 fn own_results(folder: &Path) -> Result<(), Failure> {
     let there = |name: &&str| std::fs::symlink_metadata(folder.join(name)).is_ok();
-    let found: Vec<&str> = RESULTS.into_iter().filter(there).collect();
-    let report = own_file(&folder.join("report.json")).ok().flatten();
+    let results = SURFACE.into_iter().chain([REPORT]);
+    let found: Vec<&str> = results.filter(there).collect();
+    let report = own_file(&folder.join(REPORT)).ok().flatten();
     let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
     let ours = report.is_some_and(|report| {
         let program = report["program"].as_str().unwrap_or_default();

@@ -272,6 +272,7 @@ pub fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyh
     let range = Range {
         redo_from: None,
         until: StageId::Poses,
+        then_masked_until: None,
     };
     if is_of_somebody(&root)? {
         return Err(Failure::Usage(format!(

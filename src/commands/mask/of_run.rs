@@ -14,8 +14,7 @@ use crate::commands::bring::{Allowed, bring_run_up_to_date};
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{
-    Context, Inputs, MaskOrigin, PhotoInput, Range, Request, Resources, expect_with_masks,
-    load_poses,
+    Context, Inputs, MaskOrigin, PhotoInput, Range, Request, Resources, load_poses,
 };
 use crate::ranks;
 use crate::store::{RunDir, absolute, create_folder, own_file, seal, unseal, write_atomically};
@@ -105,10 +104,8 @@ pub fn with_own_masks(
     let poses = Range {
         redo_from: None,
         until: StageId::Poses,
+        then_masked_until: Some(range.until),
     };
-    if ranks::team().is_first() {
-        expect_with_masks(&for_poses, &Inputs::scan(&for_poses)?, range.until, console);
-    }
     bring_run_up_to_date(&for_poses, root, poses, allowed, work, console)?;
     let outcome = if ranks::team().is_first() {
         propose_into(root, &for_poses, work, console)

@@ -167,10 +167,21 @@ fn larger_from_found_focal(
     if !far || model.num_views() == scene.num_photos() {
         return Ok(first);
     }
+    let better = |second: &Found| second.0.model.num_views() > model.num_views();
+    Ok(again(scene, better, options, observer)?.unwrap_or(first))
+}
+
+/// A model that is reconstructed once more; `None` where that fails or is no better.
+fn again(
+    scene: &Scene<'_>,
+    is_better: impl Fn(&Found) -> bool,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<Option<Found>, PosesError> {
     match largest_model(scene, options, observer) {
-        Ok(second) if second.0.model.num_views() > model.num_views() => Ok(second),
+        Ok(second) if is_better(&second) => Ok(Some(second)),
         Err(PosesError::Interrupted) => Err(PosesError::Interrupted),
-        _ => Ok(first),
+        _ => Ok(None),
     }
 }
 
@@ -199,15 +210,12 @@ fn with_own_focals(
         });
         num_views[1] >= num_views[0] && after as f64 >= own_focal::MIN_GROWTH * before as f64
     };
-    match largest_model(scene, options, observer) {
-        Ok(second) if better(&second) => Ok(second),
-        Err(PosesError::Interrupted) => Err(PosesError::Interrupted),
-        _ => {
-            scene.cameras.truncate(num_cameras);
-            scene.camera_of = camera_of;
-            Ok(first)
-        }
+    if let Some(second) = again(scene, better, options, observer)? {
+        return Ok(second);
     }
+    scene.cameras.truncate(num_cameras);
+    scene.camera_of = camera_of;
+    Ok(first)
 }
 
 /// Whether a focal length is farther from its start than EXIF's may be when it is right.

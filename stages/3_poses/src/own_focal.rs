@@ -8,7 +8,6 @@ use crate::error::PosesError;
 use crate::incremental::{adjust_all, limits};
 use crate::model::Model;
 use crate::options::{PosesOptions, RefineIntrinsics};
-use crate::projection::NUM_INTRINSICS;
 use crate::resection::resect;
 use crate::scene::{GUESS_FOCAL_SIGMA, Scene, SceneCamera};
 use nalgebra::{Point2, Point3};
@@ -189,43 +188,44 @@ pub fn give_cameras(
     refine: RefineIntrinsics,
 ) {
     let mut order = own.to_vec();
-    let mut shared_prior = [None; NUM_INTRINSICS];
     order.sort_by(|a, b| {
         let camera = |own: &OwnFocal| scene.camera_of[own.photo];
         let by_camera = camera(a).cmp(&camera(b));
         by_camera.then(a.ln_focal.total_cmp(&b.ln_focal))
     });
-    // Camera and focal length of the first photo of the camera that was made last.
-    let mut first: Option<(usize, f64)> = None;
+    let mut zooms: Vec<Vec<OwnFocal>> = Vec::new();
     for own in order {
-        let camera = scene.camera_of[own.photo];
-        let joins = |&(of, ln_focal): &(usize, f64)| {
-            of == camera && (own.ln_focal - ln_focal).abs() < SAME_ZOOM
+        let is_of = |zoom: &[OwnFocal]| {
+            let first = zoom[0];
+            scene.camera_of[first.photo] == scene.camera_of[own.photo]
+                && (own.ln_focal - first.ln_focal).abs() < SAME_ZOOM
         };
-        if first.as_ref().is_some_and(joins) {
-            if let Some(shared) = scene.cameras.last_mut() {
-                shared.prior_sigma[1..3].copy_from_slice(&shared_prior[1..3]);
-            }
-        } else {
-            first = Some((camera, own.ln_focal));
-            let initial = scaled(&model.cameras[camera].current(), own.ln_focal);
-            let mut prior_sigma = scene.cameras[camera].prior_sigma;
-            shared_prior = prior_sigma;
-            let offset = CROP_OFFSET * initial.width.max(initial.height) as f64;
-            prior_sigma[0] = Some(GUESS_FOCAL_SIGMA);
-            if refine != RefineIntrinsics::Focal {
-                prior_sigma[1] = Some(offset);
-                prior_sigma[2] = Some(offset);
-            }
-            scene.cameras.push(SceneCamera {
-                group: scene.cameras[camera].group,
-                initial,
-                prior_sigma,
-                start_ln_focal: 0.0,
-                is_own: true,
-            });
+        match zooms.last_mut() {
+            Some(zoom) if is_of(zoom) => zoom.push(own),
+            _ => zooms.push(vec![own]),
         }
-        scene.camera_of[own.photo] = scene.cameras.len() - 1;
+    }
+    for zoom in zooms {
+        let camera = scene.camera_of[zoom[0].photo];
+        let shared = &scene.cameras[camera];
+        let initial = scaled(&model.cameras[camera].current(), zoom[0].ln_focal);
+        let mut prior_sigma = shared.prior_sigma;
+        prior_sigma[0] = Some(GUESS_FOCAL_SIGMA);
+        if zoom.len() == 1 && refine != RefineIntrinsics::Focal {
+            let offset = CROP_OFFSET * initial.width.max(initial.height) as f64;
+            prior_sigma[1..3].fill(Some(offset));
+        }
+        let own = SceneCamera {
+            group: shared.group,
+            initial,
+            prior_sigma,
+            start_ln_focal: 0.0,
+            is_own: true,
+        };
+        for OwnFocal { photo, .. } in zoom {
+            scene.camera_of[photo] = scene.cameras.len();
+        }
+        scene.cameras.push(own);
     }
 }
 

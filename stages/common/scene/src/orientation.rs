@@ -77,19 +77,16 @@ impl Orientation {
     /// A raster drawn over the upright picture, in the stored picture's frame.
     pub fn raster_to_stored<T: Copy>(self, upright: &Raster<T>) -> Raster<T> {
         let (width, height) = self.upright_size((upright.width, upright.height));
-        let (right, bottom) = (width.wrapping_sub(1), height.wrapping_sub(1));
+        // Turns by a quarter undo each other, all others themselves.
+        let to_upright = match self.0 {
+            6 => Self(8),
+            8 => Self(6),
+            _ => self,
+        };
         Raster::from_fn(width, height, |x, y| {
-            let (x, y) = match self.0 {
-                2 => (right - x, y),
-                3 => (right - x, bottom - y),
-                4 => (x, bottom - y),
-                5 => (y, x),
-                6 => (bottom - y, x),
-                7 => (bottom - y, right - x),
-                8 => (y, right - x),
-                _ => (x, y),
-            };
-            *upright.at(x, y)
+            let at = [x as f64, y as f64];
+            let [x, y] = to_upright.to_stored(at, (upright.width, upright.height));
+            *upright.at(x as usize, y as usize)
         })
     }
 
