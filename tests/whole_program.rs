@@ -313,6 +313,12 @@ fn ctrl_c_ends_soon_and_leaves_a_resumable_run() {
     assert!(status.contains("1_photos     valid"), "{status}");
 }
 
+/// Whether two texts mean the same: white space, and the digits of a number beyond its precision, mean nothing.
+fn is_same_json(one: &[u8], other: &[u8]) -> bool {
+    let parse = |text| serde_json::from_slice::<serde_json::Value>(text).ok();
+    parse(one).is_some_and(|value| Some(value) == parse(other))
+}
+
 #[test]
 fn a_flipped_bit_anywhere_is_found_and_never_told_as_a_result() {
     let _alone = alone();
@@ -357,11 +363,10 @@ fn a_flipped_bit_anywhere_is_found_and_never_told_as_a_result() {
                 assert!(std::fs::read(file).unwrap() == whole, "{what}: {said}");
             } else {
                 let (code, stdout, _) = run(&["status", arg(&run_dir), "--verify"]);
-                // White space in a manifest means nothing.
                 let is_manifest = file.file_name().is_some_and(|name| name == "manifest.json");
                 assert!(
                     code == 5 && stdout.contains("damaged")
-                        || is_manifest && whole[at].is_ascii_whitespace(),
+                        || is_manifest && is_same_json(&bytes, &whole),
                     "{what}: {stdout}"
                 );
                 std::fs::write(file, &whole).unwrap();
