@@ -337,7 +337,13 @@ pub struct SurfaceArgs {
     /// Closes the mesh where no view saw anything
     #[arg(long)]
     pub watertight: bool,
-    /// Formats of the mesh, separated by commas. [default: ply,obj,glb]
+    /// Triangles of the asset, the light mesh with textures. [default: 100000]
+    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(100..=10_000_000))]
+    pub faces: Option<usize>,
+    /// Largest side of the asset's textures; they are smaller where the photos tell no more. [default: 4096]
+    #[arg(long, value_name = "TEXELS", value_parser = RangedU64ValueParser::<usize>::new().range(64..=16_384))]
+    pub texture: Option<usize>,
+    /// Formats of the mesh, separated by commas. [default: ply,obj,glb,asset]
     #[arg(long, value_name = "FORMATS", value_delimiter = ',', value_parser = words(MESH_FORMATS))]
     pub formats: Option<Vec<MeshFormat>>,
     /// Colours as photographed, or with light and shadow taken out
@@ -352,6 +358,8 @@ impl SurfaceArgs {
         options.watertight |= self.watertight;
         take_over(&mut options.max_num_triangles, self.triangles);
         take_over(&mut options.color, self.color);
+        take_over(&mut options.asset_faces, self.faces);
+        take_over(&mut options.asset_texture, self.texture);
         take_over(&mut options.formats, self.formats.clone());
     }
 }
@@ -380,7 +388,7 @@ pub struct FuseArgs {
     /// Writes over files in DIR that no earlier `rilievo fuse` wrote
     #[arg(long)]
     pub overwrite: bool,
-    /// Folder for cloud.ply, mesh.ply, mesh.obj, mesh.glb and report.json
+    /// Folder for cloud.ply, mesh.ply, mesh.obj, mesh.glb, asset.glb, asset/ and report.json
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
     #[command(flatten)]

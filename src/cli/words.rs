@@ -48,6 +48,11 @@ pub(super) const MESH_FORMATS: Words<MeshFormat> = &[
         "ply",
         "Stanford's PLY, which is always written",
     ),
+    (
+        MeshFormat::Asset,
+        "asset",
+        "A light mesh with textures, as binary glTF and OBJ",
+    ),
     (MeshFormat::Obj, "obj", "Wavefront OBJ"),
     (
         MeshFormat::Glb,

@@ -1,12 +1,14 @@
-//! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, and where asked for `mesh.obj` and `mesh.glb`.
+//! Stage 6: `cloud.ply`, and the mesh as `mesh.ply`, and where asked for `mesh.obj`, `mesh.glb` and the asset.
 
 use super::context::Context;
 use super::errors::from_fusion;
 use crate::exit::Failure;
 use crate::store::{FileScratch, StageWriter};
-use rilievo_fusion::{Inputs, MeshFormat};
-use rilievo_io::{CloudPlyWriter, ViewerFrame, write_mesh_glb, write_mesh_obj, write_mesh_ply};
-use rilievo_scene::{CloudError, CloudPoint, CloudSink, Mesh, Observer, PosedViews};
+use rilievo_fusion::{Fused, Inputs, MeshFormat};
+use rilievo_io::{
+    CloudPlyWriter, ViewerFrame, write_asset, write_mesh_glb, write_mesh_obj, write_mesh_ply,
+};
+use rilievo_scene::{CloudError, CloudPoint, CloudSink, Observer, PosedViews};
 use std::path::PathBuf;
 
 /// Fuses all views.
@@ -32,12 +34,12 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     }
     let mut cloud = CloudPlyWriter::create(&writer.path("cloud.ply")?, views.coordinates())?;
     let fused = rilievo_fusion::run(inputs, &mut cloud, options, context.console);
-    let (mesh, report) = fused.map_err(from_fusion)?;
+    let fused = fused.map_err(from_fusion)?;
     cloud.finish()?;
-    write_mesh(&mesh, &views, &options.formats, &|name| {
+    write_surface(&fused, &views, &options.formats, &|name| {
         Ok(writer.path(name)?)
     })?;
-    Ok(serde_json::to_value(report)?)
+    Ok(serde_json::to_value(fused.report)?)
 }
 
 /// Keeps no point.
@@ -49,12 +51,12 @@ impl CloudSink for Nowhere {
     }
 }
 
-/// Writes a mesh as PLY and in the other formats that are asked for, to the paths of their names.
+/// Writes a mesh as PLY and in the other formats that are asked for, and the asset, to the paths of their names.
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_mesh(
-    mesh: &Mesh,
+pub fn write_surface(
+    Fused { mesh, asset, .. }: &Fused,
     views: &PosedViews,
     formats: &[MeshFormat],
     path: &dyn Fn(&str) -> Result<PathBuf, Failure>,
@@ -68,9 +70,12 @@ pub fn write_mesh(
     if formats.contains(&MeshFormat::Obj) {
         write_mesh_obj(&path("mesh.obj")?, mesh, world)?;
     }
+    let frame = ViewerFrame::from_views(views);
     if formats.contains(&MeshFormat::Glb) {
-        let frame = ViewerFrame::from_views(views);
         write_mesh_glb(&path("mesh.glb")?, mesh, world.unit, &frame)?;
     }
-    Ok(())
+    match asset {
+        Some(asset) => write_asset(asset, world, &frame, path),
+        None => Ok(()),
+    }
 }

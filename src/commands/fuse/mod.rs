@@ -8,7 +8,7 @@ use crate::cli::FuseArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
-use crate::pipeline::{from_fusion, write_mesh};
+use crate::pipeline::{from_fusion, write_surface};
 use crate::store::{FileScratch, StoreError, create_folder, own_file, write_atomically};
 use crate::system;
 use maps::Views;
@@ -18,7 +18,7 @@ use rilievo_numerics::robust::median;
 use rilievo_scene::{
     MapSource, PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, StageId, Unit,
 };
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Ratio of depths to the cameras' distances beyond which they are hardly in one unit: metres and
@@ -80,32 +80,28 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         scratch: &FileScratch::new(writing.path()),
     };
     let mut cloud = CloudPlyWriter::create(&writing.path().join("cloud.ply"), posed.coordinates())?;
-    let (mesh, report) = rilievo_fusion::run(inputs, &mut cloud, &options.fusion, console)
-        .map_err(|error| match (error, unit_hint(&views)) {
+    let fused = rilievo_fusion::run(inputs, &mut cloud, &options.fusion, console).map_err(
+        |error| match (error, unit_hint(&views)) {
             (error @ FusionError::NothingAgrees { .. }, Some(hint)) => {
                 Failure::NoResult(format!("{error}; {hint}")).into()
             }
             (error, _) => from_fusion(error),
-        })?;
+        },
+    )?;
     cloud.finish()?;
     let formats = &options.fusion.formats;
-    write_mesh(&mesh, &posed, formats, &|name| {
-        Ok(writing.path().join(name))
+    write_surface(&fused, &posed, formats, &|name| {
+        Ok(with_its_folder(writing.path().join(name))?)
     })?;
     // A format that was not written now does not stay with an earlier surface.
     for name in SURFACE {
-        let path = args.output.join(name);
-        if !writing.path().join(name).exists() && path.exists() {
+        let (path, written) = (args.output.join(name), writing.path().join(name));
+        if written.exists() {
+            let path = with_its_folder(path)?;
+            std::fs::rename(written, &path).map_err(StoreError::files("replace", &path))?;
+        } else if path.exists() {
             std::fs::remove_file(&path).map_err(StoreError::files("remove", &path))?;
         }
-    }
-    let written = std::fs::read_dir(writing.path());
-    for file in written
-        .map_err(StoreError::files("list", writing.path()))?
-        .flatten()
-    {
-        let path = args.output.join(file.file_name());
-        std::fs::rename(file.path(), &path).map_err(StoreError::files("replace", &path))?;
     }
     let seconds = began.elapsed().as_secs_f64();
     let text = serde_json::json!({
@@ -116,7 +112,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         "options": options.fusion,
         "warnings": console.take_warnings(StageId::Fusion),
         "seconds": seconds,
-        "report": report,
+        "report": fused.report,
     });
     write_atomically(
         &args.output.join(REPORT),
@@ -125,15 +121,33 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     console.stage(StageId::Fusion, &StageNews::Finished(seconds));
     console.note(&format!(
         "{} points and {} triangles are in {}",
-        report.num_points,
-        mesh.triangles.len(),
+        fused.report.num_points,
+        fused.mesh.triangles.len(),
         Path::display(&args.output)
     ));
     Ok(())
 }
 
 /// Files of the surface that are written.
-const SURFACE: [&str; 4] = ["cloud.ply", "mesh.ply", "mesh.obj", "mesh.glb"];
+const SURFACE: [&str; 11] = [
+    "cloud.ply",
+    "mesh.ply",
+    "mesh.obj",
+    "mesh.glb",
+    "asset.glb",
+    "asset/asset.obj",
+    "asset/asset.mtl",
+    "asset/base_color.png",
+    "asset/base_color.exr",
+    "asset/normal.png",
+    "asset/occlusion.png",
+];
+
+/// The path of a file, whose folder is made where it is not there.
+fn with_its_folder(path: PathBuf) -> Result<PathBuf, StoreError> {
+    path.parent().map_or(Ok(()), create_folder)?;
+    Ok(path)
+}
 
 const REPORT: &str = "report.json";
 

@@ -42,6 +42,15 @@ pub(crate) fn shown(
     })
 }
 
+/// Which of a pixel's colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Layer {
+    /// What the options show.
+    Shown,
+    /// The surface's own.
+    Albedo,
+}
+
 /// The way from the views' 8-bit sRGB colours to means of them.
 pub(crate) struct Palette {
     /// Linear values of the bytes.
@@ -56,12 +65,14 @@ pub(crate) struct Blend {
 }
 
 impl Blend {
+    /// The mean, linear; `None` of nothing.
+    pub fn mean(self) -> Option<[f32; 3]> {
+        (self.count > 0.0).then(|| self.sum.map(|s| s / self.count))
+    }
+
     /// The mean, grey of nothing.
     pub fn color(self) -> [u8; 3] {
-        if self.count == 0.0 {
-            return GREY;
-        }
-        self.sum.map(|s| srgb::encode_byte(s / self.count))
+        self.mean().map_or(GREY, |mean| mean.map(srgb::encode_byte))
     }
 }
 
@@ -105,13 +116,19 @@ impl Palette {
                     continue;
                 }
             }
-            self.add(pixels, view, [place.x, place.y], &mut blend);
+            self.add(pixels, view, ([place.x, place.y], Layer::Shown), &mut blend);
         }
         blend.color()
     }
 
     /// Adds a view's bilinear linear colour at a camera's pixel.
-    pub fn add(&self, pixels: &mut Reader<'_>, view: &View, [x, y]: [f64; 2], blend: &mut Blend) {
+    pub fn add(
+        &self,
+        pixels: &mut Reader<'_>,
+        view: &View,
+        ([x, y], layer): ([f64; 2], Layer),
+        blend: &mut Blend,
+    ) {
         let (x0, y0) = (x.floor(), y.floor());
         let (width, height) = (view.camera.width as f64, view.camera.height as f64);
         // Beside the last column and row there is a neighbour, if only of no weight.
@@ -124,8 +141,12 @@ impl Palette {
         if corners.iter().any(|pixel| !pixel.is_kept) {
             return;
         }
+        let colors = corners.map(|pixel| match layer {
+            Layer::Shown => pixel.color,
+            Layer::Albedo => pixel.albedo,
+        });
         for (c, sum) in blend.sum.iter_mut().enumerate() {
-            let [a, b, d, e] = corners.map(|p| self.linear[usize::from(p.color[c])]);
+            let [a, b, d, e] = colors.map(|color| self.linear[usize::from(color[c])]);
             let (top, bottom) = (a * (1.0 - fx) + b * fx, d * (1.0 - fx) + e * fx);
             *sum += top * (1.0 - fy) + bottom * fy;
         }

@@ -4,7 +4,7 @@
 //! and the mean of their colours. It stays where it is: the zero of the distances is nearer to the surface than
 //! the mean of a few planes, which curvature bends outwards.
 
-use crate::color::{Blend, Palette};
+use crate::color::{Blend, Layer, Palette};
 use crate::judge::weight;
 use crate::options::FusionOptions;
 use crate::pairs::{Candidate, Sight, look};
@@ -66,37 +66,18 @@ impl<'a> Dresser<'a> {
             normal: outwards,
             footprint: self.volume.voxel,
         };
-        let (mut normal, mut offset, mut weights) = (Vector3::zeros(), 0.0, 0.0);
-        let mut colors = Blend::default();
-        for (tolerance, min_cosine) in self.limits {
-            for view in near {
-                let (sight, _) = look(pixels, view, &candidate, tolerance, min_cosine);
-                let Sight::Same {
-                    distance,
-                    normal: seen,
-                    cosine,
-                    footprint,
-                    confidence,
-                    ..
-                } = sight
-                else {
-                    continue;
-                };
-                let weight = weight(confidence, cosine, footprint);
-                normal += seen * weight;
-                offset += distance * weight;
-                weights += weight;
-                let place = view.camera.project(&view.pose.apply(position));
-                if let Some(place) = place.filter(|_| view.has_photo) {
-                    self.palette
-                        .add(pixels, view, [place.x, place.y], &mut colors);
-                }
-            }
-            if weights > 0.0 {
-                break;
-            }
-        }
-        if weights == 0.0 {
+        let seen = self.limits.iter().find_map(|&limits| {
+            mean_sight(
+                pixels,
+                near,
+                &candidate,
+                limits,
+                (&self.palette, Layer::Shown),
+            )
+        });
+        let distance = seen.as_ref().map(|seen| seen.distance.abs());
+        let (mut normal, mut colors) = seen.map_or_else(Default::default, |s| (s.normal, s.colors));
+        if distance.is_none() {
             // Turned away from all, as at the end of what was seen: the nearest surface on any view's ray made it.
             let gap = |view: &&View, pixels: &mut Reader<'_>| {
                 let in_cam = view.pose.apply(position);
@@ -111,11 +92,13 @@ impl<'a> Dresser<'a> {
                 nearest = gap;
                 normal = seen;
                 colors = Blend::default();
-                let place = view.camera.project(&view.pose.apply(position));
-                if let Some(place) = place.filter(|_| view.has_photo) {
-                    self.palette
-                        .add(pixels, view, [place.x, place.y], &mut colors);
-                }
+                paint(
+                    pixels,
+                    view,
+                    position,
+                    (&self.palette, Layer::Shown),
+                    &mut colors,
+                );
             }
         }
         Dressed {
@@ -126,7 +109,67 @@ impl<'a> Dresser<'a> {
                 .map(|c| c as f32)
                 .into(),
             color: colors.color(),
-            distance: (weights > 0.0).then(|| f64::abs(offset / weights)),
+            distance,
         }
+    }
+}
+
+/// What several views see of a place.
+pub(crate) struct MeanSight {
+    /// Not of unit length, world frame.
+    pub normal: Vector3<f64>,
+    /// Distance of their surfaces along the normal, world's unit.
+    pub distance: f64,
+    pub colors: Blend,
+}
+
+/// What the views see that have one surface with a candidate, by tolerance (world's unit) and least cosine between
+/// normals; `None` where none has.
+pub(crate) fn mean_sight(
+    pixels: &mut Reader<'_>,
+    near: &[&View],
+    candidate: &Candidate,
+    (tolerance, min_cosine): (f64, f64),
+    paints: (&Palette, Layer),
+) -> Option<MeanSight> {
+    let (mut normal, mut offset, mut weights) = (Vector3::zeros(), 0.0, 0.0);
+    let mut colors = Blend::default();
+    for view in near {
+        let (sight, _) = look(pixels, view, candidate, tolerance, min_cosine);
+        let Sight::Same {
+            distance,
+            normal: seen,
+            cosine,
+            footprint,
+            confidence,
+            ..
+        } = sight
+        else {
+            continue;
+        };
+        let weight = weight(confidence, cosine, footprint);
+        normal += seen * weight;
+        offset += distance * weight;
+        weights += weight;
+        paint(pixels, view, &candidate.point, paints, &mut colors);
+    }
+    (weights > 0.0).then(|| MeanSight {
+        normal,
+        distance: offset / weights,
+        colors,
+    })
+}
+
+/// Adds a view's colour of a place.
+fn paint(
+    pixels: &mut Reader<'_>,
+    view: &View,
+    place: &Point3<f64>,
+    (palette, layer): (&Palette, Layer),
+    colors: &mut Blend,
+) {
+    let pixel = view.camera.project(&view.pose.apply(place));
+    if let Some(pixel) = pixel.filter(|_| view.has_photo) {
+        palette.add(pixels, view, ([pixel.x, pixel.y], layer), colors);
     }
 }

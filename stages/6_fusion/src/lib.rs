@@ -12,6 +12,7 @@
 //!    the mean of the views that agree.
 //! 4. `tsdf`, `surface`, `dress`: signed distances of all views, their zero set as a mesh; `manifold`, `rim`, `pieces`,
 //!    `holes`: what is made of its edges and loose ends.
+//! 5. [`asset`](rilievo_scene::Asset): a light mesh with textures, baked from the views.
 //!
 //! In memory are one view while it is loaded, then the pages that the threads work on (`memory`), and in the
 //! end the mesh. The cloud is the same for any memory that suffices; the mesh's cells are larger where it would
@@ -20,6 +21,7 @@
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
 //! a statue.
 
+mod asset;
 mod best;
 mod color;
 mod correction;
@@ -49,12 +51,12 @@ mod views;
 
 pub use error::FusionError;
 pub use options::{ColorMode, FusionOptions, MeshFormat};
-pub use report::{FusionReport, Layering, MeshReport, ViewFusion};
+pub use report::{AssetReport, FusionReport, Layering, MeshReport, ViewFusion};
 
 use points::CloudFacts;
 use reader::Readers;
 use rilievo_scene::{
-    CloudSink, MapSource, Mesh, Observer, PhotoSet, PosedViews, Scratch, StageId, Unit,
+    Asset, CloudSink, MapSource, Mesh, Observer, PhotoSet, PosedViews, Scratch, StageId, Unit,
 };
 use views::Stock;
 
@@ -82,8 +84,19 @@ pub struct Inputs<'a> {
     pub scratch: &'a dyn Scratch,
 }
 
-/// Fuses the views: hands the cloud's points to `cloud`, and returns the mesh, empty where none was asked for. After an
-/// error the cloud is not complete.
+/// The surface of all views.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Fused {
+    /// Empty where none was asked for.
+    pub mesh: Mesh,
+    /// Where one was asked for, and in the first process alone.
+    pub asset: Option<Asset>,
+    /// How it came out.
+    pub report: FusionReport,
+}
+
+/// Fuses the views: hands the cloud's points to `cloud`, and returns mesh and asset. After an error the cloud is not
+/// complete.
 ///
 /// # Errors
 /// See [`FusionError`].
@@ -92,7 +105,7 @@ pub fn run(
     cloud: &mut dyn CloudSink,
     options: &FusionOptions,
     observer: &dyn Observer,
-) -> Result<(Mesh, FusionReport), FusionError> {
+) -> Result<Fused, FusionError> {
     let Inputs {
         photos,
         posed,
@@ -189,7 +202,25 @@ pub fn run(
             report.mesh = Some(mesh_report);
         }
     }
-    Ok((mesh, report))
+    let mut asset = None;
+    if options.makes_asset() && !mesh.triangles.is_empty() && observer.team().is_first() {
+        let made = asset::make(&mesh, &stock, settled.median_footprint, options, observer)?;
+        let Some((made, asset_report)) = made else {
+            warn("no asset: nothing of the mesh can be laid out on a texture".to_owned())?;
+            return Ok(Fused {
+                mesh,
+                asset,
+                report,
+            });
+        };
+        asset = Some(made);
+        report.asset = Some(asset_report);
+    }
+    Ok(Fused {
+        mesh,
+        asset,
+        report,
+    })
 }
 
 /// The mesh, unless no surface is near any cell.

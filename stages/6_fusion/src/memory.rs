@@ -17,6 +17,8 @@ const LOAD_BYTES: usize = 56;
 const BLOCK_BYTES: usize = 2_400;
 /// Further bytes while a mesh is made lighter: about 100 a triangle.
 const SIMPLIFY_BYTES: usize = 6_000;
+/// Bytes of a texel of all textures together, and of how far it lies from a known one while gaps are filled.
+const TEXEL_BYTES: usize = 6 + 6 + 1 + 3 + 4 + 8;
 /// Share of the memory that the mesh has.
 const MESH_SHARE: f64 = 0.6;
 /// Share of the memory for pages that threads hold.
@@ -57,8 +59,15 @@ pub(crate) fn num_pages(options: &FusionOptions) -> usize {
 
 /// Blocks of the volume whose mesh the memory holds.
 pub(crate) fn max_num_blocks(options: &FusionOptions) -> usize {
-    let simplify = usize::from(options.max_num_triangles > 0) * SIMPLIFY_BYTES;
+    let is_lightened = options.max_num_triangles > 0 || options.makes_asset();
+    let simplify = usize::from(is_lightened) * SIMPLIFY_BYTES;
     (share(options, MESH_SHARE) / (BLOCK_BYTES + simplify)).max(1)
+}
+
+/// Largest side of textures that the memory holds.
+pub(crate) fn texture_side(options: &FusionOptions) -> usize {
+    let side = (share(options, MESH_SHARE) / TEXEL_BYTES).isqrt();
+    options.asset_texture.min(side).max(64)
 }
 
 /// Points that may be sorted at once, of so many bytes each.

@@ -25,6 +25,8 @@ pub enum MeshFormat {
     Obj,
     /// Binary glTF.
     Glb,
+    /// A light mesh with textures ([`rilievo_scene::Asset`]), as binary glTF and as OBJ.
+    Asset,
 }
 
 /// Options of [`crate::run`]. Lengths along and across the surface are in *pixel footprints*
@@ -78,6 +80,10 @@ pub struct FusionOptions {
     pub color: ColorMode,
     /// Formats in which the caller keeps the mesh.
     pub formats: Vec<MeshFormat>,
+    /// Triangles that about are left of the asset's mesh.
+    pub asset_faces: usize,
+    /// Largest side of the asset's textures, texels. They are smaller where the views tell no more.
+    pub asset_texture: usize,
     /// Memory that fusion may take, MiB; the mesh's cells are made larger where it would need more, and the
     /// report says so. Less than one view needs to be loaded is an error. `--memory` sets it.
     pub memory_mib: usize,
@@ -102,7 +108,14 @@ impl Default for FusionOptions {
             max_num_triangles: 0,
             watertight: false,
             color: ColorMode::Photographed,
-            formats: vec![MeshFormat::Ply, MeshFormat::Obj, MeshFormat::Glb],
+            formats: vec![
+                MeshFormat::Ply,
+                MeshFormat::Obj,
+                MeshFormat::Glb,
+                MeshFormat::Asset,
+            ],
+            asset_faces: 100_000,
+            asset_texture: 4096,
             memory_mib: 4096,
         }
     }
@@ -111,6 +124,11 @@ impl Default for FusionOptions {
 impl FusionOptions {
     /// Least memory that can be asked for, MiB.
     pub const MIN_MEMORY_MIB: usize = 16;
+
+    /// Whether an asset is made.
+    pub fn makes_asset(&self) -> bool {
+        self.mesh && self.formats.contains(&MeshFormat::Asset)
+    }
 
     /// Checks every number.
     ///
@@ -131,6 +149,8 @@ impl FusionOptions {
             voxel_px in 0.01..=1e4,
             truncation_voxels in 1.5..=50.0,
             max_num_triangles in 0..=u32::MAX as usize,
+            asset_faces in 100..=10_000_000,
+            asset_texture in 64..=16_384,
             memory_mib in Self::MIN_MEMORY_MIB..=1 << 24,
         )
     }

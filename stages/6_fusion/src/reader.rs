@@ -5,7 +5,7 @@
 
 use crate::correction::Corrections;
 use crate::error::FusionError;
-use crate::shelf::{NONE, PAGE_BYTES, PAGE_SIDE, Pages, Pixel, RECORD_WITH_RAY, Shelf};
+use crate::shelf::{LARGEST_RECORD, NONE, PAGE_BYTES, PAGE_SIDE, Pages, Pixel, Shelf};
 use crate::view::{Pixels, View};
 use rilievo_scene::ScratchError;
 use std::sync::{Mutex, PoisonError};
@@ -155,7 +155,7 @@ impl<'a> Sampler<'a> {
         let Some(place) = pages.place(page) else {
             return [Pixel::default(); NUM];
         };
-        let mut bytes = [0; 2 * RECORD_WITH_RAY];
+        let mut bytes = [0; 2 * LARGEST_RECORD];
         let bytes = &mut bytes[..NUM * pages.record];
         let place = place + (number * pages.record) as u64;
         if let Err(error) = self.shelf.room.read_at(bytes, place) {

@@ -96,6 +96,29 @@ pub struct MeshReport {
     pub mean_distance_to_cloud: Option<f64>,
 }
 
+/// The asset in numbers.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct AssetReport {
+    /// Triangles.
+    pub num_triangles: usize,
+    /// Vertices, those on seams once for each side.
+    pub num_vertices: usize,
+    /// Pieces of the surface that are laid out flat.
+    pub num_charts: usize,
+    /// Columns and rows of the textures.
+    pub texture_size: [usize; 2],
+    /// Edge of a texel on the surface, world's unit.
+    pub texel: f64,
+    /// Whether the texels are larger than the views' pixels, so that the textures are no larger than allowed.
+    pub is_bounded: bool,
+    /// Share of the textures that surface covers.
+    pub used_share: f64,
+    /// Share of that which no view sees: there the textures repeat what lies around.
+    pub unseen_share: f64,
+    /// By how much the light mesh moved the surface, as the quadrics estimate it, world's unit.
+    pub simplified_by: f64,
+}
+
 /// Report of [`crate::run`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FusionReport {
@@ -122,4 +145,7 @@ pub struct FusionReport {
     pub views: Vec<ViewFusion>,
     /// The mesh, where one was made.
     pub mesh: Option<MeshReport>,
+    /// The asset, where one was made.
+    #[serde(default)]
+    pub asset: Option<AssetReport>,
 }

@@ -1,19 +1,22 @@
 //! The views' cleaned maps, put aside in pages and read back where they are needed.
 //!
 //! A view's map is cut into pages of 32 × 32 pixels. Pages near any depth lie one after the other in a
-//! [`Room`], pixel by pixel: depth, normal, confidence, colour and marks side by side, and for a lens
-//! that distorts the pixel's ray. All other pages are known to be empty and take no room.
+//! [`Room`], pixel by pixel: depth, normal, confidence, colour and marks side by side, where asked for the albedo, and
+//! for a lens that distorts the pixel's ray. All other pages are known to be empty and take no room.
 
 use rayon::prelude::*;
 use rilievo_scene::{Room, Scratch, ScratchError};
 
 /// Pixels along the side of a page.
 pub(crate) const PAGE_SIDE: usize = 32;
-/// Bytes of a pixel: depth, normal, confidence, colour, marks; and with a ray.
+/// Bytes of a pixel: depth, normal, confidence, colour, marks; of an albedo, with one to spare; and of a ray. A record's
+/// length tells which of them it has.
 const RECORD: usize = 24;
-pub(crate) const RECORD_WITH_RAY: usize = RECORD + 8;
-/// Largest bytes of a page.
-pub(crate) const PAGE_BYTES: usize = PAGE_SIDE * PAGE_SIDE * RECORD_WITH_RAY;
+const ALBEDO: usize = 4;
+const RAY: usize = 8;
+/// Largest bytes of a pixel, and of a page.
+pub(crate) const LARGEST_RECORD: usize = RECORD + ALBEDO + RAY;
+pub(crate) const PAGE_BYTES: usize = PAGE_SIDE * PAGE_SIDE * LARGEST_RECORD;
 /// Pages up to so many pixels from a depth are kept, for their colours.
 const COLOR_MARGIN: usize = 4;
 pub(crate) const NONE: u32 = u32::MAX;
@@ -30,6 +33,8 @@ pub(crate) struct Pixel {
     pub normal: [f32; 3],
     pub confidence: f32,
     pub color: [u8; 3],
+    /// The surface's own colour, where it was put aside.
+    pub albedo: [u8; 3],
     /// Good enough to give points: not at the border of the map, not grazing. The others still
     /// confirm what another view sees better.
     pub gives: bool,
@@ -48,8 +53,14 @@ impl Pixel {
         }
         out[20..23].copy_from_slice(&self.color);
         out[23] = IS_KEPT | if self.gives { GIVES } else { 0 };
-        for (bytes, value) in out[RECORD..].chunks_exact_mut(4).zip(self.ray) {
-            bytes.copy_from_slice(&value.to_le_bytes());
+        let (albedo, ray) = extras(out.len());
+        if let Some(at) = albedo {
+            out[at..at + 3].copy_from_slice(&self.albedo);
+        }
+        if let Some(at) = ray {
+            for (bytes, value) in out[at..].chunks_exact_mut(4).zip(self.ray) {
+                bytes.copy_from_slice(&value.to_le_bytes());
+            }
         }
     }
 
@@ -60,12 +71,14 @@ impl Pixel {
         };
         let float =
             |k: usize| f32::from_le_bytes([b[4 * k], b[4 * k + 1], b[4 * k + 2], b[4 * k + 3]]);
-        let ray = bytes.get(RECORD..).and_then(<[u8]>::first_chunk::<8>);
+        let (albedo, ray) = extras(bytes.len());
+        let ray = ray.and_then(|at| bytes[at..].first_chunk::<RAY>());
         Self {
             depth: float(0),
             normal: [float(1), float(2), float(3)],
             confidence: float(4),
             color: [b[20], b[21], b[22]],
+            albedo: albedo.map_or([0; 3], |at| [bytes[at], bytes[at + 1], bytes[at + 2]]),
             gives: b[23] & GIVES != 0,
             is_kept: b[23] & IS_KEPT != 0,
             ray: ray.map_or([0.0; 2], |&[a, b, c, d, e, f, g, h]| {
@@ -73,6 +86,14 @@ impl Pixel {
             }),
         }
     }
+}
+
+/// Where albedo and ray stand in a record of a length.
+#[inline]
+fn extras(length: usize) -> (Option<usize>, Option<usize>) {
+    let albedo = (length % RAY == ALBEDO).then_some(RECORD);
+    let ray = (length >= RECORD + RAY).then(|| length - RAY);
+    (albedo, ray)
 }
 
 /// Where the pages of a view lie.
@@ -144,11 +165,11 @@ impl Shelf {
         })
     }
 
-    /// Puts a map of a size aside, whose pixels `pixel` tells.
+    /// Puts a map of a size aside, whose pixels `pixel` tells, with albedo and rays if these are to be kept.
     pub fn put(
         &mut self,
         [width, height]: [usize; 2],
-        with_rays: bool,
+        (with_albedo, with_rays): (bool, bool),
         pixel: &(impl Fn(usize, usize) -> Pixel + Sync),
     ) -> Result<Pages, ScratchError> {
         let [columns, rows] = [width, height].map(|n| n.div_ceil(PAGE_SIDE));
@@ -157,7 +178,7 @@ impl Shelf {
             size: [width, height],
             slots: vec![NONE; columns * rows],
             start: self.end,
-            record: if with_rays { RECORD_WITH_RAY } else { RECORD },
+            record: RECORD + usize::from(with_albedo) * ALBEDO + usize::from(with_rays) * RAY,
             first: self.num_pages,
         };
         let holds_depth: Vec<bool> = (0..columns * rows)

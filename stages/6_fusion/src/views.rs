@@ -2,7 +2,7 @@
 
 use crate::color;
 use crate::error::FusionError;
-use crate::options::FusionOptions;
+use crate::options::{ColorMode, FusionOptions};
 use crate::report::ViewFusion;
 use crate::shelf::{Pixel, Shelf};
 use crate::view::{Farthest, View, pinhole_ray};
@@ -62,20 +62,27 @@ pub(crate) fn prepare(
         let camera_of = camera_of(posed, &loaded)?;
         let (cleaned, report) = clean(camera_of, loaded, options);
         let photo = photos.photos.get(camera_of.photo.0);
-        let colors = match photo {
-            None => None,
-            Some(photo) => {
-                let shown = color::shown(photo, maps, maps_idx, options.color)?;
-                let size = [cleaned.camera.width, cleaned.camera.height];
-                let camera = &camera_of.intrinsics;
-                Some(color::encode(&shown, camera, cleaned.corner_px, size))
-            }
+        let painted = |mode: ColorMode| -> Result<Option<Vec<[u8; 3]>>, FusionError> {
+            let Some(photo) = photo else {
+                return Ok(None);
+            };
+            let shown = color::shown(photo, maps, maps_idx, mode)?;
+            let size = [cleaned.camera.width, cleaned.camera.height];
+            let camera = &camera_of.intrinsics;
+            let encoded = color::encode(&shown, camera, cleaned.corner_px, size);
+            Ok(Some(encoded))
+        };
+        let colors = painted(options.color)?;
+        let albedo = match (options.makes_asset(), options.color) {
+            (false, _) => None,
+            (true, ColorMode::Albedo) => colors.clone(),
+            (true, ColorMode::Photographed) => painted(ColorMode::Albedo)?,
         };
         views.push(put_aside(
             views.len(),
             camera_of,
             &cleaned,
-            colors.as_deref(),
+            (colors.as_deref(), albedo.as_deref()),
             &mut shelf,
         )?);
         reports.push(report);
@@ -92,7 +99,7 @@ fn put_aside(
     idx: usize,
     camera_of: &PosedView,
     maps: &Maps,
-    colors: Option<&[[u8; 3]]>,
+    (colors, albedo): (Option<&[[u8; 3]]>, Option<&[[u8; 3]]>),
     shelf: &mut Shelf,
 ) -> Result<View, FusionError> {
     let size = [maps.camera.width, maps.camera.height];
@@ -104,12 +111,14 @@ fn put_aside(
             normal: maps.normal.data[i],
             confidence: blend.data[i] * maps.confidence.as_ref().map_or(1.0, |c| c.data[i]),
             color: colors.map_or([0; 3], |colors| colors[i]),
+            albedo: albedo.map_or([0; 3], |albedo| albedo[i]),
             gives: maps.gives.data[i],
             is_kept: true,
             ray: maps.rays.as_ref().map_or([0.0; 2], |rays| rays.data[i]),
         }
     };
-    let pages = shelf.put(size, maps.rays.is_some(), &pixel)?;
+    let extras = (albedo.is_some(), maps.rays.is_some());
+    let pages = shelf.put(size, extras, &pixel)?;
     let first = maps.depth.data.iter().position(|&z| z > 0.0);
     let pose = camera_of.cam_from_world;
     Ok(View {

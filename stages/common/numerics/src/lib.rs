@@ -1,6 +1,7 @@
 //! Numerical building blocks that know nothing of photographs: masked-grid operators, multigrid,
-//! conjugate gradients, least squares, robust losses and a derivative checker.
+//! conjugate gradients, least squares, rays against triangles, robust losses and a derivative checker.
 
+pub mod bvh;
 pub mod conjugate_gradients;
 pub mod corner_grid;
 pub mod corner_poisson;

@@ -11,6 +11,7 @@
 //!
 //! Every stage is a function from these types to these types. This crate imports no sibling.
 
+pub mod asset;
 pub mod calibration;
 pub mod camera;
 pub mod checkpoint;
@@ -39,6 +40,7 @@ mod subset;
 pub mod team;
 pub mod transform;
 
+pub use asset::Asset;
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use checkpoint::{Checkpoint, CheckpointError, NoCheckpoint, StatePart};

@@ -10,13 +10,13 @@
 //! point; what they meet (object, sphere, mat); a first gathering in which hits are black; one
 //! bounce in which they shine with their own first light; smoothing over neighbours.
 
-use crate::bvh::Bvh;
 use crate::environment::{Environment, Rgb};
 use crate::mat::Mat;
 use crate::noise::unit;
 use crate::scene::{ReferenceSphere, Scene};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use rayon::prelude::*;
+use rilievo_numerics::bvh::Bvh;
 use rilievo_scene::Mesh;
 
 /// The deficit of the three channels: `E = E_env − J n` with one row per channel.

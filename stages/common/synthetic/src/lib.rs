@@ -9,7 +9,6 @@
 //! * [`testing`] is what the tests of all crates share.
 
 mod bake;
-mod bvh;
 mod cameras;
 mod environment;
 mod error;

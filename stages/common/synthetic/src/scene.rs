@@ -1,6 +1,5 @@
 //! The world in front of the camera.
 
-use crate::bvh::Bvh;
 use crate::environment::{Environment, Rgb, fibonacci};
 use crate::error::SyntheticError;
 use crate::given;
@@ -10,6 +9,7 @@ use crate::options::SceneOptions;
 use crate::shape::Shape;
 use crate::surface::extract;
 use nalgebra::{Point3, Vector3};
+use rilievo_numerics::bvh::Bvh;
 use rilievo_scene::Mesh;
 
 /// How much of each colour a stain takes, the most first.

@@ -1,11 +1,12 @@
-//! Binary glTF 2.0: one mesh with normals and colours, for viewers and the web.
+//! Binary glTF 2.0: one mesh with normals and colours, or an asset with textures, for viewers and the web.
 //!
 //! glTF wants metres, y up and the front towards z. A level world is turned by a quarter; any other has no
 //! such axes, and [`ViewerFrame`] takes them from the cameras: up is the mean of their upward axes, the front is
 //! where they stand. Vertex colours are linear by the specification and stored with 16 bits, since
 //! eight would show steps in dark tones.
 //!
-//! Layout: header, JSON chunk, binary chunk (positions, normals, colours, indices; little endian).
+//! Layout: header, JSON chunk, binary chunk (positions, normals, what else a vertex has, indices, images; little
+//! endian).
 //!
 //! Source: Khronos Group, glTF 2.0 specification, sections 3.7.2 (meshes) and 4 (GLB).
 
@@ -13,9 +14,10 @@ use super::check::check;
 use crate::error::IoError;
 use crate::files::write_pieces;
 use nalgebra::{Matrix3, Vector3};
-use rilievo_scene::{Mesh, PosedViews, Unit, WorldFrame, srgb};
+use rilievo_scene::{Asset, Mesh, PosedViews, Unit, WorldFrame, srgb};
 use serde_json::{Value, json};
-use std::io::Write;
+use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 const MAGIC: u32 = 0x4654_6c67;
@@ -26,9 +28,13 @@ const CHUNK_BINARY: u32 = 0x004e_4942;
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
 const UNSIGNED_SHORT: u32 = 5123;
-/// Bytes a vertex and a triangle.
-const FLOATS_BYTES: usize = 12;
-const COLOR_BYTES: usize = 8;
+/// What parts of the binary chunk are for.
+const ARRAY: u32 = 34962;
+const ELEMENTS: u32 = 34963;
+/// Filters of a texture: linear between texels and between its levels, linear.
+const LINEAR_MIPMAP_LINEAR: u32 = 9987;
+const LINEAR: u32 = 9729;
+const CLAMP_TO_EDGE: u32 = 33071;
 
 /// Rotation from the world to axes that viewers expect: y up, z towards the viewer.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,6 +87,14 @@ fn linear(byte: u8) -> u16 {
     (srgb::decode(f64::from(byte) / 255.0) * 65535.0).round() as u16
 }
 
+/// Textures of an asset as PNG.
+pub(super) struct AssetImages {
+    pub base_color: Vec<u8>,
+    pub normal: Vec<u8>,
+    /// Occlusion in red, roughness in green, metal in blue.
+    pub occlusion: Vec<u8>,
+}
+
 /// Writes a mesh as GLB.
 ///
 /// # Errors
@@ -92,120 +106,238 @@ pub fn write_mesh_glb(
     unit: Unit,
     frame: &ViewerFrame,
 ) -> Result<(), IoError> {
-    check(path, mesh)?;
-    if mesh.triangles.is_empty() {
-        return Err(IoError::write(path, "the mesh has no triangles"));
-    }
-    let (text, num_bytes) = description(mesh, frame, unit);
-    let total = 12 + 8 + text.len() + 8 + num_bytes;
-    let length = |bytes: usize| {
-        u32::try_from(bytes)
-            .map_err(|_| IoError::write(path, "the mesh exceeds the 4 GB that GLB can hold"))
-    };
-    let (total, text_length, binary_length) =
-        (length(total)?, length(text.len())?, length(num_bytes)?);
-    write_pieces(path, |out| {
-        for word in [MAGIC, VERSION, total, text_length, CHUNK_JSON] {
-            out.write_all(&word.to_le_bytes())?;
-        }
-        out.write_all(text.as_bytes())?;
-        for word in [binary_length, CHUNK_BINARY] {
-            out.write_all(&word.to_le_bytes())?;
-        }
-        let turned = mesh.vertices.iter().chain(&mesh.normals);
-        for c in turned.flat_map(|&v| frame.turn(v)) {
-            out.write_all(&c.to_le_bytes())?;
-        }
-        for color in &mesh.colors {
+    let mut file = Glb::of(path, mesh, frame)?;
+    if !mesh.colors.is_empty() {
+        let accessor = json!({"componentType": UNSIGNED_SHORT, "normalized": true, "type": "VEC4"});
+        let colors = mesh.colors.iter().flat_map(|color| {
             let [r, g, b] = color.map(linear);
-            for c in [r, g, b, u16::MAX] {
-                out.write_all(&c.to_le_bytes())?;
-            }
-        }
-        for v in mesh.triangles.iter().flatten() {
-            out.write_all(&v.to_le_bytes())?;
-        }
-        Ok(())
-    })
+            [r, g, b, u16::MAX].into_iter().flat_map(u16::to_le_bytes)
+        });
+        file.attribute("COLOR_0", mesh.colors.len(), accessor, (8, colors));
+    }
+    let material = json!({
+        "name": "matte",
+        "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
+        "doubleSided": true,
+    });
+    file.write(path, mesh, (material, unit))
 }
 
-/// The JSON chunk, padded, and the length of the binary one.
-fn description(mesh: &Mesh, frame: &ViewerFrame, unit: Unit) -> (String, usize) {
-    let (mut views, mut accessors) = (Vec::new(), Vec::new());
-    let mut attributes = serde_json::Map::new();
-    let mut offset = 0;
-    let num = mesh.vertices.len();
-    let mut add = |name: &str, bytes: usize, target: u32, accessor: Value| {
-        if !name.is_empty() {
-            attributes.insert(name.to_owned(), json!(views.len()));
-        }
-        let mut accessor = accessor;
-        accessor["bufferView"] = json!(views.len());
-        accessors.push(accessor);
-        views.push(json!({
-            "buffer": 0, "byteOffset": offset, "byteLength": bytes, "target": target,
-        }));
-        offset += bytes;
-    };
-    let mut low = [f32::INFINITY; 3];
-    let mut high = [f32::NEG_INFINITY; 3];
-    for p in mesh.vertices.iter().map(|&v| frame.turn(v)) {
-        for k in 0..3 {
-            low[k] = low[k].min(p[k]);
-            high[k] = high[k].max(p[k]);
-        }
-    }
-    const ARRAY: u32 = 34962;
-    const ELEMENTS: u32 = 34963;
-    add(
-        "POSITION",
-        num * FLOATS_BYTES,
-        ARRAY,
-        json!({"componentType": FLOAT, "count": num, "type": "VEC3", "min": low, "max": high}),
-    );
-    if !mesh.normals.is_empty() {
-        let accessor = json!({"componentType": FLOAT, "count": num, "type": "VEC3"});
-        add("NORMAL", num * FLOATS_BYTES, ARRAY, accessor);
-    }
-    if !mesh.colors.is_empty() {
-        let accessor = json!({
-            "componentType": UNSIGNED_SHORT, "normalized": true, "count": num, "type": "VEC4",
-        });
-        add("COLOR_0", num * COLOR_BYTES, ARRAY, accessor);
-    }
-    let num_indices = 3 * mesh.triangles.len();
-    let accessor = json!({"componentType": UNSIGNED_INT, "count": num_indices, "type": "SCALAR"});
-    add("", 4 * num_indices, ELEMENTS, accessor);
-    let indices = accessors.len() - 1;
-    let unit = match unit {
-        Unit::Metre => unit.name(),
-        Unit::Arbitrary => "arbitrary: the scale is unknown",
-    };
-    let document = json!({
-        "asset": {
-            "version": "2.0",
-            "generator": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
-            "extras": {"unit": unit},
-        },
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "object"}],
-        "meshes": [{"primitives": [{
-            "attributes": attributes, "indices": indices, "material": 0, "mode": 4,
-        }]}],
-        "materials": [{
-            "name": "matte",
-            "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
-            "doubleSided": true,
-        }],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
+/// Writes an asset as GLB, its textures inside.
+pub(super) fn write_asset_glb(
+    path: &Path,
+    asset: &Asset,
+    images: &AssetImages,
+    unit: Unit,
+    frame: &ViewerFrame,
+) -> Result<(), IoError> {
+    let mut file = Glb::of(path, &asset.mesh, frame)?;
+    let num = asset.mesh.vertices.len();
+    let tangents = asset.tangents.iter().flat_map(|&[x, y, z, sign]| {
+        let [x, y, z] = frame.turn([x, y, z]);
+        [x, y, z, sign].into_iter().flat_map(f32::to_le_bytes)
     });
-    let mut text = document.to_string();
-    // Chunks are multiples of four bytes; JSON is filled up with spaces.
-    while !text.len().is_multiple_of(4) {
-        text.push(' ');
+    let accessor = json!({"componentType": FLOAT, "type": "VEC4"});
+    file.attribute("TANGENT", num, accessor, (16, tangents));
+    let coords = asset.texture_coords.iter().flatten();
+    let accessor = json!({"componentType": FLOAT, "type": "VEC2"});
+    file.attribute(
+        "TEXCOORD_0",
+        num,
+        accessor,
+        (8, coords.copied().flat_map(f32::to_le_bytes)),
+    );
+    file.texture("base colour", &images.base_color);
+    file.texture("normals, OpenGL: green up", &images.normal);
+    file.texture("occlusion, roughness, metal", &images.occlusion);
+    let material = json!({
+        "name": "matte",
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {"index": 0},
+            "metallicRoughnessTexture": {"index": 2},
+            "metallicFactor": 1,
+            "roughnessFactor": 1,
+        },
+        "normalTexture": {"index": 1},
+        "occlusionTexture": {"index": 2},
+        "doubleSided": true,
+        "extras": {
+            "base_color": "relative albedo, without light and shadow: half is the mean",
+            "normal_map": "OpenGL convention, green up; tangents by MikkTSpace",
+        },
+    });
+    file.write(path, &asset.mesh, (material, unit))
+}
+
+/// A part of the binary chunk: its length, and its bytes in pieces.
+type Part<'a> = (
+    usize,
+    Box<dyn FnMut(&mut BufWriter<File>) -> std::io::Result<()> + 'a>,
+);
+
+/// A file while it is gathered: what the JSON says, and what the binary chunk will hold, made as it is written.
+struct Glb<'a> {
+    attributes: serde_json::Map<String, Value>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+    textures: Vec<Value>,
+    images: Vec<Value>,
+    parts: Vec<Part<'a>>,
+    num_bytes: usize,
+}
+
+impl<'a> Glb<'a> {
+    /// With positions and normals.
+    fn of(path: &Path, mesh: &'a Mesh, frame: &'a ViewerFrame) -> Result<Self, IoError> {
+        check(path, mesh)?;
+        if mesh.triangles.is_empty() {
+            return Err(IoError::write(path, "the mesh has no triangles"));
+        }
+        let mut file = Self {
+            attributes: serde_json::Map::new(),
+            views: Vec::new(),
+            accessors: Vec::new(),
+            textures: Vec::new(),
+            images: Vec::new(),
+            parts: Vec::new(),
+            num_bytes: 0,
+        };
+        let mut low = [f32::INFINITY; 3];
+        let mut high = [f32::NEG_INFINITY; 3];
+        for p in mesh.vertices.iter().map(|&v| frame.turn(v)) {
+            for k in 0..3 {
+                low[k] = low[k].min(p[k]);
+                high[k] = high[k].max(p[k]);
+            }
+        }
+        let turned = |values: &'a [[f32; 3]]| {
+            let values = values.iter().flat_map(|&v| frame.turn(v));
+            values.flat_map(f32::to_le_bytes)
+        };
+        let accessor = json!({"componentType": FLOAT, "type": "VEC3", "min": low, "max": high});
+        let num = mesh.vertices.len();
+        file.attribute("POSITION", num, accessor, (12, turned(&mesh.vertices)));
+        if !mesh.normals.is_empty() {
+            let accessor = json!({"componentType": FLOAT, "type": "VEC3"});
+            file.attribute("NORMAL", num, accessor, (12, turned(&mesh.normals)));
+        }
+        Ok(file)
     }
-    (text, offset)
+
+    /// Adds a part for a purpose; returns its number. Parts begin at multiples of four bytes.
+    fn part(
+        &mut self,
+        num_bytes: usize,
+        target: Option<u32>,
+        mut bytes: impl Iterator<Item = u8> + 'a,
+    ) -> usize {
+        let mut view = json!({
+            "buffer": 0, "byteOffset": self.num_bytes, "byteLength": num_bytes,
+        });
+        if let Some(target) = target {
+            view["target"] = json!(target);
+        }
+        self.views.push(view);
+        let padded = num_bytes.next_multiple_of(4);
+        let write = move |out: &mut BufWriter<File>| {
+            let padding = std::iter::repeat_n(0, padded - num_bytes);
+            for byte in bytes.by_ref().chain(padding) {
+                out.write_all(&[byte])?;
+            }
+            Ok(())
+        };
+        self.parts.push((padded, Box::new(write)));
+        self.num_bytes += padded;
+        self.views.len() - 1
+    }
+
+    /// Adds what `num` vertices have, of so many bytes each.
+    fn attribute(
+        &mut self,
+        name: &str,
+        num: usize,
+        mut accessor: Value,
+        (bytes_each, bytes): (usize, impl Iterator<Item = u8> + 'a),
+    ) {
+        accessor["bufferView"] = json!(self.part(num * bytes_each, Some(ARRAY), bytes));
+        accessor["count"] = json!(num);
+        self.attributes
+            .insert(name.to_owned(), json!(self.accessors.len()));
+        self.accessors.push(accessor);
+    }
+
+    /// Adds a PNG as the next texture.
+    fn texture(&mut self, name: &str, png: &'a [u8]) {
+        let view = self.part(png.len(), None, png.iter().copied());
+        self.textures
+            .push(json!({"sampler": 0, "source": self.images.len()}));
+        self.images
+            .push(json!({"name": name, "mimeType": "image/png", "bufferView": view}));
+    }
+
+    /// Adds the triangles and writes all.
+    fn write(
+        mut self,
+        path: &Path,
+        mesh: &'a Mesh,
+        (material, unit): (Value, Unit),
+    ) -> Result<(), IoError> {
+        let num = 3 * mesh.triangles.len();
+        let corners = mesh.triangles.iter().flatten().copied();
+        let view = self.part(4 * num, Some(ELEMENTS), corners.flat_map(u32::to_le_bytes));
+        let indices = self.accessors.len();
+        self.accessors.push(json!({
+            "componentType": UNSIGNED_INT, "count": num, "type": "SCALAR", "bufferView": view,
+        }));
+        let unit = match unit {
+            Unit::Metre => unit.name(),
+            Unit::Arbitrary => "arbitrary: the scale is unknown",
+        };
+        let mut document = json!({
+            "asset": {
+                "version": "2.0",
+                "generator": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
+                "extras": {"unit": unit},
+            },
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0, "name": "object"}],
+            "meshes": [{"primitives": [{
+                "attributes": self.attributes, "indices": indices, "material": 0, "mode": 4,
+            }]}],
+            "materials": [material],
+            "accessors": self.accessors,
+            "bufferViews": self.views,
+            "buffers": [{"byteLength": self.num_bytes}],
+        });
+        if !self.textures.is_empty() {
+            document["textures"] = json!(self.textures);
+            document["images"] = json!(self.images);
+            document["samplers"] = json!([{
+                "magFilter": LINEAR, "minFilter": LINEAR_MIPMAP_LINEAR,
+                "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE,
+            }]);
+        }
+        let mut text = document.to_string();
+        // Chunks are multiples of four bytes; JSON is filled up with spaces.
+        while !text.len().is_multiple_of(4) {
+            text.push(' ');
+        }
+        let length = |bytes: usize| {
+            u32::try_from(bytes)
+                .map_err(|_| IoError::write(path, "the mesh exceeds the 4 GB that GLB can hold"))
+        };
+        let total = length(12 + 8 + text.len() + 8 + self.num_bytes)?;
+        let (text_length, binary_length) = (length(text.len())?, length(self.num_bytes)?);
+        write_pieces(path, |out| {
+            for word in [MAGIC, VERSION, total, text_length, CHUNK_JSON] {
+                out.write_all(&word.to_le_bytes())?;
+            }
+            out.write_all(text.as_bytes())?;
+            for word in [binary_length, CHUNK_BINARY] {
+                out.write_all(&word.to_le_bytes())?;
+            }
+            self.parts.iter_mut().try_for_each(|(_, write)| write(out))
+        })
+    }
 }

@@ -18,7 +18,7 @@ struct Node {
 
 /// A mesh that answers rays.
 #[derive(Clone, Debug)]
-pub(crate) struct Bvh {
+pub struct Bvh {
     nodes: Vec<Node>,
     /// Corner and two edges of each triangle, in leaf order.
     triangles: Vec<[[f32; 3]; 3]>,
@@ -28,7 +28,7 @@ pub(crate) struct Bvh {
 
 /// Where a ray meets the mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Hit {
+pub struct Hit {
     /// Ray parameter.
     pub t: f32,
     /// Triangle of the mesh.
@@ -62,7 +62,8 @@ fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
 }
 
 impl Bvh {
-    pub(crate) fn new(mesh: &Mesh) -> Self {
+    /// Of all triangles of a mesh.
+    pub fn new(mesh: &Mesh) -> Self {
         let corners: Vec<[[f32; 3]; 3]> = mesh
             .triangles
             .iter()
@@ -92,7 +93,7 @@ impl Bvh {
     }
 
     /// First hit with `t` in `(t_min, t_max)`; with `any`, some hit.
-    pub(crate) fn cast(
+    pub fn cast(
         &self,
         origin: [f32; 3],
         direction: [f32; 3],

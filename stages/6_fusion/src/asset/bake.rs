@@ -1,0 +1,215 @@
+//! What the views see at the places of the texels.
+//!
+//! Triangles are worked on in groups that lie close together, each against the views that may see it; their texels are
+//! then put into the textures in the order of the triangles.
+
+use super::texture::{Texel, Textures};
+use super::unwrap::Unwrapped;
+use crate::color::{Layer, Palette};
+use crate::dress::mean_sight;
+use crate::error::FusionError;
+use crate::pairs::Candidate;
+use crate::reach::Patch;
+use crate::reader::{Reader, Readers};
+use crate::view::View;
+use nalgebra::{Matrix3, Point3, Vector3};
+use rayon::prelude::*;
+use rilievo_scene::{Observer, StageId};
+
+/// Triangles of a group, and groups between two words to the observer.
+const GROUP: usize = 32;
+const GROUPS_AT_ONCE: usize = 256;
+/// Views that are looked at: more only repeat what these say.
+const MAX_NUM_VIEWS: usize = 12;
+/// Distance of a texel's place from the views' surface from which it is looked at again there, pixel footprints.
+const OFF_PX: f64 = 0.25;
+
+pub(super) struct Baker<'a> {
+    pub unwrapped: &'a Unwrapped,
+    pub tangents: &'a [[f32; 4]],
+    /// Share of the sky, of the vertices.
+    pub occlusion: &'a [f32],
+    pub views: &'a [View],
+    /// Tolerance along the normal (world's unit), and the least cosine between normals, of views that see one surface.
+    pub limits: (f64, f64),
+}
+
+impl Baker<'_> {
+    /// Fills the textures.
+    pub fn bake(
+        &self,
+        readers: &Readers<'_>,
+        textures: &mut Textures,
+        observer: &dyn Observer,
+    ) -> Result<(), FusionError> {
+        let num_triangles = self.unwrapped.mesh.triangles.len();
+        let palette = Palette::new();
+        for first in (0..num_triangles).step_by(GROUP * GROUPS_AT_ONCE) {
+            let told = (first, num_triangles);
+            let flow = observer.progress(StageId::Fusion, "baking textures", told);
+            flow.ok_or(FusionError::Interrupted)?;
+            let end = num_triangles.min(first + GROUP * GROUPS_AT_ONCE);
+            let groups: Vec<usize> = (first..end).step_by(GROUP).collect();
+            let baked = groups.into_par_iter().map(|start| {
+                let group = start..end.min(start + GROUP);
+                readers.with(|pixels| self.group(pixels, group, &palette))
+            });
+            let baked: Result<Vec<Vec<Texel>>, FusionError> = baked.collect();
+            baked?
+                .iter()
+                .flatten()
+                .for_each(|texel| textures.put(texel));
+        }
+        Ok(())
+    }
+
+    fn group(
+        &self,
+        pixels: &mut Reader<'_>,
+        group: std::ops::Range<usize>,
+        palette: &Palette,
+    ) -> Vec<Texel> {
+        let mesh = &self.unwrapped.mesh;
+        let corners: Vec<(Point3<f64>, Vector3<f64>)> = mesh.triangles[group.clone()]
+            .iter()
+            .flatten()
+            .map(|&v| {
+                let [at, normal] = [&mesh.vertices, &mesh.normals].map(|of| of[v as usize]);
+                (at.map(f64::from).into(), normal.map(f64::from).into())
+            })
+            .collect();
+        let Some(patch) = Patch::around(&corners, self.limits.0) else {
+            return Vec::new();
+        };
+        let mut near: Vec<&View> = self.views.iter().collect();
+        near.retain(|view| patch.may_be_seen_by(view));
+        if near.len() > MAX_NUM_VIEWS {
+            let density: Vec<f64> = self.views.iter().map(|view| patch.density(view)).collect();
+            // Ties go to the first view.
+            near.sort_by(|a, b| {
+                density[b.idx]
+                    .total_cmp(&density[a.idx])
+                    .then(a.idx.cmp(&b.idx))
+            });
+            near.truncate(MAX_NUM_VIEWS);
+            near.sort_by_key(|view| view.idx);
+        }
+        let mut texels = Vec::new();
+        for triangle in group {
+            self.triangle(pixels, &near, triangle, palette, &mut texels);
+        }
+        texels
+    }
+
+    fn triangle(
+        &self,
+        pixels: &mut Reader<'_>,
+        near: &[&View],
+        triangle: usize,
+        palette: &Palette,
+        texels: &mut Vec<Texel>,
+    ) {
+        let Unwrapped {
+            mesh,
+            texture_coords,
+            size: (width, height),
+            ..
+        } = self.unwrapped;
+        let corners = mesh.triangles[triangle].map(|v| v as usize);
+        let on_texture = corners.map(|v| {
+            let [u, v] = texture_coords[v].map(f64::from);
+            // Centres of texels at integers.
+            [u * *width as f64 - 0.5, v * *height as f64 - 0.5]
+        });
+        let of = |values: &[[f32; 3]]| corners.map(|v| Vector3::from(values[v].map(f64::from)));
+        let (places, normals) = (of(&mesh.vertices), of(&mesh.normals));
+        let tangents = corners.map(|v| {
+            let [x, y, z, sign] = self.tangents[v].map(f64::from);
+            (Vector3::new(x, y, z), sign)
+        });
+        for_each_texel(&on_texture, (*width, *height), |(x, y), weights| {
+            let mean = |of: &[Vector3<f64>; 3]| -> Vector3<f64> {
+                of.iter().zip(weights).map(|(v, w)| v * w).sum()
+            };
+            let normal = mean(&normals);
+            let open = corners.iter().zip(weights);
+            let open: f64 = open.map(|(&v, w)| f64::from(self.occlusion[v]) * w).sum();
+            let seen = self.look(pixels, near, mean(&places).into(), &normal, palette);
+            // As a renderer does: tangent and normal interpolated, the bitangent by their product.
+            let tangent = mean(&tangents.map(|(tangent, _)| tangent));
+            let bitangent = normal.cross(&tangent) * tangents[0].1;
+            let frame = Matrix3::from_columns(&[tangent, bitangent, normal]);
+            let in_frame = seen.as_ref().and_then(|(seen, _)| {
+                let direction = frame.try_inverse()? * seen;
+                direction.try_normalize(1e-12)
+            });
+            texels.push(Texel {
+                at: (y * width + x) as u32,
+                normal: in_frame.map(|n| n.map(|c| c as f32).into()),
+                albedo: seen.and_then(|(_, albedo)| albedo),
+                open: open as f32,
+            });
+        });
+    }
+
+    /// The surface's normal and albedo at a place near it, as the views see them.
+    fn look(
+        &self,
+        pixels: &mut Reader<'_>,
+        near: &[&View],
+        place: Point3<f64>,
+        normal: &Vector3<f64>,
+        palette: &Palette,
+    ) -> Option<(Vector3<f64>, Option<[f32; 3]>)> {
+        let nearest = near
+            .iter()
+            .map(|view| view.footprint(view.pose.apply(&place).z));
+        let footprint = nearest.fold(f64::INFINITY, f64::min);
+        let mut candidate = Candidate {
+            point: place,
+            normal: normal.try_normalize(1e-12)?,
+            footprint,
+        };
+        let paints = (palette, Layer::Albedo);
+        let mut seen = mean_sight(pixels, near, &candidate, self.limits, paints)?;
+        // The light mesh cuts corners: a view that sees it obliquely looks beside the place.
+        if seen.distance.abs() > OFF_PX * footprint {
+            candidate.point += candidate.normal * seen.distance;
+            seen = mean_sight(pixels, near, &candidate, self.limits, paints).unwrap_or(seen);
+        }
+        Some((seen.normal.try_normalize(0.0)?, seen.colors.mean()))
+    }
+}
+
+/// Texels whose centres lie in a triangle, with the weights of its corners there.
+fn for_each_texel(
+    [a, b, c]: &[[f64; 2]; 3],
+    (width, height): (usize, usize),
+    mut work: impl FnMut((usize, usize), [f64; 3]),
+) {
+    let twice = |p: &[f64; 2], q: &[f64; 2], r: &[f64; 2]| {
+        (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+    };
+    let area = twice(a, b, c);
+    if area == 0.0 {
+        return;
+    }
+    let range = |k: usize, size: usize| {
+        let low = a[k].min(b[k]).min(c[k]).ceil().max(0.0) as usize;
+        let high = a[k].max(b[k]).max(c[k]).floor();
+        low..if high < 0.0 {
+            low
+        } else {
+            (high as usize + 1).min(size)
+        }
+    };
+    for y in range(1, height) {
+        for x in range(0, width) {
+            let p = [x as f64, y as f64];
+            let weights = [twice(b, c, &p), twice(c, a, &p), twice(a, b, &p)].map(|w| w / area);
+            if weights.iter().all(|&w| w >= 0.0) {
+                work((x, y), weights);
+            }
+        }
+    }
+}

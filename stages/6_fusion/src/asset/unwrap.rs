@@ -1,0 +1,91 @@
+//! A mesh laid out flat: charts without overlap, side by side on one texture.
+
+use crate::error::FusionError;
+use rilievo_scene::{Mesh, Observer, StageId};
+use uvunwrap::{Density, Error, MeshInput, Options, generate_with_progress};
+
+/// Texels around each chart that belong to it: enough for three levels of smaller textures.
+const PADDING: u32 = 4;
+/// Texture sides are multiples of this, and no smaller than that.
+const BLOCK: usize = 4;
+const MIN_SIDE: usize = 64;
+/// Share of a texture that charts of a curved surface cover.
+const USED: f64 = 0.62;
+
+/// A mesh with texture coordinates.
+pub(super) struct Unwrapped {
+    /// Its vertices on seams are there once for each side.
+    pub mesh: Mesh,
+    pub texture_coords: Vec<[f32; 2]>,
+    /// Columns and rows of the texture.
+    pub size: (usize, usize),
+    pub num_charts: usize,
+    /// Edge of a texel on the surface, world's unit.
+    pub texel: f64,
+}
+
+/// Lays a mesh out on a texture of about `texel` (world's unit) a texel, or of more where it would be larger than
+/// `max_side` texels. `None` where no triangle can be laid out.
+pub(super) fn unwrap(
+    mesh: &Mesh,
+    texel: f64,
+    max_side: usize,
+    observer: &dyn Observer,
+) -> Result<Option<Unwrapped>, FusionError> {
+    let num_texels = area(mesh) / (texel * texel) / USED;
+    if !(num_texels > 0.0 && num_texels.is_finite()) {
+        return Ok(None);
+    }
+    let side = (num_texels.sqrt().ceil() as usize).clamp(MIN_SIDE, max_side.max(MIN_SIDE));
+    let options = Options {
+        density: Density::Auto {
+            page_size: (side / BLOCK * BLOCK) as u32,
+        },
+        padding: PADDING,
+        block_align: true,
+        ..Options::default()
+    };
+    let input = MeshInput::new(&mesh.vertices, mesh.triangles.as_flattened());
+    let go_on = |progress: uvunwrap::Progress| {
+        let told = (progress.done, progress.total.unwrap_or(0).max(progress.done));
+        let flow = observer.progress(StageId::Fusion, "laying the surface out", told);
+        flow.ok_or(()).is_ok()
+    };
+    let atlas = match generate_with_progress(&[input], &options, &go_on) {
+        Ok(atlas) => Some(atlas).filter(|atlas| atlas.page_count == 1),
+        Err(Error::Cancelled) => return Err(FusionError::Interrupted),
+        // Nothing fits: there is a mesh, and no asset.
+        Err(_) => None,
+    };
+    let Some((atlas, laid)) = atlas.and_then(|mut atlas| {
+        let laid = atlas.meshes.pop()?;
+        (!laid.indices.is_empty() && atlas.texels_per_unit > 0.0).then_some((atlas, laid))
+    }) else {
+        return Ok(None);
+    };
+    let pick = |from: &[[f32; 3]]| -> Vec<[f32; 3]> {
+        let vertices = laid.vertices.iter();
+        vertices.map(|v| from[v.xref as usize]).collect()
+    };
+    Ok(Some(Unwrapped {
+        texture_coords: laid.vertices.iter().map(|v| v.uv).collect(),
+        mesh: Mesh {
+            vertices: pick(&mesh.vertices),
+            normals: pick(&mesh.normals),
+            colors: Vec::new(),
+            triangles: laid.indices.as_chunks::<3>().0.to_vec(),
+        },
+        size: (atlas.width as usize, atlas.height as usize),
+        num_charts: atlas.chart_count as usize,
+        texel: 1.0 / f64::from(atlas.texels_per_unit),
+    }))
+}
+
+fn area(mesh: &Mesh) -> f64 {
+    let corner = |v: u32| nalgebra::Vector3::from(mesh.vertices[v as usize].map(f64::from));
+    let areas = mesh.triangles.iter().map(|&[a, b, c]| {
+        let [a, b, c] = [a, b, c].map(corner);
+        0.5 * (b - a).cross(&(c - a)).norm()
+    });
+    areas.sum()
+}

@@ -1,0 +1,175 @@
+//! A light mesh with textures: `asset.glb`, and a folder with the same as OBJ and single images.
+//!
+//! | file | holds |
+//! |---|---|
+//! | `asset.glb` | all of it; metres, y up; textures as 8-bit PNG |
+//! | `asset/asset.obj`, `asset.mtl` | the mesh in the frame of `cameras.json`, and what its material takes from where |
+//! | `asset/base_color.png`, `.exr` | relative albedo, half is the mean: 8-bit sRGB, and linear in floats |
+//! | `asset/normal.png` | tangent-space normals, 16 bits, OpenGL convention (green up), tangents by MikkTSpace |
+//! | `asset/occlusion.png` | share of a uniform sky that reaches the place, 8 bits |
+
+use super::check::check;
+use super::glb::{AssetImages, ViewerFrame, write_asset_glb};
+use crate::error::IoError;
+use crate::exr_maps::write_linear_half;
+use crate::files::write_pieces;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder};
+use rilievo_scene::{Asset, LinearImage, Raster, WorldCoordinates, srgb};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Writes an asset to the paths of its files' names.
+///
+/// # Errors
+/// When a file cannot be written, or the asset is inconsistent.
+pub fn write_asset<E: From<IoError>>(
+    asset: &Asset,
+    world: WorldCoordinates,
+    frame: &ViewerFrame,
+    path: &dyn Fn(&str) -> Result<PathBuf, E>,
+) -> Result<(), E> {
+    let glb = path("asset.glb")?;
+    check_asset(&glb, asset)?;
+    let images = images(&glb, asset)?;
+    write_asset_glb(&glb, asset, &images, world.unit, frame)?;
+    write_obj(&path("asset/asset.obj")?, asset, world)?;
+    let write = |name: &str, bytes: &[u8]| -> Result<(), E> {
+        Ok(write_pieces(&path(name)?, |out| out.write_all(bytes))?)
+    };
+    write("asset/asset.mtl", MATERIAL.as_bytes())?;
+    write("asset/base_color.png", &images.base_color)?;
+    let normal = path("asset/normal.png")?;
+    write("asset/normal.png", &png16(&normal, &asset.normal)?)?;
+    let occlusion = path("asset/occlusion.png")?;
+    let grey = (asset.occlusion.width, asset.occlusion.height);
+    let encoded = png(
+        &occlusion,
+        &asset.occlusion.data,
+        grey,
+        ExtendedColorType::L8,
+    )?;
+    write("asset/occlusion.png", &encoded)?;
+    let linear = LinearImage {
+        width: asset.base_color.width,
+        height: asset.base_color.height,
+        channels: 3,
+        data: asset
+            .base_color
+            .data
+            .iter()
+            .flatten()
+            .map(|&v| share(v))
+            .collect(),
+    };
+    Ok(write_linear_half(&path("asset/base_color.exr")?, &linear)?)
+}
+
+/// What an OBJ's reader finds of the material; `norm` is the name that Blender and others give the normal map.
+const MATERIAL: &str = "\
+# Base colour: relative albedo. Normal map: tangent space, OpenGL convention (green up), tangents by MikkTSpace.
+newmtl matte
+Ka 0 0 0
+Kd 1 1 1
+Ks 0 0 0
+Pr 1
+Pm 0
+illum 1
+map_Kd base_color.png
+norm normal.png
+map_Ka occlusion.png
+";
+
+fn share(value: u16) -> f32 {
+    f32::from(value) / f32::from(u16::MAX)
+}
+
+fn check_asset(path: &Path, asset: &Asset) -> Result<(), IoError> {
+    check(path, &asset.mesh)?;
+    let num = asset.mesh.vertices.len();
+    let lengths = [
+        ("normals", asset.mesh.normals.len()),
+        ("texture coordinates", asset.texture_coords.len()),
+        ("tangents", asset.tangents.len()),
+    ];
+    for (what, len) in lengths {
+        if len != num {
+            return Err(IoError::write(
+                path,
+                format!("{len} {what} for {num} vertices"),
+            ));
+        }
+    }
+    let same =
+        asset.base_color.same_size(&asset.normal) && asset.base_color.same_size(&asset.occlusion);
+    match same {
+        true => Ok(()),
+        false => Err(IoError::write(path, "the textures are of different sizes")),
+    }
+}
+
+fn images(path: &Path, asset: &Asset) -> Result<AssetImages, IoError> {
+    let size = (asset.normal.width, asset.normal.height);
+    let rgb = |bytes: Vec<u8>| png(path, &bytes, size, ExtendedColorType::Rgb8);
+    let colors = asset.base_color.data.iter().flatten();
+    let normals = asset.normal.data.iter().flatten();
+    // 8-bit viewers take 128 for zero.
+    let byte = |v: &u16| (f32::from(*v) * 255.0 / f32::from(u16::MAX)).round() as u8;
+    let occlusion = asset.occlusion.data.iter();
+    Ok(AssetImages {
+        base_color: rgb(colors.map(|&v| srgb::encode_byte(share(v))).collect())?,
+        normal: rgb(normals.map(byte).collect())?,
+        occlusion: rgb(occlusion.flat_map(|&open| [open, 255, 0]).collect())?,
+    })
+}
+
+fn png16(path: &Path, image: &Raster<[u16; 3]>) -> Result<Vec<u8>, IoError> {
+    let bytes: Vec<u8> = image
+        .data
+        .iter()
+        .flatten()
+        .flat_map(|v| v.to_ne_bytes())
+        .collect();
+    let size = (image.width, image.height);
+    png(path, &bytes, size, ExtendedColorType::Rgb16)
+}
+
+fn png(
+    path: &Path,
+    bytes: &[u8],
+    (width, height): (usize, usize),
+    color: ExtendedColorType,
+) -> Result<Vec<u8>, IoError> {
+    let mut out = Vec::new();
+    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
+        .write_image(bytes, width as u32, height as u32, color)
+        .map_err(|error| IoError::write(path, error))?;
+    Ok(out)
+}
+
+/// Wavefront OBJ with texture coordinates, whose zero is the lower left corner there.
+fn write_obj(path: &Path, asset: &Asset, world: WorldCoordinates) -> Result<(), IoError> {
+    write_pieces(path, |out| {
+        let (unit, frame) = (world.unit.name(), world.frame.of_file());
+        writeln!(
+            out,
+            "# unit {unit}\n# frame {frame}\nmtllib asset.mtl\no object"
+        )?;
+        for [x, y, z] in &asset.mesh.vertices {
+            writeln!(out, "v {x} {y} {z}")?;
+        }
+        for [u, v] in &asset.texture_coords {
+            writeln!(out, "vt {u} {}", 1.0 - v)?;
+        }
+        for [x, y, z] in &asset.mesh.normals {
+            writeln!(out, "vn {x:.5} {y:.5} {z:.5}")?;
+        }
+        writeln!(out, "usemtl matte")?;
+        for t in &asset.mesh.triangles {
+            // The format counts from one.
+            let [a, b, c] = t.map(|v| u64::from(v) + 1);
+            writeln!(out, "f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}")?;
+        }
+        Ok(())
+    })
+}
