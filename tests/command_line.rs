@@ -1,5 +1,7 @@
 //! What is made from the definition of the command line, and where it is installed.
 
+#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
+
 mod common;
 
 use common::{arg, done, run};
@@ -40,7 +42,7 @@ fn is_there(program: &str, why: &str) -> bool {
 /// Runs another program, which must succeed.
 #[track_caller]
 fn succeeds(command: &mut Command) -> String {
-    let output = command.output().unwrap();
+    let output = command.output().expect("the program starts");
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(output.status.success() && stderr.is_empty(), "{stderr}");
     String::from_utf8_lossy(&output.stdout).into_owned()
@@ -116,8 +118,8 @@ fn bash_completes_commands_options_and_values() {
 /// Refuses what is no man page of a command.
 #[track_caller]
 fn assert_page(path: &Path) {
-    let page = std::fs::read_to_string(path).unwrap();
-    let name = path.file_stem().unwrap().to_string_lossy();
+    let page = std::fs::read_to_string(path).expect("a page");
+    let name = path.file_stem().expect("a name").to_string_lossy();
     // Preset strings of the generator come before the title.
     let first = page.lines().find(|line| !line.contains(".ds Aq"));
     let title = format!(
