@@ -1,4 +1,4 @@
-//! Tells the program which commit it is built from, where it is built from a repository.
+//! Tells the program which commit it is built from, where it is built from a repository, and with which features.
 
 use std::process::Command;
 
@@ -11,11 +11,31 @@ fn main() {
         }
     }
     let commit = git(&["show", "--no-patch", "--format=%h of %cs", "HEAD"]);
+    let features = features();
     let version = env!("CARGO_PKG_VERSION");
-    println!(
-        "cargo::rustc-env=RILIEVO_VERSION={}",
-        commit.map_or(version.to_owned(), |commit| format!("{version} ({commit})"))
-    );
+    let (short, long) = match commit {
+        Some(commit) => (
+            format!("{version} ({commit})"),
+            format!("{version} ({commit}; {features})"),
+        ),
+        None => (version.to_owned(), format!("{version} ({features})")),
+    };
+    println!("cargo::rustc-env=RILIEVO_VERSION={short}");
+    println!("cargo::rustc-env=RILIEVO_LONG_VERSION={long}");
+}
+
+/// The optional features of this build, as cargo tells them.
+fn features() -> String {
+    let mut names: Vec<String> = std::env::vars_os()
+        .filter_map(|(name, _)| name.into_string().ok())
+        .filter_map(|name| Some(name.strip_prefix("CARGO_FEATURE_")?.to_lowercase()))
+        .filter(|name| name != "default")
+        .collect();
+    names.sort();
+    match names.as_slice() {
+        [] => "no optional features".to_owned(),
+        names => format!("features: {}", names.join(", ")),
+    }
 }
 
 /// What git says; nothing where there is no git or no repository.

@@ -69,3 +69,13 @@ pub const EXPORT: &str = "\
 Examples:
   rilievo export run --format colmap -o colmap
   rilievo export run --format npz -o cameras.npz";
+
+pub const COMPLETIONS: &str = "\
+Examples:
+  rilievo completions bash
+  rilievo completions zsh";
+
+pub const MAN: &str = "\
+Examples:
+  rilievo man
+  rilievo man -o man1";

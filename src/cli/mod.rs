@@ -8,7 +8,8 @@ mod words;
 use crate::config::take_over;
 use crate::raw_child::DecodeRawArgs;
 use clap::builder::RangedU64ValueParser;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
 pub use formats::{ExportFormat, ImportFormat};
 use parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
@@ -28,7 +29,12 @@ use words::{
 
 /// Photographs of a plain, matte object to an accurate, finely detailed 3D model, by shading.
 #[derive(Debug, Parser)]
-#[command(version = env!("RILIEVO_VERSION"), max_term_width = 100, after_help = EXIT_CODES)]
+#[command(
+    version = env!("RILIEVO_VERSION"),
+    long_version = env!("RILIEVO_LONG_VERSION"),
+    max_term_width = 100,
+    after_help = EXIT_CODES
+)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]
@@ -38,6 +44,21 @@ pub struct Cli {
 const EXIT_CODES: &str = "Exit codes: 0 done, 1 unexpected error, 2 wrong usage, 3 input that cannot \
 be used, 4 the data do not allow a result, 5 run directory in use, damaged or of another version, \
 6 reading or writing failed, 130 interrupted (the same command goes on).";
+
+/// The definition without hidden commands, as shells complete it and man pages describe it: generators of completions
+/// take in all commands that there are, and none can be taken out of a definition.
+pub fn visible() -> clap::Command {
+    let whole = Cli::command();
+    let shown = whole.get_subcommands().filter(|c| !c.is_hide_set());
+    clap::Command::new(env!("CARGO_PKG_NAME"))
+        .version(env!("RILIEVO_VERSION"))
+        .long_version(env!("RILIEVO_LONG_VERSION"))
+        .about(whole.get_about().cloned().unwrap_or_default())
+        .after_help(EXIT_CODES)
+        .max_term_width(100)
+        .subcommand_required(true)
+        .subcommands(shown.cloned())
+}
 
 /// The commands.
 #[derive(Debug, Subcommand)]
@@ -85,6 +106,12 @@ pub enum Command {
     /// Cameras of a run, or of cameras.json, to another program's format
     #[command(after_help = examples::EXPORT)]
     Export(ExportArgs),
+    /// The completion script of a shell, on stdout
+    #[command(after_help = examples::COMPLETIONS)]
+    Completions(CompletionsArgs),
+    /// The man page of the program on stdout, or a page per command in a folder
+    #[command(after_help = examples::MAN)]
+    Man(ManArgs),
     /// One camera RAW file, from stdin to stdout: how this program decodes them
     #[command(hide = true)]
     DecodeRaw(DecodeRawArgs),
@@ -108,6 +135,8 @@ impl Command {
             | Self::Synth(_)
             | Self::Import(_)
             | Self::Export(_)
+            | Self::Completions(_)
+            | Self::Man(_)
             | Self::DecodeRaw(_) => return None,
         };
         work.threads
@@ -559,18 +588,47 @@ pub enum SynthFormat {
     Dng,
 }
 
+/// `rilievo completions`
+#[derive(Debug, Args)]
+pub struct CompletionsArgs {
+    /// The shell
+    pub shell: Shell,
+}
+
+/// `rilievo man`
+#[derive(Debug, Args)]
+pub struct ManArgs {
+    /// Folder for one page per command: rilievo.1, rilievo-reconstruct.1 and so on
+    #[arg(short, long, value_name = "DIR")]
+    pub output: Option<PathBuf>,
+    /// Replaces other pages of these names
+    #[arg(long, requires = "output")]
+    pub overwrite: bool,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn the_definition_is_consistent() {
-        <Cli as clap::CommandFactory>::command().debug_assert();
+        Cli::command().debug_assert();
+        visible().debug_assert();
+    }
+
+    #[test]
+    fn what_is_visible_has_the_programs_own_help_and_version() {
+        let (mut whole, mut visible) = (Cli::command(), visible());
+        let help = |program: &mut clap::Command| program.render_long_help().to_string();
+        assert_eq!(help(&mut visible), help(&mut whole));
+        assert_eq!(visible.render_version(), whole.render_version());
+        assert_eq!(visible.render_long_version(), whole.render_long_version());
+        assert!(visible.get_subcommands().all(|c| !c.is_hide_set()));
     }
 
     #[test]
     fn every_command_has_examples_that_it_understands() {
-        let program = <Cli as clap::CommandFactory>::command();
+        let program = Cli::command();
         for command in program.get_subcommands().filter(|c| !c.is_hide_set()) {
             let help = command.get_after_help().map(ToString::to_string);
             let help = help.unwrap_or_default();

@@ -4,11 +4,13 @@ mod bring;
 mod cameras;
 mod check;
 mod clean;
+mod completions;
 mod demo;
 mod diligent;
 mod evaluate;
 mod fuse;
 mod handshake;
+mod man;
 mod mask;
 mod output_files;
 mod reconstruct;
@@ -44,6 +46,8 @@ pub fn dispatch(command: Command) -> anyhow::Result<()> {
         Command::Mask(args) => mask::mask(&args),
         Command::Import(args) => cameras::import(&args),
         Command::Export(args) => cameras::export(&args),
+        Command::Completions(args) => completions::completions(&args),
+        Command::Man(args) => man::man(&args),
         // Answered before any command: it is no work of the user's.
         Command::DecodeRaw(_) => Ok(()),
     }
