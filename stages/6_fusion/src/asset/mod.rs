@@ -85,7 +85,7 @@ pub(crate) fn make(
         num_charts: unwrapped.num_charts,
         texture_size: [size.0, size.1],
         texel: unwrapped.texel,
-        is_bounded: size.0.max(size.1) + 4 > side && unwrapped.texel > texel,
+        is_bounded: size.0 >= side && unwrapped.texel > texel,
         used_share: covered as f64 / (size.0 * size.1) as f64,
         unseen_share: 1.0 - textures.num_seen() as f64 / covered.max(1) as f64,
         simplified_by,

@@ -4,10 +4,9 @@ use crate::error::FusionError;
 use rilievo_scene::{Mesh, Observer, StageId};
 use uvunwrap::{Density, Error, MeshInput, Options, generate_with_progress};
 
-/// Texels around each chart that belong to it: enough for three levels of smaller textures.
-const PADDING: u32 = 4;
-/// Texture sides are multiples of this, and no smaller than that.
-const BLOCK: usize = 4;
+/// Texels around each chart that belong to it.
+const PADDING: u32 = 3;
+/// Smallest side of a texture.
 const MIN_SIDE: usize = 64;
 /// Share of a texture that charts of a curved surface cover.
 const USED: f64 = 0.62;
@@ -39,10 +38,9 @@ pub(super) fn unwrap(
     let side = (num_texels.sqrt().ceil() as usize).clamp(MIN_SIDE, max_side.max(MIN_SIDE));
     let options = Options {
         density: Density::Auto {
-            page_size: (side / BLOCK * BLOCK) as u32,
+            page_size: side as u32,
         },
         padding: PADDING,
-        block_align: true,
         ..Options::default()
     };
     let input = MeshInput::new(&mesh.vertices, mesh.triangles.as_flattened());
@@ -68,7 +66,10 @@ pub(super) fn unwrap(
         vertices.map(|v| from[v.xref as usize]).collect()
     };
     Ok(Some(Unwrapped {
-        texture_coords: laid.vertices.iter().map(|v| v.uv).collect(),
+        // The library looks at its charts from below where v points down.
+        texture_coords: (laid.vertices.iter())
+            .map(|v| [v.uv[0], 1.0 - v.uv[1]])
+            .collect(),
         mesh: Mesh {
             vertices: pick(&mesh.vertices),
             normals: pick(&mesh.normals),
