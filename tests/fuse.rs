@@ -96,7 +96,14 @@ fn maps_of_two_programs_give_one_surface() {
         "-o",
         arg(&exr),
     ]);
-    for file in ["cloud.ply", "mesh.ply", "mesh.obj", "mesh.glb"] {
+    for file in [
+        "cloud.ply",
+        "mesh.ply",
+        "mesh.obj",
+        "mesh.glb",
+        "asset.glb",
+        "asset/asset.obj",
+    ] {
         assert!(exr.join(file).exists(), "{file}");
     }
     let workspace = dir.path().join("dense");
@@ -111,6 +118,7 @@ fn maps_of_two_programs_give_one_surface() {
     let more = ["--spacing", "0.004", "--formats", "glb"];
     let (code, _, stderr) = run(&[&arguments[..], &more].concat());
     assert!(colmap.join("mesh.glb").exists() && !colmap.join("mesh.obj").exists());
+    assert!(!colmap.join("asset.glb").exists() && !colmap.join("asset/normal.png").exists());
     assert_eq!(code, 0, "{stderr}");
     assert!(stderr.contains("--scale"), "{stderr}");
     assert!(num_points(&colmap) * 4 < num_points(&exr));

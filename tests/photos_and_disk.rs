@@ -177,6 +177,8 @@ fn a_full_disk_keeps_an_earlier_surface() {
         "mesh.ply",
         "mesh.obj",
         "mesh.glb",
+        "asset.glb",
+        "asset/base_color.exr",
         "report.json",
     ];
     let read = || files.map(|file| std::fs::read(out.join(file)).expect("a file"));

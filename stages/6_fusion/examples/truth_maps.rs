@@ -5,7 +5,7 @@
 //! `NAME_normal.exr` and `mesh.ply`; every view gets a smooth bias and white noise of these sizes.
 
 use nalgebra::{Point3, Vector3};
-use rilievo_fusion::{FusionOptions, Inputs, run};
+use rilievo_fusion::{Fused, FusionOptions, Inputs, run};
 use rilievo_io::{read_cameras, read_depth, read_mesh_ply, read_normal};
 use rilievo_scene::{
     MemoryScratch, PhotoSet, PointCloud, PosedViews, Raster, ShadedView, ShadedViews, Silent,
@@ -92,7 +92,7 @@ fn main() -> Fallible<()> {
         scratch: &MemoryScratch,
     };
     let mut cloud = PointCloud::default();
-    let (mesh, report) = run(inputs, &mut cloud, &FusionOptions::default(), &Silent)?;
+    let Fused { mesh, report, .. } = run(inputs, &mut cloud, &FusionOptions::default(), &Silent)?;
     println!("fused in {:.1} s", start.elapsed().as_secs_f64());
     println!("{}", serde_json::to_string_pretty(&report)?);
     let views: Vec<_> = truth.iter().map(|(pose, view)| (*pose, view)).collect();

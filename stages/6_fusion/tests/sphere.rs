@@ -65,9 +65,9 @@ fn fuse_with(
         scratch: &MemoryScratch,
     };
     let mut cloud = PointCloud::default();
-    let (mesh, report) = run(inputs, &mut cloud, options, observer)?;
-    let points = cloud.points;
-    Ok((Fused { points, mesh }, report))
+    let fused = run(inputs, &mut cloud, options, observer)?;
+    let (points, mesh) = (cloud.points, fused.mesh);
+    Ok((Fused { points, mesh }, fused.report))
 }
 
 fn fuse(

@@ -26,8 +26,8 @@ use rilievo_scene::{Asset, Mesh, Observer, StageId};
 use texture::Textures;
 use unwrap::Unwrapped;
 
-/// Edge of a texel, pixel footprints: no view tells more.
-const TEXEL_PX: f64 = 0.7;
+/// Edge of a texel, pixel footprints: what a view tells between its pixels is still there.
+const TEXEL_PX: f64 = 0.5;
 
 /// Makes the asset of a mesh; `None` where it has no triangles that could be laid out. `footprint`: of the views' pixels
 /// on the surface (world's unit).

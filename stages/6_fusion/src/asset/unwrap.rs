@@ -45,7 +45,10 @@ pub(super) fn unwrap(
     };
     let input = MeshInput::new(&mesh.vertices, mesh.triangles.as_flattened());
     let go_on = |progress: uvunwrap::Progress| {
-        let told = (progress.done, progress.total.unwrap_or(0).max(progress.done));
+        let told = (
+            progress.done,
+            progress.total.unwrap_or(0).max(progress.done),
+        );
         let flow = observer.progress(StageId::Fusion, "laying the surface out", told);
         flow.ok_or(()).is_ok()
     };
