@@ -1,7 +1,9 @@
 use super::*;
+use crate::error::IoError;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rilievo_scene::{
-    Intrinsics, Mesh, PhotoIdx, PosedView, PosedViews, RigidTransform, Unit, WorldFrame,
+    Asset, Intrinsics, Mesh, PhotoIdx, PosedView, PosedViews, Raster, RigidTransform, Unit,
+    WorldCoordinates, WorldFrame,
 };
 use std::path::Path;
 
@@ -133,4 +135,117 @@ fn broken_meshes_and_full_disks_are_named() {
         let error = write_mesh_obj(full, &triangle(), Unit::Metre).unwrap_err();
         assert_eq!(error.kind, crate::IoErrorKind::Write);
     }
+}
+
+fn asset() -> Asset {
+    Asset {
+        mesh: Mesh {
+            colors: Vec::new(),
+            ..triangle()
+        },
+        texture_coords: vec![[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]],
+        tangents: vec![[1.0, 0.0, 0.0, -1.0]; 3],
+        base_color: Raster::filled(5, 3, [14_146, 0, 65_535]),
+        normal: Raster::from_fn(5, 3, |x, _| [x as u16 * 257, 32_768, 65_535]),
+        occlusion: Raster::filled(5, 3, 200),
+    }
+}
+
+fn write_into(folder: &Path, asset: &Asset) -> Result<(), IoError> {
+    std::fs::create_dir_all(folder.join("asset")).unwrap();
+    let world = WorldCoordinates::from(Unit::Metre);
+    let frame = ViewerFrame::from_views(&views());
+    write_asset(asset, world, &frame, &|name| Ok(folder.join(name)))
+}
+
+#[test]
+fn an_independent_reader_finds_mesh_textures_and_material_of_an_asset() {
+    let dir = tempfile::tempdir().unwrap();
+    write_into(dir.path(), &asset()).unwrap();
+    let bytes = std::fs::read(dir.path().join("asset.glb")).unwrap();
+    // It validates against the specification's schema and references.
+    let gltf::Gltf { document, blob } = gltf::Gltf::from_slice(&bytes).unwrap();
+    let blob = blob.unwrap();
+    let primitive = document
+        .meshes()
+        .next()
+        .unwrap()
+        .primitives()
+        .next()
+        .unwrap();
+    let reader = primitive.reader(|_| Some(&blob));
+    let positions: Vec<[f32; 3]> = reader.read_positions().unwrap().collect();
+    assert_eq!(positions[2], [0.0, -0.25, -1.0]);
+    assert_eq!(primitive.bounding_box().max[0], 0.5);
+    // Turned as the mesh is: y and z point the other way, so that tangent and bitangent still lie along the texture.
+    let tangents: Vec<[f32; 4]> = reader.read_tangents().unwrap().collect();
+    assert_eq!(tangents[0], [1.0, 0.0, 0.0, -1.0]);
+    let coords = reader.read_tex_coords(0).unwrap().into_f32();
+    assert_eq!(coords.collect::<Vec<_>>()[2], [0.0, 0.5]);
+    let indices = reader.read_indices().unwrap().into_u32();
+    assert_eq!(indices.collect::<Vec<_>>(), [0, 2, 1]);
+    let material = primitive.material();
+    let pbr = material.pbr_metallic_roughness();
+    let png = |texture: gltf::Texture<'_>| {
+        let gltf::image::Source::View { view, mime_type } = texture.source().source() else {
+            panic!("images lie inside");
+        };
+        assert_eq!(mime_type, "image/png");
+        let bytes = &blob[view.offset()..view.offset() + view.length()];
+        image::load_from_memory(bytes).unwrap().into_rgb8()
+    };
+    let base = png(pbr.base_color_texture().unwrap().texture());
+    assert_eq!((base.width(), base.height()), (5, 3));
+    // Linear .2159 is sRGB 128.
+    assert_eq!(base.get_pixel(4, 2).0, [128, 0, 255]);
+    let normal = png(material.normal_texture().unwrap().texture());
+    assert_eq!(normal.get_pixel(3, 0).0, [3, 128, 255]);
+    let packed = png(material.occlusion_texture().unwrap().texture());
+    assert_eq!(packed.get_pixel(0, 0).0, [200, 255, 0]);
+    let rough = pbr.metallic_roughness_texture().unwrap().texture();
+    let occlusion = material.occlusion_texture().unwrap().texture();
+    assert_eq!(rough.index(), occlusion.index());
+    assert_eq!((pbr.metallic_factor(), pbr.roughness_factor()), (1.0, 1.0));
+}
+
+#[test]
+fn an_assets_folder_holds_obj_and_images_of_full_depth() {
+    let dir = tempfile::tempdir().unwrap();
+    write_into(dir.path(), &asset()).unwrap();
+    let folder = dir.path().join("asset");
+    let text = std::fs::read_to_string(folder.join("asset.obj")).unwrap();
+    assert!(text.contains("mtllib asset.mtl\n") && text.contains("usemtl matte\n"));
+    // Its texture coordinates begin below.
+    assert!(text.contains("\nvt 0 0.5\n"), "{text}");
+    assert!(text.ends_with("\nf 1/1/1 3/3/3 2/2/2\n"), "{text}");
+    let material = std::fs::read_to_string(folder.join("asset.mtl")).unwrap();
+    for line in material.lines().filter(|line| line.ends_with(".png")) {
+        let name = line.split(' ').next_back().unwrap();
+        assert!(folder.join(name).exists(), "{name}");
+    }
+    let normal = image::open(folder.join("normal.png")).unwrap().into_rgb16();
+    assert_eq!(normal.get_pixel(3, 0).0, [771, 32_768, 65_535]);
+    let base = crate::exr_maps::read_linear(&folder.join("base_color.exr")).unwrap();
+    assert!(
+        (base.pixel(0, 0)[0] - 0.2159).abs() < 1e-3,
+        "{:?}",
+        base.pixel(0, 0)
+    );
+}
+
+#[test]
+fn an_asset_that_contradicts_itself_is_refused_before_anything_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut short = asset();
+    short.tangents.pop();
+    let error = write_into(dir.path(), &short).unwrap_err();
+    assert!(
+        error.to_string().contains("2 tangents for 3 vertices"),
+        "{error}"
+    );
+    let mut other = asset();
+    other.occlusion = Raster::filled(4, 3, 0);
+    let error = write_into(dir.path(), &other).unwrap_err();
+    assert!(error.to_string().contains("different sizes"), "{error}");
+    assert!(!dir.path().join("asset.glb").exists());
 }
