@@ -1,5 +1,5 @@
 "use strict";
-// The surface in plain WebGL: turned, moved, brought nearer, relit by two sliders, and measured.
+// The surface in plain WebGL: turned, moved, brought nearer, relit by two sliders or by dragging the light, and measured.
 (() => {
   const canvas = document.getElementById("viewer");
   if (!canvas) return;
@@ -34,21 +34,25 @@
     return program;
   };
   const surface = link(`
-    attribute vec3 position, normal, color;
+    attribute vec3 position, normal, color; attribute vec4 tangent; attribute vec2 place;
     uniform mat4 projection, view; uniform vec3 low, size;
-    varying vec3 n, c;
+    varying vec3 n, c, t, b; varying vec2 uv;
     void main() {
       vec4 p = view * vec4(low + position * size, 1.0);
       gl_Position = projection * p;
-      n = mat3(view) * normal; c = color;
+      n = mat3(view) * normal; c = color; uv = place;
+      t = mat3(view) * tangent.xyz; b = cross(n, t) * sign(tangent.w);
     }`, `
     precision mediump float;
-    varying vec3 n, c; uniform vec3 light; uniform int mode;
+    varying vec3 n, c, t, b; varying vec2 uv; uniform vec3 light; uniform int mode;
+    uniform bool textured; uniform sampler2D colors, normals;
     void main() {
-      vec3 m = normalize(n);
+      vec3 m = n;
+      if (textured) { vec3 q = 2.0 * texture2D(normals, uv).xyz - 1.0; m = q.x * t + q.y * b + q.z * n; }
+      m = normalize(m);
       // The back of the surface, as through a hole, is dim.
       if (m.z < -0.25) gl_FragColor = vec4(vec3(0.18 + 0.1 * abs(m.z)), 1.0);
-      else if (mode == 1) gl_FragColor = vec4(c, 1.0);
+      else if (mode == 1) gl_FragColor = textured ? texture2D(colors, uv) : vec4(c, 1.0);
       else if (mode == 2) gl_FragColor = vec4(0.5 + 0.5 * m, 1.0);
       else { float s = 0.12 + 0.88 * max(dot(m, light), 0.0); gl_FragColor = vec4(vec3(pow(s, 0.4545)), 1.0); }
     }`);
@@ -57,7 +61,7 @@
     void main() { gl_Position = projection * view * vec4(position, 1.0); }`, `
     precision mediump float; void main() { gl_FragColor = vec4(1.0, 0.83, 0.0, 1.0); }`);
 
-  const vertexBytes = 12 * data.vertices;
+  const record = 18, vertexBytes = record * data.vertices;
   const vertices = gl.createBuffer();
   gl.bindBuffer(gl.ARRAY_BUFFER, vertices);
   gl.bufferData(gl.ARRAY_BUFFER, bytes.subarray(0, vertexBytes), gl.STATIC_DRAW);
@@ -66,7 +70,23 @@
   gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, bytes.subarray(vertexBytes), gl.STATIC_DRAW);
   const numCorners = (bytes.length - vertexBytes) / 2;
   const words = new DataView(bytes.buffer);
-  const vertex = (k) => low.map((l, a) => l + words.getUint16(12 * k + 2 * a, true) / 65535 * (high[a] - l));
+  const vertex = (k) => low.map((l, a) => l + words.getUint16(record * k + 2 * a, true) / 65535 * (high[a] - l));
+
+  // Textures appear when they are decoded. Smaller levels would mix what lies side by side on them.
+  let textured = false;
+  const textures = (data.textures || []).map((url) => ({ url, texture: gl.createTexture() }));
+  Promise.all(textures.map(({ url, texture }) => new Promise((done, failed) => {
+    const image = new Image();
+    image.onload = () => {
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, image);
+      for (const [name, value] of [["TEXTURE_MIN_FILTER", "LINEAR"], ["TEXTURE_WRAP_S", "CLAMP_TO_EDGE"],
+        ["TEXTURE_WRAP_T", "CLAMP_TO_EDGE"]]) gl.texParameteri(gl.TEXTURE_2D, gl[name], gl[value]);
+      done();
+    };
+    image.onerror = failed;
+    image.src = url;
+  }))).then(() => { textured = textures.length === 2; redraw(); });
 
   // A camera is drawn as the pyramid that its frame spans at a fifteenth of the object's size.
   const segments = [];
@@ -171,19 +191,28 @@
     const [a, b] = [control("light-x").value * Math.PI / 180, control("light-y").value * Math.PI / 180];
     gl.uniform3f(uniform("light"), Math.sin(a) * Math.cos(b), Math.sin(b), Math.cos(a) * Math.cos(b));
     gl.uniform1i(uniform("mode"), Number(control("viewer-mode").value));
+    gl.uniform1i(uniform("textured"), textured ? 1 : 0);
+    textures.forEach(({ texture }, k) => {
+      gl.activeTexture(gl.TEXTURE0 + k);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+    });
+    gl.uniform1i(uniform("colors"), 0);
+    gl.uniform1i(uniform("normals"), 1);
     gl.bindBuffer(gl.ARRAY_BUFFER, vertices);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, triangles);
-    const attribute = (name, type, offset) => {
+    const attribute = (name, size, type, offset) => {
       const location = gl.getAttribLocation(surface, name);
       if (location < 0) return;
       gl.enableVertexAttribArray(location);
-      gl.vertexAttribPointer(location, 3, type, true, 12, offset);
+      gl.vertexAttribPointer(location, size, type, true, record, offset);
     };
-    attribute("position", gl.UNSIGNED_SHORT, 0);
-    attribute("normal", gl.BYTE, 6);
-    attribute("color", gl.UNSIGNED_BYTE, 9);
+    attribute("position", 3, gl.UNSIGNED_SHORT, 0);
+    attribute("place", 2, gl.UNSIGNED_SHORT, 6);
+    attribute("normal", 3, gl.BYTE, 10);
+    attribute("tangent", 4, gl.BYTE, 13);
+    attribute("color", 3, gl.UNSIGNED_BYTE, 13);
     gl.drawElements(gl.TRIANGLES, numCorners, gl.UNSIGNED_SHORT, 0);
-    for (const name of ["position", "normal", "color"]) {
+    for (const name of ["position", "place", "normal", "tangent", "color"]) {
       const location = gl.getAttribLocation(surface, name);
       if (location >= 0) gl.disableVertexAttribArray(location);
     }
@@ -240,6 +269,10 @@
       distance *= before.size / Math.max(now.size, 1);
     } else if (event.shiftKey || event.buttons & 6) {
       pan(dx, dy);
+    } else if (control("viewer-light").checked) {
+      for (const [id, step] of [["light-x", dx], ["light-y", -dy]]) {
+        control(id).value = Number(control(id).value) + step / 2;
+      }
     } else {
       turn -= dx / 200;
       tilt = limit(tilt - dy / 200);

@@ -19,7 +19,7 @@ const DIFFERENCE_MAX: f32 = 0.25;
 /// Views beyond this many have no pictures in the page: they would be too small to tell anything.
 const MAX_NUM_VIEWS: usize = 40;
 /// Bytes of the page that all pictures of all views may take.
-const PICTURE_BYTES: usize = 3_600_000;
+const PICTURE_BYTES: usize = 2_600_000;
 /// Pictures of a view that has all.
 const NUM_PICTURES: usize = 9;
 /// Anchors and sparse points drawn in all photos together: a dot takes some fifteen bytes.

@@ -79,7 +79,9 @@ pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_
 pub use mask::{mask_file, read_mask, write_mask};
 pub use mask_names::{MaskNames, masks_among};
 pub use mat::{MatArray, read_mat};
-pub use mesh::{ViewerFrame, write_asset, write_mesh_glb, write_mesh_obj};
+pub use mesh::{
+    AssetMesh, ViewerFrame, read_asset_mesh, write_asset, write_mesh_glb, write_mesh_obj,
+};
 pub use photo::{
     RawDecoder, decode_photo, decode_photo_bytes, decode_raw_here, decoder_is_guarded,
     is_photo_name, photo_size, set_raw_decoder,

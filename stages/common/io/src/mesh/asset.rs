@@ -12,10 +12,10 @@ use super::check::check;
 use super::glb::{AssetImages, ViewerFrame, write_asset_glb};
 use crate::error::IoError;
 use crate::exr_maps::write_linear_half;
-use crate::files::write_pieces;
+use crate::files::{read_regular, write_pieces};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder};
-use rilievo_scene::{Asset, LinearImage, Raster, WorldCoordinates, srgb};
+use rilievo_scene::{Asset, LinearImage, Mesh, Raster, WorldCoordinates, srgb};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -63,6 +63,59 @@ pub fn write_asset<E: From<IoError>>(
             .collect(),
     };
     Ok(write_linear_half(&path("asset/base_color.exr")?, &linear)?)
+}
+
+/// An asset's mesh, without its textures, in the world frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AssetMesh {
+    /// Without colours.
+    pub mesh: Mesh,
+    /// As of [`Asset`].
+    pub texture_coords: Vec<[f32; 2]>,
+    /// As of [`Asset`].
+    pub tangents: Vec<[f32; 4]>,
+}
+
+/// Reads the mesh of an `asset.glb` that was written in a frame.
+///
+/// # Errors
+/// When the file cannot be read, or is no such asset.
+pub fn read_asset_mesh(path: &Path, frame: &ViewerFrame) -> Result<AssetMesh, IoError> {
+    let bytes = read_regular(path)?;
+    let other =
+        |reason: &str| IoError::input(path, format!("is no asset of this program: {reason}"));
+    let gltf::Gltf { document, blob } =
+        gltf::Gltf::from_slice(&bytes).map_err(|error| other(&error.to_string()))?;
+    let mesh = document.meshes().next();
+    let primitive = mesh.and_then(|mesh| mesh.primitives().next());
+    let primitive = primitive.ok_or_else(|| other("it has no mesh"))?;
+    let reader = primitive.reader(|_| blob.as_deref());
+    let parts = || {
+        let back = |v: [f32; 3]| frame.turn_back(v);
+        let indices: Vec<u32> = reader.read_indices()?.into_u32().collect();
+        Some(AssetMesh {
+            mesh: Mesh {
+                vertices: reader.read_positions()?.map(back).collect(),
+                normals: reader.read_normals()?.map(back).collect(),
+                colors: Vec::new(),
+                triangles: indices.as_chunks::<3>().0.to_vec(),
+            },
+            texture_coords: reader.read_tex_coords(0)?.into_f32().collect(),
+            tangents: (reader.read_tangents()?)
+                .map(|[x, y, z, sign]| {
+                    let [x, y, z] = back([x, y, z]);
+                    [x, y, z, sign]
+                })
+                .collect(),
+        })
+    };
+    let found = parts().ok_or_else(|| other("its vertices lack something"))?;
+    check(path, &found.mesh)?;
+    let num = found.mesh.vertices.len();
+    match found.texture_coords.len() == num && found.tangents.len() == num {
+        true => Ok(found),
+        false => Err(other("its vertices lack something")),
+    }
 }
 
 /// What an OBJ's reader finds of the material; `norm` is the name that Blender and others give the normal map.

@@ -81,6 +81,13 @@ impl ViewerFrame {
             .map(|c| c as f32)
             .into()
     }
+
+    /// The other way.
+    pub(super) fn turn_back(&self, v: [f32; 3]) -> [f32; 3] {
+        (self.rotation.transpose() * Vector3::from(v.map(f64::from)))
+            .map(|c| c as f32)
+            .into()
+    }
 }
 
 fn linear(byte: u8) -> u16 {
