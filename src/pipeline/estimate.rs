@@ -30,7 +30,14 @@ pub const REPORT: &str = "report";
 pub const WRITING: &str = "writing the report";
 
 /// Steps that one thread does for the most part.
-const ON_ONE_THREAD: [&str; 3] = ["loading maps", "joining the surface", WRITING];
+const ON_ONE_THREAD: [&str; 6] = [
+    "loading maps",
+    "joining the surface",
+    "making a light mesh",
+    "laying the surface out",
+    "filling the textures' gaps",
+    WRITING,
+];
 
 /// Rounds of light and shape that are mostly taken.
 const NUM_ROUNDS: usize = 4;
@@ -55,6 +62,8 @@ struct Work {
     /// The same at the level at which the surface is found.
     coarse_px: f64,
     pairs: f64,
+    /// Triangles of the asset, 0 where none is made.
+    asset_faces: f64,
 }
 
 /// What a request is expected to cost, told to the user with the forecast that it will take up to a stage; `None` where no
@@ -162,6 +171,10 @@ impl Work {
             } else {
                 all_pairs
             },
+            asset_faces: match request.options.fusion.makes_asset() {
+                true => request.options.fusion.asset_faces as f64,
+                false => 0.0,
+            },
         })
     }
 
@@ -258,13 +271,34 @@ impl Work {
                 1.4e-6 * object_px,
             ),
             of(StageId::Fusion, "joining the surface", 2.3e-6 * object_px),
-            ExpectedStep {
-                of: REPORT,
-                step: WRITING,
-                seconds: 0.3 * n + 2.4e-7 * photo_px,
-                replaces: None,
-            },
         ]);
+        if self.asset_faces > 0.0 {
+            steps.extend([
+                of(StageId::Fusion, "making a light mesh", 1.2e-6 * object_px),
+                of(
+                    StageId::Fusion,
+                    "laying the surface out",
+                    2.6e-5 * self.asset_faces,
+                ),
+                of(
+                    StageId::Fusion,
+                    "finding what the sky reaches",
+                    2.9e-5 * self.asset_faces,
+                ),
+                of(StageId::Fusion, "baking textures", 2.1e-6 * object_px),
+                of(
+                    StageId::Fusion,
+                    "filling the textures' gaps",
+                    2.3e-6 * object_px,
+                ),
+            ]);
+        }
+        steps.push(ExpectedStep {
+            of: REPORT,
+            step: WRITING,
+            seconds: 0.3 * n + 2.4e-7 * photo_px,
+            replaces: None,
+        });
         steps
     }
 
@@ -273,7 +307,11 @@ impl Work {
     fn disk_bytes(&self) -> f64 {
         const PHOTOS_AROUND: f64 = 14.0;
         let surface = (self.photos / PHOTOS_AROUND).sqrt().min(1.0) * self.object_px / self.photos;
-        6.0 * self.photo_px + 45.0 * self.object_px + 4.5e6 * self.photos + 2200.0 * surface
+        6.0 * self.photo_px
+            + 45.0 * self.object_px
+            + 4.5e6 * self.photos
+            + 2300.0 * surface
+            + 200.0 * self.asset_faces
     }
 }
 

@@ -61,7 +61,7 @@ use rilievo_scene::{
 use views::Stock;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 8;
+pub const VERSION: u32 = 9;
 
 /// Views that each view is compared with for offsets: more only repeat what these say.
 const NUM_NEIGHBOURS: usize = 4;
