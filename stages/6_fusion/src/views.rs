@@ -82,7 +82,7 @@ pub(crate) fn prepare(
             views.len(),
             camera_of,
             &cleaned,
-            (colors.as_deref(), albedo.as_deref()),
+            [colors.as_deref(), albedo.as_deref()],
             &mut shelf,
         )?);
         reports.push(report);
@@ -99,7 +99,7 @@ fn put_aside(
     idx: usize,
     camera_of: &PosedView,
     maps: &Maps,
-    (colors, albedo): (Option<&[[u8; 3]]>, Option<&[[u8; 3]]>),
+    [colors, albedo]: [Option<&[[u8; 3]]>; 2],
     shelf: &mut Shelf,
 ) -> Result<View, FusionError> {
     let size = [maps.camera.width, maps.camera.height];

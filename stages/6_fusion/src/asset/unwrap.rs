@@ -52,7 +52,7 @@ pub(super) fn unwrap(
         let flow = observer.progress(StageId::Fusion, "laying the surface out", told);
         flow.ok_or(()).is_ok()
     };
-    let atlas = match generate_with_progress(&[input], &options, &go_on) {
+    let atlas = match generate_with_progress(&[input], &options, go_on) {
         Ok(atlas) => Some(atlas).filter(|atlas| atlas.page_count == 1),
         Err(Error::Cancelled) => return Err(FusionError::Interrupted),
         // Nothing fits: there is a mesh, and no asset.

@@ -255,7 +255,8 @@ fn split(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::noise::unit;
+    use rand::{Rng, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     /// Triangles by themselves, each with its own corners.
     fn soup(triangles: &[[[f32; 3]; 3]]) -> Mesh {
@@ -302,13 +303,16 @@ mod tests {
 
     #[test]
     fn agrees_with_testing_every_triangle() {
-        let number = |i: u32, j: u32| unit([i, j, 3, 3]) as f32;
-        let vertices: Vec<[f32; 3]> = (0..900)
-            .map(|i| {
-                let base = i / 3;
-                std::array::from_fn(|k| number(base, k as u32) + 0.2 * number(i + 5000, k as u32))
-            })
-            .collect();
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        let mut place = || -> [f32; 3] { std::array::from_fn(|_| random.random()) };
+        let mut vertices = Vec::new();
+        for _ in 0..300 {
+            let base = place();
+            for _ in 0..3 {
+                let aside = place();
+                vertices.push(std::array::from_fn(|k| base[k] + 0.2 * aside[k]));
+            }
+        }
         let triangles = (0..300).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
         let mesh = Mesh {
             vertices,
@@ -318,8 +322,8 @@ mod tests {
         let bvh = Bvh::new(&mesh);
         let mut hits = 0;
         for i in 0..2000 {
-            let origin = std::array::from_fn(|k| 3.0 * number(i, 10 + k as u32) - 1.0);
-            let target: [f32; 3] = std::array::from_fn(|k| number(i, 20 + k as u32));
+            let origin = place().map(|c| 3.0 * c - 1.0);
+            let target = place();
             let direction = sub(target, origin);
             let brute = (0..300)
                 .filter_map(|t| bvh.meet(t, origin, direction))
