@@ -76,7 +76,12 @@ fn modules(source: &Path) -> BTreeMap<Module, PathBuf> {
             } else if path.extension().is_some_and(|ending| ending == "rs")
                 && !is_tests_module(&path)
             {
-                let is_folders_own = ["mod", "lib", "main"].contains(&name.as_str());
+                // A program beside a library of its own is a file like others: the library is the root.
+                let is_folders_own = match name.as_str() {
+                    "mod" | "lib" => true,
+                    "main" => !folder.join("lib.rs").exists(),
+                    _ => false,
+                };
                 into.insert(
                     if is_folders_own {
                         module.clone()
