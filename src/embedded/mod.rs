@@ -6,11 +6,13 @@
 
 mod failure;
 mod host;
+mod poses;
 mod results;
 mod shade;
 
 pub use failure::CommandFailure;
 pub use host::{News, Stop, Tell, decode_raw, decode_raw_with};
+pub use poses::{pose_of_rows, pose_rows};
 pub use results::{RunResults, ViewCamera};
 pub use rilievo_scene::{
     DecodedPhoto, DepthMap, Distortion, ExifFacts, Intrinsics, Lighting, LinearImage, Mask,
