@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from typing import Any, Iterable, Optional, Union
+from typing import Any, Iterable, Mapping, Optional, Union
 
 from . import _rilievo
 from ._errors import UsageError
@@ -84,7 +84,7 @@ def reconstruct(
     KeyboardInterrupt
         After Ctrl-C, when the work at hand has ended.
     """
-    given = dict(
+    given: dict[str, object] = dict(
         masks=masks,
         cameras=cameras,
         sphere=sphere,
@@ -172,7 +172,8 @@ def evaluate(
     path = run.path if isinstance(run, Run) else run
     given = dict(truth=truth, align=align)
     arguments = ["evaluate", *_options(given, {}), "--", _path("run", path)]
-    return json.loads(_rilievo.evaluate(arguments, hearing(progress)))
+    found: dict[str, Any] = json.loads(_rilievo.evaluate(arguments, hearing(progress)))
+    return found
 
 
 def _path(name: str, value: Any) -> str:
@@ -197,7 +198,7 @@ def _option(name: str, value: object) -> str:
     return f"--{name.replace('_', '-')}={value}"
 
 
-def _options(given: dict[str, object], further: dict[str, object]) -> list[str]:
+def _options(given: Mapping[str, object], further: Mapping[str, object]) -> list[str]:
     """Arguments of the command line; a name that it does not know is refused there."""
     arguments = []
     for name, value in [*given.items(), *further.items()]:

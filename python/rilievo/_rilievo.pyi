@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 __version__: str
-__file__: str
 
 _Float = npt.NDArray[np.float32]
 _News = Callable[[str, str], object]

@@ -109,7 +109,7 @@ class Run:
                 K=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
                 cam_from_world=np.array(pose),
                 distortion=np.array(distortion) if any(distortion) else None,
-                size=tuple(size),
+                size=size,
                 image=image,
             )
         return cameras

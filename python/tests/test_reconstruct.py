@@ -97,7 +97,7 @@ def test_results_are_read_back(interrupted, photographed):
     assert len(cloud) == len(points) > 1000
     assert points.shape == normals.shape == colors.shape and colors.dtype == np.uint8
     assert np.allclose(np.linalg.norm(normals, axis=-1), 1, atol=1e-3)
-    assert run.report["verdict"]["verdict"] in ("good", "usable", "untrusted")
+    assert run.report["verdict"]["level"] in ("good", "usable", "untrusted")
 
     for read in (run.depth, run.normal, run.albedo):
         with pytest.raises(rilievo.InputError, match="IMG_0001"):
