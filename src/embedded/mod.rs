@@ -4,6 +4,7 @@
 //! caller asks a command to stop by the [`Stop`] that it gives it, and takes what there is to show by a function ([`News`]).
 //! Every command has threads of its own, which end with it. A panic is a failure like others.
 
+mod arguments;
 mod failure;
 mod host;
 mod poses;
@@ -20,9 +21,9 @@ pub use rilievo_scene::{
 };
 pub use shade::{ArrayView, ShadeRequest, ShadedArrays, shade};
 
-use crate::cli::{Cli, Command};
+use crate::cli::Command;
 use crate::commands;
-use clap::Parser;
+use arguments::parsed;
 use host::{console, guarded, in_own_threads};
 use std::ffi::OsString;
 
@@ -62,11 +63,4 @@ pub fn evaluate(
             Ok(serde_json::to_value(&found).map_err(anyhow::Error::from)?)
         })
     })
-}
-
-/// The command that arguments stand for.
-fn parsed(arguments: &[OsString]) -> Result<Command, CommandFailure> {
-    let program = OsString::from("rilievo");
-    let cli = Cli::try_parse_from(std::iter::once(&program).chain(arguments))?;
-    Ok(cli.command)
 }

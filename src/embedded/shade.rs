@@ -1,8 +1,8 @@
 //! `rilievo shade` on arrays.
 
+use super::arguments::parsed;
 use super::failure::CommandFailure;
 use super::host::{Stop, Tell, console, guarded, in_own_threads};
-use super::parsed;
 use crate::cli::Command;
 use crate::commands::{Described, ViewParts, reporting_to, shade_options, solve_shading};
 use rilievo_scene::{
