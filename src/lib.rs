@@ -3,7 +3,7 @@
 //! The program knows files, flags and the terminal; the stages in `stages/` are functions from data
 //! to data. See ARCHITECTURE.md for how data flow.
 //!
-//! This library is the program: [`program`] is all of it, as it is called from a shell, and [`embedded`]
+//! This library is the program: [`program()`] is all of it, as it is called from a shell, and [`embedded`]
 //! is what another program can call in its own process.
 
 #[macro_use]
