@@ -1,4 +1,5 @@
-//! Camera RAW files, decoded by a child process of this program.
+//! Camera RAW files, decoded by a child process of this program. Inside another program the child is what that one says
+//! ([`set_child`]): started again, it would not know the command.
 //!
 //! The RAW library reads what people's disks hold, and a damaged file can make it ask for more memory than
 //! there is, or never end; neither can be caught in the process where it happens, and the other photos
@@ -17,9 +18,11 @@
 use rilievo_io::{IoError, IoErrorKind, decode_raw_here};
 use rilievo_scene::{DecodedPhoto, Samples};
 use serde::{Deserialize, Serialize};
+use std::ffi::OsString;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, ExitStatus, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
 
 /// Address space that any photo may take, and more for each byte of its file. A pixel takes some 48 bytes
 /// while it is decoded, and the smallest files (lossy ones) hold five pixels in a byte: a hundred megapixels
@@ -34,6 +37,12 @@ const BYTES_PER_SECOND: u64 = 1 << 20;
 
 /// Samples that are moved at a time.
 const CHUNK: usize = 1 << 14;
+
+/// Exit code of a child whose pipes fail.
+const READ_OR_WRITE: u8 = 6;
+
+/// The child's program with its first arguments, where it is not the one that runs.
+static CHILD: OnceLock<Vec<OsString>> = OnceLock::new();
 
 /// What comes before the samples.
 #[derive(Serialize, Deserialize)]
@@ -74,7 +83,18 @@ fn kept_from_ending(path: &Path, reason: String) -> IoError {
     }
 }
 
-fn start(path: &Path) -> std::io::Result<Child> {
+/// Has another program than the running one be the child: `program` with its arguments, to which the file's name is
+/// added, calls [`serve`]. Once, before the first file is decoded.
+pub fn set_child(program: Vec<OsString>) {
+    // The first one said is as good as a later one.
+    let _ = CHILD.set(program);
+}
+
+/// The child's program with its arguments, but for the file's name.
+fn program() -> std::io::Result<Vec<OsString>> {
+    if let Some(program) = CHILD.get() {
+        return Ok(program.clone());
+    }
     // The running program, also where its file has been replaced since.
     let running = Path::new("/proc/self/exe");
     let program = if running.exists() {
@@ -82,9 +102,17 @@ fn start(path: &Path) -> std::io::Result<Child> {
     } else {
         std::env::current_exe()?
     };
+    Ok(vec![program.into(), "decode-raw".into(), "--".into()])
+}
+
+fn start(path: &Path) -> std::io::Result<Child> {
+    let program = program()?;
+    let (program, arguments) = program
+        .split_first()
+        .ok_or_else(|| std::io::Error::other("it has no name"))?;
     let mut command = Command::new(program);
     command
-        .args(["decode-raw", "--"])
+        .args(arguments)
         .arg(path.file_name().unwrap_or_default())
         // Photos are decoded side by side already; and each thread takes address space.
         .env("RAYON_NUM_THREADS", "1")
@@ -147,18 +175,18 @@ fn is_files_fault(status: ExitStatus) -> bool {
     status.code() == Some(PANICKED)
 }
 
-/// The child: `rilievo decode-raw NAME`.
-pub fn serve(name: &Path) -> ExitCode {
+/// The child: `rilievo decode-raw NAME`. Answers with its exit code.
+pub fn serve(name: &Path) -> u8 {
     let mut bytes = Vec::new();
     if std::io::stdin().lock().read_to_end(&mut bytes).is_err() || bound_self(bytes.len()).is_err()
     {
-        return ExitCode::from(6);
+        return READ_OR_WRITE;
     }
     let outcome = decode_raw_here(name, &bytes).map_err(|error| error.reason);
     let stdout = std::io::stdout().lock();
     match write_answer(stdout, outcome) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(_) => ExitCode::from(6),
+        Ok(()) => 0,
+        Err(_) => READ_OR_WRITE,
     }
 }
 

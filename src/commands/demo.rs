@@ -52,7 +52,7 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
     let judgement = brought.tell(&run, console);
     let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     let evaluation = comparison.measure()?;
-    comparison.show(&evaluation)?;
+    comparison.show(&evaluation, &|line| tell!("{line}"))?;
     if args.work.json {
         let line = serde_json::json!({"event": "evaluation", "evaluation": evaluation});
         say!("{line}")?;

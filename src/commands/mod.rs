@@ -24,7 +24,13 @@ mod synth;
 #[cfg(test)]
 pub use synth::SynthOptions;
 
+pub use evaluate::evaluation;
+pub use reporting::reporting_to;
+pub use shade::{Described, ViewParts, options as shade_options, solve as solve_shading};
+
 use crate::cli::Command;
+use crate::exit::Failure;
+use crate::observe::Console;
 
 /// Runs the command of a command line.
 ///
@@ -50,5 +56,20 @@ pub fn dispatch(command: Command) -> anyhow::Result<()> {
         Command::Man(args) => man::man(&args),
         // Answered before any command: it is no work of the user's.
         Command::DecodeRaw(_) => Ok(()),
+    }
+}
+
+/// Runs a command inside another program, on that one's console.
+///
+/// # Errors
+/// As [`dispatch`]; and for a command that has results for a terminal only.
+pub fn dispatch_to(command: &Command, console: &Console) -> anyhow::Result<()> {
+    match command {
+        Command::Reconstruct(args) => reconstruct::reconstruct_to(args, console),
+        Command::Synth(args) => synth::synth_to(args, console),
+        _ => {
+            let reason = "only reconstruct and synth run inside another program; the command line has the others";
+            Err(Failure::Usage(reason.to_owned()).into())
+        }
     }
 }

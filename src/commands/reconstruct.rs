@@ -2,8 +2,9 @@
 
 use super::bring::{Allowed, bring_run_up_to_date};
 use super::mask::with_own_masks;
-use super::reporting::reporting_judged;
+use super::reporting::reporting_judged_to;
 use crate::cli::ReconstructArgs;
+use crate::observe::Console;
 use crate::pipeline::{Range, Request};
 use rilievo_scene::StageId;
 
@@ -12,13 +13,21 @@ use rilievo_scene::StageId;
 /// # Errors
 /// The first failure; stages before it stay committed, and the same command goes on from there.
 pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
+    reconstruct_to(args, &Console::new(args.work.json))
+}
+
+/// The same on a console that is there already.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn reconstruct_to(args: &ReconstructArgs, console: &Console) -> anyhow::Result<()> {
     let range = Range {
         redo_from: args.from,
         until: args.until.unwrap_or(StageId::Fusion),
         then_masked_until: None,
     };
     let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
-    reporting_judged(args.work.json, args.strict, facts, |console| {
+    reporting_judged_to(console, args.strict, facts, |console| {
         let mut request = Request::from_args(args)?;
         let allowed = Allowed {
             overwrite: args.overwrite,

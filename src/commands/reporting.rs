@@ -12,7 +12,16 @@ pub fn reporting(
     facts: serde_json::Value,
     command: impl FnOnce(&Console) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    reporting_found(json, |console| (command(console), facts))
+    reporting_to(&Console::new(json), facts, command)
+}
+
+/// As [`reporting`], on a console that is there already.
+pub fn reporting_to(
+    console: &Console,
+    facts: serde_json::Value,
+    command: impl FnOnce(&Console) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    found_to(console, |console| (command(console), facts))
 }
 
 /// As [`reporting`], with facts that the command finds, whether it fails or not.
@@ -20,8 +29,14 @@ pub fn reporting_found(
     json: bool,
     command: impl FnOnce(&Console) -> (anyhow::Result<()>, serde_json::Value),
 ) -> anyhow::Result<()> {
-    let console = Console::new(json);
-    let (outcome, facts) = command(&console);
+    found_to(&Console::new(json), command)
+}
+
+fn found_to(
+    console: &Console,
+    command: impl FnOnce(&Console) -> (anyhow::Result<()>, serde_json::Value),
+) -> anyhow::Result<()> {
+    let (outcome, facts) = command(console);
     let outcome = ranks::agree(outcome);
     let mut line = serde_json::json!({ "exit_code": 0 });
     if let (Some(line), serde_json::Value::Object(facts)) = (line.as_object_mut(), facts) {
@@ -40,10 +55,20 @@ pub fn reporting_found(
 pub fn reporting_judged(
     json: bool,
     strict: bool,
+    facts: serde_json::Value,
+    command: impl FnOnce(&Console) -> anyhow::Result<Option<Judgement>>,
+) -> anyhow::Result<()> {
+    reporting_judged_to(&Console::new(json), strict, facts, command)
+}
+
+/// As [`reporting_judged`], on a console that is there already.
+pub fn reporting_judged_to(
+    console: &Console,
+    strict: bool,
     mut facts: serde_json::Value,
     command: impl FnOnce(&Console) -> anyhow::Result<Option<Judgement>>,
 ) -> anyhow::Result<()> {
-    reporting_found(json, |console| {
+    found_to(console, |console| {
         let outcome = command(console).and_then(|judgement| {
             let Some(judgement) = judgement else {
                 return Ok(());

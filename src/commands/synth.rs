@@ -12,10 +12,11 @@
 //!                                 lighting.json, mesh.ply, matches/NAME1_NAME2.csv
 //! ```
 
-use super::reporting::reporting;
+use super::reporting::reporting_to;
 use crate::cli::{SynthArgs, SynthFormat};
 use crate::config::{read_toml, take_over};
 use crate::exit::Failure;
+use crate::observe::Console;
 use crate::store::{StoreError, create_folder};
 use rilievo_io::{
     CameraEntry, CameraFile, DeepFormat, read_mesh_ply, write_cameras, write_depth, write_linear,
@@ -65,8 +66,16 @@ impl SynthOptions {
 /// # Errors
 /// Unusable options, or a folder that holds something else or cannot be written.
 pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
+    synth_to(args, &Console::new(args.json))
+}
+
+/// The same on a console that is there already.
+///
+/// # Errors
+/// As [`synth`].
+pub fn synth_to(args: &SynthArgs, console: &Console) -> anyhow::Result<()> {
     let facts = json!({"folder": args.output.display().to_string()});
-    reporting(args.json, facts, |console| {
+    reporting_to(console, facts, |console| {
         let options = options(args)?;
         if !is_set(&args.output) && !is_new(&args.output)? {
             return Err(not_ours(&args.output, "synth").into());

@@ -1,23 +1,39 @@
-//! One JSON object a line on stdout, for other programs.
+//! Every event as one JSON object, for other programs: a line on stdout, or handed over in this process.
 
 use super::display::{Display, StageNews};
 use super::forecast::Outlook;
 use rilievo_scene::{Event, StageId};
+use serde_json::Value;
 use std::io::Write;
 
-/// Prints every event as it is.
-pub struct JsonLines;
+/// Takes events as JSON.
+pub trait JsonSink: Send {
+    /// Takes an event.
+    fn event(&mut self, event: &Value);
+    /// Takes a sentence for people.
+    fn note(&mut self, message: &str);
+}
 
-impl JsonLines {
-    fn print(value: &serde_json::Value) {
+/// Lines on stdout, sentences on stderr.
+pub struct Stdout;
+
+impl JsonSink for Stdout {
+    fn event(&mut self, event: &Value) {
         // A reader that went away must not end the run.
-        let _ = writeln!(std::io::stdout().lock(), "{value}");
+        let _ = writeln!(std::io::stdout().lock(), "{event}");
+    }
+
+    fn note(&mut self, message: &str) {
+        tell!("{message}");
     }
 }
 
-impl Display for JsonLines {
+/// Tells every event as it is.
+pub struct JsonEvents<S>(pub S);
+
+impl<S: JsonSink> Display for JsonEvents<S> {
     fn stage(&mut self, stage: StageId, news: &StageNews) {
-        Self::print(&match news {
+        self.0.event(&match news {
             StageNews::Started(reason) => {
                 serde_json::json!({"event": "stage_started", "stage": stage, "reason": reason})
             }
@@ -33,7 +49,7 @@ impl Display for JsonLines {
     fn event(&mut self, event: &Event) {
         // An event is plain data; it always has a JSON form.
         if let Ok(value) = serde_json::to_value(event) {
-            Self::print(&value);
+            self.0.event(&value);
         }
     }
 
@@ -51,11 +67,11 @@ impl Display for JsonLines {
             line["run_share"] = share.into();
             line["run_seconds_left"] = left.as_secs_f64().into();
         }
-        Self::print(&line);
+        self.0.event(&line);
     }
 
     fn note(&mut self, message: &str) {
-        tell!("{message}");
+        self.0.note(message);
     }
 
     fn finished(&mut self, summary: &serde_json::Value) {
@@ -63,6 +79,6 @@ impl Display for JsonLines {
         if let (Some(line), Some(summary)) = (line.as_object_mut(), summary.as_object()) {
             line.extend(summary.clone());
         }
-        Self::print(&line);
+        self.0.event(&line);
     }
 }

@@ -1,7 +1,8 @@
 //! What the program shows while it works: one stream of events, three ways to show it.
 //!
 //! Bars on a terminal, plain lines in a pipe, one JSON object a line with `--json`. Text for
-//! people goes to stderr; stdout carries results and the JSON lines.
+//! people goes to stderr; stdout carries results and the JSON lines. Inside another program all of it goes to
+//! a function of that program, which has its own way to ask for a stop.
 
 mod bars;
 mod display;
@@ -13,14 +14,17 @@ mod quiet;
 
 pub use display::StageNews;
 pub use forecast::ExpectedStep;
+pub use json::JsonSink;
 
 use crate::interrupt;
 use crate::ranks;
 use display::Display;
 use forecast::{Forecast, SharedForecast, locked, outlook};
+use json::{JsonEvents, Stdout};
 use rilievo_scene::{Event, Flow, Observer, StageId, Team};
 use std::io::IsTerminal;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 /// The observer of a whole command.
@@ -28,6 +32,8 @@ pub struct Console {
     display: Mutex<Box<dyn Display>>,
     warnings: Mutex<Vec<(StageId, String)>>,
     forecast: SharedForecast,
+    /// Set by who runs this command alone and asks it to stop; signals stop all commands of the program.
+    stop: Option<Arc<AtomicBool>>,
 }
 
 impl Console {
@@ -37,16 +43,31 @@ impl Console {
         let display: Box<dyn Display> = if !ranks::team().is_first() {
             Box::new(quiet::Quiet)
         } else if json {
-            Box::new(json::JsonLines)
+            Box::new(JsonEvents(Stdout))
         } else if std::io::stderr().is_terminal() {
             Box::new(bars::Bars::new(forecast.clone()))
         } else {
             Box::new(lines::Lines::default())
         };
+        Self::showing(display, forecast, None)
+    }
+
+    /// The console of a command inside another program, which takes what there is to show and sets `stop` to end it.
+    pub fn embedded(sink: impl JsonSink + 'static, stop: Arc<AtomicBool>) -> Self {
+        let display = Box::new(JsonEvents(sink));
+        Self::showing(display, SharedForecast::default(), Some(stop))
+    }
+
+    fn showing(
+        display: Box<dyn Display>,
+        forecast: SharedForecast,
+        stop: Option<Arc<AtomicBool>>,
+    ) -> Self {
         Self {
             display: Mutex::new(display),
             warnings: Mutex::new(Vec::new()),
             forecast,
+            stop,
         }
     }
 
@@ -136,7 +157,8 @@ impl Observer for Console {
     }
 
     fn flow(&self) -> Flow {
-        if interrupt::requested() {
+        let asked = self.stop.as_ref();
+        if interrupt::requested() || asked.is_some_and(|stop| stop.load(Ordering::Relaxed)) {
             Flow::Stop
         } else {
             Flow::Continue

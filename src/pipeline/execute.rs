@@ -4,7 +4,6 @@ use super::context::Context;
 use super::plan::{Plan, StageState, upstream};
 use super::{features, fusion, lighting, photos, poses, shading};
 use crate::exit::Failure;
-use crate::interrupt;
 use crate::observe::StageNews;
 use crate::store::{FORMAT_VERSION, Look, Manifest, StageWriter};
 use crate::system;
@@ -82,9 +81,7 @@ pub fn run_stage(
     stage: StageId,
     reason: &str,
 ) -> anyhow::Result<()> {
-    if interrupt::requested() {
-        return Err(Failure::Interrupted.into());
-    }
+    context.console.flow().ok_or(Failure::Interrupted)?;
     context
         .console
         .stage(stage, &StageNews::Started(reason.to_owned()));
@@ -100,9 +97,7 @@ pub fn run_stage(
     })?;
     let writer = begun.unwrap_or_else(|| context.run.take_part(stage));
     let report = dispatch(context, plan, stage, &writer)?;
-    if interrupt::requested() {
-        return Err(Failure::Interrupted.into());
-    }
+    context.console.flow().ok_or(Failure::Interrupted)?;
     for items in gathered(team, &serde_json::to_string(&writer.items())?)? {
         writer.add(serde_json::from_str(&items)?);
     }

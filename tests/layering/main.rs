@@ -1,5 +1,6 @@
 //! The layering of ARCHITECTURE.md, read from manifests and sources: a stage never imports another one, nor
-//! anything that knows files, and no files of a crate import each other in a circle.
+//! anything that knows files; the Python package imports the program alone; and no files of a crate import each other
+//! in a circle.
 
 #![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
 
@@ -10,7 +11,7 @@ use sources::{rust_files, without_tests};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Crates of this workspace that a manifest depends on outside its tests.
+/// Crates of this workspace that a manifest depends on outside its tests; the program is one of them.
 fn own_dependencies(manifest: &Path) -> (String, BTreeSet<String>) {
     let text = std::fs::read_to_string(manifest).expect("a manifest can be read");
     let value: toml::Table = text.parse().expect("a manifest is TOML");
@@ -23,7 +24,7 @@ fn own_dependencies(manifest: &Path) -> (String, BTreeSet<String>) {
         .and_then(toml::Value::as_table)
         .into_iter()
         .flat_map(|table| table.keys().cloned())
-        .filter(|name| name.starts_with("rilievo-"))
+        .filter(|name| name == "rilievo" || name.starts_with("rilievo-"))
         .collect();
     (name, dependencies)
 }
@@ -77,6 +78,14 @@ fn every_crate_imports_only_what_its_layer_may() {
         seen += 1;
     }
     assert_eq!(seen, 13, "six stages and seven common crates");
+}
+
+/// What the package reaches of the program is what the program's library offers to be embedded, and nothing of a stage.
+#[test]
+fn the_python_package_knows_the_program_alone() {
+    let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("python/Cargo.toml");
+    let (_, dependencies) = own_dependencies(&manifest);
+    assert_eq!(dependencies, ["rilievo".to_owned()].into());
 }
 
 #[test]

@@ -120,16 +120,17 @@ impl Comparison {
         Ok(evaluation)
     }
 
-    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`.
+    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`. Tells where
+    /// they are by `note`.
     ///
     /// # Errors
     /// When maps cannot be read, or the files cannot be written.
-    pub fn show(&self, evaluation: &Evaluation) -> anyhow::Result<()> {
+    pub fn show(&self, evaluation: &Evaluation, note: &dyn Fn(&str)) -> anyhow::Result<()> {
         drop_evaluation(&self.run)?;
         let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;
-        let deviations_mm = self.write_deviations(evaluation)?;
+        let deviations_mm = self.write_deviations(evaluation, note)?;
         if report::add_evaluation(&self.run, &table(evaluation), &maps, &deviations_mm)? {
-            tell!(
+            note(&format!(
                 "{} are in {}",
                 if maps.is_empty() {
                     "these numbers"
@@ -137,14 +138,18 @@ impl Comparison {
                     "error maps"
                 },
                 self.run.join("report.html").display()
-            );
+            ));
         }
         Ok(())
     }
 
     /// Writes the cloud coloured by its signed distance from the truth; those distances in
     /// millimetres, none where there is no cloud or no true surface, or where these lie apart.
-    fn write_deviations(&self, evaluation: &Evaluation) -> anyhow::Result<Vec<f64>> {
+    fn write_deviations(
+        &self,
+        evaluation: &Evaluation,
+        note: &dyn Fn(&str),
+    ) -> anyhow::Result<Vec<f64>> {
         let (Some(cloud), Some(surface), Some(compared)) =
             (&self.cloud, &self.surface, &evaluation.cloud)
         else {
@@ -162,11 +167,11 @@ impl Comparison {
         let folder = path.parent().unwrap_or(&self.run);
         create_folder(folder)?;
         errors::write_deviations(&path, cloud, &deviations, max, self.truth.cameras.unit)?;
-        tell!(
+        note(&format!(
             "signed distances of the cloud, blue inside to red outside at {:.2} mm, are in {}",
             1e3 * max,
             path.display()
-        );
+        ));
         Ok(deviations.iter().map(|deviation| 1e3 * deviation).collect())
     }
 }

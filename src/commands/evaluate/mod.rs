@@ -16,6 +16,8 @@ pub use table::table;
 
 use crate::cli::EvaluateArgs;
 use crate::exit::Failure;
+use rilievo_synthetic::compare::{AlignmentRequest, Evaluation};
+use std::path::Path;
 
 /// Runs the command.
 ///
@@ -26,10 +28,7 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
     let Some(truth) = &args.truth else {
         return halves::evaluate(&args.run, args.json);
     };
-    if !truth.is_dir() {
-        return Err(Failure::input(truth, "there is no such folder (--truth)").into());
-    }
-    let comparison = Comparison::open(&args.run, truth, args.align)?;
+    let comparison = compared(&args.run, truth, args.align)?;
     if let Some(failure) = comparison.nothing_in_common()? {
         // Programs get their nulls with the reasons all the same.
         if args.json
@@ -45,5 +44,31 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
     } else {
         say!("{}", table(&evaluation).trim_end())?;
     }
-    comparison.show(&evaluation)
+    comparison.show(&evaluation, &|line| tell!("{line}"))
+}
+
+/// The numbers without printing them; they are shown in the run's report as [`evaluate`] does.
+///
+/// # Errors
+/// As [`evaluate`].
+pub fn evaluation(
+    run: &Path,
+    truth: &Path,
+    align: AlignmentRequest,
+    note: &dyn Fn(&str),
+) -> anyhow::Result<Evaluation> {
+    let comparison = compared(run, truth, align)?;
+    if let Some(failure) = comparison.nothing_in_common()? {
+        return Err(failure.into());
+    }
+    let evaluation = comparison.measure()?;
+    comparison.show(&evaluation, note)?;
+    Ok(evaluation)
+}
+
+fn compared(run: &Path, truth: &Path, align: AlignmentRequest) -> anyhow::Result<Comparison> {
+    if !truth.is_dir() {
+        return Err(Failure::input(truth, "there is no such folder (--truth)").into());
+    }
+    Comparison::open(run, truth, align)
 }

@@ -5,7 +5,10 @@
 //! beside each, and `DIR/report.json`.
 
 mod depth_order;
+mod described;
 mod problem;
+
+pub use described::{Described, ViewParts};
 
 use super::reporting::reporting;
 use crate::cli::ShadeArgs;
@@ -16,7 +19,7 @@ use crate::pipeline::{Resources, from_shading, write_maps};
 use crate::store::{create_folder, write_atomically};
 use crate::system;
 use rilievo_scene::{ShadedView, StageId, ViewIdx};
-use rilievo_shading::paper::{HarmonicOrder, SolvedView, StartShape};
+use rilievo_shading::paper::{HarmonicOrder, PaperReport, SolvedView, StartShape};
 use std::path::Path;
 use std::time::Instant;
 
@@ -35,40 +38,79 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
     let options = options(args)?;
     let problem = problem::build(args, &options, console)?;
     create_folder(&args.output)?;
+    let solved = solve(&problem, &options, console, |index, view| {
+        write_view(&args.output, index, view)
+    })?;
+    write_atomically(
+        &args.output.join("report.json"),
+        &serde_json::to_vec_pretty(&solved.report)?,
+    )?;
+    solved.tell(console);
+    console.note(&format!("results are in {}", args.output.display()));
+    Ok(())
+}
 
+/// What became of a problem, beside its views.
+pub struct Solved {
+    /// As `report.json` holds it.
+    pub report: serde_json::Value,
+    facts: PaperReport,
+    seconds: f64,
+}
+
+impl Solved {
+    /// Tells that the work is done, and how well it went.
+    pub fn tell(&self, console: &Console) {
+        console.stage(StageId::Shading, &StageNews::Finished(self.seconds));
+        for view in &self.facts.views {
+            console.note(&format!(
+                "  {}: {} pixels, re-rendered image differs by {:.4} RMS (start {:.4})",
+                view.name, view.num_pixels, view.rms_rendered, view.rms_start
+            ));
+        }
+    }
+}
+
+/// Solves a problem and gives its views to `keep`.
+///
+/// # Errors
+/// A problem that the solver refuses, or what `keep` fails with.
+pub fn solve(
+    described: &Described,
+    options: &StageOptions,
+    console: &Console,
+    mut keep: impl FnMut(usize, SolvedView) -> anyhow::Result<()>,
+) -> anyhow::Result<Solved> {
     let began = Instant::now();
-    let started = format!("solving {} view(s)", problem.problem.views.len());
+    let problem = &described.problem;
+    let started = format!("solving {} view(s)", problem.views.len());
     console.stage(StageId::Shading, &StageNews::Started(started));
-    let solution = rilievo_shading::paper::solve(&problem.problem, &options.shading.paper, console)
+    let solution = rilievo_shading::paper::solve(problem, &options.shading.paper, console)
         .map_err(from_shading)?;
     for (index, view) in solution.views.into_iter().enumerate() {
-        write_view(&args.output, index, view)?;
+        keep(index, view)?;
     }
     let seconds = began.elapsed().as_secs_f64();
     let report = serde_json::json!({
         "program": system::PROGRAM,
         "options": options.shading,
-        "lighting": problem.lighting,
+        "lighting": described.lighting,
         "warnings": console.take_warnings(StageId::Shading),
         "seconds": seconds,
         "report": solution.report,
     });
-    write_atomically(
-        &args.output.join("report.json"),
-        &serde_json::to_vec_pretty(&report)?,
-    )?;
-    console.stage(StageId::Shading, &StageNews::Finished(seconds));
-    for view in &solution.report.views {
-        console.note(&format!(
-            "  {}: {} pixels, re-rendered image differs by {:.4} RMS (start {:.4})",
-            view.name, view.num_pixels, view.rms_rendered, view.rms_start
-        ));
-    }
-    console.note(&format!("results are in {}", args.output.display()));
-    Ok(())
+    Ok(Solved {
+        report,
+        facts: solution.report,
+        seconds,
+    })
 }
 
-fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
+/// The options of the stages that a command line gives.
+///
+/// # Errors
+/// A config file that cannot be used, or a value out of its range.
+pub fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
     let mut options = StageOptions::read(args.config.as_deref())?;
     take_over(&mut options.photos.encoding, args.encoding);
     let paper = &mut options.shading.paper;

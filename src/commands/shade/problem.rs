@@ -1,27 +1,18 @@
 //! The shading problem that a command line or a scene file describes.
 
 use super::depth_order;
+use super::described::{Described, ViewParts, mask_misfit};
 use crate::cli::ShadeArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::Console;
-use crate::pipeline::from_lighting;
 use rilievo_io::{
     LightingFile, SceneFile, SceneView, decode_photo, read_cameras, read_lighting, read_mask,
     read_matches_csv, read_scene, split_lighting_spec,
 };
-use rilievo_scene::{DepthMap, Lighting, LinearImage, Mask, Orientation, StageId};
-use rilievo_shading::paper::{DepthPrior, ShadingProblem, ShadingView, ViewLight, ViewMatches};
+use rilievo_scene::{Lighting, Orientation, StageId};
+use rilievo_shading::paper::ViewMatches;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-
-/// The problem, and where each view's lighting came from.
-pub struct Described {
-    /// The problem.
-    pub problem: ShadingProblem,
-    /// One entry per view.
-    pub lighting: Vec<serde_json::Value>,
-}
 
 /// Reads everything that the command line or the scene names.
 ///
@@ -42,13 +33,10 @@ pub fn build(
         }
     };
     refuse_one_file_for_all(args, scene.views.len())?;
-    let mut problem = ShadingProblem::default();
-    let mut lighting = Vec::new();
+    let mut described = Described::default();
     for view in &scene.views {
-        let (view, source) = read_view(view, args, options, console)?;
-        console.note(&format!("  {}: lighting {source}", view.name));
-        lighting.push(serde_json::json!({"view": view.name, "lighting": source}));
-        problem.views.push(view);
+        let parts = read_view(view, args, console)?;
+        described.add(parts, args.prior_weight, options, console)?;
     }
     for matches in &scene.matches {
         let index = |name: &String| {
@@ -61,18 +49,13 @@ pub fn build(
                 )
             })
         };
-        problem.matches.push(ViewMatches {
+        described.problem.matches.push(ViewMatches {
             views: [index(&matches.views[0])?, index(&matches.views[1])?],
             pixels: read_matches_csv(&matches.file).map_err(Failure::from)?,
         });
     }
-    if problem.matches.is_empty() && problem.views.len() > 1 {
-        console.warn(
-            StageId::Shading,
-            "no matches tie the views together; each is solved alone",
-        );
-    }
-    Ok(Described { problem, lighting })
+    described.tell_of_matches(console);
+    Ok(described)
 }
 
 /// Masks and depths belong to a view each: one file cannot stand for several.
@@ -117,46 +100,31 @@ fn single(args: &ShadeArgs, image: PathBuf, camera: PathBuf) -> SceneFile {
 }
 
 /// One view; what the command line says replaces what the scene says.
-fn read_view(
-    view: &SceneView,
-    args: &ShadeArgs,
-    options: &StageOptions,
-    console: &Console,
-) -> anyhow::Result<(ShadingView, String)> {
-    let decoded = decode_photo(&view.image).map_err(Failure::from)?;
-    let measured_as_float = decoded.samples.bits() == 32;
-    let (image, _) = rilievo_photos::linearize(&decoded, options.photos.encoding);
-    // A float image may hold any value; integers end at white, where they are clipped.
-    let clip_level = (!measured_as_float).then_some(options.photos.clip_fraction as f32);
+fn read_view(view: &SceneView, args: &ShadeArgs, console: &Console) -> anyhow::Result<ViewParts> {
+    let photo = decode_photo(&view.image).map_err(Failure::from)?;
+    let size = (photo.width, photo.height);
     let cameras = read_cameras(&view.camera).map_err(Failure::from)?;
     let camera = cameras
         .cameras
         .first()
         .ok_or_else(|| Failure::input(&view.camera, "holds no camera"))?;
     let mask_file = args.mask.as_ref().or(view.mask.as_ref());
-    let mask = match mask_file {
-        Some(path) => {
+    let mask = mask_file
+        .map(|path| {
             let mask = read_mask(path).map_err(Failure::from)?;
-            let number = decoded.exif.orientation;
+            let number = photo.exif.orientation;
             let orientation = number.and_then(Orientation::of_exif).unwrap_or_default();
-            let size = (image.width, image.height);
             let (mask, was_upright) = orientation.mask_by_size(mask, size);
             if was_upright {
                 let text = "the mask was drawn over the image as EXIF turns it; it was turned back to the pixels as stored";
                 console.warn(StageId::Shading, text);
             }
-            mask
-        }
-        None => Mask::filled(image.width, image.height, true),
-    };
-    if !(mask.width == image.width && mask.height == image.height) {
-        let path = mask_file.unwrap_or(&view.image);
-        let reason = format!(
-            "the mask has {} x {} pixels, the image {} x {}",
-            mask.width, mask.height, image.width, image.height
-        );
-        return Err(Failure::input(path, reason).into());
-    }
+            match mask_misfit(&mask, size) {
+                Some(reason) => Err(Failure::input(path, reason)),
+                None => Ok(mask),
+            }
+        })
+        .transpose()?;
     let depth = |path: &Path| depth_order::read(path, args.depth_order, console);
     let prior_file = args.prior.as_deref().or(view.prior.as_deref());
     let prior = prior_file.map(depth).transpose()?;
@@ -167,37 +135,21 @@ fn read_view(
         same if same == prior_file => prior.clone(),
         other => other.map(depth).transpose()?,
     };
-
     let spec = args.lighting.as_deref().map(split_lighting_spec);
-    let (lighting, source) = match spec.or_else(|| view.lighting.clone()) {
-        Some((path, name)) => given_lighting(path, name, &view.name)?,
-        None => {
-            let shape = prior.as_ref().or(initial.as_ref());
-            let shape = shape.ok_or_else(|| {
-                Failure::Usage(format!(
-                    "view {} has no lighting: give --lighting FILE[:NAME], or a shape to fit it on \
-                     (--init or --prior DEPTH.exr)",
-                    view.name
-                ))
-            })?;
-            fitted_lighting(&image, &mask, camera, shape, clip_level, options)?
-        }
-    };
-    let mut solved = ShadingView::new(
-        view.name.clone(),
-        Arc::new(image),
+    let lighting = spec
+        .or_else(|| view.lighting.clone())
+        .map(|(path, name)| given_lighting(path, name, &view.name))
+        .transpose()?;
+    Ok(ViewParts {
+        name: view.name.clone(),
+        photo,
         mask,
-        camera.intrinsics,
-        ViewLight::Uniform(lighting),
-    );
-    solved.clip_level = clip_level;
-    solved.cam_from_world = camera.cam_from_world;
-    solved.initial_depth = initial;
-    solved.prior = prior.map(|depth| DepthPrior {
-        depth,
-        weight: args.prior_weight,
-    });
-    Ok((solved, source))
+        intrinsics: camera.intrinsics,
+        cam_from_world: camera.cam_from_world,
+        lighting,
+        initial,
+        prior,
+    })
 }
 
 fn given_lighting(
@@ -219,28 +171,4 @@ fn given_lighting(
             Ok((lighting.clone(), source))
         }
     }
-}
-
-fn fitted_lighting(
-    image: &LinearImage,
-    mask: &Mask,
-    camera: &rilievo_io::CameraEntry,
-    shape: &DepthMap,
-    clip_level: Option<f32>,
-    options: &StageOptions,
-) -> anyhow::Result<(Lighting, String)> {
-    let (lighting, fit) = rilievo_lighting::fit_on_shape(
-        image,
-        Some(&mask.packed()),
-        &camera.intrinsics,
-        shape,
-        clip_level.unwrap_or(f32::INFINITY),
-        &options.lighting,
-    )
-    .map_err(from_lighting)?;
-    let source = format!(
-        "fitted on the given shape, residual {:.1} %",
-        100.0 * fit.relative_rms()
-    );
-    Ok((lighting, source))
 }
