@@ -13,13 +13,16 @@ _log = logging.getLogger("rilievo")
 
 
 def hearing(progress: Optional[Progress]) -> Callable[[str, str], None]:
-    """What the native part calls with ``("event", JSON)`` and ``("note", sentence)``."""
+    """What the native part calls with ``("event", JSON)``, ``("note", sentence)`` and ``("stopping", sentence)``."""
     if progress is not None and not callable(progress):
         raise TypeError(f"progress: it must be callable or None, not {type(progress).__name__}")
 
     def on_news(kind: str, text: str) -> None:
         if kind == "note":
             _log.info("%s", text)
+            return
+        if kind == "stopping":
+            _log.warning("%s", text)
             return
         event = json.loads(text)
         if event.get("event") == "warning":

@@ -6,13 +6,19 @@ use rilievo::embedded::{CommandFailure, News, Stop, Tell};
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{self, Builder};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How often signals are looked at where there is no news.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// Does work without Python's lock. Meanwhile `on_news(kind, text)` gets `("event", JSON)` and `("note", sentence)` in
-/// the calling thread, the only one in which Python answers signals and other libraries take calls.
+const STOPPING: &str = "stopping as soon as the work at hand has ended; a run may also be killed, and goes on all the same";
+
+/// After how long a stop that lasts is told of.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// Does work without Python's lock. Meanwhile `on_news(kind, text)` gets `("event", JSON)`, `("note", sentence)` and
+/// `("stopping", sentence)` in the calling thread, the only one in which Python answers signals and other libraries
+/// take calls.
 ///
 /// # Errors
 /// What `on_news` or the handler of a signal raises; the work was then asked to stop and has ended. Else the exception
@@ -37,6 +43,7 @@ pub fn work<T: Send>(
                 )
             })?;
         let mut exception = None;
+        let mut told_at: Option<Instant> = None;
         while let Some(news) = py.detach(|| next(&receiver)) {
             // After the first exception the work's end is waited for, and further signals change nothing.
             let heard = news.map_or(Ok(()), |news| hear(on_news, news, exception.is_none()));
@@ -45,6 +52,11 @@ pub fn work<T: Send>(
             {
                 stop.ask();
                 exception = Some(raised);
+                told_at = Some(Instant::now() + PATIENCE);
+            }
+            if told_at.take_if(|at| *at <= Instant::now()).is_some() {
+                // The exception at hand is raised whatever becomes of this.
+                let _ = on_news.call1(("stopping", STOPPING));
             }
         }
         let outcome = py.detach(|| worker.join());
