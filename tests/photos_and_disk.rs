@@ -178,7 +178,12 @@ fn a_full_disk_keeps_an_earlier_surface() {
         "mesh.obj",
         "mesh.glb",
         "asset.glb",
+        "asset/asset.obj",
+        "asset/asset.mtl",
+        "asset/base_color.png",
         "asset/base_color.exr",
+        "asset/normal.png",
+        "asset/occlusion.png",
         "report.json",
     ];
     let read = || files.map(|file| std::fs::read(out.join(file)).expect("a file"));

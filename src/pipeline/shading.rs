@@ -229,8 +229,9 @@ impl MapSource for MapFiles {
                 .then(|| self.file(idx, kind, read_linear))
                 .transpose()
         };
+        // Who has the albedo needs nothing that it could be guessed from.
         Ok(ShadedImages {
-            rendered: image(files.rendered, "rendered")?,
+            rendered: image(files.rendered && !files.albedo, "rendered")?,
             albedo: image(files.albedo, "albedo")?,
         })
     }

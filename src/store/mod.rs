@@ -30,7 +30,9 @@ mod writer;
 pub use checkpoint::StageCheckpoint;
 pub use error::StoreError;
 pub use evaluation::{deviation_file, drop_evaluation};
-pub use files::{absolute, create_folder, hash_file, is_name, own_file, write_atomically};
+pub use files::{
+    absolute, create_folder, hash_file, is_name, own_file, own_folder, write_atomically,
+};
 pub use fingerprint::{Ingredients, hash_bytes, hash_json};
 pub use manifest::{FORMAT_VERSION, Item, Look, Manifest};
 pub use run_dir::RunDir;

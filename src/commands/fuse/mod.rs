@@ -9,7 +9,9 @@ use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
 use crate::pipeline::{from_fusion, write_surface};
-use crate::store::{FileScratch, StoreError, create_folder, own_file, write_atomically};
+use crate::store::{
+    FileScratch, StoreError, create_folder, own_file, own_folder, write_atomically,
+};
 use crate::system;
 use maps::Views;
 use rilievo_fusion::{FusionError, Inputs};
@@ -39,9 +41,8 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     args.surface.apply(&mut options.fusion);
     args.work.bound(&mut options.fusion);
     options.validate()?;
-    if !args.overwrite {
-        own_results(&args.output)?;
-    }
+    own_folder(&args.output.join("asset"))?;
+    let ours = own_results(&args.output, args.overwrite)?;
     let mut views = maps::read(&args.maps, args.cameras.as_deref())?;
     let slopes = views.views.iter().filter(|v| v.normals_are_slopes);
     let slopes = slopes.count();
@@ -94,14 +95,20 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         Ok(with_its_folder(writing.path().join(name))?)
     })?;
     // A format that was not written now does not stay with an earlier surface.
+    let mut files = Vec::new();
     for name in SURFACE {
         let (path, written) = (args.output.join(name), writing.path().join(name));
         if written.exists() {
             let path = with_its_folder(path)?;
             std::fs::rename(written, &path).map_err(StoreError::files("replace", &path))?;
-        } else if path.exists() {
+            files.push(name);
+        } else if path.exists() && ours.contains(&name) {
             std::fs::remove_file(&path).map_err(StoreError::files("remove", &path))?;
         }
+    }
+    if !files.iter().any(|name| name.starts_with("asset/")) {
+        // Only an empty one can be removed, and nothing is lost where it stays.
+        let _ = std::fs::remove_dir(args.output.join("asset"));
     }
     let seconds = began.elapsed().as_secs_f64();
     let text = serde_json::json!({
@@ -110,6 +117,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
         "format": views.format(),
         "unit": unit,
         "options": options.fusion,
+        "files": files,
         "warnings": console.take_warnings(StageId::Fusion),
         "seconds": seconds,
         "report": fused.report,
@@ -151,25 +159,32 @@ fn with_its_folder(path: PathBuf) -> Result<PathBuf, StoreError> {
 
 const REPORT: &str = "report.json";
 
-/// Refuses to replace files that no earlier call of this command wrote.
-fn own_results(folder: &Path) -> Result<(), Failure> {
-    let there = |name: &&str| std::fs::symlink_metadata(folder.join(name)).is_ok();
-    let results = SURFACE.into_iter().chain([REPORT]);
-    let found: Vec<&str> = results.filter(there).collect();
+/// Files of an earlier call of this command, which the next one may replace or remove. Refuses a folder in which others
+/// would be replaced, unless they may be.
+fn own_results(folder: &Path, overwrite: bool) -> Result<Vec<&'static str>, Failure> {
     let report = own_file(&folder.join(REPORT)).ok().flatten();
     let report = report.and_then(|text| serde_json::from_slice::<serde_json::Value>(&text).ok());
-    let ours = report.is_some_and(|report| {
+    let report = report.filter(|report| {
         let program = report["program"].as_str().unwrap_or_default();
         program.starts_with("rilievo ") && report.get("maps").is_some()
     });
-    if found.is_empty() || ours {
-        return Ok(());
+    let is_ours = |name: &str| match report.as_ref().map(|report| report["files"].as_array()) {
+        Some(Some(files)) => name == REPORT || files.iter().any(|file| file == name),
+        // Reports without a list are of a time without assets.
+        Some(None) => !name.starts_with("asset"),
+        None => false,
+    };
+    let there = |name: &&str| std::fs::symlink_metadata(folder.join(name)).is_ok();
+    let found = SURFACE.into_iter().chain([REPORT]).filter(there);
+    let (ours, others): (Vec<&str>, Vec<&str>) = found.partition(|name| is_ours(name));
+    if others.is_empty() || overwrite {
+        return Ok(ours);
     }
     Err(Failure::Usage(format!(
         "{} holds {} that `rilievo fuse` did not write: choose another folder with -o, or say \
          --overwrite",
         folder.display(),
-        found.join(", ")
+        others.join(", ")
     )))
 }
 

@@ -71,7 +71,7 @@ fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String>
     None
 }
 
-fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 13] {
+fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 14] {
     let stages = &facts.stages;
     let photos = stages.photos.as_ref().map(|stage| &stage.report);
     let poses = stages.poses.as_ref().map(|stage| &stage.report);
@@ -147,6 +147,22 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
                     mesh.num_closed_holes
                 )
             }),
+        ),
+        (
+            "asset for renderers",
+            fusion
+                .and_then(|fusion| fusion.asset.as_ref())
+                .map_or(ABSENT.to_owned(), |asset| {
+                    format!(
+                        "{} triangles, textures of {} x {} texels of {} ({}); {:.1} % of it no photo sees",
+                        asset.num_triangles,
+                        asset.texture_size[0],
+                        asset.texture_size[1],
+                        length(Some(asset.texel)),
+                        asset.shows.sentence(),
+                        100.0 * asset.unseen_share
+                    )
+                }),
         ),
     ]
 }

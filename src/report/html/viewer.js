@@ -6,7 +6,7 @@
   const message = document.getElementById("viewer-message");
   const gl = canvas.getContext("webgl", { antialias: true, preserveDrawingBuffer: true });
   if (!gl) {
-    message.textContent = "This browser shows no 3D here; open 6_fusion/mesh.glb in another program.";
+    message.textContent = "This browser shows no 3D here; open 6_fusion/asset.glb or mesh.glb in another program.";
     return;
   }
   const data = JSON.parse(document.getElementById("viewer-data").textContent);
@@ -43,16 +43,20 @@
       n = mat3(view) * normal; c = color; uv = place;
       t = mat3(view) * tangent.xyz; b = cross(n, t) * sign(tangent.w);
     }`, `
+    #ifdef GL_FRAGMENT_PRECISION_HIGH
+    precision highp float;
+    #else
     precision mediump float;
+    #endif
     varying vec3 n, c, t, b; varying vec2 uv; uniform vec3 light; uniform int mode;
-    uniform bool textured; uniform sampler2D colors, normals;
+    uniform bool textured, plain; uniform sampler2D colors, normals;
     void main() {
       vec3 m = n;
       if (textured) { vec3 q = 2.0 * texture2D(normals, uv).xyz - 1.0; m = q.x * t + q.y * b + q.z * n; }
       m = normalize(m);
       // The back of the surface, as through a hole, is dim.
       if (m.z < -0.25) gl_FragColor = vec4(vec3(0.18 + 0.1 * abs(m.z)), 1.0);
-      else if (mode == 1) gl_FragColor = textured ? texture2D(colors, uv) : vec4(c, 1.0);
+      else if (mode == 1) gl_FragColor = textured ? texture2D(colors, uv) : vec4(plain ? vec3(0.6) : c, 1.0);
       else if (mode == 2) gl_FragColor = vec4(0.5 + 0.5 * m, 1.0);
       else { float s = 0.12 + 0.88 * max(dot(m, light), 0.0); gl_FragColor = vec4(vec3(pow(s, 0.4545)), 1.0); }
     }`);
@@ -86,7 +90,8 @@
     };
     image.onerror = failed;
     image.src = url;
-  }))).then(() => { textured = textures.length === 2; redraw(); });
+  }))).then(() => { textured = textures.length === 2; redraw(); })
+    .catch(() => { message.textContent = "The textures cannot be shown; the surface is drawn without them."; });
 
   // A camera is drawn as the pyramid that its frame spans at a fifteenth of the object's size.
   const segments = [];
@@ -192,6 +197,8 @@
     gl.uniform3f(uniform("light"), Math.sin(a) * Math.cos(b), Math.sin(b), Math.cos(a) * Math.cos(b));
     gl.uniform1i(uniform("mode"), Number(control("viewer-mode").value));
     gl.uniform1i(uniform("textured"), textured ? 1 : 0);
+    // Vertices of a surface with textures have no colours.
+    gl.uniform1i(uniform("plain"), data.textures ? 1 : 0);
     textures.forEach(({ texture }, k) => {
       gl.activeTexture(gl.TEXTURE0 + k);
       gl.bindTexture(gl.TEXTURE_2D, texture);

@@ -91,11 +91,11 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
                     }
                     label {
                         "light left/right "
-                        input id="light-x" type="range" min="-90" max="90" value="-40";
+                        input id="light-x" type="range" min="-90" max="90" step="any" value="-40";
                     }
                     label {
                         "light down/up "
-                        input id="light-y" type="range" min="-90" max="90" value="35";
+                        input id="light-y" type="range" min="-90" max="90" step="any" value="35";
                     }
                     label { input id="viewer-light" type="checkbox"; " dragging moves the light" }
                     label { input id="viewer-cameras" type="checkbox"; " cameras" }
@@ -139,10 +139,11 @@ fn shown(folder: &Path, posed: &PosedViews) -> anyhow::Result<Option<Shown>> {
         };
         let textures = texture("base_color.png")?.zip(texture("normal.png")?);
         // 16 bits name the vertices of the page's script.
-        if surface.mesh.vertices.len() <= usize::from(u16::MAX) {
+        let fits = surface.mesh.vertices.len() <= usize::from(u16::MAX);
+        if let Some((colors, normals)) = textures.filter(|_| fits) {
             return Ok(Some(Shown {
                 bounds: bounds(&surface.mesh),
-                textures: textures.map(|(colors, normals)| [colors, normals]),
+                textures: Some([colors, normals]),
                 surface,
                 of: ("asset.glb", num_triangles),
             }));

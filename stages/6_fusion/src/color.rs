@@ -8,26 +8,28 @@
 use crate::error::FusionError;
 use crate::options::ColorMode;
 use crate::reader::Reader;
-use crate::view::{Pixels, View};
+use crate::view::{Pixels, View, bilinear_weights};
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{Intrinsics, LinearImage, MapSource, Photo, ShadedImages, srgb};
+use rilievo_scene::{BaseColor, Intrinsics, LinearImage, MapSource, Photo, ShadedImages, srgb};
 use std::sync::Arc;
 
 /// Grey where there is no photo.
 pub(crate) const GREY: [u8; 3] = [180; 3];
 /// Display level of a surface of mean albedo in albedo mode, linear.
 const MEAN_ALBEDO_LEVEL: f32 = 0.5;
+/// Share of the interpolation's weight that pixels with a surface must have, so that an albedo is read between them.
+const MIN_ALBEDO_WEIGHT: f64 = 0.25;
 /// Rendered intensities below this are too dark to divide by.
 const MIN_RENDERED: f32 = 0.01;
 
-/// What a view shows of the surface: its photo, or the albedo.
+/// What a view shows of the surface: its photo, or the albedo; and which of them it is.
 pub(crate) fn shown(
     photo: &Photo,
     maps: &dyn MapSource,
     maps_idx: usize,
     mode: ColorMode,
-) -> Result<Arc<LinearImage>, FusionError> {
+) -> Result<(Arc<LinearImage>, BaseColor), FusionError> {
     let images = match mode {
         ColorMode::Photographed => ShadedImages::default(),
         ColorMode::Albedo => maps.images(maps_idx)?,
@@ -35,20 +37,14 @@ pub(crate) fn shown(
     Ok(match (images.albedo, images.rendered) {
         (Some(mut albedo), _) => {
             albedo.data.iter_mut().for_each(|a| *a *= MEAN_ALBEDO_LEVEL);
-            Arc::new(albedo)
+            (Arc::new(albedo), BaseColor::Albedo)
         }
-        (None, Some(rendered)) => Arc::new(without_shading(&*photo.pixels.load()?, &rendered)),
-        (None, None) => photo.pixels.load()?,
+        (None, Some(rendered)) => {
+            let bare = without_shading(&*photo.pixels.load()?, &rendered);
+            (Arc::new(bare), BaseColor::Albedo)
+        }
+        (None, None) => (photo.pixels.load()?, BaseColor::Photographed),
     })
-}
-
-/// Which of a pixel's colours.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Layer {
-    /// What the options show.
-    Shown,
-    /// The surface's own.
-    Albedo,
 }
 
 /// The way from the views' 8-bit sRGB colours to means of them.
@@ -116,19 +112,13 @@ impl Palette {
                     continue;
                 }
             }
-            self.add(pixels, view, ([place.x, place.y], Layer::Shown), &mut blend);
+            self.add(pixels, view, [place.x, place.y], &mut blend);
         }
         blend.color()
     }
 
     /// Adds a view's bilinear linear colour at a camera's pixel.
-    pub fn add(
-        &self,
-        pixels: &mut Reader<'_>,
-        view: &View,
-        ([x, y], layer): ([f64; 2], Layer),
-        blend: &mut Blend,
-    ) {
+    pub fn add(&self, pixels: &mut Reader<'_>, view: &View, [x, y]: [f64; 2], blend: &mut Blend) {
         let (x0, y0) = (x.floor(), y.floor());
         let (width, height) = (view.camera.width as f64, view.camera.height as f64);
         // Beside the last column and row there is a neighbour, if only of no weight.
@@ -141,16 +131,48 @@ impl Palette {
         if corners.iter().any(|pixel| !pixel.is_kept) {
             return;
         }
-        let colors = corners.map(|pixel| match layer {
-            Layer::Shown => pixel.color,
-            Layer::Albedo => pixel.albedo,
-        });
         for (c, sum) in blend.sum.iter_mut().enumerate() {
-            let [a, b, d, e] = colors.map(|color| self.linear[usize::from(color[c])]);
+            let [a, b, d, e] = corners.map(|p| self.linear[usize::from(p.color[c])]);
             let (top, bottom) = (a * (1.0 - fx) + b * fx, d * (1.0 - fx) + e * fx);
             *sum += top * (1.0 - fy) + bottom * fy;
         }
         blend.count += 1.0;
+    }
+
+    /// Adds a view's linear albedo at a camera's pixel, of a weight. Beside the surface there is none, so that pixels
+    /// without depth are left out of the interpolation.
+    pub fn add_albedo(
+        &self,
+        pixels: &mut Reader<'_>,
+        view: &View,
+        [x, y]: [f64; 2],
+        (weight, blend): (f64, &mut Blend),
+    ) {
+        let (x0, y0) = (x.floor(), y.floor());
+        let (width, height) = (view.camera.width as f64, view.camera.height as f64);
+        let is_inside = x0 >= 0.0 && y0 >= 0.0 && x0 + 1.0 < width && y0 + 1.0 < height;
+        if !is_inside {
+            return;
+        }
+        let corners = pixels.square(view, x0 as usize, y0 as usize);
+        let weights = bilinear_weights(x - x0, y - y0);
+        let on_surface = || {
+            corners
+                .iter()
+                .zip(weights)
+                .filter(|(pixel, _)| pixel.depth > 0.0)
+        };
+        let total: f64 = on_surface().map(|(_, w)| w).sum();
+        if total < MIN_ALBEDO_WEIGHT {
+            return;
+        }
+        for (pixel, of_corner) in on_surface() {
+            let share = (weight * of_corner / total) as f32;
+            for (sum, &byte) in blend.sum.iter_mut().zip(&pixel.albedo) {
+                *sum += share * self.linear[usize::from(byte)];
+            }
+        }
+        blend.count += weight as f32;
     }
 }
 

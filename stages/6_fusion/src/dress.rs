@@ -4,7 +4,7 @@
 //! and the mean of their colours. It stays where it is: the zero of the distances is nearer to the surface than
 //! the mean of a few planes, which curvature bends outwards.
 
-use crate::color::{Blend, Layer, Palette};
+use crate::color::{Blend, Palette};
 use crate::judge::weight;
 use crate::options::FusionOptions;
 use crate::pairs::{Candidate, Sight, look};
@@ -72,7 +72,9 @@ impl<'a> Dresser<'a> {
                 near,
                 &candidate,
                 limits,
-                (&self.palette, Layer::Shown),
+                |pixels, view, _, colors| {
+                    self.paint(pixels, view, position, colors);
+                },
             )
         });
         let distance = seen.as_ref().map(|seen| seen.distance.abs());
@@ -92,13 +94,7 @@ impl<'a> Dresser<'a> {
                 nearest = gap;
                 normal = seen;
                 colors = Blend::default();
-                paint(
-                    pixels,
-                    view,
-                    position,
-                    (&self.palette, Layer::Shown),
-                    &mut colors,
-                );
+                self.paint(pixels, view, position, &mut colors);
             }
         }
         Dressed {
@@ -110,6 +106,14 @@ impl<'a> Dresser<'a> {
                 .into(),
             color: colors.color(),
             distance,
+        }
+    }
+
+    /// Adds a view's colour of a place.
+    fn paint(&self, pixels: &mut Reader<'_>, view: &View, place: &Point3<f64>, colors: &mut Blend) {
+        let pixel = view.camera.project(&view.pose.apply(place));
+        if let Some(pixel) = pixel.filter(|_| view.has_photo) {
+            self.palette.add(pixels, view, [pixel.x, pixel.y], colors);
         }
     }
 }
@@ -124,13 +128,13 @@ pub(crate) struct MeanSight {
 }
 
 /// What the views see that have one surface with a candidate, by tolerance (world's unit) and least cosine between
-/// normals; `None` where none has.
+/// normals; `None` where none has. `paint` adds the colour of a view of a weight.
 pub(crate) fn mean_sight(
     pixels: &mut Reader<'_>,
     near: &[&View],
     candidate: &Candidate,
     (tolerance, min_cosine): (f64, f64),
-    paints: (&Palette, Layer),
+    paint: impl Fn(&mut Reader<'_>, &View, f64, &mut Blend),
 ) -> Option<MeanSight> {
     let (mut normal, mut offset, mut weights) = (Vector3::zeros(), 0.0, 0.0);
     let mut colors = Blend::default();
@@ -151,25 +155,11 @@ pub(crate) fn mean_sight(
         normal += seen * weight;
         offset += distance * weight;
         weights += weight;
-        paint(pixels, view, &candidate.point, paints, &mut colors);
+        paint(pixels, view, weight, &mut colors);
     }
     (weights > 0.0).then(|| MeanSight {
         normal,
         distance: offset / weights,
         colors,
     })
-}
-
-/// Adds a view's colour of a place.
-fn paint(
-    pixels: &mut Reader<'_>,
-    view: &View,
-    place: &Point3<f64>,
-    (palette, layer): (&Palette, Layer),
-    colors: &mut Blend,
-) {
-    let pixel = view.camera.project(&view.pose.apply(place));
-    if let Some(pixel) = pixel.filter(|_| view.has_photo) {
-        palette.add(pixels, view, ([pixel.x, pixel.y], layer), colors);
-    }
 }

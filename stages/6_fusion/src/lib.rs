@@ -15,7 +15,7 @@
 //! 5. [`asset`](rilievo_scene::Asset): a light mesh with textures, baked from the views.
 //!
 //! In memory are one view while it is loaded, then the pages that the threads work on (`memory`), and in the
-//! end the mesh. The cloud is the same for any memory that suffices; the mesh's cells are larger where it would
+//! end the mesh. The cloud is the same for any memory that suffices; mesh and asset are coarser, and say so, where they would
 //! not fit.
 //!
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
@@ -203,18 +203,20 @@ pub fn run(
         }
     }
     let mut asset = None;
-    if options.makes_asset() && !mesh.triangles.is_empty() && observer.team().is_first() {
-        let made = asset::make(&mesh, &stock, settled.median_footprint, options, observer)?;
-        let Some((made, asset_report)) = made else {
-            warn("no asset: nothing of the mesh can be laid out on a texture".to_owned())?;
-            return Ok(Fused {
-                mesh,
-                asset,
-                report,
-            });
-        };
-        asset = Some(made);
-        report.asset = Some(asset_report);
+    if let Some(mesh_report) = (report.mesh.as_ref()).filter(|mesh| {
+        options.makes_asset() && mesh.num_triangles > 0 && observer.team().is_first()
+    }) {
+        let footprint = settled.median_footprint;
+        match asset::make((&mesh, mesh_report), &stock, footprint, options, observer)? {
+            Some((made, asset_report)) => {
+                asset = Some(made);
+                report.asset = Some(asset_report);
+            }
+            None => {
+                let message = "no asset: the mesh cannot be laid out on its textures; try a larger --texture or fewer --faces";
+                warn(message.to_owned())?;
+            }
+        }
     }
     Ok(Fused {
         mesh,

@@ -17,8 +17,12 @@ const LOAD_BYTES: usize = 56;
 const BLOCK_BYTES: usize = 2_400;
 /// Further bytes while a mesh is made lighter: about 100 a triangle.
 const SIMPLIFY_BYTES: usize = 6_000;
-/// Bytes of a texel of all textures together, and of how far it lies from a known one while gaps are filled.
-const TEXEL_BYTES: usize = 6 + 6 + 1 + 3 + 4 + 8;
+/// Bytes of a texel: 13 of all textures together, and 50 while they are encoded.
+const TEXEL_BYTES: usize = 64;
+/// Bytes of a triangle of the asset while it is laid out. Measured are 900.
+const FACE_BYTES: usize = 1500;
+/// Bytes of a triangle while a mesh is made light: its corners, vertex and normal, and what the quadrics take.
+const LIGHTENED_BYTES: usize = 160;
 /// Share of the memory that the mesh has.
 const MESH_SHARE: f64 = 0.6;
 /// Share of the memory for pages that threads hold.
@@ -59,9 +63,15 @@ pub(crate) fn num_pages(options: &FusionOptions) -> usize {
 
 /// Blocks of the volume whose mesh the memory holds.
 pub(crate) fn max_num_blocks(options: &FusionOptions) -> usize {
-    let is_lightened = options.max_num_triangles > 0 || options.makes_asset();
-    let simplify = usize::from(is_lightened) * SIMPLIFY_BYTES;
+    let simplify = usize::from(options.max_num_triangles > 0) * SIMPLIFY_BYTES;
     (share(options, MESH_SHARE) / (BLOCK_BYTES + simplify)).max(1)
+}
+
+/// Triangles that the asset has at most, and from which on a mesh is thinned before it is made light.
+pub(crate) fn asset_triangles(options: &FusionOptions) -> (usize, usize) {
+    let faces = share(options, MESH_SHARE) / FACE_BYTES;
+    let lightened = share(options, MESH_SHARE) / LIGHTENED_BYTES;
+    (options.asset_faces.min(faces).max(100), lightened.max(1000))
 }
 
 /// Largest side of textures that the memory holds.

@@ -1,5 +1,6 @@
 //! What stage 6 tells of its work.
 
+use rilievo_scene::BaseColor;
 use serde::{Deserialize, Serialize};
 
 /// How far overlapping views lie apart along the surface's normal.
@@ -99,6 +100,8 @@ pub struct MeshReport {
 /// The asset in numbers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AssetReport {
+    /// What the base colour shows.
+    pub shows: BaseColor,
     /// Triangles.
     pub num_triangles: usize,
     /// Vertices, those on seams once for each side.
@@ -113,7 +116,7 @@ pub struct AssetReport {
     pub is_bounded: bool,
     /// Share of the textures that surface covers.
     pub used_share: f64,
-    /// Share of that which no view sees: there the textures repeat what lies around.
+    /// Share of that which no view sees: there the colours repeat what lies around, and the normals are the light mesh's.
     pub unseen_share: f64,
     /// By how much the light mesh moved the surface, as the quadrics estimate it, world's unit.
     pub simplified_by: f64,

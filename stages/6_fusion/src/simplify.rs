@@ -5,7 +5,7 @@
 //! lit as the dense one.
 
 use crate::pieces::drop_unused;
-use meshopt::{SimplifyOptions, simplify_decoder};
+use meshopt::{SimplifyOptions, simplify_decoder, simplify_scale_decoder, simplify_sloppy_decoder};
 use rilievo_scene::Mesh;
 
 /// Leaves about `max_num_triangles`, more where the surface's pieces and holes need them; returns by how much the surface
@@ -27,6 +27,47 @@ pub(crate) fn simplify(mesh: &mut Mesh, max_num_triangles: usize) -> f64 {
     let index = vec![0; mesh.vertices.len()];
     drop_unused(mesh, index);
     f64::from(error)
+}
+
+/// The same as a mesh of its own, without colours. A mesh of more than `max_num_dense` triangles is thinned on a grid first,
+/// which takes little memory.
+pub(crate) fn lightened(
+    mesh: &Mesh,
+    max_num_triangles: usize,
+    max_num_dense: usize,
+) -> (Mesh, f64) {
+    let (mut moved, mut thinned) = (0.0, 0.0);
+    let mut corners = mesh.triangles.as_flattened().to_vec();
+    if mesh.triangles.len() > max_num_dense {
+        let num = max_num_dense.saturating_mul(3);
+        corners =
+            simplify_sloppy_decoder(&corners, &mesh.vertices, num, f32::MAX, Some(&mut thinned));
+        // It tells its error as a share of the extent.
+        thinned *= simplify_scale_decoder(&mesh.vertices);
+    }
+    if corners.len() > max_num_triangles.saturating_mul(3) {
+        corners = simplify_decoder(
+            &corners,
+            &mesh.vertices,
+            max_num_triangles.saturating_mul(3),
+            f32::MAX,
+            SimplifyOptions::ErrorAbsolute,
+            Some(&mut moved),
+        );
+    }
+    let mut number = vec![u32::MAX; mesh.vertices.len()];
+    let mut light = Mesh::default();
+    for corner in &mut corners {
+        let (v, number) = (*corner as usize, &mut number[*corner as usize]);
+        if *number == u32::MAX {
+            *number = light.vertices.len() as u32;
+            light.vertices.push(mesh.vertices[v]);
+            light.normals.push(mesh.normals[v]);
+        }
+        *corner = *number;
+    }
+    light.triangles = corners.as_chunks::<3>().0.to_vec();
+    (light, f64::from(moved) + f64::from(thinned))
 }
 
 #[cfg(test)]
@@ -101,6 +142,26 @@ mod tests {
         // Triangles of equal edges lie 0.005 below the sphere.
         let mean = depths / mesh.triangles.len() as f32;
         assert!(mean < 0.012, "{mean}");
+    }
+
+    #[test]
+    fn a_light_copy_is_the_same_and_one_too_large_for_its_memory_is_thinned() {
+        let dense = sphere(40);
+        let mut simplified = dense.clone();
+        let error = simplify(&mut simplified, 1000);
+        let (light, moved) = lightened(&dense, 1000, usize::MAX);
+        assert_eq!(light.triangles.len(), simplified.triangles.len());
+        assert_eq!(moved, error);
+        let (thinned, moved) = lightened(&dense, 1000, 6000);
+        assert!(
+            (300..=1000).contains(&thinned.triangles.len()),
+            "{}",
+            thinned.triangles.len()
+        );
+        assert!(moved > error && moved < 0.2, "{moved}");
+        for at in &thinned.vertices {
+            assert!((nalgebra::Vector3::from(*at).norm() - 1.0).abs() < 1e-5);
+        }
     }
 
     #[test]

@@ -9,8 +9,8 @@ use crate::view::{Farthest, View, pinhole_ray};
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{
-    ConfidenceMap, DepthMap, Intrinsics, MapSource, Mask, NormalMap, PhotoSet, PosedView,
-    PosedViews, Raster, Scratch, ShadedView,
+    BaseColor, ConfidenceMap, DepthMap, Intrinsics, MapSource, Mask, NormalMap, PhotoSet,
+    PosedView, PosedViews, Raster, Scratch, ShadedView,
 };
 
 /// Slope of an edge against the steepest surface that is kept: noise must not cut slopes.
@@ -28,6 +28,8 @@ const BLEND_PX: f32 = 8.0;
 pub(crate) struct Stock {
     pub views: Vec<View>,
     pub shelf: Shelf,
+    /// What the albedos are, which an asset takes for its base colour.
+    pub asset_shows: BaseColor,
 }
 
 /// The maps of one view in memory.
@@ -56,17 +58,20 @@ pub(crate) fn prepare(
     let mut shelf = Shelf::new(scratch)?;
     let mut views: Vec<View> = Vec::new();
     let mut reports: Vec<ViewFusion> = Vec::new();
+    let mut asset_shows = BaseColor::Grey;
     for maps_idx in 0..maps.num_views() {
         next(maps_idx)?;
         let loaded = maps.load(maps_idx)?;
         let camera_of = camera_of(posed, &loaded)?;
         let (cleaned, report) = clean(camera_of, loaded, options);
         let photo = photos.photos.get(camera_of.photo.0);
-        let painted = |mode: ColorMode| -> Result<Option<Vec<[u8; 3]>>, FusionError> {
+        let mut shows = BaseColor::Grey;
+        let mut painted = |mode: ColorMode| -> Result<Option<Vec<[u8; 3]>>, FusionError> {
             let Some(photo) = photo else {
                 return Ok(None);
             };
-            let shown = color::shown(photo, maps, maps_idx, mode)?;
+            let shown;
+            (shown, shows) = color::shown(photo, maps, maps_idx, mode)?;
             let size = [cleaned.camera.width, cleaned.camera.height];
             let camera = &camera_of.intrinsics;
             let encoded = color::encode(&shown, camera, cleaned.corner_px, size);
@@ -77,6 +82,12 @@ pub(crate) fn prepare(
             (false, _) => None,
             (true, ColorMode::Albedo) => colors.clone(),
             (true, ColorMode::Photographed) => painted(ColorMode::Albedo)?,
+        };
+        // One photo that keeps its light is enough for the asset to show some.
+        asset_shows = match (asset_shows, shows) {
+            (BaseColor::Grey, shows) | (shows, BaseColor::Grey) => shows,
+            (BaseColor::Albedo, BaseColor::Albedo) => BaseColor::Albedo,
+            _ => BaseColor::Photographed,
         };
         views.push(put_aside(
             views.len(),
@@ -92,7 +103,12 @@ pub(crate) fn prepare(
             num_views: views.len(),
         });
     }
-    Ok((Stock { views, shelf }, reports))
+    let stock = Stock {
+        views,
+        shelf,
+        asset_shows,
+    };
+    Ok((stock, reports))
 }
 
 fn put_aside(

@@ -48,7 +48,8 @@ fn world() -> (PhotoSet, PosedViews, ShadedViews) {
             let (depth, at) = place(pixel)?;
             Some((depth, pose.rotation * waved(&at)))
         });
-        let mut image = LinearImage::filled(SIDE, SIDE, 3, 1.0);
+        // As stage 5 leaves it: nothing beside the object.
+        let mut image = LinearImage::filled(SIDE, SIDE, 3, 0.0);
         for y in 0..SIDE {
             for x in 0..SIDE {
                 if let Some((_, at)) = place([x as f64, y as f64]) {
@@ -167,6 +168,8 @@ fn a_light_sphere_is_drawn_with_the_waves_and_colours_of_the_full_one() {
     assert!(mean(&flat) > 5.0, "the waves are {}", mean(&flat));
     assert!(mean(&angles) < 0.6, "{}", mean(&angles));
     assert!(mean(&colors) < 0.01, "{}", mean(&colors));
+    let worst = colors.iter().copied().fold(0.0, f64::max);
+    assert!(worst < 0.06, "{worst}");
     // A convex object hides the sky from none of its places.
     let mut open: Vec<u8> = asset.occlusion.data.clone();
     open.sort_unstable();
@@ -229,6 +232,13 @@ fn charts_do_not_overlap_and_tangents_follow_the_texture() {
 
 #[test]
 fn textures_are_bounded_and_an_asset_is_made_where_asked_for_alone() {
+    // A mesh that was made light before is looked for as far away as it was moved.
+    let lighter = FusionOptions {
+        max_num_triangles: 300,
+        ..FusionOptions::default()
+    };
+    let (_, report) = asset_of(&lighter).expect("an asset");
+    assert!(report.unseen_share < 0.1, "{report:?}");
     let small = FusionOptions {
         asset_faces: 1500,
         asset_texture: 128,

@@ -4,7 +4,7 @@
 #![allow(clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Point3, Vector3};
-use rilievo_fusion::{FusionError, FusionOptions, FusionReport, Inputs, run};
+use rilievo_fusion::{FusionError, FusionOptions, FusionReport, Inputs, MeshFormat, run};
 use rilievo_scene::{
     CloudPoint, ConfidenceMap, Intrinsics, LinearImage, MemoryScratch, Mesh, NormalMap, Observer,
     PhotoSet, PointCloud, PosedViews, Recorder, ShadedViews, Silent,
@@ -295,6 +295,8 @@ fn any_memory_that_suffices_gives_the_same_bytes_and_less_is_named() {
         let options = FusionOptions {
             memory_mib,
             voxel_px: 2.0,
+            // An asset has as many triangles and texels as the memory holds.
+            formats: vec![MeshFormat::Ply],
             ..FusionOptions::default()
         };
         fuse(&posed, &shaded, &options).expect("fused")

@@ -5,7 +5,7 @@
 
 use super::texture::{Texel, Textures};
 use super::unwrap::Unwrapped;
-use crate::color::{Layer, Palette};
+use crate::color::Palette;
 use crate::dress::mean_sight;
 use crate::error::FusionError;
 use crate::pairs::Candidate;
@@ -16,9 +16,10 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::{Observer, StageId};
 
-/// Triangles of a group, and groups between two words to the observer.
+/// Triangles of a group.
 const GROUP: usize = 32;
-const GROUPS_AT_ONCE: usize = 256;
+/// Texels between two words to the observer, about: their results are small against the textures.
+const TEXELS_AT_ONCE: f64 = 500_000.0;
 /// Views that are looked at: more only repeat what these say.
 const MAX_NUM_VIEWS: usize = 12;
 /// Distance of a texel's place from the views' surface from which it is looked at again there, pixel footprints.
@@ -44,16 +45,21 @@ impl Baker<'_> {
     ) -> Result<(), FusionError> {
         let num_triangles = self.unwrapped.mesh.triangles.len();
         let palette = Palette::new();
-        for first in (0..num_triangles).step_by(GROUP * GROUPS_AT_ONCE) {
-            let told = (first, num_triangles);
+        let mut next = 0;
+        while next < num_triangles {
+            let told = (next, num_triangles);
             let flow = observer.progress(StageId::Fusion, "baking textures", told);
             flow.ok_or(FusionError::Interrupted)?;
-            let end = num_triangles.min(first + GROUP * GROUPS_AT_ONCE);
-            let groups: Vec<usize> = (first..end).step_by(GROUP).collect();
-            let baked = groups.into_par_iter().map(|start| {
-                let group = start..end.min(start + GROUP);
-                readers.with(|pixels| self.group(pixels, group, &palette))
-            });
+            let (mut groups, mut num_texels) = (Vec::new(), 0.0);
+            while next < num_triangles && num_texels < TEXELS_AT_ONCE {
+                let group = next..num_triangles.min(next + GROUP);
+                num_texels += group.clone().map(|t| self.num_texels(t)).sum::<f64>();
+                next = group.end;
+                groups.push(group);
+            }
+            let baked = groups
+                .into_par_iter()
+                .map(|group| readers.with(|pixels| self.group(pixels, group, &palette)));
             let baked: Result<Vec<Vec<Texel>>, FusionError> = baked.collect();
             baked?
                 .iter()
@@ -61,6 +67,21 @@ impl Baker<'_> {
                 .for_each(|texel| textures.put(texel));
         }
         Ok(())
+    }
+
+    /// Area of a triangle on the texture.
+    fn num_texels(&self, triangle: usize) -> f64 {
+        let [a, b, c] = self.on_texture(triangle);
+        0.5 * twice_area(&a, &b, &c).abs()
+    }
+
+    /// Corners of a triangle on the texture, centres of texels at whole numbers.
+    fn on_texture(&self, triangle: usize) -> [[f64; 2]; 3] {
+        let (width, height) = self.unwrapped.size;
+        self.unwrapped.mesh.triangles[triangle].map(|v| {
+            let [u, v] = self.unwrapped.texture_coords[v as usize].map(f64::from);
+            [u * width as f64 - 0.5, v * height as f64 - 0.5]
+        })
     }
 
     fn group(
@@ -111,16 +132,11 @@ impl Baker<'_> {
     ) {
         let Unwrapped {
             mesh,
-            texture_coords,
             size: (width, height),
             ..
         } = self.unwrapped;
         let corners = mesh.triangles[triangle].map(|v| v as usize);
-        let on_texture = corners.map(|v| {
-            let [u, v] = texture_coords[v].map(f64::from);
-            // Centres of texels at integers.
-            [u * *width as f64 - 0.5, v * *height as f64 - 0.5]
-        });
+        let on_texture = self.on_texture(triangle);
         let of = |values: &[[f32; 3]]| corners.map(|v| Vector3::from(values[v].map(f64::from)));
         let (places, normals) = (of(&mesh.vertices), of(&mesh.normals));
         let tangents = corners.map(|v| {
@@ -170,12 +186,26 @@ impl Baker<'_> {
             normal: normal.try_normalize(1e-12)?,
             footprint,
         };
-        let paints = (palette, Layer::Albedo);
-        let mut seen = mean_sight(pixels, near, &candidate, self.limits, paints)?;
+        let look = |pixels: &mut Reader<'_>, candidate: &Candidate| {
+            mean_sight(
+                pixels,
+                near,
+                candidate,
+                self.limits,
+                |pixels, view, weight, colors| {
+                    let pixel = view.camera.project(&view.pose.apply(&candidate.point));
+                    if let Some(pixel) = pixel.filter(|_| view.has_photo) {
+                        let albedo = (weight * footprint * footprint, colors);
+                        palette.add_albedo(pixels, view, [pixel.x, pixel.y], albedo);
+                    }
+                },
+            )
+        };
+        let mut seen = look(pixels, &candidate)?;
         // The light mesh cuts corners: a view that sees it obliquely looks beside the place.
         if seen.distance.abs() > OFF_PX * footprint {
             candidate.point += candidate.normal * seen.distance;
-            seen = mean_sight(pixels, near, &candidate, self.limits, paints).unwrap_or(seen);
+            seen = look(pixels, &candidate).unwrap_or(seen);
         }
         Some((seen.normal.try_normalize(0.0)?, seen.colors.mean()))
     }
@@ -187,10 +217,7 @@ fn for_each_texel(
     (width, height): (usize, usize),
     mut work: impl FnMut((usize, usize), [f64; 3]),
 ) {
-    let twice = |p: &[f64; 2], q: &[f64; 2], r: &[f64; 2]| {
-        (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
-    };
-    let area = twice(a, b, c);
+    let area = twice_area(a, b, c);
     if area == 0.0 {
         return;
     }
@@ -206,10 +233,20 @@ fn for_each_texel(
     for y in range(1, height) {
         for x in range(0, width) {
             let p = [x as f64, y as f64];
-            let weights = [twice(b, c, &p), twice(c, a, &p), twice(a, b, &p)].map(|w| w / area);
+            let parts = [
+                twice_area(b, c, &p),
+                twice_area(c, a, &p),
+                twice_area(a, b, &p),
+            ];
+            let weights = parts.map(|w| w / area);
             if weights.iter().all(|&w| w >= 0.0) {
                 work((x, y), weights);
             }
         }
     }
+}
+
+/// Twice the signed area of a triangle.
+fn twice_area(p: &[f64; 2], q: &[f64; 2], r: &[f64; 2]) -> f64 {
+    (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
 }

@@ -1,6 +1,6 @@
 //! A light mesh with textures: albedo, normals and occlusion ([`Asset`]).
 //!
-//! 1. The clean mesh is made light ([`simplify`]) and gets smooth normals (`normals`).
+//! 1. The clean mesh is made light ([`lightened`]) and gets smooth normals (`normals`).
 //! 2. `unwrap`: it is cut into charts, which are laid out flat side by side.
 //! 3. `tangents`: frames for the normal map, by the rule that all renderers share.
 //! 4. `bake`: what the views see at each texel's place: the mean of their normals and albedos, by the weights of the
@@ -18,8 +18,8 @@ use crate::error::FusionError;
 use crate::memory;
 use crate::options::FusionOptions;
 use crate::reader::Readers;
-use crate::report::AssetReport;
-use crate::simplify::simplify;
+use crate::report::{AssetReport, MeshReport};
+use crate::simplify::lightened;
 use crate::views::Stock;
 use bake::Baker;
 use rilievo_scene::{Asset, Mesh, Observer, StageId};
@@ -29,10 +29,13 @@ use unwrap::Unwrapped;
 /// Edge of a texel, pixel footprints: what a view tells between its pixels is still there.
 const TEXEL_PX: f64 = 0.5;
 
+/// Share of the surface that no view sees from which on it is told.
+const MAX_UNSEEN: f64 = 0.1;
+
 /// Makes the asset of a mesh; `None` where it has no triangles that could be laid out. `footprint`: of the views' pixels
 /// on the surface (world's unit).
 pub(crate) fn make(
-    mesh: &Mesh,
+    (mesh, mesh_report): (&Mesh, &MeshReport),
     stock: &Stock,
     footprint: f64,
     options: &FusionOptions,
@@ -43,9 +46,17 @@ pub(crate) fn make(
         flow.ok_or(FusionError::Interrupted)
     };
     step("making a light mesh")?;
-    let mut light = mesh.clone();
-    let simplified_by = simplify(&mut light, options.asset_faces);
-    light.colors.clear();
+    let (faces, dense) = memory::asset_triangles(options);
+    if faces < options.asset_faces.min(mesh.triangles.len()) {
+        let message = format!(
+            "the asset has no more than {faces} triangles, to stay within {} MiB; raise the memory for more",
+            options.memory_mib
+        );
+        let flow = observer.warn(StageId::Fusion, message);
+        flow.ok_or(FusionError::Interrupted)?;
+    }
+    let (mut light, moved) = lightened(mesh, faces, dense);
+    let simplified_by = mesh_report.simplified_by + moved;
     normals::smooth(&mut light);
     step("laying the surface out")?;
     let texel = TEXEL_PX * footprint;
@@ -60,6 +71,16 @@ pub(crate) fn make(
         size,
         ..
     } = &unwrapped;
+    let is_bounded = size.0 >= side && unwrapped.texel > texel;
+    if is_bounded && side < options.asset_texture {
+        let message = format!(
+            "the asset's textures are no larger than {side} texels a side, to stay within {} MiB; raise the memory for \
+             more detail",
+            options.memory_mib
+        );
+        let flow = observer.warn(StageId::Fusion, message);
+        flow.ok_or(FusionError::Interrupted)?;
+    }
     let tangents = tangents::tangents(mesh, texture_coords);
     step("finding what the sky reaches")?;
     let occlusion = occlusion::open_sky(mesh, footprint);
@@ -69,7 +90,10 @@ pub(crate) fn make(
         occlusion: &occlusion,
         views: &stock.views,
         limits: (
-            options.depth_tolerance_px * footprint + simplified_by,
+            mesh_report
+                .voxel
+                .max(options.depth_tolerance_px * footprint)
+                + simplified_by,
             options.normal_tolerance_deg.to_radians().cos(),
         ),
     };
@@ -79,15 +103,25 @@ pub(crate) fn make(
     drop(readers);
     step("filling the textures' gaps")?;
     let covered = textures.num_covered();
+    let unseen_share = 1.0 - textures.num_seen() as f64 / covered.max(1) as f64;
+    if unseen_share > MAX_UNSEEN {
+        let message = format!(
+            "no photo sees {:.0} % of the asset's surface: its textures are made up there from what lies around",
+            100.0 * unseen_share
+        );
+        let flow = observer.warn(StageId::Fusion, message);
+        flow.ok_or(FusionError::Interrupted)?;
+    }
     let report = AssetReport {
+        shows: stock.asset_shows,
         num_triangles: mesh.triangles.len(),
         num_vertices: mesh.vertices.len(),
         num_charts: unwrapped.num_charts,
         texture_size: [size.0, size.1],
         texel: unwrapped.texel,
-        is_bounded: size.0 >= side && unwrapped.texel > texel,
+        is_bounded,
         used_share: covered as f64 / (size.0 * size.1) as f64,
-        unseen_share: 1.0 - textures.num_seen() as f64 / covered.max(1) as f64,
+        unseen_share,
         simplified_by,
     };
     let (base_color, normal, occlusion) = textures.finish();
@@ -95,6 +129,7 @@ pub(crate) fn make(
         mesh: unwrapped.mesh,
         texture_coords: unwrapped.texture_coords,
         tangents,
+        shows: stock.asset_shows,
         base_color,
         normal,
         occlusion,

@@ -86,8 +86,20 @@ fn grow<T: Copy>(texture: &mut Raster<T>, is_known: &[bool], reach: u32) {
         .iter()
         .map(|&is| if is { 0 } else { u32::MAX })
         .collect();
-    let mut open: VecDeque<usize> = (0..steps.len()).filter(|&k| is_known[k]).collect();
-    while let Some(k) = open.pop_front() {
+    // Those that lie beside an unknown one alone: of a large texture few do.
+    let is_open = |k: usize| {
+        let (x, y) = (k % width, k / width);
+        is_known[k]
+            && (x > 0 && !is_known[k - 1]
+                || x + 1 < width && !is_known[k + 1]
+                || y > 0 && !is_known[k - width]
+                || y + 1 < height && !is_known[k + width])
+    };
+    let mut open: VecDeque<u32> = (0..steps.len())
+        .filter(|&k| is_open(k))
+        .map(|k| k as u32)
+        .collect();
+    while let Some(k) = open.pop_front().map(|k| k as usize) {
         if steps[k] >= reach {
             continue;
         }
@@ -102,7 +114,7 @@ fn grow<T: Copy>(texture: &mut Raster<T>, is_known: &[bool], reach: u32) {
             if steps[next] == u32::MAX {
                 steps[next] = steps[k] + 1;
                 texture.data[next] = texture.data[k];
-                open.push_back(next);
+                open.push_back(next as u32);
             }
         }
     }

@@ -35,14 +35,8 @@ pub(super) fn unwrap(
     if !(num_texels > 0.0 && num_texels.is_finite()) {
         return Ok(None);
     }
-    let side = (num_texels.sqrt().ceil() as usize).clamp(MIN_SIDE, max_side.max(MIN_SIDE));
-    let options = Options {
-        density: Density::Auto {
-            page_size: side as u32,
-        },
-        padding: PADDING,
-        ..Options::default()
-    };
+    let max_side = max_side.max(MIN_SIDE);
+    let mut side = (num_texels.sqrt().ceil() as usize).clamp(MIN_SIDE, max_side);
     let input = MeshInput::new(&mesh.vertices, mesh.triangles.as_flattened());
     let go_on = |progress: uvunwrap::Progress| {
         let told = (
@@ -52,11 +46,22 @@ pub(super) fn unwrap(
         let flow = observer.progress(StageId::Fusion, "laying the surface out", told);
         flow.ok_or(()).is_ok()
     };
-    let atlas = match generate_with_progress(&[input], &options, go_on) {
-        Ok(atlas) => Some(atlas).filter(|atlas| atlas.page_count == 1),
-        Err(Error::Cancelled) => return Err(FusionError::Interrupted),
-        // Nothing fits: there is a mesh, and no asset.
-        Err(_) => None,
+    let atlas = loop {
+        let options = Options {
+            density: Density::Auto {
+                page_size: side as u32,
+            },
+            padding: PADDING,
+            ..Options::default()
+        };
+        match generate_with_progress(&[input], &options, go_on) {
+            Ok(atlas) if atlas.page_count == 1 => break Some(atlas),
+            Err(Error::Cancelled) => return Err(FusionError::Interrupted),
+            // The room between many small charts takes more than their area.
+            _ if side < max_side => side = (2 * side).min(max_side),
+            // Nothing fits: there is a mesh, and no asset.
+            _ => break None,
+        }
     };
     let Some((atlas, laid)) = atlas.and_then(|mut atlas| {
         let laid = atlas.meshes.pop()?;

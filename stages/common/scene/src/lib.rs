@@ -40,7 +40,7 @@ mod subset;
 pub mod team;
 pub mod transform;
 
-pub use asset::Asset;
+pub use asset::{Asset, BaseColor};
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
 pub use camera::{Distortion, FocalSource, Intrinsics};
 pub use checkpoint::{Checkpoint, CheckpointError, NoCheckpoint, StatePart};

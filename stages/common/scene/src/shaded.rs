@@ -52,7 +52,7 @@ pub trait MapSource: Sync {
     /// When the backing store cannot be read.
     fn load(&self, idx: usize) -> Result<ShadedView, PixelError>;
 
-    /// Loads the images of a view.
+    /// Loads the images of a view; the rendered one may be left out where there is an albedo.
     ///
     /// # Errors
     /// When the backing store cannot be read.

@@ -4,7 +4,7 @@
 //! |---|---|
 //! | `asset.glb` | all of it; metres, y up; textures as 8-bit PNG |
 //! | `asset/asset.obj`, `asset.mtl` | the mesh in the frame of `cameras.json`, and what its material takes from where |
-//! | `asset/base_color.png`, `.exr` | relative albedo, half is the mean: 8-bit sRGB, and linear in floats |
+//! | `asset/base_color.png`, `.exr` | what the base colour shows: 8-bit sRGB, and linear in floats |
 //! | `asset/normal.png` | tangent-space normals, 16 bits, OpenGL convention (green up), tangents by MikkTSpace |
 //! | `asset/occlusion.png` | share of a uniform sky that reaches the place, 8 bits |
 
@@ -37,7 +37,8 @@ pub fn write_asset<E: From<IoError>>(
     let write = |name: &str, bytes: &[u8]| -> Result<(), E> {
         Ok(write_pieces(&path(name)?, |out| out.write_all(bytes))?)
     };
-    write("asset/asset.mtl", MATERIAL.as_bytes())?;
+    let material = format!("# Base colour: {}.\n{MATERIAL}", asset.shows.sentence());
+    write("asset/asset.mtl", material.as_bytes())?;
     write("asset/base_color.png", &images.base_color)?;
     let normal = path("asset/normal.png")?;
     write("asset/normal.png", &png16(&normal, &asset.normal)?)?;
@@ -118,9 +119,10 @@ pub fn read_asset_mesh(path: &Path, frame: &ViewerFrame) -> Result<AssetMesh, Io
     }
 }
 
-/// What an OBJ's reader finds of the material; `norm` is the name that Blender and others give the normal map.
+/// What an OBJ's reader finds of the material. The format has no name for normal maps: some readers take `norm`, Blender
+/// `map_Bump`.
 const MATERIAL: &str = "\
-# Base colour: relative albedo. Normal map: tangent space, OpenGL convention (green up), tangents by MikkTSpace.
+# Normal map: tangent space, OpenGL convention (green up), tangents by MikkTSpace.
 newmtl matte
 Ka 0 0 0
 Kd 1 1 1
@@ -130,6 +132,7 @@ Pm 0
 illum 1
 map_Kd base_color.png
 norm normal.png
+map_Bump normal.png
 map_Ka occlusion.png
 ";
 

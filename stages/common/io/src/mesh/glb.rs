@@ -169,7 +169,7 @@ pub(super) fn write_asset_glb(
         "occlusionTexture": {"index": 2},
         "doubleSided": true,
         "extras": {
-            "base_color": "relative albedo, without light and shadow: half is the mean",
+            "base_color": asset.shows.sentence(),
             "normal_map": "OpenGL convention, green up; tangents by MikkTSpace",
         },
     });

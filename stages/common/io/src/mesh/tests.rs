@@ -2,8 +2,8 @@ use super::*;
 use crate::error::IoError;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rilievo_scene::{
-    Asset, Intrinsics, Mesh, PhotoIdx, PosedView, PosedViews, Raster, RigidTransform, Unit,
-    WorldCoordinates, WorldFrame,
+    Asset, BaseColor, Intrinsics, Mesh, PhotoIdx, PosedView, PosedViews, Raster, RigidTransform,
+    Unit, WorldCoordinates, WorldFrame,
 };
 use std::path::Path;
 
@@ -145,6 +145,7 @@ fn asset() -> Asset {
         },
         texture_coords: vec![[0.0, 0.0], [1.0, 0.0], [0.0, 0.5]],
         tangents: vec![[1.0, 0.0, 0.0, -1.0]; 3],
+        shows: BaseColor::Albedo,
         base_color: Raster::filled(5, 3, [14_146, 0, 65_535]),
         normal: Raster::from_fn(5, 3, |x, _| [x as u16 * 257, 32_768, 65_535]),
         occlusion: Raster::filled(5, 3, 200),
