@@ -68,6 +68,7 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
         ("normal maps", "run/5_shading/normal"),
         ("point cloud", "run/6_fusion/cloud.ply"),
         ("mesh", "run/6_fusion/mesh.ply"),
+        ("asset", "run/6_fusion/asset.glb"),
         ("report", "run/report.html"),
     ] {
         say!("{what:<16}  {}", args.output.join(file).display())?;
