@@ -15,7 +15,7 @@ use crate::store::{
 use crate::system;
 use maps::Views;
 use rilievo_fusion::{FusionError, Inputs};
-use rilievo_io::CloudPlyWriter;
+use rilievo_io::{ASSET_FILES, CloudPlyWriter};
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
     MapSource, PhotoIdx, PhotoSet, PosedView, PosedViews, Scale, ScaleSource, StageId, Unit,
@@ -96,7 +96,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     })?;
     // A format that was not written now does not stay with an earlier surface.
     let mut files = Vec::new();
-    for name in SURFACE {
+    for name in surface() {
         let (path, written) = (args.output.join(name), writing.path().join(name));
         if written.exists() {
             let path = with_its_folder(path)?;
@@ -136,20 +136,13 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Files of the surface that are written.
-const SURFACE: [&str; 11] = [
-    "cloud.ply",
-    "mesh.ply",
-    "mesh.obj",
-    "mesh.glb",
-    "asset.glb",
-    "asset/asset.obj",
-    "asset/asset.mtl",
-    "asset/base_color.png",
-    "asset/base_color.exr",
-    "asset/normal.png",
-    "asset/occlusion.png",
-];
+/// Files of the surface beside the asset's.
+const SURFACE: [&str; 4] = ["cloud.ply", "mesh.ply", "mesh.obj", "mesh.glb"];
+
+/// Files that are written.
+fn surface() -> impl Iterator<Item = &'static str> {
+    SURFACE.into_iter().chain(ASSET_FILES)
+}
 
 /// The path of a file, whose folder is made where it is not there.
 fn with_its_folder(path: PathBuf) -> Result<PathBuf, StoreError> {
@@ -175,7 +168,7 @@ fn own_results(folder: &Path, overwrite: bool) -> Result<Vec<&'static str>, Fail
         None => false,
     };
     let there = |name: &&str| std::fs::symlink_metadata(folder.join(name)).is_ok();
-    let found = SURFACE.into_iter().chain([REPORT]).filter(there);
+    let found = surface().chain([REPORT]).filter(there);
     let (ours, others): (Vec<&str>, Vec<&str>) = found.partition(|name| is_ours(name));
     if others.is_empty() || overwrite {
         return Ok(ours);

@@ -11,7 +11,8 @@ use maud::{Markup, PreEscaped, html};
 use rilievo_io::{
     AssetMesh, CoarseMesh, ViewerFrame, picture_as_jpeg, read_asset_mesh, read_coarse_mesh_ply,
 };
-use rilievo_scene::{Mesh, PosedViews, StageId, Unit};
+use rilievo_scene::cloud::renumber;
+use rilievo_scene::{PosedViews, StageId, Unit};
 use std::path::Path;
 
 /// Vertices of the view without textures: 1.1 MB in the page, fluent on a phone, and 16 bits tell them apart.
@@ -142,7 +143,7 @@ fn shown(folder: &Path, posed: &PosedViews) -> anyhow::Result<Option<Shown>> {
         let fits = surface.mesh.vertices.len() <= usize::from(u16::MAX);
         if let Some((colors, normals)) = textures.filter(|_| fits) {
             return Ok(Some(Shown {
-                bounds: bounds(&surface.mesh),
+                bounds: surface.mesh.bounds().unwrap_or_default(),
                 textures: Some([colors, normals]),
                 surface,
                 of: ("asset.glb", num_triangles),
@@ -187,31 +188,11 @@ fn lighten(surface: &mut AssetMesh) {
         );
         mesh.triangles = corners.as_chunks::<3>().0.to_vec();
     }
-    let mut number = vec![u32::MAX; mesh.vertices.len()];
-    let mut kept = Vec::new();
-    for corner in mesh.triangles.iter_mut().flatten() {
-        let number = &mut number[*corner as usize];
-        if *number == u32::MAX {
-            *number = kept.len() as u32;
-            kept.push(*corner as usize);
-        }
-        *corner = *number;
-    }
+    let kept = renumber(&mut mesh.triangles, mesh.vertices.len());
     mesh.vertices = kept.iter().map(|&v| mesh.vertices[v]).collect();
     mesh.normals = kept.iter().map(|&v| mesh.normals[v]).collect();
     *texture_coords = kept.iter().map(|&v| texture_coords[v]).collect();
     *tangents = kept.iter().map(|&v| tangents[v]).collect();
-}
-
-fn bounds(mesh: &Mesh) -> [[f32; 3]; 2] {
-    let first = mesh.vertices.first().copied().unwrap_or_default();
-    let grow = |[low, high]: [[f32; 3]; 2], v: &[f32; 3]| {
-        [
-            std::array::from_fn(|k| low[k].min(v[k])),
-            std::array::from_fn(|k| high[k].max(v[k])),
-        ]
-    };
-    mesh.vertices.iter().fold([first; 2], grow)
 }
 
 fn pack(shown: &Shown) -> Vec<u8> {
@@ -250,6 +231,7 @@ fn pack(shown: &Shown) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rilievo_scene::Mesh;
 
     #[test]
     fn a_surface_of_many_triangles_is_lightened_with_what_its_vertices_have() {
@@ -288,7 +270,7 @@ mod tests {
             triangles: vec![[0, 2, 1]],
         };
         let mut shown = Shown {
-            bounds: bounds(&mesh),
+            bounds: mesh.bounds().expect("vertices"),
             surface: AssetMesh {
                 mesh,
                 ..AssetMesh::default()

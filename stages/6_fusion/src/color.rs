@@ -8,6 +8,7 @@
 use crate::error::FusionError;
 use crate::options::ColorMode;
 use crate::reader::Reader;
+use crate::shelf::Pixel;
 use crate::view::{Pixels, View, bilinear_weights};
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -119,15 +120,10 @@ impl Palette {
 
     /// Adds a view's bilinear linear colour at a camera's pixel.
     pub fn add(&self, pixels: &mut Reader<'_>, view: &View, [x, y]: [f64; 2], blend: &mut Blend) {
-        let (x0, y0) = (x.floor(), y.floor());
-        let (width, height) = (view.camera.width as f64, view.camera.height as f64);
-        // Beside the last column and row there is a neighbour, if only of no weight.
-        let is_inside = x0 >= 0.0 && y0 >= 0.0 && x0 + 1.0 < width && y0 + 1.0 < height;
-        if !is_inside {
+        let Some((corners, [fx, fy])) = around(pixels, view, [x, y]) else {
             return;
-        }
-        let (fx, fy) = ((x - x0) as f32, (y - y0) as f32);
-        let corners = pixels.square(view, x0 as usize, y0 as usize);
+        };
+        let (fx, fy) = (fx as f32, fy as f32);
         if corners.iter().any(|pixel| !pixel.is_kept) {
             return;
         }
@@ -148,14 +144,10 @@ impl Palette {
         [x, y]: [f64; 2],
         (weight, blend): (f64, &mut Blend),
     ) {
-        let (x0, y0) = (x.floor(), y.floor());
-        let (width, height) = (view.camera.width as f64, view.camera.height as f64);
-        let is_inside = x0 >= 0.0 && y0 >= 0.0 && x0 + 1.0 < width && y0 + 1.0 < height;
-        if !is_inside {
+        let Some((corners, [fx, fy])) = around(pixels, view, [x, y]) else {
             return;
-        }
-        let corners = pixels.square(view, x0 as usize, y0 as usize);
-        let weights = bilinear_weights(x - x0, y - y0);
+        };
+        let weights = bilinear_weights(fx, fy);
         let on_surface = || {
             corners
                 .iter()
@@ -174,6 +166,22 @@ impl Palette {
         }
         blend.count += weight as f32;
     }
+}
+
+/// The four pixels around a camera's pixel, and where it lies between them; `None` at the map's border.
+fn around(
+    pixels: &mut Reader<'_>,
+    view: &View,
+    [x, y]: [f64; 2],
+) -> Option<([Pixel; 4], [f64; 2])> {
+    let (x0, y0) = (x.floor(), y.floor());
+    let (width, height) = (view.camera.width as f64, view.camera.height as f64);
+    // Beside the last column and row there is a neighbour, if only of no weight.
+    let is_inside = x0 >= 0.0 && y0 >= 0.0 && x0 + 1.0 < width && y0 + 1.0 < height;
+    is_inside.then(|| {
+        let corners = pixels.square(view, x0 as usize, y0 as usize);
+        (corners, [x - x0, y - y0])
+    })
 }
 
 /// A photo divided by the image that explains it, where the latter is not too dark to divide by.

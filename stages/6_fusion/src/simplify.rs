@@ -7,6 +7,7 @@
 use crate::pieces::drop_unused;
 use meshopt::{SimplifyOptions, simplify_decoder, simplify_scale_decoder, simplify_sloppy_decoder};
 use rilievo_scene::Mesh;
+use rilievo_scene::cloud::renumber;
 
 /// Leaves about `max_num_triangles`, more where the surface's pieces and holes need them; returns by how much the surface
 /// moved, as the quadrics estimate it, world's unit.
@@ -55,18 +56,15 @@ pub(crate) fn lightened(
             Some(&mut moved),
         );
     }
-    let mut number = vec![u32::MAX; mesh.vertices.len()];
-    let mut light = Mesh::default();
-    for corner in &mut corners {
-        let (v, number) = (*corner as usize, &mut number[*corner as usize]);
-        if *number == u32::MAX {
-            *number = light.vertices.len() as u32;
-            light.vertices.push(mesh.vertices[v]);
-            light.normals.push(mesh.normals[v]);
-        }
-        *corner = *number;
-    }
-    light.triangles = corners.as_chunks::<3>().0.to_vec();
+    let mut triangles = corners.as_chunks::<3>().0.to_vec();
+    let used = renumber(&mut triangles, mesh.vertices.len());
+    let pick = |from: &[[f32; 3]]| used.iter().map(|&v| from[v]).collect();
+    let light = Mesh {
+        vertices: pick(&mesh.vertices),
+        normals: pick(&mesh.normals),
+        colors: Vec::new(),
+        triangles,
+    };
     (light, f64::from(moved) + f64::from(thinned))
 }
 

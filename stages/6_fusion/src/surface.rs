@@ -139,14 +139,7 @@ pub(crate) fn extract(
     let open = rim::boundary_loops(&mesh);
     report.num_open_loops = open.len();
     report.boundary_length = open.iter().map(|ring| holes::length(&mesh, ring)).sum();
-    let grow = |[low, high]: [[f32; 3]; 2], v: &[f32; 3]| {
-        [
-            std::array::from_fn(|k| low[k].min(v[k])),
-            std::array::from_fn(|k| high[k].max(v[k])),
-        ]
-    };
-    let first = mesh.vertices.first();
-    report.bounds = first.map(|&first| mesh.vertices.iter().fold([first; 2], grow));
+    report.bounds = mesh.bounds();
     report.num_vertices = mesh.vertices.len();
     report.num_triangles = mesh.triangles.len();
     Ok((mesh, report))

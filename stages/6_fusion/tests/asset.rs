@@ -133,13 +133,16 @@ fn drawn(asset: &Asset, triangle: usize, weights: [f64; 3]) -> [Vector3<f64>; 3]
     ]
 }
 
-#[test]
-fn a_light_sphere_is_drawn_with_the_waves_and_colours_of_the_full_one() {
-    let options = FusionOptions {
+fn light() -> FusionOptions {
+    FusionOptions {
         asset_faces: 1500,
         ..FusionOptions::default()
-    };
-    let (asset, report) = asset_of(&options).expect("an asset");
+    }
+}
+
+#[test]
+fn a_light_sphere_is_drawn_with_the_waves_and_colours_of_the_full_one() {
+    let (asset, report) = asset_of(&light()).expect("an asset");
     let mesh = &asset.mesh;
     assert!((800..=1500).contains(&mesh.triangles.len()), "{report:?}");
     assert_eq!(mesh.vertices.len(), asset.tangents.len());
@@ -178,11 +181,7 @@ fn a_light_sphere_is_drawn_with_the_waves_and_colours_of_the_full_one() {
 
 #[test]
 fn charts_do_not_overlap_and_tangents_follow_the_texture() {
-    let options = FusionOptions {
-        asset_faces: 1500,
-        ..FusionOptions::default()
-    };
-    let (asset, _) = asset_of(&options).expect("an asset");
+    let (asset, _) = asset_of(&light()).expect("an asset");
     let (width, height) = (asset.normal.width, asset.normal.height);
     let mut owners = vec![0_u8; width * height];
     for t in &asset.mesh.triangles {
@@ -240,9 +239,8 @@ fn textures_are_bounded_and_an_asset_is_made_where_asked_for_alone() {
     let (_, report) = asset_of(&lighter).expect("an asset");
     assert!(report.unseen_share < 0.1, "{report:?}");
     let small = FusionOptions {
-        asset_faces: 1500,
         asset_texture: 128,
-        ..FusionOptions::default()
+        ..light()
     };
     let (asset, report) = asset_of(&small).expect("an asset");
     assert!(asset.normal.width <= 128 && asset.normal.height <= 128 && report.is_bounded);

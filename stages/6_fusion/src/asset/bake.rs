@@ -139,10 +139,9 @@ impl Baker<'_> {
         let on_texture = self.on_texture(triangle);
         let of = |values: &[[f32; 3]]| corners.map(|v| Vector3::from(values[v].map(f64::from)));
         let (places, normals) = (of(&mesh.vertices), of(&mesh.normals));
-        let tangents = corners.map(|v| {
-            let [x, y, z, sign] = self.tangents[v].map(f64::from);
-            (Vector3::new(x, y, z), sign)
-        });
+        let tangents = corners.map(|v| self.tangents[v].map(f64::from));
+        let sign = tangents[0][3];
+        let tangents = tangents.map(|[x, y, z, _]| Vector3::new(x, y, z));
         for_each_texel(&on_texture, (*width, *height), |(x, y), weights| {
             let mean = |of: &[Vector3<f64>; 3]| -> Vector3<f64> {
                 of.iter().zip(weights).map(|(v, w)| v * w).sum()
@@ -152,8 +151,8 @@ impl Baker<'_> {
             let open: f64 = open.map(|(&v, w)| f64::from(self.occlusion[v]) * w).sum();
             let seen = self.look(pixels, near, mean(&places).into(), &normal, palette);
             // As a renderer does: tangent and normal interpolated, the bitangent by their product.
-            let tangent = mean(&tangents.map(|(tangent, _)| tangent));
-            let bitangent = normal.cross(&tangent) * tangents[0].1;
+            let tangent = mean(&tangents);
+            let bitangent = normal.cross(&tangent) * sign;
             let frame = Matrix3::from_columns(&[tangent, bitangent, normal]);
             let in_frame = seen.as_ref().and_then(|(seen, _)| {
                 let direction = frame.try_inverse()? * seen;

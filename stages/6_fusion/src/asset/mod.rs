@@ -45,6 +45,10 @@ pub(crate) fn make(
         let flow = observer.progress(StageId::Fusion, step, (0, 1));
         flow.ok_or(FusionError::Interrupted)
     };
+    let warn = |message: String| {
+        let flow = observer.warn(StageId::Fusion, message);
+        flow.ok_or(FusionError::Interrupted)
+    };
     step("making a light mesh")?;
     let (faces, dense) = memory::asset_triangles(options);
     if faces < options.asset_faces.min(mesh.triangles.len()) {
@@ -52,8 +56,7 @@ pub(crate) fn make(
             "the asset has no more than {faces} triangles, to stay within {} MiB; raise the memory for more",
             options.memory_mib
         );
-        let flow = observer.warn(StageId::Fusion, message);
-        flow.ok_or(FusionError::Interrupted)?;
+        warn(message)?;
     }
     let (mut light, moved) = lightened(mesh, faces, dense);
     let simplified_by = mesh_report.simplified_by + moved;
@@ -78,8 +81,7 @@ pub(crate) fn make(
              more detail",
             options.memory_mib
         );
-        let flow = observer.warn(StageId::Fusion, message);
-        flow.ok_or(FusionError::Interrupted)?;
+        warn(message)?;
     }
     let tangents = tangents::tangents(mesh, texture_coords);
     step("finding what the sky reaches")?;
@@ -109,8 +111,7 @@ pub(crate) fn make(
             "no photo sees {:.0} % of the asset's surface: its textures are made up there from what lies around",
             100.0 * unseen_share
         );
-        let flow = observer.warn(StageId::Fusion, message);
-        flow.ok_or(FusionError::Interrupted)?;
+        warn(message)?;
     }
     let report = AssetReport {
         shows: stock.asset_shows,

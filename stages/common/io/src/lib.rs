@@ -80,7 +80,8 @@ pub use mask::{mask_file, read_mask, write_mask};
 pub use mask_names::{MaskNames, masks_among};
 pub use mat::{MatArray, read_mat};
 pub use mesh::{
-    AssetMesh, ViewerFrame, read_asset_mesh, write_asset, write_mesh_glb, write_mesh_obj,
+    ASSET_FILES, AssetMesh, ViewerFrame, read_asset_mesh, write_asset, write_mesh_glb,
+    write_mesh_obj,
 };
 pub use photo::{
     RawDecoder, decode_photo, decode_photo_bytes, decode_raw_here, decoder_is_guarded,

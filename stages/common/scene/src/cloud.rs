@@ -60,3 +60,33 @@ pub struct Mesh {
     /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
+
+impl Mesh {
+    /// Smallest and largest coordinates of the vertices; `None` without any.
+    pub fn bounds(&self) -> Option<[[f32; 3]; 2]> {
+        let grow = |[low, high]: [[f32; 3]; 2], v: &[f32; 3]| {
+            [
+                std::array::from_fn(|k| low[k].min(v[k])),
+                std::array::from_fn(|k| high[k].max(v[k])),
+            ]
+        };
+        let first = *self.vertices.first()?;
+        Some(self.vertices.iter().fold([first; 2], grow))
+    }
+}
+
+/// Numbers the vertices that triangles use anew, in the order of their first use; returns which they were, of
+/// `num_vertices`.
+pub fn renumber(triangles: &mut [[u32; 3]], num_vertices: usize) -> Vec<usize> {
+    let mut number = vec![u32::MAX; num_vertices];
+    let mut used = Vec::new();
+    for corner in triangles.iter_mut().flatten() {
+        let number = &mut number[*corner as usize];
+        if *number == u32::MAX {
+            *number = used.len() as u32;
+            used.push(*corner as usize);
+        }
+        *corner = *number;
+    }
+    used
+}

@@ -10,6 +10,7 @@
 
 use super::check::check;
 use super::glb::{AssetImages, ViewerFrame, write_asset_glb};
+use super::obj::{Textured, write_obj};
 use crate::error::IoError;
 use crate::exr_maps::write_linear_half;
 use crate::files::{read_regular, write_pieces};
@@ -19,7 +20,18 @@ use rilievo_scene::{Asset, LinearImage, Mesh, Raster, WorldCoordinates, srgb};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Writes an asset to the paths of its files' names.
+/// Names of an asset's files, from the folder on that holds them.
+pub const ASSET_FILES: [&str; 7] = [
+    "asset.glb",
+    "asset/asset.obj",
+    "asset/asset.mtl",
+    "asset/base_color.png",
+    "asset/base_color.exr",
+    "asset/normal.png",
+    "asset/occlusion.png",
+];
+
+/// Writes an asset to the paths of its files' names ([`ASSET_FILES`]).
 ///
 /// # Errors
 /// When a file cannot be written, or the asset is inconsistent.
@@ -33,7 +45,16 @@ pub fn write_asset<E: From<IoError>>(
     check_asset(&glb, asset)?;
     let images = images(&glb, asset)?;
     write_asset_glb(&glb, asset, &images, world.unit, frame)?;
-    write_obj(&path("asset/asset.obj")?, asset, world)?;
+    let textured = Textured {
+        material: ("asset.mtl", "matte"),
+        coords: &asset.texture_coords,
+    };
+    write_obj(
+        &path("asset/asset.obj")?,
+        &asset.mesh,
+        Some(textured),
+        world,
+    )?;
     let write = |name: &str, bytes: &[u8]| -> Result<(), E> {
         Ok(write_pieces(&path(name)?, |out| out.write_all(bytes))?)
     };
@@ -201,31 +222,4 @@ fn png(
         .write_image(bytes, width as u32, height as u32, color)
         .map_err(|error| IoError::write(path, error))?;
     Ok(out)
-}
-
-/// Wavefront OBJ with texture coordinates, whose zero is the lower left corner there.
-fn write_obj(path: &Path, asset: &Asset, world: WorldCoordinates) -> Result<(), IoError> {
-    write_pieces(path, |out| {
-        let (unit, frame) = (world.unit.name(), world.frame.of_file());
-        writeln!(
-            out,
-            "# unit {unit}\n# frame {frame}\nmtllib asset.mtl\no object"
-        )?;
-        for [x, y, z] in &asset.mesh.vertices {
-            writeln!(out, "v {x} {y} {z}")?;
-        }
-        for [u, v] in &asset.texture_coords {
-            writeln!(out, "vt {u} {}", 1.0 - v)?;
-        }
-        for [x, y, z] in &asset.mesh.normals {
-            writeln!(out, "vn {x:.5} {y:.5} {z:.5}")?;
-        }
-        writeln!(out, "usemtl matte")?;
-        for t in &asset.mesh.triangles {
-            // The format counts from one.
-            let [a, b, c] = t.map(|v| u64::from(v) + 1);
-            writeln!(out, "f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}")?;
-        }
-        Ok(())
-    })
 }

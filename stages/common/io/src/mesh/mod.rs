@@ -10,7 +10,7 @@ pub(crate) mod check;
 mod glb;
 mod obj;
 
-pub use asset::{AssetMesh, read_asset_mesh, write_asset};
+pub use asset::{ASSET_FILES, AssetMesh, read_asset_mesh, write_asset};
 pub use glb::{ViewerFrame, write_mesh_glb};
 pub use obj::write_mesh_obj;
 

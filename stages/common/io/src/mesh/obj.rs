@@ -22,11 +22,32 @@ pub fn write_mesh_obj(
     mesh: &Mesh,
     world: impl Into<WorldCoordinates>,
 ) -> Result<(), IoError> {
+    write_obj(path, mesh, None, world.into())
+}
+
+/// What an OBJ takes from images.
+pub(super) struct Textured<'a> {
+    /// File of the material, and its name there.
+    pub material: (&'a str, &'a str),
+    /// Places of the vertices on the texture, its zero at the upper left.
+    pub coords: &'a [[f32; 2]],
+}
+
+/// Writes a mesh as OBJ, with textures or without.
+pub(super) fn write_obj(
+    path: &Path,
+    mesh: &Mesh,
+    textured: Option<Textured<'_>>,
+    world: WorldCoordinates,
+) -> Result<(), IoError> {
     check(path, mesh)?;
-    let world = world.into();
     write_pieces(path, |out| {
         let (unit, frame) = (world.unit.name(), world.frame.of_file());
-        writeln!(out, "# unit {unit}\n# frame {frame}\no object")?;
+        writeln!(out, "# unit {unit}\n# frame {frame}")?;
+        if let Some(Textured { material, .. }) = &textured {
+            writeln!(out, "mtllib {}", material.0)?;
+        }
+        writeln!(out, "o object")?;
         for (i, [x, y, z]) in mesh.vertices.iter().enumerate() {
             write!(out, "v {x} {y} {z}")?;
             match mesh.colors.get(i) {
@@ -37,16 +58,24 @@ pub fn write_mesh_obj(
                 None => writeln!(out)?,
             }
         }
+        // The format's textures begin below.
+        for [u, v] in textured.iter().flat_map(|textured| textured.coords) {
+            writeln!(out, "vt {u} {}", 1.0 - v)?;
+        }
         for [x, y, z] in &mesh.normals {
             writeln!(out, "vn {x:.5} {y:.5} {z:.5}")?;
+        }
+        if let Some(Textured { material, .. }) = &textured {
+            writeln!(out, "usemtl {}", material.1)?;
         }
         for t in &mesh.triangles {
             // The format counts from one.
             let [a, b, c] = t.map(|v| u64::from(v) + 1);
-            if mesh.normals.is_empty() {
-                writeln!(out, "f {a} {b} {c}")?;
-            } else {
-                writeln!(out, "f {a}//{a} {b}//{b} {c}//{c}")?;
+            match (mesh.normals.is_empty(), &textured) {
+                (true, None) => writeln!(out, "f {a} {b} {c}")?,
+                (false, None) => writeln!(out, "f {a}//{a} {b}//{b} {c}//{c}")?,
+                (true, Some(_)) => writeln!(out, "f {a}/{a} {b}/{b} {c}/{c}")?,
+                (false, Some(_)) => writeln!(out, "f {a}/{a}/{a} {b}/{b}/{b} {c}/{c}/{c}")?,
             }
         }
         Ok(())

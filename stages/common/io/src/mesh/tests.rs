@@ -224,6 +224,11 @@ fn an_assets_folder_holds_obj_and_images_of_full_depth() {
         let name = line.split(' ').next_back().unwrap();
         assert!(folder.join(name).exists(), "{name}");
     }
+    for name in ASSET_FILES {
+        assert!(dir.path().join(name).exists(), "{name}");
+    }
+    let written = std::fs::read_dir(&folder).unwrap().count();
+    assert_eq!(written + 1, ASSET_FILES.len());
     let normal = image::open(folder.join("normal.png")).unwrap().into_rgb16();
     assert_eq!(normal.get_pixel(3, 0).0, [771, 32_768, 65_535]);
     let base = crate::exr_maps::read_linear(&folder.join("base_color.exr")).unwrap();
