@@ -7,6 +7,7 @@ use rilievo_fusion::Layering;
 use rilievo_lighting::LightingReport;
 use rilievo_numerics::robust::median;
 use rilievo_photos::PhotosReport;
+use rilievo_photos::outline::MaskOutline;
 use rilievo_poses::PosesReport;
 use rilievo_scene::{FocalSource, Orientation, PhotoIdx, first_and_more};
 use serde::Serialize;
@@ -194,6 +195,8 @@ impl Judgement {
             );
         }
         self.judge_masks(photos.num_masks, photos.photos.len());
+        let outlines = photos.photos.iter();
+        self.judge_mask_outlines(outlines.map(|f| (f.file_name.as_str(), f.mask_outline)));
     }
 
     fn judge_orientations<'a>(&mut self, photos: impl IntoIterator<Item = (&'a str, Orientation)>) {
@@ -224,6 +227,24 @@ impl Judgement {
                 format!(
                     "{which}: what stands around the object was taken for a part of it; `rilievo \
                      mask` proposes masks, --masks uses them"
+                ),
+            );
+        }
+    }
+
+    fn judge_mask_outlines<'a>(
+        &mut self,
+        outlines: impl IntoIterator<Item = (&'a str, Option<MaskOutline>)>,
+    ) {
+        let outlines = outlines.into_iter();
+        let too_large = outlines
+            .filter(|(_, outline)| outline.is_some_and(|outline| outline.too_large_px().is_some()));
+        if let Some(names) = first_and_more(too_large.map(|(name, _)| name)) {
+            self.note(
+                Verdict::Usable,
+                format!(
+                    "{names}: the mask reaches beyond the object's outline all around, and what stands behind \
+                     became the model's rim; draw it tighter"
                 ),
             );
         }
@@ -672,6 +693,20 @@ mod tests {
         assert_eq!(verdict(|j| j.judge_masks(4, 4)), Verdict::Good);
         assert_eq!(verdict(|j| j.judge_masks(3, 4)), Verdict::Usable);
         assert_eq!(verdict(|j| j.judge_masks(0, 4)), Verdict::Usable);
+        let outline = |beyond_px| MaskOutline {
+            beyond_px,
+            share_on_outline: 0.1,
+            tolerance_px: 2.0,
+        };
+        for (beyond, expected) in [
+            (Some(3.0), Verdict::Usable),
+            (Some(1.0), Verdict::Good),
+            (Some(-3.0), Verdict::Good),
+            (None, Verdict::Good),
+        ] {
+            let found = [("a.jpg", None), ("b.jpg", Some(outline(beyond)))];
+            assert_eq!(verdict(|j| j.judge_mask_outlines(found)), expected);
+        }
         assert_eq!(verdict(|j| j.judge_focal(1000.0, 1030.0)), Verdict::Good);
         assert_eq!(verdict(|j| j.judge_focal(1000.0, 1400.0)), Verdict::Usable);
     }

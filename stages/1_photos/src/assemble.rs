@@ -4,6 +4,7 @@ use crate::error::PhotosError;
 use crate::exposure::{self, Exposed};
 use crate::measures::ratio;
 use crate::options::PhotosOptions;
+use crate::outline::MaskOutline;
 use crate::prepare::PreparedPhoto;
 use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
 use rilievo_numerics::robust::median;
@@ -279,7 +280,33 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         which(&|f| f.mask_coverage.is_none() && report.num_masks > 0),
         "has no mask though others have",
     );
-    let off_edges = |f: &PhotoFacts| f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0);
+    let far = |distance: fn(&MaskOutline) -> Option<f64>| {
+        let photos = report.photos.iter();
+        let found = photos.filter_map(|f| Some((f, distance(f.mask_outline.as_ref()?)?)));
+        let (photos, mut distances): (Vec<&PhotoFacts>, Vec<f64>) = found.unzip();
+        (photos, median(&mut distances).unwrap_or(0.0))
+    };
+    let (photos, beyond) = far(MaskOutline::too_large_px);
+    about(
+        photos,
+        &format!(
+            "the mask reaches {beyond:.0} px beyond the object's outline all around, and what stands behind becomes the \
+             model's rim; draw it tighter, or let `rilievo mask` propose it"
+        ),
+    );
+    let (photos, inside) = far(MaskOutline::too_small_px);
+    about(
+        photos,
+        &format!(
+            "the mask ends {inside:.0} px inside the object's outline all around: the rim is left out"
+        ),
+    );
+    let off_edges = |f: &PhotoFacts| {
+        let is_off = f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0);
+        is_off
+            && f.mask_outline
+                .is_none_or(|outline| outline.beyond_px.is_none())
+    };
     let figures: Vec<String> = report
         .photos
         .iter()

@@ -69,7 +69,7 @@ fn blocks(width: usize, height: usize, factor: usize) -> (usize, usize) {
 }
 
 /// Blocks of which at least half is object.
-fn reduced_mask(mask: &Mask, factor: usize) -> Mask {
+pub(crate) fn reduced_mask(mask: &Mask, factor: usize) -> Mask {
     let (width, height) = blocks(mask.width, mask.height, factor);
     Raster::from_fn(width, height, |x, y| {
         let rows = (y * factor..(y + 1) * factor).map(|y| y * mask.width + x * factor);
@@ -84,7 +84,7 @@ fn reduced_mask(mask: &Mask, factor: usize) -> Mask {
 }
 
 /// Square root of each block's mean.
-fn reduced_root(image: &LinearImage, factor: usize) -> Raster<f32> {
+pub(crate) fn reduced_root(image: &LinearImage, factor: usize) -> Raster<f32> {
     let (width, height) = blocks(image.width, image.height, factor);
     let channels = image.channels;
     let scale = 1.0 / (factor * factor * channels) as f32;

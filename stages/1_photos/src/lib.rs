@@ -29,6 +29,7 @@ pub mod focal;
 mod mask;
 mod measures;
 pub mod options;
+pub mod outline;
 mod prepare;
 pub mod report;
 pub mod table;

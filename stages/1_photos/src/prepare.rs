@@ -5,7 +5,7 @@ use crate::error::PhotosError;
 use crate::focal::{FirstCamera, first_camera};
 use crate::options::PhotosOptions;
 use crate::report::PhotoFacts;
-use crate::{edges, mask, measures};
+use crate::{edges, mask, measures, outline};
 use rilievo_scene::{
     DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Orientation,
     PackedMask, PixelSource, RigidTransform,
@@ -152,6 +152,9 @@ pub fn prepare(
         mask_edge_ratio: mask
             .as_ref()
             .and_then(|mask| edges::mask_edge_ratio(&image, mask)),
+        mask_outline: mask
+            .as_ref()
+            .and_then(|mask| outline::measure(&image, mask)),
         clipped_share: measured.clipped_share,
         clipped_share_on_object: measured.clipped_share_on_object,
         clip_level,

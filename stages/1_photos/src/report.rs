@@ -1,5 +1,6 @@
 //! Facts of the preflight: what the photos are, before anything is computed from them.
 
+use crate::outline::MaskOutline;
 use rilievo_scene::{ExifFacts, FocalSource, Intrinsics, Orientation, RigidTransform};
 use serde::{Deserialize, Serialize};
 
@@ -53,6 +54,9 @@ pub struct PhotoFacts {
     /// at the shift where it does most; below 1 the border lies on no edge of the photo. Absent
     /// without mask, or where nothing changes.
     pub mask_edge_ratio: Option<f64>,
+    /// Where the mask's border lies against the object's outline. Absent without mask or clear outline.
+    #[serde(default)]
+    pub mask_outline: Option<MaskOutline>,
     /// Share of pixels with a clipped channel, over the whole frame.
     pub clipped_share: f64,
     /// The same over the mask.

@@ -39,6 +39,9 @@ pub(crate) struct IterationWeights {
     pub consensus_px: f64,
     /// Depth difference to a view that sees the point, pixel footprints.
     pub visible_px: f64,
+    /// Factor of the increments: each view goes part of the way to where the views agree, since the others' surfaces
+    /// are held fixed meanwhile.
+    pub relaxation: f64,
     /// Weight of squared turns of the normal from a pixel to the next.
     pub plate: f64,
     /// Turn at which the plate turns linear, radians.
@@ -52,6 +55,7 @@ pub(crate) const PHOTOS_ONLY: IterationWeights = IterationWeights {
     sigma_match_factor: 1.0,
     consensus_px: 0.9,
     visible_px: 3.5,
+    relaxation: 1.0,
     plate: 90.0,
     plate_threshold: 0.05,
     shading: None,
@@ -80,6 +84,7 @@ pub(crate) fn iteration_weights(iteration: usize, residual: f64) -> IterationWei
         sigma_match_factor: 1.0,
         consensus_px,
         visible_px,
+        relaxation: 1.0,
         plate,
         plate_threshold,
         shading: Some(ShadingWeights {
@@ -109,6 +114,7 @@ pub(crate) fn step_weights(
             left_out: None,
         },
         sigma_consensus: weights.consensus_px * footprint,
+        relaxation: weights.relaxation,
         plate_weight: weights.plate,
         plate_threshold: weights.plate_threshold,
         max_step: 9.0 * footprint,
