@@ -6,8 +6,7 @@ use rilievo_features::FeaturesReport;
 use rilievo_fusion::Layering;
 use rilievo_lighting::LightingReport;
 use rilievo_numerics::robust::median;
-use rilievo_photos::PhotosReport;
-use rilievo_photos::outline::MaskOutline;
+use rilievo_photos::{MaskOutline, PhotosReport};
 use rilievo_poses::PosesReport;
 use rilievo_scene::{FocalSource, Orientation, PhotoIdx, first_and_more};
 use serde::Serialize;
@@ -237,14 +236,14 @@ impl Judgement {
         outlines: impl IntoIterator<Item = (&'a str, Option<MaskOutline>)>,
     ) {
         let outlines = outlines.into_iter();
-        let too_large = outlines
-            .filter(|(_, outline)| outline.is_some_and(|outline| outline.too_large_px().is_some()));
-        if let Some(names) = first_and_more(too_large.map(|(name, _)| name)) {
+        let harmful =
+            outlines.filter(|(_, outline)| outline.is_some_and(|outline| outline.is_harmful()));
+        if let Some(names) = first_and_more(harmful.map(|(name, _)| name)) {
             self.note(
                 Verdict::Usable,
                 format!(
-                    "{names}: the mask reaches beyond the object's outline all around, and what stands behind \
-                     became the model's rim; draw it tighter"
+                    "{names}: the mask reaches beyond the object's outline along most of its border, and what stands \
+                     behind became a part of the model; draw it tighter"
                 ),
             );
         }
@@ -699,10 +698,9 @@ mod tests {
             tolerance_px: 2.0,
         };
         for (beyond, expected) in [
-            (Some(3.0), Verdict::Usable),
-            (Some(1.0), Verdict::Good),
-            (Some(-3.0), Verdict::Good),
-            (None, Verdict::Good),
+            (6.0, Verdict::Usable),
+            (3.0, Verdict::Good),
+            (-6.0, Verdict::Good),
         ] {
             let found = [("a.jpg", None), ("b.jpg", Some(outline(beyond)))];
             assert_eq!(verdict(|j| j.judge_mask_outlines(found)), expected);

@@ -280,32 +280,35 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         which(&|f| f.mask_coverage.is_none() && report.num_masks > 0),
         "has no mask though others have",
     );
-    let far = |distance: fn(&MaskOutline) -> Option<f64>| {
+    let apart = |is_apart: fn(&MaskOutline) -> bool| {
         let photos = report.photos.iter();
-        let found = photos.filter_map(|f| Some((f, distance(f.mask_outline.as_ref()?)?)));
-        let (photos, mut distances): (Vec<&PhotoFacts>, Vec<f64>) = found.unzip();
-        (photos, median(&mut distances).unwrap_or(0.0))
+        let outlines = photos.filter_map(|f| Some((f, f.mask_outline.filter(is_apart)?)));
+        let (photos, outlines): (Vec<&PhotoFacts>, Vec<MaskOutline>) = outlines.unzip();
+        let middle = |value: fn(&MaskOutline) -> f64| {
+            median(&mut outlines.iter().map(value).collect::<Vec<f64>>()).unwrap_or(0.0)
+        };
+        let distance = middle(|outline| outline.beyond_px.abs());
+        let share = 100.0 * middle(|outline| outline.share_on_outline);
+        (photos, format!("{distance:.0} px"), format!("{share:.0} %"))
     };
-    let (photos, beyond) = far(MaskOutline::too_large_px);
+    let (photos, distance, share) = apart(MaskOutline::is_too_large);
     about(
         photos,
         &format!(
-            "the mask reaches {beyond:.0} px beyond the object's outline all around, and what stands behind becomes the \
-             model's rim; draw it tighter, or let `rilievo mask` propose it"
+            "the mask reaches {distance} beyond the object's outline along most of its border ({share} lie on it), and \
+             what stands behind becomes the model's rim; draw it tighter"
         ),
     );
-    let (photos, inside) = far(MaskOutline::too_small_px);
+    let (photos, distance, share) = apart(MaskOutline::is_too_small);
     about(
         photos,
         &format!(
-            "the mask ends {inside:.0} px inside the object's outline all around: the rim is left out"
+            "the mask ends {distance} inside the object's outline along most of its border ({share} lie on it): the \
+             rim is left out"
         ),
     );
     let off_edges = |f: &PhotoFacts| {
-        let is_off = f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0);
-        is_off
-            && f.mask_outline
-                .is_none_or(|outline| outline.beyond_px.is_none())
+        f.mask_outline.is_none() && f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0)
     };
     let figures: Vec<String> = report
         .photos

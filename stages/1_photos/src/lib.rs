@@ -7,7 +7,8 @@
 //!
 //! Steps, each in its module:
 //! 1. [`encoding`]: stored samples to linear intensities, by the file's metadata or the user's word;
-//! 2. `mask`: refuse masks that cannot be an object's; `edges`: whether their border lies on edges;
+//! 2. `mask`: refuse masks that cannot be an object's; `edges`: whether their border lies on edges; `outline`: how far
+//!    beyond the object's outline;
 //! 3. [`focal`]: the camera before poses, from the best source there is;
 //! 4. `measures`: level, clipping, noise, sharpness and colour for the preflight;
 //! 5. `exposure`: photos brought to one exposure by EXIF;
@@ -29,7 +30,7 @@ pub mod focal;
 mod mask;
 mod measures;
 pub mod options;
-pub mod outline;
+mod outline;
 mod prepare;
 pub mod report;
 pub mod table;
@@ -40,8 +41,9 @@ pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use encoding::linearize;
 pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions};
+pub use outline::MaskOutline;
 pub use prepare::{GivenCamera, GivenMask, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 6;
+pub const VERSION: u32 = 7;

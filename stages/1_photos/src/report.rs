@@ -54,7 +54,7 @@ pub struct PhotoFacts {
     /// at the shift where it does most; below 1 the border lies on no edge of the photo. Absent
     /// without mask, or where nothing changes.
     pub mask_edge_ratio: Option<f64>,
-    /// Where the mask's border lies against the object's outline. Absent without mask or clear outline.
+    /// Where most of the mask's border lies against the object's outline. Absent without mask or clear outline.
     #[serde(default)]
     pub mask_outline: Option<MaskOutline>,
     /// Share of pixels with a clipped channel, over the whole frame.

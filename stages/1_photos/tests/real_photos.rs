@@ -101,7 +101,13 @@ fn every_given_mask_passes() {
                 "{}",
                 path.display()
             );
-            // Nobody is told that such a mask is another photo's.
+            // Nobody is told that such a mask is larger than the object, or smaller, or another photo's.
+            let outline = done.facts.mask_outline;
+            assert!(
+                !outline.is_some_and(|outline| outline.is_too_large() || outline.is_too_small()),
+                "{}: {outline:?}",
+                path.display()
+            );
             let ratio = done.facts.mask_edge_ratio;
             assert!(
                 ratio.is_some_and(|ratio| ratio > 1.4),

@@ -39,9 +39,10 @@ pub(crate) struct IterationWeights {
     pub consensus_px: f64,
     /// Depth difference to a view that sees the point, pixel footprints.
     pub visible_px: f64,
-    /// Factor of the increments: each view goes part of the way to where the views agree, since the others' surfaces
-    /// are held fixed meanwhile.
-    pub relaxation: f64,
+    /// Factor of the increments in the first and every other round: each view goes part of the way to where the views
+    /// agree, since the others' surfaces are held fixed meanwhile. Half of the views move at once, and would swing
+    /// against each other by long steps alone: the rounds between damp what swings.
+    pub long_step: f64,
     /// Weight of squared turns of the normal from a pixel to the next.
     pub plate: f64,
     /// Turn at which the plate turns linear, radians.
@@ -55,7 +56,7 @@ pub(crate) const PHOTOS_ONLY: IterationWeights = IterationWeights {
     sigma_match_factor: 1.0,
     consensus_px: 0.9,
     visible_px: 3.5,
-    relaxation: 1.0,
+    long_step: 1.0,
     plate: 90.0,
     plate_threshold: 0.05,
     shading: None,
@@ -84,7 +85,7 @@ pub(crate) fn iteration_weights(iteration: usize, residual: f64) -> IterationWei
         sigma_match_factor: 1.0,
         consensus_px,
         visible_px,
-        relaxation: 1.0,
+        long_step: 1.0,
         plate,
         plate_threshold,
         shading: Some(ShadingWeights {
@@ -114,7 +115,7 @@ pub(crate) fn step_weights(
             left_out: None,
         },
         sigma_consensus: weights.consensus_px * footprint,
-        relaxation: weights.relaxation,
+        step_factor: 1.0,
         plate_weight: weights.plate,
         plate_threshold: weights.plate_threshold,
         max_step: 9.0 * footprint,
@@ -244,6 +245,11 @@ impl Course<'_> {
         let max_num_rounds = self.options.max_num_rounds;
         for round in 0..max_num_rounds {
             self.tell(kind, round, max_num_rounds)?;
+            let is_long = round % 2 == 0;
+            let options = StepOptions {
+                step_factor: if is_long { weights.long_step } else { 1.0 },
+                ..options
+            };
             let (scene, level) = (&self.scene, self.scene.level(at));
             let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
             let mut likeness = Likeness::default();

@@ -30,9 +30,9 @@ const FINEST_CONSENSUS_PX: f64 = 0.3;
 /// has fixed the depth, and residuals of single pixels are noisy.
 const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
 
-/// Factor of the increments at finer levels: without it they end half-way to where the views agree. A surface that was
-/// searched again is rough, and longer steps would follow its noise.
-const OVER_RELAXATION: f64 = 1.7;
+/// Factor of the increments in every other round at finer levels: without it they end half-way to where the views
+/// agree. A surface that was searched again is rough, and longer steps would follow its noise.
+const LONG_STEP: f64 = 2.0;
 
 /// Sharpness below which a photo is worth a word.
 const BLURRED: f64 = 0.6;
@@ -416,7 +416,7 @@ pub(crate) fn finer_weights(
             PHOTOS_ONLY.consensus_px
         },
         visible_px: 3.5,
-        relaxation: if is_searched { 1.0 } else { OVER_RELAXATION },
+        long_step: if is_searched { 1.0 } else { LONG_STEP },
         plate_threshold: 0.05,
         ..*last
     };

@@ -181,7 +181,7 @@ impl Case {
                 left_out: None,
             },
             sigma_consensus: KNOWN_PX / level.focal(),
-            relaxation: 1.0,
+            step_factor: 1.0,
             // Far below what shading weighs: it only ends what central slopes leave free.
             plate_weight: 1e-2,
             plate_threshold: f64::INFINITY,

@@ -17,8 +17,8 @@ pub(crate) struct StepOptions {
     pub matching: MatchOptions,
     /// Standard deviation of the log depth against the other views' surfaces; 0 is off.
     pub sigma_consensus: f64,
-    /// Factor of the increments.
-    pub relaxation: f64,
+    /// Factor of the increments, which [`Self::max_step`] bounds afterwards.
+    pub step_factor: f64,
     /// Weight of squared turns of the normal from a pixel to the next.
     pub plate_weight: f64,
     /// Turn, radians, beyond which the penalty grows only linearly.
@@ -86,7 +86,7 @@ pub(crate) fn improve(
     let depth = depth
         .iter()
         .zip(&increment)
-        .map(|(z, d)| z + (options.relaxation * d).clamp(-options.max_step, options.max_step))
+        .map(|(z, d)| z + (options.step_factor * d).clamp(-options.max_step, options.max_step))
         .collect();
     Ok(StepOutcome { depth, matches })
 }
