@@ -307,8 +307,10 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
              rim is left out"
         ),
     );
+    // Of a mask that is too large or too small it is known where its border should lie.
     let off_edges = |f: &PhotoFacts| {
-        f.mask_outline.is_none() && f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0)
+        let is_told = f.mask_outline.is_some_and(|outline| outline.is_apart());
+        !is_told && f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0)
     };
     let figures: Vec<String> = report
         .photos

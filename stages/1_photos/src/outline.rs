@@ -45,9 +45,14 @@ pub struct MaskOutline {
 }
 
 impl MaskOutline {
+    /// Whether most of the border lies off the outline.
+    pub fn is_apart(&self) -> bool {
+        self.beyond_px.abs() > self.tolerance_px
+    }
+
     /// Whether the mask takes in what stands behind the object.
     pub fn is_too_large(&self) -> bool {
-        self.beyond_px > self.tolerance_px
+        self.is_apart() && self.beyond_px > 0.0
     }
 
     /// Whether it takes in so much that the surface inside suffers.
@@ -57,7 +62,7 @@ impl MaskOutline {
 
     /// Whether it leaves out the object's rim.
     pub fn is_too_small(&self) -> bool {
-        self.beyond_px < -self.tolerance_px
+        self.is_apart() && self.beyond_px < 0.0
     }
 }
 

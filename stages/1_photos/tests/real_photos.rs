@@ -104,7 +104,7 @@ fn every_given_mask_passes() {
             // Nobody is told that such a mask is larger than the object, or smaller, or another photo's.
             let outline = done.facts.mask_outline;
             assert!(
-                !outline.is_some_and(|outline| outline.is_too_large() || outline.is_too_small()),
+                !outline.is_some_and(|outline| outline.is_apart()),
                 "{}: {outline:?}",
                 path.display()
             );
