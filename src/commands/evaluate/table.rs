@@ -1,6 +1,6 @@
 //! An evaluation as a table for people.
 
-use rilievo_synthetic::compare::{self, Evaluation, MapComparison, ReliefBand};
+use rilievo_synthetic::compare::{self, Evaluation, MapComparison, RegionError, ReliefBand};
 
 /// The numbers as a table for people.
 pub fn table(evaluation: &Evaluation) -> String {
@@ -43,7 +43,8 @@ pub fn table(evaluation: &Evaluation) -> String {
     if let Some(all) = &evaluation.all {
         text += &row("all", all, width);
     }
-    if let Some(all) = evaluation.all.as_ref().filter(|all| !all.relief.is_empty()) {
+    if let Some(all) = &evaluation.all {
+        text += &regions(&all.regions);
         text += &relief(&all.relief);
     }
     if let Some(cloud) = &evaluation.cloud {
@@ -77,8 +78,30 @@ pub fn table(evaluation: &Evaluation) -> String {
     text
 }
 
+/// Where the normals of all views err.
+fn regions(regions: &[RegionError]) -> String {
+    if regions.is_empty() {
+        return String::new();
+    }
+    let mut text = "normals by region          share      MAE     adds\n".to_owned();
+    for region in regions {
+        let mean = region.normal_mae_deg;
+        text += &format!(
+            "{:>24}  {:>6}  {:>7}  {:>7}\n",
+            region.region.label(),
+            format!("{:.1} %", 100.0 * region.share),
+            mean.map_or("-".to_owned(), |mean| format!("{mean:.2}")),
+            format!("{:.2}", region.adds_deg)
+        );
+    }
+    text
+}
+
 /// The relief of all views by wavelength.
 fn relief(bands: &[ReliefBand]) -> String {
+    if bands.is_empty() {
+        return String::new();
+    }
     let mut text = "relief by wavelength       true rms    corr    gain   corr^2\n".to_owned();
     let share = |value: Option<f64>| value.map_or("-".to_owned(), |v| format!("{v:.3}"));
     for band in bands {

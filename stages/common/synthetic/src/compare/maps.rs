@@ -9,6 +9,7 @@
 //! * Completeness: the share of the truth's pixels that have a depth; pixels without one enter
 //!   nothing else. The truth's pixels are those with a depth, or with a normal where it tells no depth.
 
+use super::regions::{Region, RegionError, RegionSums, region_errors, regions};
 use super::relief::{BandSums, ReliefBand, relief_bands, relief_sums};
 use super::truth::{TruthMaps, TruthView, is_depth};
 use crate::error::SyntheticError;
@@ -49,6 +50,8 @@ pub struct PixelErrors {
     pub depths: Vec<[f32; 2]>,
     /// Where the normals come from.
     pub normal_source: NormalSource,
+    /// The errors of normals by region, where both sides have normal maps.
+    pub regions: [RegionSums; Region::ALL.len()],
     /// The relief by wavelength, where both sides have normal maps.
     pub relief: Vec<BandSums>,
 }
@@ -79,6 +82,8 @@ pub struct MapComparison {
     pub normal_within_11_22_30_deg: Option<[f64; 3]>,
     /// Where the normals come from.
     pub normals_from: NormalSource,
+    /// The errors of normals by region, from the outline inwards; empty without normal maps.
+    pub regions: Vec<RegionError>,
     /// The relief by wavelength, the finest first; empty without normal maps.
     pub relief: Vec<ReliefBand>,
     /// Pixels of the truth.
@@ -155,6 +160,13 @@ impl PixelErrors {
                 );
             }
         }
+        let regions = region_errors(&self.regions);
+        if regions.is_empty() {
+            reasons.insert(
+                "regions".into(),
+                "result and truth do not both have normal maps".into(),
+            );
+        }
         let relief = relief_bands(&self.relief);
         if relief.is_empty() {
             reasons.insert(
@@ -186,6 +198,7 @@ impl PixelErrors {
             normal_within_11_22_30_deg: (!normal.is_empty())
                 .then(|| [share_within(11.25), share_within(22.5), share_within(30.0)]),
             normals_from: self.normal_source,
+            regions,
             relief,
             num_truth_px: self.num_truth,
             reasons,
@@ -205,6 +218,10 @@ pub fn aggregate<'a>(views: impl Iterator<Item = &'a PixelErrors>) -> Option<Map
             all.normal_deg.extend_from_slice(&view.normal_deg);
             all.depth_rel.extend_from_slice(&view.depth_rel);
             all.depths.extend_from_slice(&view.depths);
+            for (sums, more) in all.regions.iter_mut().zip(&view.regions) {
+                sums.num_px += more.num_px;
+                sums.sum_deg += more.sum_deg;
+            }
             all.relief
                 .resize(all.relief.len().max(view.relief.len()), BandSums::default());
             for (sums, more) in all.relief.iter_mut().zip(&view.relief) {
@@ -260,6 +277,7 @@ pub fn compare_maps(
         depth_rel: Vec::new(),
         depths: Vec::new(),
         normal_source,
+        regions: Default::default(),
         relief: Vec::new(),
     };
     let Some(depth) = depth else {
@@ -299,11 +317,18 @@ pub fn compare_maps(
             (&planes[0], &planes[1])
         }
     };
+    // Planes of many pixels belong to no single one.
+    let regions = (normal_source == NormalSource::Maps).then(|| regions(truth));
     for (x, y) in known {
         if let (Some(e), Some(t)) = (estimated.normal(x, y), true_normals.normal(x, y)) {
             let angle = angle_deg(&e, &t);
             if angle.is_finite() {
                 errors.normal_deg.push(angle);
+                if let Some(regions) = &regions {
+                    let sums = &mut errors.regions[*regions.at(x, y)];
+                    sums.num_px += 1;
+                    sums.sum_deg += angle;
+                }
             }
         }
     }

@@ -11,6 +11,7 @@ mod evaluation;
 mod halves;
 mod maps;
 mod nearest;
+mod regions;
 mod relief;
 mod truth;
 
@@ -24,5 +25,6 @@ pub use halves::{
     Half, HalvesBand, HalvesComparison, RESOLVED_CORRELATION, Resolved, compare_halves,
 };
 pub use maps::{MapComparison, NormalSource, PixelErrors, aggregate, compare_maps, plane_normals};
+pub use regions::{Region, RegionError, RegionSums, region_errors};
 pub use relief::{BandSums, ReliefBand, relief_bands, relief_sums};
 pub use truth::{TruthMaps, TruthView};

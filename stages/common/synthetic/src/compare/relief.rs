@@ -195,32 +195,11 @@ impl Window {
         let Some(depth) = depth else {
             return blocked;
         };
-        let log = |x: usize, y: usize| {
-            let z = *depth.at(x + self.x, y + self.y);
-            is_depth(z).then(|| z.ln())
-        };
-        for (dx, dy) in [(1, 0), (0, 1)] {
-            let step = |x: usize, y: usize| {
-                if x + dx >= self.width || y + dy >= self.height {
-                    return None;
-                }
-                Some((log(x + dx, y + dy)? - log(x, y)?).abs())
-            };
-            let positions = || (0..self.height).flat_map(|y| (0..self.width).map(move |x| (x, y)));
-            let mut steps: Vec<f64> = positions()
-                .filter_map(|(x, y)| step(x, y).map(f64::from))
-                .collect();
-            let Some(typical) = median(&mut steps) else {
-                continue;
-            };
-            // On a plane that faces the camera every step is rounding.
-            let limit = (EDGE_FACTOR * typical as f32).max(MIN_EDGE);
-            for (x, y) in positions() {
-                if step(x, y).is_some_and(|s| s > limit) {
-                    *blocked.at_mut(x, y) = true;
-                    *blocked.at_mut(x + dx, y + dy) = true;
-                }
-            }
+        let inside = DepthMap::from_fn(self.width, self.height, |x, y| {
+            *depth.at(x + self.x, y + self.y)
+        });
+        for (blocked, edge) in blocked.data.iter_mut().zip(&depth_edges(&inside).data) {
+            *blocked |= edge;
         }
         blocked
     }
@@ -235,6 +214,40 @@ impl Window {
             }
         })
     }
+}
+
+/// Pixels on both sides of every depth edge: where log depth steps by much more than it usually does.
+pub(super) fn depth_edges(depth: &DepthMap) -> Raster<bool> {
+    let (width, height) = (depth.width, depth.height);
+    let log = |x: usize, y: usize| {
+        let z = *depth.at(x, y);
+        is_depth(z).then(|| z.ln())
+    };
+    let mut edges = Raster::filled(width, height, false);
+    for (dx, dy) in [(1, 0), (0, 1)] {
+        let step = |x: usize, y: usize| {
+            if x + dx >= width || y + dy >= height {
+                return None;
+            }
+            Some((log(x + dx, y + dy)? - log(x, y)?).abs())
+        };
+        let positions = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
+        let mut steps: Vec<f64> = positions()
+            .filter_map(|(x, y)| step(x, y).map(f64::from))
+            .collect();
+        let Some(typical) = median(&mut steps) else {
+            continue;
+        };
+        // On a plane that faces the camera every step is rounding.
+        let limit = (EDGE_FACTOR * typical as f32).max(MIN_EDGE);
+        for (x, y) in positions() {
+            if step(x, y).is_some_and(|s| s > limit) {
+                *edges.at_mut(x, y) = true;
+                *edges.at_mut(x + dx, y + dy) = true;
+            }
+        }
+    }
+    edges
 }
 
 fn is_known(n: &[f32; 3]) -> bool {
@@ -335,7 +348,7 @@ fn halved(blocked: &Raster<bool>) -> Raster<bool> {
 }
 
 /// Pixels whose disc of `radius` touches a blocked one, or reaches out of the raster.
-fn widened(blocked: &Raster<bool>, radius: f32) -> Raster<bool> {
+pub(super) fn widened(blocked: &Raster<bool>, radius: f32) -> Raster<bool> {
     let (width, height) = (blocked.width, blocked.height);
     let (square, radius) = ((radius * radius) as usize, radius as usize);
     // Distance along the row to the nearest blocked pixel or the end, up to the radius and one.
