@@ -117,7 +117,7 @@ fn ratios(
         .map(|i| {
             let s = shading::render(&light[i], normals[i]).map(|v| v as f32);
             let dark = s.iter().chain(&target[i]).any(|&v| v < floor);
-            if dark || !view.is_usable(i) {
+            if dark || !view.shows_surface(i) {
                 return [0.0; 3];
             }
             let u = [0, 1, 2].map(|c| (target[i][c] / s[c]).ln());

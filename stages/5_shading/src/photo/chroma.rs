@@ -42,7 +42,7 @@ impl ChromaNoise {
     /// From the chroma of a view's pixels less its slow part.
     pub fn measure(view: &LevelView, local: &[[f32; 2]]) -> Self {
         let used: Vec<[f64; 2]> = (0..local.len())
-            .filter(|&i| view.is_usable(i))
+            .filter(|&i| view.shows_surface(i))
             .map(|i| local[i].map(f64::from))
             .collect();
         let sigma = [0, 1].map(|k| {

@@ -31,7 +31,7 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
             let view = &level.views[i];
             let step = (view.pixels.len() / FIT_PIXELS).max(1);
             for p in (0..view.pixels.len()).step_by(step) {
-                if !view.is_usable(p) {
+                if !view.shows_surface(p) {
                     continue;
                 }
                 let rgb = view.intensity(p).map(f64::from);

@@ -34,7 +34,7 @@ pub(crate) fn exponent(
             let normals = plate::normals(view, &depths[i]);
             let open = openness(view, &depths[i], &normals);
             let usable: Vec<f32> = (0..normals.len())
-                .map(|p| f32::from(u8::from(view.is_usable(p))))
+                .map(|p| f32::from(u8::from(view.shows_surface(p))))
                 .collect();
             let pigment = pigment.map(|p| &p.relative[i]);
             let harmonics = harmonics(i);

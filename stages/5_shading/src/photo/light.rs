@@ -155,7 +155,7 @@ pub(crate) fn with_residuals(
         .map(|(i, view)| {
             let mut r: Vec<f64> = (0..view.pixels.len())
                 .step_by(3)
-                .filter(|&p| view.is_usable(p))
+                .filter(|&p| view.shows_surface(p))
                 .map(|p| {
                     let mut rgb = view.intensity(p);
                     if let Some(pigment) = &pigment {
@@ -262,7 +262,7 @@ pub(crate) fn visible_on(
         let step = (view.pixels.len() / fit_pixels).max(1);
         for p in (0..view.pixels.len()).step_by(step) {
             let intensity = view.intensity(p);
-            if !view.is_usable(p) || intensity.iter().sum::<f32>() < 1e-4 {
+            if !view.shows_surface(p) || intensity.iter().sum::<f32>() < 1e-4 {
                 continue;
             }
             let t: &Transfer = &transfers[i][p];

@@ -50,6 +50,9 @@ mod relight;
 #[cfg(test)]
 mod rendered_tests;
 mod report;
+mod rim;
+#[cfg(test)]
+mod rim_tests;
 mod search;
 mod searched;
 mod shading;

@@ -7,6 +7,9 @@
 //! the relief around leaves of the light (`hidden_light`).
 //! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a Gaussian: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
+//!
+//! A clipped pixel is at least as bright as the photo says: there brightness alone counts, and only where the light makes
+//! the surface darker. Pixels on the outline, whose intensity is partly the background's, take no part.
 
 use super::chroma::{self, ChromaNoise, Whitening};
 use nalgebra::Vector3;
@@ -104,6 +107,8 @@ pub(crate) struct ShadingTerm<'a> {
     pub target: Vec<[f32; 3]>,
     /// Square root of the pixel's weight, 0 where it takes no part.
     pub scale: Vec<f32>,
+    /// Whether the target is only the least that the pixel's brightness can be.
+    pub is_clipped: Vec<bool>,
     pub whitening: Whitening,
     /// The noise of chroma that it is made from.
     pub chroma_noise: ChromaNoise,
@@ -133,7 +138,7 @@ impl<'a> ShadingTerm<'a> {
             }
         }
         let usable: Vec<f32> = (0..n)
-            .map(|i| f32::from(u8::from(view.is_usable(i))))
+            .map(|i| f32::from(u8::from(view.shows_surface(i))))
             .collect();
         let normals = plate::normals(view, depth);
         if light.openness_exponent > 0.0 {
@@ -179,14 +184,18 @@ impl<'a> ShadingTerm<'a> {
         }
         let scale = (0..n)
             .map(|i| {
-                let trust = light.trust.map_or(1.0, |t| t[i].max(0.0).sqrt());
-                usable[i] * trust
+                if view.is_on_outline(i) {
+                    0.0
+                } else {
+                    light.trust.map_or(1.0, |t| t[i].max(0.0).sqrt())
+                }
             })
             .collect();
         Self {
             light: light.harmonics,
             target,
             scale,
+            is_clipped: (0..n).map(|i| !view.is_usable(i)).collect(),
             whitening,
             chroma_noise,
             floor: view.dark,
@@ -205,7 +214,12 @@ impl<'a> ShadingTerm<'a> {
             let (n, dp, dq) = plate::normal_with_derivatives(view, i, p, q);
             let (h, hp, hq) = (basis(n), basis_derivative(n, dp), basis_derivative(n, dq));
             let (r, a, b) = self.residual(i, [&h, &hp, &hq]);
-            for part in [0..1, 1..3] {
+            let is_clipped = self.is_clipped[i];
+            if is_clipped && r[0] > 0.0 {
+                continue;
+            }
+            let num_parts = if is_clipped { 1 } else { 2 };
+            for part in [0..1, 1..3].into_iter().take(num_parts) {
                 let (mut rr, mut pp, mut qq, mut pq, mut pr, mut qr) =
                     (0.0_f64, 0.0, 0.0, 0.0, 0.0, 0.0);
                 for k in part {
@@ -325,6 +339,7 @@ mod tests {
             light: &light,
             target: vec![[0.9, 0.8, 0.7]],
             scale: vec![0.7],
+            is_clipped: vec![false],
             whitening: Whitening::new(0.03, [0.01, 0.015], 0.4),
             chroma_noise: ChromaNoise {
                 sigma: [0.01, 0.015],

@@ -1,9 +1,10 @@
 //! One Gauss-Newton step on the log depth of one view.
 //!
-//! `min_ζ Σ ρ(r_match) + Σ ρ(r_consensus) + Σ ρ(r_shading) + α Σ ρ(turns)`; every term is linearised
+//! `min_ζ Σ ρ(r_match) + Σ ρ(r_consensus) + Σ ρ(r_shading) + Σ r_outline² + α Σ ρ(turns)`; every term is linearised
 //! around the current depth and the increment solves the thirteen-point normal equations.
 
 use super::matching::{self, MatchOptions, MatchTerms};
+use super::rim;
 use super::shading::ShadingTerm;
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PlateError, PlateSystem};
@@ -79,6 +80,7 @@ pub(crate) fn improve(
             threshold: options.plate_threshold,
         },
     );
+    rim::add_terms(view, depth, &matches.num_visible, &mut system);
     if let Some(shading) = shading {
         shading.add(view, depth, &mut system);
     }

@@ -96,6 +96,23 @@ impl ViewGrid {
         )
     }
 
+    /// Whether the raster has a pixel there that is not the object's. What lies beyond the raster is not known: the photo
+    /// ends there, or the part that is looked at.
+    #[inline]
+    pub fn is_outside(&self, x: i32, y: i32) -> bool {
+        let (width, height) = (self.mask.width as i32, self.mask.height as i32);
+        (0..width).contains(&x) && (0..height).contains(&y) && !self.mask.at(x as usize, y as usize)
+    }
+
+    /// Whether the object ends beside a masked pixel: its intensity is partly the background's.
+    #[inline]
+    pub fn is_on_outline(&self, index: usize) -> bool {
+        let (x, y) = (self.pixels.xs[index] as i32, self.pixels.ys[index] as i32);
+        [(1, 0), (-1, 0), (0, 1), (0, -1)]
+            .iter()
+            .any(|&(dx, dy)| self.is_outside(x + dx, y + dy))
+    }
+
     /// Cosine of the angle between a masked pixel's line of sight and its normal, camera frame; negative
     /// where the surface turns away.
     #[inline]
@@ -279,6 +296,12 @@ impl LevelView {
             self.pixels.xs[index] as usize,
             self.pixels.ys[index] as usize,
         ) > 0.5
+    }
+
+    /// Whether a masked pixel's intensity is that of the surface: unclipped, and not partly the background's.
+    #[inline]
+    pub fn shows_surface(&self, index: usize) -> bool {
+        self.is_usable(index) && !self.is_on_outline(index)
     }
 
     /// [`ViewGrid::depth_at`] where the photo is unclipped too: its intensities may be compared.
