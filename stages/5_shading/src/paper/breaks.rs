@@ -35,17 +35,19 @@ const NOISE_LIMIT: f32 = 9.0 * 2.37 / 0.455;
 /// Slope from which a facet is a wall, which hardly any light that it is seen by tells apart from a
 /// step: 76 degrees.
 const MAX_SLOPE: f32 = 4.0;
-/// How often the breaks are looked for, at equal distances over the finest level's second half: while
-/// it bends over a break, a surface disagrees with shading all around it.
+/// How often the breaks are looked for, at equal distances over the second half of a level's first iterations: while
+/// it bends over a break, a surface disagrees with shading all around it. Where the penalty is high already, slopes that
+/// are freed tell little more than noise.
 const NUM_BREAK_SEARCHES: usize = 5;
+/// Iterations of a level after which no more breaks are looked for.
+const LAST_BREAK_SEARCH: usize = 40;
 /// Whether breaks are looked for at an iteration, and then the share of the largest squared conflict
 /// that makes one.
 pub(crate) fn break_search(iteration: usize, num_iterations: usize) -> Option<f32> {
-    let half = num_iterations / 2;
+    let half = num_iterations.min(LAST_BREAK_SEARCH) / 2;
     let every = (half / NUM_BREAK_SEARCHES).max(1);
     let since = iteration.checked_sub(half)?;
-    since
-        .is_multiple_of(every)
+    (since.is_multiple_of(every) && iteration < LAST_BREAK_SEARCH)
         .then(|| 0.5 * 0.25_f32.powi((since / every) as i32))
 }
 

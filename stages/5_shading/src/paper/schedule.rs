@@ -118,7 +118,7 @@ const fn part(num_iterations: usize, from: f64, to: f64) -> Part {
 /// must not be loosened again once a coarse level has settled them; and without anchors coarse
 /// levels would only drift.
 const DETERMINED: [Part; 4] = [
-    part(40, 0.0, 1.0),
+    part(60, 0.0, 1.0),
     part(20, 0.0, 0.7),
     part(20, 0.0, 0.5),
     part(20, 0.0, 0.5),
