@@ -158,6 +158,7 @@ mod tests {
                 depth_rel: Vec::new(),
                 depths: [1.0, 1.1, 1.2].map(|z| [factor * z, z]).to_vec(),
                 normal_source: NormalSource::Maps,
+                regions: Default::default(),
                 relief: Vec::new(),
             };
             mismatches(alignment, &[("a".to_owned(), errors)], None).join("; ")
