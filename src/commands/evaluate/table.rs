@@ -42,8 +42,6 @@ pub fn table(evaluation: &Evaluation) -> String {
     }
     if let Some(all) = &evaluation.all {
         text += &row("all", all, width);
-    }
-    if let Some(all) = &evaluation.all {
         text += &regions(&all.regions);
         text += &relief(&all.relief);
     }

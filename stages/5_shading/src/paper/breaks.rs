@@ -35,12 +35,12 @@ const NOISE_LIMIT: f32 = 9.0 * 2.37 / 0.455;
 /// Slope from which a facet is a wall, which hardly any light that it is seen by tells apart from a
 /// step: 76 degrees.
 const MAX_SLOPE: f32 = 4.0;
-/// How often the breaks are looked for, at equal distances over the second half of a level's first iterations: while
-/// it bends over a break, a surface disagrees with shading all around it. Where the penalty is high already, slopes that
-/// are freed tell little more than noise.
+/// How often the breaks are looked for, at equal distances over iterations 20 to 40, or the second half where a level has
+/// fewer: while it bends over a break, a surface disagrees with shading all around it.
 const NUM_BREAK_SEARCHES: usize = 5;
 /// Iterations of a level after which no more breaks are looked for.
 const LAST_BREAK_SEARCH: usize = 40;
+
 /// Whether breaks are looked for at an iteration, and then the share of the largest squared conflict
 /// that makes one.
 pub(crate) fn break_search(iteration: usize, num_iterations: usize) -> Option<f32> {

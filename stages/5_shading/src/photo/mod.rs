@@ -7,14 +7,14 @@
 //! `min Σ_j ρ((I_j(x'(ζ)) − I_i(x))/σ_m) + Σ ρ((l·h(n(∇ζ)) − Ĩ(1+e))/σ_s)
 //!  + Σ_j w_ij ρ(r_ij/σ_c) + α Σ ρ(D²ζ)`:
 //! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
-//! views' surfaces (`consensus` tells `w`), a weak robust thin plate.
+//! views' surfaces (`consensus` tells `w`), a weak robust thin plate; and outermost pixels that turn away (`rim`).
 //!
 //! What needs no light stands in `rilievo_stereo`.
 //!
 //! Steps: dense search inside the visual hull (`search`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
-//! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`
-//! and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
+//! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`,
+//! `rim` and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
 //! shape (`light`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
 //! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
 //! searched once more where photos disagree (`searched`, fused before it is solved) and fused at the

@@ -2,21 +2,22 @@
 //!
 //! At an occluding contour of a smooth surface the normal stands at right angles to the line of sight, and in the photo
 //! it points across the outline (Barrow, Tenenbaum, "Interpreting line drawings as three-dimensional surfaces", 1981;
-//! Ikeuchi, Horn, "Numerical shape from shading and occluding boundaries", 1981). With the slope `s` across the
-//! outline, away from the object, its outermost pixels have the residual `(τ₀ − atan s) / σ` as long as their surface
-//! has turned away by less than `τ₀`. A mask also ends at sharp edges, or where the object stands on something: the residual's weight is
-//! divided by `(1 + m)²`, `m` the other views that see the pixel, and is small against what these tell. It leads
-//! where nothing else tells the shape: in highlights that are clipped, and in what one photo alone sees. There, without it, the surface goes
-//! on as flat as it was where the photos last knew it.
+//! Ikeuchi, Horn, "Numerical shape from shading and occluding boundaries", 1981). With the slope `s` across the outline,
+//! away from the object, its outermost pixels have the residual `(τ₀ − atan s) / σ` as long as their surface has turned
+//! away by less than `τ₀`. A mask also ends at sharp edges, where the object stands on something, and where another thing
+//! hides it: the residual's weight is divided by `(1 + m)²`, `m` the other views whose photos are compared with the pixel,
+//! and is small against what these tell. It leads where nothing else tells the shape: in highlights that are clipped,
+//! and in what one photo alone sees. There, without it, the surface goes on as flat as it was where the photos last knew
+//! it.
 
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::{Functional, PlateSystem};
 use rilievo_stereo::level::ViewGrid;
 use rilievo_stereo::plate;
 
-/// Tilt against the line of sight that outermost pixels have at least, degrees: half a pixel inside the outline of a
-/// ball of radius `R` pixels it is `acos √(1/R)`, 77° for 20 pixels, 82° for 50.
-const TILT_DEG: f64 = 80.0;
+/// Tilt that outermost pixels are pulled to, degrees: that of the difference to the next pixel inside, from half a pixel
+/// to one and a half within the outline of a ball of 25 pixels' radius. For 10 pixels it is 65°, for 60 it is 80°.
+const TILT_DEG: f64 = 75.0;
 /// Standard deviation of that tilt where no other view sees the pixel, radians.
 const SIGMA: f64 = 0.15;
 /// Radius of the disc whose part outside the mask tells which way is out, pixels.
@@ -29,22 +30,22 @@ pub(crate) fn add_terms(
     num_visible: &[u8],
     system: &mut PlateSystem,
 ) {
-    let pulls: Vec<(usize, Pull)> = (0..view.pixels.len())
+    let pulls: Vec<Pull> = (0..view.pixels.len())
         .into_par_iter()
         .with_min_len(4096)
         .filter(|&pixel| view.is_on_outline(pixel))
         .filter_map(|pixel| {
             let others = 1.0 + f64::from(num_visible[pixel]);
-            let pull = Pull::of(view, pixel, depth, 1.0 / (SIGMA * others).powi(2))?;
-            Some((pixel, pull))
+            Pull::of(view, pixel, depth, 1.0 / (SIGMA * others).powi(2))
         })
         .collect();
-    for (_, pull) in pulls {
+    for pull in pulls {
         pull.add(view, system);
     }
 }
 
-/// The linearised residual of a pixel: `weight/2 (wanted − o · increment of the slopes)²`.
+/// The linearised residual of a pixel: `weight/2 (wanted − o · increment of the slopes)²`, along the chord to the slope
+/// that is asked for: the tangent would overshoot where the surface still leans towards the camera.
 struct Pull {
     /// Slopes along x and y.
     slopes: [Functional; 2],
@@ -60,13 +61,14 @@ impl Pull {
         let outward = outward(view, pixel)?;
         let (along_x, along_y) = plate::slopes(view, pixel, depth);
         let slope = outward[0] * along_x.of(depth) + outward[1] * along_y.of(depth);
-        let missing = TILT_DEG.to_radians() - slope.atan();
-        let derivative = 1.0 / (1.0 + slope * slope);
-        (missing > 0.0).then(|| Self {
+        let tilt = TILT_DEG.to_radians();
+        let wanted = tilt.tan() - slope;
+        // Nearer to it the chord's quotient is rounding.
+        (wanted > 1e-6).then(|| Self {
             slopes: [along_x, along_y],
             outward,
-            weight: weight * derivative * derivative,
-            wanted: missing / derivative,
+            weight: weight * ((tilt - slope.atan()) / wanted).powi(2),
+            wanted,
         })
     }
 
@@ -83,8 +85,8 @@ impl Pull {
     }
 }
 
-/// The way out of the mask at a pixel on its outline, a unit vector: from the pixel to the middle of what a disc around it holds
-/// outside. `None` where that is the pixel itself, as in a line of single pixels.
+/// The way out of the mask at a pixel on its outline, a unit vector: from the pixel to the middle of what a disc around
+/// it holds outside. `None` where that is the pixel itself, as in a line of single pixels.
 fn outward(view: &ViewGrid, pixel: usize) -> Option<[f64; 2]> {
     let (column, row) = (view.pixels.xs[pixel] as i32, view.pixels.ys[pixel] as i32);
     let (mut x, mut y) = (0, 0);

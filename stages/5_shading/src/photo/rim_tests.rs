@@ -252,8 +252,13 @@ fn a_sharp_edge_stays_as_it_is_but_for_its_last_pixel() {
         let camera = &scene.view.camera;
         (x - camera.cx).abs().max((y - camera.cy).abs()) < RADIUS - 2.0
     });
-    println!("slab: {:.3} deg inside", mean(&inside));
-    assert!(mean(&inside) < 0.5, "{}", mean(&inside));
+    let worst = inside.iter().copied().fold(0.0, f64::max);
+    println!("slab: {:.3} deg inside, {worst:.2} at most", mean(&inside));
+    assert!(
+        mean(&inside) < 0.5 && worst < 8.0,
+        "{}, {worst}",
+        mean(&inside)
+    );
 }
 
 #[test]
@@ -313,7 +318,7 @@ fn the_pull_leads_to_the_tilt_that_it_asks_for() {
         })
         .collect();
     let median = rilievo_numerics::robust::median(&mut tilts).unwrap();
-    assert!((median - 80.0).abs() < 4.0, "{median}");
+    assert!((median - 75.0).abs() < 4.0, "{median}");
 }
 
 #[test]
@@ -375,7 +380,15 @@ fn mixed_pixels_of_the_outline_move_nothing() {
     let level = Level::new(vec![ball.view.clone()], &[Vec::new()]);
     let lights = vec![LIGHT; ball.depth.len()];
     let term = ball.term(&level, &ball.depth, &lights);
+    let mut num_mixed = 0;
     for p in 0..ball.depth.len() {
-        assert_eq!(term.scale[p] == 0.0, ball.view.is_on_outline(p), "{p}");
+        let is_mixed = ball.from_centre(p) > RADIUS - 0.7;
+        num_mixed += usize::from(is_mixed);
+        assert!(term.scale[p] == 0.0 || !is_mixed, "{p}");
+        assert!(
+            term.scale[p] > 0.0 || ball.from_centre(p) > RADIUS - 1.5,
+            "{p}"
+        );
     }
+    assert!(num_mixed > 100, "{num_mixed}");
 }

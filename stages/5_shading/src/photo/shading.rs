@@ -8,8 +8,9 @@
 //! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a Gaussian: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
 //!
-//! A clipped pixel is at least as bright as the photo says: there brightness alone counts, and only where the light makes
-//! the surface darker. Pixels on the outline, whose intensity is partly the background's, take no part.
+//! A clipped pixel is at least as bright as the photo says: there brightness alone counts, only where the light makes the
+//! surface darker, and with a redescending weight, since gloss is brighter than any normal explains. Pixels on the
+//! outline, whose intensity is partly the background's, take no part.
 
 use super::chroma::{self, ChromaNoise, Whitening};
 use nalgebra::Vector3;
@@ -96,6 +97,9 @@ pub(crate) struct ShadingWeights {
     pub chroma_noise: Option<ChromaNoise>,
 }
 
+/// Residual, in σ, at which a clipped pixel's weight has fallen to a half.
+const CLIPPED_SCALE: f64 = 6.0;
+
 /// Bell over chroma where there is no correction, pixels.
 const CHROMA_BELL_PX: f64 = 8.0;
 
@@ -107,8 +111,6 @@ pub(crate) struct ShadingTerm<'a> {
     pub target: Vec<[f32; 3]>,
     /// Square root of the pixel's weight, 0 where it takes no part.
     pub scale: Vec<f32>,
-    /// Whether the target is only the least that the pixel's brightness can be.
-    pub is_clipped: Vec<bool>,
     pub whitening: Whitening,
     /// The noise of chroma that it is made from.
     pub chroma_noise: ChromaNoise,
@@ -195,7 +197,6 @@ impl<'a> ShadingTerm<'a> {
             light: light.harmonics,
             target,
             scale,
-            is_clipped: (0..n).map(|i| !view.is_usable(i)).collect(),
             whitening,
             chroma_noise,
             floor: view.dark,
@@ -214,7 +215,7 @@ impl<'a> ShadingTerm<'a> {
             let (n, dp, dq) = plate::normal_with_derivatives(view, i, p, q);
             let (h, hp, hq) = (basis(n), basis_derivative(n, dp), basis_derivative(n, dq));
             let (r, a, b) = self.residual(i, [&h, &hp, &hq]);
-            let is_clipped = self.is_clipped[i];
+            let is_clipped = !view.is_usable(i);
             if is_clipped && r[0] > 0.0 {
                 continue;
             }
@@ -231,7 +232,10 @@ impl<'a> ShadingTerm<'a> {
                     qr += b[k] * r[k];
                 }
                 let norm = rr.sqrt();
-                let w = if norm < self.threshold {
+                let w = if is_clipped {
+                    // What no diffuse surface under this light reaches is gloss.
+                    1.0 / (1.0 + (norm / CLIPPED_SCALE).powi(2))
+                } else if norm < self.threshold {
                     1.0
                 } else {
                     self.threshold / norm
@@ -339,7 +343,6 @@ mod tests {
             light: &light,
             target: vec![[0.9, 0.8, 0.7]],
             scale: vec![0.7],
-            is_clipped: vec![false],
             whitening: Whitening::new(0.03, [0.01, 0.015], 0.4),
             chroma_noise: ChromaNoise {
                 sigma: [0.01, 0.015],

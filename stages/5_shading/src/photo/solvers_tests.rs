@@ -151,7 +151,6 @@ impl Case {
             light: &lights,
             target: (0..pixels.len()).map(|p| view.intensity(p)).collect(),
             scale: vec![1.0; pixels.len()],
-            is_clipped: vec![false; pixels.len()],
             whitening: Whitening::new(sigma, [sigma; 2], 0.0),
             chroma_noise: ChromaNoise {
                 sigma: [sigma; 2],

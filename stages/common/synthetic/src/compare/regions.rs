@@ -90,7 +90,7 @@ pub struct RegionError {
 }
 
 /// Errors by region from their sums, in the order of [`Region::ALL`]; empty where nothing was compared.
-pub fn region_errors(sums: &[RegionSums; 7]) -> Vec<RegionError> {
+pub fn region_errors(sums: &[RegionSums; Region::ALL.len()]) -> Vec<RegionError> {
     let num: usize = sums.iter().map(|sums| sums.num_px).sum();
     if num == 0 {
         return Vec::new();
@@ -116,9 +116,16 @@ pub(super) fn regions(truth: &TruthView) -> Raster<usize> {
     let outside = Raster::from_fn(width, height, |x, y| !truth.maps.is_known(x, y));
     let innermost = |x: usize, y: usize| {
         let ray = truth.intrinsics.ray(&Point2::new(x as f64, y as f64));
+        let ray = ray.normalize();
         let normal = truth.maps.normal().and_then(|map| map.normal(x, y));
-        let is_steep = normal.is_some_and(|n| -n.dot(&ray) < STEEP_DEG.to_radians().cos());
-        Region::ALL.len() - if is_steep { 2 } else { 1 }
+        let is_steep =
+            normal.is_some_and(|n| -n.dot(&ray) < n.norm() * STEEP_DEG.to_radians().cos());
+        let region = if is_steep {
+            Region::Steep
+        } else {
+            Region::Inner
+        };
+        region as usize
     };
     let mut regions = Raster::from_fn(width, height, innermost);
     let mut mark = |near: Raster<bool>, index: usize| {
@@ -132,11 +139,14 @@ pub(super) fn regions(truth: &TruthView) -> Raster<usize> {
         }
     };
     if let Some(depth) = truth.maps.depth() {
-        mark(widened(&depth_edges(depth), EDGE_PX), RINGS_PX.len());
+        mark(
+            widened(&depth_edges(depth), EDGE_PX, false),
+            Region::DepthEdge8Px as usize,
+        );
     }
     // From the inside outwards: the last mark holds.
     for (index, limit) in RINGS_PX.into_iter().enumerate().rev() {
-        mark(widened(&outside, limit), index);
+        mark(widened(&outside, limit, true), index);
     }
     regions
 }
@@ -184,6 +194,14 @@ mod tests {
         assert_eq!(at(21, 20), Region::DepthEdge8Px);
         assert_eq!(at(38, 20), Region::DepthEdge8Px);
         assert_eq!(at(39, 20), Region::Inner);
+        // Beyond the frame there is no edge.
+        let whole = TruthView {
+            maps: TruthMaps::Depth(DepthMap::filled(SIZE, SIZE, 1.0)),
+            ..truth()
+        };
+        let regions = super::regions(&whole);
+        assert_eq!(Region::ALL[*regions.at(0, 30)], Region::Outline1Px);
+        assert_eq!(Region::ALL[*regions.at(7, 30)], Region::Inner);
         assert_eq!(at(20, 40), Region::Steep);
     }
 

@@ -127,7 +127,7 @@ pub fn relief_sums(
             }
             let sigma = (FIRST_SIGMA_PX * f64::from(1_u32 << band.min(NUM_FULL - 1))) as f32;
             let radius = (2.0 * sigma).max(1.5);
-            let off = widened(&blocked, radius);
+            let off = widened(&blocked, radius, true);
             let [reference, found] = [&fields[0], &fields[1]].map(|field| field.band(sigma));
             let mut sums = BandSums::default();
             for (i, (t, e)) in reference.iter().zip(&found).enumerate() {
@@ -347,8 +347,8 @@ fn halved(blocked: &Raster<bool>) -> Raster<bool> {
     )
 }
 
-/// Pixels whose disc of `radius` touches a blocked one, or reaches out of the raster.
-pub(super) fn widened(blocked: &Raster<bool>, radius: f32) -> Raster<bool> {
+/// Pixels whose disc of `radius` touches a blocked one; what lies beyond the raster counts as `beyond` says.
+pub(super) fn widened(blocked: &Raster<bool>, radius: f32, beyond: bool) -> Raster<bool> {
     let (width, height) = (blocked.width, blocked.height);
     let (square, radius) = ((radius * radius) as usize, radius as usize);
     // Distance along the row to the nearest blocked pixel or the end, up to the radius and one.
@@ -356,7 +356,7 @@ pub(super) fn widened(blocked: &Raster<bool>, radius: f32) -> Raster<bool> {
     for y in 0..height {
         let row = &mut along[y * width..(y + 1) * width];
         for direction in [false, true] {
-            let mut distance = 0;
+            let mut distance = if beyond { 0 } else { radius + 1 };
             for k in 0..width {
                 let x = if direction { width - 1 - k } else { k };
                 distance = if *blocked.at(x, y) {
@@ -380,9 +380,14 @@ pub(super) fn widened(blocked: &Raster<bool>, radius: f32) -> Raster<bool> {
             for (x, off) in row.iter_mut().enumerate() {
                 let touches = |dy: usize| {
                     let is_near = |y: usize| along[y * width + x].pow(2) + dy * dy <= square;
-                    let above = y.checked_sub(dy).is_none_or(is_near);
+                    let above = y.checked_sub(dy).map_or(beyond, is_near);
                     let below = y + dy;
-                    above || below >= height || is_near(below)
+                    above
+                        || if below < height {
+                            is_near(below)
+                        } else {
+                            beyond
+                        }
                 };
                 *off = (0..=radius).any(touches);
             }
