@@ -95,10 +95,10 @@ impl Scene {
             })
             .collect();
         let mut photo = blank;
-        for p in 0..grid.pixels.len() {
+        for (p, &normal) in normals.iter().enumerate() {
             let (x, y) = xy(p);
             let background = if grid.is_on_outline(p) { 0.5 } else { 0.0 };
-            let seen = render(&LIGHT, normals[p]).map(|v| v as f32);
+            let seen = render(&LIGHT, normal).map(|v| v as f32);
             let pixel = photo.pixel_mut(x as usize, y as usize);
             for (out, value) in pixel.iter_mut().zip(seen) {
                 let mixed = (1.0 - background) * value + background * BACKGROUND;
@@ -201,7 +201,7 @@ impl Scene {
     }
 
     /// Pixels from the middle of the photo.
-    fn from_centre(&self, pixel: usize) -> f64 {
+    fn radius_at(&self, pixel: usize) -> f64 {
         let (x, y) = self.view.xy(pixel);
         (x - self.view.camera.cx).hypot(y - self.view.camera.cy)
     }
@@ -217,7 +217,7 @@ fn flattened(scene: &Scene, from_px: f64) -> Vec<f64> {
     let slope = from_px / (RADIUS * RADIUS - from_px * from_px).sqrt();
     (0..scene.depth.len())
         .map(|p| {
-            let r = scene.from_centre(p);
+            let r = scene.radius_at(p);
             let height = if r < from_px {
                 drop(r)
             } else {
@@ -232,7 +232,7 @@ fn flattened(scene: &Scene, from_px: f64) -> Vec<f64> {
 fn a_clipped_rim_turns_away_from_the_camera() {
     // The lit side is clipped up to the outline: there nothing but the outline tells the shape.
     let scene = Scene::ball(0.55);
-    let is_dark_rim = |p: usize| !scene.view.is_usable(p) && scene.from_centre(p) > 45.0;
+    let is_dark_rim = |p: usize| !scene.view.is_usable(p) && scene.radius_at(p) > 45.0;
     let num = (0..scene.depth.len()).filter(|&p| is_dark_rim(p)).count();
     assert!(num > 500, "{num} clipped pixels beside the outline");
     let start = flattened(&scene, 40.0);
@@ -281,12 +281,12 @@ fn what_other_views_see_is_pulled_less() {
     }
     // A surface that has turned away is left alone, and so is all that lies farther inside than a difference reaches.
     let steep: Vec<f64> = (0..start.len())
-        .map(|p| start[p] + 8.0 * scene.from_centre(p) / FOCAL)
+        .map(|p| start[p] + 8.0 * scene.radius_at(p) / FOCAL)
         .collect();
     let mut system = PlateSystem::new(start.len());
     rim::add_terms(&scene.view, &steep, &vec![0; start.len()], &mut system);
     assert!(system.rhs.iter().all(|&v| v == 0.0));
-    for p in (0..start.len()).filter(|&p| scene.from_centre(p) < RADIUS - 4.0) {
+    for p in (0..start.len()).filter(|&p| scene.radius_at(p) < RADIUS - 4.0) {
         assert_eq!(alone.rhs[p], 0.0);
     }
 }
@@ -349,7 +349,7 @@ fn a_clipped_pixel_asks_for_brightness_alone_and_only_where_it_lacks() {
         })
     };
     let clipped: Vec<usize> = (0..scene.depth.len())
-        .filter(|&p| is_far_from(p, true) && scene.from_centre(p) < RADIUS - 6.0)
+        .filter(|&p| is_far_from(p, true) && scene.radius_at(p) < RADIUS - 6.0)
         .collect();
     assert!(clipped.len() > 300, "{}", clipped.len());
     for &p in &clipped {
@@ -382,11 +382,11 @@ fn mixed_pixels_of_the_outline_move_nothing() {
     let term = ball.term(&level, &ball.depth, &lights);
     let mut num_mixed = 0;
     for p in 0..ball.depth.len() {
-        let is_mixed = ball.from_centre(p) > RADIUS - 0.7;
+        let is_mixed = ball.radius_at(p) > RADIUS - 0.7;
         num_mixed += usize::from(is_mixed);
         assert!(term.scale[p] == 0.0 || !is_mixed, "{p}");
         assert!(
-            term.scale[p] > 0.0 || ball.from_centre(p) > RADIUS - 1.5,
+            term.scale[p] > 0.0 || ball.radius_at(p) > RADIUS - 1.5,
             "{p}"
         );
     }
