@@ -10,79 +10,50 @@
 //! and in what one photo alone sees. There, without it, the surface goes on as flat as it was where the photos last knew
 //! it.
 
-use rayon::prelude::*;
-use rilievo_numerics::plate_system::{Functional, PlateSystem};
+use rilievo_numerics::plate_system::PlateSystem;
 use rilievo_stereo::level::ViewGrid;
 use rilievo_stereo::plate;
 
 /// Tilt that outermost pixels are pulled to, degrees: that of the difference to the next pixel inside, from half a pixel
 /// to one and a half within the outline of a ball of 25 pixels' radius. For 10 pixels it is 65°, for 60 it is 80°.
 const TILT_DEG: f64 = 75.0;
-/// Standard deviation of that tilt where no other view sees the pixel, radians.
+/// Standard deviation of that tilt where no other photo is compared with the pixel, radians.
 const SIGMA: f64 = 0.15;
 /// Radius of the disc whose part outside the mask tells which way is out, pixels.
 const DISC_PX: i32 = 3;
 
-/// Adds the term for the increment of `depth`; `num_visible` counts the other views that see each pixel.
+/// Adds the term for the increment of `depth`; `num_visible` counts the other views whose photos are compared with each
+/// pixel.
+///
+/// It is linearised along the chord to the slope that is asked for: the tangent would overshoot where the surface still
+/// leans towards the camera. Against other terms the chord pulls a flat surface a third as much as the tangent, and one that
+/// is nearly there as much.
 pub(crate) fn add_terms(
     view: &ViewGrid,
     depth: &[f64],
     num_visible: &[u8],
     system: &mut PlateSystem,
 ) {
-    let pulls: Vec<Pull> = (0..view.pixels.len())
-        .into_par_iter()
-        .with_min_len(4096)
-        .filter(|&pixel| view.is_on_outline(pixel))
-        .filter_map(|pixel| {
-            let others = 1.0 + f64::from(num_visible[pixel]);
-            Pull::of(view, pixel, depth, 1.0 / (SIGMA * others).powi(2))
-        })
-        .collect();
-    for pull in pulls {
-        pull.add(view, system);
-    }
-}
-
-/// The linearised residual of a pixel: `weight/2 (wanted − o · increment of the slopes)²`, along the chord to the slope
-/// that is asked for: the tangent would overshoot where the surface still leans towards the camera. Against other terms
-/// the chord pulls a flat surface a third as much as the tangent, and one that is nearly there as much.
-struct Pull {
-    /// Slopes along x and y.
-    slopes: [Functional; 2],
-    outward: [f64; 2],
-    weight: f64,
-    /// Increment of the slope across the outline.
-    wanted: f64,
-}
-
-impl Pull {
-    /// `None` where the surface has turned away already, or no way is out.
-    fn of(view: &ViewGrid, pixel: usize, depth: &[f64], weight: f64) -> Option<Self> {
-        let outward = outward(view, pixel)?;
+    let tilt = TILT_DEG.to_radians();
+    for pixel in (0..view.pixels.len()).filter(|&pixel| view.is_on_outline(pixel)) {
+        let Some([x, y]) = outward(view, pixel) else {
+            continue;
+        };
         let (along_x, along_y) = plate::slopes(view, pixel, depth);
-        let slope = outward[0] * along_x.of(depth) + outward[1] * along_y.of(depth);
-        let tilt = TILT_DEG.to_radians();
+        let slope = x * along_x.of(depth) + y * along_y.of(depth);
         let wanted = tilt.tan() - slope;
         // Nearer to it the chord's quotient is rounding.
-        (wanted > 1e-6).then(|| Self {
-            slopes: [along_x, along_y],
-            outward,
-            weight: weight * ((tilt - slope.atan()) / wanted).powi(2),
-            wanted,
-        })
-    }
-
-    fn add(&self, view: &ViewGrid, system: &mut PlateSystem) {
-        let ([along_x, along_y], [x, y], weight) = (&self.slopes, self.outward, self.weight);
-        system.add_product(&view.pixels, along_x, along_x, 0.5 * weight * x * x);
-        system.add_product(&view.pixels, along_y, along_y, 0.5 * weight * y * y);
-        system.add_product(&view.pixels, along_x, along_y, weight * x * y);
-        for (slope, part) in self.slopes.iter().zip(self.outward) {
-            for &(k, c) in slope.terms() {
-                system.rhs[k as usize] += weight * self.wanted * part * c;
-            }
+        if wanted <= 1e-6 {
+            continue;
         }
+        let sigma = SIGMA * (1.0 + f64::from(num_visible[pixel]));
+        let weight = 1.0 / sigma.powi(2) * ((tilt - slope.atan()) / wanted).powi(2);
+        system.add_pair(
+            &view.pixels,
+            [&along_x, &along_y],
+            [weight * x * x, weight * x * y, weight * y * y],
+            [weight * wanted * x, weight * wanted * y],
+        );
     }
 }
 

@@ -62,15 +62,10 @@ impl Scene {
         };
         let mask = Mask::from_fn(SIZE, SIZE, |x, y| is_object(x as f64, y as f64));
         let blank = LinearImage::filled(SIZE, SIZE, 3, BACKGROUND);
-        let (grid, _) = LevelView::from_photo(&camera, &blank, &mask, f32::INFINITY);
-        let shift = [
-            CENTRE - grid.camera.cx.round(),
-            CENTRE - grid.camera.cy.round(),
-        ]
-        .map(f64::round);
+        let (grid, corner) = LevelView::from_photo(&camera, &blank, &mask, f32::INFINITY);
         let xy = |p: usize| {
             let (x, y) = grid.xy(p);
-            (x + shift[0], y + shift[1])
+            (x + corner.0 as f64, y + corner.1 as f64)
         };
         let ln = |x: f64, y: f64| NEAREST.ln() + height(x, y) / FOCAL;
         let depth: Vec<f64> = (0..grid.pixels.len())
@@ -184,7 +179,7 @@ impl Scene {
                 correlation: 0.0,
             }),
         };
-        let surfaces = Surfaces::new(level, std::slice::from_ref(&depth.to_vec()), Reading::Cubic);
+        let surfaces = Surfaces::new(level, &[depth.to_vec()], Reading::Cubic);
         ShadingTerm::new(level, 0, depth, &surfaces.rasters, &light, &weights)
     }
 
@@ -211,7 +206,7 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// The ball, but cut off flat: beyond a distance from the middle it goes on as steep as it was there.
+/// The ball, but flat outside: beyond a distance from the middle it goes on as steep as it was there.
 fn flattened(scene: &Scene, from_px: f64) -> Vec<f64> {
     let drop = |r: f64| RADIUS - (RADIUS * RADIUS - r * r).sqrt();
     let slope = from_px / (RADIUS * RADIUS - from_px * from_px).sqrt();

@@ -240,15 +240,12 @@ impl<'a> ShadingTerm<'a> {
                 } else {
                     self.threshold / norm
                 };
-                system.add_product(&view.pixels, &fp, &fp, 0.5 * w * pp);
-                system.add_product(&view.pixels, &fq, &fq, 0.5 * w * qq);
-                system.add_product(&view.pixels, &fp, &fq, w * pq);
-                for &(k, c) in fp.terms() {
-                    system.rhs[k as usize] -= w * pr * c;
-                }
-                for &(k, c) in fq.terms() {
-                    system.rhs[k as usize] -= w * qr * c;
-                }
+                system.add_pair(
+                    &view.pixels,
+                    [&fp, &fq],
+                    [w * pp, w * pq, w * qq],
+                    [-w * pr, -w * qr],
+                );
             }
         }
     }

@@ -189,6 +189,26 @@ impl PlateSystem {
         }
     }
 
+    /// Adds `(aa a(x)² + 2 ab a(x) b(x) + bb b(x)²)/2 − ra a(x) − rb b(x)`: what a residual of two functionals, as of both
+    /// slopes of a pixel, comes to.
+    #[inline]
+    pub fn add_pair(
+        &mut self,
+        numbering: &PixelNumbering,
+        [a, b]: [&Functional; 2],
+        [aa, ab, bb]: [f64; 3],
+        rhs: [f64; 2],
+    ) {
+        self.add_product(numbering, a, a, 0.5 * aa);
+        self.add_product(numbering, b, b, 0.5 * bb);
+        self.add_product(numbering, a, b, ab);
+        for (functional, value) in [a, b].into_iter().zip(rhs) {
+            for &(i, c) in functional.terms() {
+                self.rhs[i as usize] += value * c;
+            }
+        }
+    }
+
     /// Adds `weight · a(x) b(x)` to the energy `½ xᵀHx`'s matrix: `weight (a bᵀ + b aᵀ)`.
     #[inline]
     pub fn add_product(

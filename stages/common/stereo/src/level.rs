@@ -100,15 +100,14 @@ impl ViewGrid {
     /// ends there, or the part that is looked at.
     #[inline]
     pub fn is_outside(&self, x: i32, y: i32) -> bool {
-        let (width, height) = (self.mask.width as i32, self.mask.height as i32);
-        (0..width).contains(&x) && (0..height).contains(&y) && !self.mask.at(x as usize, y as usize)
+        self.mask.get(x as isize, y as isize) == Some(&false)
     }
 
     /// Whether the object ends beside a masked pixel: its intensity is partly the background's.
     #[inline]
     pub fn is_on_outline(&self, index: usize) -> bool {
         let (x, y) = (self.pixels.xs[index] as i32, self.pixels.ys[index] as i32);
-        [(1, 0), (-1, 0), (0, 1), (0, -1)]
+        NEIGHBOURS[..4]
             .iter()
             .any(|&(dx, dy)| self.is_outside(x + dx, y + dy))
     }

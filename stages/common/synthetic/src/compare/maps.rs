@@ -325,7 +325,7 @@ pub fn compare_maps(
             if angle.is_finite() {
                 errors.normal_deg.push(angle);
                 if let Some(regions) = &regions {
-                    let sums = &mut errors.regions[*regions.at(x, y)];
+                    let sums = &mut errors.regions[*regions.at(x, y) as usize];
                     sums.num_px += 1;
                     sums.sum_deg += angle;
                 }

@@ -9,8 +9,13 @@ use nalgebra::Point2;
 use rilievo_scene::Raster;
 use serde::Serialize;
 
-/// Outer limits of the rings inside the outline, pixels.
-const RINGS_PX: [f32; 4] = [1.0, 2.0, 3.0, 6.0];
+/// The rings inside the outline by their outer limits in pixels, the widest first.
+const RINGS_PX: [(Region, f32); 4] = [
+    (Region::Outline6Px, 6.0),
+    (Region::Outline3Px, 3.0),
+    (Region::Outline2Px, 2.0),
+    (Region::Outline1Px, 1.0),
+];
 /// Width of what counts as beside a depth edge, pixels.
 const EDGE_PX: f32 = 8.0;
 /// Tilt of the true normal against the line of sight from which a place is steep, degrees.
@@ -108,10 +113,10 @@ pub fn region_errors(sums: &[RegionSums; Region::ALL.len()]) -> Vec<RegionError>
         .collect()
 }
 
-/// The region of every pixel that the truth knows, as an index into [`Region::ALL`]; of others it means nothing.
+/// The region of every pixel that the truth knows; of others it means nothing.
 ///
 /// Without true depth there are no depth edges.
-pub(super) fn regions(truth: &TruthView) -> Raster<usize> {
+pub(super) fn regions(truth: &TruthView) -> Raster<Region> {
     let (width, height) = truth.maps.size();
     let outside = Raster::from_fn(width, height, |x, y| !truth.maps.is_known(x, y));
     let innermost = |x: usize, y: usize| {
@@ -120,33 +125,29 @@ pub(super) fn regions(truth: &TruthView) -> Raster<usize> {
         let normal = truth.maps.normal().and_then(|map| map.normal(x, y));
         let is_steep =
             normal.is_some_and(|n| -n.dot(&ray) < n.norm() * STEEP_DEG.to_radians().cos());
-        let region = if is_steep {
+        if is_steep {
             Region::Steep
         } else {
             Region::Inner
-        };
-        region as usize
+        }
     };
     let mut regions = Raster::from_fn(width, height, innermost);
-    let mut mark = |near: Raster<bool>, index: usize| {
-        for (region, _) in regions
-            .data
-            .iter_mut()
-            .zip(&near.data)
-            .filter(|(_, near)| **near)
-        {
-            *region = index;
+    let mut mark = |near: Raster<bool>, with: Region| {
+        for (region, near) in regions.data.iter_mut().zip(near.data) {
+            if near {
+                *region = with;
+            }
         }
     };
     if let Some(depth) = truth.maps.depth() {
         mark(
             widened(&depth_edges(depth), EDGE_PX, false),
-            Region::DepthEdge8Px as usize,
+            Region::DepthEdge8Px,
         );
     }
-    // From the inside outwards: the last mark holds.
-    for (index, limit) in RINGS_PX.into_iter().enumerate().rev() {
-        mark(widened(&outside, limit, true), index);
+    // The last mark holds.
+    for (ring, limit) in RINGS_PX {
+        mark(widened(&outside, limit, true), ring);
     }
     regions
 }
@@ -182,7 +183,7 @@ mod tests {
     #[test]
     fn rings_edges_and_steep_places_hold_the_pixels_that_lie_there() {
         let regions = regions(&truth());
-        let at = |x: usize, y: usize| Region::ALL[*regions.at(x, y)];
+        let at = |x: usize, y: usize| *regions.at(x, y);
         assert_eq!(at(10, 20), Region::Outline1Px);
         assert_eq!(at(11, 20), Region::Outline2Px);
         assert_eq!(at(12, 20), Region::Outline3Px);
@@ -194,15 +195,15 @@ mod tests {
         assert_eq!(at(21, 20), Region::DepthEdge8Px);
         assert_eq!(at(38, 20), Region::DepthEdge8Px);
         assert_eq!(at(39, 20), Region::Inner);
+        assert_eq!(at(20, 40), Region::Steep);
         // Beyond the frame there is no edge.
         let whole = TruthView {
             maps: TruthMaps::Depth(DepthMap::filled(SIZE, SIZE, 1.0)),
             ..truth()
         };
         let regions = super::regions(&whole);
-        assert_eq!(Region::ALL[*regions.at(0, 30)], Region::Outline1Px);
-        assert_eq!(Region::ALL[*regions.at(7, 30)], Region::Inner);
-        assert_eq!(at(20, 40), Region::Steep);
+        assert_eq!(*regions.at(0, 30), Region::Outline1Px);
+        assert_eq!(*regions.at(7, 30), Region::Inner);
     }
 
     #[test]

@@ -380,14 +380,9 @@ pub(super) fn widened(blocked: &Raster<bool>, radius: f32, beyond: bool) -> Rast
             for (x, off) in row.iter_mut().enumerate() {
                 let touches = |dy: usize| {
                     let is_near = |y: usize| along[y * width + x].pow(2) + dy * dy <= square;
-                    let above = y.checked_sub(dy).map_or(beyond, is_near);
-                    let below = y + dy;
-                    above
-                        || if below < height {
-                            is_near(below)
-                        } else {
-                            beyond
-                        }
+                    let above = y.checked_sub(dy);
+                    let below = Some(y + dy).filter(|&y| y < height);
+                    above.map_or(beyond, is_near) || below.map_or(beyond, is_near)
                 };
                 *off = (0..=radius).any(touches);
             }
