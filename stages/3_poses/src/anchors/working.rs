@@ -44,8 +44,6 @@ pub(super) struct WorkingView {
     pub camera: Camera,
     /// The photo's own camera, with distortion.
     lens: Intrinsics,
-    /// First and last column and row of the whole photo, working pixels of the crop.
-    frame: [[f64; 2]; 2],
     /// One per pixel of the crop, row by row; none while the image is not held.
     pub texels: Vec<Texel>,
     /// The object (everything without a mask), not eroded.
@@ -88,7 +86,7 @@ impl WorkingView {
         let grey = block_mean(&grey, reduction);
         let object = blocks_where(&object, reduction, |&inside| inside);
         let unclipped = blocks_where(&unclipped, reduction, |&unclipped| unclipped);
-        let whole = Camera::new(&rectification.pinhole, &posed.cam_from_world).reduced(reduction);
+        let whole = Camera::new(&rectification.original, &posed.cam_from_world).reduced(reduction);
         let window = Window::around(&object, CROP_MARGIN_PX)?;
         let Window {
             x0,
@@ -115,13 +113,6 @@ impl WorkingView {
         Some(Self {
             camera: whole.cropped(x0, y0, width, height),
             lens,
-            frame: [
-                [-(x0 as f64), -(y0 as f64)],
-                [
-                    whole.width as f64 - 1.0 - x0 as f64,
-                    whole.height as f64 - 1.0 - y0 as f64,
-                ],
-            ],
             texels,
             object,
             has_mask,
@@ -149,7 +140,7 @@ impl WorkingView {
             camera: &self.camera,
             mask,
             is_masked: self.has_mask,
-            frame: Some(self.frame),
+            cut_by_frame: true,
         }
     }
 

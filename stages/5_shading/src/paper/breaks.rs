@@ -1,7 +1,7 @@
 //! Depth edges: where an integrable surface and shading cannot agree.
 //!
-//! From the middle of each level on, or of its first 40 iterations, where pixels determine their normals, slopes are freed several
-//! times: `θ' = argmin E(θ) + β'/2 |θ − ∇y|²` with a penalty `β'` of the pixel's own accuracy.
+//! From the middle of each level on, or of its first 40 iterations, where pixels determine their normals, slopes are freed
+//! several times: `θ' = argmin E(θ) + β'/2 |θ − ∇y|²` with a penalty `β'` of the pixel's own accuracy.
 //!
 //! **Test.** With the conflict `c² = |θ' − ∇y|² / (1 + |∇y|²)` and the squared residual `r²` of the
 //! image at the surface's slopes, a pixel keeps the stiffness

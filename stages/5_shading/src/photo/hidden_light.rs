@@ -72,25 +72,15 @@ pub(crate) fn exponent(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix3, Point3, Vector3};
-    use rilievo_scene::{LinearImage, Raster};
+    use rilievo_scene::{Intrinsics, LinearImage, Raster, RigidTransform};
     use rilievo_stereo::camera::Camera;
     use std::borrow::Cow;
 
     /// A surface of pits under light from the camera's side, its photo darkened by openness to the power `beta`.
     fn measured(beta: f32, brightness_noise: f32) -> f32 {
         let (width, height) = (96, 80);
-        let camera = Camera {
-            width,
-            height,
-            fx: 1e4,
-            fy: 1e4,
-            cx: 47.5,
-            cy: 39.5,
-            rotation: Matrix3::identity(),
-            translation: Vector3::zeros(),
-            center: Point3::origin(),
-        };
+        let intrinsics = Intrinsics::pinhole(width, height, 1e4, 47.5, 39.5);
+        let camera = Camera::new(&intrinsics, &RigidTransform::identity());
         let image = LinearImage::filled(width, height, 3, 0.5);
         let mask = Raster::filled(width, height, true);
         let mut view = LevelView::from_photo(&camera, &image, &mask, 1.0).0;

@@ -446,6 +446,14 @@ fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
         .map(|((view, depth), weight)| {
             let camera = &view.camera;
             let metric: Vec<f64> = depth.iter().map(|z| z.exp()).collect();
+            let mut depth = view.spread(&metric, 0.0);
+            for y in 0..camera.height {
+                for x in 0..camera.width {
+                    if !*view.mask.at(x, y) && !camera.shows(x as i32, y as i32) {
+                        *depth.at_mut(x, y) = f32::NAN;
+                    }
+                }
+            }
             let mut intrinsics =
                 Intrinsics::pinhole(camera.width, camera.height, camera.fx, camera.cx, camera.cy);
             intrinsics.fy = camera.fy;
@@ -455,7 +463,7 @@ fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
                     rotation: rotation(view),
                     translation: camera.translation,
                 },
-                depth: view.spread(&metric, 0.0),
+                depth,
                 weight,
                 image: view.image.clone(),
                 cut_by_frame: view.cut_by_frame,

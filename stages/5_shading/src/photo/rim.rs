@@ -25,9 +25,8 @@ const DISC_PX: i32 = 3;
 /// Adds the term for the increment of `depth`; `num_visible` counts the other views whose photos are compared with each
 /// pixel.
 ///
-/// It is linearised along the chord to the slope that is asked for: the tangent would overshoot where the surface still
-/// leans towards the camera. Against other terms the chord pulls a flat surface a third as much as the tangent, and one that
-/// is nearly there as much.
+/// It is linearised by the steeper of the tangent and the chord to the slope that is asked for: where the surface leans far
+/// towards the camera the tangent overshoots.
 pub(crate) fn add_terms(
     view: &ViewGrid,
     depth: &[f64],
@@ -41,13 +40,16 @@ pub(crate) fn add_terms(
         };
         let (along_x, along_y) = plate::slopes(view, pixel, depth);
         let slope = x * along_x.of(depth) + y * along_y.of(depth);
-        let wanted = tilt.tan() - slope;
+        let residual = tilt - slope.atan();
         // Nearer to it the chord's quotient is rounding.
-        if wanted <= 1e-6 {
+        if residual <= 1e-6 {
             continue;
         }
+        let tangent = 1.0 / (1.0 + slope * slope);
+        let derivative = tangent.max(residual / (tilt.tan() - slope));
         let sigma = SIGMA * (1.0 + f64::from(num_visible[pixel]));
-        let weight = 1.0 / sigma.powi(2) * ((tilt - slope.atan()) / wanted).powi(2);
+        let weight = (derivative / sigma).powi(2);
+        let wanted = residual / derivative;
         system.add_pair(
             &view.pixels,
             [&along_x, &along_y],

@@ -250,7 +250,7 @@ fn load_view(
         }
     }
     let rectification = &frame.rectification;
-    let camera = Camera::new(&rectification.pinhole, &posed_view.cam_from_world);
+    let camera = Camera::new(&rectification.original, &posed_view.cam_from_world);
     let straight = (!rectification.is_identity()).then(|| rectification.straighten(&image, &mask));
     let (pixels, straight_mask) = match &straight {
         Some((pixels, straight_mask)) => (pixels, straight_mask),

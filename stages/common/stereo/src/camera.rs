@@ -5,7 +5,46 @@
 //! With `ζ = ln z = −ln w`: `∂P/∂ζ = −w K_j t_ji`.
 
 use nalgebra::{Matrix3, Point3, Vector3};
-use rilievo_scene::{Intrinsics, RigidTransform};
+use rilievo_scene::{Distortion, Intrinsics, RigidTransform};
+
+/// Which rays `(x, y, 1)` a photo shows, and its straightened image with it: those between the middles of its outermost
+/// pixels, both straight and bent by its lens.
+#[derive(Clone, Copy, Debug)]
+struct Extent {
+    distortion: Distortion,
+    /// Normalised coordinates of the middles of the first and the last pixel.
+    lowest: [f64; 2],
+    highest: [f64; 2],
+    /// Size of the photo's pixels in these coordinates.
+    pixel: [f64; 2],
+}
+
+impl Extent {
+    fn new(intrinsics: &Intrinsics) -> Self {
+        let k = intrinsics;
+        let normalised = |x: f64, y: f64| [(x - k.cx) / k.fx, (y - k.cy) / k.fy];
+        Self {
+            distortion: k.distortion,
+            lowest: normalised(0.0, 0.0),
+            highest: normalised(k.width as f64 - 1.0, k.height as f64 - 1.0),
+            pixel: [1.0 / k.fx, 1.0 / k.fy],
+        }
+    }
+
+    fn holds(&self, x: f64, y: f64) -> bool {
+        // Rounding shall not cut off outermost pixels.
+        let is_between = |value: f64, axis: usize| {
+            let rounding = 1e-6 * self.pixel[axis];
+            value >= self.lowest[axis] - rounding && value <= self.highest[axis] + rounding
+        };
+        // Far outside, where lenses are not modelled, rays may be bent back into the photo.
+        let is_inside = |x: f64, y: f64| is_between(x, 0) && is_between(y, 1);
+        is_inside(x, y) && {
+            let (x, y) = self.distortion.distort(x, y);
+            is_inside(x, y)
+        }
+    }
+}
 
 /// A pinhole without distortion, with its pose.
 #[derive(Clone, Debug)]
@@ -28,10 +67,12 @@ pub struct Camera {
     pub translation: Vector3<f64>,
     /// Centre in the world.
     pub center: Point3<f64>,
+    /// What the whole photo shows.
+    extent: Extent,
 }
 
 impl Camera {
-    /// The camera of a photo without distortion, at a pose `cam_from_world`.
+    /// The pinhole of a photo straightened ([`crate::rectify`]), at a pose `cam_from_world`.
     pub fn new(intrinsics: &Intrinsics, pose: &RigidTransform) -> Self {
         Self {
             width: intrinsics.width,
@@ -43,6 +84,7 @@ impl Camera {
             rotation: pose.rotation_matrix(),
             translation: pose.translation,
             center: pose.center_in_source(),
+            extent: Extent::new(intrinsics),
         }
     }
 
@@ -78,6 +120,21 @@ impl Camera {
 
     fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.fx, 0.0, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
+    }
+
+    /// Whether the photo shows the whole of a pixel, which may lie beyond the raster if that is a part of the photo.
+    /// Straightened photos show nothing in parts of their raster.
+    pub fn shows(&self, x: i32, y: i32) -> bool {
+        let middle = self.ray(f64::from(x), f64::from(y));
+        // From there to the middles of the outermost of the photo's pixels that this one covers.
+        let reach = |size: f64, of_photo: f64| 0.5 * (size - of_photo);
+        let [dx, dy] = [
+            reach(1.0 / self.fx, self.extent.pixel[0]),
+            reach(1.0 / self.fy, self.extent.pixel[1]),
+        ];
+        [(-dx, -dy), (dx, -dy), (-dx, dy), (dx, dy)]
+            .iter()
+            .all(|(dx, dy)| self.extent.holds(middle.x + dx, middle.y + dy))
     }
 
     /// Ray of a pixel in the camera frame, `z = 1`.

@@ -23,9 +23,8 @@ pub struct Outline<'a> {
     pub mask: &'a Mask,
     /// Whether there is one.
     pub is_masked: bool,
-    /// First and last column and row (`[x0, y0]`, `[x1, y1]`) of the whole photo, beyond which the object may
-    /// reach; `None` where it ends with the mask.
-    pub frame: Option<[[f64; 2]; 2]>,
+    /// Whether the object may reach beyond what the photo shows.
+    pub cut_by_frame: bool,
 }
 
 impl Outline<'_> {
@@ -33,16 +32,11 @@ impl Outline<'_> {
     #[inline]
     fn allows(&self, p: &Vector3<f64>) -> bool {
         if p.z.is_nan() || p.z <= 0.0 {
-            return self.frame.is_some();
+            return self.cut_by_frame;
         }
-        let (u, v) = (p.x / p.z, p.y / p.z);
-        if let Some([low, high]) = self.frame
-            && !(u >= low[0] && v >= low[1] && u <= high[0] && v <= high[1])
-        {
-            return true;
-        }
-        let (u, v) = (u + 0.5, v + 0.5);
-        u >= 0.0 && v >= 0.0 && self.mask.contains(u as isize, v as isize)
+        let (u, v) = ((p.x / p.z).round(), (p.y / p.z).round());
+        self.mask.contains(u as isize, v as isize)
+            || self.cut_by_frame && !self.camera.shows(u as i32, v as i32)
     }
 }
 
@@ -202,6 +196,51 @@ pub fn dilate(mask: &Mask, radius: usize) -> Mask {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rilievo_scene::{Intrinsics, RigidTransform};
+
+    /// A camera at `x` that looks along +z, and sees 80 columns to the right of its axis and `to_left` to the left.
+    fn camera(x: f64, to_left: usize) -> Camera {
+        let intrinsics = Intrinsics::pinhole(to_left + 80, 60, 100.0, to_left as f64, 29.5);
+        let pose = RigidTransform {
+            translation: Vector3::new(-x, 0.0, 0.0),
+            ..RigidTransform::identity()
+        };
+        Camera::new(&intrinsics, &pose)
+    }
+
+    #[test]
+    fn a_photo_forbids_nothing_beyond_its_frame() {
+        // At depth 1 the point lies 50 px left of the second camera's axis, at depth 2 25 px.
+        let (first, second) = (camera(0.0, 60), camera(0.5, 40));
+        let masks = [&first, &second].map(|c| Mask::filled(c.width, c.height, true));
+        let whole = InverseDepthRange {
+            low: 0.4,
+            high: 1.25,
+        };
+        let range = |cut_by_frame: bool| {
+            let outlines =
+                [(&first, &masks[0]), (&second, &masks[1])].map(|(camera, mask)| Outline {
+                    camera,
+                    mask,
+                    is_masked: true,
+                    cut_by_frame,
+                });
+            ranges_inside(&outlines, 0, &[(60.0, 30.0)], whole)[0].unwrap()
+        };
+        let (ends, cut) = (range(false), range(true));
+        assert!((ends.high - 0.8).abs() < 0.02, "{ends:?}");
+        assert!(cut.low <= whole.low && cut.high >= whole.high, "{cut:?}");
+        // What the photo shows beside the object stays forbidden.
+        let right = Mask::from_fn(second.width, second.height, |x, _| x > 20);
+        let outlines = [(&first, &masks[0]), (&second, &right)].map(|(camera, mask)| Outline {
+            camera,
+            mask,
+            is_masked: true,
+            cut_by_frame: true,
+        });
+        let beside = |w: f64| !outlines[1].allows(&Vector3::new(40.0 - 50.0 * w, 30.0, 1.0));
+        assert!(!beside(0.3) && beside(0.5) && beside(0.7) && !beside(0.9));
+    }
 
     #[test]
     fn dilation_reaches_as_far_as_asked() {

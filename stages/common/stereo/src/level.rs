@@ -6,6 +6,8 @@ use crate::sampling;
 use crate::window::{Window, block_mean, blocks_where};
 use nalgebra::{Point3, Vector3};
 use rilievo_numerics::plate_system::PixelNumbering;
+#[cfg(test)]
+use rilievo_scene::{Intrinsics, RigidTransform};
 use rilievo_scene::{LinearImage, Mask, Raster};
 use std::ops::Deref;
 
@@ -36,7 +38,7 @@ pub struct ViewGrid {
     pub mask: Mask,
     /// Numbers of the masked pixels, row by row.
     pub pixels: PixelNumbering,
-    /// Whether the mask touches the photo's frame.
+    /// Whether the mask touches the photo's end.
     pub cut_by_frame: bool,
 }
 
@@ -83,7 +85,7 @@ impl ViewGrid {
             camera: &self.camera,
             mask: &self.mask,
             is_masked,
-            frame: None,
+            cut_by_frame: self.cut_by_frame,
         }
     }
 
@@ -96,11 +98,11 @@ impl ViewGrid {
         )
     }
 
-    /// Whether the raster has a pixel there that is not the object's. What lies beyond the raster is not known: the photo
-    /// ends there, or the part that is looked at.
+    /// Whether the photo shows something else than the object there. What lies beyond the photo or the raster, which may be
+    /// a part of it, is not known.
     #[inline]
     pub fn is_outside(&self, x: i32, y: i32) -> bool {
-        self.mask.get(x as isize, y as isize) == Some(&false)
+        self.mask.get(x as isize, y as isize) == Some(&false) && self.camera.shows(x, y)
     }
 
     /// Whether the object ends beside a masked pixel: its intensity is partly the background's.
@@ -165,13 +167,14 @@ impl LevelView {
         mask: &Mask,
         clip_level: f32,
     ) -> (Self, (usize, usize)) {
-        let cut_by_frame = Window::around(mask, 0).is_some_and(|tight| {
-            tight.x0 == 0
-                || tight.y0 == 0
-                || tight.x0 + tight.width == mask.width
-                || tight.y0 + tight.height == mask.height
-        });
         let window = Window::around(mask, MARGIN_PX).unwrap_or_default();
+        let cut_by_frame = window.pixels().any(|(x, y)| {
+            let is_cut = |&(dx, dy): &(i32, i32)| {
+                let (x, y) = (x as i32 + dx, y as i32 + dy);
+                !mask.contains(x as isize, y as isize) && !camera.shows(x, y)
+            };
+            *mask.at(x, y) && NEIGHBOURS[..4].iter().any(is_cut)
+        });
         let Window {
             x0,
             y0,
@@ -408,17 +411,9 @@ pub const MAX_STEP_PX: f64 = 8.0;
 /// A wholly masked grey view at the origin that looks along +z, for tests.
 #[cfg(test)]
 pub fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
-    let camera = Camera {
-        width,
-        height,
-        fx: focal,
-        fy: focal,
-        cx: 0.5 * (width as f64 - 1.0),
-        cy: 0.5 * (height as f64 - 1.0),
-        rotation: nalgebra::Matrix3::identity(),
-        translation: Vector3::zeros(),
-        center: Point3::origin(),
-    };
+    let (cx, cy) = (0.5 * (width as f64 - 1.0), 0.5 * (height as f64 - 1.0));
+    let intrinsics = Intrinsics::pinhole(width, height, focal, cx, cy);
+    let camera = Camera::new(&intrinsics, &RigidTransform::identity());
     let image = LinearImage::filled(width, height, 3, 0.5);
     let mask = Raster::filled(width, height, true);
     LevelView::from_photo(&camera, &image, &mask, 1.0).0
@@ -427,6 +422,53 @@ pub fn flat_view(width: usize, height: usize, focal: f64) -> LevelView {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rectify::Rectification;
+    use rilievo_scene::Distortion;
+
+    /// Of a photo with distortion, straightened.
+    fn straightened(k1: f64, mask: &Mask) -> LevelView {
+        let intrinsics = Intrinsics {
+            distortion: Distortion {
+                k1,
+                ..Distortion::default()
+            },
+            ..Intrinsics::pinhole(mask.width, mask.height, 110.0, 60.2, 44.1)
+        };
+        let image = LinearImage::filled(mask.width, mask.height, 1, 0.5);
+        let (image, mask) = Rectification::new(&intrinsics).straighten(&image, mask);
+        let camera = Camera::new(&intrinsics, &RigidTransform::identity());
+        LevelView::from_photo(&camera, &image, &mask, 1.0).0
+    }
+
+    fn num_on_outline(view: &ViewGrid) -> usize {
+        (0..view.pixels.len())
+            .filter(|&p| view.is_on_outline(p))
+            .count()
+    }
+
+    #[test]
+    fn where_a_straightened_photo_ends_no_object_ends() {
+        for k1 in [-0.2, 0.0, 0.2] {
+            let whole = straightened(k1, &Mask::filled(120, 90, true));
+            let disc = straightened(
+                k1,
+                &Mask::from_fn(120, 90, |x, y| {
+                    (x as f64 - 60.0).hypot(y as f64 - 44.0) < 30.0
+                }),
+            );
+            for level in [whole.clone(), whole.halved()] {
+                assert!(level.cut_by_frame);
+                assert_eq!(num_on_outline(&level), 0, "{k1}");
+            }
+            for (level, expected) in [(disc.clone(), 150), (disc.halved(), 70)] {
+                assert!(!level.cut_by_frame);
+                assert!(num_on_outline(&level) > expected, "{k1}");
+            }
+        }
+        // The test's rasters do have such ends.
+        let whole = straightened(0.2, &Mask::filled(120, 90, true));
+        assert!(whole.mask.data.iter().filter(|&&is| !is).count() > 100);
+    }
 
     /// On both sides of a step there is a surface, on a steep slope too, across the step there is none.
     #[test]

@@ -574,8 +574,8 @@ pub fn refine_start(coarse: &LevelView, fine: &LevelView, planes: &Planes) -> Pl
 mod tests {
     use super::*;
     use crate::camera::Camera;
-    use nalgebra::{Matrix3, Point3, Vector3};
-    use rilievo_scene::LinearImage;
+    use nalgebra::Vector3;
+    use rilievo_scene::{Intrinsics, LinearImage, RigidTransform};
 
     const SIZE: (usize, usize) = (112, 40);
     const FOCAL: f64 = 200.0;
@@ -583,17 +583,12 @@ mod tests {
     const FAR: f64 = 1.3;
 
     fn camera(x: f64) -> Camera {
-        Camera {
-            width: SIZE.0,
-            height: SIZE.1,
-            fx: FOCAL,
-            fy: FOCAL,
-            cx: 55.5,
-            cy: 19.5,
-            rotation: Matrix3::identity(),
+        let intrinsics = Intrinsics::pinhole(SIZE.0, SIZE.1, FOCAL, 55.5, 19.5);
+        let pose = RigidTransform {
             translation: Vector3::new(-x, 0.0, 0.0),
-            center: Point3::new(x, 0.0, 0.0),
-        }
+            ..RigidTransform::identity()
+        };
+        Camera::new(&intrinsics, &pose)
     }
 
     /// Depth that a ray meets: a bright near plate on the left, a darker far one behind it.

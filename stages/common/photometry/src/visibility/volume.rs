@@ -26,7 +26,7 @@ pub struct DepthView {
     pub intrinsics: Intrinsics,
     /// Pose.
     pub cam_from_world: RigidTransform,
-    /// Depth along the axis, 0 outside the mask.
+    /// Depth along the axis, 0 beside the object, NaN where the photo shows nothing.
     pub depth: DepthMap,
     /// cos² of the angle of incidence, 0 outside the mask.
     pub weight: rilievo_scene::Raster<f32>,
@@ -116,7 +116,7 @@ fn sight(camera: &Camera, view: &DepthView, p: &Vector3<f32>, voxel: f32) -> Sig
     let below = base + depth.width;
     let d = &depth.data;
     let corners = [d[base], d[base + 1], d[below], d[below + 1]];
-    if corners.iter().any(|&c| c <= 0.0) {
+    if !corners.iter().all(|&c| c > 0.0) {
         let nearest = (v + 0.5) as usize * depth.width + (u + 0.5) as usize;
         return if d[nearest] <= 0.0 {
             Sight::Empty
