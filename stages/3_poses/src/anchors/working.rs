@@ -20,6 +20,7 @@ use nalgebra::Point2;
 use rilievo_scene::{Intrinsics, LinearImage, Mask, Photo, PosedView, Raster};
 use rilievo_stereo::camera::Camera;
 use rilievo_stereo::hull::{Outline, dilate};
+use rilievo_stereo::level::is_cut_by_frame;
 use rilievo_stereo::rectify::Rectification;
 use rilievo_stereo::window::{Window, block_mean, blocks_where};
 
@@ -50,6 +51,8 @@ pub(super) struct WorkingView {
     pub object: Mask,
     /// Whether `object` comes from a mask.
     pub has_mask: bool,
+    /// Whether it touches the photo's end.
+    cut_by_frame: bool,
 }
 
 impl WorkingView {
@@ -99,6 +102,7 @@ impl WorkingView {
             height: grey.height,
             data: grey.data,
         });
+        let cut_by_frame = is_cut_by_frame(&whole, &object);
         let object = window.cut(&object);
         let clipped = dilate(&window.cut(&unclipped).inverted(), CLIP_REACH_PX);
         let margin = dilate(&object.clone().inverted(), MASK_MARGIN_PX);
@@ -116,6 +120,7 @@ impl WorkingView {
             texels,
             object,
             has_mask,
+            cut_by_frame,
         })
     }
 
@@ -140,7 +145,7 @@ impl WorkingView {
             camera: &self.camera,
             mask,
             is_masked: self.has_mask,
-            cut_by_frame: true,
+            cut_by_frame: self.cut_by_frame,
         }
     }
 

@@ -49,7 +49,8 @@ pub struct InverseDepthRange {
     pub high: f32,
 }
 
-/// Range of each view, `None` where it is not known: from two masks and more, else from points in the world.
+/// Range of each view, `None` where it is not known: from two masks and more, else from points in the world; from both
+/// where the frame cuts the object, whose masks tell too little of its size.
 pub fn object_ranges(
     outlines: &[Outline],
     points: &[Point3<f64>],
@@ -62,16 +63,27 @@ pub fn object_ranges(
             .collect();
     }
     let ball = object_ball(&masked);
+    let of_ball = |outline: &Outline| {
+        let (center, radius) = ball?;
+        let (_, _, depth) = outline.camera.project(&center)?;
+        let near = (depth - 1.3 * radius).max(0.15 * depth);
+        Some(InverseDepthRange {
+            low: (1.0 / (depth + 1.3 * radius)) as f32,
+            high: (1.0 / near) as f32,
+        })
+    };
+    let is_cut = masked.iter().any(|outline| outline.cut_by_frame);
     outlines
         .iter()
         .map(|outline| {
-            let (center, radius) = ball?;
-            let (_, _, depth) = outline.camera.project(&center)?;
-            let near = (depth - 1.3 * radius).max(0.15 * depth);
-            Some(InverseDepthRange {
-                low: (1.0 / (depth + 1.3 * radius)) as f32,
-                high: (1.0 / near) as f32,
-            })
+            let of_points = is_cut.then(|| range_of_points(outline, points)).flatten();
+            match (of_ball(outline), of_points) {
+                (Some(a), Some(b)) => Some(InverseDepthRange {
+                    low: a.low.min(b.low),
+                    high: a.high.max(b.high),
+                }),
+                (a, b) => a.or(b),
+            }
         })
         .collect()
 }
@@ -240,6 +252,37 @@ mod tests {
         });
         let beside = |w: f64| !outlines[1].allows(&Vector3::new(40.0 - 50.0 * w, 30.0, 1.0));
         assert!(!beside(0.3) && beside(0.5) && beside(0.7) && !beside(0.9));
+    }
+
+    #[test]
+    fn parallel_photos_that_the_object_fills_are_ranged_by_points() {
+        let cameras = [0.0, 0.5, 1.0].map(|x| camera(x, 60));
+        let masks = cameras
+            .each_ref()
+            .map(|c| Mask::filled(c.width, c.height, true));
+        let points: Vec<Point3<f64>> = (0..40)
+            .map(|i| {
+                Point3::new(
+                    0.05 * f64::from(i) - 0.5,
+                    0.1,
+                    2.0 + 0.01 * f64::from(i % 7),
+                )
+            })
+            .collect();
+        let outlines: Vec<Outline> = cameras
+            .iter()
+            .zip(&masks)
+            .map(|(camera, mask)| Outline {
+                camera,
+                mask,
+                is_masked: true,
+                cut_by_frame: true,
+            })
+            .collect();
+        for range in object_ranges(&outlines, &points) {
+            let range = range.unwrap();
+            assert!(range.low < 0.485 && range.high > 0.5, "{range:?}");
+        }
     }
 
     #[test]

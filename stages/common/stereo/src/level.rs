@@ -168,13 +168,7 @@ impl LevelView {
         clip_level: f32,
     ) -> (Self, (usize, usize)) {
         let window = Window::around(mask, MARGIN_PX).unwrap_or_default();
-        let cut_by_frame = window.pixels().any(|(x, y)| {
-            let is_cut = |&(dx, dy): &(i32, i32)| {
-                let (x, y) = (x as i32 + dx, y as i32 + dy);
-                !mask.contains(x as isize, y as isize) && !camera.shows(x, y)
-            };
-            *mask.at(x, y) && NEIGHBOURS[..4].iter().any(is_cut)
-        });
+        let cut_by_frame = is_cut_by_frame(camera, mask);
         let Window {
             x0,
             y0,
@@ -312,6 +306,18 @@ impl LevelView {
         self.depth_at(raster, x, y)
             .filter(|_| sampling::bilinear(&self.usable, x, y) > 0.999)
     }
+}
+
+/// Whether a mask touches the photo's end; `camera` is that of the mask's raster.
+pub fn is_cut_by_frame(camera: &Camera, mask: &Mask) -> bool {
+    let window = Window::around(mask, 0).unwrap_or_default();
+    window.pixels().any(|(x, y)| {
+        let is_end = |&(dx, dy): &(i32, i32)| {
+            let (x, y) = (x as i32 + dx, y as i32 + dy);
+            !mask.contains(x as isize, y as isize) && !camera.shows(x, y)
+        };
+        *mask.at(x, y) && NEIGHBOURS[..4].iter().any(is_end)
+    })
 }
 
 /// Intensity below which a pixel is as dark as the noise of a photo whose object has these mean intensities.
