@@ -49,7 +49,7 @@ use rilievo_scene::{
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 12;
+pub const VERSION: u32 = 13;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;

@@ -36,7 +36,7 @@ pub(crate) struct MatchTerms {
     pub rhs: Vec<f64>,
     /// Sources that see the pixel.
     pub num_visible: Vec<u8>,
-    /// RMS of the residual over visible sources and channels, relative (not divided by σ).
+    /// RMS of the residual over the sources that are compared and channels, relative (not divided by σ); 0 where none is.
     pub residual: Vec<f32>,
     /// How alike the signed residuals of neighbouring pixels are.
     pub likeness: Likeness,
@@ -62,20 +62,22 @@ impl Likeness {
 }
 
 impl MatchTerms {
-    /// Residuals of some of the pixels that a source sees, spread evenly.
+    /// Residuals of some of the pixels that are compared, spread evenly.
     pub fn some_residuals(&self) -> impl Iterator<Item = f64> + '_ {
         self.residual
             .iter()
-            .zip(&self.num_visible)
             .step_by(7)
-            .filter(|&(_, &n)| n > 0)
-            .map(|(&r, _)| f64::from(r))
+            .filter(|&&r| r > 0.0)
+            .map(|&r| f64::from(r))
     }
 }
 
 #[derive(Clone, Copy, Default)]
 struct Sample {
+    /// Whether the source sees the pixel.
     visible: bool,
+    /// Whether both photos are unclipped there, so that they are compared.
+    compared: bool,
     value: [f32; 3],
     /// `∂I_j/∂ζ`.
     slope: [f32; 3],
@@ -101,6 +103,7 @@ pub(crate) fn terms(
         residual: vec![0.0; n],
         likeness: Likeness::default(),
     };
+    let mut num_compared = vec![0_u8; n];
     let here: Vec<[f32; 3]> = (0..n).map(|p| view.intensity(p)).collect();
     for (j, warp) in &level.sources[index] {
         if options.left_out == Some(*j) {
@@ -116,16 +119,20 @@ pub(crate) fn terms(
                 let Some(l) = warp.land(x, y, depth[p]) else {
                     return Sample::default();
                 };
-                let is_visible = view.is_usable(p)
-                    && other
-                        .unclipped_depth_at(raster, l.u, l.v)
-                        .is_some_and(|zeta| (zeta - l.zeta).abs() <= options.visible_tolerance);
-                if !is_visible {
-                    return Sample::default();
+                let visible = other
+                    .depth_at(raster, l.u, l.v)
+                    .is_some_and(|zeta| (zeta - l.zeta).abs() <= options.visible_tolerance);
+                let compared = visible && view.is_usable(p) && other.is_unclipped_at(l.u, l.v);
+                if !compared {
+                    return Sample {
+                        visible,
+                        ..Sample::default()
+                    };
                 }
                 let (value, gx, gy) = sampling::bicubic(&other.image, l.u, l.v);
                 Sample {
-                    visible: true,
+                    visible,
+                    compared,
                     value,
                     slope: [0, 1, 2].map(|c| gx[c] * l.du as f32 + gy[c] * l.dv as f32),
                 }
@@ -136,7 +143,8 @@ pub(crate) fn terms(
         let mut last: Option<(usize, f64)> = None;
         for p in 0..n {
             let sample = &samples[p];
-            if !sample.visible {
+            out.num_visible[p] += u8::from(sample.visible);
+            if !sample.compared {
                 continue;
             }
             let (mut rr, mut jj, mut jr, mut relative, mut signed) = (0.0, 0.0, 0.0, 0.0, 0.0_f64);
@@ -171,11 +179,11 @@ pub(crate) fn terms(
             };
             out.hessian[p] += weight * jj;
             out.rhs[p] -= weight * jr;
-            out.num_visible[p] += 1;
+            num_compared[p] += 1;
             out.residual[p] += relative as f32;
         }
     }
-    for (residual, &count) in out.residual.iter_mut().zip(&out.num_visible) {
+    for (residual, &count) in out.residual.iter_mut().zip(&num_compared) {
         *residual = (*residual / f32::from(count.max(1))).sqrt();
     }
     out
@@ -192,7 +200,7 @@ fn gain_field(
     }
     let weights: Vec<f32> = samples
         .iter()
-        .map(|s| f32::from(u8::from(s.visible)))
+        .map(|s| f32::from(u8::from(s.compared)))
         .collect();
     let both: Vec<[f32; 6]> = here
         .iter()

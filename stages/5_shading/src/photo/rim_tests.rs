@@ -226,7 +226,7 @@ fn a_clipped_rim_turns_away_from_the_camera() {
     let found = scene.solved(&start, 25);
     let after = mean(&scene.errors(&found, is_dark_rim));
     println!("clipped rim: {before:.2} deg at the start, {after:.2} deg in the end");
-    assert!(before > 15.0 && after < 7.0, "{before}, {after}");
+    assert!(before > 15.0 && after < 0.6 * before, "{before}, {after}");
 }
 
 #[test]

@@ -304,7 +304,13 @@ impl LevelView {
     #[inline]
     pub fn unclipped_depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
         self.depth_at(raster, x, y)
-            .filter(|_| sampling::bilinear(&self.usable, x, y) > 0.999)
+            .filter(|_| self.is_unclipped_at(x, y))
+    }
+
+    /// Whether the four pixels around a position, which must be [`sampling::inside`], are unclipped.
+    #[inline]
+    pub fn is_unclipped_at(&self, x: f64, y: f64) -> bool {
+        sampling::bilinear(&self.usable, x, y) > 0.999
     }
 }
 
