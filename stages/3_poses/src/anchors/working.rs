@@ -51,7 +51,7 @@ pub(super) struct WorkingView {
     pub object: Mask,
     /// Whether `object` comes from a mask.
     pub has_mask: bool,
-    /// Whether it touches the photo's end.
+    /// Whether it reaches the photo's end.
     cut_by_frame: bool,
 }
 
@@ -77,7 +77,6 @@ impl WorkingView {
         let mask = mask.filter(|mask| mask.same_size(&unclipped));
         let has_mask = mask.is_some();
         let object = mask.unwrap_or_else(|| Mask::filled(image.width, image.height, true));
-        // Beyond the photo's frame nothing is known, as beyond the mask.
         let rectification = Rectification::new(&lens);
         let (grey, [object, unclipped]) = if rectification.is_identity() {
             (grey, [object, unclipped])

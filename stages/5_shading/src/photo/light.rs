@@ -447,10 +447,12 @@ fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
             let camera = &view.camera;
             let metric: Vec<f64> = depth.iter().map(|z| z.exp()).collect();
             let mut depth = view.spread(&metric, 0.0);
-            for y in 0..camera.height {
-                for x in 0..camera.width {
-                    if !*view.mask.at(x, y) && !camera.shows(x as i32, y as i32) {
-                        *depth.at_mut(x, y) = f32::NAN;
+            if view.cut_by_frame {
+                for y in 0..camera.height {
+                    for x in 0..camera.width {
+                        if !*view.mask.at(x, y) && !camera.shows(x as i32, y as i32) {
+                            *depth.at_mut(x, y) = f32::NAN;
+                        }
                     }
                 }
             }

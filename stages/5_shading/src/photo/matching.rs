@@ -36,7 +36,9 @@ pub(crate) struct MatchTerms {
     pub rhs: Vec<f64>,
     /// Sources that see the pixel.
     pub num_visible: Vec<u8>,
-    /// RMS of the residual over the sources that are compared and channels, relative (not divided by σ); 0 where none is.
+    /// Sources whose photos are compared with the pixel: those that see it, both unclipped.
+    num_compared: Vec<u8>,
+    /// RMS of the residual over them and over channels, relative (not divided by σ).
     pub residual: Vec<f32>,
     /// How alike the signed residuals of neighbouring pixels are.
     pub likeness: Likeness,
@@ -66,9 +68,10 @@ impl MatchTerms {
     pub fn some_residuals(&self) -> impl Iterator<Item = f64> + '_ {
         self.residual
             .iter()
+            .zip(&self.num_compared)
             .step_by(7)
-            .filter(|&&r| r > 0.0)
-            .map(|&r| f64::from(r))
+            .filter(|&(_, &n)| n > 0)
+            .map(|(&r, _)| f64::from(r))
     }
 }
 
@@ -100,10 +103,10 @@ pub(crate) fn terms(
         hessian: vec![0.0; n],
         rhs: vec![0.0; n],
         num_visible: vec![0; n],
+        num_compared: vec![0; n],
         residual: vec![0.0; n],
         likeness: Likeness::default(),
     };
-    let mut num_compared = vec![0_u8; n];
     let here: Vec<[f32; 3]> = (0..n).map(|p| view.intensity(p)).collect();
     for (j, warp) in &level.sources[index] {
         if options.left_out == Some(*j) {
@@ -179,11 +182,11 @@ pub(crate) fn terms(
             };
             out.hessian[p] += weight * jj;
             out.rhs[p] -= weight * jr;
-            num_compared[p] += 1;
+            out.num_compared[p] += 1;
             out.residual[p] += relative as f32;
         }
     }
-    for (residual, &count) in out.residual.iter_mut().zip(&num_compared) {
+    for (residual, &count) in out.residual.iter_mut().zip(&out.num_compared) {
         *residual = (*residual / f32::from(count.max(1))).sqrt();
     }
     out

@@ -13,22 +13,24 @@ const MAX_SIDE: usize = 480;
 #[derive(Clone, Debug)]
 pub(crate) struct SmallPhoto {
     pub camera: Camera,
-    /// Three channels; negative where clipped.
+    /// Three channels; negative where clipped, and where the photo shows nothing.
     pub image: LinearImage,
     /// Pixels of the object, grown by a pixel.
     pub object: Mask,
 }
 
 impl SmallPhoto {
-    /// Means over blocks; a block with a clipped pixel is marked.
+    /// Means over blocks; a block with a clipped pixel is marked, and one that the straightened photo does not fill.
     pub fn new(camera: &Camera, image: &LinearImage, mask: &Mask, clip_level: f32) -> Self {
         let block = image.width.max(image.height).div_ceil(MAX_SIDE).max(1);
         let (width, height) = (image.width / block, image.height / block);
+        let reduced = camera.reduced(block);
         let mut small = LinearImage::filled(width, height, 3, 0.0);
         let mut object = Mask::filled(width, height, false);
         for y in 0..height {
             for x in 0..width {
-                let (mut sum, mut clipped, mut inside) = ([0.0_f32; 3], false, false);
+                let mut clipped = !reduced.shows(x as i32, y as i32);
+                let (mut sum, mut inside) = ([0.0_f32; 3], false);
                 for by in y * block..(y + 1) * block {
                     for bx in x * block..(x + 1) * block {
                         let pixel = image.pixel(bx, by);
@@ -48,7 +50,7 @@ impl SmallPhoto {
             }
         }
         Self {
-            camera: camera.reduced(block),
+            camera: reduced,
             image: small,
             object: rilievo_stereo::hull::dilate(&object, 1),
         }

@@ -2,7 +2,8 @@
 //!
 //! The range of the whole object comes first: the point nearest to the rays through the masks'
 //! centroids, and the largest extent that a mask subtends there; or, without masks, the depths of
-//! the sparse points. Per pixel, inverse depths are sampled and kept while all masks contain them.
+//! the sparse points. Per pixel, inverse depths are sampled and kept while all masks contain them, or they lie beyond a
+//! photo whose frame cuts the object.
 
 use crate::camera::{Camera, Warp};
 use nalgebra::{Point3, Vector3};
@@ -49,8 +50,11 @@ pub struct InverseDepthRange {
     pub high: f32,
 }
 
+/// How much farther, and nearer, than sparse points the object may reach where masks do not end with it.
+const BEYOND_POINTS: f32 = 2.0;
+
 /// Range of each view, `None` where it is not known: from two masks and more, else from points in the world; from both
-/// where the frame cuts the object, whose masks tell too little of its size.
+/// where the frame cuts the object, since its masks may tell little of where it is and how large.
 pub fn object_ranges(
     outlines: &[Outline],
     points: &[Point3<f64>],
@@ -78,10 +82,13 @@ pub fn object_ranges(
         .map(|outline| {
             let of_points = is_cut.then(|| range_of_points(outline, points)).flatten();
             match (of_ball(outline), of_points) {
-                (Some(a), Some(b)) => Some(InverseDepthRange {
-                    low: a.low.min(b.low),
-                    high: a.high.max(b.high),
-                }),
+                (Some(a), Some(b)) => {
+                    let limits = (b.low / BEYOND_POINTS, b.high * BEYOND_POINTS);
+                    Some(InverseDepthRange {
+                        low: a.low.clamp(limits.0, b.low),
+                        high: a.high.clamp(b.high, limits.1),
+                    })
+                }
                 (a, b) => a.or(b),
             }
         })
@@ -208,6 +215,7 @@ pub fn dilate(mask: &Mask, radius: usize) -> Mask {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::level::is_cut_by_frame;
     use rilievo_scene::{Intrinsics, RigidTransform};
 
     /// A camera at `x` that looks along +z, and sees 80 columns to the right of its axis and `to_left` to the left.
@@ -281,7 +289,42 @@ mod tests {
             .collect();
         for range in object_ranges(&outlines, &points) {
             let range = range.unwrap();
-            assert!(range.low < 0.485 && range.high > 0.5, "{range:?}");
+            assert!(range.low < 0.485 && range.low > 0.2, "{range:?}");
+            assert!(range.high > 0.5 && range.high < 1.1, "{range:?}");
+        }
+        // Masks that turn about the object tell its size beyond that of the points.
+        let turned = [-0.4_f64, 0.0, 0.4].map(|angle| {
+            let about = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle);
+            let target = Vector3::new(0.1, 0.0, 2.0);
+            let pose = RigidTransform {
+                rotation: about,
+                translation: target - about * target,
+            };
+            Camera::new(&Intrinsics::pinhole(140, 60, 100.0, 60.0, 29.5), &pose)
+        });
+        let outlines = [0, 1, 2].map(|i| Outline {
+            camera: &turned[i],
+            ..outlines[i]
+        });
+        let few: Vec<Point3<f64>> = (0..9)
+            .map(|i| Point3::new(0.1 + 0.01 * f64::from(i), 0.0, 2.0))
+            .collect();
+        let range = object_ranges(&outlines, &few)[1].unwrap();
+        assert!(range.low < 0.4 && range.low > 0.2, "{range:?}");
+    }
+
+    #[test]
+    fn a_mask_beside_the_frame_may_be_cut_by_it() {
+        let camera = camera(0.0, 60);
+        let reaching = |from: usize| {
+            Mask::from_fn(140, 60, |x, y| x >= from && x < 90 && (20..40).contains(&y))
+        };
+        for (from, expected) in [(0, true), (2, true), (6, false)] {
+            assert_eq!(
+                is_cut_by_frame(&camera, &reaching(from)),
+                expected,
+                "{from}"
+            );
         }
     }
 

@@ -38,7 +38,7 @@ pub struct ViewGrid {
     pub mask: Mask,
     /// Numbers of the masked pixels, row by row.
     pub pixels: PixelNumbering,
-    /// Whether the mask touches the photo's end.
+    /// Whether the mask reaches the photo's end ([`is_cut_by_frame`]).
     pub cut_by_frame: bool,
 }
 
@@ -314,13 +314,17 @@ impl LevelView {
     }
 }
 
-/// Whether a mask touches the photo's end; `camera` is that of the mask's raster.
+/// Pixels from the photo's end within which a mask may miss that it goes on.
+const FRAME_PX: i32 = 3;
+
+/// Whether a mask reaches the photo's end, or almost; `camera` is that of the mask's raster.
 pub fn is_cut_by_frame(camera: &Camera, mask: &Mask) -> bool {
     let window = Window::around(mask, 0).unwrap_or_default();
     window.pixels().any(|(x, y)| {
         let is_end = |&(dx, dy): &(i32, i32)| {
-            let (x, y) = (x as i32 + dx, y as i32 + dy);
-            !mask.contains(x as isize, y as isize) && !camera.shows(x, y)
+            let (x, y) = (x as i32, y as i32);
+            !mask.contains((x + dx) as isize, (y + dy) as isize)
+                && !camera.shows(x + FRAME_PX * dx, y + FRAME_PX * dy)
         };
         *mask.at(x, y) && NEIGHBOURS[..4].iter().any(is_end)
     })
@@ -468,7 +472,7 @@ mod tests {
                     (x as f64 - 60.0).hypot(y as f64 - 44.0) < 30.0
                 }),
             );
-            for level in [whole.clone(), whole.halved()] {
+            for level in [whole.clone(), whole.halved(), whole.halved().halved()] {
                 assert!(level.cut_by_frame);
                 assert_eq!(num_on_outline(&level), 0, "{k1}");
             }

@@ -18,8 +18,7 @@ const START: [f32; 2] = [0.5, 2.5];
 /// Signed distance, in voxels, at which the start is free of the surface that it belongs to.
 const FREE: f32 = 0.4;
 
-/// What one view contributes: its camera (without distortion), depth (0 outside the mask),
-/// incidence weights (cos², 0 outside) and linear image of one size.
+/// What one view contributes: its camera (without distortion) and rasters of one size.
 #[derive(Clone, Debug)]
 pub struct DepthView {
     /// Pinhole.
@@ -32,7 +31,7 @@ pub struct DepthView {
     pub weight: rilievo_scene::Raster<f32>,
     /// Three channels.
     pub image: LinearImage,
-    /// Whether the photo's frame cuts the object: then nothing is known beside the image.
+    /// Whether the photo's frame cuts the object: then nothing is known beyond the rasters.
     pub cut_by_frame: bool,
 }
 
@@ -475,5 +474,43 @@ fn spread_colour(radiance: &mut [[f32; 3]], coloured: &mut [bool], size: [usize;
         if !known {
             *rgb = mean;
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::Raster;
+
+    #[test]
+    fn beside_the_object_is_empty_and_beyond_the_photo_unknown() {
+        // The middle columns show a surface, those on the left its background, those on the right nothing.
+        let depth = Raster::from_fn(16, 16, |x, _| match x {
+            0..6 => 0.0,
+            6..10 => 2.0,
+            _ => f32::NAN,
+        });
+        let view = DepthView {
+            intrinsics: Intrinsics::pinhole(16, 16, 16.0, 7.5, 7.5),
+            cam_from_world: RigidTransform::identity(),
+            depth,
+            weight: Raster::filled(16, 16, 1.0),
+            image: LinearImage::filled(16, 16, 3, 0.3),
+            cut_by_frame: true,
+        };
+        let camera = Camera::new(&view);
+        let at = |u: f32| {
+            sight(
+                &camera,
+                &view,
+                &Vector3::new((u - 7.5) / 8.0, 0.0, 2.0),
+                0.1,
+            )
+        };
+        assert!(matches!(at(3.0), Sight::Empty));
+        assert!(matches!(at(7.5), Sight::Surface { distance, .. } if distance.abs() < 1e-4));
+        assert!(matches!(at(9.6), Sight::Unknown));
+        assert!(matches!(at(12.0), Sight::Unknown));
+        assert!(matches!(at(20.0), Sight::Unknown));
     }
 }
