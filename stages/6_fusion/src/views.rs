@@ -205,14 +205,6 @@ fn clean(camera_of: &PosedView, maps: ShadedView, options: &FusionOptions) -> (M
     (maps, report)
 }
 
-fn cut<T: Copy + Send + Sync>(
-    map: Raster<T>,
-    [x0, y0]: [usize; 2],
-    [width, height]: [usize; 2],
-) -> Raster<T> {
-    Raster::from_fn(width, height, |x, y| *map.at(x0 + x, y0 + y))
-}
-
 /// Cuts maps to the rectangle that holds depths.
 fn crop(
     camera: &Intrinsics,
@@ -224,21 +216,16 @@ fn crop(
     let (low, high) = ([x0, y0], [x1, y1]);
     let full = [depth.width, depth.height];
     let from: [usize; 2] = std::array::from_fn(|k| low[k].saturating_sub(MARGIN));
-    let size = std::array::from_fn(|k| (high[k] + MARGIN + 1).min(full[k]) - from[k]);
-    let camera = Intrinsics {
-        width: size[0],
-        height: size[1],
-        cx: camera.cx - from[0] as f64,
-        cy: camera.cy - from[1] as f64,
-        ..*camera
-    };
+    let [width, height] = std::array::from_fn(|k| (high[k] + MARGIN + 1).min(full[k]) - from[k]);
+    let [x0, y0] = from;
+    let camera = camera.cropped(x0, y0, width, height);
     Maps {
         corner_px: from,
-        depth: cut(depth, from, size),
-        normal: cut(normal, from, size),
-        confidence: confidence.map(|c| cut(c, from, size)),
+        depth: depth.cropped(x0, y0, width, height),
+        normal: normal.cropped(x0, y0, width, height),
+        confidence: confidence.map(|c| c.cropped(x0, y0, width, height)),
         rays: (!camera.distortion.is_none()).then(|| rays(&camera)),
-        gives: Mask::filled(size[0], size[1], false),
+        gives: Mask::filled(width, height, false),
         camera,
     }
 }

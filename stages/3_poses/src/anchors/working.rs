@@ -101,8 +101,8 @@ impl WorkingView {
             height: grey.height,
             data: grey.data,
         });
-        let cut_by_frame = is_cut_by_frame(&whole, &object);
         let object = window.cut(&object);
+        let camera = whole.cropped(x0, y0, width, height);
         let clipped = dilate(&window.cut(&unclipped).inverted(), CLIP_REACH_PX);
         let margin = dilate(&object.clone().inverted(), MASK_MARGIN_PX);
         let texels = texels(&grey, &object, |x, y| {
@@ -114,12 +114,12 @@ impl WorkingView {
                 && y + MASK_MARGIN_PX < height
         });
         Some(Self {
-            camera: whole.cropped(x0, y0, width, height),
+            cut_by_frame: is_cut_by_frame(&camera, &object),
+            camera,
             lens,
             texels,
             object,
             has_mask,
-            cut_by_frame,
         })
     }
 

@@ -447,20 +447,19 @@ fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
             let camera = &view.camera;
             let metric: Vec<f64> = depth.iter().map(|z| z.exp()).collect();
             let mut depth = view.spread(&metric, 0.0);
-            if view.cut_by_frame {
-                for y in 0..camera.height {
-                    for x in 0..camera.width {
-                        if !*view.mask.at(x, y) && !camera.shows(x as i32, y as i32) {
-                            *depth.at_mut(x, y) = f32::NAN;
-                        }
+            for y in 0..camera.height {
+                for x in 0..camera.width {
+                    let is_object = *view.mask.at(x, y);
+                    if view.cut_by_frame && !is_object && !camera.shows(x as i32, y as i32) {
+                        *depth.at_mut(x, y) = f32::NAN;
                     }
                 }
             }
-            let mut intrinsics =
-                Intrinsics::pinhole(camera.width, camera.height, camera.fx, camera.cx, camera.cy);
-            intrinsics.fy = camera.fy;
             DepthView {
-                intrinsics,
+                intrinsics: Intrinsics::undistorted(
+                    (camera.width, camera.height),
+                    [camera.fx, camera.fy, camera.cx, camera.cy],
+                ),
                 cam_from_world: RigidTransform {
                     rotation: rotation(view),
                     translation: camera.translation,

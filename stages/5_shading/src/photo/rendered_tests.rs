@@ -14,9 +14,9 @@ use nalgebra::{Point2, Point3};
 use rilievo_numerics::solver_set::SolverSet;
 use rilievo_photometry::samples::{SamplingOptions, read_spheres};
 use rilievo_scene::{
-    Alone, FocalSource, InMemoryPixels, Intrinsics, LightKind, LightSource, LightingCalibration,
-    LinearImage, LocatedSphere, MarkedSphere, MemoryScratch, Orientation, Photo, PhotoIdx,
-    PhotoSet, PosedView, PosedViews, ShadedViews, Silent, SphereLight,
+    Alone, FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
+    MarkedSphere, MemoryScratch, Orientation, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews,
+    ShadedViews, Silent, SphereLight,
 };
 use rilievo_stereo::level::Level;
 use rilievo_stereo::plate;
@@ -443,31 +443,11 @@ fn cut_off(world: &mut World) {
             (0, object.y0 + 2 * object.height / 5)
         };
         let (width, height) = (view.image.width - x0, view.image.height - y0);
-        let part = Window {
-            x0,
-            y0,
-            width,
-            height,
-        };
-        let pixels = part
-            .pixels()
-            .flat_map(|(x, y)| view.image.pixel(x, y).to_vec());
-        view.image = LinearImage {
-            width,
-            height,
-            channels: view.image.channels,
-            data: pixels.collect(),
-        };
-        view.object_mask = part.cut(&view.object_mask);
-        view.depth = part.cut(&view.depth);
-        view.normal = part.cut(&view.normal);
-        view.intrinsics = Intrinsics {
-            width,
-            height,
-            cx: view.intrinsics.cx - x0 as f64,
-            cy: view.intrinsics.cy - y0 as f64,
-            ..view.intrinsics
-        };
+        view.image = view.image.cropped(x0, y0, width, height);
+        view.object_mask = view.object_mask.cropped(x0, y0, width, height);
+        view.depth = view.depth.cropped(x0, y0, width, height);
+        view.normal = view.normal.cropped(x0, y0, width, height);
+        view.intrinsics = view.intrinsics.cropped(x0, y0, width, height);
         posed.intrinsics = view.intrinsics;
         photo.intrinsics = view.intrinsics;
         photo.pixels = Arc::new(InMemoryPixels(Arc::new(view.image.clone())));

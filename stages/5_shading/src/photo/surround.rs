@@ -20,7 +20,8 @@ pub(crate) struct SmallPhoto {
 }
 
 impl SmallPhoto {
-    /// Means over blocks; a block with a clipped pixel is marked, and one that the straightened photo does not fill.
+    /// Means over blocks; what is not known is marked: a block with a clipped pixel, and one that the straightened photo does
+    /// not fill.
     pub fn new(camera: &Camera, image: &LinearImage, mask: &Mask, clip_level: f32) -> Self {
         let block = image.width.max(image.height).div_ceil(MAX_SIDE).max(1);
         let (width, height) = (image.width / block, image.height / block);
@@ -29,7 +30,7 @@ impl SmallPhoto {
         let mut object = Mask::filled(width, height, false);
         for y in 0..height {
             for x in 0..width {
-                let mut clipped = !reduced.shows(x as i32, y as i32);
+                let mut unknown = !reduced.shows(x as i32, y as i32);
                 let (mut sum, mut inside) = ([0.0_f32; 3], false);
                 for by in y * block..(y + 1) * block {
                     for bx in x * block..(x + 1) * block {
@@ -37,14 +38,14 @@ impl SmallPhoto {
                         inside |= *mask.at(bx, by);
                         for (c, s) in sum.iter_mut().enumerate() {
                             let value = pixel[c.min(image.channels - 1)];
-                            clipped |= !value.is_finite() || value >= clip_level;
+                            unknown |= !value.is_finite() || value >= clip_level;
                             *s += value;
                         }
                     }
                 }
                 let scale = 1.0 / (block * block) as f32;
                 for (out, s) in small.pixel_mut(x, y).iter_mut().zip(sum) {
-                    *out = if clipped { -1.0 } else { s * scale };
+                    *out = if unknown { -1.0 } else { s * scale };
                 }
                 *object.at_mut(x, y) = inside;
             }

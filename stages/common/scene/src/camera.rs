@@ -106,6 +106,17 @@ impl Intrinsics {
         }
     }
 
+    /// The camera of the image cropped to a rectangle that starts at `(x0, y0)`.
+    pub fn cropped(&self, x0: usize, y0: usize, width: usize, height: usize) -> Self {
+        Self {
+            width,
+            height,
+            cx: self.cx - x0 as f64,
+            cy: self.cy - y0 as f64,
+            ..*self
+        }
+    }
+
     /// All numbers as bits: equal for equal cameras.
     pub fn key(&self) -> [u64; 11] {
         let d = &self.distortion;

@@ -96,6 +96,18 @@ impl<T> Raster<T> {
         Some([[x0, x1], [top, bottom]])
     }
 
+    /// The part in a rectangle that starts at `(x0, y0)`.
+    ///
+    /// # Panics
+    /// Where the rectangle reaches beyond the raster.
+    #[must_use]
+    pub fn cropped(&self, x0: usize, y0: usize, width: usize, height: usize) -> Self
+    where
+        T: Copy,
+    {
+        Self::from_fn(width, height, |x, y| *self.at(x0 + x, y0 + y))
+    }
+
     /// Whether another raster has the same size.
     pub fn same_size<U>(&self, other: &Raster<U>) -> bool {
         self.width == other.width && self.height == other.height
@@ -172,6 +184,25 @@ impl LinearImage {
     pub fn pixel_mut(&mut self, x: usize, y: usize) -> &mut [f32] {
         let start = (y * self.width + x) * self.channels;
         &mut self.data[start..start + self.channels]
+    }
+
+    /// The part in a rectangle that starts at `(x0, y0)`.
+    ///
+    /// # Panics
+    /// Where the rectangle reaches beyond the image.
+    #[must_use]
+    pub fn cropped(&self, x0: usize, y0: usize, width: usize, height: usize) -> Self {
+        let mut data = Vec::with_capacity(width * height * self.channels);
+        for y in y0..y0 + height {
+            let start = (y * self.width + x0) * self.channels;
+            data.extend_from_slice(&self.data[start..start + width * self.channels]);
+        }
+        Self {
+            width,
+            height,
+            channels: self.channels,
+            data,
+        }
     }
 
     /// Mean of the channels, one value per pixel.

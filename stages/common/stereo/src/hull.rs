@@ -82,13 +82,10 @@ pub fn object_ranges(
         .map(|outline| {
             let of_points = is_cut.then(|| range_of_points(outline, points)).flatten();
             match (of_ball(outline), of_points) {
-                (Some(a), Some(b)) => {
-                    let limits = (b.low / BEYOND_POINTS, b.high * BEYOND_POINTS);
-                    Some(InverseDepthRange {
-                        low: a.low.clamp(limits.0, b.low),
-                        high: a.high.clamp(b.high, limits.1),
-                    })
-                }
+                (Some(a), Some(b)) => Some(InverseDepthRange {
+                    low: a.low.max(b.low / BEYOND_POINTS).min(b.low),
+                    high: a.high.min(b.high * BEYOND_POINTS).max(b.high),
+                }),
                 (a, b) => a.or(b),
             }
         })
@@ -228,6 +225,15 @@ mod tests {
         Camera::new(&intrinsics, &pose)
     }
 
+    fn outline<'a>(camera: &'a Camera, mask: &'a Mask, cut_by_frame: bool) -> Outline<'a> {
+        Outline {
+            camera,
+            mask,
+            is_masked: true,
+            cut_by_frame,
+        }
+    }
+
     #[test]
     fn a_photo_forbids_nothing_beyond_its_frame() {
         // At depth 1 the point lies 50 px left of the second camera's axis, at depth 2 25 px.
@@ -238,13 +244,10 @@ mod tests {
             high: 1.25,
         };
         let range = |cut_by_frame: bool| {
-            let outlines =
-                [(&first, &masks[0]), (&second, &masks[1])].map(|(camera, mask)| Outline {
-                    camera,
-                    mask,
-                    is_masked: true,
-                    cut_by_frame,
-                });
+            let outlines = [
+                outline(&first, &masks[0], cut_by_frame),
+                outline(&second, &masks[1], cut_by_frame),
+            ];
             ranges_inside(&outlines, 0, &[(60.0, 30.0)], whole)[0].unwrap()
         };
         let (ends, cut) = (range(false), range(true));
@@ -252,22 +255,15 @@ mod tests {
         assert!(cut.low <= whole.low && cut.high >= whole.high, "{cut:?}");
         // What the photo shows beside the object stays forbidden.
         let right = Mask::from_fn(second.width, second.height, |x, _| x > 20);
-        let outlines = [(&first, &masks[0]), (&second, &right)].map(|(camera, mask)| Outline {
-            camera,
-            mask,
-            is_masked: true,
-            cut_by_frame: true,
-        });
-        let beside = |w: f64| !outlines[1].allows(&Vector3::new(40.0 - 50.0 * w, 30.0, 1.0));
+        let cut = outline(&second, &right, true);
+        let beside = |w: f64| !cut.allows(&Vector3::new(40.0 - 50.0 * w, 30.0, 1.0));
         assert!(!beside(0.3) && beside(0.5) && beside(0.7) && !beside(0.9));
     }
 
     #[test]
     fn parallel_photos_that_the_object_fills_are_ranged_by_points() {
         let cameras = [0.0, 0.5, 1.0].map(|x| camera(x, 60));
-        let masks = cameras
-            .each_ref()
-            .map(|c| Mask::filled(c.width, c.height, true));
+        let mask = Mask::filled(140, 60, true);
         let points: Vec<Point3<f64>> = (0..40)
             .map(|i| {
                 Point3::new(
@@ -277,16 +273,9 @@ mod tests {
                 )
             })
             .collect();
-        let outlines: Vec<Outline> = cameras
-            .iter()
-            .zip(&masks)
-            .map(|(camera, mask)| Outline {
-                camera,
-                mask,
-                is_masked: true,
-                cut_by_frame: true,
-            })
-            .collect();
+        let outlines = cameras
+            .each_ref()
+            .map(|camera| outline(camera, &mask, true));
         for range in object_ranges(&outlines, &points) {
             let range = range.unwrap();
             assert!(range.low < 0.485 && range.low > 0.2, "{range:?}");
@@ -302,10 +291,7 @@ mod tests {
             };
             Camera::new(&Intrinsics::pinhole(140, 60, 100.0, 60.0, 29.5), &pose)
         });
-        let outlines = [0, 1, 2].map(|i| Outline {
-            camera: &turned[i],
-            ..outlines[i]
-        });
+        let outlines = turned.each_ref().map(|camera| outline(camera, &mask, true));
         let few: Vec<Point3<f64>> = (0..9)
             .map(|i| Point3::new(0.1 + 0.01 * f64::from(i), 0.0, 2.0))
             .collect();

@@ -168,7 +168,6 @@ impl LevelView {
         clip_level: f32,
     ) -> (Self, (usize, usize)) {
         let window = Window::around(mask, MARGIN_PX).unwrap_or_default();
-        let cut_by_frame = is_cut_by_frame(camera, mask);
         let Window {
             x0,
             y0,
@@ -203,16 +202,11 @@ impl LevelView {
             height,
             data: usable,
         };
-        let camera = camera.cropped(x0, y0, width, height);
-        (
-            Self::assemble(
-                ViewGrid::new(camera, window.cut(mask), cut_by_frame),
-                image,
-                usable,
-            )
-            .with_own_dark(),
-            (x0, y0),
-        )
+        let (camera, mask) = (camera.cropped(x0, y0, width, height), window.cut(mask));
+        let cut_by_frame = is_cut_by_frame(&camera, &mask);
+        let grid = ViewGrid::new(camera, mask, cut_by_frame);
+        let view = Self::assemble(grid, image, usable).with_own_dark();
+        (view, (x0, y0))
     }
 
     /// All but [`Self::dark`], which is left at zero.
@@ -317,17 +311,17 @@ impl LevelView {
 /// Pixels from the photo's end within which a mask may miss that it goes on.
 const FRAME_PX: i32 = 3;
 
-/// Whether a mask reaches the photo's end, or almost; `camera` is that of the mask's raster.
+/// Whether a mask reaches the photo's end, or almost; `camera` is that of the mask's raster, which may be a part of the
+/// photo that holds the whole mask.
 pub fn is_cut_by_frame(camera: &Camera, mask: &Mask) -> bool {
-    let window = Window::around(mask, 0).unwrap_or_default();
-    window.pixels().any(|(x, y)| {
-        let is_end = |&(dx, dy): &(i32, i32)| {
-            let (x, y) = (x as i32, y as i32);
+    let is_at_end = |x: i32, y: i32| {
+        NEIGHBOURS[..4].iter().any(|(dx, dy)| {
             !mask.contains((x + dx) as isize, (y + dy) as isize)
                 && !camera.shows(x + FRAME_PX * dx, y + FRAME_PX * dy)
-        };
-        *mask.at(x, y) && NEIGHBOURS[..4].iter().any(is_end)
-    })
+        })
+    };
+    (0..mask.height)
+        .any(|y| (0..mask.width).any(|x| *mask.at(x, y) && is_at_end(x as i32, y as i32)))
 }
 
 /// Intensity below which a pixel is as dark as the noise of a photo whose object has these mean intensities.

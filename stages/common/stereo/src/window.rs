@@ -29,20 +29,9 @@ impl Window {
         })
     }
 
-    /// Columns and rows of its pixels, row by row.
-    pub fn pixels(self) -> impl Iterator<Item = (usize, usize)> {
-        let (columns, rows) = (
-            self.x0..self.x0 + self.width,
-            self.y0..self.y0 + self.height,
-        );
-        rows.flat_map(move |y| columns.clone().map(move |x| (x, y)))
-    }
-
     /// The part of a raster inside the window, which must lie in the raster.
     pub fn cut<T: Copy>(&self, raster: &Raster<T>) -> Raster<T> {
-        Raster::from_fn(self.width, self.height, |x, y| {
-            *raster.at(x + self.x0, y + self.y0)
-        })
+        raster.cropped(self.x0, self.y0, self.width, self.height)
     }
 }
 

@@ -83,27 +83,11 @@ fn part_around(sphere: &SphereInCamera, intrinsics: &Intrinsics, search_px: f64)
 
 impl Part {
     fn camera(&self, whole: &Intrinsics) -> Intrinsics {
-        Intrinsics {
-            width: self.width,
-            height: self.height,
-            cx: whole.cx - self.x0 as f64,
-            cy: whole.cy - self.y0 as f64,
-            ..*whole
-        }
+        whole.cropped(self.x0, self.y0, self.width, self.height)
     }
 
     fn of_image(&self, whole: &LinearImage) -> LinearImage {
-        let mut data = Vec::with_capacity(self.width * self.height * whole.channels);
-        for y in self.y0..self.y0 + self.height {
-            let start = (y * whole.width + self.x0) * whole.channels;
-            data.extend_from_slice(&whole.data[start..start + self.width * whole.channels]);
-        }
-        LinearImage {
-            width: self.width,
-            height: self.height,
-            channels: whole.channels,
-            data,
-        }
+        whole.cropped(self.x0, self.y0, self.width, self.height)
     }
 
     fn of_mask(&self, whole: &PackedMask) -> PackedMask {
