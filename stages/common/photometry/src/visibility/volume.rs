@@ -4,7 +4,8 @@
 //! Signed distance of a voxel (positive outside): the mean of `z_j(x) − z` over the views that see it
 //! before or shortly behind their surface, times the cosine of incidence and weighted with its
 //! square, truncated (Curless, Levoy, SIGGRAPH 1996); outside where a mask does not contain it; inside
-//! where it lies behind the surface of every view. So the solid has a back, which shades.
+//! where it lies behind the surface of every view that shows it. So the solid has a back, which shades.
+//! What no view shows holds back no light.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -160,7 +161,8 @@ impl Volume {
                     for ix in 0..size[0] {
                         let p = origin + Vector3::new(ix as f32, iy as f32, iz as f32) * voxel;
                         let at = iy * size[0] + ix;
-                        let (mut sum, mut total, mut empty) = (0.0, 0.0, false);
+                        let (mut sum, mut total) = (0.0, 0.0);
+                        let (mut empty, mut behind) = (false, false);
                         let (mut colour, mut colour_total) = ([0.0_f32; 3], 0.0_f32);
                         for (camera, view) in cameras.iter().zip(views) {
                             match sight(camera, view, &p, voxel) {
@@ -171,6 +173,7 @@ impl Volume {
                                 }
                                 Sight::Surface { distance, weight } => {
                                     if distance < -TRUNCATION {
+                                        behind = true;
                                         continue;
                                     }
                                     sum += weight * distance.min(TRUNCATION);
@@ -188,12 +191,12 @@ impl Volume {
                                 }
                             }
                         }
-                        signed[at] = if empty {
-                            TRUNCATION
-                        } else if total > 0.0 {
+                        signed[at] = if !empty && total > 0.0 {
                             sum / total
-                        } else {
+                        } else if !empty && behind {
                             -TRUNCATION
+                        } else {
+                            TRUNCATION
                         };
                         if colour_total > 0.0 && !empty {
                             radiance[at] = colour.map(|c| c / colour_total);
@@ -512,5 +515,32 @@ mod tests {
         assert!(matches!(at(9.6), Sight::Unknown));
         assert!(matches!(at(12.0), Sight::Unknown));
         assert!(matches!(at(20.0), Sight::Unknown));
+    }
+
+    #[test]
+    fn a_place_that_no_photo_shows_holds_back_no_light() {
+        // A near surface on the left and a far one on the right, cut off by the frame.
+        let depth = Raster::from_fn(16, 16, |x, _| if x < 8 { 1.0 } else { 2.0 });
+        let view = DepthView {
+            intrinsics: Intrinsics::pinhole(16, 16, 16.0, 7.5, 7.5),
+            cam_from_world: RigidTransform::identity(),
+            depth,
+            weight: Raster::filled(16, 16, 1.0),
+            image: LinearImage::filled(16, 16, 3, 0.3),
+            cut_by_frame: true,
+        };
+        let Some(volume) = Volume::carve(&[view], 64) else {
+            panic!("a view with depths carves a solid")
+        };
+        let meets = |start: [f32; 3], towards: f32| {
+            let direction = Vector3::new(0.0, 0.0, towards);
+            volume.cast(&Vector3::from(start), &direction).is_some()
+        };
+        // From the far surface past the frame's side, which no photo shows in front of it.
+        assert!(!meets([0.8, 0.0, 1.9], -1.0));
+        // Both surfaces from the front; behind the near one is the solid.
+        assert!(meets([0.3, 0.0, 1.2], 1.0));
+        assert!(meets([-0.2, 0.0, 0.98], 1.0));
+        assert!(meets([-0.2, 0.0, 1.5], 1.0));
     }
 }
