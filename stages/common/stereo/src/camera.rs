@@ -118,6 +118,11 @@ impl Camera {
         0.5 * (self.fx + self.fy)
     }
 
+    /// Side of the square that a pixel covers at log depth `zeta` on a surface that faces the camera, world's unit.
+    pub fn footprint(&self, zeta: f64) -> f64 {
+        zeta.exp() / self.focal()
+    }
+
     fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.fx, 0.0, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
     }

@@ -4,6 +4,10 @@
 //! over the same points stand for `s_i` and `s_j`; all pairs together determine the sharpness `s` of every view (least
 //! squares on the logarithms, the sharpest 1). Depth that is matched errs with one over the detail's gradient, so that a
 //! view's surface weighs `s²`.
+//!
+//! A photo from nearer, or of a longer lens, spreads the same detail over more pixels, and is no less sharp: of two photos
+//! the one with the smaller footprints is averaged to the pixels of the other, and what it shows beyond that is not asked
+//! for. Between powers of two `ln |d|` is interpolated.
 
 use crate::gains::{self, LogRatio};
 use crate::level::{Level, LevelView, depth_rasters};
@@ -16,6 +20,8 @@ const MIN_POINTS: usize = 300;
 const VISIBLE_PX: f64 = 3.5;
 /// Pixels of a row that are looked at.
 const STEP: usize = 3;
+/// Octaves of footprint that photos are averaged over at most.
+const MAX_OCTAVES: f64 = 4.0;
 
 /// Sharpness of every view, 0 to 1, at log depths `depths`; 1 for views without a pair.
 pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
@@ -28,6 +34,7 @@ pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
             level.sources[i].iter().filter_map(move |(j, warp)| {
                 let other = &level.views[*j];
                 let (mut here, mut there) = (Vec::new(), Vec::new());
+                let mut pixels_of_other = Vec::new();
                 for p in (0..view.pixels.len()).step_by(STEP) {
                     let (x, y) = view.xy(p);
                     let Some(at) = warp.land(x, y, depths[i][p]) else {
@@ -37,20 +44,18 @@ pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
                     if seen.is_none_or(|zeta| (zeta - at.zeta).abs() > tolerance) {
                         continue;
                     }
+                    here.push([x as usize, y as usize]);
                     // The nearest pixel: between pixels interpolation would blur.
-                    let own = detail(view, x as usize, y as usize);
-                    let others = detail(other, at.u.round() as usize, at.v.round() as usize);
-                    if let (Some(a), Some(b)) = (own, others) {
-                        here.push(a);
-                        there.push(b);
-                    }
+                    there.push([at.u.round() as usize, at.v.round() as usize]);
+                    let own = view.camera.footprint(depths[i][p]);
+                    pixels_of_other.push(other.camera.footprint(at.zeta) / own);
                 }
-                let enough = here.len() >= MIN_POINTS;
-                let (a, b) = (median(&mut here)?, median(&mut there)?);
-                (enough && a > 0.0 && b > 0.0).then(|| LogRatio {
+                let ratio = median(&mut pixels_of_other)?;
+                let (a, b) = detail_of_pair([view, other], [&here, &there], ratio)?;
+                Some(LogRatio {
                     from: i,
                     to: *j,
-                    ratio: (b / a).ln(),
+                    ratio: b - a,
                     weight: 1.0,
                 })
             })
@@ -59,22 +64,93 @@ pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
     joined(level.views.len(), pairs)
 }
 
-/// Relative difference of a pixel from the mean two pixels away, where all are of the object and unclipped.
-fn detail(view: &LevelView, x: usize, y: usize) -> Option<f64> {
-    const AWAY: [(i32, i32); 4] = [(2, 0), (-2, 0), (0, 2), (0, -2)];
-    let value = |x: usize, y: usize| -> Option<f64> {
-        let inside = x < view.mask.width && y < view.mask.height;
-        (inside && *view.mask.at(x, y) && *view.usable.at(x, y) > 0.5)
-            .then(|| f64::from(*view.grey.at(x, y)))
+/// Side of the blocks that a photo is averaged to: a power of two, and how far on the way to the next one.
+#[derive(Clone, Copy)]
+struct Blocks {
+    side: usize,
+    to_next: f64,
+}
+
+impl Blocks {
+    fn new(side: f64) -> Self {
+        let octaves = side.log2().clamp(0.0, MAX_OCTAVES);
+        Self {
+            side: 1 << octaves as usize,
+            to_next: octaves.fract(),
+        }
+    }
+
+    /// Detail of the photo around a pixel in blocks of the smaller and of the larger side.
+    fn detail(self, view: &LevelView, at: [usize; 2]) -> Option<[f64; 2]> {
+        let smaller = detail(view, at, self.side)?;
+        let larger = if self.to_next > 0.0 {
+            detail(view, at, 2 * self.side)?
+        } else {
+            smaller
+        };
+        Some([smaller, larger])
+    }
+}
+
+/// Logarithms of both photos' median detail at places that both show, in pixels of the coarser one; `ratio` is the footprint
+/// of the second over that of the first.
+fn detail_of_pair(
+    views: [&LevelView; 2],
+    places: [&[[usize; 2]]; 2],
+    ratio: f64,
+) -> Option<(f64, f64)> {
+    let blocks = [Blocks::new(ratio), Blocks::new(1.0 / ratio)];
+    let mut found = [const { [Vec::new(), Vec::new()] }; 2];
+    for (&here, &there) in places[0].iter().zip(places[1]) {
+        let own = blocks[0].detail(views[0], here);
+        let others = blocks[1].detail(views[1], there);
+        if let (Some(own), Some(others)) = (own, others) {
+            for (found, values) in found.iter_mut().zip([own, others]) {
+                found.iter_mut().zip(values).for_each(|(f, v)| f.push(v));
+            }
+        }
+    }
+    if found[0][0].len() < MIN_POINTS {
+        return None;
+    }
+    let [mut a, mut b] = found;
+    let log = |found: &mut [Vec<f64>; 2], blocks: Blocks| -> Option<f64> {
+        let [smaller, larger] = found;
+        let (smaller, larger) = (median(smaller)?, median(larger)?);
+        let is_seen = smaller > 0.0 && larger > 0.0;
+        is_seen.then(|| (1.0 - blocks.to_next) * smaller.ln() + blocks.to_next * larger.ln())
     };
-    let own = value(x, y)?;
+    Some((log(&mut a, blocks[0])?, log(&mut b, blocks[1])?))
+}
+
+/// Relative difference of the block around a pixel from the mean of those two sides away, where all are of the object and
+/// unclipped.
+fn detail(view: &LevelView, at: [usize; 2], side: usize) -> Option<f64> {
+    const AWAY: [[isize; 2]; 4] = [[2, 0], [-2, 0], [0, 2], [0, -2]];
+    let block = |away: [isize; 2]| -> Option<f64> {
+        let corner = |c: usize| {
+            let middle = at[c].checked_add_signed(away[c] * side as isize)?;
+            middle.checked_sub(side / 2)
+        };
+        let (x0, y0) = (corner(0)?, corner(1)?);
+        if x0 + side > view.mask.width || y0 + side > view.mask.height {
+            return None;
+        }
+        let mut sum = 0.0;
+        for y in y0..y0 + side {
+            for x in x0..x0 + side {
+                if !*view.mask.at(x, y) || *view.usable.at(x, y) <= 0.5 {
+                    return None;
+                }
+                sum += f64::from(*view.grey.at(x, y));
+            }
+        }
+        Some(sum / (side * side) as f64)
+    };
+    let own = block([0, 0])?;
     let mut mean = 0.0;
-    for (dx, dy) in AWAY {
-        mean += 0.25
-            * value(
-                x.checked_add_signed(dx as isize)?,
-                y.checked_add_signed(dy as isize)?,
-            )?;
+    for away in AWAY {
+        mean += 0.25 * block(away)?;
     }
     (own > f64::from(view.dark)).then(|| ((own - mean) / own).abs())
 }
@@ -90,6 +166,7 @@ fn joined(num_views: usize, pairs: Vec<LogRatio>) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::level::flat_view;
+    use rilievo_scene::Raster;
 
     #[test]
     fn ratios_of_pairs_are_joined() {
@@ -137,5 +214,41 @@ mod tests {
         assert!(alike.iter().all(|s| (s - 1.0).abs() < 1e-6), "{alike:?}");
         let found = of(soft);
         assert!(found[0] > 0.999 && found[1] < 0.6, "{found:?}");
+    }
+
+    /// A wall, and its photo of half as many pixels a side; then the larger one with means over 5×5 pixels.
+    #[test]
+    fn a_photo_from_nearer_is_no_blurred_one() {
+        let mut near = flat_view(240, 180, 400.0);
+        let mut far = flat_view(120, 90, 200.0);
+        let paint = |x: usize, y: usize| {
+            let waves = [(0.31, 0.17), (0.83, -0.49), (1.7, 1.3), (-0.6, 1.1)];
+            let (x, y) = (x as f32, y as f32);
+            0.5 + 0.05
+                * waves
+                    .iter()
+                    .map(|(a, b)| (a * x + b * y).sin())
+                    .sum::<f32>()
+        };
+        near.grey = Raster::from_fn(240, 180, paint);
+        let mean = |grey: &Raster<f32>, x: usize, y: usize, side: usize| {
+            let block = (0..side * side).map(|k| *grey.at(x + k % side, y + k / side));
+            block.sum::<f32>() / (side * side) as f32
+        };
+        far.grey = Raster::from_fn(120, 90, |x, y| mean(&near.grey, 2 * x, 2 * y, 2));
+        let of = |near: LevelView| {
+            let level = Level::new(vec![near, far.clone()], &[vec![1], vec![0]]);
+            let views = level.views.iter();
+            let depths: Vec<_> = views.map(|v| vec![0.0; v.pixels.len()]).collect();
+            measure(&level, &depths)
+        };
+        let found = of(near.clone());
+        assert!(found.iter().all(|&s| s > 0.93), "{found:?}");
+        let sharp = near.grey.clone();
+        near.grey = Raster::from_fn(240, 180, |x, y| {
+            mean(&sharp, x.clamp(2, 237) - 2, y.clamp(2, 177) - 2, 5)
+        });
+        let found = of(near);
+        assert!(found[1] > 0.999 && found[0] < 0.8, "{found:?}");
     }
 }
