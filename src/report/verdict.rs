@@ -329,6 +329,9 @@ impl Judgement {
                 self.judge_focal(stated, found);
             }
         }
+        for focal in &poses.contradicted_focals {
+            self.note(Verdict::Usable, focal.advice());
+        }
     }
 
     fn judge_focal(&mut self, stated: f64, found: f64) {

@@ -172,5 +172,6 @@ pub fn reconstruct(
         failed: Vec::new(),
         contradicting: Vec::new(),
         lens: None,
+        contradicted_focals: Vec::new(),
     })
 }

@@ -15,7 +15,7 @@ use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
 use crate::projection::CenteredPose;
 use crate::ranking::Ranking;
-use crate::report::{AdjustmentReport, LensReport};
+use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use crate::resection::resect;
 use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
@@ -60,6 +60,8 @@ pub struct Reconstruction {
     pub contradicting: Vec<usize>,
     /// Distortion that given intrinsics leave, where the poses allow for it.
     pub lens: Option<LensReport>,
+    /// Given focal lengths that the photos contradict.
+    pub contradicted_focals: Vec<ContradictedFocal>,
 }
 
 /// Reconstructs as many of the available photos as possible in one model.
@@ -151,6 +153,7 @@ fn grow(
         failed: Vec::new(),
         contradicting: Vec::new(),
         lens: None,
+        contradicted_focals: Vec::new(),
     };
     extend(scene, &mut grown, available, options, observer)?;
     // A photo that was deceived by repeated texture gets a second chance among the others.

@@ -10,59 +10,77 @@
 //! gives the poses `P`, `k₁` is dropped, and the points are adjusted to these poses under the given
 //! intrinsics. Only where the observations show it clearly: with exact intrinsics the parameter is
 //! worth nothing, and poses that were found without it are more exact.
+//!
+//! A focal length that is wrong altogether (another lens, a zoom, photos resized after the calibration) leaves good residuals
+//! too, and bends depth by per cents. It is told where the same minimum with the focal length free as well is
+//! clearly lower and lies elsewhere; nothing else follows from it.
 
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{PosesOptions, RefineIntrinsics};
-use crate::projection::K1;
-use crate::report::{AdjustmentReport, LensReport};
+use crate::projection::{FOCAL, K1};
+use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use crate::scene::Scene;
 
 /// Views from which lens distortion is told from the shape of the scene.
 pub const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
+/// Least change of a given focal length that is told: a calibration at another focus is off by about as much.
+const MIN_FOCAL_CHANGE: f64 = 0.03;
 /// Least relative drop of the cost: below it, distortion is less than what patches and noise do.
 const MIN_COST_DROP: f64 = 0.03;
 /// Least drop of the squared residuals over their variance. One parameter lowers it by 1 on average
 /// when observations are independent; neighbouring ones are not, so ask for five deviations.
 const MIN_CHI_SQUARE_DROP: f64 = 25.0;
 
+/// What the photos say of given intrinsics.
+#[derive(Default)]
+pub struct Findings {
+    /// Distortion that they leave, and the adjustments that let the poses allow for it.
+    pub distortion: Option<(LensReport, Vec<AdjustmentReport>)>,
+    /// Cameras whose given focal length the photos contradict.
+    pub contradicted_focals: Vec<ContradictedFocal>,
+}
+
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
-/// leave some; what was found, and the adjustments.
+/// leave some, and tells focal lengths that the photos contradict.
 ///
 /// `before`: the last adjustment of all poses with the intrinsics as given.
 ///
 /// # Errors
 /// When an adjustment breaks down.
-pub fn allow_for_distortion(
+pub fn check_given_intrinsics(
     scene: &Scene<'_>,
     model: &mut Model,
     before: &AdjustmentReport,
     bundle_options: &BundleOptions,
     options: &PosesOptions,
-) -> Result<Option<(LensReport, Vec<AdjustmentReport>)>, PosesError> {
+) -> Result<Findings, PosesError> {
     let fixed = |c: &crate::scene::SceneCamera| c.prior_sigma.iter().all(Option::is_none);
     if options.refine_intrinsics != RefineIntrinsics::Auto
         || model.num_views() < MIN_NUM_VIEWS_FOR_DISTORTION
         || !scene.cameras.iter().all(fixed)
     {
-        return Ok(None);
+        return Ok(Findings::default());
     }
     let mut bent = model.clone();
-    let scope = AdjustmentScope {
+    let mut scope = AdjustmentScope {
         step: "radial distortion as a nuisance",
         photos: None,
         intrinsics: IntrinsicsScope::Nuisance,
     };
     let after = bent.adjust(scene, &scope, bundle_options)?;
-    let (cost, cost_after) = (before.solve.final_cost, after.solve.final_cost);
-    let parameters = 3 * before.num_points + 6 * before.num_views;
-    let degrees = (2 * before.num_observations).saturating_sub(parameters);
-    let drop = (cost - cost_after) / cost.max(f64::MIN_POSITIVE);
-    let chi_square_drop = (cost - cost_after) / (cost_after / degrees.max(1) as f64);
-    if drop.is_nan() || drop < MIN_COST_DROP || chi_square_drop < MIN_CHI_SQUARE_DROP {
-        return Ok(None);
+    let mut found = Findings::default();
+    let mut free = bent.clone();
+    scope.step = "radial distortion and focal length as nuisances";
+    scope.intrinsics = IntrinsicsScope::NuisanceAndFocal;
+    let with_focal = free.adjust(scene, &scope, bundle_options)?;
+    if clear_drop(&after, &with_focal).is_some() {
+        found.contradicted_focals = contradicted_focals(scene, &free);
     }
+    let Some(drop) = clear_drop(before, &after) else {
+        return Ok(found);
+    };
     let k1: Vec<f64> = bent.cameras.iter().map(|c| c.deviation[K1]).collect();
     let mut largest_px = 0.0_f64;
     for (t, point) in bent.points.iter().enumerate() {
@@ -90,5 +108,34 @@ pub fn allow_for_distortion(
         largest_px,
         cost_drop: drop,
     };
-    Ok(Some((report, vec![after, settled])))
+    found.distortion = Some((report, vec![after, settled]));
+    Ok(found)
+}
+
+/// Share by which the cost falls, where it clearly does.
+fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64> {
+    let (cost, cost_after) = (before.solve.final_cost, after.solve.final_cost);
+    let parameters = 3 * before.num_points + 6 * before.num_views;
+    let degrees = (2 * before.num_observations).saturating_sub(parameters);
+    let drop = (cost - cost_after) / cost.max(f64::MIN_POSITIVE);
+    let chi_square_drop = (cost - cost_after) / (cost_after / degrees.max(1) as f64);
+    (drop >= MIN_COST_DROP && chi_square_drop >= MIN_CHI_SQUARE_DROP).then_some(drop)
+}
+
+/// The cameras whose focal length is another in a model that was free to choose it.
+fn contradicted_focals(scene: &Scene<'_>, free: &Model) -> Vec<ContradictedFocal> {
+    (0..scene.cameras.len())
+        .filter_map(|camera| {
+            let change = free.cameras[camera].deviation[FOCAL].exp();
+            let posed =
+                |&photo: &usize| scene.camera_of[photo] == camera && free.poses[photo].is_some();
+            let photo = (0..scene.num_photos()).find(posed)?;
+            let given_px = scene.cameras[camera].initial.focal_px();
+            ((change - 1.0).abs() > MIN_FOCAL_CHANGE).then(|| ContradictedFocal {
+                file_name: scene.photos.photos[photo].file_name.clone(),
+                given_px,
+                found_px: given_px * change,
+            })
+        })
+        .collect()
 }

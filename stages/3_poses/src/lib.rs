@@ -36,7 +36,7 @@ mod vertical;
 pub use error::PosesError;
 pub use known_distance::{KnownDistance, MarkedPoints};
 pub use options::{GivenPoses, PosesOptions, RefineIntrinsics};
-pub use report::{AdjustmentReport, LensReport, PosesReport, ViewReport};
+pub use report::{AdjustmentReport, ContradictedFocal, LensReport, PosesReport, ViewReport};
 pub use vertical::{Vertical, VerticalSource};
 
 use adjustment::BundleOptions;
@@ -49,7 +49,7 @@ use rilievo_scene::{
 use scene::Scene;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 13;
+pub const VERSION: u32 = 14;
 
 /// Scale of the Cauchy loss of the last adjustments, standard deviations.
 const FINAL_LOSS_SCALE: f64 = 2.0;
@@ -92,7 +92,7 @@ pub fn run(
         finish_on_patches(&scene, &mut reconstruction, free_photos, options, observer)?;
     }
     if !keeps_given {
-        allow_for_distortion(&scene, &mut reconstruction, options)?;
+        check_given_intrinsics(&scene, &mut reconstruction, options)?;
     }
     let (mut posed, mut report) =
         result::assemble(&scene, &reconstruction, &other_models, keeps_given, options);
@@ -125,6 +125,12 @@ pub fn run(
         .lens
         .iter()
         .map(LensReport::advice)
+        .chain(
+            report
+                .contradicted_focals
+                .iter()
+                .map(ContradictedFocal::advice),
+        )
         .chain(contradicted_exif(&scene, &reconstruction))
         .chain(own_focal::warnings(&scene, &reconstruction.model))
         .chain(narrow::warning(&posed, options))
@@ -366,8 +372,8 @@ fn finish_on_patches(
     Ok(())
 }
 
-/// Lets the poses allow for distortion that given intrinsics do not state; see [`lens`].
-fn allow_for_distortion(
+/// Lets the poses allow for distortion that given intrinsics do not state, and tells wrong focal lengths; see [`lens`].
+fn check_given_intrinsics(
     scene: &Scene<'_>,
     reconstruction: &mut Reconstruction,
     options: &PosesOptions,
@@ -378,11 +384,13 @@ fn allow_for_distortion(
         relative_cost_change: 1e-8,
     };
     let model = &mut reconstruction.model;
-    if let Some(before) = reconstruction.adjustments.last()
-        && let Some((found, adjustments)) =
-            lens::allow_for_distortion(scene, model, before, &bundle_options, options)?
-    {
-        reconstruction.lens = Some(found);
+    let Some(before) = reconstruction.adjustments.last() else {
+        return Ok(());
+    };
+    let found = lens::check_given_intrinsics(scene, model, before, &bundle_options, options)?;
+    reconstruction.contradicted_focals = found.contradicted_focals;
+    if let Some((lens, adjustments)) = found.distortion {
+        reconstruction.lens = Some(lens);
         reconstruction.adjustments.extend(adjustments);
     }
     Ok(())

@@ -2,9 +2,9 @@
 
 use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Observation};
 use crate::error::PosesError;
-use crate::projection::{CenteredPose, K1};
+use crate::projection::{CenteredPose, FOCAL, K1};
 use crate::report::AdjustmentReport;
-use crate::scene::{DISTORTION_SIGMA, Scene};
+use crate::scene::{DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, Scene};
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
 use nalgebra::{Matrix3, Point2, Point3};
 use rayon::prelude::*;
@@ -64,6 +64,8 @@ pub enum IntrinsicsScope {
     All,
     /// Radial distortion of cameras that are otherwise as given; see [`crate::lens`].
     Nuisance,
+    /// The same, and a focal length of which nothing is known.
+    NuisanceAndFocal,
 }
 
 /// A pixel that replaces a keypoint's own, with its standard deviation in pixels.
@@ -364,6 +366,11 @@ impl Model {
                     IntrinsicsScope::Nuisance => {
                         std::array::from_fn(|k| (k == K1).then_some(DISTORTION_SIGMA[0]))
                     }
+                    IntrinsicsScope::NuisanceAndFocal => std::array::from_fn(|k| match k {
+                        FOCAL => Some(GUESS_FOCAL_SIGMA),
+                        K1 => Some(DISTORTION_SIGMA[0]),
+                        _ => None,
+                    }),
                 },
                 ..camera.clone()
             })

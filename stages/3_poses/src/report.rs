@@ -63,6 +63,32 @@ impl LensReport {
     }
 }
 
+/// A focal length that was given, and that the photos contradict.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ContradictedFocal {
+    /// A photo of the camera.
+    pub file_name: String,
+    /// The focal length given, pixels.
+    pub given_px: f64,
+    /// The one that explains the photos best, pixels.
+    pub found_px: f64,
+}
+
+impl ContradictedFocal {
+    /// What the user should know of it.
+    pub fn advice(&self) -> String {
+        format!(
+            "{} and others of its camera: a focal length of {:.0} px was given, the photos say {:.0} px ({:+.0} %): the \
+             camera of another lens, zoom or size of photo? Depth and normals are wrong by as much as it is; give the right \
+             one, or leave --cameras away",
+            self.file_name,
+            self.given_px,
+            self.found_px,
+            100.0 * (self.found_px / self.given_px - 1.0)
+        )
+    }
+}
+
 /// Facts about a run of stage 3.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PosesReport {
@@ -90,6 +116,9 @@ pub struct PosesReport {
     pub vertical: Option<Vertical>,
     /// Distortion that given intrinsics leave.
     pub lens: Option<LensReport>,
+    /// Given focal lengths that the photos contradict.
+    #[serde(default)]
+    pub contradicted_focals: Vec<ContradictedFocal>,
     /// The adjustments that shaped the result.
     pub adjustments: Vec<AdjustmentReport>,
     /// Depth anchors.

@@ -262,6 +262,32 @@ fn an_exact_camera_is_not_doubted() {
         });
         let (_, report) = solve_with(&set, &options());
         assert!(report.lens.is_none(), "{:?}", report.lens);
+        let focals = report.contradicted_focals;
+        assert!(focals.is_empty(), "{focals:?}");
+    }
+}
+
+#[test]
+fn a_given_focal_length_that_the_photos_contradict_is_told() {
+    for factor in [0.94, 1.25] {
+        let mut set = world(&WorldOptions {
+            noise_px: 0.1,
+            span_deg: 60.0,
+            ..WorldOptions::default()
+        });
+        for photo in &mut set.photos.photos {
+            photo.intrinsics.fx *= factor;
+            photo.intrinsics.fy *= factor;
+        }
+        let (posed, report, warnings) = solve_and_tell(&set, &options());
+        let [focal] = &report.contradicted_focals[..] else {
+            panic!("{factor}: {:?}", report.contradicted_focals)
+        };
+        assert!((focal.found_px / 1300.0 - 1.0).abs() < 0.01, "{focal:?}");
+        assert!(warnings.iter().any(|w| w.contains("focal length")));
+        // It stays as given, to the bit.
+        let given = &set.photos.photos[0].intrinsics;
+        assert_eq!(&posed.views[0].intrinsics, given);
     }
 }
 
