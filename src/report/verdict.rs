@@ -329,7 +329,7 @@ impl Judgement {
                 self.judge_focal(stated, found);
             }
         }
-        for focal in &poses.contradicted_focals {
+        if let Some(focal) = &poses.contradicted_focal {
             self.note(Verdict::Usable, focal.advice());
         }
     }
@@ -710,6 +710,16 @@ mod tests {
         }
         assert_eq!(verdict(|j| j.judge_focal(1000.0, 1030.0)), Verdict::Good);
         assert_eq!(verdict(|j| j.judge_focal(1000.0, 1400.0)), Verdict::Usable);
+        let poses = PosesReport {
+            contradicted_focal: Some(rilievo_poses::ContradictedFocal {
+                file_name: "a.jpg".to_owned(),
+                given_px: 1000.0,
+                found_px: 1050.0,
+            }),
+            ..PosesReport::default()
+        };
+        let given = verdict(|j| j.judge_focals(&poses, &PhotosReport::default()));
+        assert_eq!(given, Verdict::Usable);
     }
 
     #[test]

@@ -172,6 +172,6 @@ pub fn reconstruct(
         failed: Vec::new(),
         contradicting: Vec::new(),
         lens: None,
-        contradicted_focals: Vec::new(),
+        contradicted_focal: None,
     })
 }

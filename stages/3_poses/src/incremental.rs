@@ -60,8 +60,8 @@ pub struct Reconstruction {
     pub contradicting: Vec<usize>,
     /// Distortion that given intrinsics leave, where the poses allow for it.
     pub lens: Option<LensReport>,
-    /// Given focal lengths that the photos contradict.
-    pub contradicted_focals: Vec<ContradictedFocal>,
+    /// The given focal length, where the photos contradict it.
+    pub contradicted_focal: Option<ContradictedFocal>,
 }
 
 /// Reconstructs as many of the available photos as possible in one model.
@@ -153,7 +153,7 @@ fn grow(
         failed: Vec::new(),
         contradicting: Vec::new(),
         lens: None,
-        contradicted_focals: Vec::new(),
+        contradicted_focal: None,
     };
     extend(scene, &mut grown, available, options, observer)?;
     // A photo that was deceived by repeated texture gets a second chance among the others.

@@ -13,7 +13,8 @@
 //!
 //! A focal length that is wrong altogether (another lens, a zoom, photos resized after the calibration) leaves good residuals
 //! too, and bends depth by per cents. It is told where the same minimum with the focal length free as well is
-//! clearly lower and lies elsewhere; nothing else follows from it.
+//! clearly lower and lies elsewhere. Poses then stay as they are: a distortion would explain part of the wrong length.
+//! Of several cameras the middle change counts, since single ones may be free to drift.
 
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
@@ -22,6 +23,7 @@ use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, K1};
 use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use crate::scene::Scene;
+use rilievo_numerics::robust::median;
 
 /// Views from which lens distortion is told from the shape of the scene.
 pub const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
@@ -38,8 +40,8 @@ const MIN_CHI_SQUARE_DROP: f64 = 25.0;
 pub struct Findings {
     /// Distortion that they leave, and the adjustments that let the poses allow for it.
     pub distortion: Option<(LensReport, Vec<AdjustmentReport>)>,
-    /// Cameras whose given focal length the photos contradict.
-    pub contradicted_focals: Vec<ContradictedFocal>,
+    /// The given focal length, where the photos contradict it.
+    pub contradicted_focal: Option<ContradictedFocal>,
 }
 
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
@@ -74,11 +76,14 @@ pub fn check_given_intrinsics(
     let mut free = bent.clone();
     scope.step = "radial distortion and focal length as nuisances";
     scope.intrinsics = IntrinsicsScope::NuisanceAndFocal;
-    let with_focal = free.adjust(scene, &scope, bundle_options)?;
-    if clear_drop(&after, &with_focal).is_some() {
-        found.contradicted_focals = contradicted_focals(scene, &free);
+    // The model stands without what this looks for.
+    if let Ok(with_focal) = free.adjust(scene, &scope, bundle_options)
+        && clear_drop(&after, &with_focal).is_some()
+    {
+        found.contradicted_focal = contradicted_focal(scene, &free);
     }
-    let Some(drop) = clear_drop(before, &after) else {
+    let Some(drop) = clear_drop(before, &after).filter(|_| found.contradicted_focal.is_none())
+    else {
         return Ok(found);
     };
     let k1: Vec<f64> = bent.cameras.iter().map(|c| c.deviation[K1]).collect();
@@ -122,20 +127,21 @@ fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64
     (drop >= MIN_COST_DROP && chi_square_drop >= MIN_CHI_SQUARE_DROP).then_some(drop)
 }
 
-/// The cameras whose focal length is another in a model that was free to choose it.
-fn contradicted_focals(scene: &Scene<'_>, free: &Model) -> Vec<ContradictedFocal> {
-    (0..scene.cameras.len())
-        .filter_map(|camera| {
-            let change = free.cameras[camera].deviation[FOCAL].exp();
-            let posed =
-                |&photo: &usize| scene.camera_of[photo] == camera && free.poses[photo].is_some();
-            let photo = (0..scene.num_photos()).find(posed)?;
-            let given_px = scene.cameras[camera].initial.focal_px();
-            ((change - 1.0).abs() > MIN_FOCAL_CHANGE).then(|| ContradictedFocal {
-                file_name: scene.photos.photos[photo].file_name.clone(),
-                given_px,
-                found_px: given_px * change,
-            })
-        })
-        .collect()
+/// The focal length, where a model that was free to choose it has another one.
+fn contradicted_focal(scene: &Scene<'_>, free: &Model) -> Option<ContradictedFocal> {
+    let photo = (0..scene.num_photos()).find(|&photo| free.poses[photo].is_some())?;
+    let mut used: Vec<usize> = (0..scene.num_photos())
+        .filter(|&photo| free.poses[photo].is_some())
+        .map(|photo| scene.camera_of[photo])
+        .collect();
+    used.sort_unstable();
+    used.dedup();
+    let changes = used.iter().map(|&c| free.cameras[c].deviation[FOCAL]);
+    let change = median(&mut changes.collect::<Vec<f64>>())?.exp();
+    let given_px = scene.cameras[scene.camera_of[photo]].initial.focal_px();
+    ((change - 1.0).abs() > MIN_FOCAL_CHANGE).then(|| ContradictedFocal {
+        file_name: scene.photos.photos[photo].file_name.clone(),
+        given_px,
+        found_px: given_px * change,
+    })
 }

@@ -127,7 +127,7 @@ pub fn run(
         .map(LensReport::advice)
         .chain(
             report
-                .contradicted_focals
+                .contradicted_focal
                 .iter()
                 .map(ContradictedFocal::advice),
         )
@@ -388,7 +388,7 @@ fn check_given_intrinsics(
         return Ok(());
     };
     let found = lens::check_given_intrinsics(scene, model, before, &bundle_options, options)?;
-    reconstruction.contradicted_focals = found.contradicted_focals;
+    reconstruction.contradicted_focal = found.contradicted_focal;
     if let Some((lens, adjustments)) = found.distortion {
         reconstruction.lens = Some(lens);
         reconstruction.adjustments.extend(adjustments);

@@ -66,7 +66,7 @@ impl LensReport {
 /// A focal length that was given, and that the photos contradict.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ContradictedFocal {
-    /// A photo of the camera.
+    /// A photo that it was given for.
     pub file_name: String,
     /// The focal length given, pixels.
     pub given_px: f64,
@@ -78,9 +78,8 @@ impl ContradictedFocal {
     /// What the user should know of it.
     pub fn advice(&self) -> String {
         format!(
-            "{} and others of its camera: a focal length of {:.0} px was given, the photos say {:.0} px ({:+.0} %): the \
-             camera of another lens, zoom or size of photo? Depth and normals are wrong by as much as it is; give the right \
-             one, or leave --cameras away",
+            "a focal length of {1:.0} px was given for {0}, the photos say {2:.0} px ({3:+.0} %): that of another lens, zoom \
+             or size of photo? Depth and normals err by per cents; correct it, or give none (--cameras, photos.focal_35mm)",
             self.file_name,
             self.given_px,
             self.found_px,
@@ -116,9 +115,9 @@ pub struct PosesReport {
     pub vertical: Option<Vertical>,
     /// Distortion that given intrinsics leave.
     pub lens: Option<LensReport>,
-    /// Given focal lengths that the photos contradict.
+    /// The given focal length, where the photos contradict it.
     #[serde(default)]
-    pub contradicted_focals: Vec<ContradictedFocal>,
+    pub contradicted_focal: Option<ContradictedFocal>,
     /// The adjustments that shaped the result.
     pub adjustments: Vec<AdjustmentReport>,
     /// Depth anchors.

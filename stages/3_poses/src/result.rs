@@ -126,7 +126,7 @@ pub fn assemble(
             .map(|(before, after)| (before.group, before.initial.fx, after.fx))
             .collect(),
         lens: reconstruction.lens.clone(),
-        contradicted_focals: reconstruction.contradicted_focals.clone(),
+        contradicted_focal: reconstruction.contradicted_focal.clone(),
         adjustments: reconstruction.adjustments.clone(),
         ..PosesReport::default()
     };

@@ -7,7 +7,8 @@
 //!
 //! A photo from nearer, or of a longer lens, spreads the same detail over more pixels, and is no less sharp: of two photos
 //! the one with the smaller footprints is averaged to the pixels of the other, and what it shows beyond that is not asked
-//! for. Between powers of two `ln |d|` is interpolated.
+//! for. Between powers of two `ln |d|` is interpolated. Averaging takes noise away, which the other photo keeps and counts as
+//! detail: a photo whose detail at its own pixels is as strong as the other's is no less sharp.
 
 use crate::gains::{self, LogRatio};
 use crate::level::{Level, LevelView, depth_rasters};
@@ -20,6 +21,8 @@ const MIN_POINTS: usize = 300;
 const VISIBLE_PX: f64 = 3.5;
 /// Pixels of a row that are looked at.
 const STEP: usize = 3;
+/// Part of an octave that makes no difference.
+const MIN_TO_NEXT: f64 = 0.05;
 /// Octaves of footprint that photos are averaged over at most.
 const MAX_OCTAVES: f64 = 4.0;
 
@@ -50,7 +53,7 @@ pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
                     let own = view.camera.footprint(depths[i][p]);
                     pixels_of_other.push(other.camera.footprint(at.zeta) / own);
                 }
-                let ratio = median(&mut pixels_of_other)?;
+                let ratio = median(&mut pixels_of_other).filter(|ratio| ratio.is_finite())?;
                 let (a, b) = detail_of_pair([view, other], [&here, &there], ratio)?;
                 Some(LogRatio {
                     from: i,
@@ -74,21 +77,27 @@ struct Blocks {
 impl Blocks {
     fn new(side: f64) -> Self {
         let octaves = side.log2().clamp(0.0, MAX_OCTAVES);
+        let to_next = octaves.fract();
         Self {
             side: 1 << octaves as usize,
-            to_next: octaves.fract(),
+            to_next: if to_next < MIN_TO_NEXT { 0.0 } else { to_next },
         }
     }
 
-    /// Detail of the photo around a pixel in blocks of the smaller and of the larger side.
-    fn detail(self, view: &LevelView, at: [usize; 2]) -> Option<[f64; 2]> {
-        let smaller = detail(view, at, self.side)?;
+    /// Detail of the photo around a pixel: at its own pixels, in blocks of the smaller and of the larger side.
+    fn detail(self, view: &LevelView, at: [usize; 2]) -> Option<[f64; 3]> {
+        let own = detail(view, at, 1)?;
+        let smaller = if self.side > 1 {
+            detail(view, at, self.side)?
+        } else {
+            own
+        };
         let larger = if self.to_next > 0.0 {
             detail(view, at, 2 * self.side)?
         } else {
             smaller
         };
-        Some([smaller, larger])
+        Some([own, smaller, larger])
     }
 }
 
@@ -100,7 +109,7 @@ fn detail_of_pair(
     ratio: f64,
 ) -> Option<(f64, f64)> {
     let blocks = [Blocks::new(ratio), Blocks::new(1.0 / ratio)];
-    let mut found = [const { [Vec::new(), Vec::new()] }; 2];
+    let mut found = [const { [const { Vec::new() }; 3] }; 2];
     for (&here, &there) in places[0].iter().zip(places[1]) {
         let own = blocks[0].detail(views[0], here);
         let others = blocks[1].detail(views[1], there);
@@ -114,13 +123,15 @@ fn detail_of_pair(
         return None;
     }
     let [mut a, mut b] = found;
-    let log = |found: &mut [Vec<f64>; 2], blocks: Blocks| -> Option<f64> {
-        let [smaller, larger] = found;
-        let (smaller, larger) = (median(smaller)?, median(larger)?);
-        let is_seen = smaller > 0.0 && larger > 0.0;
-        is_seen.then(|| (1.0 - blocks.to_next) * smaller.ln() + blocks.to_next * larger.ln())
+    let logs = |found: &mut [Vec<f64>; 3], blocks: Blocks| -> Option<(f64, f64)> {
+        let [own, smaller, larger] = found;
+        let [own, smaller, larger] = [median(own)?, median(smaller)?, median(larger)?];
+        let is_seen = own > 0.0 && smaller > 0.0 && larger > 0.0;
+        let averaged = (1.0 - blocks.to_next) * smaller.ln() + blocks.to_next * larger.ln();
+        is_seen.then(|| (own.ln(), averaged))
     };
-    Some((log(&mut a, blocks[0])?, log(&mut b, blocks[1])?))
+    let ((own_a, a), (own_b, b)) = (logs(&mut a, blocks[0])?, logs(&mut b, blocks[1])?);
+    Some((a.max(own_a.min(b)), b.max(own_b.min(a))))
 }
 
 /// Relative difference of the block around a pixel from the mean of those two sides away, where all are of the object and
@@ -236,19 +247,33 @@ mod tests {
             block.sum::<f32>() / (side * side) as f32
         };
         far.grey = Raster::from_fn(120, 90, |x, y| mean(&near.grey, 2 * x, 2 * y, 2));
-        let of = |near: LevelView| {
-            let level = Level::new(vec![near, far.clone()], &[vec![1], vec![0]]);
+        let of = |near: LevelView, far: LevelView| {
+            let level = Level::new(vec![near, far], &[vec![1], vec![0]]);
             let views = level.views.iter();
             let depths: Vec<_> = views.map(|v| vec![0.0; v.pixels.len()]).collect();
             measure(&level, &depths)
         };
-        let found = of(near.clone());
+        let found = of(near.clone(), far.clone());
+        assert!(found.iter().all(|&s| s > 0.93), "{found:?}");
+        // Noise alone, of which averages over blocks would have half.
+        let noisy = |view: &LevelView| {
+            let mut state = view.pixels.len() as u64;
+            let mut noisy = view.clone();
+            for value in &mut noisy.grey.data {
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                *value = 0.5 + 0.01 * (state >> 40) as f32 / (1 << 24) as f32;
+            }
+            noisy
+        };
+        let found = of(noisy(&near), noisy(&far));
         assert!(found.iter().all(|&s| s > 0.93), "{found:?}");
         let sharp = near.grey.clone();
         near.grey = Raster::from_fn(240, 180, |x, y| {
             mean(&sharp, x.clamp(2, 237) - 2, y.clamp(2, 177) - 2, 5)
         });
-        let found = of(near);
+        let found = of(near, far);
         assert!(found[1] > 0.999 && found[0] < 0.8, "{found:?}");
     }
 }

@@ -5,7 +5,7 @@
 //! before or shortly behind their surface, times the cosine of incidence and weighted with its
 //! square, truncated (Curless, Levoy, SIGGRAPH 1996); outside where a mask does not contain it; inside
 //! where it lies behind the surface of every view that shows it. So the solid has a back, which shades.
-//! What no view shows holds back no light.
+//! What no view shows, beyond the frames or on a rim between pixels, holds back no light.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
