@@ -129,11 +129,9 @@ fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64
 
 /// The focal length, where a model that was free to choose it has another one.
 fn contradicted_focal(scene: &Scene<'_>, free: &Model) -> Option<ContradictedFocal> {
-    let photo = (0..scene.num_photos()).find(|&photo| free.poses[photo].is_some())?;
-    let mut used: Vec<usize> = (0..scene.num_photos())
-        .filter(|&photo| free.poses[photo].is_some())
-        .map(|photo| scene.camera_of[photo])
-        .collect();
+    let posed = (0..scene.num_photos()).filter(|&photo| free.poses[photo].is_some());
+    let photo = posed.clone().next()?;
+    let mut used: Vec<usize> = posed.map(|photo| scene.camera_of[photo]).collect();
     used.sort_unstable();
     used.dedup();
     let changes = used.iter().map(|&c| free.cameras[c].deviation[FOCAL]);

@@ -42,6 +42,7 @@ pub use vertical::{Vertical, VerticalSource};
 use adjustment::BundleOptions;
 use incremental::Reconstruction;
 use model::{AdjustmentScope, IntrinsicsScope};
+use projection::FOCAL;
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{
     FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, WorldFrame,
@@ -165,8 +166,8 @@ fn larger_from_found_focal(
     let model = &first.0.model;
     let mut far = false;
     for (camera, adjusted) in scene.cameras.iter_mut().zip(&model.cameras) {
-        if is_far(adjusted.deviation[0]) {
-            camera.start_ln_focal = adjusted.deviation[0];
+        if is_far(adjusted.deviation[FOCAL]) {
+            camera.start_ln_focal = adjusted.deviation[FOCAL];
             far = true;
         }
     }
@@ -240,7 +241,7 @@ fn contradicted_exif(scene: &Scene<'_>, reconstruction: &Reconstruction) -> Vec<
             let photo = (0..scene.num_photos())
                 .find(|&p| scene.camera_of[p] == k && model.poses[p].is_some())?;
             let photo = &scene.photos.photos[photo];
-            let deviation = model.cameras[k].deviation[0];
+            let deviation = model.cameras[k].deviation[FOCAL];
             let from_exif = !scene.cameras[k].is_own
                 && matches!(
                     photo.focal_source,

@@ -83,7 +83,7 @@ impl Model {
                 .iter()
                 .map(|c| {
                     let mut camera = AdjustedCamera::fixed(c.initial);
-                    camera.deviation[0] = c.start_ln_focal;
+                    camera.deviation[FOCAL] = c.start_ln_focal;
                     camera
                 })
                 .collect(),
@@ -360,7 +360,7 @@ impl Model {
                 prior_sigma: match scope.intrinsics {
                     IntrinsicsScope::Fixed => Default::default(),
                     IntrinsicsScope::Focal => {
-                        std::array::from_fn(|k| fixed.prior_sigma[k].filter(|_| k == 0))
+                        std::array::from_fn(|k| fixed.prior_sigma[k].filter(|_| k == FOCAL))
                     }
                     IntrinsicsScope::All => fixed.prior_sigma,
                     IntrinsicsScope::Nuisance => {

@@ -10,10 +10,10 @@ use rilievo_scene::{Intrinsics, RigidTransform};
 
 /// Number of intrinsic parameters that may be refined.
 pub const NUM_INTRINSICS: usize = 8;
+/// Index of the logarithm of the focal length among the intrinsics.
+pub const FOCAL: usize = 0;
 /// Index of `k₁` among the intrinsics.
 pub const K1: usize = 3;
-/// Index of the logarithm of the focal length among the intrinsics that may change.
-pub const FOCAL: usize = 0;
 
 /// Derivatives of a pixel.
 pub struct ProjectionJacobian {

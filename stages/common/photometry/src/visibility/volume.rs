@@ -191,9 +191,11 @@ impl Volume {
                                 }
                             }
                         }
-                        signed[at] = if !empty && total > 0.0 {
+                        signed[at] = if empty {
+                            TRUNCATION
+                        } else if total > 0.0 {
                             sum / total
-                        } else if !empty && behind {
+                        } else if behind {
                             -TRUNCATION
                         } else {
                             TRUNCATION
@@ -485,6 +487,18 @@ mod tests {
     use super::*;
     use rilievo_scene::Raster;
 
+    /// A camera at the world's origin whose frame of 16×16 pixels cuts the object.
+    fn cut_view(depth: DepthMap) -> DepthView {
+        DepthView {
+            intrinsics: Intrinsics::pinhole(16, 16, 16.0, 7.5, 7.5),
+            cam_from_world: RigidTransform::identity(),
+            depth,
+            weight: Raster::filled(16, 16, 1.0),
+            image: LinearImage::filled(16, 16, 3, 0.3),
+            cut_by_frame: true,
+        }
+    }
+
     #[test]
     fn beside_the_object_is_empty_and_beyond_the_photo_unknown() {
         // The middle columns show a surface, those on the left its background, those on the right nothing.
@@ -493,14 +507,7 @@ mod tests {
             6..10 => 2.0,
             _ => f32::NAN,
         });
-        let view = DepthView {
-            intrinsics: Intrinsics::pinhole(16, 16, 16.0, 7.5, 7.5),
-            cam_from_world: RigidTransform::identity(),
-            depth,
-            weight: Raster::filled(16, 16, 1.0),
-            image: LinearImage::filled(16, 16, 3, 0.3),
-            cut_by_frame: true,
-        };
+        let view = cut_view(depth);
         let camera = Camera::new(&view);
         let at = |u: f32| {
             sight(
@@ -521,15 +528,7 @@ mod tests {
     fn a_place_that_no_photo_shows_holds_back_no_light() {
         // A near surface on the left and a far one on the right, cut off by the frame.
         let depth = Raster::from_fn(16, 16, |x, _| if x < 8 { 1.0 } else { 2.0 });
-        let view = DepthView {
-            intrinsics: Intrinsics::pinhole(16, 16, 16.0, 7.5, 7.5),
-            cam_from_world: RigidTransform::identity(),
-            depth,
-            weight: Raster::filled(16, 16, 1.0),
-            image: LinearImage::filled(16, 16, 3, 0.3),
-            cut_by_frame: true,
-        };
-        let Some(volume) = Volume::carve(&[view], 64) else {
+        let Some(volume) = Volume::carve(&[cut_view(depth)], 64) else {
             panic!("a view with depths carves a solid")
         };
         let meets = |start: [f32; 3], towards: f32| {
