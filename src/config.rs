@@ -7,7 +7,7 @@ use rilievo_io::read_regular_text;
 use rilievo_lighting::LightingOptions;
 use rilievo_photos::PhotosOptions;
 use rilievo_poses::PosesOptions;
-use rilievo_scene::InTable;
+use rilievo_scene::{InTable, RetiredKey};
 use rilievo_shading::ShadingOptions;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -36,7 +36,10 @@ impl StageOptions {
     /// # Errors
     /// When it cannot be read, or a key is unknown or has a wrong value; names file, line and key.
     pub fn read(path: Option<&Path>) -> Result<Self, Failure> {
-        path.map_or_else(|| Ok(Self::default()), read_toml)
+        path.map_or_else(
+            || Ok(Self::default()),
+            |path| read_toml(path, &RETIRED_KEYS),
+        )
     }
 
     /// Checks the values of all stages, so that a wrong one is told before hours of work.
@@ -59,6 +62,16 @@ impl StageOptions {
     }
 }
 
+/// Keys that the stages' tables had once, by table.
+const RETIRED_KEYS: [(&str, &[RetiredKey]); 6] = [
+    ("photos", rilievo_photos::RETIRED_KEYS),
+    ("features", rilievo_features::RETIRED_KEYS),
+    ("poses", rilievo_poses::RETIRED_KEYS),
+    ("lighting", rilievo_lighting::RETIRED_KEYS),
+    ("shading", rilievo_shading::RETIRED_KEYS),
+    ("fusion", rilievo_fusion::RETIRED_KEYS),
+];
+
 /// Replaces an option by what the command line says of it, if anything.
 pub fn take_over<T>(option: &mut T, given: Option<T>) {
     if let Some(given) = given {
@@ -69,16 +82,37 @@ pub fn take_over<T>(option: &mut T, given: Option<T>) {
 /// Reads options from a TOML file.
 ///
 /// # Errors
-/// When it cannot be read, or a key is unknown or has a wrong value; names file, line and key.
-pub fn read_toml<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
+/// When it cannot be read, or a key is unknown, retired or has a wrong value; names file, line and key.
+pub fn read_toml<T: serde::de::DeserializeOwned>(
+    path: &Path,
+    retired: &[(&str, &[RetiredKey])],
+) -> Result<T, Failure> {
     let text = read_regular_text(path)?;
     toml::from_str(&text).map_err(|error| {
-        Failure::Usage(format!(
-            "config file {}: {}",
-            path.display(),
-            told(&error, &text)
-        ))
+        let reason = retired_keys(&text, retired).unwrap_or_else(|| told(&error, &text));
+        Failure::Usage(format!("config file {}: {reason}", path.display()))
     })
+}
+
+/// The retired keys that a file has, a line each with what replaces them; `None` without any.
+fn retired_keys(text: &str, retired: &[(&str, &[RetiredKey])]) -> Option<String> {
+    let file: toml::Table = toml::from_str(text).ok()?;
+    let used = retired.iter().flat_map(|(table, keys)| {
+        let table_of_file = file.get(*table);
+        keys.iter().filter_map(move |key| {
+            let first = table_of_file?;
+            key.path
+                .iter()
+                .try_fold(first, |value, part| value.get(part))?;
+            Some(format!(
+                "{table}.{} is no option any more: {}",
+                key.path.join("."),
+                key.instead
+            ))
+        })
+    });
+    let lines: Vec<String> = used.collect();
+    (!lines.is_empty()).then(|| lines.join("\n"))
 }
 
 /// The error as its library shows it, with the line of the file and a mark below; of endless lines the number

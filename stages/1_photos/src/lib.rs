@@ -40,7 +40,7 @@ pub use assemble::assemble;
 pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use encoding::linearize;
 pub use error::PhotosError;
-pub use options::{Encoding, PhotosOptions};
+pub use options::{Encoding, PhotosOptions, RETIRED_KEYS};
 pub use outline::MaskOutline;
 pub use prepare::{GivenCamera, GivenMask, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};

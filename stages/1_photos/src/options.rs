@@ -1,6 +1,6 @@
 //! Options of stage 1.
 
-use rilievo_scene::{OptionError, check_ranges, in_range};
+use rilievo_scene::{OptionError, RetiredKey, check_ranges, in_range};
 use serde::{Deserialize, Serialize};
 
 /// How the samples of a photo relate to light.
@@ -15,6 +15,9 @@ pub enum Encoding {
     /// Proportional to light, whatever the file says.
     Linear,
 }
+
+/// Keys that the table `[photos]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
+pub const RETIRED_KEYS: &[RetiredKey] = &[];
 
 /// Options of stage 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -18,7 +18,7 @@ mod two_view;
 
 pub use detect::detect;
 pub use error::FeaturesError;
-pub use options::{FeaturesOptions, KeypointRegion, PairChoice};
+pub use options::{FeaturesOptions, KeypointRegion, PairChoice, RETIRED_KEYS};
 pub use report::{FeaturesReport, PairReport, PhotoFeatures};
 
 use candidates::Pair;

@@ -1,6 +1,6 @@
 //! Options of stage 2.
 
-use rilievo_scene::{OptionError, check_ranges};
+use rilievo_scene::{OptionError, RetiredKey, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// Which keypoints tell the poses.
@@ -28,6 +28,9 @@ pub enum PairChoice {
     /// These pairs, by the photos' file names.
     Listed(Vec<[String; 2]>),
 }
+
+/// Keys that the table `[features]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
+pub const RETIRED_KEYS: &[RetiredKey] = &[];
 
 /// How keypoints are found and matched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -35,7 +35,7 @@ mod vertical;
 
 pub use error::PosesError;
 pub use known_distance::{KnownDistance, MarkedPoints};
-pub use options::{GivenPoses, PosesOptions, RefineIntrinsics};
+pub use options::{GivenPoses, PosesOptions, RETIRED_KEYS, RefineIntrinsics};
 pub use report::{AdjustmentReport, ContradictedFocal, LensReport, PosesReport, ViewReport};
 pub use vertical::{Vertical, VerticalSource};
 

@@ -3,7 +3,7 @@
 use crate::anchors::options::AnchorOptions;
 use crate::known_distance::KnownDistance;
 use rilievo_photometry::sphere::SphereOptions;
-use rilievo_scene::{InTable, OptionError, in_range};
+use rilievo_scene::{InTable, OptionError, RetiredKey, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Which intrinsics the adjustment may change.
@@ -35,6 +35,9 @@ pub enum GivenPoses {
     /// Ignore them.
     Ignore,
 }
+
+/// Keys that the table `[poses]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
+pub const RETIRED_KEYS: &[RetiredKey] = &[];
 
 /// How poses are found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

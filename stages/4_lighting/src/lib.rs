@@ -51,7 +51,7 @@ mod side;
 mod sphere_light;
 
 pub use error::LightingError;
-pub use options::{GainMode, LightingOptions, ObjectLight};
+pub use options::{GainMode, LightingOptions, ObjectLight, RETIRED_KEYS};
 pub use overlay::{SphereOverlay, overlays};
 pub use report::{
     ChannelReport, KindCheck, LightingReport, ObjectReport, SphereLightReport, ViewLightReport,

@@ -4,7 +4,7 @@ use rilievo_photometry::harmonics::FitOptions;
 use rilievo_photometry::samples::SamplingOptions;
 use rilievo_photometry::sphere::SphereOptions;
 use rilievo_photometry::surface_check::CheckOptions;
-use rilievo_scene::{InTable, LightKind, OptionError, check_ranges};
+use rilievo_scene::{InTable, LightKind, OptionError, RetiredKey, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// Whether the photos' exposures are compared on the sphere.
@@ -33,6 +33,9 @@ pub enum ObjectLight {
     /// Not looked at.
     Off,
 }
+
+/// Keys that the table `[lighting]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
+pub const RETIRED_KEYS: &[RetiredKey] = &[];
 
 /// How the lighting is found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

@@ -22,7 +22,7 @@ mod report;
 mod surroundings;
 
 pub use error::{LightMisfit, ShadingError};
-pub use options::{ShadingModel, ShadingOptions};
+pub use options::{RETIRED_KEYS, ShadingModel, ShadingOptions};
 pub use report::ShadingReport;
 pub use surroundings::Surroundings;
 

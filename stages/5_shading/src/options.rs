@@ -2,7 +2,7 @@
 
 use crate::paper::PaperOptions;
 use crate::photo::PhotoOptions;
-use rilievo_scene::{InTable, OptionError};
+use rilievo_scene::{InTable, OptionError, RetiredKey};
 use serde::de::value::{MapAccessDeserializer, StrDeserializer};
 use serde::de::{DeserializeSeed, Deserializer, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
@@ -18,6 +18,9 @@ pub enum ShadingModel {
     /// The paper's model: distant harmonics and depth anchors only.
     Paper,
 }
+
+/// Keys that the table `[shading]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
+pub const RETIRED_KEYS: &[RetiredKey] = &[];
 
 /// Options of [`crate::run`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

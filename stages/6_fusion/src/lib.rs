@@ -50,7 +50,7 @@ mod view;
 mod views;
 
 pub use error::FusionError;
-pub use options::{ColorMode, FusionOptions, MeshFormat};
+pub use options::{ColorMode, FusionOptions, MeshFormat, RETIRED_KEYS};
 pub use report::{AssetReport, FusionReport, Layering, MeshReport, ViewFusion};
 
 use points::CloudFacts;

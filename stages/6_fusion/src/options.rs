@@ -1,6 +1,6 @@
 //! Options of stage 6.
 
-use rilievo_scene::{OptionError, check_ranges};
+use rilievo_scene::{OptionError, RetiredKey, check_ranges};
 use serde::{Deserialize, Serialize};
 
 /// What the points' colours show.
@@ -28,6 +28,9 @@ pub enum MeshFormat {
     /// A light mesh with textures ([`rilievo_scene::Asset`]), as binary glTF and as OBJ.
     Asset,
 }
+
+/// Keys that the table `[fusion]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
+pub const RETIRED_KEYS: &[RetiredKey] = &[];
 
 /// Options of [`crate::run`]. Lengths along and across the surface are in *pixel footprints*
 /// `z / f`, the size of a pixel on a surface at depth `z` that faces the camera, so that they need

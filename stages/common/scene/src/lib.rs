@@ -54,7 +54,7 @@ pub use lighting::{Lighting, SphericalHarmonics};
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};
 pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
 pub use naming::first_and_more;
-pub use options::{InTable, OptionError, fulfils, in_range};
+pub use options::{InTable, OptionError, RetiredKey, fulfils, in_range};
 pub use orientation::Orientation;
 pub use packed_mask::PackedMask;
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};

@@ -15,6 +15,16 @@ pub struct OptionError {
     pub expected: String,
 }
 
+/// A key that a table of the configuration file had once. A file that still has it ends with an error that says what to
+/// do instead.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RetiredKey {
+    /// Its path within the stage's table, as `["photo", "num_sweeps"]`.
+    pub path: &'static [&'static str],
+    /// What replaces it, as the end of a sentence: "use `shading.paper.noise`", "it is fixed at 0.3 px".
+    pub instead: &'static str,
+}
+
 /// Checks one number; NaN lies in no range.
 ///
 /// A range is wide enough for every use that makes sense, and ends where work or memory would no
