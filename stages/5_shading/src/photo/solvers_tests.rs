@@ -8,7 +8,7 @@
 
 // The analytic surface of the solver's own tests, of which this one needs a part.
 #[allow(dead_code)]
-#[path = "../../tests/solver/surface.rs"]
+#[path = "../../tests/it/solver/surface.rs"]
 mod surface;
 
 use super::chroma::{ChromaNoise, Whitening};

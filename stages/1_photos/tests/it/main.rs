@@ -1,0 +1,4 @@
+//! Tests of the stage as a whole.
+
+mod real_photos;
+mod stage;

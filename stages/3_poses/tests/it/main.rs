@@ -1,0 +1,6 @@
+//! Tests of the stage as a whole.
+
+mod common;
+mod damaged;
+mod fallbacks;
+mod rungs;

@@ -1,0 +1,5 @@
+//! Tests of the stage as a whole.
+
+mod asset;
+mod damaged;
+mod sphere;

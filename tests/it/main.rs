@@ -1,0 +1,18 @@
+//! Tests of the program as its users call it, and of the workspace's layering.
+
+mod bad_input;
+mod browser;
+mod camera_files;
+mod command_line;
+mod common;
+mod data_sets;
+mod fuse;
+mod layering;
+mod photo_folders;
+mod photo_formats;
+mod photos_and_disk;
+mod poses_and_light;
+mod ranks;
+mod run_directory;
+mod sphere_input;
+mod whole_program;
