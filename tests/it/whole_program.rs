@@ -7,8 +7,9 @@ use crate::browser;
 use crate::common;
 
 use common::{arg, differences, done, reconstruct_arguments, rilievo, run, synthetic_set};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, MutexGuard, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -22,17 +23,60 @@ fn alone() -> MutexGuard<'static, ()> {
     }
 }
 
-/// An undisturbed run that all tests compare with, and the seconds that it took.
-fn reference() -> &'static (PathBuf, f64) {
-    static REFERENCE: OnceLock<(PathBuf, f64)> = OnceLock::new();
+/// An undisturbed run whose accuracy, report and verdict are judged.
+fn reference() -> &'static Path {
+    static REFERENCE: OnceLock<PathBuf> = OnceLock::new();
     REFERENCE.get_or_init(|| {
-        let run_dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join("reference-run");
-        // A run of an earlier build is no reference for this one.
-        let _ = std::fs::remove_dir_all(&run_dir);
-        let began = Instant::now();
+        let run_dir = fresh_folder("reference-run");
         reconstruct(&synthetic_set(), &run_dir, &[]);
-        (run_dir, began.elapsed().as_secs_f64())
+        run_dir
     })
+}
+
+/// A set of three small photos.
+fn small_set() -> &'static Path {
+    static SET: OnceLock<PathBuf> = OnceLock::new();
+    SET.get_or_init(|| {
+        let set = fresh_folder("small-set");
+        done(&["synth", arg(&set), "--views", "3", "--size", "240x180"]);
+        // Every kind of step: a level that is solved as a whole, and relief at the photos' own pixels.
+        std::fs::write(
+            set.join("config.toml"),
+            "[shading.photo]\nmax_fine_pixels = 4000\n",
+        )
+        .expect("a config file can be written");
+        set
+    })
+}
+
+/// An undisturbed run of the small set, whose bytes other runs are compared with.
+fn small_reference() -> &'static Path {
+    static REFERENCE: OnceLock<PathBuf> = OnceLock::new();
+    REFERENCE.get_or_init(|| {
+        let run_dir = fresh_folder("small-run");
+        reconstruct_small(&run_dir, &[]);
+        run_dir
+    })
+}
+
+/// Reconstructs the small set; what the program reports.
+fn reconstruct_small(run_dir: &Path, more: &[&str]) -> String {
+    let config = small_set().join("config.toml");
+    let more = [&["--config", arg(&config)], more].concat();
+    reconstruct(small_set(), run_dir, &more)
+}
+
+/// A folder of this build's tests, without what an earlier build left in it.
+fn fresh_folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
+/// A copy of a run.
+fn copy_of(run_dir: &Path, to: &Path) {
+    let copied = Command::new("cp").arg("-a").args([run_dir, to]).status();
+    assert!(copied.is_ok_and(|status| status.success()));
 }
 
 fn reconstruct(set: &Path, run_dir: &Path, more: &[&str]) -> String {
@@ -57,7 +101,7 @@ fn correlations(relief: &serde_json::Value) -> Vec<f64> {
 #[test]
 fn two_halves_agree_about_as_far_as_the_result_agrees_with_the_truth() {
     let _alone = alone();
-    let (run_dir, _) = reference();
+    let run_dir = reference();
     let json = |arguments: &[&str]| -> serde_json::Value {
         serde_json::from_str(&done(arguments)).expect("JSON")
     };
@@ -86,7 +130,7 @@ fn two_halves_agree_about_as_far_as_the_result_agrees_with_the_truth() {
 #[test]
 fn the_result_is_accurate() {
     let _alone = alone();
-    let (run_dir, _) = reference();
+    let run_dir = reference();
     let truth = synthetic_set().join("truth");
     let evaluate = |truth: &Path, align: &str| -> (serde_json::Value, String) {
         let stdout = done(&[
@@ -183,7 +227,7 @@ fn verdict(run_dir: &Path) -> (String, String) {
 #[test]
 fn the_verdict_is_good_of_a_good_set_and_not_of_one_without_masks() {
     let _alone = alone();
-    let (good, _) = reference();
+    let good = reference();
     assert_eq!(verdict(good), ("good".to_owned(), "[]".to_owned()));
     let said = reconstruct(&synthetic_set(), good, &[]);
     assert!(said.ends_with("verdict: good\n"), "{said}");
@@ -208,7 +252,7 @@ fn the_verdict_is_good_of_a_good_set_and_not_of_one_without_masks() {
 #[test]
 fn the_report_works_in_a_browser() {
     let _alone = alone();
-    let (run_dir, _) = reference();
+    let run_dir = reference();
     let Some(seen) = browser::open(&run_dir.join("report.html")) else {
         eprintln!("skipped: there is no Chromium here to open the report in");
         return;
@@ -228,7 +272,7 @@ fn the_report_works_in_a_browser() {
 #[test]
 fn a_second_run_does_nothing_within_two_seconds() {
     let _alone = alone();
-    let (run_dir, _) = reference();
+    let run_dir = reference();
     let began = Instant::now();
     let said = reconstruct(&synthetic_set(), run_dir, &[]);
     assert!(
@@ -242,13 +286,10 @@ fn a_second_run_does_nothing_within_two_seconds() {
 #[test]
 fn too_little_memory_is_told_with_what_would_do() {
     let _alone = alone();
-    let (expected, _) = reference();
+    let expected = small_reference();
     let dir = tempfile::tempdir().unwrap();
     let run_dir = dir.path().join("run");
-    let copied = Command::new("cp")
-        .args(["-a", arg(expected), arg(&run_dir)])
-        .status();
-    assert!(copied.is_ok_and(|status| status.success()));
+    copy_of(expected, &run_dir);
     let redo = |memory: &str| run(&["run", "5_shading", arg(&run_dir), "--memory", memory]);
     let (code, _, told) = redo("2M");
     assert_eq!(code, 3, "{told}");
@@ -265,30 +306,79 @@ fn too_little_memory_is_told_with_what_would_do() {
 #[test]
 fn one_thread_gives_the_same_bytes() {
     let _alone = alone();
-    let (expected, _) = reference();
     let dir = tempfile::tempdir().unwrap();
     let run_dir = dir.path().join("run");
-    reconstruct(&synthetic_set(), &run_dir, &["--threads", "1"]);
-    assert_eq!(differences(expected, &run_dir), Vec::<String>::new());
+    reconstruct_small(&run_dir, &["--threads", "1"]);
+    assert_eq!(
+        differences(small_reference(), &run_dir),
+        Vec::<String>::new()
+    );
+}
+
+/// Starts the program on a set, and returns when it has reported an event of this kind in a stage so many times;
+/// `false` when it ended before.
+fn started_until(
+    set: &Path,
+    run_dir: &Path,
+    more: &[&str],
+    (kind, stage, times): (&str, &str, usize),
+) -> (Child, bool) {
+    let mut child = Command::new(env!("CARGO_BIN_EXE_rilievo"))
+        .args(reconstruct_arguments(set, run_dir))
+        .args(more)
+        .arg("--json")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the program starts");
+    let lines = BufReader::new(child.stdout.take().expect("its output")).lines();
+    let is_such = |line: std::io::Result<String>| {
+        let event: serde_json::Value = serde_json::from_str(&line.ok()?).ok()?;
+        let of_this_run = event["reused"] != true;
+        Some(of_this_run && event["event"] == kind && event["stage"] == stage)
+    };
+    let reached = lines
+        .filter_map(is_such)
+        .filter(|such| *such)
+        .nth(times - 1);
+    (child, reached.is_some())
 }
 
 #[test]
 fn killed_at_many_points_the_run_ends_with_the_same_bytes() {
     let _alone = alone();
-    let (expected, seconds) = reference();
+    let expected = small_reference();
     let dir = tempfile::tempdir().unwrap();
     let run_dir = dir.path().join("run");
-    let set = synthetic_set();
-    for attempt in 1..=8 {
-        let mut child = start(&set, &run_dir);
-        // Later attempts live longer; the irregular part hits different steps.
-        let share = f64::from(attempt) / 9.0 + 0.013 * f64::from(attempt * attempt % 7);
-        std::thread::sleep(Duration::from_secs_f64(share * 0.6 * seconds));
+    let config = small_set().join("config.toml");
+    let stages = [
+        "1_photos",
+        "2_features",
+        "3_poses",
+        "4_lighting",
+        "5_shading",
+        "6_fusion",
+    ];
+    let mut points = Vec::new();
+    for stage in stages {
+        points.extend([("stage_started", stage, 1), ("progress", stage, 2)]);
+        if stage == "5_shading" {
+            points.extend([10, 5, 20, 40].map(|times| ("progress", stage, times)));
+        }
+        points.push(("stage_finished", stage, 1));
+    }
+    let mut num_kills = 0;
+    for point in points {
+        let more = ["--config", arg(&config)];
+        let (mut child, reached) = started_until(small_set(), &run_dir, &more, point);
         // SIGKILL: nothing of the program runs any more.
         child.kill().expect("a child can be killed");
-        child.wait().expect("a child can be waited for");
+        let status = child.wait().expect("a child can be waited for");
+        num_kills += usize::from(reached && status.code().is_none());
     }
-    reconstruct(&set, &run_dir, &[]);
+    // A short step may be over before it has made progress twice.
+    assert!(num_kills >= 14, "{num_kills}");
+    reconstruct_small(&run_dir, &[]);
     assert_eq!(differences(expected, &run_dir), Vec::<String>::new());
     assert!(!run_dir.join(".work").exists(), "no leftovers");
 }
@@ -296,11 +386,11 @@ fn killed_at_many_points_the_run_ends_with_the_same_bytes() {
 #[test]
 fn ctrl_c_ends_soon_and_leaves_a_resumable_run() {
     let _alone = alone();
-    let (_, seconds) = reference();
     let dir = tempfile::tempdir().unwrap();
     let run_dir = dir.path().join("run");
-    let mut child = start(&synthetic_set(), &run_dir);
-    std::thread::sleep(Duration::from_secs_f64(0.4 * seconds));
+    let point = ("progress", "5_shading", 3);
+    let (mut child, reached) = started_until(&synthetic_set(), &run_dir, &[], point);
+    assert!(reached, "the run ended before it could be interrupted");
     // The shell's own `kill` is everywhere; the program of that name is not.
     let interrupt = format!("kill -INT {}", child.id());
     let sent = Command::new("sh").args(["-c", &interrupt]).status();
@@ -308,9 +398,11 @@ fn ctrl_c_ends_soon_and_leaves_a_resumable_run() {
     let asked = Instant::now();
     let status = child.wait().expect("a child can be waited for");
     assert_eq!(status.code(), Some(130));
-    // A slow machine may take longer over the step at hand, in proportion.
-    let bound = Duration::from_secs_f64((0.25 * seconds).max(10.0));
-    assert!(asked.elapsed() < bound, "{:?}", asked.elapsed());
+    assert!(
+        asked.elapsed() < Duration::from_secs(10),
+        "{:?}",
+        asked.elapsed()
+    );
     let (code, status, _) = run(&["status", arg(&run_dir)]);
     assert_eq!(code, 0);
     assert!(status.contains("1_photos     valid"), "{status}");
@@ -325,16 +417,11 @@ fn is_same_json(one: &[u8], other: &[u8]) -> bool {
 #[test]
 fn a_flipped_bit_anywhere_is_found_and_never_told_as_a_result() {
     let _alone = alone();
-    let (expected, _) = reference();
+    let expected = small_reference();
     let dir = tempfile::tempdir().unwrap();
     let run_dir = dir.path().join("run");
-    let set = synthetic_set();
-    let copied = Command::new("cp")
-        .arg("-a")
-        .args([expected, &run_dir])
-        .status();
-    assert!(copied.is_ok_and(|status| status.success()));
-    reconstruct(&set, &run_dir, &[]);
+    copy_of(expected, &run_dir);
+    reconstruct_small(&run_dir, &[]);
     let mut files = Vec::new();
     let mut folders = vec![run_dir.clone()];
     while let Some(folder) = folders.pop() {
@@ -362,7 +449,7 @@ fn a_flipped_bit_anywhere_is_found_and_never_told_as_a_result() {
             num_flips += 1;
             let what = format!("bit {} of byte {at} of {}", index % 8, file.display());
             if file.parent() == Some(&run_dir) {
-                let said = reconstruct(&set, &run_dir, &[]);
+                let said = reconstruct_small(&run_dir, &[]);
                 assert!(std::fs::read(file).unwrap() == whole, "{what}: {said}");
             } else {
                 let (code, stdout, _) = run(&["status", arg(&run_dir), "--verify"]);
@@ -390,7 +477,7 @@ fn a_flipped_bit_anywhere_is_found_and_never_told_as_a_result() {
         let middle = bytes.len() / 2;
         bytes[middle] ^= 4;
         std::fs::write(&path, bytes).unwrap();
-        let said = reconstruct(&set, &run_dir, &[]);
+        let said = reconstruct_small(&run_dir, &[]);
         assert!(
             said.contains(&format!("{stage}: redoing, because it is damaged")),
             "{said}"
@@ -401,13 +488,4 @@ fn a_flipped_bit_anywhere_is_found_and_never_told_as_a_result() {
             "{file}"
         );
     }
-}
-
-fn start(set: &Path, run_dir: &Path) -> std::process::Child {
-    Command::new(env!("CARGO_BIN_EXE_rilievo"))
-        .args(reconstruct_arguments(set, run_dir))
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("the program starts")
 }
