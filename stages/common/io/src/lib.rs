@@ -14,7 +14,7 @@
 //! | the data sets DiLiGenT and DiLiGenT-MV, MATLAB's arrays | [`read_diligent`], [`read_mat`] |
 //! | the reference spheres | [`read_sphere_file`] |
 //! | lighting | [`read_lighting`], [`write_lighting`] |
-//! | lighting for other programs | [`light_file`] |
+//! | lighting as `.lp` | [`light_file`] |
 //! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
 //! | point clouds and meshes as PLY | [`ply`] |
 //! | meshes as OBJ and GLB | [`mesh`] |
@@ -74,7 +74,7 @@ pub use exr_maps::{
     write_channel, write_depth, write_linear, write_linear_half, write_normal,
 };
 pub use files::{OutputFile, open_regular, read_regular, read_regular_text};
-pub use light_export::{LightFormat, light_file, lp_file};
+pub use light_export::{light_file, lp_file};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{mask_file, read_mask, write_mask};
 pub use mask_names::{MaskNames, masks_among};

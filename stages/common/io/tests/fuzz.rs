@@ -107,7 +107,7 @@ fn targets(folder: &Path) -> Vec<Target> {
         drop(io::import_cameras(path, format));
     }
     use CameraFormat as F;
-    let exported: [Exported; 14] = [
+    let exported: [Exported; 11] = [
         ("cameras.json", F::CamerasJson, "cameras.json", "", |p| {
             drop(io::read_cameras(p))
         }),
@@ -146,19 +146,12 @@ fn targets(folder: &Path) -> Vec<Target> {
             "",
             |p| import(p, F::Transforms),
         ),
-        ("bundle.out", F::Bundler, "bundle.out", "", |p| {
-            import(p, F::Bundler)
-        }),
-        ("MVSNet", F::Mvsnet, "", "cams/00000000_cam.txt", |p| {
-            import(p, F::Mvsnet)
-        }),
         ("Middlebury", F::Middlebury, "a_par.txt", "", |p| {
             import(p, F::Middlebury)
         }),
         ("Metashape", F::Metashape, "cameras.xml", "", |p| {
             import(p, F::Metashape)
         }),
-        ("TUM", F::Tum, "pose.txt", "", |p| import(p, F::Tum)),
         ("sfmData", F::SfmData, "cameras.sfm", "", |p| {
             import(p, F::SfmData)
         }),

@@ -64,11 +64,8 @@ fn path_of(folder: &tempfile::TempDir, format: CameraFormat) -> PathBuf {
         CameraFormat::Colmap => "text",
         CameraFormat::ColmapBinary => "binary",
         CameraFormat::Transforms => "transforms.json",
-        CameraFormat::Bundler => "bundle.out",
-        CameraFormat::Mvsnet => "",
         CameraFormat::Middlebury => "stone_par.txt",
         CameraFormat::Metashape => "cameras.xml",
-        CameraFormat::Tum => "pose.txt",
         CameraFormat::SfmData => "cameras.sfm",
         CameraFormat::OpenMvs => "scene.mvs",
         CameraFormat::Npz => "cameras_sphere.npz",
@@ -86,15 +83,11 @@ fn round_trip(format: CameraFormat, original: &CameraFile) -> CameraFile {
 #[test]
 fn every_format_gives_back_its_cameras() {
     for format in CameraFormat::ALL {
-        let intrinsics = match format {
-            CameraFormat::Bundler => centered(),
-            _ => plain(),
-        };
-        let original = cameras(intrinsics);
+        let original = cameras(plain());
         let back = round_trip(format, &original);
         let worst = largest_projection_difference(&original, &back);
         assert!(worst < SAME_PX, "{format:?}: {worst}");
-        if !matches!(format, CameraFormat::Mvsnet | CameraFormat::Npz) {
+        if format != CameraFormat::Npz {
             assert_eq!(
                 back.cameras[2].image, original.cameras[2].image,
                 "{format:?}"
@@ -129,28 +122,12 @@ fn lens_distortion_is_kept_or_refused() {
             Err(error) => assert!(
                 matches!(
                     format,
-                    CameraFormat::Bundler
-                        | CameraFormat::Mvsnet
-                        | CameraFormat::Middlebury
-                        | CameraFormat::Tum
-                        | CameraFormat::OpenMvs
-                        | CameraFormat::Npz
+                    CameraFormat::Middlebury | CameraFormat::OpenMvs | CameraFormat::Npz
                 ),
                 "{error}"
             ),
         }
     }
-    let radial = Intrinsics {
-        distortion: Distortion {
-            k1: -0.1,
-            k2: 0.02,
-            ..Distortion::default()
-        },
-        ..centered()
-    };
-    let back = round_trip(CameraFormat::Bundler, &cameras(radial));
-    let worst = largest_projection_difference(&cameras(radial), &back);
-    assert!(worst < SAME_PX, "{worst}");
 }
 
 /// A point before all three cameras' first, and where our camera sees it.
@@ -183,27 +160,6 @@ fn transforms_by_nerfstudios_own_formula() {
     let p = rotation.transpose() * (world.coords - center);
     let u = number(&frame["fl_x"]) * p.x / -p.z + number(&frame["cx"]) - 0.5;
     let v = -number(&frame["fl_y"]) * p.y / -p.z + number(&frame["cy"]) - 0.5;
-    assert!(
-        (u - pixel.x).hypot(v - pixel.y) < SAME_PX,
-        "{u} {v} {pixel}"
-    );
-}
-
-#[test]
-fn bundler_by_its_manuals_formula() {
-    let (text, entry) = written(CameraFormat::Bundler, centered(), "bundle.out");
-    let (world, pixel) = point_and_pixel(&entry);
-    let numbers: Vec<Vec<f64>> = text
-        .lines()
-        .filter(|line| !line.starts_with('#'))
-        .map(|line| line.split(' ').map(|word| word.parse().unwrap()).collect())
-        .collect();
-    let block = &numbers[1 + 5..1 + 10];
-    let rotation = Matrix3::from_fn(|i, j| block[1 + i][j]);
-    let p = rotation * world.coords + Vector3::from_row_slice(&block[4]);
-    let (x, y) = (-p.x / p.z * block[0][0], -p.y / p.z * block[0][0]);
-    // The origin is the middle of the image; y points up.
-    let (u, v) = (x + 0.5 * WIDTH as f64 - 0.5, 0.5 * HEIGHT as f64 - y - 0.5);
     assert!(
         (u - pixel.x).hypot(v - pixel.y) < SAME_PX,
         "{u} {v} {pixel}"
@@ -276,38 +232,6 @@ fn middlebury_by_its_projection_matrix() {
 }
 
 #[test]
-fn tum_and_mvsnet_by_their_poses() {
-    let (text, entry) = written(CameraFormat::Tum, plain(), "pose.txt");
-    let (world, pixel) = point_and_pixel(&entry);
-    let line = text.lines().nth(2).unwrap();
-    let v: Vec<f64> = line
-        .split(' ')
-        .skip(1)
-        .map(|w| w.parse().unwrap())
-        .collect();
-    let q = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(v[6], v[3], v[4], v[5]));
-    let p = q.inverse() * (world.coords - Vector3::new(v[0], v[1], v[2]));
-    let k = entry.intrinsics;
-    let (x, y) = (k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy);
-    assert!(
-        (x - pixel.x).hypot(y - pixel.y) < SAME_PX,
-        "{x} {y} {pixel}"
-    );
-
-    let (text, _) = written(CameraFormat::Mvsnet, plain(), "cams/00000001_cam.txt");
-    let v: Vec<f64> = text
-        .split_whitespace()
-        .filter_map(|word| word.parse().ok())
-        .collect();
-    let p = Matrix3::from_fn(|i, j| v[4 * i + j]) * world.coords + Vector3::new(v[3], v[7], v[11]);
-    let p = Matrix3::from_row_slice(&v[16..25]) * p;
-    assert!(
-        (p.x / p.z - pixel.x).hypot(p.y / p.z - pixel.y) < SAME_PX,
-        "{p} {pixel}"
-    );
-}
-
-#[test]
 fn blender_style_transforms_take_the_size_from_the_image() {
     let folder = folder();
     let path = folder.path().join("transforms.json");
@@ -369,31 +293,20 @@ fn refusals_name_file_and_place() {
             "2\n",
             "announces 2 images and has 0",
         ),
-        ("bundle.out", CameraFormat::Bundler, "1 0\n", "list.txt"),
-        (
-            "pose.txt",
-            CameraFormat::Tum,
-            "0 0 0 0 0 0 0 1\n",
-            "intrinsics.txt",
-        ),
     ] {
         let path = folder.path().join(name);
         std::fs::write(&path, text).unwrap();
         let message = import_cameras(&path, format).unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");
     }
-    let message = import_cameras(folder.path(), CameraFormat::Mvsnet).unwrap_err();
-    assert!(message.to_string().contains("_cam.txt"), "{message}");
 }
 
 #[test]
 fn no_part_of_a_file_panics() {
     for format in [
         CameraFormat::Transforms,
-        CameraFormat::Bundler,
         CameraFormat::Middlebury,
         CameraFormat::Metashape,
-        CameraFormat::Tum,
     ] {
         let folder = folder();
         let path = path_of(&folder, format);
@@ -539,13 +452,7 @@ fn photos() -> tempfile::TempDir {
 #[test]
 fn photos_that_tell_sizes_may_be_in_a_folder_of_their_own() {
     let photos = photos();
-    for format in [
-        CameraFormat::Bundler,
-        CameraFormat::Mvsnet,
-        CameraFormat::Middlebury,
-        CameraFormat::Tum,
-        CameraFormat::Npz,
-    ] {
+    for format in [CameraFormat::Middlebury, CameraFormat::Npz] {
         let folder = tempfile::tempdir().unwrap();
         let path = path_of(&folder, format);
         let original = cameras(centered());

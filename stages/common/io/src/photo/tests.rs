@@ -377,3 +377,97 @@ fn a_single_pixel_decodes() {
     let photo = decode("a.png", &encoded(rgb8(1, 1), ImageFormat::Png)).unwrap();
     assert_eq!((photo.width, photo.height), (1, 1));
 }
+
+#[test]
+fn strict_measure() {
+    use zune_jpeg::{
+        JpegDecoder,
+        zune_core::{bytestream::ZCursor, options::DecoderOptions},
+    };
+    fn strict(bytes: &[u8]) -> Result<(), String> {
+        let options = DecoderOptions::default().set_strict_mode(true);
+        std::panic::catch_unwind(|| {
+            let mut d = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+            d.decode().map(|_| ()).map_err(|e| format!("{e:?}"))
+        })
+        .unwrap_or(Err("panic".into()))
+    }
+    let made = encoded(rgb8(40, 30), ImageFormat::Jpeg);
+    let mut all: Vec<(&str, Vec<u8>)> = FOREIGN_JPEGS
+        .iter()
+        .map(|(n, b)| (*n, b.to_vec()))
+        .collect();
+    all.push(("made", made));
+    for (kind, whole) in &all {
+        println!(
+            "{kind}: {} bytes whole strict {:?} walk {:?}",
+            whole.len(),
+            strict(whole),
+            jpeg::check(whole)
+        );
+        // truncated
+        let (mut w, mut s, mut n) = (0, 0, 0);
+        let mut missed = vec![];
+        let step = (whole.len() / 400).max(1);
+        for end in (0..whole.len())
+            .step_by(step)
+            .chain(whole.len() - 40..whole.len())
+        {
+            n += 1;
+            w += usize::from(end < 2 || jpeg::check(&whole[..end]).is_err());
+            let e = strict(&whole[..end]).is_err();
+            s += usize::from(e);
+            if !e {
+                missed.push(end)
+            }
+        }
+        println!(
+            "  truncated {n}: walk {w} strict {s}; missed {:?}",
+            &missed[..missed.len().min(10)]
+        );
+        let (mut w, mut s, mut n) = (0, 0, 0);
+        for filler in [0x00, 0xA5, 0x31, 0xFF] {
+            for k in 0..20 {
+                let at = (whole.len() as f64 * (0.3 + 0.03 * k as f64)) as usize;
+                let mut bytes = whole.clone();
+                let end = (at + 64).min(bytes.len());
+                bytes[at..end].fill(filler);
+                n += 1;
+                let a = jpeg::check(&bytes).is_err();
+                let b = strict(&bytes).is_err();
+                w += usize::from(a);
+                s += usize::from(b);
+                if a != b {
+                    print!("[{filler:x} {k} walk {a} strict {b}]");
+                }
+            }
+        }
+        println!("\n  sectors {n}: walk {w} strict {s}");
+        let (mut w, mut s, mut n, mut both) = (0, 0, 0, 0);
+        let scan = whole.windows(2).position(|p| p == [0xFF, 0xDA]).unwrap() + 20;
+        for at in (scan..whole.len() - 20).step_by(7) {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 0x6D;
+            n += 1;
+            let a = jpeg::check(&bytes).is_err();
+            let b = strict(&bytes).is_err();
+            w += usize::from(a);
+            s += usize::from(b);
+            both += usize::from(a && b);
+        }
+        println!("  bytes {n}: walk {w} strict {s} both {both}");
+        let (mut w, mut s, mut n, mut both) = (0, 0, 0, 0);
+        for k in 0..20 {
+            let at = (whole.len() as f64 * (0.3 + 0.03 * k as f64)) as usize;
+            let end = (at + 100).min(whole.len());
+            let bytes = [&whole[..at], &whole[end..]].concat();
+            n += 1;
+            let a = jpeg::check(&bytes).is_err();
+            let b = strict(&bytes).is_err();
+            w += usize::from(a);
+            s += usize::from(b);
+            both += usize::from(a && b);
+        }
+        println!("  missing {n}: walk {w} strict {s} both {both}");
+    }
+}
