@@ -17,11 +17,6 @@ use heic_decoder::{ColorInfo, DecodeOptions, HeifError, RgbOptions};
 use rilievo_scene::{DecodedPhoto, Orientation, Raster, Samples};
 use std::path::Path;
 
-/// Brands of still pictures in HEIF (ISO/IEC 23008-12, annex B) whose codec is HEVC or is not told.
-const BRANDS: [&[u8; 4]; 8] = [
-    b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1",
-];
-
 /// Bytes in memory per pixel: three planes of integers, of the tiles and of the whole, and the colours.
 const BYTES_PER_PX: u64 = 18;
 
@@ -37,14 +32,6 @@ const UNLABELLED: ColorInfo = ColorInfo {
 const LINEAR: u16 = 8;
 const PERCEPTUAL_QUANTIZER: u16 = 16;
 const HYBRID_LOG_GAMMA: u16 = 18;
-
-/// Whether a file begins as HEIF does.
-pub(super) fn is_heif(bytes: &[u8]) -> bool {
-    bytes.get(4..8) == Some(b"ftyp")
-        && bytes
-            .get(8..12)
-            .is_some_and(|brand| BRANDS.iter().any(|known| brand == *known))
-}
 
 /// Columns and rows of the picture that [`decode`] gives.
 pub(super) fn size(bytes: &[u8]) -> Option<(usize, usize)> {

@@ -15,6 +15,7 @@ mod alpha;
 mod exif_facts;
 mod float_tiff;
 mod floats;
+mod format;
 pub(crate) mod guard;
 mod heic;
 mod icc;
@@ -32,9 +33,8 @@ use crate::exr_maps;
 use crate::files::read_regular;
 use alpha::alpha_mask;
 use floats::of_floats;
+use format::Format;
 use guard::guarded;
-use image::ImageFormat;
-use names::{FOREIGN_ENDINGS, ending};
 use rilievo_scene::DecodedPhoto;
 use std::path::Path;
 
@@ -59,44 +59,16 @@ pub fn decode_photo(path: &Path) -> Result<DecodedPhoto, IoError> {
 /// # Errors
 /// As [`decode_photo`].
 pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
-    if bytes.is_empty() {
-        return Err(IoError::input(path, "the file is empty (0 bytes)"));
+    match Format::of(path, bytes) {
+        None => Err(format::unknown(path, bytes)),
+        Some(Format::Raw) => raw_decoder::decode(path, bytes),
+        Some(Format::Heif) => heic::decode(path, bytes),
+        Some(Format::OpenExr) => guarded(path, || decode_exr(path, bytes)),
+        Some(Format::Jpeg) => guarded(path, || raster::jpeg(path, bytes)),
+        Some(Format::Png) => guarded(path, || raster::png(path, bytes)),
+        Some(Format::Tiff) => guarded(path, || raster::tiff(path, bytes)),
+        Some(Format::Hdr) => guarded(path, || raster::hdr(path, bytes)),
     }
-    let ending = ending(path);
-    if is_raw_name(path) {
-        return raw_decoder::decode(path, bytes);
-    }
-    if let Some((_, kind)) = FOREIGN_ENDINGS.iter().find(|(name, _)| *name == ending) {
-        return Err(
-            IoError::input(path, format!("{kind} files cannot be decoded"))
-                .with_hint("convert to 16-bit TIFF, OpenEXR or JPEG with one fixed development"),
-        );
-    }
-    if heic::is_heif(bytes) {
-        return heic::decode(path, bytes);
-    }
-    let format = image::guess_format(bytes)
-        .ok()
-        .filter(|format| {
-            matches!(
-                format,
-                ImageFormat::Jpeg
-                    | ImageFormat::Png
-                    | ImageFormat::Tiff
-                    | ImageFormat::Hdr
-                    | ImageFormat::OpenExr
-            )
-        })
-        .ok_or_else(|| {
-            IoError::input(
-                path,
-                "not a JPEG, HEIC, PNG, TIFF, Radiance HDR or OpenEXR image",
-            )
-        })?;
-    guarded(path, || match format {
-        ImageFormat::OpenExr => decode_exr(path, bytes),
-        _ => raster::decode(path, bytes, format),
-    })
 }
 
 fn decode_exr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
