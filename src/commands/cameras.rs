@@ -7,7 +7,7 @@ use crate::pipeline::load_poses;
 use crate::store::RunDir;
 use rilievo_io::colmap::{ColmapModel, binary_files, text_files};
 use rilievo_io::{
-    CameraFile, CameraFormat, blender_file, camera_files, cameras_file, import_cameras_with_photos,
+    CameraFile, CameraFormat, blender_file, camera_files, cameras_file, import_cameras,
     is_diligent, light_file, read_lighting,
 };
 use rilievo_photos::PhotosReport;
@@ -194,5 +194,5 @@ fn read(
             ));
         }
     };
-    Ok((import_cameras_with_photos(source, format, photos)?, format))
+    Ok((import_cameras(source, format, photos)?, format))
 }

@@ -55,10 +55,7 @@ pub mod sphere_file;
 mod words;
 mod xml;
 
-pub use adapters::{
-    CameraFormat, blender_file, camera_files, export_cameras, import_cameras,
-    import_cameras_with_photos,
-};
+pub use adapters::{CameraFormat, blender_file, camera_files, export_cameras, import_cameras};
 pub use cameras::{
     CameraEntry, CameraFile, CameraIndex, cameras_file, read_cameras, write_cameras,
 };

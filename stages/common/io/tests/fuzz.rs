@@ -104,7 +104,7 @@ fn targets(folder: &Path) -> Vec<Target> {
         fn(&Path),
     );
     fn import(path: &Path, format: CameraFormat) {
-        drop(io::import_cameras(path, format));
+        drop(io::import_cameras(path, format, None));
     }
     use CameraFormat as F;
     let exported: [Exported; 11] = [

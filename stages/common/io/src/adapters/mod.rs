@@ -103,11 +103,6 @@ impl CameraFormat {
         }
     }
 
-    /// The format of a name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|format| format.name() == name)
-    }
-
     /// The format of a file or folder, by its name and its first words.
     pub fn detect(path: &Path) -> Option<Self> {
         if path.is_dir() {
@@ -131,19 +126,11 @@ impl CameraFormat {
 }
 
 /// Reads cameras in a format; a folder that holds the format's usual file stands for it. Photos whose
-/// size the format leaves out are looked for beside the file.
+/// size the format leaves out are looked for in a folder of their own, then beside the file.
 ///
 /// # Errors
 /// When a file cannot be read or refuses to be a camera; names file, place and value.
-pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, IoError> {
-    import_cameras_with_photos(path, format, None)
-}
-
-/// The same, where the photos may be in a folder of their own.
-///
-/// # Errors
-/// As [`import_cameras`].
-pub fn import_cameras_with_photos(
+pub fn import_cameras(
     path: &Path,
     format: CameraFormat,
     photos: Option<&Path>,

@@ -77,7 +77,7 @@ fn round_trip(format: CameraFormat, original: &CameraFile) -> CameraFile {
     let path = path_of(&folder, format);
     export_cameras(&path, format, original).unwrap();
     assert_eq!(CameraFormat::detect(&path), Some(format), "{format:?}");
-    import_cameras(&path, format).unwrap()
+    import_cameras(&path, format, None).unwrap()
 }
 
 #[test]
@@ -93,7 +93,8 @@ fn every_format_gives_back_its_cameras() {
                 "{format:?}"
             );
         }
-        assert_eq!(CameraFormat::from_name(format.name()), Some(format));
+        let of_name = |other: &CameraFormat| other.name() == format.name();
+        assert_eq!(CameraFormat::ALL.into_iter().filter(of_name).count(), 1);
     }
 }
 
@@ -115,7 +116,7 @@ fn lens_distortion_is_kept_or_refused() {
         let path = path_of(&folder, format);
         match export_cameras(&path, format, &original) {
             Ok(()) => {
-                let back = import_cameras(&path, format).unwrap();
+                let back = import_cameras(&path, format, None).unwrap();
                 let worst = largest_projection_difference(&original, &back);
                 assert!(worst < SAME_PX, "{format:?}: {worst}");
             }
@@ -241,7 +242,7 @@ fn blender_style_transforms_take_the_size_from_the_image() {
             "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]}]}"#,
     )
     .unwrap();
-    let file = import_cameras(&path, CameraFormat::Transforms).unwrap();
+    let file = import_cameras(&path, CameraFormat::Transforms, None).unwrap();
     let found = file.find("IMG_0000.png").unwrap();
     let k = found.intrinsics;
     assert_eq!((k.width, k.height, k.cx), (WIDTH, HEIGHT, 31.5));
@@ -296,7 +297,7 @@ fn refusals_name_file_and_place() {
     ] {
         let path = folder.path().join(name);
         std::fs::write(&path, text).unwrap();
-        let message = import_cameras(&path, format).unwrap_err().to_string();
+        let message = import_cameras(&path, format, None).unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");
     }
 }
@@ -314,7 +315,7 @@ fn no_part_of_a_file_panics() {
         let whole = std::fs::read(&path).unwrap();
         for end in (0..whole.len()).step_by(11) {
             std::fs::write(&path, &whole[..end]).unwrap();
-            let _ = import_cameras(&path, format);
+            let _ = import_cameras(&path, format, None);
         }
     }
 }
@@ -332,7 +333,7 @@ fn sfm_data_of_all_versions_means_one_camera() {
             ["0", "1", "0", "-1", "0", "0", "0", "0", "1"], "center": ["1", "2", "3"]}}}}}}]}}"#
         );
         std::fs::write(&path, text).unwrap();
-        import_cameras(&path, CameraFormat::SfmData).unwrap()
+        import_cameras(&path, CameraFormat::SfmData, None).unwrap()
     };
     let versions = [
         file(
@@ -406,13 +407,13 @@ fn a_projection_matrix_of_any_sign_and_scale_is_parted() {
     }
     let bytes = turned.finish().unwrap().into_inner();
     std::fs::write(&path, &bytes).unwrap();
-    let back = import_cameras(&path, CameraFormat::Npz).unwrap();
+    let back = import_cameras(&path, CameraFormat::Npz, None).unwrap();
     let worst = largest_projection_difference(&original, &back);
     assert!(worst < SAME_PX, "{worst}");
     for end in (0..bytes.len()).step_by(7) {
         std::fs::write(&path, &bytes[..end]).unwrap();
         assert!(
-            import_cameras(&path, CameraFormat::Npz).is_err(),
+            import_cameras(&path, CameraFormat::Npz, None).is_err(),
             "{end} bytes"
         );
     }
@@ -433,7 +434,7 @@ fn damaged_scenes_never_panic() {
             let mut bytes = whole.clone();
             bytes[at] ^= 0x5A;
             std::fs::write(&path, &bytes).unwrap();
-            drop(import_cameras(&path, format));
+            drop(import_cameras(&path, format, None));
         }
     }
 }
@@ -457,13 +458,13 @@ fn photos_that_tell_sizes_may_be_in_a_folder_of_their_own() {
         let path = path_of(&folder, format);
         let original = cameras(centered());
         export_cameras(&path, format, &original).unwrap();
-        let message = import_cameras(&path, format).unwrap_err().to_string();
+        let message = import_cameras(&path, format, None).unwrap_err().to_string();
         assert!(
             message.contains("is not there; its size in pixels is needed")
                 && message.contains("--photos DIR"),
             "{format:?}: {message}"
         );
-        let back = import_cameras_with_photos(&path, format, Some(photos.path())).unwrap();
+        let back = import_cameras(&path, format, Some(photos.path())).unwrap();
         let worst = largest_projection_difference(&original, &back);
         assert!(worst < SAME_PX, "{format:?}: {worst}");
         for (a, b) in original.cameras.iter().zip(&back.cameras) {
@@ -502,7 +503,7 @@ fn names_come_back_or_are_refused() {
             let path = path_of(&folder, format);
             match export_cameras(&path, format, &original) {
                 Ok(()) => {
-                    let back = import_cameras_with_photos(&path, format, Some(photos.path()));
+                    let back = import_cameras(&path, format, Some(photos.path()));
                     let back = back.unwrap_or_else(|error| panic!("{format:?} {name:?}: {error}"));
                     let known = |entry: &CameraEntry| entry.image.as_deref() == Some(name);
                     assert!(back.cameras.iter().any(known), "{format:?} {name:?}");
