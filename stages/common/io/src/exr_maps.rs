@@ -28,8 +28,8 @@ use std::sync::Arc;
 /// Names of the channels of a normal map.
 const NORMAL_CHANNELS: [&str; 3] = ["N.X", "N.Y", "N.Z"];
 
-/// Pixels of a frame, however little of it is painted, and how many for each painted one beyond that: a
-/// small picture in a frame without measure would take the memory of the frame.
+/// Pixels of a frame, however little of it is painted, and how many for each painted one beyond
+/// that: a small picture in a frame without measure would take the memory of the frame.
 const MAX_FRAME_PX: u64 = 64 << 20;
 const MAX_FRAME_PER_LAYER: u64 = 64;
 
@@ -188,11 +188,11 @@ fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
 enum Storage {
     /// f32, for maps that are mostly empty or smooth.
     Map,
-    /// f32, for photographs: a fifth smaller than as a map and written three times as fast (6 Mpx of a
-    /// JPEG: 29 MB in 1.2 s against 35 MB in 4.2 s), read half as fast.
+    /// f32, for photographs: a fifth smaller than as a map and written three times as fast (6 Mpx
+    /// of a JPEG: 29 MB in 1.2 s against 35 MB in 4.2 s), read half as fast.
     Photo,
-    /// f16, for photographs: as large as f32 compressed, and stages that read every photo, some several
-    /// times, spend nothing on it (finding poses: a quarter of its time).
+    /// f16, for photographs: as large as f32 compressed, and stages that read every photo, some
+    /// several times, spend nothing on it (finding poses: a quarter of its time).
     HalfPhoto,
 }
 

@@ -1,8 +1,9 @@
-//! Lighting for programs of reflectance transformation imaging (`.lp`): one directional light per photo.
+//! Lighting for programs of reflectance transformation imaging (`.lp`): one directional light per
+//! photo.
 //!
-//! `I = l₁n₁ + l₂n₂ + l₃n₃ + …` is, in its first three terms, a distant lamp of direction
-//! `s = (l₁, l₂, l₃)/|·|`; the format has no place for what the other six terms hold (ambient light,
-//! soft lamps), which is left out. The direction is that of the channels' sum.
+//! `I = l₁n₁ + l₂n₂ + l₃n₃ + …` is, in its first three terms, a distant lamp of direction `s = (l₁,
+//! l₂, l₃)/|·|`; the format has no place for what the other six terms hold (ambient light, soft
+//! lamps), which is left out. The direction is that of the channels' sum.
 //!
 //! A file is a count, then lines `image x y z`: the direction towards the lamp, x right, y up, z to
 //! the viewer.
@@ -37,8 +38,8 @@ pub fn light_file(path: &Path, photos: &[(String, Lighting)]) -> Result<OutputFi
     lp_file(path, lamps.into_iter())
 }
 
-/// An `.lp` file of photos and unit directions towards their lamps in camera axes (x right, y down, z
-/// forward), to be written.
+/// An `.lp` file of photos and unit directions towards their lamps in camera axes (x right, y down,
+/// z forward), to be written.
 ///
 /// # Errors
 /// When a photo's name has spaces, which the format takes for the ends of words.

@@ -1,5 +1,5 @@
-//! Writes photos: 8-bit JPEG with the sRGB curve, as a camera would, and linear 16-bit PNG and TIFF, as a
-//! developed RAW file.
+//! Writes photos: 8-bit JPEG with the sRGB curve, as a camera would, and linear 16-bit PNG and
+//! TIFF, as a developed RAW file.
 
 use crate::error::IoError;
 use crate::files::OutputFile;

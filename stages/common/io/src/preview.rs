@@ -1,4 +1,5 @@
-//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG, or as JPEG of few bytes.
+//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG, or as JPEG of
+//! few bytes.
 //!
 //! | map | colours |
 //! |---|---|
@@ -54,7 +55,7 @@ pub fn write_preview_png(
     OutputFile::new(path, encode_preview_png(preview, max_side)).write()
 }
 
-/// The same as bytes of a PNG file; a map without pixels gives one black pixel.
+/// The same as bytes of a PNG file; of a map without pixels one black pixel.
 fn encode_preview_png(preview: Preview<'_>, max_side: usize) -> Vec<u8> {
     let whole = paint(preview);
     let longer = whole.width().max(whole.height());
@@ -70,8 +71,8 @@ const JPEG_QUALITY: u8 = 85;
 /// A picture below this side, in pixels, shows nothing: it is not reduced further.
 const LEAST_SIDE: u32 = 48;
 
-/// A picture as bytes of a JPEG file, to embed elsewhere, at most `max_side` pixels on its longer side,
-/// and reduced until it has at most `max_bytes`; a map without pixels gives one black pixel.
+/// A picture as bytes of a JPEG file, to embed elsewhere, at most `max_side` pixels on its longer
+/// side, and reduced until it has at most `max_bytes`; of a map without pixels one black pixel.
 pub fn encode_preview_jpeg(preview: Preview<'_>, max_side: usize, max_bytes: usize) -> Vec<u8> {
     reduced_jpeg(&paint(preview), max_side, max_bytes)
 }
@@ -261,7 +262,7 @@ mod tests {
         for most in [3_000, 20_000, 80_000] {
             let bytes = encode_preview_jpeg(preview, 600, most);
             assert!(bytes.len() <= most, "{} of {most}", bytes.len());
-            // Noise that is averaged takes fewer bytes than its pixels tell.
+            // Noise that is averaged takes fewer bytes than its pixels suggest.
             assert!(3 * bytes.len() > most, "{} of {most}", bytes.len());
             let picture = image::load_from_memory(&bytes).unwrap();
             let aspect = f64::from(picture.width()) / f64::from(picture.height());

@@ -58,14 +58,14 @@ pub enum CameraFormat {
     Npz,
 }
 
-/// Files by which a folder tells its format; the first that is there counts.
+/// Files by which a folder's format is known; the first that is there counts.
 const FILES_OF_FOLDERS: [(&str, CameraFormat); 3] = [
     ("cameras.bin", CameraFormat::ColmapBinary),
     ("cameras.txt", CameraFormat::Colmap),
     ("transforms.json", CameraFormat::Transforms),
 ];
 
-/// Endings of names by which a file tells its format.
+/// Endings of names by which a file's format is known.
 const ENDINGS: [(&str, CameraFormat); 5] = [
     (".sfm", CameraFormat::SfmData),
     (".mvs", CameraFormat::OpenMvs),
@@ -125,8 +125,8 @@ impl CameraFormat {
     }
 }
 
-/// Reads cameras in a format; a folder that holds the format's usual file stands for it. Photos whose
-/// size the format leaves out are looked for in a folder of their own, then beside the file.
+/// Reads cameras in a format; a folder that holds the format's usual file stands for it. Photos
+/// whose size the format leaves out are looked for in a folder of their own, then beside the file.
 ///
 /// # Errors
 /// When a file cannot be read or refuses to be a camera; names file, place and value.

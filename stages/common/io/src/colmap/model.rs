@@ -1,4 +1,4 @@
-//! A model as its files say it, half pixels and all.
+//! A model with the numbers of its files: pixel centres at halves.
 
 use rilievo_scene::RigidTransform;
 

@@ -131,8 +131,8 @@ pub fn read_asset_mesh(path: &Path, frame: &ViewerFrame) -> Result<AssetMesh, Io
     }
 }
 
-/// What an OBJ's reader finds of the material. The format has no name for normal maps: some readers take `norm`, Blender
-/// `map_Bump`.
+/// What an OBJ's reader finds of the material. The format has no name for normal maps: some readers
+/// take `norm`, Blender `map_Bump`.
 const MATERIAL: &str = "\
 # Normal map: tangent space, OpenGL convention (green up), tangents by MikkTSpace.
 newmtl matte

@@ -2,7 +2,7 @@
 
 use rilievo_scene::Mask;
 
-/// The alpha channel as a mask; an alpha that is opaque everywhere says nothing.
+/// The alpha channel as a mask; an alpha that is opaque everywhere marks nothing.
 pub(super) fn alpha_mask(
     width: usize,
     height: usize,

@@ -1,12 +1,13 @@
-//! What kind of file a photo is: by its name where the first bytes cannot say (camera RAW is TIFF or
-//! worse), else by its first bytes.
+//! What kind of file a photo is: by its name where the first bytes cannot say (camera RAW is TIFF
+//! or worse), else by its first bytes.
 
 use super::names::{FOREIGN_ENDINGS, ending, is_raw_name};
 use crate::error::IoError;
 use image::ImageFormat;
 use std::path::Path;
 
-/// Brands of still pictures in HEIF (ISO/IEC 23008-12, annex B) whose codec is HEVC or is not named.
+/// Brands of still pictures in HEIF (ISO/IEC 23008-12, annex B) whose codec is HEVC or is not
+/// named.
 const HEIF_BRANDS: [&[u8; 4]; 8] = [
     b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1",
 ];

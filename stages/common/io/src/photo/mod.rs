@@ -1,6 +1,7 @@
-//! Photos: JPEG, HEIC, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with their metadata.
+//! Photos: JPEG, HEIC, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with
+//! their metadata.
 //!
-//! Nothing is linearised, rotated or scaled here; what the file says of its encoding is noted
+//! Nothing is linearised, rotated or scaled here; its encoding by its metadata is noted
 //! ([`DecodedPhoto::linear_by_metadata`], [`DecodedPhoto::profile_curve`]), and stage 1 decides.
 //!
 //! # What counts as linear by metadata

@@ -68,7 +68,7 @@ fn open<'a>(
     reader.into_decoder().map_err(|error| refused(path, error))
 }
 
-/// Decodes what was opened, with what its metadata say of the encoding.
+/// Decodes what was opened, with its encoding by its metadata.
 fn decode(
     path: &Path,
     bytes: &[u8],
@@ -115,8 +115,8 @@ fn decode(
     })
 }
 
-/// The colour profile of a TIFF, which the image library looks for without bounds or within those of
-/// the pixels.
+/// The colour profile of a TIFF, which the image library looks for without bounds or within those
+/// of the pixels.
 fn tiff_profile(bytes: &[u8]) -> Result<Option<Vec<u8>>, String> {
     use tiff::decoder::{Decoder, Limits, ifd::Value};
     let Ok(decoder) = Decoder::new(Cursor::new(bytes)) else {
@@ -133,7 +133,7 @@ fn tiff_profile(bytes: &[u8]) -> Result<Option<Vec<u8>>, String> {
     }
 }
 
-/// What the metadata say of the encoding: linear or not, why, and the profile's own curve.
+/// The encoding by the metadata: linear or not, why, and the profile's own curve.
 fn encoding(
     samples: &Samples,
     profile: Option<&[u8]>,
@@ -163,7 +163,7 @@ fn encoding(
     (is_linear, format!("{bits} bit{what}"), curve)
 }
 
-/// The same of a photo whose colour profile tells its curve.
+/// The same of a photo whose colour profile has a curve.
 pub(super) fn by_profile(bits: u32, curve: ToneCurve) -> (bool, String, Option<Vec<f32>>) {
     let (is_linear, what, table) = match curve {
         ToneCurve::Linear => (true, "linear colour profile", None),

@@ -1,7 +1,7 @@
 //! Camera RAW to linear intensities in the camera's own colours.
 //!
-//! A sample `s` behind a filter of colour `c`, with the sensor's black level `b` and white level `w`
-//! there, becomes
+//! A sample `s` behind a filter of colour `c`, with the sensor's black level `b` and white level
+//! `w` there, becomes
 //!
 //! ```text
 //! L_c = (s - b) / (w - b),      1 where the sensor saturates
@@ -188,11 +188,11 @@ impl Levels {
     }
 }
 
-/// Factors of red, green and blue for which grey is about equal in all; 1 where the file tells none.
+/// Factors of red, green and blue for which grey is about equal in all; 1 where the file has none.
 fn balance(raw: &RawImage) -> [f32; 3] {
     let [red, green, blue, _] = raw.wb_coeffs;
     let factors = [red / green, 1.0, blue / green];
-    // Beyond this no light that people photograph under lies: such a file tells nonsense.
+    // Beyond this no light that people photograph under lies: such a file is wrong.
     let plausible = factors.iter().all(|f| (0.05..20.0).contains(f));
     if plausible { factors } else { [1.0; 3] }
 }

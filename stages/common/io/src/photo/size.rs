@@ -11,8 +11,8 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-/// Columns and rows of a photo by its header alone; `None` where it has none that can be read, or that
-/// no photo has. Headers of camera RAW files describe their previews.
+/// Columns and rows of a photo by its header alone; `None` where it has none that can be read, or
+/// that no photo has. Headers of camera RAW files describe their previews.
 pub fn photo_size(path: &Path) -> Option<(usize, usize)> {
     let mut file = open_regular(path).ok()?;
     let mut head = [0; HEAD_LEN];

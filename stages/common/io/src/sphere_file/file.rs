@@ -5,10 +5,11 @@ use rilievo_scene::{LightKind, SphereMark, Unit};
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-/// Most spheres of a file. Each is fitted in every photo, which takes a tenth of a second or more, and
-/// nobody places as many beside an object: a longer list was made by mistake.
+/// Most spheres of a file. Each is fitted in every photo, which takes a tenth of a second or more,
+/// and nobody places as many beside an object: a longer list was made by mistake.
 pub const MAX_NUM_SPHERES: usize = 64;
-/// Radii that can be meant, in whatever unit of length: beyond, sums of squares lose the smaller term.
+/// Radii that can be meant, in whatever unit of length: beyond, sums of squares lose the smaller
+/// term.
 pub const SPHERE_RADII: RangeInclusive<f64> = 1e-6..=1e6;
 /// A photo of a sphere in the object's place, as the file names it.
 #[derive(Clone, Debug, PartialEq)]
@@ -45,7 +46,7 @@ pub struct SphereFile {
     pub path: PathBuf,
     /// Unit of the radii.
     pub unit: Unit,
-    /// What the light is fixed to, where the file says so.
+    /// What the light is fixed to, where the file states it.
     pub light: Option<LightKind>,
     /// The spheres beside the object.
     pub spheres: Vec<SphereFileEntry>,

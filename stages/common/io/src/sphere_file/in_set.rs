@@ -18,7 +18,8 @@ pub struct SpheresInSet {
     pub absent: Vec<String>,
     /// Photos whose marks were drawn over the photo as EXIF turns it, and were turned back.
     pub upright: Vec<String>,
-    /// Whether that cannot be told, since the marks fit the photos either way: they were taken as they are.
+    /// Whether that is undecided, since the marks fit the photos either way: they were taken as
+    /// they are.
     pub may_be_upright: bool,
 }
 
@@ -32,16 +33,17 @@ fn find_photo(photos: &PhotoSet, name: &str) -> Option<PhotoIdx> {
     meant(name).iter().find_map(|name| photos.find(name))
 }
 
-/// Whether a mark's photo, named with or without ending or folder, is the one of a file name and its stem.
+/// Whether a mark's photo, named with or without ending or folder, is the one of a file name and
+/// its stem.
 pub fn is_mark_of(name: &str, file_name: &str, stem: &str) -> bool {
     let mut meant = meant(name).into_iter();
     meant.any(|name| name == file_name || name == stem)
 }
 
 impl SphereFile {
-    /// Whether the marks were drawn over photos as EXIF turns them: some fit their photos only so, and none
-    /// only in the frame of the pixels as stored. What draws marks turns all photos or none. `None` where photos are
-    /// turned and the marks fit either way.
+    /// Whether the marks were drawn over photos as EXIF turns them: some fit their photos only so,
+    /// and none only in the frame of the pixels as stored. What draws marks turns all photos or
+    /// none. `None` where photos are turned and the marks fit either way.
     fn is_upright(&self, photos: &PhotoSet) -> Option<bool> {
         let marks = self.spheres.iter().flat_map(|sphere| &sphere.views);
         let (mut only_stored, mut only_upright, mut either) = (0, 0, 0);
@@ -76,9 +78,9 @@ impl SphereFile {
         }
     }
 
-    /// The request for a set of photos; `calibration_images` are the calibration photos, linear,
-    /// in the file's order. The set may be a part of what the file describes. Marks are in pixels as stored,
-    /// or all of them upright; those of calibration photos are in pixels as stored.
+    /// The request for a set of photos; `calibration_images` are the calibration photos, linear, in
+    /// the file's order. The set may be a part of what the file describes. Marks are in pixels as
+    /// stored, or all of them upright; those of calibration photos are in pixels as stored.
     ///
     /// # Errors
     /// When a calibration photo names a photo that the set lacks, its image is missing, or a mask

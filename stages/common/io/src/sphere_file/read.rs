@@ -156,7 +156,7 @@ impl Reader<'_> {
         Ok(spheres)
     }
 
-    /// The sphere that an object describes; `None` where it says nothing of its place.
+    /// The sphere that an object describes; `None` where it has neither marks nor centre.
     fn entry(&mut self, node: &Node<'_>, name: String) -> Result<Option<SphereFileEntry>, IoError> {
         let mut views = Vec::new();
         let list = node.opt_as("views", Node::members)?.unwrap_or_default();
@@ -224,8 +224,8 @@ impl Reader<'_> {
         })
     }
 
-    /// The mark of a view, where the object has one; two contradict each other. A mask is the last of
-    /// the files then, and may mark nothing.
+    /// The mark of a view, where the object has one; two contradict each other. A mask is the last
+    /// of the files then, and may mark nothing.
     fn mark(&mut self, node: &Node<'_>) -> Result<Option<SphereMark>, IoError> {
         let mask = node.opt_as("mask", |mask| {
             let file = self.folder.join(mask.text()?);

@@ -1,8 +1,8 @@
 //! Whether a JPEG file is whole: a walk over its markers and through its Huffman-coded data.
 //!
-//! Decoders fill the missing part of a cut-off JPEG with grey, go on after damage in the middle with
-//! whatever the bits happen to say, and report success; as a photo that is worse than none. Two
-//! things tell:
+//! Decoders fill the missing part of a cut-off JPEG with grey, go on after damage in the middle
+//! with whatever the bits happen to say, and report success; as a photo that is worse than none.
+//! Two things tell:
 //! 1. the end-of-image marker (ITU-T T.81, section B.1.1.3), always the last thing that a camera
 //!    writes, is absent from a file that was cut off;
 //! 2. each scan must hold exactly the blocks that its frame asks for ([`entropy`]): after damage the
@@ -20,8 +20,8 @@ use huffman::HuffmanTable;
 
 pub(super) use defect::Defect;
 
-/// More scans than any encoder writes: ten are usual. Each can name every block of the photo again in
-/// a few bytes, so that a small file could take hours.
+/// More scans than any encoder writes: ten are usual. Each can name every block of the photo again
+/// in a few bytes, so that a small file could take hours.
 const MAX_NUM_SCANS: usize = 500;
 
 /// Tables and frame as far as the walk has come.
@@ -98,8 +98,8 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
     }
 }
 
-/// A frame whose scans can be followed: Huffman-coded, of a size that a photo can have and `len` bytes can
-/// fill.
+/// A frame whose scans can be followed: Huffman-coded, of a size that a photo can have and `len`
+/// bytes can fill.
 fn frame(marker: u8, segment: &[u8], len: usize) -> Result<Option<Frame>, Defect> {
     let progressive = match marker {
         0xC0 | 0xC1 => false,
