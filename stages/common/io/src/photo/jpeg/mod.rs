@@ -8,7 +8,17 @@
 //! 2. each scan must hold exactly the blocks that its frame asks for ([`entropy`]): after damage the
 //!    codes fall out of step, and their number no longer fits.
 //!
-//! What cannot be told: a changed bit inside a coefficient's value, which leaves the codes in step.
+//! A changed bit inside a coefficient's value leaves the codes in step, and stays unseen.
+//!
+//! The decoder's own strict mode (zune-jpeg 0.5.15) is no substitute. Found damaged, of copies of six
+//! photos of all coding kinds:
+//!
+//! | damage | files | walk | strict mode |
+//! |---|---|---|---|
+//! | cut off | 2762 | 2762 | 2692 |
+//! | 64 bytes lost | 480 | 473 | 136 |
+//! | 100 bytes missing | 120 | 117 | 11 |
+//! | one byte wrong | 3222 | 1235 | 138 |
 
 mod defect;
 mod entropy;
