@@ -6,8 +6,7 @@
 //! upwards; pixels are `f_x / f_y` times as high as wide. Source: Blender manual, "Cameras", and
 //! its Python API, `bpy.types.Camera`.
 
-use super::axes::flip;
-use super::undistorted::refuse_distortion;
+use super::limits::{flip, refuse_distortion};
 use crate::cameras::CameraFile;
 use crate::error::IoError;
 use crate::files::OutputFile;

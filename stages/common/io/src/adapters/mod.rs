@@ -16,8 +16,8 @@
 //! format cannot hold is refused by name, never approximated. Formats that leave out the images'
 //! size take it from the photos beside them, or in a folder that is named.
 
-mod axes;
 mod blender;
+mod limits;
 mod metashape;
 mod middlebury;
 mod npz;
@@ -25,7 +25,6 @@ mod openmvs;
 mod photos;
 mod sfm_data;
 mod transforms;
-mod undistorted;
 
 pub use blender::blender_file;
 

@@ -8,8 +8,8 @@
 //!
 //! Read are arrays of 32 or 64 bits, as `numpy.savez` and `numpy.savez_compressed` write them.
 
+use super::limits::refuse_distortion;
 use super::photos::{Photos, folder_of, listed_names, size_of};
-use super::undistorted::refuse_distortion;
 use crate::bytes::{Bytes, put};
 use crate::cameras::{CameraEntry, CameraFile, intrinsics_of, matrix_of, rigid_from_world_pose};
 use crate::error::IoError;

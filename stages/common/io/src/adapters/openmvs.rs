@@ -8,8 +8,8 @@
 //!
 //! Source: OpenMVS, `libs/MVS/Interface.h`, versions 0 to 7.
 
+use super::limits::refuse_distortion;
 use super::photos::{Photos, folder_of, size_of};
-use super::undistorted::refuse_distortion;
 use crate::bytes::{Bytes, put};
 use crate::cameras::{
     CameraEntry, CameraFile, DistinctCameras, intrinsics_of, last_part, matrix_of,

@@ -5,11 +5,11 @@
 //! EXIF's orientation of other photos is; where the container crops too, its word is followed and
 //! the picture counts as upright.
 
-use super::alpha::alpha_mask;
 use super::exif_facts;
 use super::guard::guarded;
 use super::icc;
 use super::names::file_name;
+use super::parts::alpha_mask;
 use super::raster::by_profile;
 use crate::claims;
 use crate::error::IoError;

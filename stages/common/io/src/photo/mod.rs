@@ -12,16 +12,15 @@
 //! | 8 bit | its colour profile, `gAMA` or `cICP` says so; else not |
 //! | 16 bit | the same; and also when the file says nothing of its colours: programs that encode for a display write the profile or `sRGB`, those that store measurements write none |
 
-mod alpha;
 mod exif_facts;
 mod float_tiff;
-mod floats;
 mod format;
 pub(crate) mod guard;
 mod heic;
 mod icc;
 mod jpeg;
 mod names;
+mod parts;
 mod png_chunks;
 mod raster;
 #[cfg(feature = "raw")]
@@ -32,10 +31,9 @@ mod size;
 use crate::error::IoError;
 use crate::exr_maps;
 use crate::files::read_regular;
-use alpha::alpha_mask;
-use floats::of_floats;
 use format::Format;
 use guard::guarded;
+use parts::{alpha_mask, of_floats};
 use rilievo_scene::DecodedPhoto;
 use std::path::Path;
 

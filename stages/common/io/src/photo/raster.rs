@@ -1,9 +1,8 @@
 //! Photos that the image library decodes: JPEG, PNG, TIFF and Radiance HDR.
 
-use super::alpha::alpha_mask;
-use super::floats::of_floats;
 use super::icc::{self, MAX_PROFILE_BYTES, ToneCurve, profile_too_large};
 use super::names::file_name;
+use super::parts::{alpha_mask, of_floats};
 use super::png_chunks::{self, PngColor};
 use super::{exif_facts, float_tiff, jpeg};
 use crate::claims;
