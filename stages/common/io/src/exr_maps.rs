@@ -237,17 +237,11 @@ fn channels_file(
 }
 
 /// Reads a depth map (channel `Z`).
-///
-/// # Errors
-/// When the file cannot be read or has no such channel.
 pub fn read_depth(path: &Path) -> Result<DepthMap, IoError> {
     read_channel(path, "Z")
 }
 
 /// Writes a depth map (channel `Z`, f32).
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_depth(path: &Path, map: &DepthMap) -> Result<(), IoError> {
     write_channel(path, "Z", map)
 }
@@ -269,9 +263,6 @@ pub fn read_normal(path: &Path) -> Result<NormalMap, IoError> {
 }
 
 /// Writes a normal map (channels `N.X N.Y N.Z`, f32).
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_normal(path: &Path, map: &NormalMap) -> Result<(), IoError> {
     normal_file(path, map)?.write()
 }
@@ -290,9 +281,6 @@ pub fn normal_file(path: &Path, map: &NormalMap) -> Result<OutputFile, IoError> 
 }
 
 /// Reads one named channel (`C` of a confidence map, for instance).
-///
-/// # Errors
-/// When the file cannot be read or has no such channel.
 pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> {
     let mut channels = Channels::read(path)?;
     Ok(Raster {
@@ -303,9 +291,6 @@ pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> 
 }
 
 /// Writes one named channel, f32.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<(), IoError> {
     let channels = vec![(channel, map.data.clone())];
     channels_file(path, (map.width, map.height), channels, Storage::Map)?.write()
@@ -371,9 +356,6 @@ fn linear_as(path: &Path, image: &LinearImage, storage: Storage) -> Result<Outpu
 }
 
 /// Writes a linear image (`R G B` or `Y`), f32.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_linear(path: &Path, image: &LinearImage) -> Result<(), IoError> {
     linear_file(path, image)?.write()
 }
@@ -388,9 +370,6 @@ pub fn linear_file(path: &Path, image: &LinearImage) -> Result<OutputFile, IoErr
 
 /// Writes a linear image with 16-bit floats: a relative step of 0.05 %, finer than the 8-bit sRGB
 /// steps of a JPEG everywhere, at half the size; uncompressed.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_linear_half(path: &Path, image: &LinearImage) -> Result<(), IoError> {
     linear_as(path, image, Storage::HalfPhoto)?.write()
 }

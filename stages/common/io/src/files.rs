@@ -34,9 +34,6 @@ impl OutputFile {
     }
 
     /// Writes it, into a folder that exists.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn write(&self) -> Result<(), IoError> {
         std::fs::write(&self.path, &self.content).map_err(|error| IoError::write(&self.path, error))
     }

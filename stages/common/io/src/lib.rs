@@ -2,7 +2,8 @@
 //!
 //! Every reader returns an [`IoError`] that names the file, the key and the value that it refuses,
 //! and what to try; no content makes one panic. Every writer writes the whole file to the path it
-//! is given and syncs nothing: committing is the caller's.
+//! is given and syncs nothing: committing is the caller's. Its error is the system's, where no
+//! other is documented.
 //!
 //! | content | functions |
 //! |---|---|

@@ -52,9 +52,6 @@ pub enum DeepFormat {
 }
 
 /// Writes a linear image with 16 bits, proportional to light; values outside 0 to 1 are clipped.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_photo_deep(
     path: &Path,
     photo: &LinearImage,

@@ -44,9 +44,6 @@ pub enum Preview<'a> {
 }
 
 /// Writes a picture as PNG, at most `max_side` pixels on its longer side (0: full size).
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_preview_png(
     path: &Path,
     preview: Preview<'_>,

@@ -54,9 +54,6 @@ pub fn decode_photo(path: &Path) -> Result<DecodedPhoto, IoError> {
 }
 
 /// The same for a file that is already in memory; `path` names it.
-///
-/// # Errors
-/// As [`decode_photo`].
 pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
     match Format::of(path, bytes) {
         None => Err(format::unknown(path, bytes)),

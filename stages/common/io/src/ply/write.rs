@@ -56,9 +56,6 @@ pub struct CloudPlyWriter {
 
 impl CloudPlyWriter {
     /// Begins a file, in a folder that exists.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn create(path: &Path, world: impl Into<WorldCoordinates>) -> Result<Self, IoError> {
         let world = world.into();
         let begin = || {
@@ -75,9 +72,6 @@ impl CloudPlyWriter {
     }
 
     /// Writes how many points there are: a file without that is not finished.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub fn finish(mut self) -> Result<(), IoError> {
         let header = cloud_header(self.world, self.num_points);
         let mut end = || {
@@ -114,9 +108,6 @@ impl CloudSink for CloudPlyWriter {
 }
 
 /// Writes a cloud that is in memory, as [`CloudPlyWriter`] does.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_cloud_ply(
     path: &Path,
     cloud: &PointCloud,
