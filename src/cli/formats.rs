@@ -1,6 +1,6 @@
 //! What `rilievo import` reads and `rilievo export` writes.
 
-use rilievo_io::{CameraFormat, LightFormat};
+use rilievo_io::CameraFormat;
 
 /// What `rilievo import` reads.
 #[derive(Clone, Copy, Debug)]
@@ -16,8 +16,8 @@ pub enum ImportFormat {
 pub enum ExportFormat {
     /// Cameras.
     Cameras(CameraFormat),
-    /// Lighting.
-    Lights(LightFormat),
+    /// A run's lighting, for programs of reflectance transformation imaging.
+    Lp,
     /// A script that makes the cameras in Blender.
     Blender,
 }

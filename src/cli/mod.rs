@@ -229,8 +229,8 @@ pub struct ImportArgs {
     /// The file to write (cameras.json by default), for diligent the folder (diligent by default)
     #[arg(short, long, value_name = "PATH")]
     pub output: Option<PathBuf>,
-    /// Folder of the photos. bundler, mvsnet, middlebury, tum, npz and others leave out the photos' size,
-    /// which is read from the photos then: those in this folder, else those beside the source
+    /// Folder of the photos. middlebury, npz and others leave out the photos' size, which is read from the
+    /// photos then: those in this folder, else those beside the source
     #[arg(long, value_name = "DIR")]
     pub photos: Option<PathBuf>,
     /// Replaces files that are there already
@@ -246,9 +246,9 @@ pub struct ImportArgs {
 pub struct ExportArgs {
     /// A run directory, or a camera file
     pub source: PathBuf,
-    /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras. npz
-    /// is that of IDR and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of AliceVision;
-    /// blender is a script that makes the cameras there
+    /// The format to write; lp writes a run's lighting, the others cameras. npz is that of IDR
+    /// and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of AliceVision; blender is a
+    /// script that makes the cameras there
     #[arg(long, value_name = "FORMAT", value_parser = export_formats())]
     pub format: ExportFormat,
     /// The file or folder to write

@@ -2,7 +2,7 @@
 
 use super::formats::{ExportFormat, ImportFormat};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use rilievo_io::{CameraFormat, LightFormat};
+use rilievo_io::CameraFormat;
 use rilievo_poses::KnownDistance;
 use rilievo_scene::StageId;
 
@@ -27,12 +27,14 @@ pub(super) fn import_formats() -> impl TypedValueParser<Value = ImportFormat> {
     one_of(cameras.into_iter().chain([diligent]).collect())
 }
 
-/// A camera format, or one of lights.
+/// A camera format, the lamps' or Blender's.
 pub(super) fn export_formats() -> impl TypedValueParser<Value = ExportFormat> {
     let cameras = CameraFormat::ALL.map(|f| (f.name().into(), ExportFormat::Cameras(f)));
-    let lights = LightFormat::ALL.map(|f| (f.name().into(), ExportFormat::Lights(f)));
-    let blender = [("blender".into(), ExportFormat::Blender)];
-    one_of(cameras.into_iter().chain(lights).chain(blender).collect())
+    let others = [
+        ("lp".into(), ExportFormat::Lp),
+        ("blender".into(), ExportFormat::Blender),
+    ];
+    one_of(cameras.into_iter().chain(others).collect())
 }
 
 /// Values by their names, which the help lists.

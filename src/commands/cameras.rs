@@ -7,8 +7,8 @@ use crate::pipeline::load_poses;
 use crate::store::RunDir;
 use rilievo_io::colmap::{ColmapModel, binary_files, text_files};
 use rilievo_io::{
-    CameraFile, CameraFormat, LightFormat, blender_file, camera_files, cameras_file,
-    import_cameras_with_photos, is_diligent, light_file, read_lighting,
+    CameraFile, CameraFormat, blender_file, camera_files, cameras_file, import_cameras,
+    is_diligent, light_file, read_lighting,
 };
 use rilievo_photos::PhotosReport;
 use rilievo_scene::{Orientation, StageId, first_and_more};
@@ -71,7 +71,7 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         .transpose()?;
     let format = match args.format {
         ExportFormat::Cameras(format) => format,
-        ExportFormat::Lights(format) => return export_lights(args, format, run.as_ref()),
+        ExportFormat::Lp => return export_lights(args, run.as_ref()),
         ExportFormat::Blender => {
             export_blender(args, run.as_ref())?;
             return tell_of_turned_photos(run.as_ref());
@@ -152,11 +152,7 @@ fn export_blender(args: &ExportArgs, run: Option<&RunDir>) -> anyhow::Result<()>
 }
 
 /// The lamps of a run's posed photos, in the cameras' order, so that views keep their numbers.
-fn export_lights(
-    args: &ExportArgs,
-    format: LightFormat,
-    run: Option<&RunDir>,
-) -> anyhow::Result<()> {
+fn export_lights(args: &ExportArgs, run: Option<&RunDir>) -> anyhow::Result<()> {
     let run = run.ok_or_else(|| Failure::input(&args.source, "is no run directory"))?;
     let file = run.stage_dir(StageId::Lighting).join("lighting.json");
     let lighting = read_lighting(&file, None).map_err(Failure::from)?;
@@ -168,13 +164,12 @@ fn export_lights(
             Some((view.file_name.clone(), light.clone()))
         })
         .collect();
-    let file = light_file(&args.output, format, &lights).map_err(Failure::from)?;
+    let file = light_file(&args.output, &lights).map_err(Failure::from)?;
     output_files::write(&[file], args.overwrite)?;
     say!(
-        "{} lights are in {} ({})",
+        "{} lights are in {} (lp)",
         lights.len(),
-        args.output.display(),
-        format.name()
+        args.output.display()
     )?;
     Ok(())
 }
@@ -199,5 +194,5 @@ fn read(
             ));
         }
     };
-    Ok((import_cameras_with_photos(source, format, photos)?, format))
+    Ok((import_cameras(source, format, photos)?, format))
 }

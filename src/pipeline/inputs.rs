@@ -197,7 +197,7 @@ fn without_camera(
 /// Cameras of any format that can be told by its name and first words.
 fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
     match CameraFormat::detect(path) {
-        Some(format) => import_cameras(path, format),
+        Some(format) => import_cameras(path, format, None),
         None => read_cameras(path),
     }
 }

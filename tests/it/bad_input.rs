@@ -449,7 +449,7 @@ fn cameras_are_exported_into_folders_that_are_made() {
         done(&["export", arg(&cameras), "--format", format, "-o", arg(&to)]);
         assert!(to.exists());
     }
-    for (command, format) in [("import", "diligent"), ("export", "alicevision-lights")] {
+    for (command, format) in [("import", "diligent"), ("export", "lp")] {
         let (code, stdout, _) = run(&["help", command]);
         assert_eq!(code, 0);
         for name in ["npz", "transforms", format] {

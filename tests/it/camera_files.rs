@@ -53,11 +53,8 @@ fn what_is_there_is_replaced_only_when_asked_and_whole() {
     write_plain_cameras(&source, &["p0.jpg", "p1.jpg"]);
     let out = dir.path().join("out");
     for (format, name, beside) in [
-        ("bundler", "bundle.out", "list.txt"),
         ("npz", "cameras.npz", "cameras.names.txt"),
-        ("tum", "pose.txt", "intrinsics.txt"),
         ("colmap", "sparse", "sparse/points3D.txt"),
-        ("mvsnet", "mvs", "mvs/cams/00000001_cam.txt"),
     ] {
         std::fs::create_dir_all(&out).unwrap();
         let output = out.join(name);
@@ -98,13 +95,7 @@ fn sizes_come_from_photos_in_a_folder_of_their_own() {
     let photos = noise_photos(dir.path(), 2);
     let source = dir.path().join("cameras.json");
     write_plain_cameras(&source, &["p0.jpg", "p1.jpg"]);
-    for (format, name) in [
-        ("bundler", "bundle.out"),
-        ("mvsnet", "mvs"),
-        ("middlebury", "x_par.txt"),
-        ("tum", "pose.txt"),
-        ("npz", "cameras.npz"),
-    ] {
+    for (format, name) in [("middlebury", "x_par.txt"), ("npz", "cameras.npz")] {
         let out = dir.path().join(format);
         let output = out.join(name);
         let (code, _, stderr) = export(&source, format, &output, &[]);
@@ -135,7 +126,7 @@ fn names_that_a_format_cannot_hold_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let source = dir.path().join("cameras.json");
     write_plain_cameras(&source, &["p0.jpg", "line\nbreak.jpg"]);
-    for format in ["colmap", "bundler", "tum", "middlebury", "mvsnet", "npz"] {
+    for format in ["colmap", "middlebury", "npz"] {
         let output = dir.path().join("out").join(format);
         let (code, _, stderr) = export(&source, format, &output, &[]);
         assert_eq!(code, 3, "{format}: {stderr}");

@@ -298,7 +298,7 @@ fn read_cameras_of(
     };
     let format = CameraFormat::detect(&path)
         .ok_or_else(|| Failure::input(&path, "is no camera file of a known format (--cameras)"))?;
-    import_cameras(&path, format).map_err(Failure::from)
+    import_cameras(&path, format, None).map_err(Failure::from)
 }
 
 /// Views of all cameras that have a pose and maps.

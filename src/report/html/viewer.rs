@@ -1,4 +1,4 @@
-//! Data of the interactive view: the asset or a coarse mesh, and the cameras, packed for the page's script.
+//! Data of the interactive view: the asset or the mesh, simplified, and the cameras, packed for the page's script.
 //!
 //! A vertex is 18 bytes, little endian: position as 3 × u16 over the bounding box, place on the texture as 2 × u16 over
 //! it, normal as 3 × i8 over ±127, tangent and sign of the bitangent as 4 × i8, one to spare. Of a mesh without textures
@@ -8,16 +8,12 @@
 use super::picture::base64;
 use crate::store::RunDir;
 use maud::{Markup, PreEscaped, html};
-use rilievo_io::{
-    AssetMesh, CoarseMesh, ViewerFrame, picture_as_jpeg, read_asset_mesh, read_coarse_mesh_ply,
-};
+use rilievo_io::{AssetMesh, ViewerFrame, picture_as_jpeg, read_asset_mesh, read_mesh_ply};
 use rilievo_scene::cloud::renumber;
 use rilievo_scene::{PosedViews, StageId, Unit};
 use std::path::Path;
 
-/// Vertices of the view without textures: 1.1 MB in the page, fluent on a phone, and 16 bits tell them apart.
-const MAX_NUM_VERTICES: usize = 30_000;
-/// Triangles of the asset in the view, half as many vertices and those on the seams: 1 MB in the page.
+/// Triangles of the view, half as many vertices and those on the seams: 1 MB in the page.
 const MAX_NUM_FACES: usize = 40_000;
 /// Side of its textures, pixels, and bytes of each of the two.
 const TEXTURE_SIDE: usize = 1024;
@@ -27,7 +23,7 @@ const TEXTURE_BYTES: usize = 450_000;
 struct Shown {
     surface: AssetMesh,
     bounds: [[f32; 3]; 2],
-    /// Colours and normals as JPEG; none of a coarse mesh.
+    /// Colours and normals as JPEG; none of a mesh without textures.
     textures: Option<[Vec<u8>; 2]>,
     /// The file that it stands for, and its triangles.
     of: (&'static str, usize),
@@ -127,7 +123,7 @@ fn escape_script(json: &str) -> String {
     json.replace('<', "\\u003c")
 }
 
-/// The asset where there is one, else a coarse mesh; `None` where there is no surface.
+/// The asset where there is one, else the mesh without textures; `None` where there is no surface.
 fn shown(folder: &Path, posed: &PosedViews) -> anyhow::Result<Option<Shown>> {
     let asset = folder.join("asset.glb");
     if asset.exists() {
@@ -154,23 +150,26 @@ fn shown(folder: &Path, posed: &PosedViews) -> anyhow::Result<Option<Shown>> {
     if !path.exists() {
         return Ok(None);
     }
-    let CoarseMesh {
-        mesh,
-        num_triangles,
-        bounds,
-    } = read_coarse_mesh_ply(&path, MAX_NUM_VERTICES)?;
-    Ok((!mesh.triangles.is_empty()).then(|| Shown {
-        surface: AssetMesh {
-            mesh,
-            ..AssetMesh::default()
-        },
-        bounds,
-        textures: None,
-        of: ("mesh.ply", num_triangles),
-    }))
+    let mut surface = AssetMesh {
+        mesh: read_mesh_ply(&path)?,
+        ..AssetMesh::default()
+    };
+    let bounds = surface.mesh.bounds().unwrap_or_default();
+    let num_triangles = surface.mesh.triangles.len();
+    lighten(&mut surface);
+    let num_vertices = surface.mesh.vertices.len();
+    Ok((1..=usize::from(u16::MAX))
+        .contains(&num_vertices)
+        .then_some(Shown {
+            surface,
+            bounds,
+            textures: None,
+            of: ("mesh.ply", num_triangles),
+        }))
 }
 
-/// Leaves about [`MAX_NUM_FACES`]; seams of the texture stay closed.
+/// Leaves at most about [`MAX_NUM_FACES`]. Seams of a texture stay closed; without one, vertices are
+/// gathered on a grid, which takes little memory however large the mesh is.
 fn lighten(surface: &mut AssetMesh) {
     let AssetMesh {
         mesh,
@@ -178,21 +177,28 @@ fn lighten(surface: &mut AssetMesh) {
         tangents,
     } = surface;
     if mesh.triangles.len() > MAX_NUM_FACES {
-        let corners = meshopt::simplify_decoder(
-            mesh.triangles.as_flattened(),
-            &mesh.vertices,
-            3 * MAX_NUM_FACES,
-            f32::MAX,
-            meshopt::SimplifyOptions::None,
-            None,
-        );
+        let (corners, vertices) = (mesh.triangles.as_flattened(), &mesh.vertices);
+        let num = 3 * MAX_NUM_FACES;
+        let corners = if texture_coords.is_empty() {
+            meshopt::simplify_sloppy_decoder(corners, vertices, num, f32::MAX, None)
+        } else {
+            let options = meshopt::SimplifyOptions::None;
+            meshopt::simplify_decoder(corners, vertices, num, f32::MAX, options, None)
+        };
         mesh.triangles = corners.as_chunks::<3>().0.to_vec();
     }
+    fn pick<T: Copy>(values: &mut Vec<T>, kept: &[usize]) {
+        *values = kept
+            .iter()
+            .filter_map(|&v| values.get(v).copied())
+            .collect();
+    }
     let kept = renumber(&mut mesh.triangles, mesh.vertices.len());
-    mesh.vertices = kept.iter().map(|&v| mesh.vertices[v]).collect();
-    mesh.normals = kept.iter().map(|&v| mesh.normals[v]).collect();
-    *texture_coords = kept.iter().map(|&v| texture_coords[v]).collect();
-    *tangents = kept.iter().map(|&v| tangents[v]).collect();
+    pick(&mut mesh.vertices, &kept);
+    pick(&mut mesh.normals, &kept);
+    pick(&mut mesh.colors, &kept);
+    pick(texture_coords, &kept);
+    pick(tangents, &kept);
 }
 
 fn pack(shown: &Shown) -> Vec<u8> {
@@ -259,6 +265,54 @@ mod tests {
         for (v, coords) in mesh.vertices.iter().zip(&surface.texture_coords) {
             assert_eq!(v[..2], coords[..]);
         }
+    }
+
+    #[test]
+    fn a_mesh_without_textures_keeps_its_surface_in_fewer_triangles() {
+        // A plane of 400 x 400 squares, one unit each.
+        let side = 401_u32;
+        let corner = |k: u32| [[k, k + 1, k + side + 1], [k, k + side + 1, k + side]];
+        let squares = (0..side * (side - 1)).filter(|k| k % side + 1 < side);
+        let num = (side * side) as usize;
+        let at = |k: u32| [(k % side) as f32, (k / side) as f32, 2.0];
+        let mut surface = AssetMesh {
+            mesh: Mesh {
+                vertices: (0..side * side).map(at).collect(),
+                normals: vec![[0.0, 0.0, -1.0]; num],
+                colors: vec![[10, 20, 30]; num],
+                triangles: squares.flat_map(corner).collect(),
+            },
+            ..AssetMesh::default()
+        };
+        lighten(&mut surface);
+        let Mesh {
+            vertices,
+            normals,
+            colors,
+            triangles,
+        } = &surface.mesh;
+        assert!(
+            (1000..=MAX_NUM_FACES).contains(&triangles.len()),
+            "{}",
+            triangles.len()
+        );
+        assert!(
+            vertices.len() <= usize::from(u16::MAX),
+            "{}",
+            vertices.len()
+        );
+        assert!(vertices.iter().all(|v| v[2] == 2.0));
+        assert_eq!(normals, &vec![[0.0, 0.0, -1.0]; vertices.len()]);
+        assert_eq!(colors, &vec![[10, 20, 30]; vertices.len()]);
+        // They still turn the same way, and cover most of the plane once.
+        let areas = triangles.iter().map(|t| {
+            let [a, b, c] = t.map(|k| vertices[k as usize].map(f64::from));
+            0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+        });
+        let areas: Vec<f64> = areas.collect();
+        assert!(areas.iter().all(|area| *area > -1e-6), "{areas:?}");
+        let area: f64 = areas.iter().sum();
+        assert!((0.75..=1.0).contains(&(area / 160_000.0)), "{area}");
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! Binary files with little-endian numbers: every read is checked against the end, and every refusal
-//! names the file and the place.
+//! Binary files with little-endian numbers: every read is checked against the end, and every
+//! refusal names the file and the place.
 
 use crate::error::IoError;
 use std::path::Path;
@@ -84,7 +84,7 @@ impl<'a> Bytes<'a> {
         Ok(u16::from_le_bytes(self.take()?))
     }
 
-    /// Goes on at a place, which may be past the end: the next read tells.
+    /// Goes on at a place, which may be past the end: the next read is refused then.
     pub(crate) fn go_to(&mut self, at: usize) {
         self.at = at;
     }

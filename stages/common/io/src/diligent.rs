@@ -1,4 +1,5 @@
-//! The photometric stereo data sets DiLiGenT and DiLiGenT-MV: folders as their authors publish them.
+//! The photometric stereo data sets DiLiGenT and DiLiGenT-MV: folders as their authors publish
+//! them.
 //!
 //! ```text
 //! OBJECT/                            DiLiGenT: one view; DiLiGenT-MV: view_01, view_02, … inside
@@ -11,14 +12,15 @@
 //! ```
 //!
 //! # Conventions
-//! Directions and normals there are in camera axes x right, y up, z to the viewer; ours are x right, y
-//! down, z forward, so that y and z change sign. The calibration is the one of Bouguet's toolbox,
-//! `x_camera = R x_world + t` with our axes, first pixel's centre at 0. Its lens distortion is not
-//! applied: the published photos fit the pinhole camera `KK`. Lengths become metres.
+//! Directions and normals there are in camera axes x right, y up, z to the viewer; ours are x
+//! right, y down, z forward, so that y and z change sign. The calibration is the one of Bouguet's
+//! toolbox, `x_camera = R x_world + t` with our axes, first pixel's centre at 0. Its lens
+//! distortion is not applied: the published photos fit the pinhole camera `KK`. Lengths become
+//! metres.
 //!
-//! Source: Shi et al., A Benchmark Dataset and Evaluation for Non-Lambertian and Uncalibrated Photometric
-//! Stereo, PAMI 41(2), 2019; Li et al., Multi-view Photometric Stereo: A Robust Solution and Benchmark
-//! Dataset for Spatially Varying Isotropic Materials, TIP 29, 2020.
+//! Source: Shi et al., A Benchmark Dataset and Evaluation for Non-Lambertian and Uncalibrated
+//! Photometric Stereo, PAMI 41(2), 2019; Li et al., Multi-view Photometric Stereo: A Robust
+//! Solution and Benchmark Dataset for Spatially Varying Isotropic Materials, TIP 29, 2020.
 
 use crate::cameras::{CameraEntry, intrinsics_of, rigid_from_camera_pose};
 use crate::error::IoError;
@@ -57,13 +59,13 @@ pub struct DiligentPhoto {
 pub struct DiligentView {
     /// The folder's name.
     pub name: String,
-    /// Camera, where the set tells one (DiLiGenT-MV).
+    /// Camera, where the set has one (DiLiGenT-MV).
     pub camera: Option<CameraEntry>,
     /// One photo a lamp.
     pub photos: Vec<DiligentPhoto>,
     /// The object.
     pub mask: Mask,
-    /// True normals in our camera frame, 0 outside the mask; where the set tells them.
+    /// True normals in our camera frame, 0 outside the mask; where the set has them.
     pub normal: Option<NormalMap>,
 }
 
@@ -238,8 +240,8 @@ fn normals(path: &Path, mask: &Mask) -> Result<NormalMap, IoError> {
     }))
 }
 
-/// Linear intensities of a photo for a lamp of unit strength; 1 is the photo's white under a lamp of
-/// strength 1.
+/// Linear intensities of a photo for a lamp of unit strength; 1 is the photo's white under a lamp
+/// of strength 1.
 ///
 /// # Errors
 /// When the photo cannot be read or is not in colour.

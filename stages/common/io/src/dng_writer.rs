@@ -1,8 +1,10 @@
-//! Writes a linear image as a camera RAW file: an uncompressed mosaic in the Digital Negative format.
+//! Writes a linear image as a camera RAW file: an uncompressed mosaic in the Digital Negative
+//! format.
 //!
-//! Each pixel keeps the one colour of its filter, red and green in even rows, green and blue in odd ones,
-//! as `s = b + (w - b) L` between the black level `b` and the white level `w` of a camera of 14 bits, and
-//! saturates at `w`. So made, a rendered photo goes the whole way of one from a camera.
+//! Each pixel keeps the one colour of its filter, red and green in even rows, green and blue in odd
+//! ones, as `s = b + (w - b) L` between the black level `b` and the white level `w` of a camera of
+//! 14 bits, and saturates at `w`. So made, a rendered photo goes the whole way of one from a
+//! camera.
 //!
 //! Source: Adobe, Digital Negative Specification 1.4, chapter 4.
 
@@ -30,7 +32,7 @@ const FRACTION: u32 = 1_000_000_000;
 /// Denominator of fractions that the finer one cannot hold.
 const COARSE_FRACTION: u32 = 10_000;
 
-/// Writes a photo of three channels as DNG, with what `exif` tells of camera and exposure; the camera's
+/// Writes a photo of three channels as DNG, with camera and exposure by `exif`; the camera's
 /// balance makes `neutral` grey (its response to something white, relative to green).
 ///
 /// # Errors

@@ -28,8 +28,8 @@ use std::sync::Arc;
 /// Names of the channels of a normal map.
 const NORMAL_CHANNELS: [&str; 3] = ["N.X", "N.Y", "N.Z"];
 
-/// Pixels of a frame, however little of it is painted, and how many for each painted one beyond that: a
-/// small picture in a frame without measure would take the memory of the frame.
+/// Pixels of a frame, however little of it is painted, and how many for each painted one beyond
+/// that: a small picture in a frame without measure would take the memory of the frame.
 const MAX_FRAME_PX: u64 = 64 << 20;
 const MAX_FRAME_PER_LAYER: u64 = 64;
 
@@ -188,11 +188,11 @@ fn check_size(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
 enum Storage {
     /// f32, for maps that are mostly empty or smooth.
     Map,
-    /// f32, for photographs: a fifth smaller than as a map and written three times as fast (6 Mpx of a
-    /// JPEG: 29 MB in 1.2 s against 35 MB in 4.2 s), read half as fast.
+    /// f32, for photographs: a fifth smaller than as a map and written three times as fast (6 Mpx
+    /// of a JPEG: 29 MB in 1.2 s against 35 MB in 4.2 s), read half as fast.
     Photo,
-    /// f16, for photographs: as large as f32 compressed, and stages that read every photo, some several
-    /// times, spend nothing on it (finding poses: a quarter of its time).
+    /// f16, for photographs: as large as f32 compressed, and stages that read every photo, some
+    /// several times, spend nothing on it (finding poses: a quarter of its time).
     HalfPhoto,
 }
 
@@ -237,17 +237,11 @@ fn channels_file(
 }
 
 /// Reads a depth map (channel `Z`).
-///
-/// # Errors
-/// When the file cannot be read or has no such channel.
 pub fn read_depth(path: &Path) -> Result<DepthMap, IoError> {
     read_channel(path, "Z")
 }
 
 /// Writes a depth map (channel `Z`, f32).
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_depth(path: &Path, map: &DepthMap) -> Result<(), IoError> {
     write_channel(path, "Z", map)
 }
@@ -269,9 +263,6 @@ pub fn read_normal(path: &Path) -> Result<NormalMap, IoError> {
 }
 
 /// Writes a normal map (channels `N.X N.Y N.Z`, f32).
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_normal(path: &Path, map: &NormalMap) -> Result<(), IoError> {
     normal_file(path, map)?.write()
 }
@@ -290,9 +281,6 @@ pub fn normal_file(path: &Path, map: &NormalMap) -> Result<OutputFile, IoError> 
 }
 
 /// Reads one named channel (`C` of a confidence map, for instance).
-///
-/// # Errors
-/// When the file cannot be read or has no such channel.
 pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> {
     let mut channels = Channels::read(path)?;
     Ok(Raster {
@@ -303,9 +291,6 @@ pub fn read_channel(path: &Path, channel: &str) -> Result<Raster<f32>, IoError> 
 }
 
 /// Writes one named channel, f32.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_channel(path: &Path, channel: &str, map: &Raster<f32>) -> Result<(), IoError> {
     let channels = vec![(channel, map.data.clone())];
     channels_file(path, (map.width, map.height), channels, Storage::Map)?.write()
@@ -371,9 +356,6 @@ fn linear_as(path: &Path, image: &LinearImage, storage: Storage) -> Result<Outpu
 }
 
 /// Writes a linear image (`R G B` or `Y`), f32.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_linear(path: &Path, image: &LinearImage) -> Result<(), IoError> {
     linear_file(path, image)?.write()
 }
@@ -388,9 +370,6 @@ pub fn linear_file(path: &Path, image: &LinearImage) -> Result<OutputFile, IoErr
 
 /// Writes a linear image with 16-bit floats: a relative step of 0.05 %, finer than the 8-bit sRGB
 /// steps of a JPEG everywhere, at half the size; uncompressed.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_linear_half(path: &Path, image: &LinearImage) -> Result<(), IoError> {
     linear_as(path, image, Storage::HalfPhoto)?.write()
 }

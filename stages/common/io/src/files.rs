@@ -1,19 +1,19 @@
 //! Opening files that others name: regular files alone.
 //!
 //! A named pipe among photos blocks whoever opens it until somebody writes, a device may give bytes
-//! without end; neither ends by a signal that only asks to stop. So nothing but a regular file, or a link
-//! to one, is opened here, and every reader of this crate opens its files here.
+//! without end; neither ends by a signal that only asks to stop. So nothing but a regular file, or
+//! a link to one, is opened here, and every reader of this crate opens its files here.
 //!
-//! What is to be written can be had as [`OutputFile`]s first: a program looks at all of them before it
-//! touches the disk, and decides what may be replaced.
+//! What is to be written can be had as [`OutputFile`]s first: a program looks at all of them before
+//! it touches the disk, and decides what may be replaced.
 
 use crate::error::IoError;
 use std::fs::{File, FileType, Metadata, OpenOptions};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
-/// More bytes than any file has that is read as a whole: a hundred megapixels of three 32-bit floats
-/// take 1.2 GB.
+/// More bytes than any file has that is read as a whole: a hundred megapixels of three 32-bit
+/// floats take 1.2 GB.
 const MAX_BYTES: u64 = 16 << 30;
 
 /// A file that is not written yet.
@@ -34,9 +34,6 @@ impl OutputFile {
     }
 
     /// Writes it, into a folder that exists.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn write(&self) -> Result<(), IoError> {
         std::fs::write(&self.path, &self.content).map_err(|error| IoError::write(&self.path, error))
     }
@@ -69,8 +66,8 @@ pub(crate) fn write_all(files: &[OutputFile]) -> Result<(), IoError> {
 /// Opens a regular file, or what a link to one leads to.
 ///
 /// # Errors
-/// When it is no regular file (a folder, a named pipe, a socket, a device), does not exist or may not
-/// be read; names what it is.
+/// When it is no regular file (a folder, a named pipe, a socket, a device), does not exist or may
+/// not be read; names what it is.
 pub fn open_regular(path: &Path) -> Result<File, IoError> {
     let failed = |error: std::io::Error| IoError::read(path, &error);
     // Looked at first, since opening a device can already do something to it.

@@ -2,7 +2,8 @@
 //!
 //! Every reader returns an [`IoError`] that names the file, the key and the value that it refuses,
 //! and what to try; no content makes one panic. Every writer writes the whole file to the path it
-//! is given and syncs nothing: committing is the caller's.
+//! is given and syncs nothing: committing is the caller's. Its error is the system's, where no
+//! other is documented.
 //!
 //! | content | functions |
 //! |---|---|
@@ -14,7 +15,7 @@
 //! | the data sets DiLiGenT and DiLiGenT-MV, MATLAB's arrays | [`read_diligent`], [`read_mat`] |
 //! | the reference spheres | [`read_sphere_file`] |
 //! | lighting | [`read_lighting`], [`write_lighting`] |
-//! | lighting for other programs | [`light_file`] |
+//! | lighting as `.lp` | [`light_file`] |
 //! | scenes for shading alone | [`read_scene`], [`read_matches_csv`] |
 //! | point clouds and meshes as PLY | [`ply`] |
 //! | meshes as OBJ and GLB | [`mesh`] |
@@ -55,10 +56,7 @@ pub mod sphere_file;
 mod words;
 mod xml;
 
-pub use adapters::{
-    CameraFormat, blender_file, camera_files, export_cameras, import_cameras,
-    import_cameras_with_photos,
-};
+pub use adapters::{CameraFormat, blender_file, camera_files, export_cameras, import_cameras};
 pub use cameras::{
     CameraEntry, CameraFile, CameraIndex, cameras_file, read_cameras, write_cameras,
 };
@@ -74,7 +72,7 @@ pub use exr_maps::{
     write_channel, write_depth, write_linear, write_linear_half, write_normal,
 };
 pub use files::{OutputFile, open_regular, read_regular, read_regular_text};
-pub use light_export::{LightFormat, light_file, lp_file};
+pub use light_export::{light_file, lp_file};
 pub use lighting_file::{LightingFile, read_lighting, split_lighting_spec, write_lighting};
 pub use mask::{mask_file, read_mask, write_mask};
 pub use mask_names::{MaskNames, masks_among};
@@ -89,8 +87,7 @@ pub use photo::{
 };
 pub use photo_writer::{DeepFormat, encode_photo_jpeg, write_photo_deep, write_photo_jpeg};
 pub use ply::{
-    CloudPlyWriter, CoarseMesh, mesh_ply_file, read_cloud_ply, read_coarse_mesh_ply, read_mesh_ply,
-    write_cloud_ply, write_mesh_ply,
+    CloudPlyWriter, mesh_ply_file, read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply,
 };
 pub use preview::{Preview, encode_preview_jpeg, picture_as_jpeg, write_preview_png};
 pub use scene_file::{

@@ -137,9 +137,6 @@ fn rows(node: &Node<'_>) -> Result<Lighting, IoError> {
 }
 
 /// Writes `lighting.json` of stage 4, with what is known of its origin beside the coefficients.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_lighting(
     path: &Path,
     calibration: &LightingCalibration,

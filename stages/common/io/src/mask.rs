@@ -55,9 +55,6 @@ fn levels<T: Copy + Into<f64>>(samples: &[T], channels: usize, white: f64) -> Ve
 }
 
 /// Writes a mask as an 8-bit grey PNG, 255 inside.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), IoError> {
     mask_file(path, mask)?.write()
 }

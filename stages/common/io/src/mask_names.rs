@@ -33,8 +33,8 @@ fn last_part(path: &str) -> &str {
     path.rsplit('/').next().unwrap_or(path)
 }
 
-/// What a photo would have to be called for a mask's file name to be its mask's: its whole name, or its
-/// name without ending, with the place in the list of the module's documentation.
+/// What a photo would have to be called for a mask's file name to be its mask's: its whole name, or
+/// its name without ending, with the place in the list of the module's documentation.
 fn photos_of(mask_file_name: &str) -> impl Iterator<Item = (usize, &str)> {
     let (mask_name, ending) = split(mask_file_name);
     let is_image = MASK_ENDINGS
@@ -50,7 +50,8 @@ fn photos_of(mask_file_name: &str) -> impl Iterator<Item = (usize, &str)> {
         .filter(move |_| is_image)
 }
 
-/// Mask files by the names of the photos that they fit: looking one up costs the same among any number.
+/// Mask files by the names of the photos that they fit: looking one up costs the same among any
+/// number.
 #[derive(Debug)]
 pub struct MaskNames {
     /// By place in the list and photo's name, in alphabetical order.
@@ -73,8 +74,8 @@ impl MaskNames {
 
     /// The mask of a photo.
     ///
-    /// Names may carry folders before them (`a/x.jpg`, `masks/a/x.png`). Among equally good names one
-    /// whose last folder is the photo's wins, then the first in alphabetical order.
+    /// Names may carry folders before them (`a/x.jpg`, `masks/a/x.png`). Among equally good names
+    /// one whose last folder is the photo's wins, then the first in alphabetical order.
     pub fn find(&self, photo: &str) -> Option<&str> {
         let whole = last_part(photo);
         let (name, _) = split(whole);

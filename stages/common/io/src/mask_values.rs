@@ -1,10 +1,10 @@
-//! Whether a picture is a mask by its values: two of them, whatever they are, and a thin band of greys
-//! where they meet.
+//! Whether a picture is a mask by its values: two of them, whatever they are, and a thin band of
+//! greys where they meet.
 //!
-//! The two values are the most frequent dark and the most frequent bright one; a pixel is grey when it
-//! is near neither. Smoothed edges, soft brushes and JPEG give greys along the border alone, so greys
-//! are counted over the whole frame and, more strictly, over the tiles away from any border. A photo
-//! has them everywhere.
+//! The two values are the most frequent dark and the most frequent bright one; a pixel is grey when
+//! it is near neither. Smoothed edges, soft brushes and JPEG give greys along the border alone, so
+//! greys are counted over the whole frame and, more strictly, over the tiles away from any border.
+//! A photo has them everywhere.
 
 use crate::error::IoError;
 use std::path::Path;
@@ -19,8 +19,8 @@ const NEAR: u8 = 16;
 /// below a fifth, photos begin at a third.
 const MAX_GREY_SHARE: f64 = 0.25;
 
-/// Greys away from borders that may be, over themselves and the pixels of the rarer value: an object
-/// photographed before black or white is grey for the most part of what is not backdrop.
+/// Greys away from borders that may be, over themselves and the pixels of the rarer value: an
+/// object photographed before black or white is grey for the most part of what is not backdrop.
 const MAX_AWAY_SHARE: f64 = 0.25;
 
 /// Share of the frame below which greys away from borders are specks and labels.
@@ -30,7 +30,7 @@ const MIN_AWAY_OF_FRAME: f64 = 0.01;
 pub(crate) const BRIGHT: u8 = 128;
 
 /// Refuses a picture of levels 0 to 255 that has more than two values. One without any dark or any
-/// bright pixel passes: what it marks, nothing or everything, is told elsewhere.
+/// bright pixel passes: whoever uses it refuses a mask of nothing or everything.
 ///
 /// # Shapes
 /// `levels`: `height * width`.
@@ -82,8 +82,8 @@ pub(crate) fn check(path: &Path, levels: &[u8], width: usize) -> Result<(), IoEr
     .with_hint("give a picture that is white on the object and black elsewhere, from a folder of masks alone"))
 }
 
-/// Pixels of each level. Four tables take turns: where one level follows itself, as in masks, adding to
-/// a single one waits for the sum before.
+/// Pixels of each level. Four tables take turns: where one level follows itself, as in masks,
+/// adding to a single one waits for the sum before.
 fn histogram(levels: &[u8]) -> [usize; 256] {
     let mut tables = [[0usize; 256]; 4];
     for part in levels.chunks(4) {

@@ -1,9 +1,9 @@
 //! MATLAB's MAT files of version 5 (`save -v7` and before): numeric arrays by name.
 //!
-//! After a header of 128 bytes come elements of a tag (kind, number of bytes) and data, filled up to
-//! eight bytes; up to four bytes of data may stand in the tag itself. An array is an element of elements:
-//! flags, dimensions, name, values by columns. Elements may be compressed (zlib). Arrays of other classes
-//! (text, structures, sparse) are passed over.
+//! After a header of 128 bytes come elements of a tag (kind, number of bytes) and data, filled up
+//! to eight bytes; up to four bytes of data may stand in the tag itself. An array is an element of
+//! elements: flags, dimensions, name, values by columns. Elements may be compressed (zlib). Arrays
+//! of other classes (text, structures, sparse) are passed over.
 //!
 //! Source: MathWorks, MAT-File Format, chapter 1.
 
@@ -28,8 +28,8 @@ const COMPRESSED: u32 = 15;
 /// Classes of arrays that hold numbers: double to unsigned integers of 64 bits.
 const NUMERIC: std::ops::RangeInclusive<u32> = 6..=15;
 
-/// No file of a photo's normals needs more, compressed or not; a damaged one may claim it, in one array or
-/// in many.
+/// No file of a photo's normals needs more, compressed or not; a damaged one may claim it, in one
+/// array or in many.
 const MAX_BYTES: u64 = 1 << 28;
 
 /// Values that all of it can be.
@@ -45,7 +45,8 @@ pub struct MatArray {
 }
 
 impl MatArray {
-    /// The `R x C` matrix that it is, by rows; `None` where it has another size or no finite values.
+    /// The `R x C` matrix that it is, by rows; `None` where it has another size or no finite
+    /// values.
     pub fn matrix<const R: usize, const C: usize>(&self) -> Option<[[f64; C]; R]> {
         let fits = self.dims == [R, C] && self.values.iter().all(|v| v.is_finite());
         let at = |row: usize, column: usize| self.values[column * R + row];

@@ -7,8 +7,8 @@ use std::path::Path;
 /// How a format keeps names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Names {
-    /// As a path in a text with quotes, or after its length; readers take what stands behind its last
-    /// slash or backslash.
+    /// As a path in a text with quotes, or after its length; readers take what stands behind its
+    /// last slash or backslash.
     Path,
     /// Up to a zero byte.
     Terminated,

@@ -1,5 +1,5 @@
-//! Writes photos: 8-bit JPEG with the sRGB curve, as a camera would, and linear 16-bit PNG and TIFF, as a
-//! developed RAW file.
+//! Writes photos: 8-bit JPEG with the sRGB curve, as a camera would, and linear 16-bit PNG and
+//! TIFF, as a developed RAW file.
 
 use crate::error::IoError;
 use crate::files::OutputFile;
@@ -52,9 +52,6 @@ pub enum DeepFormat {
 }
 
 /// Writes a linear image with 16 bits, proportional to light; values outside 0 to 1 are clipped.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_photo_deep(
     path: &Path,
     photo: &LinearImage,

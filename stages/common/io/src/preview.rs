@@ -1,4 +1,5 @@
-//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG, or as JPEG of few bytes.
+//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG, or as JPEG of
+//! few bytes.
 //!
 //! | map | colours |
 //! |---|---|
@@ -43,9 +44,6 @@ pub enum Preview<'a> {
 }
 
 /// Writes a picture as PNG, at most `max_side` pixels on its longer side (0: full size).
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_preview_png(
     path: &Path,
     preview: Preview<'_>,
@@ -54,28 +52,26 @@ pub fn write_preview_png(
     OutputFile::new(path, encode_preview_png(preview, max_side)).write()
 }
 
-/// The same as bytes of a PNG file; a map without pixels gives one black pixel.
+/// The same as bytes of a PNG file; of a map without pixels one black pixel.
 fn encode_preview_png(preview: Preview<'_>, max_side: usize) -> Vec<u8> {
-    let picture = shrink(paint(preview), max_side);
-    let samples: Vec<u8> = picture.data.iter().flatten().copied().collect();
-    let encode =
-        |samples: &[u8], width, height| encode_png(samples, width, height, ExtendedColorType::Rgb8);
-    encode(&samples, picture.width, picture.height)
-        .or_else(|_| encode(&[0, 0, 0], 1, 1))
-        .unwrap_or_default()
+    let whole = paint(preview);
+    let longer = whole.width().max(whole.height());
+    let picture = match max_side {
+        0 => reduced(&whole, longer),
+        most => reduced(&whole, longer.min(most as u32)),
+    };
+    let (width, height) = (picture.width() as usize, picture.height() as usize);
+    encode_png(picture.as_raw(), width, height, ExtendedColorType::Rgb8).unwrap_or_default()
 }
 
 const JPEG_QUALITY: u8 = 85;
 /// A picture below this side, in pixels, shows nothing: it is not reduced further.
 const LEAST_SIDE: u32 = 48;
 
-/// A picture as bytes of a JPEG file, to embed elsewhere, at most `max_side` pixels on its longer side, and reduced
-/// until it has at most `max_bytes`; a map without pixels gives one black pixel.
+/// A picture as bytes of a JPEG file, to embed elsewhere, at most `max_side` pixels on its longer
+/// side, and reduced until it has at most `max_bytes`; of a map without pixels one black pixel.
 pub fn encode_preview_jpeg(preview: Preview<'_>, max_side: usize, max_bytes: usize) -> Vec<u8> {
-    let picture = paint(preview);
-    let (width, height) = (picture.width as u32, picture.height as u32);
-    let whole = RgbImage::from_raw(width, height, picture.data.into_flattened());
-    reduced_jpeg(&whole.unwrap_or_default(), max_side, max_bytes)
+    reduced_jpeg(&paint(preview), max_side, max_bytes)
 }
 
 /// The same of a picture file's bytes; `None` where they are no picture.
@@ -84,23 +80,30 @@ pub fn picture_as_jpeg(bytes: &[u8], max_side: usize, max_bytes: usize) -> Optio
     Some(reduced_jpeg(&whole, max_side, max_bytes))
 }
 
+/// A picture of so many pixels on its longer side; one black pixel in the place of none.
+fn reduced(whole: &RgbImage, side: u32) -> RgbImage {
+    let (width, height) = whole.dimensions();
+    let longer = width.max(height);
+    if width == 0 || height == 0 {
+        return RgbImage::new(1, 1);
+    }
+    if side == longer {
+        return whole.clone();
+    }
+    let scale = f64::from(side) / f64::from(longer);
+    let scaled = |length: u32| ((f64::from(length) * scale).round() as u32).max(1);
+    imageops::resize(whole, scaled(width), scaled(height), FilterType::Triangle)
+}
+
 fn reduced_jpeg(whole: &RgbImage, max_side: usize, max_bytes: usize) -> Vec<u8> {
     let longer = whole.width().max(whole.height());
     let mut side = longer.min(max_side as u32).max(1);
     loop {
-        let scale = f64::from(side) / f64::from(longer.max(1));
-        let reduced = |length: u32| ((f64::from(length) * scale).round() as u32).max(1);
-        let (width, height) = (reduced(whole.width()), reduced(whole.height()));
-        let small = if longer > 0 {
-            imageops::resize(whole, width, height, FilterType::Triangle)
-        } else {
-            RgbImage::new(1, 1)
-        };
         let mut bytes = Vec::new();
         let encoder = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY);
         // What is too large for JPEG is reduced until it is not.
-        let fits = small.write_with_encoder(encoder).is_ok() && bytes.len() <= max_bytes;
-        if fits || side <= LEAST_SIDE {
+        let written = reduced(whole, side).write_with_encoder(encoder);
+        if written.is_ok() && bytes.len() <= max_bytes || side <= LEAST_SIDE {
             return bytes;
         }
         // Bytes grow a little more slowly than pixels.
@@ -114,7 +117,7 @@ fn map_color(gradient: Gradient, share: f32) -> Rgb {
     gradient.eval_continuous(share).into_array()
 }
 
-fn paint(preview: Preview<'_>) -> Raster<Rgb> {
+fn paint(preview: Preview<'_>) -> RgbImage {
     match preview {
         Preview::Depth(map) => {
             let (near, far) = depth_range(map);
@@ -140,29 +143,29 @@ fn paint(preview: Preview<'_>) -> Raster<Rgb> {
                 NO_ERROR_VALUE
             }
         }),
-        Preview::Linear(image) => Raster {
-            width: image.width,
-            height: image.height,
-            data: image
-                .data
-                .chunks_exact(image.channels.max(1))
-                .map(|pixel| {
+        Preview::Linear(image) => {
+            let pixels = image.data.chunks_exact(image.channels.max(1));
+            picture(
+                image.width,
+                image.height,
+                pixels.map(|pixel| {
                     std::array::from_fn(|c| {
                         let value = pixel.get(c).or(pixel.first()).copied().unwrap_or(0.0);
                         srgb::encode_byte(value)
                     })
-                })
-                .collect(),
-        },
+                }),
+            )
+        }
     }
 }
 
-fn painted<T>(map: &Raster<T>, color: impl Fn(&T) -> Rgb) -> Raster<Rgb> {
-    Raster {
-        width: map.width,
-        height: map.height,
-        data: map.data.iter().map(color).collect(),
-    }
+fn painted<T>(map: &Raster<T>, color: impl Fn(&T) -> Rgb) -> RgbImage {
+    picture(map.width, map.height, map.data.iter().map(color))
+}
+
+fn picture(width: usize, height: usize, colors: impl Iterator<Item = Rgb>) -> RgbImage {
+    let samples = colors.flatten().collect();
+    RgbImage::from_raw(width as u32, height as u32, samples).unwrap_or_default()
 }
 
 /// The 1st and 99th percentile of the depths that are there.
@@ -182,31 +185,6 @@ fn depth_range(map: &DepthMap) -> (f32, f32) {
         .select_nth_unstable_by(last - last / 100, f32::total_cmp)
         .1;
     (near, far)
-}
-
-/// Means over square blocks, the smallest that make it fit.
-fn shrink(picture: Raster<Rgb>, max_side: usize) -> Raster<Rgb> {
-    let side = picture.width.max(picture.height);
-    if max_side == 0 || side <= max_side {
-        return picture;
-    }
-    let block = side.div_ceil(max_side);
-    let (width, height) = (
-        picture.width.div_ceil(block),
-        picture.height.div_ceil(block),
-    );
-    Raster::from_fn(width, height, |x, y| {
-        let mut sums = [0u32; 3];
-        let mut count = 0;
-        for v in y * block..((y + 1) * block).min(picture.height) {
-            for u in x * block..((x + 1) * block).min(picture.width) {
-                let pixel = picture.at(u, v);
-                (0..3).for_each(|c| sums[c] += u32::from(pixel[c]));
-                count += 1;
-            }
-        }
-        sums.map(|sum| (sum / count.max(1)) as u8)
-    })
 }
 
 #[cfg(test)]
@@ -281,7 +259,7 @@ mod tests {
         for most in [3_000, 20_000, 80_000] {
             let bytes = encode_preview_jpeg(preview, 600, most);
             assert!(bytes.len() <= most, "{} of {most}", bytes.len());
-            // Noise that is averaged takes fewer bytes than its pixels tell.
+            // Noise that is averaged takes fewer bytes than its pixels suggest.
             assert!(3 * bytes.len() > most, "{} of {most}", bytes.len());
             let picture = image::load_from_memory(&bytes).unwrap();
             let aspect = f64::from(picture.width()) / f64::from(picture.height());
@@ -296,7 +274,7 @@ mod tests {
     fn pictures_fit_and_grey_images_have_three_channels() {
         let image = LinearImage::filled(100, 37, 1, 0.214_041_14);
         let (width, height, pixels) = decoded(Preview::Linear(&image), 40);
-        assert_eq!((width, height), (34, 13));
+        assert_eq!((width, height), (40, 15));
         assert!(
             pixels.iter().all(|&v| (127..=128).contains(&v)),
             "{pixels:?}"

@@ -160,9 +160,6 @@ pub fn read_matches_csv(path: &Path) -> Result<Vec<[f64; 4]>, IoError> {
 }
 
 /// Writes matches `[x1, y1, x2, y2]` as [`read_matches_csv`] reads them.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_matches_csv(path: &Path, matches: &[[f64; 4]]) -> Result<(), IoError> {
     let rows = matches
         .iter()

@@ -72,7 +72,7 @@ pub(crate) fn next_line<'a>(
     line.ok_or_else(|| IoError::input(file, "the file ends too early"))
 }
 
-/// Lines that carry data; empty ones stay where `keep_empty` says that they mean something.
+/// Lines that carry data; empty ones stay with `keep_empty`, where they mean something.
 pub(crate) fn lines<'a>(
     file: &'a Path,
     text: &'a str,

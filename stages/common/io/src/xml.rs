@@ -1,7 +1,7 @@
 //! What an XML text must not claim before it is parsed.
 //!
-//! The parser's time grows with the square of a tag's attributes and with the depth of namespaces, and it
-//! reserves memory by the number of tags: all are bounded here first, in one pass.
+//! The parser's time grows with the square of a tag's attributes and with the depth of namespaces,
+//! and it reserves memory by the number of tags: all are bounded here first, in one pass.
 
 /// Bytes of a file; ten thousand cameras take about ten million.
 const MAX_BYTES: usize = 64 << 20;

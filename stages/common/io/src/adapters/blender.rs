@@ -1,12 +1,12 @@
 //! A Python script that makes the cameras in Blender, each with its photo behind it.
 //!
-//! Blender's camera axes are x right, y up, z backward. With the sensor fitted to the image's width, of 36 mm here, a
-//! focal length of `f_x` pixels is a lens of `36 f_x / w` mm; the shifts are the image centre's distance from the
-//! principal point, in image widths, to the right and upwards; pixels are `f_x / f_y` times as high as wide. Source:
-//! Blender manual, "Cameras", and its Python API, `bpy.types.Camera`.
+//! Blender's camera axes are x right, y up, z backward. With the sensor fitted to the image's
+//! width, of 36 mm here, a focal length of `f_x` pixels is a lens of `36 f_x / w` mm; the shifts
+//! are the image centre's distance from the principal point, in image widths, to the right and
+//! upwards; pixels are `f_x / f_y` times as high as wide. Source: Blender manual, "Cameras", and
+//! its Python API, `bpy.types.Camera`.
 
-use super::axes::flip;
-use super::undistorted::refuse_distortion;
+use super::limits::{flip, refuse_distortion};
 use crate::cameras::CameraFile;
 use crate::error::IoError;
 use crate::files::OutputFile;
@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 use serde_json::json;
 use std::path::Path;
 
-/// Width of the sensor that lenses are told for, millimetres.
+/// Width of the sensor to which focal lengths refer, millimetres.
 const SENSOR_MM: f64 = 36.0;
 
 const SCRIPT: &str = r#"

@@ -166,8 +166,8 @@ fn intrinsics(sensor: Node<'_, '_>) -> Result<Intrinsics, String> {
     })
 }
 
-/// Text that may stand in an attribute. White space but the plain one is written as its number, since
-/// readers make a space of it otherwise.
+/// Text that may stand in an attribute. White space but the plain one is written as its number,
+/// since readers make a space of it otherwise.
 fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {

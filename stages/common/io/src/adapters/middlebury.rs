@@ -3,8 +3,8 @@
 //! A count, then one line per image: `name k11 k12 k13 k21 … k33 r11 … r33 t1 t2 t3`, with
 //! `pixel ~ K (R X + t)`, the first pixel's centre at 0. Source: vision.middlebury.edu/mview/data.
 
+use super::limits::refuse_distortion;
 use super::photos::{Photos, folder_of, size_of};
-use super::undistorted::refuse_distortion;
 use crate::cameras::{CameraEntry, CameraFile, intrinsics_of, matrix_of, rigid_from_camera_pose};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};

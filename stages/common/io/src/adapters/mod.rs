@@ -5,33 +5,26 @@
 //! | `cameras.json` | file | x right, y down, z forward | 0 | rotation and centre in the world |
 //! | COLMAP | folder | the same | 0.5 | camera from world |
 //! | nerfstudio, instant-ngp | `transforms.json` | x right, y up, z backward | 0.5 | world from camera |
-//! | Bundler | `bundle.out` with `list.txt` | x right, y up, z backward | origin in the middle of the image, y up | camera from world |
-//! | MVSNet | folder `cams/NNNNNNNN_cam.txt` | x right, y down, z forward | 0 | camera from world |
-//! | Middlebury | `*_par.txt` | the same | 0 | camera from world |
+//! | Middlebury | `*_par.txt` | x right, y down, z forward | 0 | camera from world |
 //! | Metashape | `cameras.xml` | x right, y down, z forward | 0.5 | world from camera |
 //! | AliceVision | `cameras.sfm` (JSON) | the same | 0 | camera from world, and centre |
 //! | OpenMVS | `scene.mvs` (interface archive) | the same | 0 | camera from world, and centre |
 //! | IDR, NeuS | `cameras.npz` with `image/` | the same | 0 | projection matrix `K [R t]` |
-//! | TUM | `pose.txt` with `intrinsics.txt` | the same | 0 | world from camera |
 //! | Blender | a script, written only | x right, y up, z backward | shifts from the image's middle | world from camera |
 //!
 //! All become a [`CameraFile`] with our conventions, converted in both directions; a camera that a
 //! format cannot hold is refused by name, never approximated. Formats that leave out the images'
 //! size take it from the photos beside them, or in a folder that is named.
 
-mod axes;
 mod blender;
-mod bundler;
+mod limits;
 mod metashape;
 mod middlebury;
-mod mvsnet;
 mod npz;
 mod openmvs;
 mod photos;
 mod sfm_data;
 mod transforms;
-mod tum;
-mod undistorted;
 
 pub use blender::blender_file;
 
@@ -52,16 +45,10 @@ pub enum CameraFormat {
     ColmapBinary,
     /// `transforms.json` of nerfstudio and instant-ngp.
     Transforms,
-    /// Bundler's `bundle.out`.
-    Bundler,
-    /// MVSNet's folder of camera files.
-    Mvsnet,
     /// Middlebury's parameter file.
     Middlebury,
     /// Metashape's `cameras.xml`.
     Metashape,
-    /// TUM's trajectory.
-    Tum,
     /// AliceVision's `sfmData`.
     SfmData,
     /// OpenMVS's scene.
@@ -70,36 +57,31 @@ pub enum CameraFormat {
     Npz,
 }
 
-/// Files by which a folder tells its format; the first that is there counts.
-const FILES_OF_FOLDERS: [(&str, CameraFormat); 4] = [
+/// Files by which a folder's format is known; the first that is there counts.
+const FILES_OF_FOLDERS: [(&str, CameraFormat); 3] = [
     ("cameras.bin", CameraFormat::ColmapBinary),
     ("cameras.txt", CameraFormat::Colmap),
     ("transforms.json", CameraFormat::Transforms),
-    ("bundle.out", CameraFormat::Bundler),
 ];
 
-/// Endings of names by which a file tells its format.
-const ENDINGS: [(&str, CameraFormat); 6] = [
+/// Endings of names by which a file's format is known.
+const ENDINGS: [(&str, CameraFormat); 5] = [
     (".sfm", CameraFormat::SfmData),
     (".mvs", CameraFormat::OpenMvs),
     (".npz", CameraFormat::Npz),
     (".xml", CameraFormat::Metashape),
     ("_par.txt", CameraFormat::Middlebury),
-    (".out", CameraFormat::Bundler),
 ];
 
 impl CameraFormat {
     /// All formats.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 9] = [
         Self::CamerasJson,
         Self::Colmap,
         Self::ColmapBinary,
         Self::Transforms,
-        Self::Bundler,
-        Self::Mvsnet,
         Self::Middlebury,
         Self::Metashape,
-        Self::Tum,
         Self::SfmData,
         Self::OpenMvs,
         Self::Npz,
@@ -112,20 +94,12 @@ impl CameraFormat {
             Self::Colmap => "colmap",
             Self::ColmapBinary => "colmap-binary",
             Self::Transforms => "transforms",
-            Self::Bundler => "bundler",
-            Self::Mvsnet => "mvsnet",
             Self::Middlebury => "middlebury",
             Self::Metashape => "metashape",
-            Self::Tum => "tum",
             Self::SfmData => "sfmdata",
             Self::OpenMvs => "openmvs",
             Self::Npz => "npz",
         }
-    }
-
-    /// The format of a name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|format| format.name() == name)
     }
 
     /// The format of a file or folder, by its name and its first words.
@@ -133,10 +107,7 @@ impl CameraFormat {
         if path.is_dir() {
             let mut files = FILES_OF_FOLDERS.iter();
             let found = files.find(|(name, _)| path.join(name).is_file());
-            return found.map(|(_, format)| *format).or_else(|| {
-                let files = mvsnet::camera_files(path).ok()?;
-                (!files.is_empty()).then_some(Self::Mvsnet)
-            });
+            return found.map(|(_, format)| *format);
         }
         let name = path.file_name()?.to_string_lossy().to_lowercase();
         if name.ends_with(".json") {
@@ -148,29 +119,17 @@ impl CameraFormat {
             });
         }
         let mut known = ENDINGS.iter();
-        if let Some((_, format)) = known.find(|(ending, _)| name.ends_with(ending)) {
-            return Some(*format);
-        }
-        let trajectory = ["pose", "traj", "groundtruth"];
-        let is_one = trajectory.iter().any(|word| name.contains(word));
-        is_one.then_some(Self::Tum)
+        let found = known.find(|(ending, _)| name.ends_with(ending));
+        found.map(|(_, format)| *format)
     }
 }
 
-/// Reads cameras in a format; a folder that holds the format's usual file stands for it. Photos whose
-/// size the format leaves out are looked for beside the file.
+/// Reads cameras in a format; a folder that holds the format's usual file stands for it. Photos
+/// whose size the format leaves out are looked for in a folder of their own, then beside the file.
 ///
 /// # Errors
 /// When a file cannot be read or refuses to be a camera; names file, place and value.
-pub fn import_cameras(path: &Path, format: CameraFormat) -> Result<CameraFile, IoError> {
-    import_cameras_with_photos(path, format, None)
-}
-
-/// The same, where the photos may be in a folder of their own.
-///
-/// # Errors
-/// As [`import_cameras`].
-pub fn import_cameras_with_photos(
+pub fn import_cameras(
     path: &Path,
     format: CameraFormat,
     photos: Option<&Path>,
@@ -180,11 +139,8 @@ pub fn import_cameras_with_photos(
             read_cameras(path)
         }
         CameraFormat::Transforms => transforms::read(&inside(path, "transforms.json"), photos),
-        CameraFormat::Bundler => bundler::read(&inside(path, "bundle.out"), photos),
-        CameraFormat::Mvsnet => mvsnet::read(path, photos),
         CameraFormat::Middlebury => middlebury::read(path, photos),
         CameraFormat::Metashape => metashape::read(path),
-        CameraFormat::Tum => tum::read(&inside(path, "pose.txt"), photos),
         CameraFormat::SfmData => sfm_data::read(&inside(path, "cameras.sfm")),
         CameraFormat::OpenMvs => openmvs::read(&inside(path, "scene.mvs"), photos),
         CameraFormat::Npz => npz::read(&inside(path, "cameras_sphere.npz"), photos),
@@ -224,9 +180,6 @@ pub fn camera_files(
         CameraFormat::OpenMvs => openmvs::file(path, cameras),
         CameraFormat::Colmap => return colmap::text_files(path, &model()),
         CameraFormat::ColmapBinary => return colmap::binary_files(path, &model()),
-        CameraFormat::Bundler => return bundler::files(path, cameras),
-        CameraFormat::Mvsnet => return mvsnet::files(path, cameras),
-        CameraFormat::Tum => return tum::files(path, cameras),
         CameraFormat::Npz => return npz::files(path, cameras),
     };
     Ok(vec![file?])

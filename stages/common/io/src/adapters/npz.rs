@@ -1,15 +1,15 @@
 //! IDR's and NeuS's `cameras.npz` (`cameras_sphere.npz`): NumPy arrays in a ZIP file.
 //!
-//! For the i-th image in the order of names in `image/`: `world_mat_i` (4 x 4), whose first three rows
-//! are `P = K [R | t]`, and `scale_mat_i`, which takes the unit sphere of training to the world and is
-//! not needed here (written as identity). Pixel centres lie at integers, axes are x right, y down, z
-//! forward. `P` is parted by the RQ decomposition of its first three columns (Hartley and Zisserman,
-//! Multiple View Geometry, A4.1).
+//! For the i-th image in the order of names in `image/`: `world_mat_i` (4 x 4), whose first three
+//! rows are `P = K [R | t]`, and `scale_mat_i`, which takes the unit sphere of training to the
+//! world and is not needed here (written as identity). Pixel centres lie at integers, axes are x
+//! right, y down, z forward. `P` is parted by the RQ decomposition of its first three columns
+//! (Hartley and Zisserman, Multiple View Geometry, A4.1).
 //!
 //! Read are arrays of 32 or 64 bits, as `numpy.savez` and `numpy.savez_compressed` write them.
 
+use super::limits::refuse_distortion;
 use super::photos::{Photos, folder_of, listed_names, size_of};
-use super::undistorted::refuse_distortion;
 use crate::bytes::{Bytes, put};
 use crate::cameras::{CameraEntry, CameraFile, intrinsics_of, matrix_of, rigid_from_world_pose};
 use crate::error::IoError;
@@ -28,8 +28,8 @@ const ROUNDED_SKEW: f64 = 1e-4;
 /// Two arrays a camera, and as many arrays as a ZIP file of the plain kind counts.
 const MAX_CAMERAS: usize = u16::MAX as usize / 2;
 
-/// Bytes that are read of an array: sixteen numbers and a header of the longest kind in use. A compressed
-/// one may claim gigabytes.
+/// Bytes that are read of an array: sixteen numbers and a header of the longest kind in use. A
+/// compressed one may claim gigabytes.
 const MAX_ARRAY_BYTES: u64 = 1 << 16;
 
 pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
@@ -64,13 +64,13 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
     Ok(file)
 }
 
-/// The file that tells which camera is which photo's; the format knows its images by their order alone.
+/// The file that names each camera's photo; the format knows its images by their order alone.
 fn names_of(path: &Path) -> PathBuf {
     path.with_extension("names.txt")
 }
 
-/// The photos in the cameras' order: those that are listed, where all of them are there; else all of the
-/// first folder that is there, by name.
+/// The photos in the cameras' order: those that are listed, where all of them are there; else all
+/// of the first folder that is there, by name.
 fn images(path: &Path, photos: &Photos, num: usize) -> Result<Vec<PathBuf>, IoError> {
     let missing = || photos.missing(path, "a folder image of the photos, in the cameras' order,");
     let names = listed_names(&names_of(path))?;

@@ -1,16 +1,15 @@
 //! OpenMVS's scene `.mvs`, as its interface archive: the cameras alone.
 //!
-//! Little endian: `"MVSI"`, version and a reserved number (32 bits); then lists with their length (64
-//! bits). Platforms hold cameras `K, R, C` relative to the platform and poses `R, C` of the platform;
-//! an image names a platform, a camera and a pose:
-//! `R = R_camera R_pose`, `C = R_poseᵀ C_camera + C_pose`, `pixel ~ K R (X − C)`. Pixel centres lie at
-//! integers; a camera without a size has `K` over the longer side of its images. There is no lens
-//! distortion.
+//! Little endian: `"MVSI"`, version and a reserved number (32 bits); then lists with their length
+//! (64 bits). Platforms hold cameras `K, R, C` relative to the platform and poses `R, C` of the
+//! platform; an image names a platform, a camera and a pose: `R = R_camera R_pose`, `C = R_poseᵀ
+//! C_camera + C_pose`, `pixel ~ K R (X − C)`. Pixel centres lie at integers; a camera without a
+//! size has `K` over the longer side of its images. There is no lens distortion.
 //!
 //! Source: OpenMVS, `libs/MVS/Interface.h`, versions 0 to 7.
 
+use super::limits::refuse_distortion;
 use super::photos::{Photos, folder_of, size_of};
-use super::undistorted::refuse_distortion;
 use crate::bytes::{Bytes, put};
 use crate::cameras::{
     CameraEntry, CameraFile, DistinctCameras, intrinsics_of, last_part, matrix_of,

@@ -19,7 +19,8 @@ pub(super) struct Photos {
 }
 
 impl Photos {
-    /// The folder that the user names, then some beside a file or in a folder, then those themselves.
+    /// The folder that the user names, then some beside a file or in a folder, then those
+    /// themselves.
     pub(super) fn new(given: Option<&Path>, beside: &Path, inside: &[&str]) -> Self {
         let given = given.map(Path::to_path_buf);
         let inside = inside.iter().map(|name| beside.join(name));
@@ -59,14 +60,15 @@ impl Photos {
         IoError::input(file, reason).with_hint(HINT)
     }
 
-    /// The photo of the first of its names that is there, or the refusal of the camera file that names it.
+    /// The photo of the first of its names that is there, or the refusal of the camera file that
+    /// names it.
     pub(super) fn named(&self, file: &Path, names: &[&str]) -> Result<PathBuf, IoError> {
         let found = names.iter().find_map(|name| self.find(name));
         found.ok_or_else(|| self.missing(file, &format!("the photo {}", names[0])))
     }
 }
 
-/// Number and name of each photo, as a list beside the cameras tells, where this program wrote one: for
+/// Number and name of each photo, by the list that this program writes beside the cameras: for
 /// formats that know their photos by numbers alone.
 pub(super) fn listed_names(list: &Path) -> Result<Vec<(String, String)>, IoError> {
     if !list.is_file() {
@@ -80,7 +82,7 @@ pub(super) fn listed_names(list: &Path) -> Result<Vec<(String, String)>, IoError
         .collect())
 }
 
-/// Columns and rows of a photo: by its header, or, where that tells of a preview, of its pixels.
+/// Columns and rows of a photo: by its header, or, where that describes a preview, by its pixels.
 pub(super) fn size_of(path: &Path) -> Result<(usize, usize), IoError> {
     if let Some(size) = photo_size(path) {
         return Ok(size);

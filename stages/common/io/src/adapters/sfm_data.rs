@@ -1,11 +1,11 @@
 //! AliceVision's `sfmData` (Meshroom's `cameras.sfm`), as JSON.
 //!
-//! Numbers are written as texts. A pose is `transform.rotation`, camera from world column by column,
-//! and `transform.center`. Pixel centres lie at integers, the principal point is an offset from half
-//! the image's size. Focal lengths changed with the version: pixels before 1.2.2, then millimetres
-//! with the sensor's width, `fx = f w / sensorWidth`; `pixelRatio` is `fx / fy` before 1.2.5 and
-//! `fy / fx` since. Lens models: `radial1` and `radial3` are k1 and k1 k2 k3, `brown` is k1 k2 k3 p1 p2;
-//! others are refused.
+//! Numbers are written as texts. A pose is `transform.rotation`, camera from world column by
+//! column, and `transform.center`. Pixel centres lie at integers, the principal point is an offset
+//! from half the image's size. Focal lengths changed with the version: pixels before 1.2.2, then
+//! millimetres with the sensor's width, `fx = f w / sensorWidth`; `pixelRatio` is `fx / fy` before
+//! 1.2.5 and `fy / fx` since. Lens models: `radial1` and `radial3` are k1 and k1 k2 k3, `brown` is
+//! k1 k2 k3 p1 p2; others are refused.
 //!
 //! Source: AliceVision, `src/aliceVision/sfmDataIO/jsonIO.cpp`.
 

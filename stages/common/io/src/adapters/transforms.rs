@@ -8,7 +8,7 @@
 //! may stand at the top or in a frame, `camera_angle_x` instead of a focal length. Source:
 //! nerfstudio documentation, "Data conventions".
 
-use super::axes::flip;
+use super::limits::flip;
 use super::photos::{Photos, folder_of, size_of};
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose, unit};
 use crate::error::IoError;

@@ -60,11 +60,11 @@ impl CameraFile {
         }
     }
 
-    /// Where the world's axes lie: level where the file's key `frame` says so.
+    /// Where the world's axes lie: level where the file's key `frame` states it.
     pub fn frame(&self) -> WorldFrame {
         let level = WorldFrame::Level;
-        let told = self.extra.get("frame").and_then(|frame| frame.as_str());
-        if told == Some(level.words()) {
+        let frame = self.extra.get("frame").and_then(|frame| frame.as_str());
+        if frame == Some(level.words()) {
             level
         } else {
             WorldFrame::Given

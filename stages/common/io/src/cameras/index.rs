@@ -1,5 +1,5 @@
-//! Cameras by their photos' names, and equal cameras as one: look-ups whose cost does not grow with the
-//! number of cameras.
+//! Cameras by their photos' names, and equal cameras as one: look-ups whose cost does not grow with
+//! the number of cameras.
 
 use super::entry::{CameraEntry, CameraFile};
 use super::photo_names::{last_part, stem};

@@ -8,9 +8,6 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 /// Writes `cameras.json`.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_cameras(path: &Path, cameras: &CameraFile) -> Result<(), IoError> {
     cameras_file(path, cameras)?.write()
 }

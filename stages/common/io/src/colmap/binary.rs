@@ -34,11 +34,11 @@ pub(super) fn parse_cameras(
     // Counts come from the file: memory is asked for as content arrives, never ahead.
     for _ in 0..bytes.u64()? {
         let id = bytes.u32()?;
-        let number = bytes.u32()? as i32;
+        let number = bytes.u32()?;
         let camera_model =
             CameraModel::from_number(number).map_err(|reason| bytes.refuse(reason))?;
         let (width, height) = (bytes.size()?, bytes.size()?);
-        let params = (0..camera_model.num_params())
+        let params = (0..camera_model.num_params)
             .map(|_| bytes.number())
             .collect::<Result<Vec<f64>, _>>()?;
         let camera = ColmapCamera {
@@ -116,7 +116,7 @@ pub fn binary_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile
     let mut data = (model.cameras.len() as u64).to_le_bytes().to_vec();
     for camera in &model.cameras {
         data.extend(camera.id.to_le_bytes());
-        data.extend((camera.model as i32).to_le_bytes());
+        data.extend(camera.model.number().to_le_bytes());
         data.extend((camera.width as u64).to_le_bytes());
         data.extend((camera.height as u64).to_le_bytes());
         put(&mut data, &camera.params);

@@ -18,20 +18,20 @@ impl ColmapCamera {
     /// The reason why it is no usable camera.
     pub fn intrinsics(&self) -> Result<Intrinsics, String> {
         let p = &self.params;
-        if p.len() != self.model.num_params() {
+        if p.len() != self.model.num_params {
             return Err(format!(
                 "camera {} has {} parameters; {} takes {}",
                 self.id,
                 p.len(),
-                self.model.name(),
-                self.model.num_params()
+                self.model.name,
+                self.model.num_params
             ));
         }
         if let Some(value) = p.iter().find(|value| !value.is_finite()) {
             return Err(format!("camera {} has the parameter {value}", self.id));
         }
         // Focal lengths, principal point, then k1 k2 p1 p2 k3 as far as the model goes.
-        let (focals, rest) = p.split_at(self.model.num_focals());
+        let (focals, rest) = p.split_at(self.model.num_focals);
         let (fx, fy) = (focals[0], focals[focals.len() - 1]);
         if fx <= 0.0 || fy <= 0.0 || self.width == 0 || self.height == 0 {
             return Err(format!(
@@ -64,14 +64,14 @@ impl ColmapCamera {
             camera.cy + HALF_PIXEL,
         ];
         let model = if d.is_none() {
-            CameraModel::Pinhole
+            CameraModel::PINHOLE
         } else {
             params.extend([d.k1, d.k2, d.p1, d.p2]);
             if d.k3 == 0.0 {
-                CameraModel::Opencv
+                CameraModel::OPENCV
             } else {
                 params.extend([d.k3, 0.0, 0.0, 0.0]);
-                CameraModel::FullOpencv
+                CameraModel::FULL_OPENCV
             }
         };
         Self {

@@ -3,7 +3,7 @@
 //! # Conventions
 //! Axes and poses are ours (`cam_from_world`, x right, y down, z forward). COLMAP puts the centre
 //! of the first pixel at (0.5, 0.5): principal points and observed pixels are shifted by half a
-//! pixel on the way in and out, so that a [`ColmapModel`] in memory is exactly what the file says.
+//! pixel on the way in and out, so that a [`ColmapModel`] in memory has exactly the file's numbers.
 //!
 //! # Camera models
 //! | COLMAP | here |

@@ -1,62 +1,53 @@
-//! A model as its files say it, half pixels and all.
+//! A model with the numbers of its files: pixel centres at halves.
 
 use rilievo_scene::RigidTransform;
 
-/// The camera models that can be converted, by their numbers in binary files.
+/// A camera model that can be converted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CameraModel {
-    /// f cx cy
-    SimplePinhole = 0,
-    /// fx fy cx cy
-    Pinhole = 1,
-    /// f cx cy k
-    SimpleRadial = 2,
-    /// f cx cy k1 k2
-    Radial = 3,
-    /// fx fy cx cy k1 k2 p1 p2
-    Opencv = 4,
-    /// fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
-    FullOpencv = 6,
+pub struct CameraModel {
+    /// Its name in text files.
+    pub name: &'static str,
+    /// How many of its parameters are focal lengths.
+    pub num_focals: usize,
+    /// How many parameters it has.
+    pub num_params: usize,
 }
 
-/// Every model that COLMAP knows, by its number in binary files.
-const NAMES: [&str; 18] = [
-    "SIMPLE_PINHOLE",
-    "PINHOLE",
-    "SIMPLE_RADIAL",
-    "RADIAL",
-    "OPENCV",
-    "OPENCV_FISHEYE",
-    "FULL_OPENCV",
-    "FOV",
-    "SIMPLE_RADIAL_FISHEYE",
-    "RADIAL_FISHEYE",
-    "THIN_PRISM_FISHEYE",
-    "RAD_TAN_THIN_PRISM_FISHEYE",
-    "SIMPLE_DIVISION",
-    "DIVISION",
-    "SIMPLE_FISHEYE",
-    "FISHEYE",
-    "EQUIRECTANGULAR",
-    "EUCM",
-];
-
 impl CameraModel {
+    /// fx fy cx cy
+    pub const PINHOLE: Self = Self::new("PINHOLE", 2, 4);
+    /// fx fy cx cy k1 k2 p1 p2
+    pub const OPENCV: Self = Self::new("OPENCV", 2, 8);
+    /// fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
+    pub const FULL_OPENCV: Self = Self::new("FULL_OPENCV", 2, 12);
+
+    /// The last three have f in the place of fx fy, and k, or k1 k2, behind cy.
     const ALL: [Self; 6] = [
-        Self::SimplePinhole,
-        Self::Pinhole,
-        Self::SimpleRadial,
-        Self::Radial,
-        Self::Opencv,
-        Self::FullOpencv,
+        Self::PINHOLE,
+        Self::OPENCV,
+        Self::FULL_OPENCV,
+        Self::new("SIMPLE_PINHOLE", 1, 3),
+        Self::new("SIMPLE_RADIAL", 1, 4),
+        Self::new("RADIAL", 1, 5),
     ];
 
-    /// The model of a name.
-    ///
-    /// # Errors
-    /// The reason, with the name.
-    pub fn from_name(name: &str) -> Result<Self, String> {
-        let known = Self::ALL.into_iter().find(|model| model.name() == name);
+    /// Every model that COLMAP knows, by its number in binary files.
+    const NAMES: &str = "SIMPLE_PINHOLE PINHOLE SIMPLE_RADIAL RADIAL OPENCV OPENCV_FISHEYE \
+        FULL_OPENCV FOV SIMPLE_RADIAL_FISHEYE RADIAL_FISHEYE THIN_PRISM_FISHEYE \
+        RAD_TAN_THIN_PRISM_FISHEYE SIMPLE_DIVISION DIVISION SIMPLE_FISHEYE FISHEYE \
+        EQUIRECTANGULAR EUCM";
+
+    const fn new(name: &'static str, num_focals: usize, num_params: usize) -> Self {
+        Self {
+            name,
+            num_focals,
+            num_params,
+        }
+    }
+
+    /// The model of a name; the reason where it cannot be converted.
+    pub(super) fn from_name(name: &str) -> Result<Self, String> {
+        let known = Self::ALL.into_iter().find(|model| model.name == name);
         known.ok_or_else(|| {
             format!(
                 "the camera model {name} is not supported; undistort the images with COLMAP, or \
@@ -66,35 +57,17 @@ impl CameraModel {
     }
 
     /// The model of a number in a binary file.
-    pub(super) fn from_number(number: i32) -> Result<Self, String> {
-        match usize::try_from(number).ok().and_then(|i| NAMES.get(i)) {
+    pub(super) fn from_number(number: u32) -> Result<Self, String> {
+        match Self::NAMES.split(' ').nth(number as usize) {
             Some(name) => Self::from_name(name),
             None => Err(format!("the camera model number {number} is unknown")),
         }
     }
 
-    /// Its name.
-    pub fn name(self) -> &'static str {
-        NAMES[self as usize]
-    }
-
-    /// How many of its parameters are focal lengths.
-    pub(super) fn num_focals(self) -> usize {
-        match self {
-            Self::SimplePinhole | Self::SimpleRadial | Self::Radial => 1,
-            Self::Pinhole | Self::Opencv | Self::FullOpencv => 2,
-        }
-    }
-
-    /// How many parameters it has.
-    pub fn num_params(self) -> usize {
-        match self {
-            Self::SimplePinhole => 3,
-            Self::Pinhole | Self::SimpleRadial => 4,
-            Self::Radial => 5,
-            Self::Opencv => 8,
-            Self::FullOpencv => 12,
-        }
+    /// Its number in a binary file.
+    pub(super) fn number(self) -> u32 {
+        let before = Self::NAMES.split(' ').take_while(|name| *name != self.name);
+        before.count() as u32
     }
 }
 

@@ -31,7 +31,7 @@ pub fn text_files(folder: &Path, model: &ColmapModel) -> Result<Vec<OutputFile>,
     // Writing into a String cannot fail, hence the ignored results below.
     let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
     for camera in &model.cameras {
-        let (id, model) = (camera.id, camera.model.name());
+        let (id, model) = (camera.id, camera.model.name);
         let (width, height) = (camera.width, camera.height);
         let params = spaced(&camera.params);
         let _ = writeln!(text, "{id} {model} {width} {height} {params}");

@@ -14,9 +14,9 @@ use super::obj::{Textured, write_obj};
 use crate::error::IoError;
 use crate::exr_maps::write_linear_half;
 use crate::files::{read_regular, write_pieces};
-use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{ExtendedColorType, ImageEncoder};
-use rilievo_scene::{Asset, LinearImage, Mesh, Raster, WorldCoordinates, srgb};
+use crate::mask::encode_png;
+use image::ExtendedColorType;
+use rilievo_scene::{Asset, LinearImage, Mesh, WorldCoordinates, srgb};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -61,28 +61,19 @@ pub fn write_asset<E: From<IoError>>(
     let material = format!("# Base colour: {}.\n{MATERIAL}", asset.shows.sentence());
     write("asset/asset.mtl", material.as_bytes())?;
     write("asset/base_color.png", &images.base_color)?;
-    let normal = path("asset/normal.png")?;
-    write("asset/normal.png", &png16(&normal, &asset.normal)?)?;
-    let occlusion = path("asset/occlusion.png")?;
-    let grey = (asset.occlusion.width, asset.occlusion.height);
-    let encoded = png(
-        &occlusion,
-        &asset.occlusion.data,
-        grey,
-        ExtendedColorType::L8,
-    )?;
-    write("asset/occlusion.png", &encoded)?;
+    let size = (asset.normal.width, asset.normal.height);
+    let deep = asset.normal.data.iter().flatten();
+    let deep: Vec<u8> = deep.flat_map(|v| v.to_ne_bytes()).collect();
+    let normal = png(&glb, &deep, size, ExtendedColorType::Rgb16)?;
+    write("asset/normal.png", &normal)?;
+    let occlusion = png(&glb, &asset.occlusion.data, size, ExtendedColorType::L8)?;
+    write("asset/occlusion.png", &occlusion)?;
+    let colors = asset.base_color.data.iter().flatten();
     let linear = LinearImage {
-        width: asset.base_color.width,
-        height: asset.base_color.height,
+        width: size.0,
+        height: size.1,
         channels: 3,
-        data: asset
-            .base_color
-            .data
-            .iter()
-            .flatten()
-            .map(|&v| share(v))
-            .collect(),
+        data: colors.map(|&v| share(v)).collect(),
     };
     Ok(write_linear_half(&path("asset/base_color.exr")?, &linear)?)
 }
@@ -140,8 +131,8 @@ pub fn read_asset_mesh(path: &Path, frame: &ViewerFrame) -> Result<AssetMesh, Io
     }
 }
 
-/// What an OBJ's reader finds of the material. The format has no name for normal maps: some readers take `norm`, Blender
-/// `map_Bump`.
+/// What an OBJ's reader finds of the material. The format has no name for normal maps: some readers
+/// take `norm`, Blender `map_Bump`.
 const MATERIAL: &str = "\
 # Normal map: tangent space, OpenGL convention (green up), tangents by MikkTSpace.
 newmtl matte
@@ -200,26 +191,11 @@ fn images(path: &Path, asset: &Asset) -> Result<AssetImages, IoError> {
     })
 }
 
-fn png16(path: &Path, image: &Raster<[u16; 3]>) -> Result<Vec<u8>, IoError> {
-    let bytes: Vec<u8> = image
-        .data
-        .iter()
-        .flatten()
-        .flat_map(|v| v.to_ne_bytes())
-        .collect();
-    let size = (image.width, image.height);
-    png(path, &bytes, size, ExtendedColorType::Rgb16)
-}
-
 fn png(
     path: &Path,
     bytes: &[u8],
     (width, height): (usize, usize),
     color: ExtendedColorType,
 ) -> Result<Vec<u8>, IoError> {
-    let mut out = Vec::new();
-    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive)
-        .write_image(bytes, width as u32, height as u32, color)
-        .map_err(|error| IoError::write(path, error))?;
-    Ok(out)
+    encode_png(bytes, width, height, color).map_err(|reason| IoError::write(path, reason))
 }

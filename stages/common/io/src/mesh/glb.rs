@@ -1,12 +1,13 @@
-//! Binary glTF 2.0: one mesh with normals and colours, or an asset with textures, for viewers and the web.
+//! Binary glTF 2.0: one mesh with normals and colours, or an asset with textures, for viewers and
+//! the web.
 //!
-//! glTF wants metres, y up and the front towards z. A level world is turned by a quarter; any other has no
-//! such axes, and [`ViewerFrame`] takes them from the cameras: up is the mean of their upward axes, the front is
-//! where they stand. Vertex colours are linear by the specification and stored with 16 bits, since
-//! eight would show steps in dark tones.
+//! glTF wants metres, y up and the front towards z. A level world is turned by a quarter; any other
+//! has no such axes, and [`ViewerFrame`] takes them from the cameras: up is the mean of their
+//! upward axes, the front is where they stand. Vertex colours are linear by the specification and
+//! stored with 16 bits, since eight would show steps in dark tones.
 //!
-//! Layout: header, JSON chunk, binary chunk (positions, normals, what else a vertex has, indices, images; little
-//! endian).
+//! Layout: header, JSON chunk, binary chunk (positions, normals, what else a vertex has, indices,
+//! images; little endian).
 //!
 //! Source: Khronos Group, glTF 2.0 specification, sections 3.7.2 (meshes) and 4 (GLB).
 
@@ -44,8 +45,8 @@ pub struct ViewerFrame {
 }
 
 impl ViewerFrame {
-    /// A level world's own axes. Else up from the cameras' upward axes, the front from where they look; the first
-    /// camera's axes where those contradict each other.
+    /// A level world's own axes. Else up from the cameras' upward axes, the front from where they
+    /// look; the first camera's axes where those contradict each other.
     pub fn from_views(posed: &PosedViews) -> Self {
         if posed.frame == WorldFrame::Level {
             let rotation = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0);
@@ -182,7 +183,8 @@ type Part<'a> = (
     Box<dyn FnMut(&mut BufWriter<File>) -> std::io::Result<()> + 'a>,
 );
 
-/// A file while it is gathered: what the JSON says, and what the binary chunk will hold, made as it is written.
+/// A file while it is gathered: the JSON's parts, and those of the binary chunk, made as it is
+/// written.
 struct Glb<'a> {
     attributes: serde_json::Map<String, Value>,
     views: Vec<Value>,

@@ -1,9 +1,10 @@
-//! Meshes for other programs: Wavefront OBJ and binary glTF (GLB), and assets with textures. PLY is in [`crate::ply`].
+//! Meshes for other programs: Wavefront OBJ and binary glTF (GLB), and assets with textures. PLY is
+//! in [`crate::ply`].
 //!
 //! | format | frame | unit | colours |
 //! |---|---|---|---|
-//! | OBJ | that of `cameras.json` | that of `cameras.json`, told in a comment | after the position, 0 to 1, sRGB |
-//! | GLB | y up, front towards z ([`ViewerFrame`]) | metres; unknown units are told in `asset.extras` | `COLOR_0`, linear |
+//! | OBJ | that of `cameras.json` | that of `cameras.json`, in a comment | after the position, 0 to 1, sRGB |
+//! | GLB | y up, front towards z ([`ViewerFrame`]) | metres; unknown units are named in `asset.extras` | `COLOR_0`, linear |
 
 mod asset;
 pub(crate) mod check;

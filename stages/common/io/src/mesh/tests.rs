@@ -178,7 +178,8 @@ fn an_independent_reader_finds_mesh_textures_and_material_of_an_asset() {
     let positions: Vec<[f32; 3]> = reader.read_positions().unwrap().collect();
     assert_eq!(positions[2], [0.0, -0.25, -1.0]);
     assert_eq!(primitive.bounding_box().max[0], 0.5);
-    // Turned as the mesh is: y and z point the other way, so that tangent and bitangent still lie along the texture.
+    // Turned as the mesh is: y and z point the other way, so that tangent and bitangent still lie
+    // along the texture.
     let tangents: Vec<[f32; 4]> = reader.read_tangents().unwrap().collect();
     assert_eq!(tangents[0], [1.0, 0.0, 0.0, -1.0]);
     let coords = reader.read_tex_coords(0).unwrap().into_f32();

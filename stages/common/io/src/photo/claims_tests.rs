@@ -4,6 +4,7 @@ use super::tests::{decode, encoded, folder, rgb16};
 use super::*;
 use crate::read_mask;
 use flate2::{Compression, write::ZlibEncoder};
+use image::ImageFormat;
 use std::io::Cursor;
 use std::io::Write;
 

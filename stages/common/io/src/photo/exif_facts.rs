@@ -9,7 +9,7 @@ use std::io::Cursor;
 /// Millimetres in an inch.
 const MM_PER_INCH: f64 = 25.4;
 
-/// Reads what there is; damaged or absent EXIF gives absent facts, never an error: the pixels are
+/// Reads what there is; damaged or absent EXIF means absent facts, never an error: the pixels are
 /// good without it.
 pub(super) fn read(bytes: &[u8]) -> ExifFacts {
     let mut reader = exif::Reader::new();

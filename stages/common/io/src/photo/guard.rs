@@ -1,7 +1,7 @@
 //! Decoders' panics as refusals.
 //!
-//! The decoders' own checks are good, but they read whatever people's disks hold: a defect in one of
-//! them must cost one photo, not the run.
+//! The decoders' own checks are good, but they read whatever people's disks hold: a defect in one
+//! of them must cost one photo, not the run.
 
 use crate::error::IoError;
 use std::cell::Cell;
@@ -13,8 +13,8 @@ thread_local! {
     static DEPTH: Cell<usize> = const { Cell::new(0) };
 }
 
-/// Whether this thread runs a decoder whose panic will be caught and told as a refusal of its file. A
-/// program's panic hook asks it, to print nothing then.
+/// Whether this thread runs a decoder whose panic will be caught and returned as a refusal of its
+/// file. A program's panic hook asks it, to print nothing then.
 pub fn decoder_is_guarded() -> bool {
     DEPTH.get() > 0
 }
@@ -27,7 +27,7 @@ impl Drop for Guard {
     }
 }
 
-/// What a decoder says; a panic in it is a refusal.
+/// What a decoder returns; a panic in it is a refusal.
 pub(crate) fn guarded<T>(
     path: &Path,
     decode: impl FnOnce() -> Result<T, IoError>,

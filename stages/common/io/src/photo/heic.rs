@@ -1,14 +1,15 @@
 //! HEIF with HEVC pictures (HEIC, HIF), as phones and some cameras store photos.
 //!
-//! The container says in its own words how to turn the picture for display, and EXIF is not asked (ISO/IEC
-//! 23008-12, section 6.5.10). The picture is left as coded, and its turn noted as EXIF's orientation of other photos is;
-//! where the container crops too, its word is followed and the picture counts as upright.
+//! The container states in a field of its own how to turn the picture for display, and EXIF is not
+//! asked (ISO/IEC 23008-12, section 6.5.10). The picture is left as coded, and its turn noted as
+//! EXIF's orientation of other photos is; where the container crops too, its word is followed and
+//! the picture counts as upright.
 
-use super::alpha::alpha_mask;
 use super::exif_facts;
 use super::guard::guarded;
 use super::icc;
 use super::names::file_name;
+use super::parts::alpha_mask;
 use super::raster::by_profile;
 use crate::claims;
 use crate::error::IoError;
@@ -17,15 +18,12 @@ use heic_decoder::{ColorInfo, DecodeOptions, HeifError, RgbOptions};
 use rilievo_scene::{DecodedPhoto, Orientation, Raster, Samples};
 use std::path::Path;
 
-/// Brands of still pictures in HEIF (ISO/IEC 23008-12, annex B) whose codec is HEVC or is not told.
-const BRANDS: [&[u8; 4]; 8] = [
-    b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1",
-];
-
-/// Bytes in memory per pixel: three planes of integers, of the tiles and of the whole, and the colours.
+/// Bytes in memory per pixel: three planes of integers, of the tiles and of the whole, and the
+/// colours.
 const BYTES_PER_PX: u64 = 18;
 
-/// Colours of files that say nothing of them: sRGB, the whole range, BT.601's matrix (ISO/IEC 23000-22, section 7.3.6.4).
+/// Colours of files without a statement of them: sRGB, the whole range, BT.601's matrix (ISO/IEC
+/// 23000-22, section 7.3.6.4).
 const UNLABELLED: ColorInfo = ColorInfo {
     color_primaries: 1,
     transfer_characteristics: 13,
@@ -38,15 +36,7 @@ const LINEAR: u16 = 8;
 const PERCEPTUAL_QUANTIZER: u16 = 16;
 const HYBRID_LOG_GAMMA: u16 = 18;
 
-/// Whether a file begins as HEIF does.
-pub(super) fn is_heif(bytes: &[u8]) -> bool {
-    bytes.get(4..8) == Some(b"ftyp")
-        && bytes
-            .get(8..12)
-            .is_some_and(|brand| BRANDS.iter().any(|known| brand == *known))
-}
-
-/// Columns and rows of the picture that [`decode`] gives.
+/// Columns and rows of the picture that [`decode`] returns.
 pub(super) fn size(bytes: &[u8]) -> Option<(usize, usize)> {
     let info = heic_decoder::probe(bytes).ok()?;
     let turn = turn(&heic_decoder::isobmff::parse(bytes).ok()?.transforms);
@@ -82,8 +72,8 @@ fn turn(transforms: &[Transform]) -> Option<Orientation> {
         .find(|turn| turn.raster_to_stored(&upright) == stored)
 }
 
-/// Does work in a thread of its own, on one thread: the decoder would wait for the threads that decode other photos, and
-/// take up another photo meanwhile.
+/// Does work in a thread of its own, on one thread: the decoder would wait for the threads that
+/// decode other photos, and take up another photo meanwhile.
 fn alone<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T, String> {
     std::thread::scope(|scope| {
         let worker = std::thread::Builder::new().spawn_scoped(scope, || {

@@ -1,12 +1,14 @@
-//! ICC profiles: how large one may be, and its tone curve, `linear = f(stored)`, from its `gTRC` or `kTRC` tag.
+//! ICC profiles: how large one may be, and its tone curve, `linear = f(stored)`, from its `gTRC` or
+//! `kTRC` tag.
 //!
 //! Source: ICC.1:2022, sections 10.6 (`curv`) and 10.18 (`para`). The three channels of every
 //! working space in use share one curve, so the green one stands for all. Primaries are left as
 //! they are: shading needs intensities that are proportional to light, not colours of a standard
 //! observer.
 
-/// More bytes than any colour profile has; those with printers' tables reach a few megabytes. Without its
-/// profile a photo's values would be misread, so that a larger one is refused, not left out.
+/// More bytes than any colour profile has; those with printers' tables reach a few megabytes.
+/// Without its profile a photo's values would be misread, so that a larger one is refused, not left
+/// out.
 pub(super) const MAX_PROFILE_BYTES: usize = 32 << 20;
 
 /// Steps of the table that stands for a curve; between them it is interpolated linearly.
@@ -32,7 +34,8 @@ pub(super) enum ToneCurve {
     Other(Vec<f32>),
 }
 
-/// The curve of a profile; `None` where it has no plain one (a look-up-table profile) or is damaged.
+/// The curve of a profile; `None` where it has no plain one (a look-up-table profile) or is
+/// damaged.
 pub(super) fn tone_curve(profile: &[u8]) -> Option<ToneCurve> {
     let tag = find_tag(profile, b"gTRC").or_else(|| find_tag(profile, b"kTRC"))?;
     let curve = parse(tag)?;

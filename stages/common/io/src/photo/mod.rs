@@ -1,6 +1,7 @@
-//! Photos: JPEG, HEIC, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with their metadata.
+//! Photos: JPEG, HEIC, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with
+//! their metadata.
 //!
-//! Nothing is linearised, rotated or scaled here; what the file says of its encoding is noted
+//! Nothing is linearised, rotated or scaled here; its encoding by its metadata is noted
 //! ([`DecodedPhoto::linear_by_metadata`], [`DecodedPhoto::profile_curve`]), and stage 1 decides.
 //!
 //! # What counts as linear by metadata
@@ -11,15 +12,15 @@
 //! | 8 bit | its colour profile, `gAMA` or `cICP` says so; else not |
 //! | 16 bit | the same; and also when the file says nothing of its colours: programs that encode for a display write the profile or `sRGB`, those that store measurements write none |
 
-mod alpha;
 mod exif_facts;
 mod float_tiff;
-mod floats;
+mod format;
 pub(crate) mod guard;
 mod heic;
 mod icc;
 mod jpeg;
 mod names;
+mod parts;
 mod png_chunks;
 mod raster;
 #[cfg(feature = "raw")]
@@ -30,11 +31,9 @@ mod size;
 use crate::error::IoError;
 use crate::exr_maps;
 use crate::files::read_regular;
-use alpha::alpha_mask;
-use floats::of_floats;
+use format::Format;
 use guard::guarded;
-use image::ImageFormat;
-use names::{FOREIGN_ENDINGS, ending};
+use parts::{alpha_mask, of_floats};
 use rilievo_scene::DecodedPhoto;
 use std::path::Path;
 
@@ -55,48 +54,17 @@ pub fn decode_photo(path: &Path) -> Result<DecodedPhoto, IoError> {
 }
 
 /// The same for a file that is already in memory; `path` names it.
-///
-/// # Errors
-/// As [`decode_photo`].
 pub fn decode_photo_bytes(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
-    if bytes.is_empty() {
-        return Err(IoError::input(path, "the file is empty (0 bytes)"));
+    match Format::of(path, bytes) {
+        None => Err(format::unknown(path, bytes)),
+        Some(Format::Raw) => raw_decoder::decode(path, bytes),
+        Some(Format::Heif) => heic::decode(path, bytes),
+        Some(Format::OpenExr) => guarded(path, || decode_exr(path, bytes)),
+        Some(Format::Jpeg) => guarded(path, || raster::jpeg(path, bytes)),
+        Some(Format::Png) => guarded(path, || raster::png(path, bytes)),
+        Some(Format::Tiff) => guarded(path, || raster::tiff(path, bytes)),
+        Some(Format::Hdr) => guarded(path, || raster::hdr(path, bytes)),
     }
-    let ending = ending(path);
-    if is_raw_name(path) {
-        return raw_decoder::decode(path, bytes);
-    }
-    if let Some((_, kind)) = FOREIGN_ENDINGS.iter().find(|(name, _)| *name == ending) {
-        return Err(
-            IoError::input(path, format!("{kind} files cannot be decoded"))
-                .with_hint("convert to 16-bit TIFF, OpenEXR or JPEG with one fixed development"),
-        );
-    }
-    if heic::is_heif(bytes) {
-        return heic::decode(path, bytes);
-    }
-    let format = image::guess_format(bytes)
-        .ok()
-        .filter(|format| {
-            matches!(
-                format,
-                ImageFormat::Jpeg
-                    | ImageFormat::Png
-                    | ImageFormat::Tiff
-                    | ImageFormat::Hdr
-                    | ImageFormat::OpenExr
-            )
-        })
-        .ok_or_else(|| {
-            IoError::input(
-                path,
-                "not a JPEG, HEIC, PNG, TIFF, Radiance HDR or OpenEXR image",
-            )
-        })?;
-    guarded(path, || match format {
-        ImageFormat::OpenExr => decode_exr(path, bytes),
-        _ => raster::decode(path, bytes, format),
-    })
 }
 
 fn decode_exr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {

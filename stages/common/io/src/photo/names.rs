@@ -1,4 +1,4 @@
-//! Names of photos: their endings tell which files are photos, and of which kind.
+//! Names of photos: which files are photos, and of which kind, by their endings.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! The chunks of a PNG before its image data: what `cICP`, `sRGB` and `gAMA` say of its encoding, and
+//! The chunks of a PNG before its image data: its encoding by `cICP`, `sRGB` and `gAMA`, and
 //! how large its colour profile is.
 //!
 //! PNG specification, third edition, section 4.3: `cICP` outranks `iCCP`, which outranks `sRGB`,
@@ -21,8 +21,8 @@ fn chunks(bytes: &[u8]) -> impl Iterator<Item = (&[u8], &[u8])> {
     std::iter::from_fn(next)
 }
 
-/// Refuses a compressed colour profile that is larger than any, before the decoder inflates it whole:
-/// some kilobytes can stand for gigabytes.
+/// Refuses a compressed colour profile that is larger than any, before the decoder inflates it
+/// whole: some kilobytes can stand for gigabytes.
 pub(super) fn check_profile(bytes: &[u8]) -> Result<(), String> {
     for (kind, data) in chunks(bytes) {
         // A name, a zero, and the method of compression go before the compressed profile.
@@ -33,7 +33,7 @@ pub(super) fn check_profile(bytes: &[u8]) -> Result<(), String> {
             continue;
         };
         let mut profile = ZlibDecoder::new(compressed).take(MAX_PROFILE_BYTES as u64 + 1);
-        // Where it is damaged, the decoder says so, or passes it over.
+        // Where it is damaged, the decoder refuses it, or passes it over.
         let length = std::io::copy(&mut profile, &mut std::io::sink()).unwrap_or(0);
         if length > MAX_PROFILE_BYTES as u64 {
             return Err(profile_too_large());
@@ -42,7 +42,7 @@ pub(super) fn check_profile(bytes: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
-/// What the chunks say.
+/// The encoding that chunks state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum PngColor {
     /// Samples are proportional to light.
@@ -53,7 +53,7 @@ pub(super) enum PngColor {
     Gamma(f64),
 }
 
-/// What the chunks up to the image data say; `None` where they say nothing.
+/// The encoding that the chunks up to the image data state, where they do.
 pub(super) fn color(bytes: &[u8]) -> Option<PngColor> {
     let mut by_gamma = None;
     let mut by_srgb = None;

@@ -1,60 +1,80 @@
 //! Photos that the image library decodes: JPEG, PNG, TIFF and Radiance HDR.
 
-use super::alpha::alpha_mask;
-use super::floats::of_floats;
 use super::icc::{self, MAX_PROFILE_BYTES, ToneCurve, profile_too_large};
 use super::names::file_name;
+use super::parts::{alpha_mask, of_floats};
 use super::png_chunks::{self, PngColor};
 use super::{exif_facts, float_tiff, jpeg};
 use crate::claims;
 use crate::error::IoError;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use image::{
+    DynamicImage, ExtendedColorType, ImageDecoder, ImageError, ImageFormat, ImageReader, Limits,
+};
 use rilievo_scene::{DecodedPhoto, Samples};
 use std::io::Cursor;
 use std::path::Path;
 
-/// Decodes a JPEG, PNG, TIFF or Radiance HDR; the caller catches the library's panics.
-pub(super) fn decode(
-    path: &Path,
-    bytes: &[u8],
-    format: ImageFormat,
-) -> Result<DecodedPhoto, IoError> {
-    let damaged = |error: image::ImageError| {
-        let refusal = IoError::input(path, describe(&error));
-        match error {
-            image::ImageError::Unsupported(_) => {
-                refusal.with_hint("convert to OpenEXR, or to PNG or TIFF with 8 or 16 bits")
-            }
-            _ => refusal,
+const CMYK_HINT: &str = "convert the photo to RGB";
+
+/// Decodes a JPEG that is whole; the caller catches the library's panics, here and below.
+pub(super) fn jpeg(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
+    jpeg::check(bytes).map_err(|defect| {
+        let hint = match defect {
+            jpeg::Defect::Cmyk => CMYK_HINT,
+            _ => "copy the photo from the camera again",
+        };
+        IoError::input(path, defect.to_string()).with_hint(hint)
+    })?;
+    let mut decoder = open(path, bytes, ImageFormat::Jpeg)?;
+    let profile = decoder.icc_profile().ok().flatten();
+    decode(path, bytes, decoder, profile, None)
+}
+
+pub(super) fn png(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
+    png_chunks::check_profile(bytes).map_err(|reason| IoError::input(path, reason))?;
+    let mut decoder = open(path, bytes, ImageFormat::Png)?;
+    let profile = decoder.icc_profile().ok().flatten();
+    decode(path, bytes, decoder, profile, png_chunks::color(bytes))
+}
+
+pub(super) fn tiff(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
+    let refusal = match open(path, bytes, ImageFormat::Tiff) {
+        Ok(decoder) => {
+            let profile = tiff_profile(bytes).map_err(|reason| IoError::input(path, reason))?;
+            return decode(path, bytes, decoder, profile, None);
         }
+        Err(refusal) => refusal,
     };
-    if format == ImageFormat::Jpeg {
-        jpeg::check(bytes).map_err(|reason| {
-            let hint = match reason {
-                jpeg::Defect::Cmyk => "convert the photo to RGB",
-                _ => "copy the photo from the camera again",
-            };
-            IoError::input(path, reason.to_string()).with_hint(hint)
-        })?;
-    }
-    if format == ImageFormat::Png {
-        png_chunks::check_profile(bytes).map_err(|reason| IoError::input(path, reason))?;
-    }
+    let (width, height, channels, data) = float_tiff::read(bytes).ok_or(refusal)?;
+    Ok(DecodedPhoto {
+        exif: exif_facts::read(bytes),
+        ..of_floats(path, (width, height, channels), data, "floating point")
+    })
+}
+
+pub(super) fn hdr(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
+    let decoder = open(path, bytes, ImageFormat::Hdr)?;
+    decode(path, bytes, decoder, None, None)
+}
+
+fn open<'a>(
+    path: &Path,
+    bytes: &'a [u8],
+    format: ImageFormat,
+) -> Result<impl ImageDecoder + 'a, IoError> {
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     reader.no_limits();
-    let mut decoder = match reader.into_decoder() {
-        Ok(decoder) => decoder,
-        Err(error) => {
-            let float = (format == ImageFormat::Tiff)
-                .then(|| float_tiff::read(bytes))
-                .flatten();
-            let (width, height, channels, data) = float.ok_or_else(|| damaged(error))?;
-            return Ok(DecodedPhoto {
-                exif: exif_facts::read(bytes),
-                ..of_floats(path, (width, height, channels), data, "floating point")
-            });
-        }
-    };
+    reader.into_decoder().map_err(|error| refused(path, error))
+}
+
+/// Decodes what was opened, with its encoding by its metadata.
+fn decode(
+    path: &Path,
+    bytes: &[u8],
+    mut decoder: impl ImageDecoder,
+    profile: Option<Vec<u8>>,
+    png: Option<PngColor>,
+) -> Result<DecodedPhoto, IoError> {
     let (width, height) = decoder.dimensions();
     let size = (u64::from(width), u64::from(height));
     let bytes_per_px = u64::from(decoder.color_type().bytes_per_pixel());
@@ -63,45 +83,39 @@ pub(super) fn decode(
         .map_err(|reason| IoError::input(path, reason))?;
     if matches!(
         decoder.original_color_type(),
-        image::ExtendedColorType::Cmyk8 | image::ExtendedColorType::Cmyk16
+        ExtendedColorType::Cmyk8 | ExtendedColorType::Cmyk16
     ) {
-        return Err(IoError::input(path, jpeg::Defect::Cmyk.to_string())
-            .with_hint("convert the photo to RGB"));
+        let reason = jpeg::Defect::Cmyk.to_string();
+        return Err(IoError::input(path, reason).with_hint(CMYK_HINT));
     }
     // Bounds what a damaged header can ask for beyond the pixels themselves.
     let mut limits = Limits::no_limits();
     limits.max_alloc = Some(decoder.total_bytes().saturating_mul(2) + (64 << 20));
+    let damaged = |error| refused(path, error);
     decoder.set_limits(limits).map_err(damaged)?;
-    let profile = match format {
-        ImageFormat::Tiff => tiff_profile(bytes).map_err(|reason| IoError::input(path, reason))?,
-        _ => decoder.icc_profile().ok().flatten(),
-    };
     let decoded = DynamicImage::from_decoder(decoder).map_err(damaged)?;
 
-    let exif = exif_facts::read(bytes);
+    let (width, height) = (width as usize, height as usize);
     let (samples, channels, alpha) = split(decoded);
-    let saturates_at_white = !matches!(samples, Samples::F32(_));
-    let alpha =
-        alpha.and_then(|alpha| alpha_mask(width as usize, height as usize, alpha.into_iter()));
     let (linear_by_metadata, encoding_reason, profile_curve) =
-        encoding(bytes, format, &samples, profile.as_deref());
+        encoding(&samples, profile.as_deref(), png);
     Ok(DecodedPhoto {
         file_name: file_name(path),
-        width: width as usize,
-        height: height as usize,
+        width,
+        height,
         channels,
+        saturates_at_white: !matches!(samples, Samples::F32(_)),
         samples,
         linear_by_metadata,
-        saturates_at_white,
         encoding_reason,
         profile_curve,
-        alpha,
-        exif,
+        alpha: alpha.and_then(|alpha| alpha_mask(width, height, alpha.into_iter())),
+        exif: exif_facts::read(bytes),
     })
 }
 
-/// The colour profile of a TIFF, which the image library looks for without bounds or within those of
-/// the pixels.
+/// The colour profile of a TIFF, which the image library looks for without bounds or within those
+/// of the pixels.
 fn tiff_profile(bytes: &[u8]) -> Result<Option<Vec<u8>>, String> {
     use tiff::decoder::{Decoder, Limits, ifd::Value};
     let Ok(decoder) = Decoder::new(Cursor::new(bytes)) else {
@@ -118,12 +132,11 @@ fn tiff_profile(bytes: &[u8]) -> Result<Option<Vec<u8>>, String> {
     }
 }
 
-/// What the metadata say of the encoding: linear or not, why, and the profile's own curve.
+/// The encoding by the metadata: linear or not, why, and the profile's own curve.
 fn encoding(
-    bytes: &[u8],
-    format: ImageFormat,
     samples: &Samples,
     profile: Option<&[u8]>,
+    png: Option<PngColor>,
 ) -> (bool, String, Option<Vec<f32>>) {
     let bits = samples.bits();
     if matches!(samples, Samples::F32(_)) {
@@ -132,27 +145,24 @@ fn encoding(
     if let Some(curve) = profile.and_then(icc::tone_curve) {
         return by_profile(bits, curve);
     }
-    let told = |is_linear: bool, what: &str, curve: Option<Vec<f32>>| {
-        (is_linear, format!("{bits} bit{what}"), curve)
-    };
-    let png = (format == ImageFormat::Png).then(|| png_chunks::color(bytes));
-    match (png.flatten(), bits, profile) {
-        (Some(PngColor::Linear), ..) => told(true, ", linear by its gamma", None),
-        (Some(PngColor::Encoded), ..) => told(false, ", sRGB by its metadata", None),
+    let (is_linear, what, curve) = match (png, bits, profile) {
+        (Some(PngColor::Linear), ..) => (true, ", linear by its gamma".to_owned(), None),
+        (Some(PngColor::Encoded), ..) => (false, ", sRGB by its metadata".to_owned(), None),
         (Some(PngColor::Gamma(gamma)), ..) => {
             let table = icc::power_table(gamma);
-            told(false, &format!(", gamma {gamma:.2}"), Some(table))
+            (false, format!(", gamma {gamma:.2}"), Some(table))
         }
-        (None, 16, None) => told(true, " without colour metadata", None),
+        (None, 16, None) => (true, " without colour metadata".to_owned(), None),
         (None, _, Some(_)) => {
             let what = ", colour profile without a plain curve, taken as sRGB";
-            told(false, what, None)
+            (false, what.to_owned(), None)
         }
-        (None, _, None) => told(false, "", None),
-    }
+        (None, _, None) => (false, String::new(), None),
+    };
+    (is_linear, format!("{bits} bit{what}"), curve)
 }
 
-/// The same of a photo whose colour profile tells its curve.
+/// The same of a photo whose colour profile has a curve.
 pub(super) fn by_profile(bits: u32, curve: ToneCurve) -> (bool, String, Option<Vec<f32>>) {
     let (is_linear, what, table) = match curve {
         ToneCurve::Linear => (true, "linear colour profile", None),
@@ -194,14 +204,20 @@ fn split(image: DynamicImage) -> (Samples, usize, Option<Vec<bool>>) {
     }
 }
 
-/// The reason in a user's words.
-fn describe(error: &image::ImageError) -> String {
-    use image::ImageError;
-    match error {
+/// The refusal in a user's words.
+fn refused(path: &Path, error: ImageError) -> IoError {
+    let reason = match &error {
         ImageError::IoError(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => {
             "the image is cut off: its file ends too early".to_owned()
         }
         ImageError::Unsupported(error) => format!("this kind of image is not supported: {error}"),
         error => format!("the image is damaged: {error}"),
+    };
+    let refusal = IoError::input(path, reason);
+    match error {
+        ImageError::Unsupported(_) => {
+            refusal.with_hint("convert to OpenEXR, or to PNG or TIFF with 8 or 16 bits")
+        }
+        _ => refusal,
     }
 }

@@ -1,7 +1,7 @@
 //! Camera RAW to linear intensities in the camera's own colours.
 //!
-//! A sample `s` behind a filter of colour `c`, with the sensor's black level `b` and white level `w`
-//! there, becomes
+//! A sample `s` behind a filter of colour `c`, with the sensor's black level `b` and white level
+//! `w` there, becomes
 //!
 //! ```text
 //! L_c = (s - b) / (w - b),      1 where the sensor saturates
@@ -20,7 +20,7 @@
 //! - The frame is the sensor's recommended area, as that of the camera's own JPEG.
 
 use super::exif_facts;
-use super::floats::of_floats;
+use super::parts::of_floats;
 use crate::error::IoError;
 use rawler::cfa::{CFA, PlaneColor};
 use rawler::decoders::{Decoder, FormatHint, RawDecodeParams, RawMetadata};
@@ -188,11 +188,11 @@ impl Levels {
     }
 }
 
-/// Factors of red, green and blue for which grey is about equal in all; 1 where the file tells none.
+/// Factors of red, green and blue for which grey is about equal in all; 1 where the file has none.
 fn balance(raw: &RawImage) -> [f32; 3] {
     let [red, green, blue, _] = raw.wb_coeffs;
     let factors = [red / green, 1.0, blue / green];
-    // Beyond this no light that people photograph under lies: such a file tells nonsense.
+    // Beyond this no light that people photograph under lies: such a file is wrong.
     let plausible = factors.iter().all(|f| (0.05..20.0).contains(f));
     if plausible { factors } else { [1.0; 3] }
 }
@@ -262,7 +262,9 @@ fn demosaic(
 
 /// Adds what the RAW library found in containers that the EXIF reader does not know.
 fn complete(exif: &mut ExifFacts, metadata: &RawMetadata) {
-    let found = &metadata.exif;
+    fn fill<T>(known: &mut Option<T>, found: Option<T>) {
+        *known = known.take().or(found);
+    }
     let number = |value: &Option<rawler::formats::tiff::Rational>| {
         let value = value.as_ref()?;
         let number = f64::from(value.n) / f64::from(value.d);
@@ -270,31 +272,19 @@ fn complete(exif: &mut ExifFacts, metadata: &RawMetadata) {
     };
     let text = |value: &str| (!value.trim().is_empty()).then(|| value.trim().to_owned());
     let own_text = |value: &Option<String>| value.as_deref().and_then(text);
-    let iso = found
-        .iso_speed_ratings
-        .map(f64::from)
-        .filter(|&iso| iso > 0.0);
-    exif.focal_mm = exif.focal_mm.or_else(|| number(&found.focal_length));
-    exif.exposure_time_s = exif
-        .exposure_time_s
-        .or_else(|| number(&found.exposure_time));
-    exif.f_number = exif.f_number.or_else(|| number(&found.fnumber));
-    exif.iso = exif.iso.or(iso);
-    exif.make = exif.make.take().or_else(|| text(&metadata.make));
-    exif.model = exif.model.take().or_else(|| text(&metadata.model));
-    exif.serial = exif
-        .serial
-        .take()
-        .or_else(|| own_text(&found.serial_number));
-    exif.lens = exif.lens.take().or_else(|| own_text(&found.lens_model));
-    exif.date = exif
-        .date
-        .take()
-        .or_else(|| own_text(&found.date_time_original));
-    if exif.orientation.is_none() {
-        let orientation = found.orientation.filter(|v| (1..=8).contains(v));
-        exif.orientation = orientation.map(|v| v as u8);
-    }
+    let found = &metadata.exif;
+    let iso = found.iso_speed_ratings.map(f64::from);
+    let orientation = found.orientation.filter(|v| (1..=8).contains(v));
+    fill(&mut exif.focal_mm, number(&found.focal_length));
+    fill(&mut exif.exposure_time_s, number(&found.exposure_time));
+    fill(&mut exif.f_number, number(&found.fnumber));
+    fill(&mut exif.iso, iso.filter(|&iso| iso > 0.0));
+    fill(&mut exif.make, text(&metadata.make));
+    fill(&mut exif.model, text(&metadata.model));
+    fill(&mut exif.serial, own_text(&found.serial_number));
+    fill(&mut exif.lens, own_text(&found.lens_model));
+    fill(&mut exif.date, own_text(&found.date_time_original));
+    fill(&mut exif.orientation, orientation.map(|v| v as u8));
 }
 
 #[cfg(test)]

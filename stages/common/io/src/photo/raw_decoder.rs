@@ -1,9 +1,10 @@
 //! Which decoder camera RAW files go through.
 //!
-//! A RAW library reads the formats of dozens of makers, and a damaged or hostile file can make it ask
-//! for more memory than there is, which ends the process: no check around it can help. Used alone, this
-//! crate decodes in the calling process all the same; a program that must outlive such files installs
-//! a decoder that works in a process of its own ([`set_raw_decoder`]), which calls [`decode_raw_here`].
+//! A RAW library reads the formats of dozens of makers, and a damaged or hostile file can make it
+//! ask for more memory than there is, which ends the process: no check around it can help. Used
+//! alone, this crate decodes in the calling process all the same; a program that must outlive such
+//! files installs a decoder that works in a process of its own ([`set_raw_decoder`]), which calls
+//! [`decode_raw_here`].
 
 use super::guard::guarded;
 use crate::error::{IoError, IoErrorKind};
@@ -11,19 +12,20 @@ use rilievo_scene::DecodedPhoto;
 use std::path::Path;
 use std::sync::OnceLock;
 
-/// Decodes the content of a RAW file, which the path names: its ending tells the maker, its name goes
-/// into messages, and nothing is read from there.
+/// Decodes the content of a RAW file, which the path names: its ending names the maker, its name
+/// goes into messages, and nothing is read from there.
 ///
 /// # Errors
-/// Of kind [`IoErrorKind::Input`] when the content cannot be decoded, which is the file's fault and stays
-/// so; of kind [`IoErrorKind::Read`] when decoding was kept from ending, and may do so another time.
+/// Of kind [`IoErrorKind::Input`] when the content cannot be decoded, which is the file's fault and
+/// stays so; of kind [`IoErrorKind::Read`] when decoding was kept from ending, and may do so
+/// another time.
 pub type RawDecoder = fn(&Path, &[u8]) -> Result<DecodedPhoto, IoError>;
 
 static INSTALLED: OnceLock<RawDecoder> = OnceLock::new();
 
 /// How a RAW file becomes a photo whose samples are proportional to light. LibRaw's `-4` writes 16
 /// bits without tone curve and automatic brightness, `-o 0` keeps the camera's colours, so that the
-/// file says nothing of its colours and is taken as linear.
+/// file has no statement of its colours and is taken as linear.
 const RAW_HINT: &str = "develop all photos alike to linear 16-bit TIFF, as with LibRaw's \
      dcraw_emu -T -4 -o 0 -w FILE, or in RawTherapee or darktable with a linear output profile and \
      no tone curve";

@@ -1,7 +1,7 @@
 use super::*;
 use exif::experimental::Writer;
 use exif::{Rational, Value};
-use image::DynamicImage;
+use image::{DynamicImage, ImageFormat};
 use image::{ImageBuffer, Luma, Rgb, Rgba};
 use rilievo_scene::{ExifFacts, Samples};
 use std::io::Cursor;

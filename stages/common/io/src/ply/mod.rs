@@ -8,12 +8,10 @@
 //! Read is any PLY 1.0, ascii or binary of either order, properties in any order and of any type,
 //! unknown elements and properties skipped.
 
-mod coarse;
 mod header;
 mod read;
 mod write;
 
-pub use coarse::{CoarseMesh, read_coarse_mesh_ply};
 pub use read::{read_cloud_ply, read_mesh_ply};
 pub use write::{CloudPlyWriter, mesh_ply_file, write_cloud_ply, write_mesh_ply};
 

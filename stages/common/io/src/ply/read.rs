@@ -22,12 +22,12 @@ const VERTEX_PROPERTIES: [&str; 11] = [
 ];
 
 /// Numbers of the body, one after another.
-pub(super) enum Body<'a> {
+enum Body<'a> {
     Text(std::str::SplitAsciiWhitespace<'a>),
     Binary { bytes: &'a [u8], big_endian: bool },
 }
 
-pub(super) const NO_POSITIONS: &str = "has no vertices with x, y and z";
+const NO_POSITIONS: &str = "has no vertices with x, y and z";
 
 const TOO_SHORT: &str = "the file ends too early";
 
@@ -46,7 +46,7 @@ impl<'a> Body<'a> {
         })
     }
 
-    pub(super) fn next(&mut self, scalar: Scalar) -> Result<f64, String> {
+    fn next(&mut self, scalar: Scalar) -> Result<f64, String> {
         match self {
             Self::Text(words) => {
                 let word = words.next().ok_or(TOO_SHORT)?;
@@ -97,8 +97,11 @@ impl<'a> Body<'a> {
     }
 }
 
+/// A vertex, in the order of [`VERTEX_PROPERTIES`].
+type Vertex = [f32; VERTEX_PROPERTIES.len()];
+
 struct Content {
-    vertices: Vec<[f64; VERTEX_PROPERTIES.len()]>,
+    vertices: Vec<Vertex>,
     /// Which of the vertex's values the file has.
     has: [bool; VERTEX_PROPERTIES.len()],
     triangles: Vec<[u32; 3]>,
@@ -151,11 +154,9 @@ fn parse(bytes: &[u8]) -> Result<Content, String> {
     Ok(content)
 }
 
-/// A vertex, in the order of [`VERTEX_PROPERTIES`].
-pub(super) type Vertex = [f64; VERTEX_PROPERTIES.len()];
-
-/// For every property of an element of vertices its slot and the factor of its values, where it is understood.
-pub(super) fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
+/// For every property of an element of vertices its slot and the factor of its values, where it is
+/// understood.
+fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
     element
         .properties
         .iter()
@@ -176,29 +177,12 @@ pub(super) fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
         .collect()
 }
 
-/// The next vertex; `values` is reused.
-pub(super) fn next_vertex(
-    element: &Element,
-    slots: &[Option<(usize, f64)>],
-    body: &mut Body<'_>,
-    values: &mut Vec<f64>,
-) -> Result<Vertex, String> {
-    let mut vertex = [0.0; VERTEX_PROPERTIES.len()];
-    for (property, slot) in element.properties.iter().zip(slots) {
-        body.property(property, values)?;
-        if let (Some((slot, scale)), [value]) = (slot, &values[..]) {
-            vertex[*slot] = value * scale;
-        }
-    }
-    Ok(vertex)
-}
-
 fn point(v: &Vertex) -> CloudPoint {
     CloudPoint {
-        position: [v[0] as f32, v[1] as f32, v[2] as f32],
-        normal: [v[3] as f32, v[4] as f32, v[5] as f32],
+        position: [v[0], v[1], v[2]],
+        normal: [v[3], v[4], v[5]],
         color: [byte(v[6]), byte(v[7]), byte(v[8])],
-        confidence: v[9] as f32,
+        confidence: v[9],
         num_views: byte(v[10]),
     }
 }
@@ -218,7 +202,13 @@ fn parse_vertices(
     }
     let mut values = Vec::new();
     for _ in 0..element.count {
-        let vertex = next_vertex(element, &slots, body, &mut values)?;
+        let mut vertex = [0.0; VERTEX_PROPERTIES.len()];
+        for (property, slot) in element.properties.iter().zip(&slots) {
+            body.property(property, &mut values)?;
+            if let (Some((slot, scale)), [value]) = (slot, &values[..]) {
+                vertex[*slot] = (value * scale) as f32;
+            }
+        }
         content.vertices.push(vertex);
     }
     Ok(())
@@ -260,8 +250,8 @@ fn load(path: &Path) -> Result<Content, IoError> {
     parse(&bytes).map_err(|reason| IoError::input(path, reason))
 }
 
-/// `as` casts of floating point saturate, which is what a colour or count out of range should do.
-pub(super) fn byte(value: f64) -> u8 {
+/// A colour or count; the cast saturates, as one out of range should.
+fn byte(value: f32) -> u8 {
     value.round() as u8
 }
 
@@ -281,24 +271,17 @@ pub fn read_cloud_ply(path: &Path) -> Result<PointCloud, IoError> {
 /// When the file cannot be read or is no PLY with `x y z`.
 pub fn read_mesh_ply(path: &Path) -> Result<Mesh, IoError> {
     let content = load(path)?;
-    let triple = |v: &[f64; 11], at: usize| [v[at] as f32, v[at + 1] as f32, v[at + 2] as f32];
-    let has = |at: usize| content.has[at..at + 3].iter().all(|&has| has);
-    let vertices = &content.vertices;
+    let vertices = content.vertices.iter();
+    let triple = |at: usize| -> Vec<[f32; 3]> {
+        let has = content.has[at..at + 3].iter().all(|&has| has);
+        let values = vertices.clone().map(|v| [v[at], v[at + 1], v[at + 2]]);
+        if has { values.collect() } else { Vec::new() }
+    };
+    let colors = triple(6).into_iter();
     Ok(Mesh {
-        vertices: vertices.iter().map(|v| triple(v, 0)).collect(),
-        normals: if has(3) {
-            vertices.iter().map(|v| triple(v, 3)).collect()
-        } else {
-            Vec::new()
-        },
-        colors: if has(6) {
-            vertices
-                .iter()
-                .map(|v| [byte(v[6]), byte(v[7]), byte(v[8])])
-                .collect()
-        } else {
-            Vec::new()
-        },
+        vertices: triple(0),
+        normals: triple(3),
+        colors: colors.map(|color| color.map(byte)).collect(),
         triangles: content.triangles,
     })
 }

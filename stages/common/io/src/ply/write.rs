@@ -23,10 +23,12 @@ fn put(out: &mut impl Write, values: [f32; 3]) -> std::io::Result<()> {
         .try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }
 
-/// Columns that a cloud's header keeps free for the number of its points: those of the largest `u64`.
+/// Columns that a cloud's header keeps free for the number of its points: those of the largest
+/// `u64`.
 const COUNT_COLUMNS: usize = 20;
 
-/// Header of a cloud; of one length for any number of points, so that it can be written over: the comment is filled up.
+/// Header of a cloud; of one length for any number of points, so that it can be written over: the
+/// comment is filled up.
 fn cloud_header(world: WorldCoordinates, num_points: u64) -> String {
     let count = num_points.to_string();
     let mut header = preamble(world);
@@ -42,7 +44,8 @@ fn cloud_header(world: WorldCoordinates, num_points: u64) -> String {
     header + "property float confidence\nproperty uchar views\nend_header\n"
 }
 
-/// A cloud that is written as its points come: binary little endian, `x y z nx ny nz red green blue confidence views`.
+/// A cloud that is written as its points come: binary little endian, `x y z nx ny nz red green blue
+/// confidence views`.
 #[derive(Debug)]
 pub struct CloudPlyWriter {
     path: PathBuf,
@@ -53,9 +56,6 @@ pub struct CloudPlyWriter {
 
 impl CloudPlyWriter {
     /// Begins a file, in a folder that exists.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn create(path: &Path, world: impl Into<WorldCoordinates>) -> Result<Self, IoError> {
         let world = world.into();
         let begin = || {
@@ -72,9 +72,6 @@ impl CloudPlyWriter {
     }
 
     /// Writes how many points there are: a file without that is not finished.
-    ///
-    /// # Errors
-    /// When the file cannot be written.
     pub fn finish(mut self) -> Result<(), IoError> {
         let header = cloud_header(self.world, self.num_points);
         let mut end = || {
@@ -111,9 +108,6 @@ impl CloudSink for CloudPlyWriter {
 }
 
 /// Writes a cloud that is in memory, as [`CloudPlyWriter`] does.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_cloud_ply(
     path: &Path,
     cloud: &PointCloud,

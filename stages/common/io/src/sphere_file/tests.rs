@@ -1,8 +1,11 @@
 //! Sphere files as users write them.
 
 use super::*;
+use crate::error::IoError;
 use crate::mask::write_mask;
+use nalgebra::Point3;
 use rilievo_scene::{InMemoryPixels, Intrinsics, Mask, Orientation, Photo, Raster};
+use rilievo_scene::{LightKind, LinearImage, MarkedSphere, PhotoIdx, PhotoSet, SphereMark};
 use std::sync::Arc;
 
 fn disc() -> Mask {

@@ -81,33 +81,36 @@ fn cameras() -> io::CameraFile {
 }
 
 fn targets(folder: &Path) -> Vec<Target> {
-    let mut targets = Vec::new();
-    let mut add = |name, file: PathBuf, given: PathBuf, read| {
-        targets.push(Target {
-            name,
-            file,
-            given,
-            read,
-        });
-    };
-    std::fs::create_dir_all(folder.join("images")).unwrap();
-    let photo = include_bytes!("../../src/photo/samples/halved.jpg");
-    for i in 0..2 {
-        std::fs::write(folder.join(format!("images/{i:08}.png")), photo).unwrap();
-        std::fs::write(folder.join(format!("{i:08}.png")), photo).unwrap();
+    let mut targets = camera_targets(folder);
+    targets.extend(text_and_photo_targets(folder));
+    targets.extend(written_targets(folder));
+    targets
+}
+
+/// One file that is read by its own path.
+fn target(name: &'static str, file: PathBuf, read: fn(&Path)) -> Target {
+    Target {
+        name,
+        given: file.clone(),
+        file,
+        read,
     }
-    type Exported = (
-        &'static str,
-        CameraFormat,
-        &'static str,
-        &'static str,
-        fn(&Path),
-    );
+}
+
+const PHOTO: &[u8] = include_bytes!("../../src/photo/samples/halved.jpg");
+
+fn camera_targets(folder: &Path) -> Vec<Target> {
+    std::fs::create_dir_all(folder.join("images")).unwrap();
+    for i in 0..2 {
+        std::fs::write(folder.join(format!("images/{i:08}.png")), PHOTO).unwrap();
+        std::fs::write(folder.join(format!("{i:08}.png")), PHOTO).unwrap();
+    }
     fn import(path: &Path, format: CameraFormat) {
-        drop(io::import_cameras(path, format));
+        drop(io::import_cameras(path, format, None));
     }
     use CameraFormat as F;
-    let exported: [Exported; 14] = [
+    type Exported = (&'static str, F, &'static str, &'static str, fn(&Path));
+    let exported: [Exported; 11] = [
         ("cameras.json", F::CamerasJson, "cameras.json", "", |p| {
             drop(io::read_cameras(p))
         }),
@@ -126,18 +129,14 @@ fn targets(folder: &Path) -> Vec<Target> {
             F::ColmapBinary,
             "bin",
             "cameras.bin",
-            |p| {
-                import(p, F::ColmapBinary);
-            },
+            |p| import(p, F::ColmapBinary),
         ),
         (
             "COLMAP images.bin",
             F::ColmapBinary,
             "bin",
             "images.bin",
-            |p| {
-                import(p, F::ColmapBinary);
-            },
+            |p| import(p, F::ColmapBinary),
         ),
         (
             "transforms.json",
@@ -146,19 +145,12 @@ fn targets(folder: &Path) -> Vec<Target> {
             "",
             |p| import(p, F::Transforms),
         ),
-        ("bundle.out", F::Bundler, "bundle.out", "", |p| {
-            import(p, F::Bundler)
-        }),
-        ("MVSNet", F::Mvsnet, "", "cams/00000000_cam.txt", |p| {
-            import(p, F::Mvsnet)
-        }),
         ("Middlebury", F::Middlebury, "a_par.txt", "", |p| {
             import(p, F::Middlebury)
         }),
         ("Metashape", F::Metashape, "cameras.xml", "", |p| {
             import(p, F::Metashape)
         }),
-        ("TUM", F::Tum, "pose.txt", "", |p| import(p, F::Tum)),
         ("sfmData", F::SfmData, "cameras.sfm", "", |p| {
             import(p, F::SfmData)
         }),
@@ -167,6 +159,7 @@ fn targets(folder: &Path) -> Vec<Target> {
         }),
         ("npz", F::Npz, "cameras.npz", "", |p| import(p, F::Npz)),
     ];
+    let mut targets = Vec::new();
     for (name, format, place, inside, read) in exported {
         let given = folder.join(place);
         io::export_cameras(&given, format, &cameras()).unwrap();
@@ -174,39 +167,57 @@ fn targets(folder: &Path) -> Vec<Target> {
             "" => given.clone(),
             inside => given.join(inside),
         };
-        add(name, file, given, read);
+        targets.push(Target {
+            name,
+            file,
+            given,
+            read,
+        });
     }
-    let mut text = |name, content: &[u8], read| {
+    targets
+}
+
+fn text_and_photo_targets(folder: &Path) -> Vec<Target> {
+    let progressive = include_bytes!("../../src/photo/samples/progressive.jpg");
+    type Content = (&'static str, &'static [u8], fn(&Path));
+    let contents: [Content; 6] = [
+        (
+            "sphere.json",
+            br#"{"radius": 0.04, "views": {"b": {"ellipse": [1, 2, 5, 4, 90]}, "c": {"circle": [3, 4, 6]},
+            "p": {"points": [[0,0],[1,0],[2,1],[1,2],[0,1]]}}, "center": [0.1, 0.2, 0.3]}"#,
+            |p| drop(io::read_sphere_file(p)),
+        ),
+        (
+            "lighting.json",
+            br#"{"L1": [[1,2,3,4,5,6,7,8,9]], "L2": [[0,0,-1,0,0,0,0,0,1e3]]}"#,
+            |p| drop(io::read_lighting(p, Some("L1"))),
+        ),
+        (
+            "scene.json",
+            br#"{"views": [{"name": "a", "image": "i.exr", "camera": "c.json", "init": "plane"}]}"#,
+            |p| drop(io::read_scene(p)),
+        ),
+        ("matches.csv", b"x1,y1,x2,y2\n1,2,3.5,-4\n5,6,7,8\n", |p| {
+            drop(io::read_matches_csv(p));
+        }),
+        ("photo.jpg", PHOTO, |p| drop(io::decode_photo(p))),
+        ("progressive.jpg", progressive, |p| drop(io::decode_photo(p))),
+    ];
+    let write = |(name, content, read): Content| {
         let path = folder.join(name);
         std::fs::write(&path, content).unwrap();
-        add(name, path.clone(), path, read);
+        target(name, path, read)
     };
-    text(
-        "sphere.json",
-        br#"{"radius": 0.04, "views": {"b": {"ellipse": [1, 2, 5, 4, 90]}, "c": {"circle": [3, 4, 6]},
-            "p": {"points": [[0,0],[1,0],[2,1],[1,2],[0,1]]}}, "center": [0.1, 0.2, 0.3]}"#,
-        |p| drop(io::read_sphere_file(p)),
-    );
-    text(
-        "lighting.json",
-        br#"{"L1": [[1,2,3,4,5,6,7,8,9]], "L2": [[0,0,-1,0,0,0,0,0,1e3]]}"#,
-        |p| drop(io::read_lighting(p, Some("L1"))),
-    );
-    text(
-        "scene.json",
-        br#"{"views": [{"name": "a", "image": "i.exr", "camera": "c.json", "init": "plane"}]}"#,
-        |p| drop(io::read_scene(p)),
-    );
-    text("matches.csv", b"x1,y1,x2,y2\n1,2,3.5,-4\n5,6,7,8\n", |p| {
-        drop(io::read_matches_csv(p));
-    });
-    text("photo.jpg", photo, |p| drop(io::decode_photo(p)));
-    text(
-        "progressive.jpg",
-        include_bytes!("../../src/photo/samples/progressive.jpg"),
-        |p| drop(io::decode_photo(p)),
-    );
-    let path = folder.join("cloud.ply");
+    contents.map(write).into()
+}
+
+fn written_targets(folder: &Path) -> Vec<Target> {
+    let mut targets = Vec::new();
+    let mut add = |name: &'static str, read: fn(&Path), write: &dyn Fn(&Path)| {
+        let path = folder.join(name);
+        write(&path);
+        targets.push(target(name, path, read));
+    };
     let point = CloudPoint {
         position: [1.0, 2.0, 3.0],
         normal: [0.0, 0.0, 1.0],
@@ -217,39 +228,34 @@ fn targets(folder: &Path) -> Vec<Target> {
     let cloud = PointCloud {
         points: vec![point; 5],
     };
-    io::write_cloud_ply(&path, &cloud, Unit::Metre).unwrap();
-    add("cloud.ply", path.clone(), path, |p| {
-        drop(io::read_cloud_ply(p))
-    });
-    let path = folder.join("mesh.ply");
     let mesh = Mesh {
         vertices: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         triangles: vec![[0, 1, 2]],
         ..Mesh::default()
     };
-    io::write_mesh_ply(&path, &mesh, Unit::Metre).unwrap();
-    add("mesh.ply", path.clone(), path, |p| {
-        drop(io::read_mesh_ply(p))
+    let arrays = [
+        mat_file::header(),
+        mat_file::array("row", &[1, 2], &[1.5, 2.5]),
+    ]
+    .concat();
+    add("cloud.ply", |p| drop(io::read_cloud_ply(p)), &|path| {
+        io::write_cloud_ply(path, &cloud, Unit::Metre).unwrap();
+    });
+    add("mesh.ply", |p| drop(io::read_mesh_ply(p)), &|path| {
+        io::write_mesh_ply(path, &mesh, Unit::Metre).unwrap();
+    });
+    add("arrays.mat", |p| drop(io::read_mat(p, |_| true)), &|path| {
+        std::fs::write(path, &arrays).unwrap();
+    });
+    add("depth.exr", |p| drop(io::read_depth(p)), &|path| {
+        io::write_depth(path, &DepthMap::filled(9, 7, 0.5)).unwrap();
     });
     #[cfg(feature = "raw")]
-    {
-        let path = folder.join("photo.dng");
+    add("photo.dng", |p| drop(io::decode_photo(p)), &|path| {
         let photo = rilievo_scene::LinearImage::filled(16, 12, 3, 0.5);
         let exif = rilievo_scene::ExifFacts::default();
-        io::write_photo_dng(&path, &photo, [1.0; 3], &exif).unwrap();
-        add("photo.dng", path.clone(), path, |p| {
-            drop(io::decode_photo(p))
-        });
-    }
-    let path = folder.join("arrays.mat");
-    let row = mat_file::array("row", &[1, 2], &[1.5, 2.5]);
-    std::fs::write(&path, [mat_file::header(), row].concat()).unwrap();
-    add("arrays.mat", path.clone(), path, |p| {
-        drop(io::read_mat(p, |_| true));
+        io::write_photo_dng(path, &photo, [1.0; 3], &exif).unwrap();
     });
-    let path = folder.join("depth.exr");
-    io::write_depth(&path, &DepthMap::filled(9, 7, 0.5)).unwrap();
-    add("depth.exr", path.clone(), path, |p| drop(io::read_depth(p)));
     targets
 }
 

@@ -88,7 +88,7 @@ fn what_is_missing_is_told_with_its_file() {
         "lighting": "l.json:L1", "init": "plane", "prior": "p.exr"}, {"image": "b.exr", "camera": "d.json"}],
         "matches": [{"views": ["a", "b"], "file": "m.csv"}]}"#;
     let import =
-        |format: CameraFormat| move |path: &Path| io::import_cameras(path, format).map(drop);
+        |format: CameraFormat| move |path: &Path| io::import_cameras(path, format, None).map(drop);
     for (name, num_refused) in [
         ("camera.json", {
             let text = format!("{{{camera}}}");

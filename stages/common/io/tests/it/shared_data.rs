@@ -140,28 +140,3 @@ fn real_photos_and_a_single_camera() {
         assert_eq!((found.width, found.height), (depth.width, depth.height));
     }
 }
-
-#[test]
-fn the_original_trajectory_agrees_with_the_truth() {
-    let Some(folder) = data("sokrates8") else {
-        return;
-    };
-    let truth = io::read_cameras(&folder.join("truth/cameras.json")).unwrap();
-    let tum = io::import_cameras(&folder.join("pose.txt"), io::CameraFormat::Tum).unwrap();
-    assert!(
-        tum.cameras.len() >= truth.cameras.len(),
-        "{}",
-        tum.cameras.len()
-    );
-    for entry in &truth.cameras {
-        let name = entry.image.as_deref().unwrap();
-        let (a, b) = (entry, tum.find(name).unwrap());
-        let center = a.cam_from_world.unwrap().center_in_source();
-        let other = b.cam_from_world.unwrap().center_in_source();
-        assert!((center - other).norm() < 1e-5, "{name}: {center} {other}");
-        let rotation = a.cam_from_world.unwrap().rotation;
-        let angle = rotation.angle_to(&b.cam_from_world.unwrap().rotation);
-        assert!(angle < 1e-5, "{name}: {angle}");
-        assert!((a.intrinsics.fx - b.intrinsics.fx).abs() < 1e-9, "{name}");
-    }
-}

@@ -132,33 +132,38 @@ pub(super) fn follow(
     let mut means = vec![0i64; scan.parts.len()];
     let mut end_of_band = 0u32;
     // A scan of one component holds its own blocks, without those that only fill the last units.
-    let alone = scan.parts.len() == 1;
-    let (units_x, units_y, rows_each) = if alone {
-        let c = &frame.components[scan.parts[0].component];
-        let blocks = |pixels: usize, own: usize, max: usize| (pixels * own).div_ceil(8 * max);
-        (
-            blocks(frame.width, c.h, frame.h_max),
-            blocks(frame.height, c.v, frame.v_max),
-            8 * frame.v_max / c.v,
-        )
-    } else {
-        (
-            frame.width.div_ceil(8 * frame.h_max),
-            frame.height.div_ceil(8 * frame.v_max),
-            8 * frame.v_max,
-        )
+    let alone = match &scan.parts[..] {
+        [part] => Some(&frame.components[part.component]),
+        _ => None,
     };
+    let (h, v) = alone.map_or((1, 1), |component| (component.h, component.v));
+    let units_x = (frame.width * h).div_ceil(8 * frame.h_max);
+    let units_y = (frame.height * v).div_ceil(8 * frame.v_max);
+    let (alone, rows_each) = (alone.is_some(), 8 * frame.v_max / v);
     let num_units = units_x * units_y;
     for unit in 0..num_units {
         let (x, y) = (unit % units_x, unit / units_x);
-        let row = (y * rows_each).min(frame.height);
-        let height = frame.height;
+        let damaged = Defect::Scan {
+            row: (y * rows_each).min(frame.height),
+            height: frame.height,
+        };
+        if scan.restart_interval > 0 && unit > 0 && unit % scan.restart_interval == 0 {
+            let expected = 0xD0 + ((unit / scan.restart_interval - 1) % 8) as u8;
+            // The marker's code stands after its `0xFF` and any fill bytes.
+            let rest = bytes.get(bits.marker..).unwrap_or_default();
+            let fill = rest.iter().take_while(|&&byte| byte == 0xFF).count();
+            if bits.num_left() > MAX_LEFT || rest.get(fill) != Some(&expected) {
+                return Err(damaged);
+            }
+            bits = Bits::new(bytes, bits.marker + fill + 1);
+            means.fill(0);
+            end_of_band = 0;
+        }
         for (part, mean) in scan.parts.iter().zip(&mut means) {
             let component = &mut frame.components[part.component];
-            let (h, v) = if alone {
-                (1, 1)
-            } else {
-                (component.h, component.v)
+            let (h, v) = match alone {
+                true => (1, 1),
+                false => (component.h, component.v),
             };
             for block in 0..h * v {
                 let index = (y * v + block / h) * component.blocks_x + x * h + block % h;
@@ -172,51 +177,30 @@ pub(super) fn follow(
                 let step = i64::from(part.mean_step);
                 let level = (*mean << scan.shift).abs() * step;
                 if read.is_none() || (frame.precision == 8 && level > MAX_MEAN + step) {
-                    return Err(if bits.exhausted() {
-                        Defect::CutOff(bytes.len())
-                    } else {
-                        Defect::Scan { row, height }
+                    let is_cut_off = bytes.len().saturating_sub(bits.marker) < 2;
+                    return Err(match is_cut_off {
+                        true => Defect::CutOff(bytes.len()),
+                        false => damaged,
                     });
                 }
             }
         }
-        let done = unit + 1;
-        if scan.restart_interval > 0 && done % scan.restart_interval == 0 && done < num_units {
-            let (left, marker) = bits.end();
-            let expected = 0xD0 + ((done / scan.restart_interval - 1) % 8) as u8;
-            let marker = skip_fill(bytes, marker);
-            if left > MAX_LEFT || bytes.get(marker) != Some(&expected) {
-                return Err(Defect::Scan { row, height });
-            }
-            bits = Bits::new(bytes, marker + 1);
-            means.fill(0);
-            end_of_band = 0;
-        }
     }
-    let (left, end) = bits.end();
-    if left > MAX_LEFT {
-        return Err(Defect::Left(left));
+    match bits.num_left() {
+        left if left > MAX_LEFT => Err(Defect::Left(left)),
+        _ => Ok(bits.marker),
     }
-    Ok(end)
-}
-
-/// The place of a marker's code, after its `0xFF` and any fill bytes.
-fn skip_fill(bytes: &[u8], mut at: usize) -> usize {
-    while bytes.get(at) == Some(&0xFF) {
-        at += 1;
-    }
-    at
 }
 
 /// The difference of a block's mean to the one before.
-fn mean_difference(bits: &mut Bits<'_>, part: &Part) -> Option<i64> {
+fn mean_difference(bits: &mut Bits, part: &Part) -> Option<i64> {
     let category = bits.symbol(part.dc.as_ref()?)?;
     (category <= 15).then_some(())?;
     bits.coefficient(category).map(i64::from)
 }
 
 /// A block of a sequential scan (F.2.2).
-fn sequential(bits: &mut Bits<'_>, part: &Part, mean: &mut i64) -> Option<()> {
+fn sequential(bits: &mut Bits, part: &Part, mean: &mut i64) -> Option<()> {
     *mean += mean_difference(bits, part)?;
     let table = part.ac.as_ref()?;
     let mut k = 1;
@@ -234,7 +218,7 @@ fn sequential(bits: &mut Bits<'_>, part: &Part, mean: &mut i64) -> Option<()> {
         }
         k += run;
         num += 1;
-        (k < 64 && !(num > MAX_MONOTONOUS && bits.monotonous())).then_some(())?;
+        (k < 64 && !(num > MAX_MONOTONOUS && bits.is_lost())).then_some(())?;
         bits.number(category)?;
         k += 1;
     }
@@ -243,7 +227,7 @@ fn sequential(bits: &mut Bits<'_>, part: &Part, mean: &mut i64) -> Option<()> {
 
 /// A block of a progressive scan (G.1.2).
 fn progressive(
-    bits: &mut Bits<'_>,
+    bits: &mut Bits,
     scan: &Scan,
     part: &Part,
     mean: &mut i64,

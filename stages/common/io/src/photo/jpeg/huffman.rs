@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-/// Equal bytes in a row from which data with coefficients other than zero are none: a lost sector.
-/// Chance gives as many once in 2¹⁸⁴.
+/// Equal bytes in a row from which coefficients other than zero are none: a lost sector. Chance
+/// makes as many once in 2¹⁸⁴.
 const MIN_LOST: u32 = 24;
 
 /// Longest code, bits.
@@ -25,9 +25,8 @@ impl HuffmanTable {
         for (length, &count) in (1..=MAX_LENGTH).zip(counts) {
             for _ in 0..count {
                 let end = next + (1 << (MAX_LENGTH - length));
-                table
-                    .get_mut(next..end)?
-                    .fill((length as u8, *symbols.next()?));
+                let codes = table.get_mut(next..end)?;
+                codes.fill((length as u8, *symbols.next()?));
                 next = end;
             }
         }
@@ -35,87 +34,79 @@ impl HuffmanTable {
     }
 }
 
-/// The bits of a scan: stuffed zeros taken out, stopping at a marker.
-pub(super) struct Bits<'a> {
-    bytes: &'a [u8],
+/// The bits of a scan, or of its part up to a restart: as far as the next marker.
+pub(super) struct Bits {
+    /// Bytes without the zeros that are stuffed behind `0xFF`; four zeros more, and for each byte
+    /// whether it is the last of many equal ones.
+    data: Vec<u8>,
+    lost: Vec<bool>,
+    /// Bits that were read, and those that there are.
     at: usize,
-    /// The next bits, from the highest one down.
-    buffer: u64,
-    count: u32,
-    /// How often the last byte came in a row.
-    repeated: u32,
-    last: u8,
+    len: usize,
+    /// Place of the marker that ends them, or of the file's end.
+    pub(super) marker: usize,
 }
 
-impl<'a> Bits<'a> {
-    pub(super) fn new(bytes: &'a [u8], at: usize) -> Self {
+impl Bits {
+    pub(super) fn new(bytes: &[u8], mut at: usize) -> Self {
+        let (mut data, mut lost) = (Vec::new(), Vec::new());
+        let mut repeated = 0;
+        loop {
+            let (byte, step) = match bytes.get(at..) {
+                Some([0xFF, 0x00, ..]) => (0xFF, 2),
+                // A marker, or fill bytes before one.
+                Some([0xFF, ..] | []) | None => break,
+                Some([byte, ..]) => (*byte, 1),
+            };
+            let is_same = data.last() == Some(&byte);
+            repeated = if is_same { repeated + 1 } else { 1 };
+            data.push(byte);
+            lost.push(repeated >= MIN_LOST);
+            at += step;
+        }
+        let len = 8 * data.len();
+        data.extend([0; 4]);
         Self {
-            bytes,
-            at,
-            buffer: 0,
-            count: 0,
-            repeated: 0,
-            last: 0,
+            data,
+            lost,
+            at: 0,
+            len,
+            marker: at,
         }
     }
 
-    /// Whether the file ends here, without the marker that ends a scan.
-    pub(super) fn exhausted(&self) -> bool {
-        matches!(self.bytes.get(self.at..), None | Some([] | [0xFF]))
+    /// Whether the byte at hand repeats those before it over and over.
+    pub(super) fn is_lost(&self) -> bool {
+        self.lost.get(self.at / 8).is_some_and(|&lost| lost)
     }
 
-    /// Whether the bytes that come are one value over and over.
-    pub(super) fn monotonous(&self) -> bool {
-        self.repeated >= MIN_LOST
+    /// The next 16 bits, zeros behind the last.
+    fn ahead(&self) -> u32 {
+        let bytes = self
+            .data
+            .get(self.at / 8..)
+            .and_then(|rest| rest.first_chunk());
+        let word = u32::from_be_bytes(*bytes.unwrap_or(&[0; 4]));
+        word << (self.at % 8) >> 16
     }
 
-    fn fill(&mut self) {
-        while self.count <= 56 {
-            let step = match self.bytes.get(self.at..) {
-                Some([0xFF, 0x00, ..]) => 2,
-                Some([0xFF, ..] | []) | None => return,
-                Some(_) => 1,
-            };
-            let byte = self.bytes[self.at];
-            self.repeated = if byte == self.last {
-                self.repeated + 1
-            } else {
-                1
-            };
-            self.last = byte;
-            self.buffer |= u64::from(byte) << (56 - self.count);
-            self.count += 8;
-            self.at += step;
-        }
-    }
-
-    fn drop_bits(&mut self, num: u32) -> Option<()> {
-        self.count = self.count.checked_sub(num)?;
-        self.buffer <<= num;
-        Some(())
+    fn pass(&mut self, num: u8) -> Option<()> {
+        self.at += usize::from(num);
+        (self.at <= self.len).then_some(())
     }
 
     /// The next symbol; `None` where no code begins so or the data end.
     pub(super) fn symbol(&mut self, table: &HuffmanTable) -> Option<u8> {
-        if self.count < MAX_LENGTH as u32 {
-            self.fill();
-        }
-        let (length, symbol) = table.0[(self.buffer >> 48) as usize];
+        let (length, symbol) = table.0[self.ahead() as usize];
         (length > 0).then_some(())?;
-        self.drop_bits(u32::from(length))?;
+        self.pass(length)?;
         Some(symbol)
     }
 
     /// The next bits as a number, highest first; at most 16.
     pub(super) fn number(&mut self, num: u8) -> Option<u32> {
-        if num == 0 {
-            return Some(0);
-        }
-        if self.count < u32::from(num) {
-            self.fill();
-        }
-        let value = (self.buffer >> (64 - u32::from(num))) as u32;
-        self.drop_bits(u32::from(num))?;
+        let value = self.ahead() >> (16 - num);
+        self.pass(num)?;
         Some(value)
     }
 
@@ -128,28 +119,9 @@ impl<'a> Bits<'a> {
         Some(value - (1 << category) + 1)
     }
 
-    /// Ends the scan or interval: how many bytes other than zero are left unread, and where the
-    /// marker stands.
-    pub(super) fn end(&self) -> (usize, usize) {
-        // What is left of a byte that was begun is padding.
-        let begun = self.count % 8;
-        let buffered = (self.buffer << begun).to_be_bytes();
-        let whole = (self.count / 8) as usize;
-        let mut left = buffered[..whole].iter().filter(|&&byte| byte != 0).count();
-        let mut at = self.at;
-        loop {
-            match self.bytes.get(at..) {
-                Some([0xFF, 0x00, ..]) => {
-                    at += 2;
-                    left += 1;
-                }
-                // A marker, or fill bytes before one.
-                Some([0xFF, ..] | []) | None => return (left, at),
-                Some([byte, ..]) => {
-                    at += 1;
-                    left += usize::from(*byte != 0);
-                }
-            }
-        }
+    /// How many bytes other than zero are left unread; the rest of one that was begun is padding.
+    pub(super) fn num_left(&self) -> usize {
+        let rest = self.data.get(self.at.div_ceil(8)..self.len / 8);
+        rest.map_or(0, |rest| rest.iter().filter(|&&byte| byte != 0).count())
     }
 }

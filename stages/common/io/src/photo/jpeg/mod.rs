@@ -1,14 +1,24 @@
 //! Whether a JPEG file is whole: a walk over its markers and through its Huffman-coded data.
 //!
-//! Decoders fill the missing part of a cut-off JPEG with grey, go on after damage in the middle with
-//! whatever the bits happen to say, and report success; as a photo that is worse than none. Two
-//! things tell:
+//! Decoders fill the missing part of a cut-off JPEG with grey, go on after damage in the middle
+//! with whatever the bits happen to say, and report success; as a photo that is worse than none.
+//! Two things tell:
 //! 1. the end-of-image marker (ITU-T T.81, section B.1.1.3), always the last thing that a camera
 //!    writes, is absent from a file that was cut off;
 //! 2. each scan must hold exactly the blocks that its frame asks for ([`entropy`]): after damage the
 //!    codes fall out of step, and their number no longer fits.
 //!
-//! What cannot be told: a changed bit inside a coefficient's value, which leaves the codes in step.
+//! A changed bit inside a coefficient's value leaves the codes in step, and stays unseen.
+//!
+//! The decoder's own strict mode (zune-jpeg 0.5.15) is no substitute. Found damaged, of copies of six
+//! photos of all coding kinds:
+//!
+//! | damage | files | walk | strict mode |
+//! |---|---|---|---|
+//! | cut off | 2762 | 2762 | 2692 |
+//! | 64 bytes lost | 480 | 473 | 136 |
+//! | 100 bytes missing | 120 | 117 | 11 |
+//! | one byte wrong | 3222 | 1235 | 138 |
 
 mod defect;
 mod entropy;
@@ -20,8 +30,8 @@ use huffman::HuffmanTable;
 
 pub(super) use defect::Defect;
 
-/// More scans than any encoder writes: ten are usual. Each can name every block of the photo again in
-/// a few bytes, so that a small file could take hours.
+/// More scans than any encoder writes: ten are usual. Each can name every block of the photo again
+/// in a few bytes, so that a small file could take hours.
 const MAX_NUM_SCANS: usize = 500;
 
 /// Tables and frame as far as the walk has come.
@@ -98,8 +108,8 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), Defect> {
     }
 }
 
-/// A frame whose scans can be followed: Huffman-coded, of a size that a photo can have and `len` bytes can
-/// fill.
+/// A frame whose scans can be followed: Huffman-coded, of a size that a photo can have and `len`
+/// bytes can fill.
 fn frame(marker: u8, segment: &[u8], len: usize) -> Result<Option<Frame>, Defect> {
     let progressive = match marker {
         0xC0 | 0xC1 => false,

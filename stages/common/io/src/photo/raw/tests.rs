@@ -45,8 +45,8 @@ fn a_mosaic_gives_back_the_light_in_the_cameras_colours() {
         (96, 72, 3)
     );
     assert!(balanced.linear_by_metadata && balanced.saturates_at_white);
-    // Interpolation over a wave of 19 px: its second difference is 0.3 / 19^2 = 8e-4 a pixel; steps of
-    // 14 bits are 6e-5. At the border, the library takes means over one side.
+    // Interpolation over a wave of 19 px: its second difference is 0.3 / 19^2 = 8e-4 a pixel; steps
+    // of 14 bits are 6e-5. At the border, the library takes means over one side.
     let error = worst(&balanced, &image);
     assert!(error < 1.6e-2, "{error}");
     let inner: f32 = inner_error(&balanced, &image);

@@ -1,8 +1,14 @@
-//! Cameras without lens distortion, for the formats that hold no other.
+//! What formats hold of a camera: axes that point another way, and none with lens distortion.
 
 use crate::cameras::CameraEntry;
 use crate::error::IoError;
+use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
+
+/// Turns camera axes x right, y down, z forward into x right, y up, z backward, and back.
+pub(super) fn flip() -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0))
+}
 
 /// Refuses a camera with lens distortion, which a format without cannot hold.
 pub(super) fn refuse_distortion(

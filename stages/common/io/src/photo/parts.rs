@@ -1,7 +1,7 @@
-//! Photos of floating-point samples.
+//! Parts of decoded photos: alpha channels as masks, and photos of floating-point samples.
 
 use super::names::file_name;
-use rilievo_scene::{DecodedPhoto, ExifFacts, Samples};
+use rilievo_scene::{DecodedPhoto, ExifFacts, Mask, Samples};
 use std::path::Path;
 
 /// A photo of floating-point samples that are proportional to light, without alpha and EXIF.
@@ -24,4 +24,17 @@ pub(super) fn of_floats(
         alpha: None,
         exif: ExifFacts::default(),
     }
+}
+
+/// The alpha channel as a mask; an alpha that is opaque everywhere marks nothing.
+pub(super) fn alpha_mask(
+    width: usize,
+    height: usize,
+    opaque: impl Iterator<Item = bool>,
+) -> Option<Mask> {
+    let data: Vec<bool> = opaque.collect();
+    if data.iter().all(|&inside| inside) {
+        return None;
+    }
+    Mask::from_vec(width, height, data)
 }
