@@ -9,6 +9,7 @@
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use rilievo_numerics::distance;
 use rilievo_scene::{DepthMap, Intrinsics, LinearImage, RigidTransform};
 
 /// Voxels behind a surface that still count as seen.
@@ -357,75 +358,15 @@ fn bounds(views: &[DepthView]) -> Option<(Vector3<f32>, Vector3<f32>)> {
 
 /// Euclidean distance to the nearest voxel with a negative sign, less the voxel's own half diagonal.
 fn clearance(signed: &[f32], size: [usize; 3]) -> Vec<f32> {
-    const FAR: f32 = 1e12;
-    let [nx, ny, nz] = size;
     let mut squared: Vec<f32> = signed
         .iter()
-        .map(|&s| if s <= 0.0 { 0.0 } else { FAR })
+        .map(|&s| if s <= 0.0 { 0.0 } else { distance::FAR })
         .collect();
-    // Lower envelopes of parabolas along each axis (Felzenszwalb, Huttenlocher 2012).
-    squared.par_chunks_mut(nx * ny).for_each(|slice| {
-        for y in 0..ny {
-            envelope(slice, y * nx, 1, nx);
-        }
-        for x in 0..nx {
-            envelope(slice, x, nx, ny);
-        }
-    });
-    let columns: Vec<Vec<f32>> = (0..nx * ny)
-        .into_par_iter()
-        .with_min_len(256)
-        .map(|at| {
-            let mut column: Vec<f32> = (0..nz).map(|z| squared[z * nx * ny + at]).collect();
-            envelope(&mut column, 0, 1, nz);
-            column
-        })
-        .collect();
-    for (at, column) in columns.iter().enumerate() {
-        for (z, &value) in column.iter().enumerate() {
-            squared[z * nx * ny + at] = (value.max(0.0).sqrt() - 0.87).max(0.0);
-        }
+    distance::transform(&mut squared, &mut vec![(); signed.len()], size);
+    for value in &mut squared {
+        *value = (value.max(0.0).sqrt() - 0.87).max(0.0);
     }
     squared
-}
-
-fn envelope(values: &mut [f32], start: usize, stride: usize, count: usize) {
-    let f: Vec<f32> = (0..count).map(|k| values[start + k * stride]).collect();
-    let mut vertices = vec![0usize; count];
-    let mut borders = vec![0.0_f32; count + 1];
-    let mut last = 0;
-    borders[0] = f32::NEG_INFINITY;
-    borders[1] = f32::INFINITY;
-    for q in 1..count {
-        let qf = q as f32;
-        loop {
-            let v = vertices[last];
-            let vf = v as f32;
-            let crossing = ((f[q] + qf * qf) - (f[v] + vf * vf)) / (2.0 * (qf - vf));
-            if crossing <= borders[last] && last > 0 {
-                last -= 1;
-                continue;
-            }
-            if crossing <= borders[last] {
-                vertices[0] = q;
-                borders[1] = f32::INFINITY;
-            } else {
-                last += 1;
-                vertices[last] = q;
-                borders[last] = crossing;
-                borders[last + 1] = f32::INFINITY;
-            }
-            break;
-        }
-    }
-    let mut k = 0;
-    for q in 0..count {
-        while borders[k + 1] < q as f32 {
-            k += 1;
-        }
-        let d = q as f32 - vertices[k] as f32;
-        values[start + q * stride] = d * d + f[vertices[k]];
-    }
 }
 
 /// Gives uncoloured voxels the mean of coloured neighbours, a few voxels deep; the rest the mean of
