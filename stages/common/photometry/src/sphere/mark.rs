@@ -17,6 +17,7 @@ use super::cone::{EllipsePx, OutlineCone};
 use super::error::SphereError;
 use super::options::SphereOptions;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
+use rilievo_numerics::random;
 use rilievo_scene::{Intrinsics, Mask, SphereMark};
 use serde::{Deserialize, Serialize};
 
@@ -283,19 +284,10 @@ fn best_of_triples(
     intrinsics: &Intrinsics,
     threshold_px: f64,
 ) -> Option<OutlineCone> {
-    // A fixed linear congruential sequence: the same points give the same cone.
-    let mut state = 0x2545_f491_4f6c_dd1d_u64;
-    let mut draw = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 33) as usize) % rays.len()
-    };
     let stride = rays.len().div_ceil(400);
     let mut best: Option<(f64, OutlineCone)> = None;
     // With 40 % of the points good, 300 triples contain an all-good one with certainty (1 − 4e-9).
-    for _ in 0..300 {
-        let triple = [draw(), draw(), draw()];
+    for triple in random::triples(rays.len()).take(300) {
         let picked = triple.map(|k| rays[k]);
         let Some(cone) = OutlineCone::from_rays(&picked, &[1.0; 3]) else {
             continue;
