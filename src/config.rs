@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn what_is_left_out_keeps_its_default() {
-        let options = read("[shading]\nnoise = 0.02\n").unwrap();
+        let options = read("[shading.paper]\nnoise = 0.02\n").unwrap();
         assert_eq!(options.shading.paper.noise, 0.02);
         assert_eq!(options.poses, PosesOptions::default());
     }
@@ -165,7 +165,11 @@ mod tests {
 
     #[test]
     fn an_endless_line_is_told_by_its_number() {
-        let error = read(&format!("[shading]\nnoise = {}\n", "[".repeat(100_000))).unwrap_err();
+        let error = read(&format!(
+            "[shading.paper]\nnoise = {}\n",
+            "[".repeat(100_000)
+        ))
+        .unwrap_err();
         let message = error.to_string();
         assert!(
             message.len() < 1000 && message.contains("line 2"),
@@ -195,7 +199,6 @@ mod tests {
             cameras: None,
             marks: vec![point.clone(), point],
         });
-        options.shading.paper.match_noise_px = Some(1.0);
         options.shading.paper.schedule = rilievo_shading::paper::PenaltySchedule::Explicit {
             start: 0.1,
             growth: 1.1,

@@ -40,7 +40,7 @@ mod start;
 mod theta;
 
 pub use options::{
-    Coupling, HarmonicOrder, PaperOptions, PenaltySchedule, Projection, Splitting, StartShape,
+    HarmonicOrder, PaperOptions, PenaltySchedule, Projection, Splitting, StartShape,
 };
 pub use problem::{
     DepthAnchor, DepthPrior, PixelLighting, ShadingProblem, ShadingView, ViewLight, ViewMatches,

@@ -21,8 +21,7 @@
 //! Source: rilievo's own; the penalties of the paper's later code and of He et al. (`he2000`) adapt
 //! to residuals instead, which says nothing on what the image leaves open.
 
-use super::model::Facet;
-use super::pixels::Pixels;
+use super::pixels::{Pixels, Slopes};
 use super::splitting::Course;
 use rilievo_numerics::robust::median;
 
@@ -48,13 +47,13 @@ pub(crate) struct Informativeness {
 }
 
 impl Informativeness {
-    pub(crate) fn of(pixels: &Pixels, p: &[f32], q: &[f32], sigma: f64) -> Self {
+    pub(crate) fn of(pixels: &Pixels, [p, q]: &Slopes, sigma: f64) -> Self {
         let (mut large, mut small) = (Vec::new(), Vec::new());
         for k in (0..pixels.len).step_by(1 + pixels.len / 5000) {
             if pixels.weight[k] == 0.0 {
                 continue;
             }
-            let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], [p[k], q[k]]);
+            let facet = pixels.facet(k, [p[k], q[k]]);
             let (mut a, mut b, mut d) = (0.0_f64, 0.0_f64, 0.0_f64);
             for c in 0..pixels.channels {
                 let (_, [jp, jq]) = facet.shade(&pixels.light(c, k));
