@@ -4,8 +4,7 @@
 //! sphere alone shows tells them: an edge along the predicted outline, and brightness inside it that
 //! nine harmonics of its normals explain.
 
-use super::mark::distance_px;
-use super::options::SphereOptions;
+use super::mark::{INLIER_PX, distance_px};
 use super::posed_image::PosedImage;
 use super::refine::{Effort, refine_outline};
 use super::shading::shading;
@@ -18,7 +17,7 @@ pub struct MarkEvidence {
     /// The photo.
     pub photo: PhotoIdx,
     /// Share of the visible outline that an edge of the photo follows within
-    /// [`SphereOptions::inlier_px`].
+    /// 1.5 px.
     pub edge_share: f64,
     /// Relative residual of nine harmonics inside the outline; `None` with too few unclipped pixels.
     pub shading_residual: Option<f64>,
@@ -33,20 +32,20 @@ pub(super) fn confirm(
     images: &[PosedImage],
     marked: &[PhotoIdx],
     located: &LocatedSphere,
-    options: &SphereOptions,
+    search_px: f64,
 ) -> Vec<MarkEvidence> {
     let seen = images.iter().filter(|image| marked.contains(&image.photo));
     let evidence = seen.filter_map(|view| {
         let sphere = view.sphere(located);
         let cone = sphere.cone()?;
         let photo = view.as_photo();
-        let found = refine_outline(&photo, &sphere, options.search_px, Effort::Thorough);
+        let found = refine_outline(&photo, &sphere, search_px, Effort::Thorough);
         if found.visible_share() < MIN_VISIBLE {
             return None;
         }
         let on_outline = found.points.iter().filter(|point| {
             let ray = view.intrinsics.ray(point).normalize();
-            distance_px(&cone, &ray, &view.intrinsics).abs() <= options.inlier_px
+            distance_px(&cone, &ray, &view.intrinsics).abs() <= INLIER_PX
         });
         Some(MarkEvidence {
             photo: view.photo,

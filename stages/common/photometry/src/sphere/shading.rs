@@ -2,7 +2,7 @@
 
 use super::cone::OutlineCone;
 use super::posed_image::Photo;
-use crate::harmonics::{FitOptions, fit_robust};
+use crate::harmonics::{FitOptions, fit_with};
 use nalgebra::Vector3;
 
 /// Share of samples that may be shadowed, dirty or hidden without counting against a candidate.
@@ -50,12 +50,7 @@ pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     if normals.len() < 80 {
         return None;
     }
-    let options = FitOptions {
-        start_left_out: 0.0,
-        max_condition: FitOptions::ANY_CONDITION,
-        ..FitOptions::default()
-    };
-    let fit = fit_robust(&normals, &values, None, &options).ok()?;
+    let fit = fit_with(&normals, &values, None, &FitOptions::EXPLAINING).ok()?;
     let mut residuals: Vec<f64> = normals
         .iter()
         .zip(&values)
