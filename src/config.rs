@@ -51,7 +51,6 @@ impl StageOptions {
             (self.photos.validate(), "photos"),
             (self.features.validate(), "features"),
             (self.poses.validate(), "poses"),
-            (self.lighting.validate(), "lighting"),
             (self.shading.validate(), "shading"),
             (self.fusion.validate(), "fusion"),
         ];
@@ -63,10 +62,11 @@ impl StageOptions {
 }
 
 /// Keys that the stages' tables had once, by table.
-const RETIRED_KEYS: [(&str, &[RetiredKey]); 6] = [
+const RETIRED_KEYS: [(&str, &[RetiredKey]); 7] = [
     ("photos", rilievo_photos::RETIRED_KEYS),
     ("features", rilievo_features::RETIRED_KEYS),
     ("poses", rilievo_poses::RETIRED_KEYS),
+    ("poses", rilievo_photometry::sphere::RETIRED_KEYS),
     ("lighting", rilievo_lighting::RETIRED_KEYS),
     ("shading", rilievo_shading::RETIRED_KEYS),
     ("fusion", rilievo_fusion::RETIRED_KEYS),

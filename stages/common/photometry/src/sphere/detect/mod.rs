@@ -86,7 +86,6 @@ pub fn detect_in_photo(
     image: &LinearImage,
     intrinsics: &Intrinsics,
     clip_level: f32,
-    options: &SphereOptions,
 ) -> Result<OutlineCone, SphereError> {
     let photo = Photo {
         image,
@@ -94,6 +93,7 @@ pub fn detect_in_photo(
         object: None,
         clip_level,
     };
+    let options = &SphereOptions::default();
     match candidates(&photo, options).first() {
         Some(best)
             if best.score(options) >= SINGLE_PHOTO_SCORE
