@@ -5,6 +5,7 @@
 pub mod bvh;
 pub mod conjugate_gradients;
 pub mod corner_grid;
+mod corner_operator;
 pub mod corner_poisson;
 pub mod derivatives;
 pub mod distance;

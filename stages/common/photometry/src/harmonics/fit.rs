@@ -78,8 +78,6 @@ pub struct HarmonicsFit {
     /// Root mean square of the residuals of the samples within three `sigma`, relative to the root
     /// mean square of the intensities.
     pub relative_rms: f64,
-    /// The same over all samples.
-    pub relative_rms_all: f64,
     /// Share of samples within three `sigma`.
     pub inlier_share: f64,
     /// Condition number of the columns that were fitted, scaled to unit length.
@@ -261,21 +259,17 @@ fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option
     let inliers: Vec<usize> = (0..samples.len())
         .filter(|&k| scaled[k] <= 3.0 * sigma)
         .collect();
-    let rms = |indices: &mut dyn Iterator<Item = usize>| {
-        let (mut error, mut total) = (0.0, 0.0);
-        for k in indices {
-            error += (predict(&l, &samples[k]) - samples[k].value).powi(2);
-            total += samples[k].value * samples[k].value;
-        }
-        (error / total.max(f64::MIN_POSITIVE)).sqrt()
-    };
+    let (mut error, mut total) = (0.0, 0.0);
+    for &k in &inliers {
+        error += (predict(&l, &samples[k]) - samples[k].value).powi(2);
+        total += samples[k].value * samples[k].value;
+    }
     Some(HarmonicsFit {
         coefficients: SphericalHarmonics(coefficients),
         order: if N == 9 { 2 } else { 1 },
         num_samples: samples.len(),
         sigma,
-        relative_rms: rms(&mut inliers.iter().copied()),
-        relative_rms_all: rms(&mut (0..samples.len())),
+        relative_rms: (error / total.max(f64::MIN_POSITIVE)).sqrt(),
         inlier_share: inliers.len() as f64 / samples.len() as f64,
         condition: condition(&normal_matrix),
         covariance,

@@ -85,9 +85,6 @@ impl Camera {
     }
 }
 
-/// Signed distance, radiance and whether it is known, of one slice of voxels.
-type Slice = (Vec<f32>, Vec<[f32; 3]>, Vec<bool>);
-
 /// What a view says of a voxel.
 enum Sight {
     /// Not in its frame.
@@ -136,6 +133,58 @@ fn sight(camera: &Camera, view: &DepthView, p: &Vector3<f32>, voxel: f32) -> Sig
     }
 }
 
+/// One voxel of the grid.
+struct Voxel {
+    /// Signed distance in voxels, truncated.
+    signed: f32,
+    /// Mean of the views that see a surface near it.
+    radiance: Option<[f32; 3]>,
+}
+
+impl Voxel {
+    /// What all views together say of the place `p`.
+    fn seen(cameras: &[Camera], views: &[DepthView], p: &Vector3<f32>, voxel: f32) -> Self {
+        let (mut sum, mut total) = (0.0, 0.0);
+        let mut behind = false;
+        let (mut colour, mut colour_total) = ([0.0_f32; 3], 0.0_f32);
+        for (camera, view) in cameras.iter().zip(views) {
+            let (distance, weight) = match sight(camera, view, p, voxel) {
+                Sight::Unknown => continue,
+                Sight::Empty => {
+                    return Self {
+                        signed: TRUNCATION,
+                        radiance: None,
+                    };
+                }
+                Sight::Surface { distance, weight } => (distance, weight),
+            };
+            if distance < -TRUNCATION {
+                behind = true;
+                continue;
+            }
+            sum += weight * distance.min(TRUNCATION);
+            total += weight;
+            if distance.abs() < 2.0 {
+                let [u, v, _] = camera.project(p);
+                let rgb = view.image.pixel((u + 0.5) as usize, (v + 0.5) as usize);
+                for c in 0..3 {
+                    colour[c] += weight * rgb[c];
+                }
+                colour_total += weight;
+            }
+        }
+        let signed = match (total > 0.0, behind) {
+            (true, _) => sum / total,
+            (false, true) => -TRUNCATION,
+            (false, false) => TRUNCATION,
+        };
+        Self {
+            signed,
+            radiance: (colour_total > 0.0).then(|| colour.map(|c| c / colour_total)),
+        }
+    }
+}
+
 impl Volume {
     /// Carves and colours a grid of at most `max_voxels` along its longest side.
     ///
@@ -152,71 +201,22 @@ impl Volume {
         let size = [span.x, span.y, span.z].map(|s| (1.1 * s / voxel).ceil() as usize + 5);
         let cameras: Vec<Camera> = views.iter().map(Camera::new).collect();
         let plane = size[0] * size[1];
-        let slices: Vec<Slice> = (0..size[2])
+        let slices: Vec<Vec<Voxel>> = (0..size[2])
             .into_par_iter()
-            .map(|iz| {
-                let mut signed = vec![TRUNCATION; plane];
-                let mut radiance = vec![[0.0; 3]; plane];
-                let mut coloured = vec![false; plane];
-                for iy in 0..size[1] {
-                    for ix in 0..size[0] {
-                        let p = origin + Vector3::new(ix as f32, iy as f32, iz as f32) * voxel;
-                        let at = iy * size[0] + ix;
-                        let (mut sum, mut total) = (0.0, 0.0);
-                        let (mut empty, mut behind) = (false, false);
-                        let (mut colour, mut colour_total) = ([0.0_f32; 3], 0.0_f32);
-                        for (camera, view) in cameras.iter().zip(views) {
-                            match sight(camera, view, &p, voxel) {
-                                Sight::Unknown => {}
-                                Sight::Empty => {
-                                    empty = true;
-                                    break;
-                                }
-                                Sight::Surface { distance, weight } => {
-                                    if distance < -TRUNCATION {
-                                        behind = true;
-                                        continue;
-                                    }
-                                    sum += weight * distance.min(TRUNCATION);
-                                    total += weight;
-                                    if distance.abs() < 2.0 {
-                                        let [u, v, _] = camera.project(&p);
-                                        let rgb = view
-                                            .image
-                                            .pixel((u + 0.5) as usize, (v + 0.5) as usize);
-                                        for c in 0..3 {
-                                            colour[c] += weight * rgb[c];
-                                        }
-                                        colour_total += weight;
-                                    }
-                                }
-                            }
-                        }
-                        signed[at] = if empty {
-                            TRUNCATION
-                        } else if total > 0.0 {
-                            sum / total
-                        } else if behind {
-                            -TRUNCATION
-                        } else {
-                            TRUNCATION
-                        };
-                        if colour_total > 0.0 && !empty {
-                            radiance[at] = colour.map(|c| c / colour_total);
-                            coloured[at] = true;
-                        }
-                    }
-                }
-                (signed, radiance, coloured)
+            .map(|z| {
+                let places = (0..plane).map(|at| [at % size[0], at / size[0], z]);
+                let points = places.map(|p| origin + Vector3::from(p.map(|v| v as f32)) * voxel);
+                points
+                    .map(|p| Voxel::seen(&cameras, views, &p, voxel))
+                    .collect()
             })
             .collect();
-        let mut signed = Vec::with_capacity(plane * size[2]);
-        let mut radiance = Vec::with_capacity(plane * size[2]);
-        let mut coloured = Vec::with_capacity(plane * size[2]);
-        for (s, r, c) in slices {
-            signed.extend(s);
-            radiance.extend(r);
-            coloured.extend(c);
+        let (mut signed, mut radiance) = (Vec::new(), Vec::new());
+        let mut coloured = Vec::new();
+        for voxel in slices.into_iter().flatten() {
+            signed.push(voxel.signed);
+            radiance.push(voxel.radiance.unwrap_or_default());
+            coloured.push(voxel.radiance.is_some());
         }
         let clearance = clearance(&signed, size);
         spread_colour(&mut radiance, &mut coloured, size);
