@@ -9,9 +9,9 @@
 //! 1. Each sphere's own light: a robust fit over all views (a light fixed to the world), or one per
 //!    view (fixed to the camera).
 //! 2. For every pair, the light of one applied to the pixels of the other, at normals that both
-//!    show: the median ratio per channel is the paint's, and the residual after it tells whether the
+//!    show: the median ratio per channel is the paint's, and the residual after it shows whether the
 //!    lights agree.
-//! 3. The sphere with which most others agree tells the light; of equals the brightest, since a
+//! 3. The sphere with which most others agree is the reference; of equals the brightest, since a
 //!    shadow takes light away and seldom anything adds any.
 //! 4. Spheres that agree with it count, brightness divided by their paint where that is another's;
 //!    the others are left out, and said to be.

@@ -32,7 +32,7 @@ pub(crate) fn pool_in_world(side: &Side, gains: &[Vec<f64>]) -> Pool {
     pool
 }
 
-/// Gains of the views in `side`, found in two rounds: the first fit tells the slope of the light
+/// Gains of the views in `side`, found in two rounds: the first fit estimates the slope of the light
 /// within a cell of normals, the second comparison removes it.
 pub(crate) fn gains_of(side: &Side) -> Result<Gains, LightingError> {
     let mut gains = gains::find(side, None);
@@ -67,15 +67,15 @@ pub(crate) fn report_gains(
     }
     report.gains_applied = gains.apply;
     if gains.apply {
-        let untold: Vec<&str> = (0..posed.views.len())
+        let unknown: Vec<&str> = (0..posed.views.len())
             .filter(|v| report.views[*v].gain_sigma.is_none())
             .map(|v| posed.views[v].name.as_str())
             .collect();
-        if !untold.is_empty() {
+        if !unknown.is_empty() {
             let message = format!(
                 "the photos' exposures differ, but the sphere does not tell the gain of {}: taken \
                  as 1; fix exposure and white balance, or keep the sphere in every photo",
-                untold.join(", ")
+                unknown.join(", ")
             );
             warn(observer, message)?;
         }

@@ -4,7 +4,7 @@
 //! at equal normals in the world is a gain per photo and channel; one factor common to all photos
 //! stays undetermined (it is part of the albedo) and is set so that the gains' geometric mean is 1.
 //! Under a light fixed to the camera the light may differ from photo to photo as well, and gain and
-//! light cannot be told apart; nor does it matter, as each photo has its own lighting.
+//! light cannot be separated; that does not matter, since each photo has its own lighting.
 
 use crate::cells::{CellMean, TwoWay, cell_means, two_way};
 use crate::side::Side;
@@ -16,7 +16,7 @@ use rilievo_photometry::samples::NUM_CELLS;
 pub(crate) struct Gains {
     /// Per view and channel.
     pub gain: Vec<Vec<f64>>,
-    /// Relative standard deviation per view, the worst channel; `None` where it cannot be told.
+    /// Relative standard deviation per view, the worst channel; `None` where it is unknown.
     pub sigma: Vec<Option<f64>>,
     /// Whether they differ from 1 by more than their uncertainty.
     pub apply: bool,

@@ -29,7 +29,7 @@ use rilievo_scene::{
 
 /// Fewest anchors with a normal.
 const MIN_ANCHORS: usize = 60;
-/// How many times less scatter tells the kind of light. Less than on spheres: the object shades itself,
+/// How many times less scatter decides the kind of light. Less than on spheres: the object shades itself,
 /// which scatters brightness under a light on the camera, and anchors under a light at rest leave noise
 /// alone.
 const CLEAR: f64 = 1.2;
@@ -62,7 +62,7 @@ fn num_channels(samples: &[Vec<AnchorReading>]) -> Option<usize> {
     Some(first.reading.values.len())
 }
 
-/// Compares what the views show of each anchor: `value` tells it of a reading, where it counts.
+/// Compares what the views show of each anchor: `value` reads it, `None` where the reading does not count.
 fn compare_anchors(
     samples: &[Vec<AnchorReading>],
     value: impl Fn(&Reading) -> Option<f64>,

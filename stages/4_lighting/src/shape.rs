@@ -113,7 +113,7 @@ fn normals_of_depth(depth: &DepthMap, intrinsics: &Intrinsics, max_slope: f64) -
 
 /// One lighting per view with a shape; a view without takes the lighting of none.
 ///
-/// What the light is fixed to is nowhere stated: the shape tells ([`kind::check_on_shape`]), and where
+/// What the light is fixed to is nowhere stated: brightness on the shape decides ([`kind::check_on_shape`]), and where
 /// it cannot, the light is taken to rest, as it does when a camera is walked around an object.
 pub(crate) fn run(
     photos: &PhotoSet,

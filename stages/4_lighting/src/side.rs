@@ -31,7 +31,7 @@ pub(crate) struct Side {
     pub world_from_cam: Vec<UnitQuaternion<f64>>,
     /// Every sphere in every view that shows enough of it.
     pub patches: Vec<Patch>,
-    /// Per sphere and channel, its albedo over that of the sphere that the light is told by; `None`
+    /// Per sphere and channel, its albedo over that of the reference sphere; `None`
     /// for a sphere that does not count.
     pub paint: Vec<Option<Vec<f64>>>,
 }

@@ -76,7 +76,7 @@ fn reasons(report: &LightingReport) -> Vec<String> {
         .collect()
 }
 
-/// What to tell of a stated kind of light that the spheres contradict.
+/// Warning of a stated kind of light that the spheres contradict.
 fn wrong_kind(report: &LightingReport) -> Option<String> {
     let check = report.kind_check.as_ref().filter(|c| c.contradicts)?;
     let (stated, fits) = (check.stated?, check.fits?);

@@ -32,7 +32,7 @@ const LARGE_CONFLICT: f64 = 0.99;
 /// are free: that of one degree of freedom (three channels, two slopes), against 9 times the median
 /// of three.
 const NOISE_LIMIT: f32 = 9.0 * 2.37 / 0.455;
-/// Slope from which a facet is a wall, which hardly any light that it is seen by tells apart from a
+/// Slope from which a facet is a wall, which hardly any light distinguishes from a
 /// step: 76 degrees.
 const MAX_SLOPE: f32 = 4.0;
 /// How often the breaks are looked for, at equal distances over iterations 20 to 40, or the second half where a level has

@@ -55,7 +55,7 @@ pub enum StartShape {
     Anchors,
 }
 
-/// Course of the penalty β.
+/// LevelSchedule of the penalty β.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PenaltySchedule {

@@ -1,4 +1,4 @@
-//! The penalty's course, computed from the lighting, the noise, and what holds the low frequencies.
+//! The penalty's schedule, computed from the lighting, the noise, and what holds the low frequencies.
 //!
 //! **Rule.** Let `s₁ ≥ s₂` be the singular values of the shading Jacobian `∂S/∂(p, q)` (channels by
 //! two), medians over pixels at the start, and `σ` the noise of intensities. Across the direction of
@@ -14,7 +14,7 @@
 //! t = s₂² D² / (s₂² D² + σ²),   ln β₀ = (1 − t) ln(2 s₁² or 10 s₁²) + t ln(0.12 s₂²).
 //! ```
 //!
-//! The penalty ends at `15 s₁²`, where ∇y and θ agree to a fraction of what shading can tell, and
+//! The penalty ends at `15 s₁²`, where ∇y and θ agree to a fraction of what shading resolves, and
 //! grows geometrically between; every level runs over its own part of that range. All scales with
 //! squared intensity, so that nothing needs tuning per data set.
 //!
@@ -22,7 +22,7 @@
 //! to residuals instead, which says nothing on what the image leaves open.
 
 use super::pixels::{Pixels, Slopes};
-use super::splitting::Course;
+use super::splitting::LevelSchedule;
 use rilievo_numerics::robust::median;
 
 /// Slopes by which a start may err.
@@ -133,7 +133,11 @@ const UNANCHORED: [Part; 2] = [part(30, 0.2, 1.0), part(20, 0.1, 0.7)];
 const NUM_SEARCH_ITERATIONS: usize = 15;
 
 /// The automatic schedule for a ladder of levels, coarsest first.
-pub(crate) fn automatic(num_levels: usize, known: &Informativeness, anchored: bool) -> Vec<Course> {
+pub(crate) fn automatic(
+    num_levels: usize,
+    known: &Informativeness,
+    anchored: bool,
+) -> Vec<LevelSchedule> {
     let determined = known.determined();
     let parts: &[Part] = match (determined, anchored) {
         (true, _) => &DETERMINED,
@@ -148,7 +152,7 @@ pub(crate) fn automatic(num_levels: usize, known: &Informativeness, anchored: bo
         .map(|level| {
             let part = &parts[level];
             let coarsest = level + 1 == num_levels;
-            Course {
+            LevelSchedule {
                 beta_start: at(part.from),
                 growth: (at(part.to) / at(part.from)).powf(1.0 / part.num_iterations as f64),
                 num_iterations: part.num_iterations,
@@ -184,11 +188,11 @@ mod tests {
             colour.beta_start(false)
         );
         assert_eq!(automatic(4, &grey, false).len(), 2);
-        let courses = automatic(3, &colour, true);
-        assert_eq!(courses.len(), 3);
-        assert_eq!(courses[0].num_search_iterations, NUM_SEARCH_ITERATIONS);
-        for course in courses {
-            let end = course.beta_start * course.growth.powi(course.num_iterations as i32);
+        let schedules = automatic(3, &colour, true);
+        assert_eq!(schedules.len(), 3);
+        assert_eq!(schedules[0].num_search_iterations, NUM_SEARCH_ITERATIONS);
+        for schedule in schedules {
+            let end = schedule.beta_start * schedule.growth.powi(schedule.num_iterations as i32);
             assert!(end <= 15.0 * 0.4 * 1.0001, "{end}");
         }
     }

@@ -11,7 +11,7 @@ use super::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use super::result::{maps, rms_residual};
 use super::schedule::{Informativeness, automatic};
 use super::solution::{PaperReport, ShadingSolution, SolvedView, Termination, ViewReport};
-use super::splitting::{self, Course, Setting, Ties, slopes_of};
+use super::splitting::{self, LevelSchedule, Setting, Ties, slopes_of};
 use super::start;
 use super::theta::{ThetaProblem, ThetaTerms, theta_step};
 use crate::error::{ShadingError, warn};
@@ -67,7 +67,7 @@ pub(crate) fn solve(
 }
 
 /// Depth that fixes the unknown's zero: the median of what is known, or 1 where a plane is asked for
-/// and shape up to a factor is all that one photo tells.
+/// and shape up to a factor is all that one photo determines.
 fn reference_depth(
     view: &ShadingView,
     anchors: &[DepthAnchor],
@@ -173,7 +173,7 @@ fn schedule(
     num_levels: usize,
     known: &Informativeness,
     anchored: bool,
-) -> Vec<Course> {
+) -> Vec<LevelSchedule> {
     match options.schedule {
         PenaltySchedule::Automatic => automatic(num_levels, known, anchored),
         PenaltySchedule::Explicit {
@@ -181,7 +181,7 @@ fn schedule(
             growth,
             num_iterations,
             num_search_iterations,
-        } => vec![Course {
+        } => vec![LevelSchedule {
             beta_start: start,
             growth,
             num_iterations,
@@ -288,8 +288,10 @@ fn solve_view(
     report.rms_start = rms_residual(&finest.pixels, &start);
     let known = Informativeness::of(&finest.pixels, &start, sigma);
     report.informativeness = known.squared[1].sqrt();
-    let courses = schedule(options, levels.len(), &known, !ties.is_empty());
-    report.beta_start = courses.first().map_or(0.0, |course| course.beta_start);
+    let schedules = schedule(options, levels.len(), &known, !ties.is_empty());
+    report.beta_start = schedules
+        .first()
+        .map_or(0.0, |schedule| schedule.beta_start);
     report.seconds.start = begun.elapsed().as_secs_f64();
     let mut outcome = None;
     if is_full {
@@ -300,7 +302,7 @@ fn solve_view(
             white: white as f32,
             aspect: geometry.aspect,
             edge_beta: (options.depth_edges && known.determined()).then(|| normal_beta(sigma)),
-            courses: &courses,
+            schedules: &schedules,
             observer,
         };
         let mut solved = splitting::solve(&levels, &mut y, &setting)?;

@@ -41,9 +41,9 @@ const Z_TOLERANCE: f64 = 0.1;
 /// Conjugate-gradient steps per z-step.
 const MAX_Z_STEPS: usize = 3;
 
-/// The course of an iteration on one level.
+/// Penalties and iterations on one level.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Course {
+pub(crate) struct LevelSchedule {
     /// First penalty.
     pub(crate) beta_start: f64,
     /// Its factor per iteration.
@@ -79,8 +79,8 @@ pub(crate) struct Setting<'a> {
     pub(crate) aspect: [f32; 2],
     /// Penalty at which slopes are freed to find where the surface breaks; `None` does not look.
     pub(crate) edge_beta: Option<f32>,
-    /// One course per level, coarsest first.
-    pub(crate) courses: &'a [Course],
+    /// One schedule per level, coarsest first.
+    pub(crate) schedules: &'a [LevelSchedule],
     pub(crate) observer: &'a dyn Observer,
 }
 
@@ -140,8 +140,8 @@ pub(crate) fn solve(
     }
     let mut outcome = Outcome::default();
     let mut coarse_result: Option<(Vec<f32>, Vec<f32>)> = None;
-    for (step, course) in setting.courses.iter().enumerate() {
-        let at = setting.courses.len() - 1 - step;
+    for (step, schedule) in setting.schedules.iter().enumerate() {
+        let at = setting.schedules.len() - 1 - step;
         let Some(level) = levels.get(at) else {
             continue;
         };
@@ -154,7 +154,7 @@ pub(crate) fn solve(
             at,
             level,
             &mut nodes,
-            course,
+            schedule,
             &ties[at],
             setting,
             &mut outcome,
@@ -293,7 +293,7 @@ fn solve_level(
     at: usize,
     level: &Level,
     y: &mut [f32],
-    course: &Course,
+    schedule: &LevelSchedule,
     ties: &Ties,
     setting: &Setting,
     outcome: &mut Outcome,
@@ -301,14 +301,14 @@ fn solve_level(
     let num_pixels = level.pixels.len;
     let started = Instant::now();
     let mut state = State::new(level, y, ties, setting);
-    let searches = course.num_search_iterations;
+    let searches = schedule.num_search_iterations;
     let candidates = (searches > 0).then(|| Candidates::new(&level.pixels, 8, 3.0));
     outcome.seconds.z += started.elapsed().as_secs_f64();
-    let growth = course.growth as f32;
-    let mut beta = course.beta_start;
-    for iteration in 0..course.num_iterations {
+    let growth = schedule.growth as f32;
+    let mut beta = schedule.beta_start;
+    for iteration in 0..schedule.num_iterations {
         if let Some(beta) = setting.edge_beta
-            && let Some(share) = break_search(iteration, course.num_iterations)
+            && let Some(share) = break_search(iteration, schedule.num_iterations)
         {
             outcome.num_breaks = state.soften(beta, share);
         }
@@ -331,7 +331,7 @@ fn solve_level(
             primal_residual,
             dual_residual,
         });
-        let max_num_iterations = setting.courses.iter().map(|c| c.num_iterations).sum();
+        let max_num_iterations = setting.schedules.iter().map(|c| c.num_iterations).sum();
         report(&outcome.records, max_num_iterations, setting.observer)?;
         beta *= f64::from(growth);
     }

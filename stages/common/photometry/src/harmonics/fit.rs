@@ -17,8 +17,8 @@
 //!    squares (refitting the six tenths of the samples that agree best). The best few go
 //!    through the redescending phase alone, as a convex one would forget the start. Of all
 //!    results the one with the smallest truncated cost at a common scale is taken.
-//! 3. Conditioning of the columns scaled to unit length. Where nine coefficients cannot be told
-//!    from each other (few or nearly parallel normals), four are fitted instead.
+//! 3. Conditioning of the columns scaled to unit length. Where nine coefficients cannot be
+//!    separated (few or nearly parallel normals), four are fitted instead.
 //! 4. Covariance `σ² (Σ w h hᵀ / s²)⁻¹` with the final weights.
 
 use super::least_squares::{Noise, SVector, Sample, predict, solve};
@@ -64,7 +64,7 @@ pub enum FitError {
     },
 }
 
-/// One channel's coefficients with everything that tells how far to trust them.
+/// One channel's coefficients with how far to trust them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HarmonicsFit {
     /// The coefficients; the last five are 0 where only four were fitted.

@@ -6,7 +6,7 @@ pub(crate) struct FitOptions {
     /// Iterations of each phase.
     pub max_num_iterations: usize,
     /// Whether starts that leave out a part of the samples are followed too, so that a shadow over
-    /// half of them is told apart.
+    /// half of them is recognised.
     pub seeks_shadows: bool,
     /// Condition number above which nine coefficients give way to four. The visible half of a
     /// sphere has about 25, half of that half 150; beyond 1000 one percent of noise becomes

@@ -1,7 +1,7 @@
 //! Whether the marked photos show the sphere where it was located.
 //!
-//! Marks that are all too large, or that follow another thing, agree with each other all the same. What a
-//! sphere alone shows tells them: an edge along the predicted outline, and brightness inside it that
+//! Marks that are all too large, or that follow another thing, agree with each other all the same. What only a
+//! sphere shows distinguishes it: an edge along the predicted outline, and brightness inside it that
 //! nine harmonics of its normals explain.
 
 use super::mark::{INLIER_PX, distance_px};
@@ -23,11 +23,11 @@ pub struct MarkEvidence {
     pub shading_residual: Option<f64>,
 }
 
-/// Smallest part of an outline that tells whether an edge follows it.
+/// Smallest part of an outline in which an edge is looked for.
 const MIN_VISIBLE: f64 = 0.25;
 
 /// Looks at the photos of `marked` around a located sphere. Photos in which the object, the frame or
-/// another sphere hides it tell nothing.
+/// another sphere hides it are left out.
 pub(super) fn confirm(
     images: &[PosedImage],
     marked: &[PhotoIdx],

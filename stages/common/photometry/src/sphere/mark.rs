@@ -164,7 +164,7 @@ fn size_sigma(points: &[Point2<f64>], sigma_px: f64) -> f64 {
 }
 
 /// Whether points marked by hand determine an outline, whatever the camera. One stray point among good
-/// ones passes: only the camera's cone tells it.
+/// ones passes: only the camera's cone reveals it.
 ///
 /// # Errors
 /// [`SphereError::TooFewPoints`] where fewer than five differ, [`SphereError::OpenOutline`].
@@ -431,25 +431,25 @@ mod tests {
             arc(5, 10.0, 40.0),
             arc(9, 200.0, 240.0),
         ] {
-            let told = check_marked_points(&points);
+            let result = check_marked_points(&points);
             assert!(
-                matches!(told, Err(SphereError::OpenOutline { relative_sigma, .. }) if relative_sigma > 0.1),
-                "{points:?}: {told:?}"
+                matches!(result, Err(SphereError::OpenOutline { relative_sigma, .. }) if relative_sigma > 0.1),
+                "{points:?}: {result:?}"
             );
         }
         for points in [line(0.0), line(0.1)] {
-            let told = cone_from_points(&points, &camera(), MIN_INLIER_SHARE);
+            let result = cone_from_points(&points, &camera(), MIN_INLIER_SHARE);
             assert!(
-                matches!(told, Err(SphereError::OpenOutline { .. })),
-                "{told:?}"
+                matches!(result, Err(SphereError::OpenOutline { .. })),
+                "{result:?}"
             );
         }
         let mut twice = arc(5, 0.0, 288.0);
         twice[4] = twice[0];
-        let told = check_marked_points(&twice);
+        let result = check_marked_points(&twice);
         assert!(
-            matches!(told, Err(SphereError::TooFewPoints { available: 4, .. })),
-            "{told:?}"
+            matches!(result, Err(SphereError::TooFewPoints { available: 4, .. })),
+            "{result:?}"
         );
         for points in [arc(5, 0.0, 288.0), arc(5, 0.0, 150.0), arc(12, 30.0, 150.0)] {
             check_marked_points(&points).unwrap();

@@ -43,7 +43,7 @@ const STEP_PX: f64 = 0.25;
 pub(super) enum Effort {
     /// One fit of the sphere's brightness: to look at many candidates.
     Quick,
-    /// Parts in shadow are told apart first.
+    /// Parts in shadow are separated first.
     Thorough,
 }
 
@@ -137,7 +137,7 @@ const MIN_RADIUS_PX: f64 = 8.0;
 
 /// Nine harmonics per channel on the inside of a sphere; `None` where they cannot be had.
 ///
-/// The good pixels are told on the mean of the channels, so that a shadow is found once.
+/// The good pixels are chosen on the mean of the channels, so that a shadow is found once.
 fn appearance(
     photo: &Photo,
     sphere: &SphereInCamera,
@@ -153,7 +153,7 @@ fn appearance(
         .into_iter()
         .filter(|p| !photo.is_object(p.x as isize, p.y as isize))
         .collect();
-    // A smooth function of nine numbers: a thousand pixels tell it.
+    // A smooth function of nine numbers: a thousand pixels determine it.
     let num_enough = match effort {
         Effort::Quick => 400,
         Effort::Thorough => 1200,

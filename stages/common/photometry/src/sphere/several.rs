@@ -52,7 +52,7 @@ pub enum ScaleOutcome {
 /// The scale of the world from all spheres.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CommonScale {
-    /// The weighted mean; `None` where no sphere tells a scale, or two tell different ones.
+    /// The weighted mean; `None` where no sphere determines a scale, or two contradict each other.
     pub estimate: Option<ScaleEstimate>,
     /// Spheres that contradict the others.
     pub contradictions: Vec<ScaleContradiction>,
@@ -239,11 +239,11 @@ mod tests {
     #[test]
     fn a_radius_that_is_wrong_by_a_twentieth_is_told_and_of_three_outvoted() {
         let common = common_scale(&[fit("a", 1.0, 5e-4), fit("b", 1.05, 5e-4)]);
-        let [told] = &common.contradictions[..] else {
+        let [found] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        assert!((told.ratio.ln().abs() - 1.05_f64.ln()).abs() < 1e-9);
-        assert_eq!(told.outcome, ScaleOutcome::Averaged);
+        assert!((found.ratio.ln().abs() - 1.05_f64.ln()).abs() < 1e-9);
+        assert_eq!(found.outcome, ScaleOutcome::Averaged);
         let sigma = common.estimate.unwrap().relative_sigma;
         assert!((0.02..0.03).contains(&sigma), "{sigma}");
         let common = common_scale(&[
@@ -251,11 +251,11 @@ mod tests {
             fit("b", 1.05, 5e-4),
             fit("c", 1.001, 1e-3),
         ]);
-        let [told] = &common.contradictions[..] else {
+        let [found] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        let outvoted = told.outcome == ScaleOutcome::Outvoted;
-        assert!(told.sphere == "b" && outvoted, "{told:?}");
+        let outvoted = found.outcome == ScaleOutcome::Outvoted;
+        assert!(found.sphere == "b" && outvoted, "{found:?}");
         let error = (common.estimate.unwrap().metres_per_unit - 1.0).abs();
         assert!(error < 1e-3, "{error}");
     }
@@ -264,13 +264,13 @@ mod tests {
     fn two_units_in_one_file_give_no_scale_and_are_told() {
         let common = common_scale(&[fit("a", 1.0, 5e-4), fit("b", 10.0, 5e-4)]);
         assert_eq!(common.estimate, None);
-        let [told] = &common.contradictions[..] else {
+        let [found] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        assert_eq!(told.outcome, ScaleOutcome::NoScale);
+        assert_eq!(found.outcome, ScaleOutcome::NoScale);
         assert!(
-            (told.ratio.ln().abs() - 10_f64.ln()).abs() < 1e-9,
-            "{told:?}"
+            (found.ratio.ln().abs() - 10_f64.ln()).abs() < 1e-9,
+            "{found:?}"
         );
         let mut none = fit("a", 1.0, 5e-4);
         none.scale = None;

@@ -34,7 +34,7 @@ pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     let sphere = cone.sphere(1.0);
     let radius_px = sphere.radius_px(photo.intrinsics);
     let pixels = sphere.pixels(photo.intrinsics, 2.0_f64.min(0.2 * radius_px));
-    // A few thousand pixels tell as much as all.
+    // A few thousand pixels are as good as all.
     let stride = pixels.len().div_ceil(1500).max(1);
     let (mut normals, mut values): (Vec<Vector3<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
     for pixel in pixels.iter().step_by(stride) {

@@ -9,7 +9,7 @@
 //! 3. The fit of [`super::locate`], refined on the edges of all photos; then support and shading
 //!    are checked once more where the common sphere is predicted.
 //! 4. The same with the candidates that are left, as long as a further sphere is confirmed. Further
-//!    ones of the first one's size have the stated radius too; others are told and left.
+//!    ones of the first one's size have the stated radius too; others are reported and left.
 //!
 //! A single photo is searched by step 1 alone, with a stricter threshold.
 
