@@ -49,7 +49,7 @@ pub const RETIRED_KEYS: &[RetiredKey] = &[
     retired(&["order"], "use `shading.paper.order`"),
     retired(&["projection"], "use `shading.paper.projection`"),
     retired(&["start"], "use `shading.paper.start`"),
-    retired(&["schedule"], "use `shading.paper.schedule`"),
+    retired(&["schedule"], "it follows from lighting, noise and anchors"),
     retired(&["loss"], "use `shading.paper.loss`"),
     retired(&["noise"], "use `shading.paper.noise`"),
     retired(&["area_weight"], "use `shading.paper.area_weight`"),

@@ -1,7 +1,7 @@
 //! Options of the paper's model.
 
 use rilievo_numerics::robust::RobustLoss;
-use rilievo_scene::{InTable, OptionError, in_range};
+use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
 /// How the non-linear shading term is separated from the integration of slopes.
@@ -55,51 +55,6 @@ pub enum StartShape {
     Anchors,
 }
 
-/// LevelSchedule of the penalty β.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PenaltySchedule {
-    /// Start and growth computed from the lighting and from what holds the low frequencies.
-    #[default]
-    Automatic,
-    /// `beta = start · growthᵏ`, intensities scaled so that white is 1.
-    Explicit {
-        /// First penalty. Too small drifts where the light is ambiguous, too large stays at the start.
-        start: f64,
-        /// Factor per iteration, above 1.
-        growth: f64,
-        /// Number of iterations.
-        num_iterations: usize,
-        /// Iterations with a global search over slopes.
-        num_search_iterations: usize,
-    },
-}
-
-impl PenaltySchedule {
-    fn validate(&self) -> Result<(), OptionError> {
-        match *self {
-            Self::Automatic => Ok(()),
-            Self::Explicit {
-                start,
-                growth,
-                num_iterations,
-                num_search_iterations,
-            } => {
-                in_range("start", start, 1e-12..=1e12)?;
-                in_range("num_iterations", num_iterations, 1..=100_000)?;
-                in_range(
-                    "num_search_iterations",
-                    num_search_iterations,
-                    0..=num_iterations,
-                )?;
-                // The last penalty, `start * growth^num_iterations`, stays below 1e30.
-                let steepest = (1e30 / start).powf(1.0 / num_iterations as f64);
-                in_range("growth", growth, 1.0 + 1e-9..=steepest)
-            }
-        }
-    }
-}
-
 /// Options of [`super::solve`] and [`super::run`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -112,8 +67,6 @@ pub struct PaperOptions {
     pub projection: Projection,
     /// Start.
     pub start: StartShape,
-    /// Penalty.
-    pub schedule: PenaltySchedule,
     /// Loss on an intensity residual; its scale is a share of the image's robust maximum.
     /// Too small a scale ignores good pixels, too large lets stains shape the surface.
     pub loss: RobustLoss,
@@ -137,7 +90,6 @@ impl Default for PaperOptions {
             order: HarmonicOrder::default(),
             projection: Projection::default(),
             start: StartShape::default(),
-            schedule: PenaltySchedule::default(),
             loss: RobustLoss::Squared,
             noise: 0.01,
             area_weight: 0.0,
@@ -157,11 +109,10 @@ impl PaperOptions {
         in_range("area_weight", self.area_weight, 0.0..=1e6)?;
         in_range("shadow_level", self.shadow_level, 0.0..=0.999)?;
         match self.loss {
-            RobustLoss::Squared => {}
+            RobustLoss::Squared => Ok(()),
             RobustLoss::Huber(scale)
             | RobustLoss::Cauchy(scale)
-            | RobustLoss::GemanMcClure(scale) => in_range("loss", scale, 1e-6..=1000.0)?,
+            | RobustLoss::GemanMcClure(scale) => in_range("loss", scale, 1e-6..=1000.0),
         }
-        self.schedule.validate().in_table("schedule")
     }
 }

@@ -132,8 +132,8 @@ const UNANCHORED: [Part; 2] = [part(30, 0.2, 1.0), part(20, 0.1, 0.7)];
 /// Iterations with a search on the coarsest level.
 const NUM_SEARCH_ITERATIONS: usize = 15;
 
-/// The automatic schedule for a ladder of levels, coarsest first.
-pub(crate) fn automatic(
+/// The schedules for a ladder of levels, coarsest first.
+pub(crate) fn level_schedules(
     num_levels: usize,
     known: &Informativeness,
     anchored: bool,
@@ -187,8 +187,8 @@ mod tests {
             "{}",
             colour.beta_start(false)
         );
-        assert_eq!(automatic(4, &grey, false).len(), 2);
-        let schedules = automatic(3, &colour, true);
+        assert_eq!(level_schedules(4, &grey, false).len(), 2);
+        let schedules = level_schedules(3, &colour, true);
         assert_eq!(schedules.len(), 3);
         assert_eq!(schedules[0].num_search_iterations, NUM_SEARCH_ITERATIONS);
         for schedule in schedules {

@@ -4,14 +4,14 @@ use super::confidence;
 use super::levels::{Level, ladder};
 use super::linearized;
 use super::matches;
-use super::options::{PaperOptions, PenaltySchedule, Projection, Splitting, StartShape};
+use super::options::{PaperOptions, Projection, Splitting, StartShape};
 use super::pixels::Slopes;
 use super::prepare::{Geometry, PreparedView, empty_mask, prepare};
 use super::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use super::result::{maps, rms_residual};
-use super::schedule::{Informativeness, automatic};
+use super::schedule::{Informativeness, level_schedules};
 use super::solution::{PaperReport, ShadingSolution, SolvedView, Termination, ViewReport};
-use super::splitting::{self, LevelSchedule, Setting, Ties, slopes_of};
+use super::splitting::{self, Setting, Ties, slopes_of};
 use super::start;
 use super::theta::{ThetaProblem, ThetaTerms, theta_step};
 use crate::error::{ShadingError, warn};
@@ -168,28 +168,6 @@ fn ties(view: &ShadingView, prepared: &PreparedView, anchors: &[DepthAnchor], si
     ties
 }
 
-fn schedule(
-    options: &PaperOptions,
-    num_levels: usize,
-    known: &Informativeness,
-    anchored: bool,
-) -> Vec<LevelSchedule> {
-    match options.schedule {
-        PenaltySchedule::Automatic => automatic(num_levels, known, anchored),
-        PenaltySchedule::Explicit {
-            start,
-            growth,
-            num_iterations,
-            num_search_iterations,
-        } => vec![LevelSchedule {
-            beta_start: start,
-            growth,
-            num_iterations,
-            num_search_iterations,
-        }],
-    }
-}
-
 /// Penalty under which a pixel's own slopes and the surface's have the weights of their errors.
 fn normal_beta(sigma: f64) -> f32 {
     (2.0 * (sigma / SLOPE_ERROR).powi(2)) as f32
@@ -272,10 +250,7 @@ fn solve_view(
     let (mut y, anchors) = start_shape(view, &prepared, anchors, options, &mut report)?;
     let ties = ties(view, &prepared, &anchors, sigma);
     let is_full = options.splitting == Splitting::Full;
-    let max_levels = match options.schedule {
-        PenaltySchedule::Automatic if is_full => MAX_LEVELS,
-        _ => 1,
-    };
+    let max_levels = if is_full { MAX_LEVELS } else { 1 };
     let PreparedView {
         grid,
         pixels,
@@ -288,7 +263,7 @@ fn solve_view(
     report.rms_start = rms_residual(&finest.pixels, &start);
     let known = Informativeness::of(&finest.pixels, &start, sigma);
     report.informativeness = known.squared[1].sqrt();
-    let schedules = schedule(options, levels.len(), &known, !ties.is_empty());
+    let schedules = level_schedules(levels.len(), &known, !ties.is_empty());
     report.beta_start = schedules
         .first()
         .map_or(0.0, |schedule| schedule.beta_start);
