@@ -105,11 +105,11 @@ pub(crate) fn soften_breaks(
     let angle_limit = (BREAK_CONFLICT * BREAK_CONFLICT).max(share_of_largest * largest);
     let noise_limit = NOISE_LIMIT * quantile_of(0.5, &|k| residual(k, [p[k], q[k]]));
     let mut count = 0;
-    for (k, (stiffness, given)) in stiffness.iter_mut().zip(&level.stiffness).enumerate() {
+    for (k, stiffness) in stiffness.iter_mut().enumerate().take(pixels.len) {
         let unexplained = residual(k, [sp[k], sq[k]]) / noise_limit.max(f32::MIN_POSITIVE);
         let excess = (conflict(k) / angle_limit).min(unexplained);
         let factor = 1.0 / (1.0 + excess * excess);
-        *stiffness = given * factor.max(1e-3);
+        *stiffness = factor.max(1e-3);
         if factor < 0.25 {
             count += 1;
             (theta[0][k], theta[1][k]) = (p[k], q[k]);

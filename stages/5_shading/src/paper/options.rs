@@ -76,8 +76,7 @@ pub struct PaperOptions {
     /// Weight of the area term of RGB-D refinement, per pixel of the reference plane, with shading
     /// weighing 1 and slopes in (log depth, pixel) units; 0 is off. Too large flattens.
     pub area_weight: f64,
-    /// Cut the gradient where the surface breaks: at the pixels of a view's map of depth breaks, and
-    /// where shading and an integrable surface are found to disagree.
+    /// Cut the gradient where shading and an integrable surface are found to disagree.
     pub depth_edges: bool,
     /// Leave out pixels in cast or attached shadow below this share of the robust maximum.
     pub shadow_level: f64,

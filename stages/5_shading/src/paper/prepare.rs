@@ -54,8 +54,6 @@ impl Geometry {
 pub(crate) struct PreparedView {
     pub(crate) grid: CornerGrid,
     pub(crate) pixels: Pixels,
-    /// Weight of the integration term per pixel, of padded length.
-    pub(crate) stiffness: Vec<f32>,
     pub(crate) geometry: Geometry,
     /// 99 % quantile of the intensities: the unit of noise and losses.
     pub(crate) white: f64,
@@ -100,9 +98,6 @@ fn check_sizes(view: &ShadingView) -> Result<(), ShadingError> {
                 image: image.channels,
             });
         }
-    }
-    if let Some(map) = &view.depth_breaks {
-        check("the map of depth breaks", map.width, map.height)?;
     }
     if let ViewLight::PerPixel(light) = &view.lighting {
         check("the per-pixel lighting", light.width, light.height)?;
@@ -167,10 +162,6 @@ fn check_camera(view: &ShadingView) -> Result<(), ShadingError> {
         None => Ok(()),
     }
 }
-
-/// Stiffness of a pixel across which the surface breaks: small against its neighbours', not zero, so
-/// that every part keeps a place.
-const BREAK_STIFFNESS: f32 = 1e-3;
 
 /// Share of clipped or dark pixels is counted once per pixel, in this order of causes.
 struct Usable<'a> {
@@ -305,20 +296,10 @@ pub(crate) fn prepare(
             advice: "all its pixels are clipped, dark or not finite",
         });
     }
-    let mut stiffness = vec![1.0; padded];
-    if let (Some(breaks), true) = (&view.depth_breaks, options.depth_edges) {
-        for ((x, y), stiffness) in grid.pixels().zip(&mut stiffness) {
-            if *breaks.at(x, y) {
-                *stiffness = BREAK_STIFFNESS;
-                report.num_depth_breaks += 1;
-            }
-        }
-    }
     let focal = camera.focal_px();
     Ok(PreparedView {
         grid,
         pixels,
-        stiffness,
         geometry: Geometry {
             projection: options.projection,
             focal,

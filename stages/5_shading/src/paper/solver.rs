@@ -251,13 +251,7 @@ fn solve_view(
     let ties = ties(view, &prepared, &anchors, sigma);
     let is_full = options.splitting == Splitting::Full;
     let max_levels = if is_full { MAX_LEVELS } else { 1 };
-    let PreparedView {
-        grid,
-        pixels,
-        stiffness,
-        ..
-    } = prepared;
-    let levels = ladder(grid, pixels, stiffness, max_levels, white);
+    let levels = ladder(prepared.grid, prepared.pixels, max_levels, white);
     let finest = &levels[0];
     let start = slopes_of(finest, geometry.aspect, &y);
     report.rms_start = rms_residual(&finest.pixels, &start);

@@ -207,17 +207,14 @@ struct State<'a> {
 impl<'a> State<'a> {
     fn new(level: &'a Level, y: &[f32], ties: &'a Ties, setting: &'a Setting) -> Self {
         let gradient = slopes_of(level, setting.aspect, y);
+        let stiffness = vec![1.0; level.pixels.padded];
         let is_robust = setting.loss != RobustLoss::Squared;
         Self {
             level,
             ties,
             setting,
-            system: CornerPoisson::new(
-                &level.grid,
-                &level.stiffness[..level.pixels.len],
-                HOURGLASS,
-            ),
-            stiffness: level.stiffness.clone(),
+            system: CornerPoisson::new(&level.grid, &stiffness[..level.pixels.len], HOURGLASS),
+            stiffness,
             reweighted: is_robust.then(|| level.pixels.clone()),
             theta: gradient.clone(),
             target: gradient.clone(),
