@@ -51,7 +51,6 @@ impl StageOptions {
             (self.photos.validate(), "photos"),
             (self.features.validate(), "features"),
             (self.poses.validate(), "poses"),
-            (self.lighting.validate(), "lighting"),
             (self.shading.validate(), "shading"),
             (self.fusion.validate(), "fusion"),
         ];
@@ -63,10 +62,11 @@ impl StageOptions {
 }
 
 /// Keys that the stages' tables had once, by table.
-const RETIRED_KEYS: [(&str, &[RetiredKey]); 6] = [
+const RETIRED_KEYS: [(&str, &[RetiredKey]); 7] = [
     ("photos", rilievo_photos::RETIRED_KEYS),
     ("features", rilievo_features::RETIRED_KEYS),
     ("poses", rilievo_poses::RETIRED_KEYS),
+    ("poses", rilievo_photometry::sphere::RETIRED_KEYS),
     ("lighting", rilievo_lighting::RETIRED_KEYS),
     ("shading", rilievo_shading::RETIRED_KEYS),
     ("fusion", rilievo_fusion::RETIRED_KEYS),
@@ -146,7 +146,7 @@ mod tests {
 
     #[test]
     fn what_is_left_out_keeps_its_default() {
-        let options = read("[shading]\nnoise = 0.02\n").unwrap();
+        let options = read("[shading.paper]\nnoise = 0.02\n").unwrap();
         assert_eq!(options.shading.paper.noise, 0.02);
         assert_eq!(options.poses, PosesOptions::default());
     }
@@ -165,7 +165,11 @@ mod tests {
 
     #[test]
     fn an_endless_line_is_told_by_its_number() {
-        let error = read(&format!("[shading]\nnoise = {}\n", "[".repeat(100_000))).unwrap_err();
+        let error = read(&format!(
+            "[shading.paper]\nnoise = {}\n",
+            "[".repeat(100_000)
+        ))
+        .unwrap_err();
         let message = error.to_string();
         assert!(
             message.len() < 1000 && message.contains("line 2"),
@@ -195,13 +199,6 @@ mod tests {
             cameras: None,
             marks: vec![point.clone(), point],
         });
-        options.shading.paper.match_noise_px = Some(1.0);
-        options.shading.paper.schedule = rilievo_shading::paper::PenaltySchedule::Explicit {
-            start: 0.1,
-            growth: 1.1,
-            num_iterations: 50,
-            num_search_iterations: 10,
-        };
         [
             RobustLoss::Huber,
             RobustLoss::Cauchy,
@@ -253,7 +250,7 @@ mod tests {
         for path in paths {
             // Places in arrays and names of enum variants stand in the file, but are no keys.
             let is_key = |part: &&str| {
-                let variants = ["explicit", "huber", "cauchy", "geman_mc_clure"];
+                let variants = ["huber", "cauchy", "geman_mc_clure"];
                 part.parse::<usize>().is_err() && !variants.contains(part)
             };
             let keys: Vec<&str> = path.iter().map(String::as_str).filter(is_key).collect();

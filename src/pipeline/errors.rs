@@ -67,7 +67,6 @@ pub fn from_lighting(error: LightingError) -> anyhow::Error {
         LightingError::Interrupted => Failure::Interrupted.into(),
         LightingError::Inconsistent(error) => damaged(&error),
         LightingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
-        LightingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         other => Failure::NoResult(other.to_string()).into(),
     }
 }

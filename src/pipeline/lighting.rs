@@ -38,9 +38,8 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     )
     .map_err(from_lighting)?;
     write_lighting(&writer.path("lighting.json")?, &calibration, &views).map_err(Failure::from)?;
-    let options = &context.request.options.lighting;
-    let overlays = rilievo_lighting::overlays(&photos, &views, &calibration, options)
-        .map_err(from_lighting)?;
+    let overlays =
+        rilievo_lighting::overlays(&photos, &views, &calibration).map_err(from_lighting)?;
     for overlay in &overlays {
         let path = writer.path(&format!("overlay/{}.png", overlay.name))?;
         write_preview_png(&path, Preview::Linear(&overlay.picture), 0).map_err(Failure::from)?;

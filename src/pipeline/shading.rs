@@ -74,9 +74,8 @@ pub fn run(
         },
     )
     .map_err(from_shading)?;
-    let check_options = context.request.options.lighting.check();
     let used = (lighting.source, solver.light.as_slice());
-    let check = SurfaceCheck::new(&photos, &views, used, &check_options).map_err(from_check)?;
+    let check = SurfaceCheck::new(&photos, &views, used).map_err(from_check)?;
     let step = "writing maps, comparing them with the photos";
     let step = DividedStep::new(context.console, StageId::Shading, step);
     let interrupted = || anyhow::Error::from(Failure::Interrupted);

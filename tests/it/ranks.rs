@@ -186,13 +186,13 @@ mod together {
         let Some(mut command) = mpirun() else { return };
         let (dir, photos, run) = noise_run(2);
         let config = dir.path().join("options.toml");
-        std::fs::write(&config, "[shading]\nnoise = 0.02\n").unwrap();
+        std::fs::write(&config, "[shading.paper]\nnoise = 0.02\n").unwrap();
         let asked = ["reconstruct", arg(&photos), "-o", arg(&run)];
         command.args(["-n", "1", RILIEVO]).args(asked);
         command.args([":", "-n", "1", RILIEVO]).args(asked);
         let output = command.args(["--config", arg(&config)]).output();
         let stderr = ended_with(&output.unwrap(), 2);
-        let told = "request.options.shading.noise is 0.01 for rank 0 and 0.02 for rank 1";
+        let told = "request.options.shading.paper.noise is 0.01 for rank 0 and 0.02 for rank 1";
         assert!(stderr.contains(told), "{stderr}");
         assert!(!run.exists());
     }

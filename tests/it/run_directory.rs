@@ -87,7 +87,7 @@ fn threads_and_memory_redo_nothing_options_do() {
 
     // An option of a later stage touches no earlier one.
     let config = dir.path().join("options.toml");
-    std::fs::write(&config, "[shading]\nnoise = 0.02\n").unwrap();
+    std::fs::write(&config, "[shading.paper]\nnoise = 0.02\n").unwrap();
     let with_config = ["--config", arg(&config)];
     assert_eq!(
         two_stages(&photos, &run_dir, &with_config),

@@ -103,7 +103,7 @@ fn shading_view(
                     parts.name
                 ))
             })?;
-            fitted_lighting(&image, &mask, &parts.intrinsics, shape, clip_level, options)?
+            fitted_lighting(&image, &mask, &parts.intrinsics, shape, clip_level)?
         }
     };
     let mut solved = ShadingView::new(
@@ -129,7 +129,6 @@ fn fitted_lighting(
     intrinsics: &Intrinsics,
     shape: &DepthMap,
     clip_level: Option<f32>,
-    options: &StageOptions,
 ) -> anyhow::Result<(Lighting, String)> {
     let (lighting, fit) = rilievo_lighting::fit_on_shape(
         image,
@@ -137,7 +136,6 @@ fn fitted_lighting(
         intrinsics,
         shape,
         clip_level.unwrap_or(f32::INFINITY),
-        &options.lighting,
     )
     .map_err(from_lighting)?;
     let source = format!(

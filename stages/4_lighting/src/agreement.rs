@@ -9,16 +9,15 @@
 //! 1. Each sphere's own light: a robust fit over all views (a light fixed to the world), or one per
 //!    view (fixed to the camera).
 //! 2. For every pair, the light of one applied to the pixels of the other, at normals that both
-//!    show: the median ratio per channel is the paint's, and the residual after it tells whether the
+//!    show: the median ratio per channel is the paint's, and the residual after it shows whether the
 //!    lights agree.
-//! 3. The sphere with which most others agree tells the light; of equals the brightest, since a
+//! 3. The sphere with which most others agree is the reference; of equals the brightest, since a
 //!    shadow takes light away and seldom anything adds any.
 //! 4. Spheres that agree with it count, brightness divided by their paint where that is another's;
 //!    the others are left out, and said to be.
 
 use crate::error::LightingError;
 use crate::error::warn;
-use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::residual::residual_of;
@@ -27,11 +26,16 @@ use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::{Reading, dominant_direction};
 use rilievo_photometry::samples::{NUM_CELLS, cell_of};
+use rilievo_photometry::surface_check::MAX_SAMPLES;
 use rilievo_scene::{LightKind, Lighting, Observer};
 
 /// Residual on another sphere, beyond its own, below which two lights are one whatever their ratio:
 /// uneven paint and the mat's bounce light differ by this much between spheres that stand well.
 const SMALLEST_GAP: f64 = 0.04;
+/// Two spheres see one light where the light of one leaves at most this times as much of the other
+/// unexplained as the other's own light does. Larger lets a shadowed sphere count, smaller leaves good
+/// ones out for their uneven paint.
+const MAX_RATIO: f64 = 1.4;
 /// Logarithm of a brightness ratio below which two paints are one. A smaller difference moves their
 /// common light by less than what nine harmonics leave unexplained of a matte sphere.
 const SAME_PAINT: f64 = 0.03;
@@ -62,8 +66,8 @@ struct Comparison {
 }
 
 impl Comparison {
-    fn agrees(&self, options: &LightingOptions) -> bool {
-        self.rms <= (options.agreement_ratio * self.own_rms).max(self.own_rms + SMALLEST_GAP)
+    fn agrees(&self) -> bool {
+        self.rms <= (MAX_RATIO * self.own_rms).max(self.own_rms + SMALLEST_GAP)
     }
 
     fn mean_ratio(&self) -> f64 {
@@ -80,7 +84,6 @@ pub(crate) fn judge(
     side: &mut Side,
     gains: &[Vec<f64>],
     kind: LightKind,
-    options: &LightingOptions,
     report: &mut LightingReport,
     observer: &dyn Observer,
 ) -> Result<(), LightingError> {
@@ -91,13 +94,13 @@ pub(crate) fn judge(
         return Ok(());
     }
     let frames = Frames { side, gains, kind };
-    let groups = frames.groups(options);
+    let groups = frames.groups();
     let compare = |k: usize, by: usize| frames.compare(&groups, k, by);
     // How many agree with a sphere, and how much brighter it is than they are.
     let standing = |by: usize| {
         let others = spheres.iter().filter(|&&k| k != by);
         let found: Vec<Comparison> = others.filter_map(|&k| compare(k, by)).collect();
-        let agreeing = found.iter().filter(|c| c.agrees(options)).count();
+        let agreeing = found.iter().filter(|c| c.agrees()).count();
         let brighter: f64 = found.iter().map(|c| -c.mean_ratio().max(1e-6).ln()).sum();
         (agreeing, brighter)
     };
@@ -129,7 +132,7 @@ pub(crate) fn judge(
         facts.own_rms = Some(found.own_rms);
         facts.other_rms = Some(found.rms);
         facts.direction_difference_deg = found.direction_deg;
-        if !found.agrees(options) {
+        if !found.agrees() {
             facts.left_out = true;
             paint[k] = None;
             let direction = found.direction_deg.map_or(String::new(), |angle| {
@@ -187,7 +190,7 @@ impl<'a> Frames<'a> {
         }
     }
 
-    fn groups(&self, options: &LightingOptions) -> Vec<Group<'a>> {
+    fn groups(&self) -> Vec<Group<'a>> {
         let num_groups = match self.kind {
             LightKind::World => 1,
             LightKind::Camera => self.side.views.len(),
@@ -201,7 +204,7 @@ impl<'a> Frames<'a> {
                         patches[patch.sphere].push(patch);
                     }
                 }
-                let own = patches.iter().map(|list| self.own_light(list, options));
+                let own = patches.iter().map(|list| self.own_light(list));
                 Group {
                     own: own.collect(),
                     patches,
@@ -210,14 +213,14 @@ impl<'a> Frames<'a> {
             .collect()
     }
 
-    fn own_light(&self, patches: &[&Patch], options: &LightingOptions) -> Option<Lighting> {
+    fn own_light(&self, patches: &[&Patch]) -> Option<Lighting> {
         let mut pool = Pool::default();
         for patch in patches {
-            let share = options.max_num_samples / patches.len();
+            let share = MAX_SAMPLES / patches.len();
             let (rotation, gain) = (self.rotation(patch), &self.gains[patch.view]);
             pool.add(&patch.samples.readings, &rotation, gain, share);
         }
-        Some(pool.fit("a sphere", options).ok()?.lighting())
+        Some(pool.fit("a sphere").ok()?.lighting())
     }
 
     /// Cells of normals that a sphere shows.

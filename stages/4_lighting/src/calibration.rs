@@ -8,13 +8,13 @@
 use crate::environment::{describe, gains_of, ones, report_gains, views_from_environment};
 use crate::error::LightingError;
 use crate::light_samples;
-use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::side::Side;
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::samples::{Shot, SphereSamples};
 use rilievo_photometry::sphere::{cone_from_mark, detect_in_photo};
+use rilievo_photometry::surface_check::MAX_SAMPLES;
 use rilievo_scene::{
     LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, SphereCalibration,
     SphereRequest, ViewIdx, ViewLighting,
@@ -25,7 +25,6 @@ pub(crate) fn from_calibration(
     posed: &PosedViews,
     request: &SphereRequest,
     side: &Side,
-    options: &LightingOptions,
     mut report: LightingReport,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
@@ -33,14 +32,14 @@ pub(crate) fn from_calibration(
     let mut points = light_samples::of_spheres(side);
     let mut num_channels = 1;
     for calibration in &request.calibration {
-        let (samples, camera) = calibration_samples(photos, posed, calibration, options)?;
+        let (samples, camera) = calibration_samples(photos, posed, calibration)?;
         let world_from_cam = posed.views[camera.0].cam_from_world.rotation.inverse();
         num_channels = calibration.image.channels;
         let frame = match report.kind {
             LightKind::World => world_from_cam,
             LightKind::Camera => UnitQuaternion::identity(),
         };
-        let share = options.max_num_samples / request.calibration.len();
+        let share = MAX_SAMPLES / request.calibration.len();
         pool.add(&samples.readings, &frame, &ones(num_channels), share);
         points.extend(light_samples::of_calibration(
             &samples,
@@ -49,12 +48,12 @@ pub(crate) fn from_calibration(
             posed,
         ));
     }
-    let fit = pool.fit("the calibration photo", options)?;
+    let fit = pool.fit("the calibration photo")?;
     describe(&fit, &mut report, observer)?;
     let (environment_in_world, views) = match report.kind {
         LightKind::World => {
             let applied = if side.views.len() > 1 {
-                let gains = gains_of(side, options)?;
+                let gains = gains_of(side)?;
                 report_gains(posed, side, &gains, num_channels, &mut report, observer)?
             } else {
                 vec![ones(num_channels); posed.views.len()]
@@ -91,7 +90,6 @@ fn calibration_samples(
     photos: &PhotoSet,
     posed: &PosedViews,
     calibration: &SphereCalibration,
-    options: &LightingOptions,
 ) -> Result<(SphereSamples, ViewIdx), LightingError> {
     let of_sphere_error = |source| LightingError::Sphere {
         of: calibration.name.clone(),
@@ -119,27 +117,19 @@ fn calibration_samples(
         });
     }
     let clip_level = photo.clip_level;
+    let intrinsics = &camera.intrinsics;
     let cone = match &calibration.mark {
-        Some(mark) => {
-            cone_from_mark(mark, &camera.intrinsics, &options.sphere)
-                .map_err(of_sphere_error)?
-                .cone
-        }
-        None => detect_in_photo(
-            &calibration.image,
-            &camera.intrinsics,
-            clip_level,
-            &options.sphere,
-        )
-        .map_err(of_sphere_error)?,
-    };
+        Some(mark) => cone_from_mark(mark, intrinsics).map(|fit| fit.cone),
+        None => detect_in_photo(&calibration.image, intrinsics, clip_level),
+    }
+    .map_err(of_sphere_error)?;
     // Normals do not depend on the radius: any serves.
     let shot = Shot {
         image: &calibration.image,
         object: None,
         clip_level,
-        intrinsics: &camera.intrinsics,
+        intrinsics,
     };
-    let samples = shot.samples(&cone.sphere(1.0), &[], &options.sampling());
+    let samples = shot.samples(&cone.sphere(1.0), &[]);
     Ok((samples, ViewIdx(idx)))
 }

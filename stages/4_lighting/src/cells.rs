@@ -9,7 +9,7 @@
 //! ```
 //! with a gain per view. Shadow and bounce light, fixed to the surface, are part of `e(cell)` and
 //! do not disturb. The robust two-way fit gives the gains ([`crate::gains`]), and its scatter under
-//! both kinds of cells tells the kind of light ([`crate::kind`]).
+//! both kinds of cells decides the kind of light ([`crate::kind`]).
 
 use nalgebra::Vector3;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};

@@ -4,12 +4,12 @@
 use crate::error::LightingError;
 use crate::error::warn;
 use crate::gains::{self, Gains};
-use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport};
 use crate::residual::residual_in;
 use crate::side::Side;
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
+use rilievo_photometry::surface_check::MAX_SAMPLES;
 use rilievo_scene::{
     LightSource, Lighting, Observer, PosedView, PosedViews, ViewIdx, ViewLighting,
 };
@@ -20,9 +20,9 @@ pub(crate) fn ones(num_channels: usize) -> Vec<f64> {
 }
 
 /// Samples of all patches that count, in the world, brightness divided by gain and paint.
-pub(crate) fn pool_in_world(side: &Side, gains: &[Vec<f64>], options: &LightingOptions) -> Pool {
+pub(crate) fn pool_in_world(side: &Side, gains: &[Vec<f64>]) -> Pool {
     let mut pool = Pool::default();
-    let share = options.max_num_samples / side.counted().count().max(1);
+    let share = MAX_SAMPLES / side.counted().count().max(1);
     for (patch, paint) in side.counted() {
         let gain = &gains[patch.view];
         let scale: Vec<f64> = gain.iter().zip(paint).map(|(g, p)| g * p).collect();
@@ -32,18 +32,18 @@ pub(crate) fn pool_in_world(side: &Side, gains: &[Vec<f64>], options: &LightingO
     pool
 }
 
-/// Gains of the views in `side`, found in two rounds: the first fit tells the slope of the light
+/// Gains of the views in `side`, found in two rounds: the first fit estimates the slope of the light
 /// within a cell of normals, the second comparison removes it.
-pub(crate) fn gains_of(side: &Side, options: &LightingOptions) -> Result<Gains, LightingError> {
-    let mut gains = gains::find(side, None, options.gains);
-    if options.gains == GainMode::Off || side.views.len() < 2 {
+pub(crate) fn gains_of(side: &Side) -> Result<Gains, LightingError> {
+    let mut gains = gains::find(side, None);
+    if side.views.len() < 2 {
         gains.apply = false;
         return Ok(gains);
     }
     for _ in 0..2 {
-        let pool = pool_in_world(side, &gains.gain, options);
-        let environment = pool.fit("the sphere", options)?;
-        gains = gains::find(side, Some(&environment), options.gains);
+        let pool = pool_in_world(side, &gains.gain);
+        let environment = pool.fit("the sphere")?;
+        gains = gains::find(side, Some(&environment));
     }
     Ok(gains)
 }
@@ -67,15 +67,15 @@ pub(crate) fn report_gains(
     }
     report.gains_applied = gains.apply;
     if gains.apply {
-        let untold: Vec<&str> = (0..posed.views.len())
+        let unknown: Vec<&str> = (0..posed.views.len())
             .filter(|v| report.views[*v].gain_sigma.is_none())
             .map(|v| posed.views[v].name.as_str())
             .collect();
-        if !untold.is_empty() {
+        if !unknown.is_empty() {
             let message = format!(
                 "the photos' exposures differ, but the sphere does not tell the gain of {}: taken \
                  as 1; fix exposure and white balance, or keep the sphere in every photo",
-                untold.join(", ")
+                unknown.join(", ")
             );
             warn(observer, message)?;
         }

@@ -4,10 +4,9 @@
 //! at equal normals in the world is a gain per photo and channel; one factor common to all photos
 //! stays undetermined (it is part of the albedo) and is set so that the gains' geometric mean is 1.
 //! Under a light fixed to the camera the light may differ from photo to photo as well, and gain and
-//! light cannot be told apart; nor does it matter, as each photo has its own lighting.
+//! light cannot be separated; that does not matter, since each photo has its own lighting.
 
 use crate::cells::{CellMean, TwoWay, cell_means, two_way};
-use crate::options::GainMode;
 use crate::side::Side;
 use rilievo_photometry::harmonics::LightingFit;
 use rilievo_photometry::samples::NUM_CELLS;
@@ -17,9 +16,9 @@ use rilievo_photometry::samples::NUM_CELLS;
 pub(crate) struct Gains {
     /// Per view and channel.
     pub gain: Vec<Vec<f64>>,
-    /// Relative standard deviation per view, the worst channel; `None` where it cannot be told.
+    /// Relative standard deviation per view, the worst channel; `None` where it is unknown.
     pub sigma: Vec<Option<f64>>,
-    /// Whether they differ from 1 by more than their uncertainty (or were asked for always).
+    /// Whether they differ from 1 by more than their uncertainty.
     pub apply: bool,
 }
 
@@ -28,7 +27,7 @@ const SMALLEST_GAIN: f64 = 0.01;
 
 /// Finds them. `environment` in the world, where one is known already, takes the light's slope
 /// within a cell out of the comparison.
-pub(crate) fn find(side: &Side, environment: Option<&LightingFit>, mode: GainMode) -> Gains {
+pub(crate) fn find(side: &Side, environment: Option<&LightingFit>) -> Gains {
     let num_views = side.views.len();
     let num_channels = side.num_channels();
     let mut gains = Gains {
@@ -36,9 +35,6 @@ pub(crate) fn find(side: &Side, environment: Option<&LightingFit>, mode: GainMod
         sigma: vec![None; num_views],
         apply: false,
     };
-    if mode == GainMode::Off {
-        return gains;
-    }
     for channel in 0..num_channels {
         let mut means: Vec<CellMean> = Vec::new();
         for patch in &side.patches {
@@ -65,10 +61,9 @@ pub(crate) fn find(side: &Side, environment: Option<&LightingFit>, mode: GainMod
             gains.sigma[view] = worst;
         }
     }
-    let differs = gains.gain.iter().zip(&gains.sigma).any(|(gain, sigma)| {
+    gains.apply = gains.gain.iter().zip(&gains.sigma).any(|(gain, sigma)| {
         let threshold = sigma.map_or(f64::INFINITY, |s| (3.0 * s).max(SMALLEST_GAIN));
         gain.iter().any(|g| g.ln().abs() > threshold)
     });
-    gains.apply = mode == GainMode::Always || differs;
     gains
 }

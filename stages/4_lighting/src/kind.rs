@@ -1,9 +1,9 @@
-//! What the light is fixed to, told from the spheres, a known shape or the anchors in several
+//! What the light is fixed to, decided from the spheres, a known shape or the anchors in several
 //! views.
 //!
 //! With the gains of the photos free, the scatter of `ln I` between views is compared at equal
 //! normals in the world (a resting light leaves none) and at equal normals in the camera (a light
-//! fixed to the camera leaves none). Views that look in nearly the same direction cannot tell.
+//! fixed to the camera leaves none). Views that look in nearly the same direction cannot decide.
 
 use crate::cells::{CellMean, cell_means, two_way};
 use crate::report::KindCheck;
@@ -109,7 +109,7 @@ pub(crate) fn judge(
     }
 }
 
-/// The kind that is stated, else the one that the data tell, else a light at rest, as it is where a
+/// The kind that is stated, else the one that the data decide, else a light at rest, as it is where a
 /// camera is walked around an object.
 pub(crate) fn settled(stated: Option<LightKind>, check: Option<&KindCheck>) -> LightKind {
     stated.or_else(|| check?.fits).unwrap_or(LightKind::World)

@@ -51,7 +51,7 @@ mod side;
 mod sphere_light;
 
 pub use error::LightingError;
-pub use options::{GainMode, LightingOptions, ObjectLight, RETIRED_KEYS};
+pub use options::{LightingOptions, ObjectLight, RETIRED_KEYS};
 pub use overlay::{SphereOverlay, overlays};
 pub use report::{
     ChannelReport, KindCheck, LightingReport, ObjectReport, SphereLightReport, ViewLightReport,
@@ -76,7 +76,6 @@ pub fn run(
     options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
-    options.validate()?;
     photos.check()?;
     posed.check_with(photos)?;
     if posed.views.is_empty() {
@@ -87,18 +86,21 @@ pub fn run(
             let (mut calibration, report) = request::given(posed, lightings)?;
             // Of the spheres the solver needs to know what they hide and send.
             let mut facts = LightingReport::default();
-            let side = side::collect(photos, posed, options, observer, &mut facts)?;
+            let side = side::collect(photos, posed, observer, &mut facts)?;
             calibration.samples.extend(light_samples::of_spheres(&side));
             Ok((calibration, report))
         }
-        LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, options, observer),
+        LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, observer),
         LightingRequest::Sphere(sphere) => {
-            let (mut calibration, mut report) =
-                sphere_light::run(photos, posed, sphere, options, observer)?;
-            let (light, facts) = (&mut calibration, &mut report);
-            object_light::confront(photos, posed, light, facts, options, observer)?;
+            let (mut calibration, mut report) = sphere_light::run(photos, posed, sphere, observer)?;
+            if options.object_light == ObjectLight::Correct {
+                let (light, facts) = (&mut calibration, &mut report);
+                object_light::confront(photos, posed, light, facts, observer)?;
+            }
             Ok((calibration, report))
         }
-        LightingRequest::OwnShape => own_shape::run(photos, posed, options, observer),
+        LightingRequest::OwnShape => {
+            own_shape::run(photos, posed, options.own_shape_light, observer)
+        }
     }
 }

@@ -1,5 +1,5 @@
 //! What is known of the light point by point, for a solver whose light has shadows and bounce: nine
-//! harmonics cannot be told apart into what comes from the environment and what is hidden.
+//! harmonics cannot be separated into what comes from the environment and what is hidden.
 
 use crate::side::Side;
 use nalgebra::Vector3;

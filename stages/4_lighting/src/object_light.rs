@@ -17,11 +17,11 @@
 use crate::anchor_normals::{AnchorReading, half};
 use crate::environment::{in_view, scaled};
 use crate::error::LightingError;
-use crate::options::{LightingOptions, ObjectLight};
 use crate::own_shape::{anchor_samples, pool};
 use crate::report::{LightingReport, ObjectReport, ViewObjectReport};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::harmonics::dominant_direction;
+use rilievo_photometry::surface_check::WRONG_LIGHT_RATIO;
 use rilievo_scene::{
     LightKind, LightSource, Lighting, LightingCalibration, Observer, PhotoSet, PosedViews,
 };
@@ -33,19 +33,18 @@ const SMALLEST_FACTOR: f64 = 0.03;
 /// Share of the worst sightings that does not count: wrong anchors, specks.
 const LEFT_OUT: f64 = 0.03;
 
-/// Compares, and corrects where the options allow.
+/// Compares, and corrects.
 pub(crate) fn confront(
     photos: &PhotoSet,
     posed: &PosedViews,
     calibration: &mut LightingCalibration,
     report: &mut LightingReport,
-    options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<(), LightingError> {
-    if options.object_light == ObjectLight::Off || posed.anchors.len() < MIN_SIGHTINGS / 4 {
+    if posed.anchors.len() < MIN_SIGHTINGS / 4 {
         return Ok(());
     }
-    let samples = anchor_samples(photos, posed, options, observer)?;
+    let samples = anchor_samples(photos, posed, observer)?;
     let sightings: usize = samples.iter().map(Vec::len).sum();
     if sightings < MIN_SIGHTINGS {
         return Ok(());
@@ -63,7 +62,7 @@ pub(crate) fn confront(
     let factor = median(&mut factors).unwrap_or(1.0);
     let halves = [0, 1].map(|parity| {
         let half: Vec<_> = samples.iter().map(|s| half(s, parity)).collect();
-        pool(posed, &half, &gains, &all, options).map(|fit| fit.lighting())
+        pool(posed, &half, &gains, &all).map(|fit| fit.lighting())
     });
     let [Ok(even), Ok(odd)] = halves else {
         return Ok(());
@@ -86,14 +85,12 @@ pub(crate) fn confront(
     let ratio = |v: &ViewObjectReport| Some(v.used_rms_after_albedo? / v.cross_validated_rms?);
     let mut ratios: Vec<f64> = views.iter().filter_map(ratio).collect();
     let worse = median(&mut ratios).unwrap_or(1.0);
-    let correct = options.object_light == ObjectLight::Correct;
-    let replaced = correct
-        && calibration.kind == LightKind::World
+    let replaced = calibration.kind == LightKind::World
         && calibration.source == LightSource::Sphere
-        && worse > options.advice_ratio;
-    let scaled_by_factor = correct && !replaced && factor.ln().abs() > SMALLEST_FACTOR;
+        && worse > WRONG_LIGHT_RATIO;
+    let scaled_by_factor = !replaced && factor.ln().abs() > SMALLEST_FACTOR;
     if replaced {
-        let fit = pool(posed, &samples, &gains, &all, options)?;
+        let fit = pool(posed, &samples, &gains, &all)?;
         let environment = fit.lighting();
         for (idx, light) in calibration.views.iter_mut().enumerate() {
             light.lighting = in_view(&environment, &posed.views[idx], &gains[idx]);

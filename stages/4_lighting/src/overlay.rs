@@ -7,7 +7,6 @@
 
 use crate::environment::scaled;
 use crate::error::LightingError;
-use crate::options::LightingOptions;
 use rilievo_photometry::samples::Shot;
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{Lighting, LightingCalibration, LinearImage, PhotoSet, PosedViews};
@@ -34,7 +33,6 @@ pub fn overlays(
     photos: &PhotoSet,
     posed: &PosedViews,
     calibration: &LightingCalibration,
-    options: &LightingOptions,
 ) -> Result<Vec<SphereOverlay>, LightingError> {
     if posed.spheres.is_empty() {
         return Ok(Vec::new());
@@ -53,7 +51,7 @@ pub fn overlays(
             .filter_map(|k| {
                 let paint = calibration.spheres.get(k).and_then(|s| s.paint.as_deref());
                 let lighting = light.map(|l| painted(&l.lighting, paint));
-                crops(&shot, &spheres[k], &spheres, lighting.as_ref(), options)
+                crops(&shot, &spheres[k], &spheres, lighting.as_ref())
             })
             .collect();
         if !rows.is_empty() {
@@ -96,7 +94,6 @@ fn crops(
     sphere: &SphereInCamera,
     spheres: &[SphereInCamera],
     lighting: Option<&Lighting>,
-    options: &LightingOptions,
 ) -> Option<LinearImage> {
     let image = shot.image;
     let at = shot.intrinsics.project(&sphere.center)?;
@@ -147,7 +144,7 @@ fn crops(
         }
         put(2, pixel.x, pixel.y, [0.2; 3]);
     }
-    let samples = shot.samples(sphere, spheres, &options.sampling());
+    let samples = shot.samples(sphere, spheres);
     for (reading, &(x, y)) in samples.readings.iter().zip(&samples.positions) {
         let is_far = lighting.is_some_and(|light| {
             let channels = light.channels.iter().zip(&reading.values);

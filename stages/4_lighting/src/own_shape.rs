@@ -17,11 +17,11 @@ use crate::environment::{in_view, ones};
 use crate::error::LightingError;
 use crate::error::warn;
 use crate::kind;
-use crate::options::{GainMode, LightingOptions};
 use crate::pool::Pool;
 use crate::report::{ChannelReport, KindCheck, LightingReport, ViewLightReport};
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, Reading, dominant_direction};
+use rilievo_photometry::samples::CLIP_SHARE;
 use rilievo_scene::{
     LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, StageId, ViewIdx,
     ViewLighting,
@@ -29,7 +29,7 @@ use rilievo_scene::{
 
 /// Fewest anchors with a normal.
 const MIN_ANCHORS: usize = 60;
-/// How many times less scatter tells the kind of light. Less than on spheres: the object shades itself,
+/// How many times less scatter decides the kind of light. Less than on spheres: the object shades itself,
 /// which scatters brightness under a light on the camera, and anchors under a light at rest leave noise
 /// alone.
 const CLEAR: f64 = 1.2;
@@ -38,7 +38,6 @@ const CLEAR: f64 = 1.2;
 pub(crate) fn anchor_samples(
     photos: &PhotoSet,
     posed: &PosedViews,
-    options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<Vec<Vec<AnchorReading>>, LightingError> {
     let oriented = orient(posed);
@@ -52,7 +51,7 @@ pub(crate) fn anchor_samples(
         flow.ok_or(LightingError::Interrupted)?;
         let photo = &photos.photos[view.photo.0];
         let image = photo.linear()?;
-        let limit = f64::from(photo.clip_level) * options.clip_share;
+        let limit = f64::from(photo.clip_level) * CLIP_SHARE;
         samples.push(seen_by(posed, &oriented, idx, &image, limit));
     }
     Ok(samples)
@@ -63,7 +62,7 @@ fn num_channels(samples: &[Vec<AnchorReading>]) -> Option<usize> {
     Some(first.reading.values.len())
 }
 
-/// Compares what the views show of each anchor: `value` tells it of a reading, where it counts.
+/// Compares what the views show of each anchor: `value` reads it, `None` where the reading does not count.
 fn compare_anchors(
     samples: &[Vec<AnchorReading>],
     value: impl Fn(&Reading) -> Option<f64>,
@@ -99,10 +98,10 @@ pub(crate) fn anchor_gains(samples: &[Vec<AnchorReading>], num_channels: usize) 
 pub(crate) fn run(
     photos: &PhotoSet,
     posed: &PosedViews,
-    options: &LightingOptions,
+    stated: Option<LightKind>,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
-    let samples = anchor_samples(photos, posed, options, observer)?;
+    let samples = anchor_samples(photos, posed, observer)?;
     let available = samples.iter().map(Vec::len).sum::<usize>();
     if available < MIN_ANCHORS {
         return Err(LightingError::TooFewAnchors {
@@ -111,8 +110,8 @@ pub(crate) fn run(
         });
     }
     let num_channels = num_channels(&samples).unwrap_or(1);
-    let kind_check = check_kind(posed, &samples, options);
-    let kind = kind::settled(options.own_shape_light, kind_check.as_ref());
+    let kind_check = check_kind(posed, &samples, stated);
+    let kind = kind::settled(stated, kind_check.as_ref());
     let mut report = LightingReport {
         source: LightSource::OwnShape,
         kind,
@@ -124,7 +123,7 @@ pub(crate) fn run(
          share one unknown factor, and where the shape is uncertain bumps and hollows may swap; \
          put a matte sphere beside the object to be sure";
     warn(observer, message.to_owned())?;
-    let gains = if kind == LightKind::World && options.gains != GainMode::Off {
+    let gains = if kind == LightKind::World {
         anchor_gains(&samples, num_channels)
     } else {
         vec![ones(num_channels); samples.len()]
@@ -138,7 +137,7 @@ pub(crate) fn run(
         });
     }
     let everything: Vec<usize> = (0..samples.len()).collect();
-    let pooled = pool(posed, &samples, &gains, &everything, options)?;
+    let pooled = pool(posed, &samples, &gains, &everything)?;
     report.channels = pooled.channels.iter().map(ChannelReport::from).collect();
     let environment = pooled.lighting();
     report.dominant_direction = dominant_direction(&environment).map(Into::into);
@@ -146,7 +145,7 @@ pub(crate) fn run(
     for (idx, view) in posed.views.iter().enumerate() {
         // A light fixed to the camera: each view's own fit where its anchors allow.
         let own = (kind == LightKind::Camera)
-            .then(|| pool(posed, &samples, &gains, &[idx], options).ok())
+            .then(|| pool(posed, &samples, &gains, &[idx]).ok())
             .flatten();
         let in_world = own
             .as_ref()
@@ -178,13 +177,13 @@ pub(crate) fn run(
 fn check_kind(
     posed: &PosedViews,
     samples: &[Vec<AnchorReading>],
-    options: &LightingOptions,
+    stated: Option<LightKind>,
 ) -> Option<KindCheck> {
     let num_channels = num_channels(samples)?;
     let everything: Vec<usize> = (0..samples.len()).collect();
     let gains = vec![ones(num_channels); samples.len()];
     let as_seen = |_: usize| UnitQuaternion::identity();
-    let on_camera = pool_in(samples, &gains, &everything, options, as_seen)
+    let on_camera = pool_in(samples, &gains, &everything, as_seen)
         .ok()?
         .lighting();
     let scatter = |predicted: &dyn Fn(&Vector3<f64>) -> f64| {
@@ -200,7 +199,7 @@ fn check_kind(
     }
     Some(kind::judge(
         &kind::world_from_cam(posed),
-        options.own_shape_light,
+        stated,
         CLEAR,
         (at_rest.scatter, moving.scatter),
     ))
@@ -212,9 +211,8 @@ pub(crate) fn pool(
     samples: &[Vec<AnchorReading>],
     gains: &[Vec<f64>],
     views: &[usize],
-    options: &LightingOptions,
 ) -> Result<LightingFit, LightingError> {
-    pool_in(samples, gains, views, options, |view| {
+    pool_in(samples, gains, views, |view| {
         posed.views[view].cam_from_world.rotation.inverse()
     })
 }
@@ -224,7 +222,6 @@ fn pool_in(
     samples: &[Vec<AnchorReading>],
     gains: &[Vec<f64>],
     views: &[usize],
-    options: &LightingOptions,
     turn: impl Fn(usize) -> UnitQuaternion<f64>,
 ) -> Result<LightingFit, LightingError> {
     let mut pool = Pool::default();
@@ -234,5 +231,5 @@ fn pool_in(
             pool.push(seen.reading.turned(&turn, &gains[view]));
         }
     }
-    pool.fit("the program's own shape", options)
+    pool.fit("the program's own shape")
 }

@@ -12,7 +12,7 @@ use rilievo_scene::{LocatedSphere, PosedViews};
 /// Ratio of distances beyond which the sphere cannot stand beside the object.
 const MAX_RATIO: f64 = 5.0;
 
-/// What to tell of the spheres that do not stand near the scene.
+/// Warnings of spheres that do not stand near the scene.
 pub(crate) fn odd(posed: &PosedViews) -> impl Iterator<Item = String> {
     posed.spheres.iter().filter_map(|s| odd_sphere(posed, s))
 }
@@ -25,7 +25,7 @@ fn odd_sphere(posed: &PosedViews, sphere: &LocatedSphere) -> Option<String> {
         let to_sphere = view.cam_from_world.apply(&center).coords.norm();
         let points = posed.points.iter().map(|p| p.position);
         let anchors = posed.anchors.iter().map(|a| a.position);
-        // A few hundred points tell the distance of the scene.
+        // A few hundred points determine the distance of the scene.
         let stride = ((posed.points.len() + posed.anchors.len()) / 500).max(1);
         let mut distances: Vec<f64> = points
             .chain(anchors)

@@ -1,7 +1,6 @@
 //! Pixels and anchors of one view or several, gathered for one fit of the light.
 
 use crate::error::LightingError;
-use crate::options::LightingOptions;
 use nalgebra::{UnitQuaternion, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, Reading, fit_lighting};
 
@@ -31,8 +30,8 @@ impl Pool {
     }
 
     /// Harmonics of the whole pool; `of` names it in the error.
-    pub fn fit(&self, of: &str, options: &LightingOptions) -> Result<LightingFit, LightingError> {
-        fit_lighting(&self.0, &options.fit).map_err(|source| LightingError::Fit {
+    pub fn fit(&self, of: &str) -> Result<LightingFit, LightingError> {
+        fit_lighting(&self.0).map_err(|source| LightingError::Fit {
             of: of.to_owned(),
             source,
         })

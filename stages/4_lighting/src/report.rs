@@ -80,7 +80,7 @@ pub struct SphereLightReport {
     pub num_pixels: usize,
     /// Views that show enough of it.
     pub views: Vec<String>,
-    /// The sphere that tells the light, where this is another.
+    /// The reference sphere, where this is another.
     pub compared_with: Option<String>,
     /// Brightness at equal normals over that of the other sphere, per channel.
     pub brightness_ratio: Vec<f64>,
@@ -104,7 +104,7 @@ pub struct KindCheck {
     pub scatter_world: f64,
     /// The same at equal normals in the camera.
     pub scatter_camera: f64,
-    /// The kind that fits, where the data tell.
+    /// The kind that fits, where the data decide.
     pub fits: Option<LightKind>,
     /// Whether that contradicts what was stated.
     pub contradicts: bool,

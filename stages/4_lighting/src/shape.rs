@@ -4,22 +4,26 @@
 //! Points `X(x, y) = z(x, y) · ray(x, y)` of neighbouring pixels; the normal is the normalised
 //! cross product of the tangents `∂X/∂x` and `∂X/∂y`, turned towards the camera. Central
 //! differences where both neighbours exist, one-sided ones at a border. Steps of more than
-//! `max_slope` (relative change of depth per pixel times the focal length) are depth edges: no
+//! [`MAX_SLOPE`] (relative change of depth per pixel times the focal length) are depth edges: no
 //! tangent crosses them.
 
 use crate::error::LightingError;
 use crate::error::warn;
 use crate::kind;
-use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::{ChannelReport, LightingReport, ViewLightReport};
 use nalgebra::{Point2, Vector3};
 use rilievo_photometry::harmonics::{LightingFit, Reading};
-use rilievo_photometry::samples::surface_pixels;
+use rilievo_photometry::samples::{CLIP_SHARE, surface_pixels};
+use rilievo_photometry::surface_check::MAX_SAMPLES;
 use rilievo_scene::{
     DepthMap, Intrinsics, LightSource, Lighting, LightingCalibration, LinearImage, NormalMap,
     Observer, PackedMask, PhotoSet, PosedViews, Raster, StageId, ViewIdx, ViewLighting,
 };
+
+/// Depth steps beyond this slope (relative depth per pixel, in units of 1/focal length) are edges, not
+/// surface: 83 degrees.
+const MAX_SLOPE: f64 = 8.0;
 
 /// Fits the lighting of one image on a known depth.
 ///
@@ -33,10 +37,9 @@ pub fn fit_on_shape(
     intrinsics: &Intrinsics,
     depth: &DepthMap,
     clip_level: f32,
-    options: &LightingOptions,
 ) -> Result<(Lighting, LightingFit), LightingError> {
-    let normals = normals_on(image, "the image", intrinsics, depth, options)?;
-    let fit = pool(image, mask, &normals, clip_level, options).fit("a shape", options)?;
+    let normals = normals_on(image, "the image", intrinsics, depth)?;
+    let fit = pool(image, mask, &normals, clip_level).fit("a shape")?;
     Ok((fit.lighting(), fit))
 }
 
@@ -46,7 +49,6 @@ fn normals_on(
     name: &str,
     intrinsics: &Intrinsics,
     depth: &DepthMap,
-    options: &LightingOptions,
 ) -> Result<NormalMap, LightingError> {
     if (depth.width, depth.height) != (image.width, image.height) {
         return Err(LightingError::ShapeSize {
@@ -57,7 +59,7 @@ fn normals_on(
             photo_height: image.height,
         });
     }
-    Ok(normals_of_depth(depth, intrinsics, options.max_slope))
+    Ok(normals_of_depth(depth, intrinsics, MAX_SLOPE))
 }
 
 /// Normals (camera frame) and intensities of a surface's pixels.
@@ -66,11 +68,10 @@ fn pool(
     mask: Option<&PackedMask>,
     normals: &NormalMap,
     clip_level: f32,
-    options: &LightingOptions,
 ) -> Pool {
-    let limit = f64::from(clip_level) * options.clip_share;
+    let limit = f64::from(clip_level) * CLIP_SHARE;
     let mut pool = Pool::default();
-    for (x, y, normal) in surface_pixels(image, mask, normals, options.max_num_samples) {
+    for (x, y, normal) in surface_pixels(image, mask, normals, MAX_SAMPLES) {
         pool.push(Reading::of_pixel(normal, image.pixel(x, y), limit));
     }
     pool
@@ -112,13 +113,12 @@ fn normals_of_depth(depth: &DepthMap, intrinsics: &Intrinsics, max_slope: f64) -
 
 /// One lighting per view with a shape; a view without takes the lighting of none.
 ///
-/// What the light is fixed to is nowhere stated: the shape tells ([`kind::check_on_shape`]), and where
+/// What the light is fixed to is nowhere stated: brightness on the shape decides ([`kind::check_on_shape`]), and where
 /// it cannot, the light is taken to rest, as it does when a camera is walked around an object.
 pub(crate) fn run(
     photos: &PhotoSet,
     posed: &PosedViews,
     shapes: &[(ViewIdx, DepthMap)],
-    options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let mut views = Vec::new();
@@ -148,11 +148,11 @@ pub(crate) fn run(
         };
         let photo = &photos.photos[view.photo.0];
         let image = photo.linear()?;
-        let normals = normals_on(&image, &view.name, &view.intrinsics, depth, options)?;
+        let normals = normals_on(&image, &view.name, &view.intrinsics, depth)?;
         let mask = photo.mask.as_deref();
-        let pool = pool(&image, mask, &normals, photo.clip_level, options);
+        let pool = pool(&image, mask, &normals, photo.clip_level);
         brightness[idx] = pool.brightness();
-        let fit = match pool.fit(&view.name, options) {
+        let fit = match pool.fit(&view.name) {
             Ok(fit) => fit,
             Err(LightingError::Fit { source, .. }) => {
                 facts.left_out = Some(source.to_string());

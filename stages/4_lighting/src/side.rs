@@ -1,7 +1,6 @@
 //! The spheres beside the object, in the views that show enough of them.
 
 use crate::error::LightingError;
-use crate::options::LightingOptions;
 use crate::report::{LightingReport, SphereLightReport, ViewLightReport};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::samples::{Coverage, Shot, SphereSamples};
@@ -9,6 +8,9 @@ use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
     LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, SphereLight, StageId,
 };
+
+/// Fewest usable pixels that make a sphere count in a view.
+const MIN_PIXELS: usize = 150;
 
 /// One sphere in one view.
 pub(crate) struct Patch {
@@ -29,7 +31,7 @@ pub(crate) struct Side {
     pub world_from_cam: Vec<UnitQuaternion<f64>>,
     /// Every sphere in every view that shows enough of it.
     pub patches: Vec<Patch>,
-    /// Per sphere and channel, its albedo over that of the sphere that the light is told by; `None`
+    /// Per sphere and channel, its albedo over that of the reference sphere; `None`
     /// for a sphere that does not count.
     pub paint: Vec<Option<Vec<f64>>>,
 }
@@ -73,7 +75,6 @@ impl Side {
 pub(crate) fn collect(
     photos: &PhotoSet,
     posed: &PosedViews,
-    options: &LightingOptions,
     observer: &dyn Observer,
     report: &mut LightingReport,
 ) -> Result<Side, LightingError> {
@@ -93,7 +94,7 @@ pub(crate) fn collect(
             (idx, posed.views.len()),
         );
         flow.ok_or(LightingError::Interrupted)?;
-        let facts = one_view(photos, posed, (idx, view), options, (&mut side, report))?;
+        let facts = one_view(photos, posed, (idx, view), (&mut side, report))?;
         report.views.push(facts);
     }
     side.paint = vec![Some(vec![1.0; side.num_channels()]); posed.spheres.len()];
@@ -105,7 +106,6 @@ fn one_view(
     photos: &PhotoSet,
     posed: &PosedViews,
     (idx, view): (usize, &PosedView),
-    options: &LightingOptions,
     (side, report): (&mut Side, &mut LightingReport),
 ) -> Result<ViewLightReport, LightingError> {
     let mut facts = ViewLightReport::named(&view.name);
@@ -125,12 +125,12 @@ fn one_view(
             none => none.insert(photo.linear()?),
         };
         let shot = Shot::new(photo, image, view);
-        let samples = shot.samples(&in_camera[k], &in_camera, &options.sampling());
+        let samples = shot.samples(&in_camera[k], &in_camera);
         let num_pixels = samples.num_usable();
         facts.num_pixels += num_pixels;
         facts.radius_px = Some(facts.radius_px.unwrap_or(0.0).max(samples.radius_px));
         coverage.add(samples.coverage);
-        if num_pixels < options.min_num_pixels {
+        if num_pixels < MIN_PIXELS {
             reasons.push(format!(
                 "{num_pixels} usable pixels of {} ({:.0} % hidden, {:.0} % clipped)",
                 sphere.name,

@@ -18,7 +18,6 @@ use crate::environment::{
 };
 use crate::error::LightingError;
 use crate::error::warn;
-use crate::options::LightingOptions;
 use crate::pool::Pool;
 use crate::report::LightingReport;
 use crate::residual::residual_in;
@@ -26,6 +25,7 @@ use crate::side::{Side, collect};
 use crate::{agreement, kind, light_samples, place};
 use nalgebra::UnitQuaternion;
 use rilievo_photometry::harmonics::LightingFit;
+use rilievo_photometry::surface_check::MAX_SAMPLES;
 use rilievo_scene::{
     LightKind, LightSource, LightingCalibration, Observer, PhotoSet, PosedViews, SphereRequest,
     ViewIdx, ViewLighting,
@@ -35,7 +35,6 @@ pub(crate) fn run(
     photos: &PhotoSet,
     posed: &PosedViews,
     request: &SphereRequest,
-    options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     if posed.spheres.is_empty() && request.calibration.is_empty() {
@@ -47,7 +46,7 @@ pub(crate) fn run(
         source: LightSource::Sphere,
         ..LightingReport::default()
     };
-    let side = collect(photos, posed, options, observer, &mut report)?;
+    let side = collect(photos, posed, observer, &mut report)?;
     report.kind_check = kind::check(&side, request.light);
     report.kind = kind::settled(request.light, report.kind_check.as_ref());
     for message in wrong_kind(&report).into_iter().chain(place::odd(posed)) {
@@ -60,12 +59,12 @@ pub(crate) fn run(
             });
         }
         match report.kind {
-            LightKind::World => from_side_world(posed, side, options, report, observer),
-            LightKind::Camera => from_side_camera(posed, side, options, report, observer),
+            LightKind::World => from_side_world(posed, side, report, observer),
+            LightKind::Camera => from_side_camera(posed, side, report, observer),
         }
     } else {
         report.source = LightSource::CalibrationPhoto;
-        from_calibration(photos, posed, request, &side, options, report, observer)
+        from_calibration(photos, posed, request, &side, report, observer)
     }
 }
 
@@ -77,7 +76,7 @@ fn reasons(report: &LightingReport) -> Vec<String> {
         .collect()
 }
 
-/// What to tell of a stated kind of light that the spheres contradict.
+/// Warning of a stated kind of light that the spheres contradict.
 fn wrong_kind(report: &LightingReport) -> Option<String> {
     let check = report.kind_check.as_ref().filter(|c| c.contradicts)?;
     let (stated, fits) = (check.stated?, check.fits?);
@@ -98,23 +97,15 @@ fn wrong_kind(report: &LightingReport) -> Option<String> {
 fn from_side_world(
     posed: &PosedViews,
     mut side: Side,
-    options: &LightingOptions,
     mut report: LightingReport,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
-    let gains = gains_of(&side, options)?;
+    let gains = gains_of(&side)?;
     let num_channels = gains.gain[0].len();
     let applied = report_gains(posed, &side, &gains, num_channels, &mut report, observer)?;
     let in_side: Vec<Vec<f64>> = side.views.iter().map(|&v| applied[v].clone()).collect();
-    agreement::judge(
-        &mut side,
-        &in_side,
-        LightKind::World,
-        options,
-        &mut report,
-        observer,
-    )?;
-    let fit = pool_in_world(&side, &in_side, options).fit("the sphere", options)?;
+    agreement::judge(&mut side, &in_side, LightKind::World, &mut report, observer)?;
+    let fit = pool_in_world(&side, &in_side).fit("the sphere")?;
     describe(&fit, &mut report, observer)?;
     let environment = fit.lighting();
     let views = views_from_environment(posed, &environment, &applied, &side, &mut report);
@@ -134,19 +125,11 @@ fn from_side_world(
 fn from_side_camera(
     posed: &PosedViews,
     mut side: Side,
-    options: &LightingOptions,
     mut report: LightingReport,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     let gains = vec![ones(side.num_channels()); side.views.len()];
-    agreement::judge(
-        &mut side,
-        &gains,
-        LightKind::Camera,
-        options,
-        &mut report,
-        observer,
-    )?;
+    agreement::judge(&mut side, &gains, LightKind::Camera, &mut report, observer)?;
     let mut fits: Vec<(usize, LightingFit)> = Vec::new();
     for &view in &side.views {
         let patches = side.counted_in(view);
@@ -155,7 +138,7 @@ fn from_side_camera(
             continue;
         }
         let mut pool = Pool::default();
-        let share = options.max_num_samples / patches.len();
+        let share = MAX_SAMPLES / patches.len();
         for (patch, paint) in &patches {
             pool.add(
                 &patch.samples.readings,
@@ -164,7 +147,7 @@ fn from_side_camera(
                 share,
             );
         }
-        match pool.fit(&posed.views[view].name, options) {
+        match pool.fit(&posed.views[view].name) {
             Ok(fit) => {
                 report.views[view].relative_rms = residual_in(&patches, &fit.lighting());
                 fits.push((view, fit));

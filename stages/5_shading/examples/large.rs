@@ -1,12 +1,12 @@
-//! Time and memory of large colour views: `large [MEGAPIXELS] [--views N] [--literal]`.
+//! Time and memory of large colour views: `large [MEGAPIXELS] [--views N]`.
 //!
 //! One view starts from 400 anchors; several stand side by side before the same relief and are tied
-//! by 300 matches between neighbours (eq. 15 itself with `--literal`).
+//! by 300 matches between neighbours.
 
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{Intrinsics, Lighting, Mask, RigidTransform, Silent, SphericalHarmonics};
 use rilievo_shading::paper::{
-    Coupling, DepthAnchor, PaperOptions, ShadingProblem, ShadingView, ViewLight, ViewMatches, solve,
+    DepthAnchor, PaperOptions, ShadingProblem, ShadingView, ViewLight, ViewMatches, solve,
 };
 use rilievo_synthetic::testing::{PAPER_LIGHT, painted};
 use std::sync::Arc;
@@ -128,12 +128,11 @@ impl Relief {
 }
 
 fn main() -> Result<(), Failure> {
-    let (mut megapixels, mut num_views, mut coupling) = (None, 1, Coupling::Anchors);
+    let (mut megapixels, mut num_views) = (None, 1);
     let mut args = std::env::args().skip(1);
     while let Some(arg) = args.next() {
         match arg.as_str() {
             "--views" => num_views = args.next().ok_or("--views needs a number")?.parse()?,
-            "--literal" => coupling = Coupling::Literal,
             _ => megapixels = Some(arg.parse::<f64>()?),
         }
     }
@@ -147,11 +146,7 @@ fn main() -> Result<(), Failure> {
     if let [only] = problem.views.as_mut_slice() {
         only.anchors = relief.anchors();
     }
-    let options = PaperOptions {
-        coupling,
-        ..PaperOptions::default()
-    };
-    let solution = solve(&problem, &options, &Silent)?;
+    let solution = solve(&problem, &PaperOptions::default(), &Silent)?;
     let mut total = 0.0;
     for (index, (view, facts)) in solution
         .views

@@ -164,7 +164,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let used = (calibration.source, calibration.views.as_slice());
     let (photos, posed) = (&set.photos, &set.posed);
     let shape = set.true_shape()?;
-    let surface = check(photos, posed, used, &shape, &options.check(), &Silent)?;
+    let surface = check(photos, posed, used, &shape, &Silent)?;
     for (view, facts) in calibration.views.iter().zip(&report.views) {
         println!(
             "  {} pixels {} clipped {:.2} hidden {:.2} residual {:?} gain {:.3?} ± {:.4?} true {:.3?} \
@@ -186,7 +186,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         );
     }
     if let Some(folder) = arguments.iter().find_map(|a| a.strip_prefix("overlays=")) {
-        for overlay in overlays(&set.photos, &set.posed, &calibration, &options)? {
+        for overlay in overlays(&set.photos, &set.posed, &calibration)? {
             let path = std::path::Path::new(folder).join(format!("{}.png", overlay.name));
             write_preview_png(&path, Preview::Linear(&overlay.picture), usize::MAX)?;
         }

@@ -9,10 +9,7 @@ use rilievo_scene::{Silent, SphereRequest, StageId};
 use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
 fn options() -> LightingOptions {
-    LightingOptions {
-        min_num_pixels: 30,
-        ..LightingOptions::default()
-    }
+    LightingOptions::default()
 }
 
 #[test]
@@ -63,8 +60,8 @@ fn poses_and_light_changed_at_random_never_end_in_a_panic() {
         }
         let (posed, shaded) = (&world.posed, &world.shaded);
         let used = (light.source, light.views.as_slice());
-        let _ = check(photos, posed, used, shaded, &options.check(), &Silent);
-        let _ = overlays(photos, posed, &light, &options);
+        let _ = check(photos, posed, used, shaded, &Silent);
+        let _ = overlays(photos, posed, &light);
     }
     assert!(refused > 10 && refused < 2 * tried, "{refused} of {tried}");
 }

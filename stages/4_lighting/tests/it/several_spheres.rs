@@ -202,8 +202,7 @@ fn two_spheres_of_different_size_give_one_scale_and_one_light() {
     assert_eq!(views, [4, 4]);
     let compared: Vec<_> = report.spheres.iter().filter_map(|s| s.other_rms).collect();
     assert!(compared.len() == 1 && compared[0] < 0.01, "{compared:?}");
-    let options = LightingOptions::default();
-    let pictures = overlays(&world.photos, &world.posed, &calibration, &options).unwrap();
+    let pictures = overlays(&world.photos, &world.posed, &calibration).unwrap();
     // A row for each sphere: higher than the larger one alone, in three crops.
     for picture in pictures.iter().map(|p| &p.picture) {
         assert!(
@@ -326,8 +325,7 @@ fn a_sphere_of_another_paint_counts_with_its_factor() {
         "{paints:?}"
     );
     assert!(calibration.rejected_spheres().is_empty(), "{paints:?}");
-    let options = LightingOptions::default();
-    for overlay in overlays(&world.photos, &world.posed, &calibration, &options).unwrap() {
+    for overlay in overlays(&world.photos, &world.posed, &calibration).unwrap() {
         let pixels = overlay.picture.data.chunks_exact(3);
         let far = pixels.filter(|p| *p == [0.05, 0.1, 0.9]).count();
         assert!(far < 50, "{}: {far} pixels drawn as far", overlay.name);

@@ -9,7 +9,7 @@ use rilievo_lighting::{
 };
 use rilievo_photometry::harmonics::{dominant_direction, rotate};
 use rilievo_photometry::sphere::SphereInCamera;
-use rilievo_photometry::surface_check::check;
+use rilievo_photometry::surface_check::{WRONG_LIGHT_RATIO, check};
 use rilievo_scene::{
     DepthMap, Intrinsics, LightKind, Lighting, LightingCalibration, NormalMap, Photo, PhotoSet,
     PosedViews, Recorder, ShadedView, ShadedViews, Silent, SphereRequest, ViewIdx,
@@ -158,7 +158,6 @@ fn a_known_shape_gives_its_light_and_other_sizes_are_refused() {
         &view.intrinsics,
         &made.depths[1],
         1.0,
-        &options,
     )
     .unwrap();
     let truth = rotate(&light, &view.cam_from_world.rotation);
@@ -168,7 +167,7 @@ fn a_known_shape_gives_its_light_and_other_sizes_are_refused() {
         "direction off by {angle}°, residual {rms}"
     );
     let small = DepthMap::filled(10, 10, 1.0);
-    let result = fit_on_shape(&image, None, &view.intrinsics, &small, 1.0, &options);
+    let result = fit_on_shape(&image, None, &view.intrinsics, &small, 1.0);
     assert!(matches!(result, Err(LightingError::ShapeSize { .. })));
     let shapes = vec![(ViewIdx(0), made.depths[0].clone())];
     let request = LightingRequest::Shape(shapes);
@@ -251,7 +250,7 @@ fn a_sphere_in_another_light_is_overruled_by_the_object_and_reported() {
     for view in &object.views {
         let [used, own] =
             [view.used_rms_after_albedo, view.cross_validated_rms].map(Option::unwrap);
-        assert!(used > options.advice_ratio * own, "{view:?}");
+        assert!(used > WRONG_LIGHT_RATIO * own, "{view:?}");
     }
     let untouched = LightingOptions {
         object_light: ObjectLight::Off,
@@ -295,7 +294,7 @@ fn a_sphere_in_another_light_is_overruled_by_the_object_and_reported() {
     let check_of = |calibration: &LightingCalibration, shaded: &ShadedViews| {
         let used = (calibration.source, calibration.views.as_slice());
         let (photos, posed) = (&made.photos, &made.posed);
-        check(photos, posed, used, shaded, &options.check(), &Silent).unwrap()
+        check(photos, posed, used, shaded, &Silent).unwrap()
     };
     let bad = check_of(&plain, &shaded);
     assert!(

@@ -153,7 +153,7 @@ fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_
             .collect();
         let used = (calibration.source, calibration.views.as_slice());
         let (photos, posed) = (&set.photos, &set.posed);
-        let surface = check(photos, posed, used, shape, &options.check(), &Silent);
+        let surface = check(photos, posed, used, shape, &Silent);
         (residuals, surface.unwrap())
     };
     let (side, surface) = judge(&request, &shape);

@@ -11,7 +11,7 @@ mod input;
 mod picture;
 mod planes;
 
-use rilievo_photometry::samples::{SamplingOptions, read_spheres};
+use rilievo_photometry::samples::read_spheres;
 use rilievo_scene::{LightKind, LightSource, LightingCalibration, ShadedViews, Silent};
 use rilievo_shading::Surroundings;
 use rilievo_shading::photo::{self, PhotoOptions};
@@ -68,7 +68,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         environment_in_world: None,
         views: Vec::new(),
         spheres: Vec::new(),
-        samples: read_spheres(&input.photos, &input.posed, &SamplingOptions::default())?,
+        samples: read_spheres(&input.photos, &input.posed)?,
     };
     let began = std::time::Instant::now();
     let num_steps = AtomicUsize::new(0);

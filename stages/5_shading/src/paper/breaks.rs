@@ -18,7 +18,7 @@
 //! Source: rilievo's own; the weights are those of a graduated, redescending loss on `∇y − θ`.
 
 use super::levels::Level;
-use super::model::Facet;
+use super::pixels::Slopes;
 use super::theta::{ThetaProblem, ThetaTerms, theta_step};
 use rilievo_numerics::robust::quantile;
 
@@ -32,7 +32,7 @@ const LARGE_CONFLICT: f64 = 0.99;
 /// are free: that of one degree of freedom (three channels, two slopes), against 9 times the median
 /// of three.
 const NOISE_LIMIT: f32 = 9.0 * 2.37 / 0.455;
-/// Slope from which a facet is a wall, which hardly any light that it is seen by tells apart from a
+/// Slope from which a facet is a wall, which hardly any light distinguishes from a
 /// step: 76 degrees.
 const MAX_SLOPE: f32 = 4.0;
 /// How often the breaks are looked for, at equal distances over iterations 20 to 40, or the second half where a level has
@@ -55,8 +55,8 @@ pub(crate) fn break_search(iteration: usize, num_iterations: usize) -> Option<f3
 /// have: there the surface breaks. Returns the number of such pixels.
 pub(crate) fn soften_breaks(
     level: &Level,
-    surface: (&[f32], &[f32]),
-    (theta_p, theta_q): (&mut [f32], &mut [f32]),
+    [sp, sq]: &Slopes,
+    theta: &mut Slopes,
     beta: f32,
     share_of_largest: f32,
     stiffness: &mut [f32],
@@ -67,37 +67,34 @@ pub(crate) fn soften_breaks(
         area: 0.0,
         num_steps: 4,
     };
-    let (sp, sq) = surface;
     // Where the surface stands up like a wall, shading is asked without it.
-    let (mut p, mut q) = (theta_p.to_vec(), theta_q.to_vec());
-    let (mut tp, mut tq) = (sp.to_vec(), sq.to_vec());
+    let mut freed = theta.clone();
+    let mut target = [sp.clone(), sq.clone()];
     for k in 0..level.pixels.len {
         let by = MAX_SLOPE / sp[k].hypot(sq[k]);
         if by < 1.0 {
-            (tp[k], tq[k]) = (by * sp[k], by * sq[k]);
-            (p[k], q[k]) = (tp[k], tq[k]);
+            for (axis, slope) in [by * sp[k], by * sq[k]].into_iter().enumerate() {
+                target[axis][k] = slope;
+                freed[axis][k] = slope;
+            }
         }
     }
     let problem = ThetaProblem {
         pixels: &level.pixels,
-        target: (&tp, &tq),
+        target: &target,
         terms,
         candidates: None,
     };
-    theta_step(&problem, &mut p, &mut q);
+    theta_step(&problem, &mut freed);
+    let [p, q] = &freed;
     // Steep facets may differ by more for the same angle.
     let conflict = |k: usize| {
         let away = (p[k] - sp[k]).powi(2) + (q[k] - sq[k]).powi(2);
         away / (1.0 + sp[k].powi(2) + sq[k].powi(2))
     };
     let pixels = &level.pixels;
-    let residual = |k: usize, slopes: [f32; 2]| {
-        let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], slopes);
-        (0..pixels.channels)
-            .map(|c| facet.shade(&pixels.light(c, k)).0 - pixels.intensity[c * pixels.padded + k])
-            .map(|r| r * r)
-            .sum::<f32>()
-    };
+    let residual =
+        |k: usize, slopes: [f32; 2]| pixels.residuals(k, slopes).map(|r| r * r).sum::<f32>();
     let quantile_of = |share: f64, of: &dyn Fn(usize) -> f32| {
         let every = 1 + pixels.len / 20_000;
         let indices = (0..pixels.len).step_by(every);
@@ -108,14 +105,14 @@ pub(crate) fn soften_breaks(
     let angle_limit = (BREAK_CONFLICT * BREAK_CONFLICT).max(share_of_largest * largest);
     let noise_limit = NOISE_LIMIT * quantile_of(0.5, &|k| residual(k, [p[k], q[k]]));
     let mut count = 0;
-    for (k, (stiffness, given)) in stiffness.iter_mut().zip(&level.stiffness).enumerate() {
+    for (k, stiffness) in stiffness.iter_mut().enumerate().take(pixels.len) {
         let unexplained = residual(k, [sp[k], sq[k]]) / noise_limit.max(f32::MIN_POSITIVE);
         let excess = (conflict(k) / angle_limit).min(unexplained);
         let factor = 1.0 / (1.0 + excess * excess);
-        *stiffness = given * factor.max(1e-3);
+        *stiffness = factor.max(1e-3);
         if factor < 0.25 {
             count += 1;
-            (theta_p[k], theta_q[k]) = (p[k], q[k]);
+            (theta[0][k], theta[1][k]) = (p[k], q[k]);
         }
     }
     count

@@ -14,7 +14,7 @@
 //! a calibrated probability, since errors of the light are not seen in it.
 
 use super::levels::Level;
-use super::model::Facet;
+use super::pixels::Slopes;
 use rilievo_scene::ConfidenceMap;
 
 /// Angle by which the normals of a start may err, radians.
@@ -26,28 +26,24 @@ const HALF_ANGLE: f32 = 0.0873;
 pub(crate) fn map(
     (width, height): (usize, usize),
     level: &Level,
-    theta: (&[f32], &[f32]),
-    surface: (&[f32], &[f32]),
+    [p, q]: &Slopes,
+    surface: &Slopes,
     sigma: f64,
 ) -> ConfidenceMap {
     let pixels = &level.pixels;
     let mut out = ConfidenceMap::filled(width, height, 0.0);
     let sigma = sigma as f32;
     for (k, (x, y)) in level.grid.pixels().enumerate() {
-        let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], [theta.0[k], theta.1[k]]);
+        let facet = pixels.facet(k, [p[k], q[k]]);
         let open = (START_ERROR * facet.length()).powi(2);
-        let (mut a, mut b, mut d, mut r2) = (0.0_f32, 0.0_f32, 0.0_f32, 0.0_f32);
-        for c in 0..pixels.channels {
-            let (shade, [jp, jq]) = facet.shade(&pixels.light(c, k));
-            a += jp * jp;
-            b += jp * jq;
-            d += jq * jq;
-            r2 += (shade - pixels.intensity[c * pixels.padded + k]).powi(2);
-        }
+        let [a, b, d] = pixels.normal_matrix(k, &facet);
+        let r2 = pixels
+            .residuals(k, [p[k], q[k]])
+            .fold(0.0, |sum, r| sum + r.powi(2));
         let mean = 0.5 * (a + d);
         let root = (0.25 * (a - d) * (a - d) + b * b).sqrt();
         let (large, small) = (mean + root, (mean - root).max(0.0));
-        let conflict = (theta.0[k] - surface.0[k]).powi(2) + (theta.1[k] - surface.1[k]).powi(2);
+        let conflict = (p[k] - surface[0][k]).powi(2) + (q[k] - surface[1][k]).powi(2);
         let squared = if pixels.weight[k] > 0.0 {
             let left_open = sigma * sigma / (small + sigma * sigma / open);
             left_open + conflict + (r2 / (large + sigma * sigma / open)).min(1.0)

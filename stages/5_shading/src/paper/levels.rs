@@ -21,8 +21,6 @@ const UNLIKE: f32 = 0.07;
 pub(crate) struct Level {
     pub(crate) grid: CornerGrid,
     pub(crate) pixels: Pixels,
-    /// Weight of the integration term per pixel, of padded length: below 1 where the surface breaks.
-    pub(crate) stiffness: Vec<f32>,
     /// 1 at the image's resolution, 2, 4, … on coarser levels.
     pub(crate) scale: f32,
 }
@@ -31,14 +29,12 @@ pub(crate) struct Level {
 pub(crate) fn ladder(
     grid: CornerGrid,
     pixels: Pixels,
-    stiffness: Vec<f32>,
     max_levels: usize,
     white: f64,
 ) -> Vec<Level> {
     let mut levels = vec![Level {
         grid,
         pixels,
-        stiffness,
         scale: 1.0,
     }];
     while levels.len() < max_levels {
@@ -59,17 +55,10 @@ pub(crate) fn ladder(
         let pixels = fine
             .pixels
             .coarsen(&parents, grid.num_cells, UNLIKE * white as f32);
-        // A coarse pixel is as stiff as the softest one under it.
-        let mut stiffness = vec![1.0_f32; pixels.padded];
-        for (&parent, &w) in parents.iter().zip(&fine.stiffness) {
-            let coarse = &mut stiffness[parent as usize];
-            *coarse = coarse.min(w);
-        }
         let scale = 2.0 * fine.scale;
         levels.push(Level {
             grid,
             pixels,
-            stiffness,
             scale,
         });
     }

@@ -7,11 +7,11 @@
 //! S(g; θ) = a(θ)·g − b̃(θ),   a = [l₁ − X l₃, l₂ − Y l₃]/d(θ),   b̃ = l₃/d(θ) − l₄ − second(n(θ)).
 //! ```
 //!
-//! * [`Method::Splitting`] (eq. 9–12), scaled dual `u`:
+//! * the splitting (eq. 9–12), scaled dual `u`:
 //!   `y ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²`, whose matrix changes with θ;
 //!   `θ ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²` per pixel; `u ← u + ∇y − θ`; β doubles when
 //!   the primal residual exceeds ten times the dual one and halves in the other case (He et al. 2000).
-//! * [`Method::FixedPoint`]: `y ← argmin Σ (S(∇y; ∇y_before) − I)²`, nothing else. The paper shows
+//! * the fixed point: `y ← argmin Σ (S(∇y; ∇y_before) − I)²`, nothing else. The paper shows
 //!   that it fails; it stands here for comparison only.
 //!
 //! Both stop when the energy changes by less than a relative tolerance. The z-step is solved by
@@ -21,14 +21,14 @@
 
 use super::levels::Level;
 use super::model::Facet;
-use super::pixels::Pixels;
+use super::pixels::{Pixels, Slopes};
 use super::solution::{IterationRecord, Termination};
-use super::splitting::{HOURGLASS, Ties, constraints_of, slopes};
+use super::splitting::{HOURGLASS, Ties, constraints_of, report, slopes, slopes_of};
 use super::theta::{Quadratic, descend};
 use crate::error::ShadingError;
 use rayon::prelude::*;
 use rilievo_numerics::corner_poisson::CornerPoisson;
-use rilievo_scene::{Event, Flow, Observer, StageId};
+use rilievo_scene::Observer;
 
 /// First penalty of the paper's splitting, for intensities with white at 1.
 const BETA_START: f64 = 1.0;
@@ -37,25 +37,22 @@ const BALANCE: f64 = 10.0;
 const BETA_FACTOR: f64 = 2.0;
 /// Fewest iterations before the energy may stop the iteration.
 const MIN_ITERATIONS: usize = 6;
+/// Iterations at most, far more than either needs to settle.
+const MAX_ITERATIONS: usize = 100;
+/// Relative change of the energy at which the iteration stops: a tenth of a per cent, below which the
+/// angle no longer changes by what the tables show.
+const RELATIVE_TOLERANCE: f64 = 1e-3;
 /// Regularisation of the fixed point, against pixels whose `a` vanishes.
 const FIXED_POINT_DAMPING: f64 = 1e-4;
 
-/// Which of the two.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Method {
-    Splitting,
-    FixedPoint,
-}
-
 /// What the iteration needs beside the level.
 pub(crate) struct Setting<'a> {
-    pub(crate) method: Method,
+    /// The paper's splitting, else the fixed point.
+    pub(crate) splits: bool,
     pub(crate) ties: &'a Ties,
     pub(crate) aspect: [f32; 2],
     /// Unit of intensities: penalties scale with its square.
     pub(crate) white: f64,
-    pub(crate) max_num_iterations: usize,
-    pub(crate) relative_tolerance: f64,
     pub(crate) observer: &'a dyn Observer,
 }
 
@@ -121,12 +118,7 @@ struct Quadratics {
     vector: [Vec<f32>; 2],
 }
 
-fn assemble(
-    pixels: &Pixels,
-    theta: (&[f32], &[f32]),
-    wanted: (&[f32], &[f32]),
-    beta: f32,
-) -> Quadratics {
+fn assemble(pixels: &Pixels, theta: &Slopes, wanted: &Slopes, beta: f32) -> Quadratics {
     let zeros = || vec![0.0_f32; pixels.padded];
     let mut out = Quadratics {
         tensor: [zeros(), zeros(), zeros()],
@@ -135,8 +127,11 @@ fn assemble(
     let half = 0.5 * beta;
     for k in 0..pixels.len {
         let ray = [pixels.ray_x[k], pixels.ray_y[k]];
-        let facet = Facet::new(ray, [theta.0[k], theta.1[k]]);
-        let (mut t, mut v) = ([half, 0.0, half], [half * wanted.0[k], half * wanted.1[k]]);
+        let facet = Facet::new(ray, [theta[0][k], theta[1][k]]);
+        let (mut t, mut v) = (
+            [half, 0.0, half],
+            [half * wanted[0][k], half * wanted[1][k]],
+        );
         for c in 0..pixels.channels {
             let (a, constant) = linear_model(&facet, ray, &pixels.light(c, k));
             let b = pixels.intensity[c * pixels.padded + k] - constant;
@@ -166,7 +161,6 @@ fn integrate(level: &Level, quadratics: &Quadratics, setting: &Setting, y: &mut 
     let constraints = constraints_of(level, setting.ties, 1.0);
     let mass = (!setting.ties.mass.is_empty()).then_some(setting.ties.mass.as_slice());
     system.set_constraints(mass, &constraints);
-    let isotropic: Vec<f32> = mean;
     let (mut p, mut q) = (vec![0.0; pixels.padded], vec![0.0; pixels.padded]);
     let mut rhs = vec![0.0; grid.padded_len()];
     grid.add_divergence(1.0, &quadratics.vector[0], &quadratics.vector[1], &mut rhs);
@@ -181,8 +175,8 @@ fn integrate(level: &Level, quadratics: &Quadratics, setting: &Setting, y: &mut 
         grid.gradient(x, &mut p, &mut q);
         for k in 0..pixels.len {
             let (gp, gq) = (p[k], q[k]);
-            p[k] = (t[0][k] - isotropic[k]) * gp + t[1][k] * gq;
-            q[k] = t[1][k] * gp + (t[2][k] - isotropic[k]) * gq;
+            p[k] = (t[0][k] - mean[k]) * gp + t[1][k] * gq;
+            q[k] = t[1][k] * gp + (t[2][k] - mean[k]) * gq;
         }
         grid.add_divergence(1.0, &p, &q, out);
     };
@@ -196,13 +190,11 @@ pub(crate) fn solve(
     setting: &Setting,
 ) -> Result<(Vec<IterationRecord>, Termination), ShadingError> {
     let pixels = &level.pixels;
-    let zeros = || vec![0.0_f32; pixels.padded];
-    let (mut gp, mut gq) = (zeros(), zeros());
-    slopes(&level.grid, setting.aspect, y, &mut gp, &mut gq);
-    let (mut p, mut q) = (gp.clone(), gq.clone());
-    let (mut u, mut v) = (zeros(), zeros());
+    let mut gradient = slopes_of(level, setting.aspect, y);
+    let mut theta = gradient.clone();
+    let mut dual = [(); 2].map(|()| vec![0.0_f32; pixels.padded]);
     let unit = setting.white * setting.white;
-    let splitting = setting.method == Method::Splitting;
+    let splitting = setting.splits;
     let mut beta = unit
         * if splitting {
             BETA_START
@@ -210,81 +202,73 @@ pub(crate) fn solve(
             FIXED_POINT_DAMPING
         };
     let mut records: Vec<IterationRecord> = Vec::new();
-    for iteration in 0..setting.max_num_iterations {
-        let wanted: (Vec<f32>, Vec<f32>) = (
-            p.iter().zip(&u).map(|(p, u)| p - u).collect(),
-            q.iter().zip(&v).map(|(q, v)| q - v).collect(),
-        );
-        let quadratics = assemble(pixels, (&p, &q), (&wanted.0, &wanted.1), beta as f32);
+    for _ in 0..MAX_ITERATIONS {
+        let wanted = [0, 1].map(|axis: usize| {
+            let pairs = theta[axis].iter().zip(&dual[axis]);
+            pairs.map(|(theta, u)| theta - u).collect()
+        });
+        let quadratics = assemble(pixels, &theta, &wanted, beta as f32);
         integrate(level, &quadratics, setting, y);
-        let (old_p, old_q) = (p.clone(), q.clone());
-        slopes(&level.grid, setting.aspect, y, &mut gp, &mut gq);
+        let before = theta.clone();
+        slopes(&level.grid, setting.aspect, y, &mut gradient);
         if splitting {
-            let theta: Vec<[f32; 2]> = (0..pixels.len)
+            let frozen: Vec<[f32; 2]> = (0..pixels.len)
                 .into_par_iter()
                 .with_min_len(4096)
                 .map(|k| {
-                    let g = [gp[k], gq[k]];
-                    let target = [g[0] + u[k], g[1] + v[k]];
-                    freeze(pixels, k, g, target, beta as f32, [p[k], q[k]])
+                    let at = |slopes: &Slopes| [slopes[0][k], slopes[1][k]];
+                    let (g, u) = (at(&gradient), at(&dual));
+                    let target = [g[0] + u[0], g[1] + u[1]];
+                    freeze(pixels, k, g, target, beta as f32, at(&theta))
                 })
                 .collect();
-            for (k, [tp, tq]) in theta.into_iter().enumerate() {
-                p[k] = tp;
-                q[k] = tq;
-                u[k] += gp[k] - tp;
-                v[k] += gq[k] - tq;
+            for (k, slopes) in frozen.into_iter().enumerate() {
+                for (axis, slope) in slopes.into_iter().enumerate() {
+                    theta[axis][k] = slope;
+                    dual[axis][k] += gradient[axis][k] - slope;
+                }
             }
         } else {
-            p.copy_from_slice(&gp);
-            q.copy_from_slice(&gq);
+            theta.clone_from(&gradient);
         }
         let n = pixels.len as f64;
-        let squared = |a: &[f32], b: &[f32]| -> f64 {
-            a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum()
+        let squared = |a: &Slopes, b: &Slopes| -> f64 {
+            let axis = |k: usize| -> f64 {
+                let pairs = a[k].iter().zip(&b[k]);
+                pairs.map(|(a, b)| f64::from(a - b).powi(2)).sum()
+            };
+            ((axis(0) + axis(1)) / n).sqrt()
         };
-        let primal = ((squared(&gp, &p) + squared(&gq, &q)) / n).sqrt();
-        let dual = ((squared(&p, &old_p) + squared(&q, &old_q)) / n).sqrt();
-        let rms = super::result::rms_residual(pixels, &gp, &gq);
+        let (primal_residual, dual_residual) =
+            (squared(&gradient, &theta), squared(&theta, &before));
+        let rms = super::result::rms_residual(pixels, &gradient);
         let energy = rms * rms * n * pixels.channels as f64;
-        let record = IterationRecord {
+        let last = records.last().map(|record| record.energy);
+        records.push(IterationRecord {
             level: 0,
             beta,
             energy,
-            primal_residual: primal,
-            dual_residual: dual,
-        };
-        let before = records.last().map(|record| record.energy);
-        records.push(record);
-        let flow = setting.observer.event(Event::Iteration {
-            stage: StageId::Shading,
-            iteration,
-            max_num_iterations: setting.max_num_iterations,
-            energy,
-            primal_residual: Some(primal),
-            dual_residual: Some(dual),
-            beta: Some(beta),
+            primal_residual,
+            dual_residual,
         });
-        if flow == Flow::Stop {
-            return Err(ShadingError::Interrupted);
-        }
-        let settled = before.is_some_and(|before| {
-            (before - energy).abs() <= setting.relative_tolerance * before.max(f64::MIN_POSITIVE)
+        report(&records, MAX_ITERATIONS, setting.observer)?;
+        let settled = last.is_some_and(|before| {
+            (before - energy).abs() <= RELATIVE_TOLERANCE * before.max(f64::MIN_POSITIVE)
         });
         if settled && records.len() >= MIN_ITERATIONS {
             return Ok((records, Termination::Converged));
         }
         if splitting {
-            let factor = if primal > BALANCE * dual {
+            let factor = if primal_residual > BALANCE * dual_residual {
                 BETA_FACTOR
-            } else if dual > BALANCE * primal {
+            } else if dual_residual > BALANCE * primal_residual {
                 1.0 / BETA_FACTOR
             } else {
                 1.0
             };
             beta *= factor;
             let scale = (1.0 / factor) as f32;
-            u.iter_mut().chain(&mut v).for_each(|u| *u *= scale);
+            dual.iter_mut().flatten().for_each(|u| *u *= scale);
         }
     }
     Ok((records, Termination::MaxIterations))

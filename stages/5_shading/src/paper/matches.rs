@@ -11,17 +11,12 @@
 //! match, and a gap beyond four times that marks a false one. Along the ray the noise acts with the
 //! triangulation angle `α`: `σ(ln z₁) = σ_px/f · (z₂/z₁) √(1 + cos²α)/sin α`.
 //!
-//! **Literal coupling.** [`literal`] keeps eq. 15 itself: with one view's surface fixed, the best depth
-//! of the other at a match is `z₁ = a·(z₂ b + c₂ − c₁)/(a·a)`, `a`, `b` the rays in the world. The views
-//! then take turns, instead of each being tied to the triangulated point.
-//!
 //! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 13–15.
 
 use super::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use crate::error::ShadingError;
 use nalgebra::{Point2, Vector3};
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
-use rilievo_scene::DepthMap;
 
 /// Least noise of a match in pixels: below it, bilinear reading of the surface decides.
 const MIN_NOISE_PX: f64 = 0.02;
@@ -39,7 +34,6 @@ pub(crate) struct MatchAnchors {
     pub(crate) num_matches: usize,
     pub(crate) num_rejected: usize,
     pub(crate) sigma_px: Option<f64>,
-    used: Vec<Triangulated>,
 }
 
 #[derive(Clone, Debug)]
@@ -92,63 +86,11 @@ fn triangulate(
     })
 }
 
-/// Depth of a map at a sub-pixel position; `None` beside its edge.
-fn depth_at(map: &DepthMap, [x, y]: [f64; 2]) -> Option<f64> {
-    let (x0, y0) = (x.floor(), y.floor());
-    let mut sum = 0.0;
-    for (dx, dy) in [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)] {
-        let weight = (1.0 - (x - x0 - dx).abs()) * (1.0 - (y - y0 - dy).abs());
-        if weight > 0.0 {
-            let z = *map.get((x0 + dx) as isize, (y0 + dy) as isize)?;
-            if z <= 0.0 {
-                return None;
-            }
-            sum += weight * f64::from(z);
-        }
-    }
-    Some(sum)
-}
-
-/// Anchors of one view that eq. 15 asks for, given the other views' present depth.
-pub(crate) fn literal(
-    problem: &ShadingProblem,
-    matches: &MatchAnchors,
-    view: usize,
-    depths: &[DepthMap],
-) -> Vec<DepthAnchor> {
-    let sigma = matches.sigma_px.unwrap_or(MIN_NOISE_PX);
-    let world_ray = |index: usize, pixel: [f64; 2]| {
-        let view = &problem.views[index];
-        let pose = view.cam_from_world.as_ref()?;
-        let ray = pose.rotation.inverse() * view.intrinsics.ray(&Point2::new(pixel[0], pixel[1]));
-        Some((ray, pose.center_in_source()))
-    };
-    let target = |t: &Triangulated| {
-        let k = t.views.iter().position(|&index| index == view)?;
-        let other = 1 - k;
-        let (a, here) = world_ray(view, t.pixels[k])?;
-        let (b, there) = world_ray(t.views[other], t.pixels[other])?;
-        let z = depth_at(&depths[t.views[other]], t.pixels[other])?;
-        let depth = a.dot(&(b * z + (there - here))) / a.norm_squared();
-        // A gap of one pixel's footprint is one deviation.
-        let footprint = z / problem.views[t.views[other]].intrinsics.focal_px();
-        (depth > 0.0).then(|| DepthAnchor {
-            pixel: t.pixels[k],
-            depth,
-            sigma_ln_depth: sigma * footprint / (depth * a.norm()),
-        })
-    };
-    matches.used.iter().filter_map(target).collect()
-}
-
 /// Triangulates all matches of a problem.
 ///
 /// # Errors
 /// Unknown views, or matched views without a pose.
-pub(crate) fn anchors(
-    problem: &ShadingProblem,
-    noise_px: Option<f64>,
-) -> Result<MatchAnchors, ShadingError> {
+pub(crate) fn anchors(problem: &ShadingProblem) -> Result<MatchAnchors, ShadingError> {
     let num_views = problem.views.len();
     let mut out = MatchAnchors {
         by_view: vec![Vec::new(); num_views],
@@ -192,7 +134,7 @@ pub(crate) fn anchors(
     // The gap is the distance across the epipolar plane: one-sided, median of |gap|.
     let mut gaps: Vec<f64> = all.iter().map(|t| t.gap_px).collect();
     let estimated = SIGMA_FROM_MAD * median(&mut gaps).unwrap_or(0.0);
-    let sigma = noise_px.unwrap_or(estimated).max(MIN_NOISE_PX);
+    let sigma = estimated.max(MIN_NOISE_PX);
     out.sigma_px = Some(sigma);
     let limit = (MAX_DEVIATIONS * sigma).max(MIN_FALSE_GAP_PX);
     let mut num_used = 0;
@@ -201,7 +143,6 @@ pub(crate) fn anchors(
             continue;
         }
         num_used += 1;
-        out.used.push(t.clone());
         for k in 0..2 {
             out.by_view[t.views[k]].push(DepthAnchor {
                 pixel: t.pixels[k],

@@ -39,9 +39,7 @@ mod splitting;
 mod start;
 mod theta;
 
-pub use options::{
-    Coupling, HarmonicOrder, PaperOptions, PenaltySchedule, Projection, Splitting, StartShape,
-};
+pub use options::{HarmonicOrder, PaperOptions, Projection, Splitting, StartShape};
 pub use problem::{
     DepthAnchor, DepthPrior, PixelLighting, ShadingProblem, ShadingView, ViewLight, ViewMatches,
 };

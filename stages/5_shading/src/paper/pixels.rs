@@ -1,9 +1,13 @@
 //! Pixels of one view on one level, as arrays that the θ-step reads in order.
 
+use super::model::Facet;
 use rilievo_numerics::corner_grid::CornerGrid;
 
 /// Pixels that the θ-step treats together; arrays are padded to a multiple of it.
 pub(crate) const LANES: usize = 16;
+
+/// Slopes of all pixels along x and along y, of padded length.
+pub(crate) type Slopes = [Vec<f32>; 2];
 
 /// Coefficients of the harmonics.
 #[derive(Clone, Debug)]
@@ -45,6 +49,29 @@ impl Pixels {
                 std::array::from_fn(|j| values[(channel * 9 + j) * self.padded + k])
             }
         }
+    }
+
+    /// Geometry of a pixel at given slopes.
+    #[inline]
+    pub(crate) fn facet(&self, k: usize, slopes: [f32; 2]) -> Facet {
+        Facet::new([self.ray_x[k], self.ray_y[k]], slopes)
+    }
+
+    /// What the model misses of a pixel's intensities, channel by channel.
+    #[inline]
+    pub(crate) fn residuals(&self, k: usize, slopes: [f32; 2]) -> impl Iterator<Item = f32> + '_ {
+        let facet = self.facet(k, slopes);
+        (0..self.channels)
+            .map(move |c| facet.shade(&self.light(c, k)).0 - self.intensity[c * self.padded + k])
+    }
+
+    /// `JᵀJ` of the shading Jacobian over the channels (upper triangle).
+    #[inline]
+    pub(crate) fn normal_matrix(&self, k: usize, facet: &Facet) -> [f32; 3] {
+        (0..self.channels).fold([0.0; 3], |[a, b, d], c| {
+            let (_, [jp, jq]) = facet.shade(&self.light(c, k));
+            [a + jp * jp, b + jp * jq, d + jq * jq]
+        })
     }
 
     /// Length of arrays for a number of pixels.

@@ -10,7 +10,7 @@ use super::solution::ViewReport;
 use crate::error::ShadingError;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::robust::quantile;
-use rilievo_scene::{LinearImage, Raster};
+use rilievo_scene::{LinearImage, Raster, SphericalHarmonics};
 
 /// Projection of a view in the solver's units: unknown `y = f ln(z / z₀)`, or `f (z − z₀)` for
 /// parallel rays, in pixels.
@@ -54,8 +54,6 @@ impl Geometry {
 pub(crate) struct PreparedView {
     pub(crate) grid: CornerGrid,
     pub(crate) pixels: Pixels,
-    /// Weight of the integration term per pixel, of padded length.
-    pub(crate) stiffness: Vec<f32>,
     pub(crate) geometry: Geometry,
     /// 99 % quantile of the intensities: the unit of noise and losses.
     pub(crate) white: f64,
@@ -100,9 +98,6 @@ fn check_sizes(view: &ShadingView) -> Result<(), ShadingError> {
                 image: image.channels,
             });
         }
-    }
-    if let Some(map) = &view.depth_breaks {
-        check("the map of depth breaks", map.width, map.height)?;
     }
     if let ViewLight::PerPixel(light) = &view.lighting {
         check("the per-pixel lighting", light.width, light.height)?;
@@ -168,10 +163,6 @@ fn check_camera(view: &ShadingView) -> Result<(), ShadingError> {
     }
 }
 
-/// Stiffness of a pixel across which the surface breaks: small against its neighbours', not zero, so
-/// that every part keeps a place.
-const BREAK_STIFFNESS: f32 = 1e-3;
-
 /// Share of clipped or dark pixels is counted once per pixel, in this order of causes.
 struct Usable<'a> {
     image: &'a LinearImage,
@@ -199,6 +190,48 @@ impl Usable<'_> {
     }
 }
 
+/// The error of a view without a pixel in its mask.
+pub(crate) fn empty_mask(view: &ShadingView) -> ShadingError {
+    ShadingError::EmptyMask {
+        view: view.name.clone(),
+        num_masked: 0,
+        advice: "check the mask: white is the object",
+    }
+}
+
+/// Lighting times albedo, of the harmonics up to `options.order`.
+fn light(view: &ShadingView, grid: &CornerGrid, options: &PaperOptions) -> Coefficients {
+    let num_used = match options.order {
+        HarmonicOrder::First => 4,
+        HarmonicOrder::Second => 9,
+    };
+    if let (ViewLight::Uniform(lighting), None) = (&view.lighting, &view.albedo) {
+        let used = |row: &SphericalHarmonics| {
+            std::array::from_fn(|j| if j < num_used { row.0[j] as f32 } else { 0.0 })
+        };
+        return Coefficients::Uniform(lighting.channels.iter().map(used).collect());
+    }
+    let channels = view.image.channels;
+    let padded = Pixels::padded_len(grid.num_cells);
+    let mut values = vec![0.0; padded * channels * 9];
+    for (k, (x, y)) in grid.pixels().enumerate() {
+        for c in 0..channels {
+            let albedo = view.albedo.as_ref().map_or(1.0, |map| map.pixel(x, y)[c]);
+            for j in 0..num_used {
+                let l = match &view.lighting {
+                    ViewLight::Uniform(lighting) => lighting.channels[c].0[j] as f32,
+                    ViewLight::PerPixel(light) => {
+                        light.coefficients[((y * light.width + x) * channels + c) * 9 + j]
+                    }
+                };
+                let value = albedo * l;
+                values[(c * 9 + j) * padded + k] = if value.is_finite() { value } else { 0.0 };
+            }
+        }
+    }
+    Coefficients::PerPixel(values)
+}
+
 /// Checks a view and gathers its pixels.
 pub(crate) fn prepare(
     view: &ShadingView,
@@ -208,13 +241,7 @@ pub(crate) fn prepare(
     check_sizes(view)?;
     check_lighting(view)?;
     check_camera(view)?;
-    let Some(grid) = CornerGrid::new(&view.mask) else {
-        return Err(ShadingError::EmptyMask {
-            view: view.name.clone(),
-            num_masked: 0,
-            advice: "check the mask: white is the object",
-        });
-    };
+    let grid = CornerGrid::new(&view.mask).ok_or_else(|| empty_mask(view))?;
     let image = view.image.as_ref();
     let channels = image.channels;
     let len = grid.num_cells;
@@ -225,13 +252,10 @@ pub(crate) fn prepare(
         .flat_map(|(x, y)| image.pixel(x, y).iter().map(|&v| f64::from(v)))
         .filter(|v| v.is_finite())
         .collect();
-    let white = quantile(&mut samples, 0.99)
-        .map(f64::abs)
-        .filter(|&v| v > 0.0)
-        .unwrap_or(1.0);
+    let white = quantile(&mut samples, 0.99).map(f64::abs);
+    let white = white.filter(|&v| v > 0.0).unwrap_or(1.0);
 
     let camera = &view.intrinsics;
-    let perspective = options.projection == Projection::Perspective;
     let mut report = ViewReport {
         name: view.name.clone(),
         num_pixels: len,
@@ -243,11 +267,6 @@ pub(crate) fn prepare(
         clip: view.clip_level.unwrap_or(f32::INFINITY),
         shadow: (options.shadow_level * white) as f32,
     };
-    let num_used = match options.order {
-        HarmonicOrder::First => 4,
-        HarmonicOrder::Second => 9,
-    };
-    let per_pixel = view.albedo.is_some() || matches!(view.lighting, ViewLight::PerPixel(_));
     let mut pixels = Pixels {
         channels,
         padded,
@@ -256,44 +275,17 @@ pub(crate) fn prepare(
         ray_y: vec![0.0; padded],
         intensity: vec![0.0; padded * channels],
         weight: vec![0.0; padded],
-        light: match &view.lighting {
-            ViewLight::Uniform(lighting) if !per_pixel => Coefficients::Uniform(
-                lighting
-                    .channels
-                    .iter()
-                    .map(|row| {
-                        std::array::from_fn(|j| if j < num_used { row.0[j] as f32 } else { 0.0 })
-                    })
-                    .collect(),
-            ),
-            _ => Coefficients::PerPixel(vec![0.0; padded * channels * 9]),
-        },
+        light: light(view, &grid, options),
     };
     for (k, (x, y)) in grid.pixels().enumerate() {
-        if perspective {
+        if options.projection == Projection::Perspective {
             pixels.ray_x[k] = ((x as f64 - camera.cx) / camera.fx) as f32;
             pixels.ray_y[k] = ((y as f64 - camera.cy) / camera.fy) as f32;
         }
-        let weight = usable.weight(x, y, &mut report);
-        pixels.weight[k] = weight;
-        if weight > 0.0 {
+        pixels.weight[k] = usable.weight(x, y, &mut report);
+        if pixels.weight[k] > 0.0 {
             for (c, &value) in image.pixel(x, y).iter().enumerate() {
                 pixels.intensity[c * padded + k] = value;
-            }
-        }
-        if let Coefficients::PerPixel(values) = &mut pixels.light {
-            for c in 0..channels {
-                let albedo = view.albedo.as_ref().map_or(1.0, |map| map.pixel(x, y)[c]);
-                for j in 0..num_used {
-                    let l = match &view.lighting {
-                        ViewLight::Uniform(lighting) => lighting.channels[c].0[j] as f32,
-                        ViewLight::PerPixel(light) => {
-                            light.coefficients[((y * light.width + x) * channels + c) * 9 + j]
-                        }
-                    };
-                    let value = albedo * l;
-                    values[(c * 9 + j) * padded + k] = if value.is_finite() { value } else { 0.0 };
-                }
             }
         }
     }
@@ -304,20 +296,10 @@ pub(crate) fn prepare(
             advice: "all its pixels are clipped, dark or not finite",
         });
     }
-    let mut stiffness = vec![1.0; padded];
-    if let (Some(breaks), true) = (&view.depth_breaks, options.depth_edges) {
-        for ((x, y), stiffness) in grid.pixels().zip(&mut stiffness) {
-            if *breaks.at(x, y) {
-                *stiffness = BREAK_STIFFNESS;
-                report.num_depth_breaks += 1;
-            }
-        }
-    }
     let focal = camera.focal_px();
     Ok(PreparedView {
         grid,
         pixels,
-        stiffness,
         geometry: Geometry {
             projection: options.projection,
             focal,

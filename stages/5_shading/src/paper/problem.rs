@@ -76,8 +76,6 @@ pub struct ShadingView {
     pub anchors: Vec<DepthAnchor>,
     /// Pose, needed where matches tie the view to others.
     pub cam_from_world: Option<RigidTransform>,
-    /// Pixels across which the surface is known to break: `true` cuts the gradient there.
-    pub depth_breaks: Option<Mask>,
 }
 
 impl ShadingView {
@@ -103,7 +101,6 @@ impl ShadingView {
             prior: None,
             anchors: Vec::new(),
             cam_from_world: None,
-            depth_breaks: None,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The penalty's course, computed from the lighting, the noise, and what holds the low frequencies.
+//! The penalty's schedule, computed from the lighting, the noise, and what holds the low frequencies.
 //!
 //! **Rule.** Let `s₁ ≥ s₂` be the singular values of the shading Jacobian `∂S/∂(p, q)` (channels by
 //! two), medians over pixels at the start, and `σ` the noise of intensities. Across the direction of
@@ -14,16 +14,15 @@
 //! t = s₂² D² / (s₂² D² + σ²),   ln β₀ = (1 − t) ln(2 s₁² or 10 s₁²) + t ln(0.12 s₂²).
 //! ```
 //!
-//! The penalty ends at `15 s₁²`, where ∇y and θ agree to a fraction of what shading can tell, and
+//! The penalty ends at `15 s₁²`, where ∇y and θ agree to a fraction of what shading resolves, and
 //! grows geometrically between; every level runs over its own part of that range. All scales with
 //! squared intensity, so that nothing needs tuning per data set.
 //!
 //! Source: rilievo's own; the penalties of the paper's later code and of He et al. (`he2000`) adapt
 //! to residuals instead, which says nothing on what the image leaves open.
 
-use super::model::Facet;
-use super::pixels::Pixels;
-use super::splitting::Course;
+use super::pixels::{Pixels, Slopes};
+use super::splitting::LevelSchedule;
 use rilievo_numerics::robust::median;
 
 /// Slopes by which a start may err.
@@ -48,13 +47,13 @@ pub(crate) struct Informativeness {
 }
 
 impl Informativeness {
-    pub(crate) fn of(pixels: &Pixels, p: &[f32], q: &[f32], sigma: f64) -> Self {
+    pub(crate) fn of(pixels: &Pixels, [p, q]: &Slopes, sigma: f64) -> Self {
         let (mut large, mut small) = (Vec::new(), Vec::new());
         for k in (0..pixels.len).step_by(1 + pixels.len / 5000) {
             if pixels.weight[k] == 0.0 {
                 continue;
             }
-            let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], [p[k], q[k]]);
+            let facet = pixels.facet(k, [p[k], q[k]]);
             let (mut a, mut b, mut d) = (0.0_f64, 0.0_f64, 0.0_f64);
             for c in 0..pixels.channels {
                 let (_, [jp, jq]) = facet.shade(&pixels.light(c, k));
@@ -133,8 +132,12 @@ const UNANCHORED: [Part; 2] = [part(30, 0.2, 1.0), part(20, 0.1, 0.7)];
 /// Iterations with a search on the coarsest level.
 const NUM_SEARCH_ITERATIONS: usize = 15;
 
-/// The automatic schedule for a ladder of levels, coarsest first.
-pub(crate) fn automatic(num_levels: usize, known: &Informativeness, anchored: bool) -> Vec<Course> {
+/// The schedules for a ladder of levels, coarsest first.
+pub(crate) fn level_schedules(
+    num_levels: usize,
+    known: &Informativeness,
+    anchored: bool,
+) -> Vec<LevelSchedule> {
     let determined = known.determined();
     let parts: &[Part] = match (determined, anchored) {
         (true, _) => &DETERMINED,
@@ -149,7 +152,7 @@ pub(crate) fn automatic(num_levels: usize, known: &Informativeness, anchored: bo
         .map(|level| {
             let part = &parts[level];
             let coarsest = level + 1 == num_levels;
-            Course {
+            LevelSchedule {
                 beta_start: at(part.from),
                 growth: (at(part.to) / at(part.from)).powf(1.0 / part.num_iterations as f64),
                 num_iterations: part.num_iterations,
@@ -184,12 +187,12 @@ mod tests {
             "{}",
             colour.beta_start(false)
         );
-        assert_eq!(automatic(4, &grey, false).len(), 2);
-        let courses = automatic(3, &colour, true);
-        assert_eq!(courses.len(), 3);
-        assert_eq!(courses[0].num_search_iterations, NUM_SEARCH_ITERATIONS);
-        for course in courses {
-            let end = course.beta_start * course.growth.powi(course.num_iterations as i32);
+        assert_eq!(level_schedules(4, &grey, false).len(), 2);
+        let schedules = level_schedules(3, &colour, true);
+        assert_eq!(schedules.len(), 3);
+        assert_eq!(schedules[0].num_search_iterations, NUM_SEARCH_ITERATIONS);
+        for schedule in schedules {
+            let end = schedule.beta_start * schedule.growth.powi(schedule.num_iterations as i32);
             assert!(end <= 15.0 * 0.4 * 1.0001, "{end}");
         }
     }

@@ -4,25 +4,23 @@ use super::confidence;
 use super::levels::{Level, ladder};
 use super::linearized;
 use super::matches;
-use super::model::Facet;
-use super::options::{Coupling, PaperOptions, PenaltySchedule, Projection, Splitting, StartShape};
-use super::prepare::{Geometry, PreparedView, prepare};
+use super::options::{PaperOptions, Projection, Splitting, StartShape};
+use super::pixels::Slopes;
+use super::prepare::{Geometry, PreparedView, empty_mask, prepare};
 use super::problem::{DepthAnchor, ShadingProblem, ShadingView};
 use super::result::{maps, rms_residual};
-use super::schedule::{Informativeness, automatic};
+use super::schedule::{Informativeness, level_schedules};
 use super::solution::{PaperReport, ShadingSolution, SolvedView, Termination, ViewReport};
-use super::splitting::{self, Course, Setting, Ties, slopes};
+use super::splitting::{self, Setting, Ties, slopes_of};
 use super::start;
 use super::theta::{ThetaProblem, ThetaTerms, theta_step};
 use crate::error::{ShadingError, warn};
 use rilievo_numerics::robust::median;
-use rilievo_scene::{DepthMap, Observer};
+use rilievo_scene::Observer;
 use std::time::Instant;
 
 /// Most levels of the ladder.
 const MAX_LEVELS: usize = 4;
-/// Turns that each view takes under the literal coupling.
-const NUM_TURNS: usize = 2;
 /// Fewest anchors that give a shape: below, a given depth knows more.
 const MIN_ANCHORS: usize = 4;
 /// Errors of the shading model are alike over about this many pixels, so that many pixels together
@@ -43,7 +41,7 @@ pub(crate) fn solve(
     if problem.views.is_empty() {
         return Err(ShadingError::NoViews);
     }
-    let tied = matches::anchors(problem, options.match_noise_px)?;
+    let tied = matches::anchors(problem)?;
     let mut views = Vec::new();
     let mut report = PaperReport {
         num_matches: tied.num_matches,
@@ -65,44 +63,11 @@ pub(crate) fn solve(
         views.push(solved);
         report.views.push(facts);
     }
-    if options.coupling == Coupling::Literal && tied.num_matches > tied.num_rejected {
-        take_turns(problem, &tied, options, observer, &mut views, &mut report)?;
-    }
     Ok(ShadingSolution { views, report })
 }
 
-/// Eq. 15 by views in turn, from the surfaces that triangulated anchors gave.
-fn take_turns(
-    problem: &ShadingProblem,
-    tied: &matches::MatchAnchors,
-    options: &PaperOptions,
-    observer: &dyn Observer,
-    views: &mut [SolvedView],
-    report: &mut PaperReport,
-) -> Result<(), ShadingError> {
-    let options = PaperOptions {
-        start: StartShape::Given,
-        coarse_to_fine: false,
-        ..options.clone()
-    };
-    let mut depths: Vec<DepthMap> = views.iter().map(|view| view.depth.clone()).collect();
-    for _ in 0..NUM_TURNS {
-        for (index, view) in problem.views.iter().enumerate() {
-            let mut view = view.clone();
-            view.initial_depth = Some(depths[index].clone());
-            let coupled = matches::literal(problem, tied, index, &depths);
-            let anchors: Vec<DepthAnchor> = view.anchors.iter().chain(&coupled).copied().collect();
-            let (solved, facts) = solve_view(&view, &anchors, &options, observer)?;
-            depths[index] = solved.depth.clone();
-            views[index] = solved;
-            report.views[index] = facts;
-        }
-    }
-    Ok(())
-}
-
 /// Depth that fixes the unknown's zero: the median of what is known, or 1 where a plane is asked for
-/// and shape up to a factor is all that one photo tells.
+/// and shape up to a factor is all that one photo determines.
 fn reference_depth(
     view: &ShadingView,
     anchors: &[DepthAnchor],
@@ -203,66 +168,33 @@ fn ties(view: &ShadingView, prepared: &PreparedView, anchors: &[DepthAnchor], si
     ties
 }
 
-fn schedule(
-    options: &PaperOptions,
-    num_levels: usize,
-    known: &Informativeness,
-    anchored: bool,
-) -> Vec<Course> {
-    match options.schedule {
-        PenaltySchedule::Automatic => automatic(num_levels, known, anchored),
-        PenaltySchedule::Explicit {
-            start,
-            growth,
-            num_iterations,
-            num_search_iterations,
-        } => vec![Course {
-            beta_start: start,
-            growth,
-            num_iterations,
-            num_search_iterations,
-        }],
-    }
-}
-
 /// Penalty under which a pixel's own slopes and the surface's have the weights of their errors.
 fn normal_beta(sigma: f64) -> f32 {
     (2.0 * (sigma / SLOPE_ERROR).powi(2)) as f32
 }
 
-/// Slopes of the integrated surface.
-fn surface_slopes(level: &Level, geometry: &Geometry, y: &[f32]) -> (Vec<f32>, Vec<f32>) {
-    let mut p = vec![0.0; level.pixels.padded];
-    let mut q = p.clone();
-    slopes(&level.grid, geometry.aspect, y, &mut p, &mut q);
-    (p, q)
-}
-
 /// Normals: slopes of the surface, drawn towards what each pixel's intensity says; all the more where
 /// the surface breaks.
-fn refine_slopes(
+fn draw_to_shading(
     level: &Level,
-    geometry: &Geometry,
     sigma: f64,
-    y: &[f32],
+    surface: &Slopes,
     outcome: splitting::Outcome,
-) -> (Vec<f32>, Vec<f32>) {
-    let target = surface_slopes(level, geometry, y);
-    let [mut p, mut q] = outcome.theta;
-    let terms = ThetaTerms {
-        beta: normal_beta(sigma),
-        stiffness: &outcome.stiffness,
-        area: 0.0,
-        num_steps: 8,
-    };
+) -> Slopes {
+    let mut theta = outcome.theta;
     let problem = ThetaProblem {
         pixels: &level.pixels,
-        target: (&target.0, &target.1),
-        terms,
+        target: surface,
+        terms: ThetaTerms {
+            beta: normal_beta(sigma),
+            stiffness: &outcome.stiffness,
+            area: 0.0,
+            num_steps: 8,
+        },
         candidates: None,
     };
-    theta_step(&problem, &mut p, &mut q);
-    (p, q)
+    theta_step(&problem, &mut theta);
+    theta
 }
 
 /// The terms of the energy at the integrated surface.
@@ -272,21 +204,19 @@ fn energies(
     geometry: &Geometry,
     options: &PaperOptions,
     y: &[f32],
-    (p, q): (&[f32], &[f32]),
+    [p, q]: &Slopes,
     report: &mut ViewReport,
 ) {
     let pixels = &level.pixels;
     let mut values = vec![0.0; pixels.padded];
     level.grid.values(y, &mut values);
     for (k, (x, row)) in level.grid.pixels().enumerate() {
-        let facet = Facet::new([pixels.ray_x[k], pixels.ray_y[k]], [p[k], q[k]]);
         if pixels.weight[k] > 0.0 {
-            for c in 0..pixels.channels {
-                let r =
-                    facet.shade(&pixels.light(c, k)).0 - pixels.intensity[c * pixels.padded + k];
+            for r in pixels.residuals(k, [p[k], q[k]]) {
                 report.energy_shading += f64::from(pixels.weight[k] * r * r);
             }
         }
+        let facet = pixels.facet(k, [p[k], q[k]]);
         report.energy_area += options.area_weight * f64::from(facet.length());
         if let Some(prior) = &view.prior {
             let z = f64::from(*prior.depth.at(x, row));
@@ -298,6 +228,7 @@ fn energies(
     }
 }
 
+/// Solves one view.
 fn solve_view(
     view: &ShadingView,
     anchors: &[DepthAnchor],
@@ -305,114 +236,74 @@ fn solve_view(
     observer: &dyn Observer,
 ) -> Result<(SolvedView, ViewReport), ShadingError> {
     let begun = Instant::now();
-    if view.mask.count() == 0 {
-        return Err(ShadingError::EmptyMask {
-            view: view.name.clone(),
-            num_masked: 0,
-            advice: "check the mask: white is the object",
-        });
-    }
     let reference =
-        reference_depth(view, anchors, options).ok_or_else(|| ShadingError::NoDepth {
-            view: view.name.clone(),
+        reference_depth(view, anchors, options).ok_or_else(|| match view.mask.count() {
+            0 => empty_mask(view),
+            _ => ShadingError::NoDepth {
+                view: view.name.clone(),
+            },
         })?;
     let prepared = prepare(view, options, reference)?;
-    let geometry = prepared.geometry;
+    let (geometry, white) = (prepared.geometry, prepared.white);
     let mut report = prepared.report.clone();
-    let sigma = options.noise.max(view.noise.unwrap_or(0.0)) * prepared.white;
+    let sigma = options.noise.max(view.noise.unwrap_or(0.0)) * white;
     let (mut y, anchors) = start_shape(view, &prepared, anchors, options, &mut report)?;
     let ties = ties(view, &prepared, &anchors, sigma);
-    let explicit = options.schedule != PenaltySchedule::Automatic;
-    let full = options.splitting == Splitting::Full;
-    let max_levels = if options.coarse_to_fine && !explicit && full {
-        MAX_LEVELS
-    } else {
-        1
-    };
-    let levels = ladder(
-        prepared.grid,
-        prepared.pixels,
-        prepared.stiffness,
-        max_levels,
-        prepared.white,
-    );
+    let is_full = options.splitting == Splitting::Full;
+    let max_levels = if is_full { MAX_LEVELS } else { 1 };
+    let levels = ladder(prepared.grid, prepared.pixels, max_levels, white);
     let finest = &levels[0];
-    let mut p = vec![0.0; finest.pixels.padded];
-    let mut q = p.clone();
-    slopes(&finest.grid, geometry.aspect, &y, &mut p, &mut q);
-    report.rms_start = rms_residual(&finest.pixels, &p, &q);
-    let known = Informativeness::of(&finest.pixels, &p, &q, sigma);
+    let start = slopes_of(finest, geometry.aspect, &y);
+    report.rms_start = rms_residual(&finest.pixels, &start);
+    let known = Informativeness::of(&finest.pixels, &start, sigma);
     report.informativeness = known.squared[1].sqrt();
-    let courses = schedule(options, levels.len(), &known, !ties.is_empty());
-    report.beta_start = courses.first().map_or(0.0, |course| course.beta_start);
+    let schedules = level_schedules(levels.len(), &known, !ties.is_empty());
+    report.beta_start = schedules
+        .first()
+        .map_or(0.0, |schedule| schedule.beta_start);
     report.seconds.start = begun.elapsed().as_secs_f64();
-    let method = match options.splitting {
-        Splitting::Full => None,
-        Splitting::Paper => Some(linearized::Method::Splitting),
-        Splitting::FixedPoint => Some(linearized::Method::FixedPoint),
-    };
-    let mut solved_fully = None;
-    match method {
-        None => {
-            let setting = Setting {
-                ties: &ties,
-                area: options.area_weight as f32,
-                loss: options.loss,
-                white: prepared.white as f32,
-                aspect: geometry.aspect,
-                edge_beta: (options.depth_edges && known.determined()).then(|| normal_beta(sigma)),
-                courses: &courses,
-                observer,
-            };
-            let mut outcome = splitting::solve(&levels, &mut y, &setting)?;
-            report.num_depth_breaks += outcome.num_breaks;
-            report.iterations = std::mem::take(&mut outcome.records);
-            report.seconds.theta = outcome.seconds.theta;
-            report.seconds.z = outcome.seconds.z;
-            report.termination = Some(Termination::ScheduleEnded);
-            solved_fully = Some(outcome);
-        }
-        Some(method) => {
-            let setting = linearized::Setting {
-                method,
-                ties: &ties,
-                aspect: geometry.aspect,
-                white: prepared.white,
-                max_num_iterations: options.max_num_iterations,
-                relative_tolerance: options.relative_tolerance,
-                observer,
-            };
-            let (records, termination) = linearized::solve(finest, &mut y, &setting)?;
-            report.iterations = records;
-            report.termination = Some(termination);
-        }
+    let mut outcome = None;
+    if is_full {
+        let setting = Setting {
+            ties: &ties,
+            area: options.area_weight as f32,
+            loss: options.loss,
+            white: white as f32,
+            aspect: geometry.aspect,
+            edge_beta: (options.depth_edges && known.determined()).then(|| normal_beta(sigma)),
+            schedules: &schedules,
+            observer,
+        };
+        let mut solved = splitting::solve(&levels, &mut y, &setting)?;
+        report.num_depth_breaks += solved.num_breaks;
+        report.iterations = std::mem::take(&mut solved.records);
+        report.seconds.theta = solved.seconds.theta;
+        report.seconds.z = solved.seconds.z;
+        report.termination = Some(Termination::ScheduleEnded);
+        outcome = Some(solved);
+    } else {
+        let setting = linearized::Setting {
+            splits: options.splitting == Splitting::Paper,
+            ties: &ties,
+            aspect: geometry.aspect,
+            white,
+            observer,
+        };
+        let (records, termination) = linearized::solve(finest, &mut y, &setting)?;
+        report.iterations = records;
+        report.termination = Some(termination);
     }
-    slopes(&finest.grid, geometry.aspect, &y, &mut p, &mut q);
-    energies(view, finest, &geometry, options, &y, (&p, &q), &mut report);
-    // The paper's methods give the surface's own normals; the full splitting draws them to shading.
-    if let Some(outcome) = solved_fully {
-        (p, q) = refine_slopes(finest, &geometry, sigma, &y, outcome);
-    }
-    report.rms_rendered = rms_residual(&finest.pixels, &p, &q);
-    let confidence = options.confidence.then(|| {
-        let surface = surface_slopes(finest, &geometry, &y);
-        confidence::map(
-            (view.image.width, view.image.height),
-            finest,
-            (&p, &q),
-            (&surface.0, &surface.1),
-            sigma,
-        )
-    });
-    let mut solved = maps(
-        &view.name,
-        (view.image.width, view.image.height),
-        finest,
-        &geometry,
-        &y,
-        (&p, &q),
+    let surface = slopes_of(finest, geometry.aspect, &y);
+    energies(view, finest, &geometry, options, &y, &surface, &mut report);
+    // The paper's methods return the surface's own normals; the full splitting draws them to shading.
+    let theta = outcome.map_or_else(
+        || surface.clone(),
+        |outcome| draw_to_shading(finest, sigma, &surface, outcome),
     );
-    solved.confidence = confidence;
+    report.rms_rendered = rms_residual(&finest.pixels, &theta);
+    let mut solved = maps(view, finest, &geometry, &y, &theta);
+    let size = (view.image.width, view.image.height);
+    solved.confidence = Some(confidence::map(size, finest, &theta, &surface, sigma));
     report.seconds.total = begun.elapsed().as_secs_f64();
     Ok((solved, report))
 }

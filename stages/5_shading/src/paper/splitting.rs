@@ -22,8 +22,7 @@
 
 use super::breaks::{break_search, soften_breaks};
 use super::levels::{Level, add_change, place_constraint, restrict_nodes};
-use super::model::Facet;
-use super::pixels::Pixels;
+use super::pixels::{Pixels, Slopes};
 use super::solution::{IterationRecord, StepSeconds};
 use super::theta::{Candidates, ThetaProblem, ThetaTerms, theta_step};
 use crate::error::ShadingError;
@@ -31,7 +30,7 @@ use rayon::prelude::*;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::{CornerPoisson, PointConstraint};
 use rilievo_numerics::robust::RobustLoss;
-use rilievo_scene::{Event, Flow, Observer, StageId};
+use rilievo_scene::{Event, Observer, StageId};
 use std::time::Instant;
 
 /// Weight of the hourglass mode: small enough not to flatten mixed curvature, large enough to
@@ -42,9 +41,9 @@ const Z_TOLERANCE: f64 = 0.1;
 /// Conjugate-gradient steps per z-step.
 const MAX_Z_STEPS: usize = 3;
 
-/// The course of an iteration on one level.
+/// Penalties and iterations on one level.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Course {
+pub(crate) struct LevelSchedule {
     /// First penalty.
     pub(crate) beta_start: f64,
     /// Its factor per iteration.
@@ -80,8 +79,8 @@ pub(crate) struct Setting<'a> {
     pub(crate) aspect: [f32; 2],
     /// Penalty at which slopes are freed to find where the surface breaks; `None` does not look.
     pub(crate) edge_beta: Option<f32>,
-    /// One course per level, coarsest first.
-    pub(crate) courses: &'a [Course],
+    /// One schedule per level, coarsest first.
+    pub(crate) schedules: &'a [LevelSchedule],
     pub(crate) observer: &'a dyn Observer,
 }
 
@@ -94,21 +93,32 @@ pub(crate) struct Outcome {
     /// Stiffness of the finest level's pixels at the end, of padded length.
     pub(crate) stiffness: Vec<f32>,
     /// Their slopes θ.
-    pub(crate) theta: [Vec<f32>; 2],
+    pub(crate) theta: Slopes,
     pub(crate) seconds: StepSeconds,
 }
 
 /// Slopes of node values in the units of the model.
-pub(crate) fn slopes(grid: &CornerGrid, aspect: [f32; 2], y: &[f32], p: &mut [f32], q: &mut [f32]) {
+pub(crate) fn slopes(grid: &CornerGrid, aspect: [f32; 2], y: &[f32], [p, q]: &mut Slopes) {
     grid.gradient(y, p, q);
-    if aspect != [1.0, 1.0] {
-        p.iter_mut().for_each(|p| *p *= aspect[0]);
-        q.iter_mut().for_each(|q| *q *= aspect[1]);
+    for (slopes, aspect) in [(p, aspect[0]), (q, aspect[1])] {
+        if aspect != 1.0 {
+            slopes.iter_mut().for_each(|slope| *slope *= aspect);
+        }
     }
 }
 
-fn rms(values: impl Iterator<Item = f32>, count: usize) -> f64 {
-    (values.map(f64::from).sum::<f64>() / count.max(1) as f64).sqrt()
+/// The same as new arrays.
+pub(crate) fn slopes_of(level: &Level, aspect: [f32; 2], y: &[f32]) -> Slopes {
+    let mut out = [(); 2].map(|()| vec![0.0; level.pixels.padded]);
+    slopes(&level.grid, aspect, y, &mut out);
+    out
+}
+
+/// RMS difference of two fields of slopes over the first `num` pixels.
+fn rms_difference(a: &Slopes, b: &Slopes, num: usize) -> f64 {
+    let squared = |k: usize| (a[0][k] - b[0][k]).powi(2) + (a[1][k] - b[1][k]).powi(2);
+    let sum: f64 = (0..num).map(|k| f64::from(squared(k))).sum();
+    (sum / num.max(1) as f64).sqrt()
 }
 
 /// Improves `y` (nodes of the finest level).
@@ -130,8 +140,8 @@ pub(crate) fn solve(
     }
     let mut outcome = Outcome::default();
     let mut coarse_result: Option<(Vec<f32>, Vec<f32>)> = None;
-    for (step, course) in setting.courses.iter().enumerate() {
-        let at = setting.courses.len() - 1 - step;
+    for (step, schedule) in setting.schedules.iter().enumerate() {
+        let at = setting.schedules.len() - 1 - step;
         let Some(level) = levels.get(at) else {
             continue;
         };
@@ -144,7 +154,7 @@ pub(crate) fn solve(
             at,
             level,
             &mut nodes,
-            course,
+            schedule,
             &ties[at],
             setting,
             &mut outcome,
@@ -161,158 +171,196 @@ pub(crate) fn solve(
     Ok(outcome)
 }
 
-/// Multiplies slopes by the cells' stiffness, where that is not one.
-fn weigh(stiffness: &[f32], p: &mut [f32], q: &mut [f32]) {
-    for ((p, q), w) in p.iter_mut().zip(q).zip(stiffness) {
-        *p *= w;
-        *q *= w;
-    }
-}
-
 /// Weights of iteratively re-weighted least squares at the present slopes: one per pixel, of the
 /// RMS residual over its channels.
-fn reweight(base: &Pixels, out: &mut Pixels, (p, q): (&[f32], &[f32]), setting: &Setting) {
+fn reweight(base: &Pixels, out: &mut Pixels, [p, q]: &Slopes, setting: &Setting) {
     out.weight
         .par_iter_mut()
         .enumerate()
         .with_min_len(4096)
         .for_each(|(k, weight)| {
-            let facet = Facet::new([base.ray_x[k], base.ray_y[k]], [p[k], q[k]]);
-            let mut squared = 0.0;
-            for c in 0..base.channels {
-                let shade = facet.shade(&base.light(c, k)).0;
-                squared += (shade - base.intensity[c * base.padded + k]).powi(2);
-            }
+            let squared: f32 = base.residuals(k, [p[k], q[k]]).map(|r| r.powi(2)).sum();
             let r = (squared / base.channels as f32).sqrt() / setting.white;
             *weight = base.weight[k] * setting.loss.weight(f64::from(r)) as f32;
         });
 }
 
+/// The arrays of one level's iteration.
+struct State<'a> {
+    level: &'a Level,
+    ties: &'a Ties,
+    setting: &'a Setting<'a>,
+    system: CornerPoisson,
+    stiffness: Vec<f32>,
+    /// Pixels with the weights of a robust loss; the squared one borrows those of the level.
+    reweighted: Option<Pixels>,
+    theta: Slopes,
+    /// ∇y.
+    gradient: Slopes,
+    /// ∇y + u before the θ-step, u after it.
+    target: Slopes,
+    /// Wanted slopes of the z-step; ∇y before it, when it is done.
+    wanted: Slopes,
+    rhs: Vec<f32>,
+}
+
+impl<'a> State<'a> {
+    fn new(level: &'a Level, y: &[f32], ties: &'a Ties, setting: &'a Setting) -> Self {
+        let gradient = slopes_of(level, setting.aspect, y);
+        let stiffness = vec![1.0; level.pixels.padded];
+        let is_robust = setting.loss != RobustLoss::Squared;
+        Self {
+            level,
+            ties,
+            setting,
+            system: CornerPoisson::new(&level.grid, &stiffness[..level.pixels.len], HOURGLASS),
+            stiffness,
+            reweighted: is_robust.then(|| level.pixels.clone()),
+            theta: gradient.clone(),
+            target: gradient.clone(),
+            wanted: gradient.clone(),
+            gradient,
+            rhs: vec![0.0; level.grid.padded_len()],
+        }
+    }
+
+    /// Looks for breaks; returns their number.
+    fn soften(&mut self, beta: f32, share: f32) -> usize {
+        let (level, stiffness) = (self.level, &mut self.stiffness);
+        let theta = &mut self.theta;
+        let num_breaks = soften_breaks(level, &self.gradient, theta, beta, share, stiffness);
+        let cells = &stiffness[..level.pixels.len];
+        self.system = CornerPoisson::new(&level.grid, cells, HOURGLASS);
+        num_breaks
+    }
+
+    /// θ-step; returns the energy of shading.
+    fn theta_step(&mut self, beta: f32, candidates: Option<&Candidates>) -> f64 {
+        if let Some(reweighted) = &mut self.reweighted {
+            reweight(&self.level.pixels, reweighted, &self.theta, self.setting);
+        }
+        let problem = ThetaProblem {
+            pixels: self.reweighted.as_ref().unwrap_or(&self.level.pixels),
+            target: &self.target,
+            terms: ThetaTerms {
+                beta,
+                stiffness: &self.stiffness,
+                area: self.setting.area,
+                num_steps: 3,
+            },
+            candidates,
+        };
+        theta_step(&problem, &mut self.theta)
+    }
+
+    /// z-step: `u = (∇y + u) − ∇y`, and `∇y = θ − u` is wanted.
+    fn z_step(&mut self, beta: f32, y: &mut [f32]) {
+        let (grid, aspect) = (&self.level.grid, self.setting.aspect);
+        for axis in 0..2 {
+            let (theta, gradient) = (&self.theta[axis], &self.gradient[axis]);
+            let (target, wanted) = (&mut self.target[axis], &mut self.wanted[axis]);
+            for k in 0..wanted.len() {
+                target[k] -= gradient[k];
+                wanted[k] = (theta[k] - target[k]) / aspect[axis] * self.stiffness[k];
+            }
+        }
+        self.rhs.fill(0.0);
+        grid.add_divergence(1.0, &self.wanted[0], &self.wanted[1], &mut self.rhs);
+        if !self.ties.is_empty() {
+            apply_ties(&mut self.system, self.level, self.ties, beta, &mut self.rhs);
+        }
+        self.system.solve(&self.rhs, y, Z_TOLERANCE, MAX_Z_STEPS);
+        slopes(grid, aspect, y, &mut self.wanted);
+        std::mem::swap(&mut self.gradient, &mut self.wanted);
+    }
+
+    /// `u ← u + ∇y − θ`, scaled to the next penalty, and with it the target `∇y + u`.
+    fn update_dual(&mut self, growth: f32) {
+        for axis in 0..2 {
+            let (theta, gradient) = (&self.theta[axis], &self.gradient[axis]);
+            for ((t, g), theta) in self.target[axis].iter_mut().zip(gradient).zip(theta) {
+                *t = (*t + g - theta) / growth + g;
+            }
+        }
+    }
+}
+
+/// One level's iterations.
 fn solve_level(
     at: usize,
     level: &Level,
     y: &mut [f32],
-    course: &Course,
+    schedule: &LevelSchedule,
     ties: &Ties,
     setting: &Setting,
     outcome: &mut Outcome,
 ) -> Result<(), ShadingError> {
-    let grid = &level.grid;
-    // Only a robust loss changes weights; the squared one borrows the pixels as they are.
-    let mut reweighted: Option<Pixels> =
-        (setting.loss != RobustLoss::Squared).then(|| level.pixels.clone());
-    let pixels = &level.pixels;
-    let padded = pixels.padded;
-    let zeros = || vec![0.0_f32; padded];
+    let num_pixels = level.pixels.len;
     let started = Instant::now();
-    let mut stiffness = level.stiffness.clone();
-    let mut system = CornerPoisson::new(grid, &stiffness[..pixels.len], HOURGLASS);
-    let tied = !ties.is_empty();
-    let (mut gp, mut gq) = (zeros(), zeros());
-    slopes(grid, setting.aspect, y, &mut gp, &mut gq);
-    let (mut p, mut q) = (gp.clone(), gq.clone());
-    let (mut tp, mut tq) = (gp.clone(), gq.clone());
-    let (mut wp, mut wq) = (zeros(), zeros());
-    let mut rhs = vec![0.0_f32; grid.padded_len()];
-    let candidates = (course.num_search_iterations > 0).then(|| Candidates::new(pixels, 8, 3.0));
+    let mut state = State::new(level, y, ties, setting);
+    let searches = schedule.num_search_iterations;
+    let candidates = (searches > 0).then(|| Candidates::new(&level.pixels, 8, 3.0));
     outcome.seconds.z += started.elapsed().as_secs_f64();
-    let growth = course.growth as f32;
-    let mut beta = course.beta_start;
-    for iteration in 0..course.num_iterations {
+    let growth = schedule.growth as f32;
+    let mut beta = schedule.beta_start;
+    for iteration in 0..schedule.num_iterations {
         if let Some(beta) = setting.edge_beta
-            && let Some(share) = break_search(iteration, course.num_iterations)
+            && let Some(share) = break_search(iteration, schedule.num_iterations)
         {
-            outcome.num_breaks = soften_breaks(
-                level,
-                (&gp, &gq),
-                (&mut p, &mut q),
-                beta,
-                share,
-                &mut stiffness,
-            );
-            system = CornerPoisson::new(grid, &stiffness[..pixels.len], HOURGLASS);
+            outcome.num_breaks = state.soften(beta, share);
         }
-        // Here (tp, tq) = ∇y + u.
         let started = Instant::now();
-        let terms = ThetaTerms {
-            beta: beta as f32,
-            stiffness: &stiffness,
-            area: setting.area,
-            num_steps: 3,
-        };
-        let search = candidates
-            .as_ref()
-            .filter(|_| iteration < course.num_search_iterations);
-        if let Some(reweighted) = &mut reweighted {
-            reweight(&level.pixels, reweighted, (&p, &q), setting);
-        }
-        let problem = ThetaProblem {
-            pixels: reweighted.as_ref().unwrap_or(pixels),
-            target: (&tp, &tq),
-            terms,
-            candidates: search,
-        };
-        let energy = theta_step(&problem, &mut p, &mut q);
+        let search = candidates.as_ref().filter(|_| iteration < searches);
+        let energy = state.theta_step(beta as f32, search);
         outcome.seconds.theta += started.elapsed().as_secs_f64();
 
         let started = Instant::now();
-        // u = (∇y + u) − ∇y; the z-step wants ∇y = θ − u.
-        for k in 0..padded {
-            tp[k] -= gp[k];
-            tq[k] -= gq[k];
-            wp[k] = (p[k] - tp[k]) / setting.aspect[0];
-            wq[k] = (q[k] - tq[k]) / setting.aspect[1];
-        }
-        weigh(&stiffness, &mut wp, &mut wq);
-        rhs.fill(0.0);
-        grid.add_divergence(1.0, &wp, &wq, &mut rhs);
-        if tied {
-            apply_ties(&mut system, level, ties, beta as f32, &mut rhs);
-        }
-        system.solve(&rhs, y, Z_TOLERANCE, MAX_Z_STEPS);
-        slopes(grid, setting.aspect, y, &mut wp, &mut wq);
-        std::mem::swap(&mut gp, &mut wp);
-        std::mem::swap(&mut gq, &mut wq);
+        state.z_step(beta as f32, y);
         outcome.seconds.z += started.elapsed().as_secs_f64();
 
-        let n = pixels.len;
-        let squared = |a: &[f32], b: &[f32], k: usize| (a[k] - b[k]).powi(2);
-        let primal = rms((0..n).map(|k| squared(&gp, &p, k) + squared(&gq, &q, k)), n);
-        let dual = rms(
-            (0..n).map(|k| squared(&gp, &wp, k) + squared(&gq, &wq, k)),
-            n,
-        );
-        for k in 0..padded {
-            tp[k] = (tp[k] + gp[k] - p[k]) / growth + gp[k];
-            tq[k] = (tq[k] + gq[k] - q[k]) / growth + gq[k];
-        }
-        let scale = f64::from(level.scale * level.scale);
+        let primal_residual = rms_difference(&state.gradient, &state.theta, num_pixels);
+        let dual_residual = rms_difference(&state.gradient, &state.wanted, num_pixels);
+        state.update_dual(growth);
         outcome.records.push(IterationRecord {
             level: at,
             beta,
-            energy: energy * scale,
-            primal_residual: primal,
-            dual_residual: dual,
+            energy: energy * f64::from(level.scale * level.scale),
+            primal_residual,
+            dual_residual,
         });
-        let flow = setting.observer.event(Event::Iteration {
-            stage: StageId::Shading,
-            iteration: outcome.records.len() - 1,
-            max_num_iterations: setting.courses.iter().map(|c| c.num_iterations).sum(),
-            energy: energy * scale,
-            primal_residual: Some(primal),
-            dual_residual: Some(dual),
-            beta: Some(beta),
-        });
-        if flow == Flow::Stop {
-            return Err(ShadingError::Interrupted);
-        }
+        let max_num_iterations = setting.schedules.iter().map(|c| c.num_iterations).sum();
+        report(&outcome.records, max_num_iterations, setting.observer)?;
         beta *= f64::from(growth);
     }
     if at == 0 {
-        outcome.stiffness = stiffness;
-        outcome.theta = [p, q];
+        outcome.stiffness = state.stiffness;
+        outcome.theta = state.theta;
     }
     Ok(())
+}
+
+/// Reports the last iteration to the observer.
+///
+/// # Errors
+/// [`ShadingError::Interrupted`] where it asks to stop.
+pub(crate) fn report(
+    records: &[IterationRecord],
+    max_num_iterations: usize,
+    observer: &dyn Observer,
+) -> Result<(), ShadingError> {
+    let Some(last) = records.last() else {
+        return Ok(());
+    };
+    let flow = observer.event(Event::Iteration {
+        stage: StageId::Shading,
+        iteration: records.len() - 1,
+        max_num_iterations,
+        energy: last.energy,
+        primal_residual: Some(last.primal_residual),
+        dual_residual: Some(last.dual_residual),
+        beta: Some(last.beta),
+    });
+    flow.ok_or(ShadingError::Interrupted)
 }
 
 /// Ties of a coarser level: points are placed by position, masses by node. In the coarse unknown,

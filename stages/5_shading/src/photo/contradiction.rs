@@ -8,7 +8,7 @@
 use crate::error::{LightMisfit, ShadingError};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use rilievo_photometry::harmonics::{FitOptions, fit_robust};
+use rilievo_photometry::harmonics::fit_robust;
 use rilievo_scene::{Lighting, LightingCalibration, SphericalHarmonics};
 use rilievo_stereo::level::Level;
 use rilievo_stereo::plate;
@@ -76,7 +76,7 @@ fn residuals(level: &Level, idx: usize, depth: &[f64], given: &Lighting) -> Opti
             .iter()
             .map(|&p| f64::from(view.intensity(p)[channel]))
             .collect();
-        let fitted = fit_robust(&seen, &values, None, &FitOptions::default()).ok()?;
+        let fitted = fit_robust(&seen, &values, None).ok()?;
         let given = given.channels[channel.min(given.channels.len() - 1)];
         left_given += unexplained(&seen, &values, &given);
         left_fitted += unexplained(&seen, &values, &fitted.coefficients);

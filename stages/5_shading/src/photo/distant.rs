@@ -5,7 +5,7 @@ use super::albedo;
 use super::light::{FIT_PIXELS, Light, rotation, with_residuals};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-use rilievo_photometry::harmonics::{FitOptions, fit_robust, rotate};
+use rilievo_photometry::harmonics::{fit_robust, rotate};
 use rilievo_scene::{LightKind, Lighting, SphericalHarmonics};
 use rilievo_stereo::level::Level;
 use rilievo_stereo::plate;
@@ -47,7 +47,7 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
         let channels: Option<Vec<SphericalHarmonics>> = values
             .iter()
             .map(|v| {
-                fit_robust(&n, v, Some(&weights), &FitOptions::default())
+                fit_robust(&n, v, Some(&weights))
                     .ok()
                     .map(|fit| fit.coefficients)
             })

@@ -1,7 +1,7 @@
 //! What stage 4 knows of the light, exposures divided out.
 
 use nalgebra::{Point3, Vector3};
-use rilievo_photometry::harmonics::{FitOptions, fit_robust};
+use rilievo_photometry::harmonics::fit_robust;
 use rilievo_photometry::visibility::EmittingSphere;
 use rilievo_scene::{LightKind, LightSample, Lighting, LightingCalibration, LocatedSphere};
 
@@ -95,7 +95,7 @@ fn emitting(sphere: &LocatedSphere, points: &[KnownPoint]) -> Option<EmittingSph
     let mut channels = Vec::new();
     for c in 0..3 {
         let values: Vec<f64> = points.iter().map(|p| f64::from(p.intensity[c])).collect();
-        let fit = fit_robust(&normals, &values, None, &FitOptions::default()).ok()?;
+        let fit = fit_robust(&normals, &values, None).ok()?;
         channels.push(fit.coefficients);
     }
     Some(EmittingSphere {

@@ -14,7 +14,7 @@ use super::shading::{self, PixelHarmonics, PixelLight};
 use nalgebra::{Rotation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
-use rilievo_photometry::harmonics::{FitOptions, fit_robust, rotate, rotate_harmonics};
+use rilievo_photometry::harmonics::{fit_robust, rotate, rotate_harmonics};
 use rilievo_photometry::visibility::{
     DepthView, EmittingSphere, EnvironmentFit, EnvironmentSample, Ground, Surroundings, Transfer,
     Volume, directions, fit_environment, transfer,
@@ -411,7 +411,7 @@ fn open_harmonics(fit: &EnvironmentFit, num_rays: usize) -> Lighting {
         normals.push(normal.map(f64::from).normalize());
     }
     let channel = |values: &Vec<f64>| {
-        let fitted = fit_robust(&normals, values, None, &FitOptions::default());
+        let fitted = fit_robust(&normals, values, None);
         // Normals all over the sphere determine nine harmonics; darkness has none.
         fitted.map_or_else(|_| SphericalHarmonics::default(), |fit| fit.coefficients)
     };

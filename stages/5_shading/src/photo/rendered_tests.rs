@@ -12,7 +12,7 @@ use super::{distant, shading};
 use crate::surroundings::Surroundings;
 use nalgebra::{Point2, Point3};
 use rilievo_numerics::solver_set::SolverSet;
-use rilievo_photometry::samples::{SamplingOptions, read_spheres};
+use rilievo_photometry::samples::read_spheres;
 use rilievo_scene::{
     Alone, FocalSource, InMemoryPixels, LightKind, LightSource, LightingCalibration, LocatedSphere,
     MarkedSphere, MemoryScratch, Orientation, Photo, PhotoIdx, PhotoSet, PosedView, PosedViews,
@@ -222,7 +222,7 @@ pub(super) fn of_spheres(
         environment_in_world: None,
         views: Vec::new(),
         spheres: Vec::new(),
-        samples: read_spheres(photos, posed, &SamplingOptions::default()).unwrap(),
+        samples: read_spheres(photos, posed).unwrap(),
     }
 }
 

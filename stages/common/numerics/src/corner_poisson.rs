@@ -16,7 +16,8 @@
 //! fields and `f64` for inner products.
 
 use crate::corner_grid::CornerGrid;
-use crate::multigrid::{Multigrid, Operator, for_rows};
+use crate::corner_operator::{Operator, for_rows};
+use crate::multigrid::Multigrid;
 use rayon::prelude::*;
 
 /// Mass that holds every node lightly at its value before a solve. Nothing else keeps the constant

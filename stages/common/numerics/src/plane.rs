@@ -1,8 +1,6 @@
 //! Planes through points.
 
 use nalgebra::{Matrix3, Point3, Vector3};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// A plane through points.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,10 +55,9 @@ impl Plane {
             let is_near = move |p: &&Point3<f64>| (*p - at).dot(&normal).abs() <= limit;
             points.iter().filter(is_near).copied()
         };
-        let mut rng = ChaCha8Rng::seed_from_u64(points.len() as u64);
         let mut best = (0, Vector3::zeros(), Point3::origin());
-        for _ in 0..num_triples {
-            let [a, b, c] = [(); 3].map(|()| points[rng.random_range(0..points.len())]);
+        for triple in crate::random::triples(points.len()).take(num_triples) {
+            let [a, b, c] = triple.map(|k| points[k]);
             let Some(normal) = (b - a).cross(&(c - a)).try_normalize(limit * limit) else {
                 continue;
             };

@@ -49,6 +49,16 @@ impl RobustLoss {
     }
 }
 
+/// Weight of Tukey's biweight at a residual in units of its scale, beyond which it is 0.
+#[inline]
+pub fn tukey_weight(t: f64) -> f64 {
+    if t.abs() < 1.0 {
+        (1.0 - t * t).powi(2)
+    } else {
+        0.0
+    }
+}
+
 /// Median of finite values; `None` when there is none. Reorders the slice.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)

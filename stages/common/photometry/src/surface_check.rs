@@ -7,29 +7,14 @@
 //! the views from the side that the object hides from the sphere. A light with shadow and bounce leaves less
 //! than the third number.
 
-use crate::harmonics::{FitOptions, Reading, dominant_direction, fit_lighting};
-use crate::samples::surface_pixels;
+use crate::harmonics::{Reading, dominant_direction, fit_lighting};
+use crate::samples::{CLIP_SHARE, surface_pixels};
 use nalgebra::Vector3;
 use rilievo_scene::{
     Flow, Inconsistent, LightSource, Lighting, LinearImage, Observer, PhotoSet, PixelError,
     PosedViews, ShadedView, ShadedViews, ViewLighting,
 };
 use serde::{Deserialize, Serialize};
-
-/// How the comparison is made.
-#[derive(Clone, Debug)]
-pub struct CheckOptions {
-    /// The fit of nine harmonics on the surface.
-    pub fit: FitOptions,
-    /// Pixels brighter than this share of the photo's clip level are left out.
-    pub clip_share: f64,
-    /// Most pixels of a view.
-    pub max_num_samples: usize,
-    /// Fewest pixels that make a view count.
-    pub min_num_pixels: usize,
-    /// Advice is given where the light leaves this many times as much as the best distant light.
-    pub advice_ratio: f64,
-}
 
 /// Why there is no comparison.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -82,6 +67,12 @@ pub struct SurfaceReport {
     pub advice: Vec<String>,
 }
 
+/// A light that leaves this many times as much as the best distant light is the wrong one.
+pub const WRONG_LIGHT_RATIO: f64 = 1.4;
+/// Most pixels of a view that are compared; more change nothing but the time.
+pub const MAX_SAMPLES: usize = 20_000;
+/// Fewest pixels that make a view count.
+const MIN_PIXELS: usize = 150;
 /// Residual below which a light is good enough whatever a refit could do.
 const SMALLEST_GAP: f64 = 0.04;
 /// A pixel further than this from the photo, relative, is not explained.
@@ -101,10 +92,9 @@ pub fn check(
     posed: &PosedViews,
     used: (LightSource, &[ViewLighting]),
     shaded: &ShadedViews,
-    options: &CheckOptions,
     observer: &dyn Observer,
 ) -> Result<SurfaceReport, CheckError> {
-    let check = SurfaceCheck::new(photos, posed, used, options)?;
+    let check = SurfaceCheck::new(photos, posed, used)?;
     let mut views = Vec::new();
     for view in &shaded.views {
         if observer.flow() == Flow::Stop {
@@ -121,7 +111,6 @@ pub struct SurfaceCheck<'a> {
     posed: &'a PosedViews,
     source: LightSource,
     used: &'a [ViewLighting],
-    options: &'a CheckOptions,
 }
 
 impl<'a> SurfaceCheck<'a> {
@@ -133,7 +122,6 @@ impl<'a> SurfaceCheck<'a> {
         photos: &'a PhotoSet,
         posed: &'a PosedViews,
         (source, used): (LightSource, &'a [ViewLighting]),
-        options: &'a CheckOptions,
     ) -> Result<Self, CheckError> {
         photos.check()?;
         posed.check_with(photos)?;
@@ -142,7 +130,6 @@ impl<'a> SurfaceCheck<'a> {
             posed,
             source,
             used,
-            options,
         })
     }
 
@@ -151,14 +138,13 @@ impl<'a> SurfaceCheck<'a> {
     /// # Errors
     /// When its photo cannot be read.
     pub fn view(&self, view: &ShadedView) -> Result<Option<ViewSurfaceReport>, CheckError> {
-        let options = self.options;
         let lighting = self.used.iter().find(|l| l.view == view.view);
         let photo = &self.photos.photos[self.posed.views[view.view.0].photo.0];
         let image = photo.linear()?;
-        let limit = f64::from(photo.clip_level) * options.clip_share;
+        let limit = f64::from(photo.clip_level) * CLIP_SHARE;
         let mask = photo.mask.as_deref();
-        let pixels = surface_pixels(&image, mask, &view.normal, options.max_num_samples);
-        if pixels.len() < options.min_num_pixels {
+        let pixels = surface_pixels(&image, mask, &view.normal, MAX_SAMPLES);
+        if pixels.len() < MIN_PIXELS {
             return Ok(None);
         }
         let surface = Surface {
@@ -167,12 +153,11 @@ impl<'a> SurfaceCheck<'a> {
             limit,
         };
         let lighting = lighting.map(|l| &l.lighting);
-        Ok(one_view(view, &surface, lighting, options))
+        Ok(one_view(view, &surface, lighting))
     }
 
     /// What all views together say.
     pub fn finish(&self, mut views: Vec<ViewSurfaceReport>) -> SurfaceReport {
-        let options = self.options;
         let mut gains: Vec<f64> = views.iter().map(|v| v.best_gain).collect();
         let albedo_factor = rilievo_numerics::robust::median(&mut gains);
         for view in &mut views {
@@ -180,7 +165,7 @@ impl<'a> SurfaceCheck<'a> {
             // |g S − I|² grows quadratically around the best gain; S there explains all but the rest.
             let rest = view.used_rms_after_gain.powi(2);
             view.used_rms_after_albedo = (rest + (common - 1.0).powi(2) * (1.0 - rest)).sqrt();
-            view.suffers = view.used_rms_after_albedo > options.advice_ratio * view.refitted_rms
+            view.suffers = view.used_rms_after_albedo > WRONG_LIGHT_RATIO * view.refitted_rms
                 && view.used_rms_after_albedo > view.refitted_rms + SMALLEST_GAP;
         }
         let advice = advice(self.source, &views, albedo_factor);
@@ -244,14 +229,13 @@ impl Surface<'_> {
     }
 
     /// Nine harmonics fitted on the surface.
-    fn refit(&self, options: &CheckOptions) -> Option<Lighting> {
+    fn refit(&self) -> Option<Lighting> {
         let readings: Vec<Reading> = self
             .pixels
             .iter()
             .map(|&(x, y, normal)| Reading::of_pixel(normal, self.image.pixel(x, y), self.limit))
             .collect();
-        let fit = fit_lighting(&readings, &options.fit);
-        fit.ok().map(|fit| fit.lighting())
+        fit_lighting(&readings).ok().map(|fit| fit.lighting())
     }
 }
 
@@ -259,12 +243,11 @@ fn one_view(
     view: &ShadedView,
     surface: &Surface<'_>,
     used: Option<&Lighting>,
-    options: &CheckOptions,
 ) -> Option<ViewSurfaceReport> {
     // Grey photos are taken for three equal channels by the photo model.
     let used = used.filter(|light| light.channels.len() >= surface.image.channels);
     let under = |light: &Lighting| surface.agreement(|at, c| light.channels[c].evaluate(&at.2));
-    let refit = surface.refit(options);
+    let refit = surface.refit();
     let with_refit = refit.as_ref().and_then(under);
     let is_whole = |rendered: &&LinearImage| {
         let size = |image: &LinearImage| (image.width, image.height);

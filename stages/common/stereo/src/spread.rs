@@ -3,7 +3,7 @@
 
 use crate::level::ViewGrid;
 use rayon::prelude::*;
-use rilievo_numerics::plate_system::OUTSIDE;
+use rilievo_numerics::{distance, plate_system::OUTSIDE};
 use rilievo_scene::Raster;
 
 /// Interpolates `N` values a pixel from a level to the next finer one (or the same).
@@ -81,43 +81,19 @@ impl<'a> Parents<'a> {
     }
 }
 
-/// Number of the nearest masked pixel of every raster position (two chamfer sweeps).
+/// Number of the nearest masked pixel of every raster position, 0 where there is none.
 fn nearest_pixels(view: &ViewGrid) -> Raster<u32> {
-    let (w, h) = (view.pixels.width as i64, view.pixels.height as i64);
+    let (width, height) = (view.pixels.width, view.pixels.height);
     let mut number = view.pixels.number.clone();
-    let mut distance: Vec<i64> = number
-        .iter()
-        .map(|&n| if n == OUTSIDE { i64::MAX / 4 } else { 0 })
-        .collect();
-    let mut sweep = |forward: bool| {
-        let offsets: [(i64, i64, i64); 4] = [(-1, 0, 2), (0, -1, 2), (-1, -1, 3), (1, -1, 3)];
-        for k in 0..w * h {
-            let k = if forward { k } else { w * h - 1 - k };
-            let (x, y) = (k % w, k / w);
-            for (dx, dy, cost) in offsets {
-                let (dx, dy) = if forward { (dx, dy) } else { (-dx, -dy) };
-                let (ax, ay) = (x + dx, y + dy);
-                if ax < 0 || ay < 0 || ax >= w || ay >= h {
-                    continue;
-                }
-                let a = (ay * w + ax) as usize;
-                if distance[a] + cost < distance[k as usize] {
-                    distance[k as usize] = distance[a] + cost;
-                    number[k as usize] = number[a];
-                }
-            }
-        }
-    };
-    sweep(true);
-    sweep(false);
+    let distance_at = |&n: &u32| if n == OUTSIDE { distance::FAR } else { 0.0 };
+    let mut squared: Vec<f32> = number.iter().map(distance_at).collect();
+    distance::transform(&mut squared, &mut number, [width, height, 1]);
     for n in &mut number {
-        if *n == OUTSIDE {
-            *n = 0;
-        }
+        *n = if *n == OUTSIDE { 0 } else { *n };
     }
     Raster {
-        width: view.pixels.width,
-        height: view.pixels.height,
+        width,
+        height,
         data: number,
     }
 }

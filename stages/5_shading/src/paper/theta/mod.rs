@@ -23,23 +23,21 @@ mod lanes;
 mod pixel;
 mod problem;
 mod search;
-mod terms;
 
 pub(crate) use pixel::{Quadratic, descend};
-pub(crate) use problem::ThetaProblem;
+pub(crate) use problem::{ThetaProblem, ThetaTerms};
 pub(crate) use search::Candidates;
-pub(crate) use terms::ThetaTerms;
 
-use crate::paper::pixels::LANES;
+use crate::paper::pixels::{LANES, Slopes};
 use lanes::blocks;
 use rayon::prelude::*;
 
 /// Pixels per parallel task.
 const TASK_LEN: usize = 256 * LANES;
 
-/// Minimises the term of every pixel, starting at and writing to `(p, q)` of padded length.
+/// Minimises the term of every pixel, starting at and writing to the slopes.
 /// Returns `Σ w |S(θ) − I|²`.
-pub(crate) fn theta_step(problem: &ThetaProblem<'_>, p: &mut [f32], q: &mut [f32]) -> f64 {
+pub(crate) fn theta_step(problem: &ThetaProblem<'_>, [p, q]: &mut Slopes) -> f64 {
     let task = |(task, (p, q)): (usize, (&mut [f32], &mut [f32]))| {
         let first = task * TASK_LEN;
         if problem.pixels.channels == 1 {
@@ -48,19 +46,15 @@ pub(crate) fn theta_step(problem: &ThetaProblem<'_>, p: &mut [f32], q: &mut [f32
             dispatch::<3>(problem, first, p, q)
         }
     };
-    let sums: Vec<f64> = if problem.pixels.padded <= 2 * TASK_LEN {
-        p.chunks_mut(TASK_LEN)
-            .zip(q.chunks_mut(TASK_LEN))
-            .enumerate()
-            .map(task)
-            .collect()
-    } else {
-        p.par_chunks_mut(TASK_LEN)
-            .zip(q.par_chunks_mut(TASK_LEN))
-            .enumerate()
-            .map(task)
-            .collect()
-    };
+    // Small images stay in one task.
+    let num_tasks = problem.pixels.padded.div_ceil(TASK_LEN);
+    let sums: Vec<f64> = p
+        .par_chunks_mut(TASK_LEN)
+        .zip(q.par_chunks_mut(TASK_LEN))
+        .enumerate()
+        .with_min_len(if num_tasks <= 2 { 2 } else { 1 })
+        .map(task)
+        .collect();
     sums.iter().sum()
 }
 
@@ -164,20 +158,20 @@ mod tests {
                     area: 0.01,
                     num_steps: 4,
                 };
-                let (mut p, mut q) = (vec![0.1; pixels.padded], vec![-0.1; pixels.padded]);
+                let mut theta = [vec![0.1; pixels.padded], vec![-0.1; pixels.padded]];
                 theta_step(
                     &ThetaProblem {
                         pixels: &pixels,
-                        target: (&target, &target),
+                        target: &[target.clone(), target.clone()],
                         terms,
                         candidates: None,
                     },
-                    &mut p,
-                    &mut q,
+                    &mut theta,
                 );
                 for k in 0..pixels.len {
                     let expected = scalar_step(&pixels, k, [target[k]; 2], [0.1, -0.1], &terms);
-                    let away = (p[k] - expected[0]).abs().max((q[k] - expected[1]).abs());
+                    let apart = |axis: usize| (theta[axis][k] - expected[axis]).abs();
+                    let away = apart(0).max(apart(1));
                     assert!(away < 1e-4, "pixel {k}: {away}, {channels} channels");
                 }
             }
@@ -194,22 +188,21 @@ mod tests {
             area: 0.0,
             num_steps: 8,
         };
-        let (mut p, mut q) = (vec![0.0; pixels.padded], vec![0.0; pixels.padded]);
+        let mut theta = [vec![0.0; pixels.padded], vec![0.0; pixels.padded]];
         theta_step(
             &ThetaProblem {
                 pixels: &pixels,
-                target: (&target, &target),
+                target: &[target.clone(), target],
                 terms,
                 candidates: None,
             },
-            &mut p,
-            &mut q,
+            &mut theta,
         );
         assert!(
-            (p[7] - 0.4).abs() < 1e-3 && (q[7] - 0.4).abs() < 1e-3,
+            theta.iter().all(|slope| (slope[7] - 0.4).abs() < 1e-3),
             "{} {}",
-            p[7],
-            q[7]
+            theta[0][7],
+            theta[1][7]
         );
     }
 
@@ -224,16 +217,15 @@ mod tests {
             num_steps: 10,
         };
         let candidates = Candidates::new(&pixels, 8, 3.0);
-        let (mut p, mut q) = (vec![2.5; pixels.padded], vec![-2.5; pixels.padded]);
+        let mut theta = [vec![2.5; pixels.padded], vec![-2.5; pixels.padded]];
         let energy = theta_step(
             &ThetaProblem {
                 pixels: &pixels,
-                target: (&target, &target),
+                target: &[target.clone(), target],
                 terms,
                 candidates: Some(&candidates),
             },
-            &mut p,
-            &mut q,
+            &mut theta,
         );
         assert!(energy < 1e-4, "{energy}");
     }

@@ -1,7 +1,7 @@
 //! One pixel's term, its Gauss-Newton model, and a damped step: the version to read.
 
 #[cfg(test)]
-use super::terms::ThetaTerms;
+use super::problem::ThetaTerms;
 use crate::paper::model::Facet;
 
 /// Damping of the first Gauss-Newton step, in squared intensity units of the Jacobian.

@@ -4,7 +4,7 @@
 //! `min over l of Σ_i w_i ρ(r_i / (s_i σ))`, `r_i = l · h(n_i) − I_i`, for each channel by itself:
 //! samples `i` with unit normals `n_i`, intensities `I_i`, weights `w_i`. What disturbs (photon
 //! noise, texture, bounce light) grows with brightness, so residuals are measured in
-//! `s_i = max(l · h(n_i) / mean I, noise_floor)`; `σ` is their scale at mean brightness (1.4826
+//! `s_i = max(l · h(n_i) / mean I, 0.3)`; `σ` is their scale at mean brightness (1.4826
 //! times the median of `|r_i| / s_i`).
 //!
 //! # Steps
@@ -14,28 +14,26 @@
 //! 2. A shadow covers a connected patch of normals, which the fit of step 1 bends to explain.
 //!    So there are further starts: plain fits that each leave out the samples around one of
 //!    twenty directions, of which one has hardly seen the patch, each improved by least trimmed
-//!    squares (refitting the `start_quantile` of the samples that agree best). The best few go
+//!    squares (refitting the six tenths of the samples that agree best). The best few go
 //!    through the redescending phase alone, as a convex one would forget the start. Of all
 //!    results the one with the smallest truncated cost at a common scale is taken.
-//! 3. Conditioning of the columns scaled to unit length. Where nine coefficients cannot be told
-//!    from each other (few or nearly parallel normals), four are fitted instead.
+//! 3. Conditioning of the columns scaled to unit length. Where nine coefficients cannot be
+//!    separated (few or nearly parallel normals), four are fitted instead.
 //! 4. Covariance `σ² (Σ w h hᵀ / s²)⁻¹` with the final weights.
 
 use super::least_squares::{Noise, SVector, Sample, predict, solve};
-use super::options::FitOptions;
+use super::options::{FitOptions, HUBER_SIGMAS, NOISE_FLOOR, REDESCENDING_SIGMAS};
 use super::reading::Reading;
 use super::starts::partial_starts;
 use nalgebra::{DMatrix, SMatrix, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{Lighting, OptionError, SphericalHarmonics};
+use rilievo_numerics::robust::{RobustLoss, SIGMA_FROM_MAD, median, tukey_weight};
+use rilievo_scene::{Lighting, SphericalHarmonics};
 use serde::{Deserialize, Serialize};
 
 /// Why no lighting could be fitted.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FitError {
-    /// An option out of range.
-    #[error(transparent)]
-    InvalidOption(#[from] OptionError),
     /// Not enough samples.
     #[error("{available} usable samples, at least {needed} are needed")]
     TooFewSamples {
@@ -66,7 +64,7 @@ pub enum FitError {
     },
 }
 
-/// One channel's coefficients with everything that tells how far to trust them.
+/// One channel's coefficients with how far to trust them.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HarmonicsFit {
     /// The coefficients; the last five are 0 where only four were fitted.
@@ -80,8 +78,6 @@ pub struct HarmonicsFit {
     /// Root mean square of the residuals of the samples within three `sigma`, relative to the root
     /// mean square of the intensities.
     pub relative_rms: f64,
-    /// The same over all samples.
-    pub relative_rms_all: f64,
     /// Share of samples within three `sigma`.
     pub inlier_share: f64,
     /// Condition number of the columns that were fitted, scaled to unit length.
@@ -125,9 +121,17 @@ pub fn fit_robust(
     normals: &[Vector3<f64>],
     intensities: &[f64],
     weights: Option<&[f64]>,
+) -> Result<HarmonicsFit, FitError> {
+    fit_with(normals, intensities, weights, &FitOptions::THOROUGH)
+}
+
+/// [`fit_robust`] of another kind.
+pub(crate) fn fit_with(
+    normals: &[Vector3<f64>],
+    intensities: &[f64],
+    weights: Option<&[f64]>,
     options: &FitOptions,
 ) -> Result<HarmonicsFit, FitError> {
-    options.validate()?;
     for values in [Some(intensities), weights].into_iter().flatten() {
         if values.len() != normals.len() {
             return Err(FitError::Lengths {
@@ -137,7 +141,7 @@ pub fn fit_robust(
         }
     }
     let samples = collect_samples(normals, intensities, weights)?;
-    let order_two = (options.order == 2 && samples.len() >= 9)
+    let order_two = (samples.len() >= 9)
         .then(|| fit_order::<9>(&samples, options))
         .flatten()
         .filter(|fit| fit.condition <= options.max_condition);
@@ -165,7 +169,7 @@ pub fn fit_robust(
 ///
 /// # Errors
 /// As [`fit_robust`], for the first channel that fails.
-pub fn fit_lighting(readings: &[Reading], options: &FitOptions) -> Result<LightingFit, FitError> {
+pub fn fit_lighting(readings: &[Reading]) -> Result<LightingFit, FitError> {
     let num_channels = readings.first().map_or(1, |reading| reading.values.len());
     let normals: Vec<Vector3<f64>> = readings.iter().map(|reading| reading.normal).collect();
     let channels = (0..num_channels)
@@ -174,7 +178,7 @@ pub fn fit_lighting(readings: &[Reading], options: &FitOptions) -> Result<Lighti
             let values: Vec<f64> = readings.iter().map(|r| r.values[channel]).collect();
             let usable = readings.iter().map(|r| r.usable[channel]);
             let weights: Vec<f64> = usable.map(|flag| f64::from(u8::from(flag))).collect();
-            fit_robust(&normals, &values, Some(&weights), options)
+            fit_robust(&normals, &values, Some(&weights))
         })
         .collect::<Result<Vec<_>, _>>()?;
     Ok(LightingFit { channels })
@@ -212,7 +216,7 @@ fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option
     let mean = samples.iter().map(|s| s.value.abs()).sum::<f64>() / samples.len() as f64;
     let noise = Noise {
         mean: mean.max(f64::MIN_POSITIVE),
-        floor: options.noise_floor,
+        floor: NOISE_FLOOR,
     };
     let (_, all) = solve::<N>(samples, |k| samples[k].weight)?;
     let mut results = vec![iterate(samples, all, 0, noise, options)?];
@@ -255,21 +259,17 @@ fn fit_order<const N: usize>(samples: &[Sample], options: &FitOptions) -> Option
     let inliers: Vec<usize> = (0..samples.len())
         .filter(|&k| scaled[k] <= 3.0 * sigma)
         .collect();
-    let rms = |indices: &mut dyn Iterator<Item = usize>| {
-        let (mut error, mut total) = (0.0, 0.0);
-        for k in indices {
-            error += (predict(&l, &samples[k]) - samples[k].value).powi(2);
-            total += samples[k].value * samples[k].value;
-        }
-        (error / total.max(f64::MIN_POSITIVE)).sqrt()
-    };
+    let (mut error, mut total) = (0.0, 0.0);
+    for &k in &inliers {
+        error += (predict(&l, &samples[k]) - samples[k].value).powi(2);
+        total += samples[k].value * samples[k].value;
+    }
     Some(HarmonicsFit {
         coefficients: SphericalHarmonics(coefficients),
         order: if N == 9 { 2 } else { 1 },
         num_samples: samples.len(),
         sigma,
-        relative_rms: rms(&mut inliers.iter().copied()),
-        relative_rms_all: rms(&mut (0..samples.len())),
+        relative_rms: (error / total.max(f64::MIN_POSITIVE)).sqrt(),
         inlier_share: inliers.len() as f64 / samples.len() as f64,
         condition: condition(&normal_matrix),
         covariance,
@@ -308,8 +308,7 @@ fn iterate<const N: usize>(
         }
         sorted.clear();
         sorted.extend_from_slice(scaled);
-        let median = rilievo_numerics::robust::quantile(&mut sorted, 0.5)?;
-        Some((rilievo_numerics::robust::SIGMA_FROM_MAD * median).max(EXACT * noise.mean))
+        Some((SIGMA_FROM_MAD * median(&mut sorted)?).max(EXACT * noise.mean))
     };
     let mut sigma = measure(&l, &mut scaled, &mut scales)?;
     let mut normal_matrix = SMatrix::<f64, N, N>::zeros();
@@ -318,15 +317,9 @@ fn iterate<const N: usize>(
             let weight = |k: usize| {
                 let r = scaled[k] / sigma;
                 let robust = match phase {
-                    0 => (options.huber_sigmas / r).min(1.0),
-                    1 => {
-                        let c2 = options.redescending_sigmas.powi(2);
-                        (c2 / (c2 + r * r)).powi(2)
-                    }
-                    _ => {
-                        let t = r / (1.5 * options.redescending_sigmas);
-                        if t < 1.0 { (1.0 - t * t).powi(2) } else { 0.0 }
-                    }
+                    0 => RobustLoss::Huber(HUBER_SIGMAS).weight(r),
+                    1 => RobustLoss::GemanMcClure(REDESCENDING_SIGMAS).weight(r),
+                    _ => tukey_weight(r / (1.5 * REDESCENDING_SIGMAS)),
                 };
                 samples[k].weight * robust / (scales[k] * scales[k])
             };

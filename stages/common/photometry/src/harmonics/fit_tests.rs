@@ -1,7 +1,7 @@
 //! Rungs of the robust fit: exact, noise, patches of outliers, degenerate; covariance against
 //! repeated draws.
 
-use super::{FitError, FitOptions, HarmonicsFit, fit_robust};
+use super::{FitError, HarmonicsFit, fit_robust};
 use nalgebra::Vector3;
 use rilievo_scene::SphericalHarmonics;
 
@@ -45,7 +45,7 @@ impl Noise {
 }
 
 fn fit(normals: &[Vector3<f64>], values: &[f64]) -> HarmonicsFit {
-    fit_robust(normals, values, None, &FitOptions::default()).unwrap()
+    fit_robust(normals, values, None).unwrap()
 }
 
 fn largest_error(fit: &HarmonicsFit) -> f64 {
@@ -157,24 +157,23 @@ fn poor_normals_give_four_coefficients_and_poorer_ones_an_error() {
         1,
         "a small cap does not tell nine coefficients"
     );
-    let options = FitOptions::default();
     let same = vec![Vector3::new(0.0, 0.0, -1.0); 50];
-    let result = fit_robust(&same, &[0.5; 50], None, &options);
+    let result = fit_robust(&same, &[0.5; 50], None);
     assert!(
         matches!(result, Err(FitError::Degenerate { .. })),
         "{result:?}"
     );
-    let result = fit_robust(&same[..2], &[0.5; 2], None, &options);
+    let result = fit_robust(&same[..2], &[0.5; 2], None);
     assert!(
         matches!(result, Err(FitError::TooFewSamples { .. })),
         "{result:?}"
     );
-    let result = fit_robust(&same, &[f64::NAN; 50], None, &options);
+    let result = fit_robust(&same, &[f64::NAN; 50], None);
     assert!(
         matches!(result, Err(FitError::NotFinite { sample_idx: 0 })),
         "{result:?}"
     );
-    let result = fit_robust(&same, &[0.5; 9], None, &options);
+    let result = fit_robust(&same, &[0.5; 9], None);
     assert!(
         matches!(result, Err(FitError::Lengths { .. })),
         "{result:?}"

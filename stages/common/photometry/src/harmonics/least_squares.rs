@@ -63,7 +63,7 @@ pub(super) fn solve<const N: usize>(
         }
     }
     // The symmetric eigen-decomposition copes with near-singular problems (few normals), which
-    // the condition number then rejects; a Cholesky factor would fail without telling why.
+    // the condition number then rejects; a Cholesky factor would fail without a reason.
     let dense = DMatrix::from_fn(N, N, |r, c| matrix[(r, c)]);
     let eigen = dense.symmetric_eigen();
     let largest = eigen.eigenvalues.max();

@@ -17,7 +17,8 @@ mod reading;
 mod rotation;
 mod starts;
 
+pub(crate) use fit::fit_with;
 pub use fit::{FitError, HarmonicsFit, LightingFit, fit_lighting, fit_robust};
-pub use options::FitOptions;
+pub(crate) use options::FitOptions;
 pub use reading::Reading;
 pub use rotation::{dominant_direction, rotate, rotate_harmonics};

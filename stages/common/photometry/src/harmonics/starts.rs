@@ -5,8 +5,9 @@
 //! `min over l of the sum of the h smallest (r_i / s_i)²`, and the best few are handed on.
 
 use super::least_squares::{Noise, SVector, Sample, predict, solve};
-use super::options::FitOptions;
+use super::options::{FitOptions, START_LEFT_OUT, START_QUANTILE};
 use nalgebra::Vector3;
+use rilievo_numerics::robust::quantile;
 
 /// Vertices of an icosahedron.
 const NUM_VERTICES: usize = 12;
@@ -50,7 +51,6 @@ fn trim<const N: usize>(
     stride: usize,
     start: SVector<N>,
     noise: Noise,
-    options: &FitOptions,
 ) -> Option<(f64, SVector<N>)> {
     let mut l = start;
     let mut residuals = vec![f64::INFINITY; samples.len()];
@@ -64,7 +64,7 @@ fn trim<const N: usize>(
             residuals[k] = (predicted - samples[k].value).abs() / scales[k];
             sorted.push(residuals[k]);
         }
-        let limit = rilievo_numerics::robust::quantile(&mut sorted, options.start_quantile)?;
+        let limit = quantile(&mut sorted, START_QUANTILE)?;
         let cost = sorted.iter().filter(|r| **r <= limit).map(|r| r * r).sum();
         best = Some((cost, l));
         if step < NUM_TRIMS {
@@ -89,7 +89,7 @@ pub(super) fn partial_starts<const N: usize>(
     noise: Noise,
     options: &FitOptions,
 ) -> Option<Vec<SVector<N>>> {
-    if options.start_left_out == 0.0 || samples.len() < 20 * N {
+    if !options.seeks_shadows || samples.len() < 20 * N {
         return Some(Vec::new());
     }
     // Two thousand samples rank the starts as well as a million.
@@ -99,18 +99,18 @@ pub(super) fn partial_starts<const N: usize>(
     let mut starts = Vec::new();
     // A shadow shaped as a wedge reaches the middle: around the mean normal, more than half of the
     // samples is left out as well.
-    let wide = (1.6 * options.start_left_out).min(0.6);
+    let wide = (1.6 * START_LEFT_OUT).min(0.6);
     let cuts = directions(&mean)
         .into_iter()
         .enumerate()
         .flat_map(|(k, direction)| {
             let also = (k >= NUM_VERTICES).then_some((direction, wide));
-            std::iter::once((direction, options.start_left_out)).chain(also)
+            std::iter::once((direction, START_LEFT_OUT)).chain(also)
         });
     for (direction, left_out) in cuts {
         let side = |s: &Sample| (s.normal - mean).dot(&direction);
         let mut sides: Vec<f64> = few().map(side).collect();
-        let limit = rilievo_numerics::robust::quantile(&mut sides, 1.0 - left_out)?;
+        let limit = quantile(&mut sides, 1.0 - left_out)?;
         let kept = |s: &Sample| side(s) <= limit;
         let partial = solve::<N>(samples, |k| {
             let sample = &samples[k];
@@ -121,7 +121,7 @@ pub(super) fn partial_starts<const N: usize>(
             }
         });
         if let Some((_, l)) = partial {
-            starts.extend(trim(samples, stride, l, noise, options));
+            starts.extend(trim(samples, stride, l, noise));
         }
     }
     starts.sort_by(|a, b| a.0.total_cmp(&b.0));

@@ -23,7 +23,7 @@ pub fn cell_of(n: &Vector3<f64>) -> usize {
 }
 
 /// Means of a sphere's pixels over cells of normals in the world; pixels with a clipped channel are left out.
-/// `has_gain` tells whether the photo is at its view's own exposure.
+/// `has_gain`: whether the photo is at its view's own exposure.
 pub fn light_samples(
     samples: &SphereSamples,
     world_from_cam: &UnitQuaternion<f64>,

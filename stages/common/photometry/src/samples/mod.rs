@@ -7,17 +7,13 @@ use crate::sphere::SphereInCamera;
 use rilievo_scene::{LightSample, PhotoSet, PixelError, PosedViews, ViewIdx};
 
 pub use cells::{NUM_CELLS, cell_of, light_samples};
-pub use pixels::{Coverage, SamplingOptions, Shot, SphereSamples, surface_pixels};
+pub use pixels::{CLIP_SHARE, Coverage, Shot, SphereSamples, surface_pixels};
 
 /// What all views show of all posed spheres.
 ///
 /// # Errors
 /// When the pixels of a photo cannot be read.
-pub fn read_spheres(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    options: &SamplingOptions,
-) -> Result<Vec<LightSample>, PixelError> {
+pub fn read_spheres(photos: &PhotoSet, posed: &PosedViews) -> Result<Vec<LightSample>, PixelError> {
     let mut found = Vec::new();
     for (view, camera) in posed.views.iter().enumerate() {
         let photo = &photos.photos[camera.photo.0];
@@ -29,7 +25,7 @@ pub fn read_spheres(
         let shot = Shot::new(photo, &image, camera);
         let world_from_cam = camera.cam_from_world.rotation.inverse();
         for (k, sphere) in spheres.iter().enumerate() {
-            let samples = shot.samples(sphere, &spheres, options);
+            let samples = shot.samples(sphere, &spheres);
             found.extend(light_samples(
                 &samples,
                 &world_from_cam,

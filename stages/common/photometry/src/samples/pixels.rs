@@ -1,7 +1,7 @@
 //! Usable pixels of a sphere in one view.
 //!
 //! Left out: pixels outside the frame, on the object's mask (the object stands in front of the
-//! sphere, or beside it within the outline's blur), behind another sphere, within `margin_px` of the
+//! sphere, or beside it within the outline's blur), behind another sphere, within two pixels of the
 //! outline, at grazing normals, and channels at the clip level.
 
 use crate::harmonics::Reading;
@@ -9,16 +9,14 @@ use crate::sphere::SphereInCamera;
 use nalgebra::{Point2, Vector3};
 use rilievo_scene::{Intrinsics, LinearImage, NormalMap, PackedMask, Photo, PosedView};
 
-/// Which pixels count.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SamplingOptions {
-    /// Pixels nearer to the sphere's outline than this are left out: they mix with what is behind.
-    pub margin_px: f64,
-    /// Smallest cosine between normal and viewing direction.
-    pub min_cos_view: f64,
-    /// Pixels brighter than this share of the photo's clip level are left out.
-    pub clip_share: f64,
-}
+/// Pixels nearer to the sphere's outline than this are left out: they mix with what is behind.
+const MARGIN_PX: f64 = 2.0;
+/// Smallest cosine between normal and viewing direction. Grazing normals change quickly within a pixel;
+/// a larger one leaves out the sides that show the light's second order.
+const MIN_COS_VIEW: f64 = 0.12;
+/// Pixels brighter than this share of the photo's clip level are left out: compression and demosaicing
+/// spread clipping to neighbours.
+pub const CLIP_SHARE: f64 = 0.97;
 
 /// Pixels of one view's sphere with normals and intensities.
 #[derive(Clone, Debug, Default)]
@@ -68,16 +66,6 @@ impl Coverage {
     }
 }
 
-impl Default for SamplingOptions {
-    fn default() -> Self {
-        Self {
-            margin_px: 2.0,
-            min_cos_view: 0.12,
-            clip_share: 0.97,
-        }
-    }
-}
-
 impl SphereSamples {
     /// Pixels with at least one usable channel.
     pub fn num_usable(&self) -> usize {
@@ -111,24 +99,19 @@ impl<'a> Shot<'a> {
     }
 
     /// Samples of a sphere that `others` may hide.
-    pub fn samples(
-        &self,
-        sphere: &SphereInCamera,
-        others: &[SphereInCamera],
-        options: &SamplingOptions,
-    ) -> SphereSamples {
+    pub fn samples(&self, sphere: &SphereInCamera, others: &[SphereInCamera]) -> SphereSamples {
         let radius_px = sphere.radius_px(self.intrinsics);
         let mut samples = SphereSamples {
             radius_px,
             ..SphereSamples::default()
         };
         // A small sphere needs the pixels near its outline, and its edge is as sharp as a large one's.
-        let margin = options.margin_px.min((0.05 * radius_px).max(1.2));
-        let limit = f64::from(self.clip_level) * options.clip_share;
+        let margin = MARGIN_PX.min((0.05 * radius_px).max(1.2));
+        let limit = f64::from(self.clip_level) * CLIP_SHARE;
         let before = in_front_of(sphere, others, self.intrinsics, margin);
         let seen = &mut samples.coverage;
         for pixel in sphere.pixels(self.intrinsics, margin) {
-            if pixel.cos_view < options.min_cos_view {
+            if pixel.cos_view < MIN_COS_VIEW {
                 continue;
             }
             let (x, y) = (pixel.x as isize, pixel.y as isize);
@@ -153,9 +136,8 @@ impl<'a> Shot<'a> {
             samples.readings.push(reading);
             samples.positions.push((pixel.x, pixel.y));
         }
-        seen.whole_px = std::f64::consts::PI
-            * (radius_px - margin).powi(2)
-            * (1.0 - options.min_cos_view.powi(2));
+        seen.whole_px =
+            std::f64::consts::PI * (radius_px - margin).powi(2) * (1.0 - MIN_COS_VIEW.powi(2));
         samples
     }
 }

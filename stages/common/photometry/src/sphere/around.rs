@@ -55,7 +55,7 @@ pub(super) fn load_around(
     Ok(around)
 }
 
-/// Points of an outline that tell its extent.
+/// Points of an outline that its extent is measured with.
 const NUM_EXTENT_POINTS: usize = 64;
 /// Room around a sphere for what the fit may still move, in its radius.
 const ROOM_IN_RADII: f64 = 0.5;

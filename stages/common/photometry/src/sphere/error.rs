@@ -130,7 +130,7 @@ pub enum SphereError {
     Pixels(#[from] PixelError),
 }
 
-/// A share for the eye; what exceeds the whole tells no more by its digits.
+/// A share as text; digits of what exceeds the whole mean nothing.
 fn percent(share: f64) -> String {
     if share < 1.0 {
         format!("{:.0} %", 100.0 * share)

@@ -18,39 +18,14 @@
 //! 4. Covariance: `σ_p² (JᵀJ)⁻¹` with neighbouring points counted as one per pixel of blur, plus
 //!    the outline's systematic offset: moved, it does not average out within a view; wider, not over the views either.
 
-use super::cone::{OutlineCone, SphereInCamera};
 use super::confirm::MarkEvidence;
+use super::consensus::{MAX_VIEW_RMS_PX, check_radius, consensus};
 use super::error::SphereError;
-use super::mark::{MarkFit, cone_from_points, distance_px};
-use super::options::SphereOptions;
-use nalgebra::{Matrix3, Matrix4, Point2, Point3, Vector3, Vector4};
-use rilievo_scene::{Intrinsics, LocatedSphere, MarkedSphere, PhotoIdx, PosedView, RigidTransform};
+use super::known::{Known, PosedOutline, State};
+use super::mark::{MIN_INLIER_SHARE, MarkFit, OUTLINE_BIAS_PX, cone_from_points};
+use super::outline_fit::{Refined, refine};
+use rilievo_scene::{LocatedSphere, MarkedSphere, PhotoIdx};
 use serde::{Deserialize, Serialize};
-
-/// Outline of the sphere in one posed view.
-#[derive(Clone, Debug, PartialEq)]
-pub struct PosedOutline {
-    /// The photo, for messages.
-    pub photo: PhotoIdx,
-    /// Its camera.
-    pub intrinsics: Intrinsics,
-    /// Its pose, in the world's unit.
-    pub cam_from_world: RigidTransform,
-    /// Outline points, pixels (at least five, [`super::outline_of_mark`]).
-    pub outline: Vec<Point2<f64>>,
-}
-
-impl PosedOutline {
-    /// The outline in a view.
-    pub fn of(view: &PosedView, outline: Vec<Point2<f64>>) -> Self {
-        Self {
-            photo: view.photo,
-            intrinsics: view.intrinsics,
-            cam_from_world: view.cam_from_world,
-            outline,
-        }
-    }
-}
 
 /// Whether the world's unit is known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,16 +93,23 @@ pub fn locate(
     views: &[PosedOutline],
     radius: f64,
     scale: WorldScale,
-    options: &SphereOptions,
 ) -> Result<SphereFit, SphereError> {
-    options.validate()?;
+    locate_with(views, radius, scale, OUTLINE_BIAS_PX)
+}
+
+/// [`locate`] under another systematic uncertainty of an outline.
+pub(super) fn locate_with(
+    views: &[PosedOutline],
+    radius: f64,
+    scale: WorldScale,
+    bias_px: f64,
+) -> Result<SphereFit, SphereError> {
     if !(radius > 0.0 && radius.is_finite()) {
         return Err(SphereError::Radius { radius });
     }
-    let marks: Vec<Result<MarkFit, SphereError>> = views
-        .iter()
-        .map(|view| cone_from_points(&view.outline, &view.intrinsics, options))
-        .collect();
+    let cone =
+        |view: &PosedOutline| cone_from_points(&view.outline, &view.intrinsics, MIN_INLIER_SHARE);
+    let marks: Vec<Result<MarkFit, SphereError>> = views.iter().map(cone).collect();
     let marked = views.iter().zip(&marks).enumerate();
     let known: Vec<Known> = marked
         .filter_map(|(idx, (view, mark))| Some(Known::new(idx, view, mark.as_ref().ok()?)))
@@ -136,84 +118,33 @@ pub fn locate(
         let first = marks.into_iter().find_map(Result::err);
         return Err(first.unwrap_or(SphereError::NoView));
     }
-    if known.len() == 1 && scale == WorldScale::Free {
+    let is_metric = scale == WorldScale::Metric;
+    if known.len() == 1 && !is_metric {
         return Err(SphereError::OneView);
     }
-    if scale == WorldScale::Metric && known.len() > 1 {
-        check_radius(&known, radius, options)?;
+    if is_metric && known.len() > 1 {
+        check_radius(&known, radius)?;
     }
-    let (start, mut used) = consensus(&known, radius, scale, options)?;
-    let mut state = start;
-    let mut solution = None;
-    // Twice: views that the refined sphere no longer explains leave, others come in.
-    for _ in 0..3 {
-        let refined = refine(
-            state,
-            &in_use(&known, &used),
-            scale == WorldScale::Free,
-            options,
-        )?;
-        state = refined.state;
-        solution = Some(refined);
-        let next: Vec<bool> = known
-            .iter()
-            .map(|k| k.agreement(&state).0 <= options.max_view_rms_px)
-            .collect();
-        if next == used
-            || next.iter().filter(|&&u| u).count() < 1 + usize::from(scale == WorldScale::Free)
-        {
-            break;
-        }
-        used = next;
-    }
-    let Some(solution) = solution else {
-        return Err(SphereError::NoView);
-    };
+    let (solution, used) = settled(&known, radius, is_metric, bias_px)?;
+    let state = solution.state;
+    let center_sigma = solution.center_sigma;
     let agreements: Vec<ViewAgreement> = views
         .iter()
         .zip(&marks)
         .enumerate()
-        .map(|(idx, (view, mark))| match mark {
-            Err(error) => ViewAgreement {
-                photo: view.photo,
-                used: false,
-                rms_px: f64::INFINITY,
-                bias_px: 0.0,
-                inlier_share: 0.0,
-                reason: Some(error.to_string()),
-            },
-            Ok(mark) => {
-                let position = known.iter().position(|k| k.view_idx == idx);
-                let (rms_px, bias_px) =
-                    position.map_or((f64::INFINITY, 0.0), |p| known[p].agreement(&state));
-                let in_use = position.is_some_and(|p| used[p]);
-                ViewAgreement {
-                    photo: view.photo,
-                    used: in_use,
-                    rms_px,
-                    bias_px,
-                    inlier_share: mark.inlier_share,
-                    reason: (!in_use).then(|| {
-                        format!(
-                            "its outline lies {rms_px:.1} px from the sphere that the other \
-                             photos agree on"
-                        )
-                    }),
-                }
-            }
+        .map(|(idx, (view, mark))| {
+            let at = known.iter().position(|k| k.view_idx == idx);
+            let at = at.map(|p| (&known[p], used[p]));
+            view_agreement(view.photo, mark, at, &state)
         })
         .collect();
-    let seen_in = agreements
-        .iter()
-        .filter(|view| view.used)
-        .map(|view| (view.photo, view.rms_px))
-        .collect();
-    let center_sigma = solution.center_sigma;
+    let seen_in = agreements.iter().filter(|view| view.used);
+    let seen_in = seen_in.map(|view| (view.photo, view.rms_px)).collect();
     let active = in_use(&known, &used);
     let with_radius = match scale {
         WorldScale::Free => Some(solution),
         // The outlines' own radius, whatever was stated.
-        WorldScale::Metric if active.len() > 1 => refine(state, &active, true, options).ok(),
+        WorldScale::Metric if active.len() > 1 => refine(state, &active, true, bias_px).ok(),
         WorldScale::Metric => None,
     };
     Ok(SphereFit {
@@ -237,352 +168,62 @@ pub fn locate(
     })
 }
 
+/// The sphere fitted to the views that it explains, and which these are. Repeated: views that the fitted
+/// sphere no longer explains leave, others come in.
+fn settled(
+    known: &[Known],
+    radius: f64,
+    is_metric: bool,
+    bias_px: f64,
+) -> Result<(Refined, Vec<bool>), SphereError> {
+    const NUM_ROUNDS: usize = 3;
+    let (start, mut used) = consensus(known, radius, is_metric)?;
+    let mut solution = refine(start, &in_use(known, &used), !is_metric, bias_px)?;
+    for round in 1..=NUM_ROUNDS {
+        let explained = |k: &Known| k.agreement(&solution.state).0 <= MAX_VIEW_RMS_PX;
+        let next: Vec<bool> = known.iter().map(explained).collect();
+        let num_next = next.iter().filter(|&&u| u).count();
+        if next == used || num_next < 1 + usize::from(!is_metric) {
+            break;
+        }
+        used = next;
+        if round < NUM_ROUNDS {
+            solution = refine(solution.state, &in_use(known, &used), !is_metric, bias_px)?;
+        }
+    }
+    Ok((solution, used))
+}
+
+/// How one view agrees; `known` where its mark is an outline, and whether it was used.
+fn view_agreement(
+    photo: PhotoIdx,
+    mark: &Result<MarkFit, SphereError>,
+    known: Option<(&Known, bool)>,
+    state: &State,
+) -> ViewAgreement {
+    let inlier_share = mark.as_ref().map_or(0.0, |mark| mark.inlier_share);
+    let (rms_px, bias_px) = known.map_or((f64::INFINITY, 0.0), |(k, _)| k.agreement(state));
+    let used = known.is_some_and(|(_, used)| used);
+    let reason = match mark {
+        Err(error) => Some(error.to_string()),
+        Ok(_) => (!used).then(|| {
+            format!(
+                "its outline lies {rms_px:.1} px from the sphere that the other photos agree on"
+            )
+        }),
+    };
+    ViewAgreement {
+        photo,
+        used,
+        rms_px,
+        bias_px,
+        inlier_share,
+        reason,
+    }
+}
+
 /// The views that take part.
 fn in_use<'a, 'b>(known: &'a [Known<'b>], used: &[bool]) -> Vec<&'a Known<'b>> {
     let views = known.iter().zip(used);
     views.filter_map(|(k, &used)| used.then_some(k)).collect()
-}
-
-/// Sphere in the world, the state of the fit.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct State {
-    center: Point3<f64>,
-    radius: f64,
-}
-
-/// A view with its own cone and the rays of its good outline points.
-struct Known<'a> {
-    view_idx: usize,
-    view: &'a PosedOutline,
-    cone: OutlineCone,
-    rays: Vec<Vector3<f64>>,
-    /// Weight of a point so that the whole outline counts as its independent samples.
-    point_weight: f64,
-}
-
-impl<'a> Known<'a> {
-    fn new(view_idx: usize, view: &'a PosedOutline, mark: &MarkFit) -> Self {
-        let rays: Vec<_> = mark
-            .inliers
-            .iter()
-            .map(|p| view.intrinsics.ray(p).normalize())
-            .collect();
-        // Points closer than two pixels share their noise.
-        let perimeter = std::f64::consts::TAU
-            * mark.cone.sphere(1.0).radius_px(&view.intrinsics)
-            * mark.inlier_share;
-        let independent = (0.5 * perimeter).max(3.0).min(rays.len() as f64);
-        Self {
-            view_idx,
-            view,
-            cone: mark.cone,
-            point_weight: independent / rays.len() as f64,
-            rays,
-        }
-    }
-
-    fn in_camera(&self, state: &State) -> SphereInCamera {
-        SphereInCamera {
-            center: self.view.cam_from_world.apply(&state.center),
-            radius: state.radius,
-        }
-    }
-
-    /// RMS and mean distance of the outline from the sphere's, pixels.
-    fn agreement(&self, state: &State) -> (f64, f64) {
-        let Some(cone) = self.in_camera(state).cone() else {
-            return (f64::INFINITY, 0.0);
-        };
-        let (mut square, mut sum) = (0.0, 0.0);
-        for ray in &self.rays {
-            let d = distance_px(&cone, ray, &self.view.intrinsics);
-            square += d * d;
-            sum += d;
-        }
-        let n = self.rays.len() as f64;
-        ((square / n).sqrt(), sum / n)
-    }
-}
-
-/// A stated radius further from what the outlines give than this is a mistake, not noise.
-const MAX_RADIUS_RATIO: f64 = 1.25;
-
-/// In a metric world the outlines tell the radius themselves: refuses one that is far off.
-fn check_radius(known: &[Known], radius: f64, options: &SphereOptions) -> Result<(), SphereError> {
-    let Ok((free, used)) = consensus(known, radius, WorldScale::Free, options) else {
-        return Ok(());
-    };
-    let ratio = free.radius / radius;
-    let agreeing = used.iter().filter(|&&u| u).count();
-    if agreeing > 1 && !(1.0 / MAX_RADIUS_RATIO..MAX_RADIUS_RATIO).contains(&ratio) {
-        return Err(SphereError::RadiusMismatch {
-            stated: radius,
-            observed: free.radius,
-            views: agreeing,
-        });
-    }
-    Ok(())
-}
-
-/// The proposal of a pair (or of one view in a metric world) that most views agree with.
-fn consensus(
-    known: &[Known],
-    radius: f64,
-    scale: WorldScale,
-    options: &SphereOptions,
-) -> Result<(State, Vec<bool>), SphereError> {
-    let mut proposals = Vec::new();
-    if scale == WorldScale::Metric {
-        proposals.extend(known.iter().map(|k| {
-            let world_from_cam = k.view.cam_from_world.inverse();
-            let center = world_from_cam.apply(&k.cone.sphere(radius).center);
-            State { center, radius }
-        }));
-    }
-    // Many views: pairs a few steps apart suffice and bound the work.
-    let step = (known.len() * known.len() / 2000).max(1);
-    let mut counter = 0;
-    for (i, a) in known.iter().enumerate() {
-        for b in &known[i + 1..] {
-            counter += 1;
-            if counter % step == 0 {
-                proposals.extend(from_pair(a, b).map(|pair| State {
-                    radius: if scale == WorldScale::Metric {
-                        radius
-                    } else {
-                        pair.radius
-                    },
-                    ..pair
-                }));
-            }
-        }
-    }
-    // A proposal is coarser than the fit it starts: three times the tolerance, and capped costs.
-    let limit = 3.0 * options.max_view_rms_px;
-    let cost = |state: &State| -> f64 {
-        known
-            .iter()
-            .map(|k| k.agreement(state).0.min(2.0 * limit))
-            .sum()
-    };
-    let best = proposals
-        .into_iter()
-        .map(|state| (cost(&state), state))
-        .min_by(|a, b| a.0.total_cmp(&b.0))
-        .ok_or(SphereError::Impossible)?
-        .1;
-    let used: Vec<bool> = known
-        .iter()
-        .map(|k| k.agreement(&best).0 <= limit)
-        .collect();
-    let agreeing = used.iter().filter(|&&u| u).count();
-    let needed = if known.len() == 1 {
-        1
-    } else {
-        2.max(known.len().div_ceil(2))
-    };
-    if agreeing < needed {
-        let worst = known
-            .iter()
-            .map(|k| (k.agreement(&best).0, k.view.photo))
-            .max_by(|a, b| a.0.total_cmp(&b.0))
-            .unwrap_or((f64::INFINITY, PhotoIdx(0)));
-        return Err(SphereError::Contradiction {
-            agreeing,
-            total: known.len(),
-            worst: worst.1,
-            worst_px: worst.0,
-        });
-    }
-    Ok((best, used))
-}
-
-/// Where the axes of two outlines come nearest to each other.
-pub(super) struct Crossing {
-    /// The place, world frame.
-    pub center: Point3<f64>,
-    /// The radius that each half-angle gives there.
-    pub radii: [f64; 2],
-    /// Sum of its distances from both axes.
-    pub gap: f64,
-    /// Sine of the angle between the axes.
-    pub sine: f64,
-}
-
-/// The crossing of two outlines' axes, each with its camera's pose; `None` where they are parallel.
-pub(super) fn crossing(
-    cam_from_world: [&RigidTransform; 2],
-    cones: [&OutlineCone; 2],
-) -> Option<Crossing> {
-    let eyes = cam_from_world.map(RigidTransform::center_in_source);
-    let axis = |k: usize| cam_from_world[k].rotation.inverse() * cones[k].axis;
-    let axes = [axis(0), axis(1)];
-    let across = axes.map(|d| Matrix3::identity() - d * d.transpose());
-    let pull = across[0] * eyes[0].coords + across[1] * eyes[1].coords;
-    let center = Point3::from((across[0] + across[1]).try_inverse()? * pull);
-    let from = eyes.map(|eye| center - eye);
-    Some(Crossing {
-        center,
-        radii: [0, 1].map(|k| from[k].norm() * cones[k].half_angle.sin()),
-        gap: (across[0] * from[0]).norm() + (across[1] * from[1]).norm(),
-        sine: axes[0].cross(&axes[1]).norm(),
-    })
-}
-
-/// The sphere that two outlines propose.
-fn from_pair(a: &Known, b: &Known) -> Option<State> {
-    let poses = [&a.view.cam_from_world, &b.view.cam_from_world];
-    let Crossing { center, radii, .. } = crossing(poses, [&a.cone, &b.cone])?;
-    let radius = 0.5 * (radii[0] + radii[1]);
-    let in_front = poses.iter().all(|pose| pose.apply(&center).z > 0.0);
-    (in_front && radius.is_finite() && radius > 0.0).then_some(State { center, radius })
-}
-
-struct Refined {
-    state: State,
-    center_sigma: [f64; 3],
-    radius_sigma: f64,
-}
-
-/// Derivatives of `angle(d, C) − asin(r/|C|)` by `C` (camera frame) and `r`, with its value.
-pub(super) fn residual(
-    sphere: &SphereInCamera,
-    ray: &Vector3<f64>,
-) -> Option<(f64, Vector3<f64>, f64)> {
-    let c = sphere.center.coords;
-    let rho = c.norm();
-    let axis = c / rho;
-    let along = ray.dot(&axis);
-    let across = ray - axis * along;
-    let sin = across.norm();
-    let tangent = (rho * rho - sphere.radius * sphere.radius).sqrt();
-    if !(tangent > 0.0 && sin > 0.0) {
-        return None;
-    }
-    let value = sin.atan2(along) - (sphere.radius / rho).asin();
-    // Moving C towards the ray lessens the angle; moving it away shrinks the cone.
-    let by_center = -across / (sin * rho) + axis * (sphere.radius / (rho * tangent));
-    Some((value, by_center, -1.0 / tangent))
-}
-
-/// Share of a pixel beyond which an outline point's pull no longer grows.
-const HUBER_PX: f64 = 0.5;
-
-fn refine(
-    start: State,
-    known: &[&Known],
-    free_radius: bool,
-    options: &SphereOptions,
-) -> Result<Refined, SphereError> {
-    let mut state = start;
-    let mut damping = 1e-4;
-    let evaluate = |state: &State| -> Option<Normal> {
-        let mut normal = Normal::default();
-        let mut wider = Vector4::zeros();
-        for k in known {
-            let sphere = k.in_camera(state);
-            let axis = sphere.cone()?.axis;
-            let to_world = k.view.cam_from_world.rotation.inverse();
-            let mut bias_rows = [Vector4::zeros(); 3];
-            for ray in &k.rays {
-                let (value, by_center, by_radius) = residual(&sphere, ray)?;
-                let px = k.view.intrinsics.focal_px() / ray.z.max(0.1).powf(1.5);
-                let r = px * value;
-                let huber = (HUBER_PX / r.abs()).min(1.0);
-                let w = k.point_weight * huber;
-                let world = to_world * by_center;
-                let row = Vector4::new(world.x, world.y, world.z, by_radius) * px;
-                normal.matrix += row * row.transpose() * w;
-                normal.right += row * (w * r);
-                normal.cost += k.point_weight
-                    * if r.abs() <= HUBER_PX {
-                        0.5 * r * r
-                    } else {
-                        HUBER_PX * (r.abs() - 0.5 * HUBER_PX)
-                    };
-                normal.square += w * r * r;
-                normal.weight += w;
-                // An offset of the whole outline: wider, or moved along either axis.
-                let around = (ray - axis * ray.dot(&axis)).xy().normalize();
-                for (bias, amplitude) in bias_rows.iter_mut().zip([1.0, around.x, around.y]) {
-                    *bias += row * (w * amplitude);
-                }
-            }
-            wider += bias_rows[0];
-            for moved in &bias_rows[1..] {
-                normal.bias += moved * moved.transpose();
-            }
-        }
-        normal.bias += wider * wider.transpose();
-        Some(normal)
-    };
-    let unused = usize::from(!free_radius);
-    let solve = |matrix: &Matrix4<f64>, right: &Vector4<f64>| -> Option<Vector4<f64>> {
-        if unused == 0 {
-            return Some(matrix.try_inverse()? * right);
-        }
-        let top =
-            matrix.fixed_view::<3, 3>(0, 0).into_owned().try_inverse()? * right.fixed_rows::<3>(0);
-        Some(Vector4::new(top.x, top.y, top.z, 0.0))
-    };
-    let mut current = evaluate(&state).ok_or(SphereError::Impossible)?;
-    for _ in 0..50 {
-        let mut damped = current.matrix;
-        for k in 0..4 {
-            damped[(k, k)] *= 1.0 + damping;
-        }
-        let Some(step) = solve(&damped, &current.right) else {
-            break;
-        };
-        let candidate = State {
-            center: state.center - step.xyz(),
-            radius: state.radius - step.w,
-        };
-        match evaluate(&candidate).filter(|next| next.cost <= current.cost) {
-            Some(next) => {
-                let converged = step.norm() < 1e-12 * state.center.coords.norm().max(state.radius);
-                (state, current, damping) = (candidate, next, damping * 0.1);
-                if converged {
-                    break;
-                }
-            }
-            None if damping > 1e8 => break,
-            None => damping *= 10.0,
-        }
-    }
-    let variance = current.square / (current.weight - 4.0).max(1.0);
-    let inverse = {
-        let mut matrix = current.matrix;
-        if !free_radius {
-            // A radius that does not move: its row and column decouple.
-            for k in 0..4 {
-                matrix[(k, 3)] = 0.0;
-                matrix[(3, k)] = 0.0;
-            }
-            matrix[(3, 3)] = 1.0;
-        }
-        matrix.try_inverse().ok_or(SphereError::Impossible)?
-    };
-    let bias = inverse * current.bias * inverse * options.outline_bias_px.powi(2);
-    let covariance = inverse * variance + bias;
-    let sigma = |k: usize| covariance[(k, k)].max(0.0).sqrt();
-    Ok(Refined {
-        state,
-        center_sigma: [sigma(0), sigma(1), sigma(2)],
-        radius_sigma: sigma(3),
-    })
-}
-
-/// Sums of the normal equations.
-#[derive(Default)]
-struct Normal {
-    matrix: Matrix4<f64>,
-    right: Vector4<f64>,
-    cost: f64,
-    square: f64,
-    weight: f64,
-    /// Outer products of summed rows: what offsets common to a whole outline do. Moved it is by each view's own
-    /// offset; wider by one of all views, since what makes a matte sphere seem larger or smaller (its own falling
-    /// brightness, blur, gamma, the ground) is the same in all of them and does not average out.
-    bias: Matrix4<f64>,
 }

@@ -1,7 +1,9 @@
 //! Rungs of the fit over many views.
 
-use super::locate::{PosedOutline, WorldScale, locate};
-use super::{SphereError, SphereInCamera, SphereOptions};
+use super::known::PosedOutline;
+use super::locate::{WorldScale, locate, locate_with};
+use super::outline_fit::residual;
+use super::{SphereError, SphereInCamera};
 use nalgebra::{Point2, Point3, Rotation3, Vector3};
 use rilievo_scene::{Intrinsics, PhotoIdx, RigidTransform};
 
@@ -57,13 +59,7 @@ fn views(shrink: f64, noise_px: f64) -> Vec<PosedOutline> {
 
 #[test]
 fn exact_outlines_give_center_and_scale_exactly() {
-    let fit = locate(
-        &views(0.37, 0.0),
-        RADIUS,
-        WorldScale::Free,
-        &SphereOptions::default(),
-    )
-    .unwrap();
+    let fit = locate(&views(0.37, 0.0), RADIUS, WorldScale::Free).unwrap();
     let metres_per_unit = fit.scale.unwrap().metres_per_unit;
     let scale_error = (metres_per_unit * 0.37 - 1.0).abs();
     let found = Point3::from(fit.sphere.center_in_world) * metres_per_unit;
@@ -89,7 +85,7 @@ fn an_outline_that_is_wider_in_all_views_stays_within_the_stated_deviation() {
             *point += (*point - middle).normalize() * 0.1;
         }
     }
-    let fit = locate(&wider, RADIUS, WorldScale::Free, &SphereOptions::default()).unwrap();
+    let fit = locate(&wider, RADIUS, WorldScale::Free).unwrap();
     let scale = fit.scale.unwrap();
     let error = (scale.metres_per_unit - 1.0).abs();
     let sigma = scale.relative_sigma;
@@ -101,11 +97,7 @@ fn an_outline_that_is_wider_in_all_views_stays_within_the_stated_deviation() {
 
 #[test]
 fn noise_stays_within_the_stated_deviations() {
-    let options = SphereOptions {
-        outline_bias_px: 0.0,
-        ..SphereOptions::default()
-    };
-    let fit = locate(&views(0.37, 0.3), RADIUS, WorldScale::Free, &options).unwrap();
+    let fit = locate_with(&views(0.37, 0.3), RADIUS, WorldScale::Free, 0.0).unwrap();
     let scale = fit.scale.unwrap();
     let scale_error = (scale.metres_per_unit * 0.37 - 1.0).abs();
     assert!(
@@ -131,7 +123,7 @@ fn one_bad_view_is_left_out_and_named() {
         point.x += 60.0;
     }
     for scale in [WorldScale::Free, WorldScale::Metric] {
-        let fit = locate(&views, RADIUS, scale, &SphereOptions::default()).unwrap();
+        let fit = locate(&views, RADIUS, scale).unwrap();
         assert!(!fit.views[3].used && fit.views[3].reason.is_some());
         assert_eq!(fit.sphere.seen_in.len(), 7, "{:?}", fit.views);
         let error = (Point3::from(fit.sphere.center_in_world) - center()).norm();
@@ -141,28 +133,27 @@ fn one_bad_view_is_left_out_and_named() {
 
 #[test]
 fn degenerate_input_gives_named_errors() {
-    let options = SphereOptions::default();
     let all = views(1.0, 0.0);
-    let result = locate(&all, -1.0, WorldScale::Free, &options);
+    let result = locate(&all, -1.0, WorldScale::Free);
     assert!(
         matches!(result, Err(SphereError::Radius { .. })),
         "{result:?}"
     );
-    let result = locate(&all[..1], RADIUS, WorldScale::Free, &options);
+    let result = locate(&all[..1], RADIUS, WorldScale::Free);
     assert_eq!(result, Err(SphereError::OneView));
-    let result = locate(&[], RADIUS, WorldScale::Metric, &options);
+    let result = locate(&[], RADIUS, WorldScale::Metric);
     assert_eq!(result, Err(SphereError::NoView));
-    let result = locate(&all, 10.0 * RADIUS, WorldScale::Metric, &options);
+    let result = locate(&all, 10.0 * RADIUS, WorldScale::Metric);
     assert!(
         matches!(result, Err(SphereError::RadiusMismatch { .. })),
         "{result:?}"
     );
-    assert!(locate(&all[..1], RADIUS, WorldScale::Metric, &options).is_ok());
+    assert!(locate(&all[..1], RADIUS, WorldScale::Metric).is_ok());
     let mut two = all[..2].to_vec();
     for point in &mut two[1].outline {
         point.y += 200.0;
     }
-    let result = locate(&two, RADIUS, WorldScale::Metric, &options);
+    let result = locate(&two, RADIUS, WorldScale::Metric);
     assert!(
         matches!(result, Err(SphereError::Contradiction { .. })),
         "{result:?}"
@@ -176,7 +167,7 @@ fn residual_derivatives_match_differences() {
         radius: 0.05,
     };
     let ray = Vector3::new(0.15, -0.16, 1.0).normalize();
-    let (_, by_center, by_radius) = super::locate::residual(&sphere, &ray).unwrap();
+    let (_, by_center, by_radius) = residual(&sphere, &ray).unwrap();
     let h = 1e-6;
     for axis in 0..4 {
         let value = |sign: f64| {
@@ -186,7 +177,7 @@ fn residual_derivatives_match_differences() {
             } else {
                 moved.radius += sign * h;
             }
-            super::locate::residual(&moved, &ray).unwrap().0
+            residual(&moved, &ray).unwrap().0
         };
         let numeric = (value(1.0) - value(-1.0)) / (2.0 * h);
         let analytic = if axis < 3 { by_center[axis] } else { by_radius };

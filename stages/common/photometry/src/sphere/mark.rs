@@ -15,8 +15,8 @@
 
 use super::cone::{EllipsePx, OutlineCone};
 use super::error::SphereError;
-use super::options::SphereOptions;
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
+use rilievo_numerics::{random, robust};
 use rilievo_scene::{Intrinsics, Mask, SphereMark};
 use serde::{Deserialize, Serialize};
 
@@ -108,22 +108,24 @@ fn outline_of_mask(mask: &Mask) -> Vec<Point2<f64>> {
 ///
 /// # Errors
 /// [`SphereError::TooFewPoints`], [`SphereError::NotADisc`] and [`SphereError::OpenOutline`].
-pub fn cone_from_mark(
-    mark: &SphereMark,
-    intrinsics: &Intrinsics,
-    options: &SphereOptions,
-) -> Result<MarkFit, SphereError> {
-    cone_from_points(&outline_of_mark(mark), intrinsics, options)
+pub fn cone_from_mark(mark: &SphereMark, intrinsics: &Intrinsics) -> Result<MarkFit, SphereError> {
+    cone_from_points(&outline_of_mark(mark), intrinsics, MIN_INLIER_SHARE)
 }
 
+/// Outline points farther than this from a cone are not of it, pixels. Marks by hand are good to about a
+/// pixel; more lets an occluder's edge in.
+pub(super) const INLIER_PX: f64 = 1.5;
+/// Share of a mark's outline that must lie on one cone; below it the mark is no disc.
+pub(super) const MIN_INLIER_SHARE: f64 = 0.4;
+/// Systematic uncertainty of an outline, pixels: where the edge of a matte sphere is seen depends on blur,
+/// gamma and background, alike along the whole outline and in all photos.
+pub(super) const OUTLINE_BIAS_PX: f64 = 0.1;
 /// Outline points needed for a cone with a check: three determine it.
 const MIN_POINTS: usize = 5;
 
 /// Largest relative standard deviation of an outline's radius: the sphere's distance from the camera,
 /// and with it the model's size, is as uncertain.
 const MAX_SIZE_SIGMA: f64 = 0.1;
-/// Smallest error of an outline point, pixels: less is luck, not knowledge.
-const MIN_SIGMA_PX: f64 = 0.1;
 /// Error of a point that is marked by hand, pixels.
 const HAND_SIGMA_PX: f64 = 1.0;
 
@@ -162,7 +164,7 @@ fn size_sigma(points: &[Point2<f64>], sigma_px: f64) -> f64 {
 }
 
 /// Whether points marked by hand determine an outline, whatever the camera. One stray point among good
-/// ones passes: only the camera's cone tells it.
+/// ones passes: only the camera's cone reveals it.
 ///
 /// # Errors
 /// [`SphereError::TooFewPoints`] where fewer than five differ, [`SphereError::OpenOutline`].
@@ -196,7 +198,7 @@ pub fn check_marked_points(points: &[Point2<f64>]) -> Result<(), SphereError> {
 pub fn cone_from_points(
     points: &[Point2<f64>],
     intrinsics: &Intrinsics,
-    options: &SphereOptions,
+    min_inlier_share: f64,
 ) -> Result<MarkFit, SphereError> {
     if points.len() < MIN_POINTS {
         return Err(SphereError::TooFewPoints {
@@ -210,23 +212,19 @@ pub fn cone_from_points(
         .collect();
     let not_a_disc = |inlier_share: f64, rms_px: f64| SphereError::NotADisc {
         inlier_share,
-        needed: options.min_inlier_share,
+        needed: min_inlier_share,
         rms_px,
     };
-    let start = best_of_triples(&rays, intrinsics, options.inlier_px)
-        .ok_or(not_a_disc(0.0, f64::INFINITY))?;
+    let start =
+        best_of_triples(&rays, intrinsics, INLIER_PX).ok_or(not_a_disc(0.0, f64::INFINITY))?;
     let mut cone = start;
     for _ in 0..10 {
         let weights: Vec<f64> = rays
             .iter()
             .map(|ray| {
-                let r = distance_px(&cone, ray, intrinsics) / options.inlier_px;
-                // Tukey's biweight: points beyond the threshold have no say.
-                if r.abs() < 2.0 {
-                    (1.0 - 0.25 * r * r).powi(2)
-                } else {
-                    0.0
-                }
+                let r = distance_px(&cone, ray, intrinsics) / INLIER_PX;
+                // Points beyond twice the threshold have no say.
+                robust::tukey_weight(0.5 * r)
             })
             .collect();
         let Some(next) = OutlineCone::from_rays(&rays, &weights) else {
@@ -241,18 +239,18 @@ pub fn cone_from_points(
     let (mut inliers, mut sum) = (Vec::new(), 0.0);
     for (point, ray) in points.iter().zip(&rays) {
         let r = distance_px(&cone, ray, intrinsics);
-        if r.abs() <= options.inlier_px {
+        if r.abs() <= INLIER_PX {
             inliers.push(*point);
             sum += r * r;
         }
     }
     let inlier_share = inliers.len() as f64 / points.len() as f64;
     let rms_px = (sum / inliers.len().max(1) as f64).sqrt();
-    if inliers.len() < MIN_POINTS || inlier_share < options.min_inlier_share {
+    if inliers.len() < MIN_POINTS || inlier_share < min_inlier_share {
         return Err(not_a_disc(inlier_share, rms_px));
     }
     // No outline is seen better than its systematic uncertainty, however well its points agree.
-    let sigma_px = rms_px.max(options.outline_bias_px).max(MIN_SIGMA_PX);
+    let sigma_px = rms_px.max(OUTLINE_BIAS_PX);
     let relative_sigma = size_sigma(&inliers, sigma_px);
     if relative_sigma > MAX_SIZE_SIGMA {
         return Err(SphereError::OpenOutline {
@@ -272,10 +270,14 @@ pub fn cone_from_points(
 /// Distance of a ray from the cone in pixels, across the outline, positive outside.
 #[inline]
 pub(super) fn distance_px(cone: &OutlineCone, ray: &Vector3<f64>, intrinsics: &Intrinsics) -> f64 {
-    // Radially an angle is stretched by 1/cos² of the ray's angle off the axis, around by 1/cos;
-    // their mean serves everywhere, as it only weighs residuals.
-    let cos = ray.z.max(0.1);
-    cone.angle_outside(ray) * intrinsics.focal_px() / cos.powf(1.5)
+    cone.angle_outside(ray) * px_per_radian(ray, intrinsics)
+}
+
+/// Pixels per radian at a ray. Radially an angle is stretched by 1/cos² of the ray's angle off the axis,
+/// around by 1/cos; their mean serves everywhere, as it only weighs residuals.
+#[inline]
+pub(super) fn px_per_radian(ray: &Vector3<f64>, intrinsics: &Intrinsics) -> f64 {
+    intrinsics.focal_px() / ray.z.max(0.1).powf(1.5)
 }
 
 fn best_of_triples(
@@ -283,19 +285,10 @@ fn best_of_triples(
     intrinsics: &Intrinsics,
     threshold_px: f64,
 ) -> Option<OutlineCone> {
-    // A fixed linear congruential sequence: the same points give the same cone.
-    let mut state = 0x2545_f491_4f6c_dd1d_u64;
-    let mut draw = || {
-        state = state
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        ((state >> 33) as usize) % rays.len()
-    };
     let stride = rays.len().div_ceil(400);
     let mut best: Option<(f64, OutlineCone)> = None;
     // With 40 % of the points good, 300 triples contain an all-good one with certainty (1 − 4e-9).
-    for _ in 0..300 {
-        let triple = [draw(), draw(), draw()];
+    for triple in random::triples(rays.len()).take(300) {
         let picked = triple.map(|k| rays[k]);
         let Some(cone) = OutlineCone::from_rays(&picked, &[1.0; 3]) else {
             continue;
@@ -350,7 +343,7 @@ mod tests {
             radius: 0.04,
         };
         let points = sphere.outline(&camera(), 40);
-        let fit = cone_from_points(&points, &camera(), &SphereOptions::default()).unwrap();
+        let fit = cone_from_points(&points, &camera(), MIN_INLIER_SHARE).unwrap();
         let found = fit.cone.sphere(0.04).center;
         let error = (found - sphere.center).norm();
         assert!(error < 1e-9, "centre off by {error} m");
@@ -402,7 +395,7 @@ mod tests {
                 }
             }
             let mark = SphereMark::Mask(mask);
-            let fit = cone_from_mark(&mark, &camera, &SphereOptions::default()).unwrap();
+            let fit = cone_from_mark(&mark, &camera).unwrap();
             let found = fit.cone.sphere(0.04).center;
             let across = (found - center).xy().norm();
             let along = (found.z - center.z).abs() / center.z;
@@ -431,7 +424,6 @@ mod tests {
                 .map(|k| Point2::new(700.0 + 20.0 * f64::from(k), 500.0 + bend * f64::from(k % 2)))
                 .collect()
         };
-        let options = SphereOptions::default();
         for points in [
             line(0.0),
             line(0.4),
@@ -439,29 +431,29 @@ mod tests {
             arc(5, 10.0, 40.0),
             arc(9, 200.0, 240.0),
         ] {
-            let told = check_marked_points(&points);
+            let result = check_marked_points(&points);
             assert!(
-                matches!(told, Err(SphereError::OpenOutline { relative_sigma, .. }) if relative_sigma > 0.1),
-                "{points:?}: {told:?}"
+                matches!(result, Err(SphereError::OpenOutline { relative_sigma, .. }) if relative_sigma > 0.1),
+                "{points:?}: {result:?}"
             );
         }
         for points in [line(0.0), line(0.1)] {
-            let told = cone_from_points(&points, &camera(), &options);
+            let result = cone_from_points(&points, &camera(), MIN_INLIER_SHARE);
             assert!(
-                matches!(told, Err(SphereError::OpenOutline { .. })),
-                "{told:?}"
+                matches!(result, Err(SphereError::OpenOutline { .. })),
+                "{result:?}"
             );
         }
         let mut twice = arc(5, 0.0, 288.0);
         twice[4] = twice[0];
-        let told = check_marked_points(&twice);
+        let result = check_marked_points(&twice);
         assert!(
-            matches!(told, Err(SphereError::TooFewPoints { available: 4, .. })),
-            "{told:?}"
+            matches!(result, Err(SphereError::TooFewPoints { available: 4, .. })),
+            "{result:?}"
         );
         for points in [arc(5, 0.0, 288.0), arc(5, 0.0, 150.0), arc(12, 30.0, 150.0)] {
             check_marked_points(&points).unwrap();
-            cone_from_points(&points, &camera(), &options).unwrap();
+            cone_from_points(&points, &camera(), MIN_INLIER_SHARE).unwrap();
         }
     }
 
@@ -471,14 +463,13 @@ mod tests {
             (100..300).contains(&x) && (100..300).contains(&y)
         });
         let camera = Intrinsics::pinhole(400, 400, 500.0, 199.5, 199.5);
-        let options = SphereOptions::default();
-        let result = cone_from_mark(&SphereMark::Mask(square), &camera, &options);
+        let result = cone_from_mark(&SphereMark::Mask(square), &camera);
         assert!(
             matches!(result, Err(SphereError::NotADisc { .. })),
             "{result:?}"
         );
         let few = SphereMark::Points(vec![[1.0, 2.0], [3.0, 4.0], [5.0, 1.0], [2.0, 2.0]]);
-        let result = cone_from_mark(&few, &camera, &options);
+        let result = cone_from_mark(&few, &camera);
         assert!(
             matches!(result, Err(SphereError::TooFewPoints { .. })),
             "{result:?}"

@@ -17,13 +17,16 @@
 mod around;
 mod cone;
 mod confirm;
+mod consensus;
 mod detect;
 mod error;
+mod known;
 mod locate;
 #[cfg(test)]
 mod locate_tests;
 mod mark;
 mod options;
+mod outline_fit;
 mod posed_image;
 mod refine;
 mod refit;
@@ -37,6 +40,6 @@ pub use detect::detect_in_photo;
 pub use error::SphereError;
 pub use locate::{ScaleEstimate, SphereFit, ViewAgreement, WorldScale};
 pub use mark::{check_marked_points, cone_from_mark, outline_of_mark};
-pub use options::SphereOptions;
+pub use options::{RETIRED_KEYS, SphereOptions};
 pub use request::{LocatedSpheres, locate_request};
 pub use several::{CommonScale, ScaleContradiction, ScaleOutcome};

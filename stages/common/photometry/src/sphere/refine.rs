@@ -21,7 +21,7 @@
 
 use super::cone::{OutlineCone, SphereInCamera};
 use super::posed_image::Photo;
-use crate::harmonics::{FitOptions, fit_robust};
+use crate::harmonics::{FitOptions, fit_robust, fit_with};
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use rilievo_scene::{LinearImage, PackedMask, SphericalHarmonics};
 
@@ -33,6 +33,8 @@ const EDGE_SHARE: f64 = 0.4;
 /// Edges weaker than this share of the usual one are left out: where sphere and ground are nearly
 /// alike, what is left of the sphere's own slope displaces the edge.
 const WEAK_EDGE: f64 = 0.3;
+/// Share of the visible outline that must lie on an image edge.
+pub(super) const MIN_EDGE_SUPPORT: f64 = 0.6;
 /// Distance between samples along the normal, pixels.
 const STEP_PX: f64 = 0.25;
 
@@ -41,7 +43,7 @@ const STEP_PX: f64 = 0.25;
 pub(super) enum Effort {
     /// One fit of the sphere's brightness: to look at many candidates.
     Quick,
-    /// Parts in shadow are told apart first.
+    /// Parts in shadow are separated first.
     Thorough,
 }
 
@@ -135,7 +137,7 @@ const MIN_RADIUS_PX: f64 = 8.0;
 
 /// Nine harmonics per channel on the inside of a sphere; `None` where they cannot be had.
 ///
-/// The good pixels are told on the mean of the channels, so that a shadow is found once.
+/// The good pixels are chosen on the mean of the channels, so that a shadow is found once.
 fn appearance(
     photo: &Photo,
     sphere: &SphereInCamera,
@@ -151,7 +153,7 @@ fn appearance(
         .into_iter()
         .filter(|p| !photo.is_object(p.x as isize, p.y as isize))
         .collect();
-    // A smooth function of nine numbers: a thousand pixels tell it.
+    // A smooth function of nine numbers: a thousand pixels determine it.
     let num_enough = match effort {
         Effort::Quick => 400,
         Effort::Thorough => 1200,
@@ -164,11 +166,6 @@ fn appearance(
             .map(|p| f64::from(image.pixel(p.x, p.y)[channel]))
             .collect()
     };
-    let quick = FitOptions {
-        start_left_out: 0.0,
-        max_num_iterations: 5,
-        ..FitOptions::default()
-    };
     let weights = match effort {
         Effort::Quick => vec![1.0; few.len()],
         Effort::Thorough => {
@@ -176,7 +173,7 @@ fn appearance(
                 .iter()
                 .map(|p| image.pixel(p.x, p.y).iter().map(|&v| f64::from(v)).sum())
                 .collect();
-            let fit = fit_robust(&normals, &grey, None, &FitOptions::default()).ok()?;
+            let fit = fit_robust(&normals, &grey, None).ok()?;
             let good = |(n, v): (&Vector3<f64>, &f64)| {
                 (fit.coefficients.evaluate(n) - v).abs() <= 3.0 * fit.sigma
             };
@@ -186,8 +183,9 @@ fn appearance(
     };
     (0..image.channels)
         .map(|channel| {
-            let fit = fit_robust(&normals, &channel_of(channel), Some(&weights), &quick).ok()?;
-            Some(fit.coefficients)
+            let values = channel_of(channel);
+            let fit = fit_with(&normals, &values, Some(&weights), &FitOptions::QUICK);
+            Some(fit.ok()?.coefficients)
         })
         .collect()
 }
@@ -343,6 +341,7 @@ impl Profile {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sphere::mark::{MIN_INLIER_SHARE, cone_from_points};
     use rilievo_scene::Intrinsics;
 
     /// A disc of constant brightness with exact coverage by supersampling.
@@ -386,12 +385,7 @@ mod tests {
         };
         let found = refine_outline(&photo, &guess, 4.0, Effort::Thorough);
         assert!(found.support() > 0.99, "support {}", found.support());
-        let fit = crate::sphere::mark::cone_from_points(
-            &found.points,
-            &camera,
-            &crate::sphere::SphereOptions::default(),
-        )
-        .unwrap();
+        let fit = cone_from_points(&found.points, &camera, MIN_INLIER_SHARE).unwrap();
         let center = fit.cone.sphere(0.08).center;
         let off_px = 400.0 / 0.8 * (center - truth.center).xy().norm();
         assert!(off_px < 0.02, "centre off by {off_px} px");

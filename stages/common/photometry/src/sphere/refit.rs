@@ -1,9 +1,9 @@
 //! A located sphere once more, from the edges that all posed photos show where it predicts its outline.
 
-use super::locate::{PosedOutline, SphereFit, ViewAgreement, WorldScale, locate};
-use super::options::SphereOptions;
+use super::known::PosedOutline;
+use super::locate::{SphereFit, ViewAgreement, WorldScale, locate};
 use super::posed_image::PosedImage;
-use super::refine::{Effort, refine_outline};
+use super::refine::{Effort, MIN_EDGE_SUPPORT, refine_outline};
 use rilievo_scene::LocatedSphere;
 
 /// Repeats the fit on the edges found near the outline that it predicts, in all photos. Keeps the
@@ -13,13 +13,13 @@ pub fn refine_in_views(
     fit: SphereFit,
     radius: f64,
     scale: WorldScale,
-    options: &SphereOptions,
+    search_px: f64,
 ) -> SphereFit {
     let mut best = fit;
     for narrowing in [1.0, 0.7, 0.5] {
-        let search_px = (options.search_px * narrowing).max(1.5);
-        let outlines = edges_in_views(images, &best.sphere, search_px, options);
-        match locate(&outlines, radius, scale, options) {
+        let search_px = (search_px * narrowing).max(1.5);
+        let outlines = edges_in_views(images, &best.sphere, search_px);
+        match locate(&outlines, radius, scale) {
             // Marks that no edge follows stay in the list of views, unused.
             Ok(next) => best = with_missing(next, &best),
             Err(_) => break,
@@ -33,7 +33,6 @@ fn edges_in_views(
     images: &[PosedImage],
     sphere: &LocatedSphere,
     search_px: f64,
-    options: &SphereOptions,
 ) -> Vec<PosedOutline> {
     images
         .iter()
@@ -41,7 +40,7 @@ fn edges_in_views(
             let predicted = view.sphere(sphere);
             let found = refine_outline(&view.as_photo(), &predicted, search_px, Effort::Thorough);
             // A quarter of the outline still fixes the ellipse's centre across that arc.
-            let enough = found.visible_share() > 0.25 && found.support() > options.min_edge_support;
+            let enough = found.visible_share() > 0.25 && found.support() > MIN_EDGE_SUPPORT;
             enough.then_some(PosedOutline {
                 photo: view.photo,
                 intrinsics: view.intrinsics,

@@ -13,7 +13,8 @@ use super::cone::SphereInCamera;
 use super::confirm::confirm;
 use super::detect::detect;
 use super::error::SphereError;
-use super::locate::{PosedOutline, SphereFit, WorldScale, locate};
+use super::known::PosedOutline;
+use super::locate::{SphereFit, WorldScale, locate};
 use super::mark::outline_of_mark;
 use super::options::SphereOptions;
 use super::refit::refine_in_views;
@@ -54,7 +55,7 @@ pub fn locate_request(
     let mut located = LocatedSpheres::default();
     let mut radii = Vec::new();
     for sphere in &request.spheres {
-        match locate_marked(views, sphere, scale, options) {
+        match locate_marked(views, sphere, scale) {
             Ok(fit) => {
                 located.fits.push(fit);
                 radii.push((&sphere.name, sphere.radius));
@@ -62,22 +63,20 @@ pub fn locate_request(
             Err(error) => located.missing.push((sphere.name.clone(), error)),
         }
     }
-    if options.refine {
-        let around = load_around(photos, views, &located.fits, options.search_px)?;
-        // Robust fits of the brightness inside take most of the time; no sphere depends on another.
-        let each = located.fits.par_iter_mut().zip(&around).zip(&radii);
-        each.for_each(|((fit, images), (_, radius))| {
-            let unused_marks = fit.unused_marks.clone();
-            let marked = fit.views.iter().filter(|view| view.used);
-            let marked: Vec<PhotoIdx> = marked.map(|view| view.photo).collect();
-            let refined = refine_in_views(images, fit.clone(), *radius, scale, options);
-            *fit = SphereFit {
-                unused_marks,
-                evidence: confirm(images, &marked, &refined.sphere, options),
-                ..refined
-            };
-        });
-    }
+    let around = load_around(photos, views, &located.fits, options.search_px)?;
+    // Robust fits of the brightness inside take most of the time; no sphere depends on another.
+    let each = located.fits.par_iter_mut().zip(&around).zip(&radii);
+    each.for_each(|((fit, images), (_, radius))| {
+        let unused_marks = fit.unused_marks.clone();
+        let marked = fit.views.iter().filter(|view| view.used);
+        let marked: Vec<PhotoIdx> = marked.map(|view| view.photo).collect();
+        let refined = refine_in_views(images, fit.clone(), *radius, scale, options.search_px);
+        *fit = SphereFit {
+            unused_marks,
+            evidence: confirm(images, &marked, &refined.sphere, options.search_px),
+            ..refined
+        };
+    });
     for (fit, (name, _)) in located.fits.iter_mut().zip(&radii) {
         fit.sphere.name.clone_from(name);
     }
@@ -92,7 +91,7 @@ pub fn locate_request(
         let first = located.missing.into_iter().next();
         return Err(first.map_or(SphereError::NoView, |(_, error)| error));
     }
-    located.scale = common_scale(&located.fits, options);
+    located.scale = common_scale(&located.fits);
     Ok(located)
 }
 
@@ -101,7 +100,6 @@ fn locate_marked(
     views: &[PosedView],
     sphere: &MarkedSphere,
     scale: WorldScale,
-    options: &SphereOptions,
 ) -> Result<SphereFit, SphereError> {
     let radius = sphere.radius;
     let outlines: Vec<PosedOutline> = sphere
@@ -129,7 +127,7 @@ fn locate_marked(
             })
         };
     }
-    locate(&outlines, radius, scale, options)
+    locate(&outlines, radius, scale)
 }
 
 fn stated(center_in_world: [f64; 3], radius: f64) -> SphereFit {

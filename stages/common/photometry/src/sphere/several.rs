@@ -20,7 +20,6 @@
 
 use super::error::SphereError;
 use super::locate::{ScaleEstimate, SphereFit};
-use super::options::SphereOptions;
 use nalgebra::Point3;
 use rilievo_scene::LocatedSphere;
 use serde::{Deserialize, Serialize};
@@ -53,12 +52,15 @@ pub enum ScaleOutcome {
 /// The scale of the world from all spheres.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CommonScale {
-    /// The weighted mean; `None` where no sphere tells a scale, or two tell different ones.
+    /// The weighted mean; `None` where no sphere determines a scale, or two contradict each other.
     pub estimate: Option<ScaleEstimate>,
     /// Spheres that contradict the others.
     pub contradictions: Vec<ScaleContradiction>,
 }
 
+/// Relative standard deviation of a stated radius: a calliper reads a tenth of a millimetre. Less takes
+/// its error for a contradiction.
+const RADIUS_SIGMA: f64 = 0.003;
 /// Standard deviations of a difference beyond which two scales contradict each other.
 const MAX_DEVIATIONS: f64 = 3.0;
 /// Two scales that differ by more than this factor have no mean worth the name: another unit, a
@@ -66,7 +68,7 @@ const MAX_DEVIATIONS: f64 = 3.0;
 const MAX_RATIO: f64 = 1.25;
 
 /// The common scale of located spheres.
-pub fn common_scale(fits: &[SphereFit], options: &SphereOptions) -> CommonScale {
+pub fn common_scale(fits: &[SphereFit]) -> CommonScale {
     let mut active: Vec<(&str, ScaleEstimate)> = fits
         .iter()
         .filter_map(|fit| Some((fit.sphere.name.as_str(), fit.scale?)))
@@ -78,7 +80,7 @@ pub fn common_scale(fits: &[SphereFit], options: &SphereOptions) -> CommonScale 
             contradictions,
         };
     }
-    let variance = |s: &ScaleEstimate| s.relative_sigma.powi(2) + options.radius_sigma.powi(2);
+    let variance = |s: &ScaleEstimate| s.relative_sigma.powi(2) + RADIUS_SIGMA.powi(2);
     while active.len() > 1 {
         let against_others = |k: usize| {
             let others = active.iter().enumerate().filter(|(j, _)| *j != k);
@@ -212,27 +214,23 @@ mod tests {
         }
     }
 
-    fn scale_of(fits: &[SphereFit]) -> CommonScale {
-        common_scale(fits, &SphereOptions::default())
-    }
-
     #[test]
     fn one_sphere_is_left_as_it_is() {
         let only = fit("the sphere", 2.7, 3e-4);
-        let common = scale_of(std::slice::from_ref(&only));
+        let common = common_scale(std::slice::from_ref(&only));
         assert_eq!(common.estimate, only.scale);
     }
 
     #[test]
     fn spheres_that_agree_share_one_scale() {
-        let common = scale_of(&[fit("a", 2.700, 5e-4), fit("b", 2.702, 5e-4)]);
+        let common = common_scale(&[fit("a", 2.700, 5e-4), fit("b", 2.702, 5e-4)]);
         let estimate = common.estimate.unwrap();
         let error = (estimate.metres_per_unit / 2.701 - 1.0).abs();
         assert!(error < 1e-6, "{error}");
         // The two differ by 0.074 %, half of which is the error of their mean; what both outlines share is more.
         let sigma = estimate.relative_sigma;
         assert!((sigma - 5e-4).abs() < 1e-9, "{sigma}");
-        let apart = scale_of(&[fit("a", 2.700, 2e-4), fit("b", 2.702, 2e-4)]);
+        let apart = common_scale(&[fit("a", 2.700, 2e-4), fit("b", 2.702, 2e-4)]);
         let sigma = apart.estimate.unwrap().relative_sigma;
         assert!((sigma - 3.7e-4).abs() < 0.1e-4, "{sigma}");
         assert!(common.contradictions.is_empty());
@@ -240,43 +238,43 @@ mod tests {
 
     #[test]
     fn a_radius_that_is_wrong_by_a_twentieth_is_told_and_of_three_outvoted() {
-        let common = scale_of(&[fit("a", 1.0, 5e-4), fit("b", 1.05, 5e-4)]);
-        let [told] = &common.contradictions[..] else {
+        let common = common_scale(&[fit("a", 1.0, 5e-4), fit("b", 1.05, 5e-4)]);
+        let [found] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        assert!((told.ratio.ln().abs() - 1.05_f64.ln()).abs() < 1e-9);
-        assert_eq!(told.outcome, ScaleOutcome::Averaged);
+        assert!((found.ratio.ln().abs() - 1.05_f64.ln()).abs() < 1e-9);
+        assert_eq!(found.outcome, ScaleOutcome::Averaged);
         let sigma = common.estimate.unwrap().relative_sigma;
         assert!((0.02..0.03).contains(&sigma), "{sigma}");
-        let common = scale_of(&[
+        let common = common_scale(&[
             fit("a", 1.0, 5e-4),
             fit("b", 1.05, 5e-4),
             fit("c", 1.001, 1e-3),
         ]);
-        let [told] = &common.contradictions[..] else {
+        let [found] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        let outvoted = told.outcome == ScaleOutcome::Outvoted;
-        assert!(told.sphere == "b" && outvoted, "{told:?}");
+        let outvoted = found.outcome == ScaleOutcome::Outvoted;
+        assert!(found.sphere == "b" && outvoted, "{found:?}");
         let error = (common.estimate.unwrap().metres_per_unit - 1.0).abs();
         assert!(error < 1e-3, "{error}");
     }
 
     #[test]
     fn two_units_in_one_file_give_no_scale_and_are_told() {
-        let common = scale_of(&[fit("a", 1.0, 5e-4), fit("b", 10.0, 5e-4)]);
+        let common = common_scale(&[fit("a", 1.0, 5e-4), fit("b", 10.0, 5e-4)]);
         assert_eq!(common.estimate, None);
-        let [told] = &common.contradictions[..] else {
+        let [found] = &common.contradictions[..] else {
             panic!("{:?}", common.contradictions);
         };
-        assert_eq!(told.outcome, ScaleOutcome::NoScale);
+        assert_eq!(found.outcome, ScaleOutcome::NoScale);
         assert!(
-            (told.ratio.ln().abs() - 10_f64.ln()).abs() < 1e-9,
-            "{told:?}"
+            (found.ratio.ln().abs() - 10_f64.ln()).abs() < 1e-9,
+            "{found:?}"
         );
         let mut none = fit("a", 1.0, 5e-4);
         none.scale = None;
-        assert_eq!(scale_of(&[none]), CommonScale::default());
+        assert_eq!(common_scale(&[none]), CommonScale::default());
     }
 
     #[test]

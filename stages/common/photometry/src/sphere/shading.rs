@@ -2,7 +2,7 @@
 
 use super::cone::OutlineCone;
 use super::posed_image::Photo;
-use crate::harmonics::{FitOptions, fit_robust};
+use crate::harmonics::{FitOptions, fit_with};
 use nalgebra::Vector3;
 
 /// Share of samples that may be shadowed, dirty or hidden without counting against a candidate.
@@ -34,7 +34,7 @@ pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     let sphere = cone.sphere(1.0);
     let radius_px = sphere.radius_px(photo.intrinsics);
     let pixels = sphere.pixels(photo.intrinsics, 2.0_f64.min(0.2 * radius_px));
-    // A few thousand pixels tell as much as all.
+    // A few thousand pixels are as good as all.
     let stride = pixels.len().div_ceil(1500).max(1);
     let (mut normals, mut values): (Vec<Vector3<f64>>, Vec<f64>) = (Vec::new(), Vec::new());
     for pixel in pixels.iter().step_by(stride) {
@@ -50,12 +50,7 @@ pub(super) fn shading(photo: &Photo, cone: &OutlineCone) -> Option<Shading> {
     if normals.len() < 80 {
         return None;
     }
-    let options = FitOptions {
-        start_left_out: 0.0,
-        max_condition: FitOptions::ANY_CONDITION,
-        ..FitOptions::default()
-    };
-    let fit = fit_robust(&normals, &values, None, &options).ok()?;
+    let fit = fit_with(&normals, &values, None, &FitOptions::EXPLAINING).ok()?;
     let mut residuals: Vec<f64> = normals
         .iter()
         .zip(&values)

@@ -7,6 +7,7 @@
 
 use nalgebra::Vector3;
 use rayon::prelude::*;
+use rilievo_numerics::robust::RobustLoss;
 
 /// One point with a known intensity.
 #[derive(Clone, Debug)]
@@ -103,7 +104,7 @@ pub fn fit_environment(
         // Huber at a little more than twice the median.
         let threshold = 2.25 * f64::from(sorted[sorted.len() / 2]).max(1e-6);
         for (w, &r) in robust.iter_mut().zip(&fit.residuals) {
-            *w = (threshold / f64::from(r).max(1e-9)).min(1.0);
+            *w = RobustLoss::Huber(threshold).weight(f64::from(r));
         }
     }
     Some(fit)

@@ -9,6 +9,7 @@
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+use rilievo_numerics::distance;
 use rilievo_scene::{DepthMap, Intrinsics, LinearImage, RigidTransform};
 
 /// Voxels behind a surface that still count as seen.
@@ -84,9 +85,6 @@ impl Camera {
     }
 }
 
-/// Signed distance, radiance and whether it is known, of one slice of voxels.
-type Slice = (Vec<f32>, Vec<[f32; 3]>, Vec<bool>);
-
 /// What a view says of a voxel.
 enum Sight {
     /// Not in its frame.
@@ -135,6 +133,58 @@ fn sight(camera: &Camera, view: &DepthView, p: &Vector3<f32>, voxel: f32) -> Sig
     }
 }
 
+/// One voxel of the grid.
+struct Voxel {
+    /// Signed distance in voxels, truncated.
+    signed: f32,
+    /// Mean of the views that see a surface near it.
+    radiance: Option<[f32; 3]>,
+}
+
+impl Voxel {
+    /// What all views together say of the place `p`.
+    fn seen(cameras: &[Camera], views: &[DepthView], p: &Vector3<f32>, voxel: f32) -> Self {
+        let (mut sum, mut total) = (0.0, 0.0);
+        let mut behind = false;
+        let (mut colour, mut colour_total) = ([0.0_f32; 3], 0.0_f32);
+        for (camera, view) in cameras.iter().zip(views) {
+            let (distance, weight) = match sight(camera, view, p, voxel) {
+                Sight::Unknown => continue,
+                Sight::Empty => {
+                    return Self {
+                        signed: TRUNCATION,
+                        radiance: None,
+                    };
+                }
+                Sight::Surface { distance, weight } => (distance, weight),
+            };
+            if distance < -TRUNCATION {
+                behind = true;
+                continue;
+            }
+            sum += weight * distance.min(TRUNCATION);
+            total += weight;
+            if distance.abs() < 2.0 {
+                let [u, v, _] = camera.project(p);
+                let rgb = view.image.pixel((u + 0.5) as usize, (v + 0.5) as usize);
+                for c in 0..3 {
+                    colour[c] += weight * rgb[c];
+                }
+                colour_total += weight;
+            }
+        }
+        let signed = match (total > 0.0, behind) {
+            (true, _) => sum / total,
+            (false, true) => -TRUNCATION,
+            (false, false) => TRUNCATION,
+        };
+        Self {
+            signed,
+            radiance: (colour_total > 0.0).then(|| colour.map(|c| c / colour_total)),
+        }
+    }
+}
+
 impl Volume {
     /// Carves and colours a grid of at most `max_voxels` along its longest side.
     ///
@@ -151,71 +201,22 @@ impl Volume {
         let size = [span.x, span.y, span.z].map(|s| (1.1 * s / voxel).ceil() as usize + 5);
         let cameras: Vec<Camera> = views.iter().map(Camera::new).collect();
         let plane = size[0] * size[1];
-        let slices: Vec<Slice> = (0..size[2])
+        let slices: Vec<Vec<Voxel>> = (0..size[2])
             .into_par_iter()
-            .map(|iz| {
-                let mut signed = vec![TRUNCATION; plane];
-                let mut radiance = vec![[0.0; 3]; plane];
-                let mut coloured = vec![false; plane];
-                for iy in 0..size[1] {
-                    for ix in 0..size[0] {
-                        let p = origin + Vector3::new(ix as f32, iy as f32, iz as f32) * voxel;
-                        let at = iy * size[0] + ix;
-                        let (mut sum, mut total) = (0.0, 0.0);
-                        let (mut empty, mut behind) = (false, false);
-                        let (mut colour, mut colour_total) = ([0.0_f32; 3], 0.0_f32);
-                        for (camera, view) in cameras.iter().zip(views) {
-                            match sight(camera, view, &p, voxel) {
-                                Sight::Unknown => {}
-                                Sight::Empty => {
-                                    empty = true;
-                                    break;
-                                }
-                                Sight::Surface { distance, weight } => {
-                                    if distance < -TRUNCATION {
-                                        behind = true;
-                                        continue;
-                                    }
-                                    sum += weight * distance.min(TRUNCATION);
-                                    total += weight;
-                                    if distance.abs() < 2.0 {
-                                        let [u, v, _] = camera.project(&p);
-                                        let rgb = view
-                                            .image
-                                            .pixel((u + 0.5) as usize, (v + 0.5) as usize);
-                                        for c in 0..3 {
-                                            colour[c] += weight * rgb[c];
-                                        }
-                                        colour_total += weight;
-                                    }
-                                }
-                            }
-                        }
-                        signed[at] = if empty {
-                            TRUNCATION
-                        } else if total > 0.0 {
-                            sum / total
-                        } else if behind {
-                            -TRUNCATION
-                        } else {
-                            TRUNCATION
-                        };
-                        if colour_total > 0.0 && !empty {
-                            radiance[at] = colour.map(|c| c / colour_total);
-                            coloured[at] = true;
-                        }
-                    }
-                }
-                (signed, radiance, coloured)
+            .map(|z| {
+                let places = (0..plane).map(|at| [at % size[0], at / size[0], z]);
+                let points = places.map(|p| origin + Vector3::from(p.map(|v| v as f32)) * voxel);
+                points
+                    .map(|p| Voxel::seen(&cameras, views, &p, voxel))
+                    .collect()
             })
             .collect();
-        let mut signed = Vec::with_capacity(plane * size[2]);
-        let mut radiance = Vec::with_capacity(plane * size[2]);
-        let mut coloured = Vec::with_capacity(plane * size[2]);
-        for (s, r, c) in slices {
-            signed.extend(s);
-            radiance.extend(r);
-            coloured.extend(c);
+        let (mut signed, mut radiance) = (Vec::new(), Vec::new());
+        let mut coloured = Vec::new();
+        for voxel in slices.into_iter().flatten() {
+            signed.push(voxel.signed);
+            radiance.push(voxel.radiance.unwrap_or_default());
+            coloured.push(voxel.radiance.is_some());
         }
         let clearance = clearance(&signed, size);
         spread_colour(&mut radiance, &mut coloured, size);
@@ -357,75 +358,15 @@ fn bounds(views: &[DepthView]) -> Option<(Vector3<f32>, Vector3<f32>)> {
 
 /// Euclidean distance to the nearest voxel with a negative sign, less the voxel's own half diagonal.
 fn clearance(signed: &[f32], size: [usize; 3]) -> Vec<f32> {
-    const FAR: f32 = 1e12;
-    let [nx, ny, nz] = size;
     let mut squared: Vec<f32> = signed
         .iter()
-        .map(|&s| if s <= 0.0 { 0.0 } else { FAR })
+        .map(|&s| if s <= 0.0 { 0.0 } else { distance::FAR })
         .collect();
-    // Lower envelopes of parabolas along each axis (Felzenszwalb, Huttenlocher 2012).
-    squared.par_chunks_mut(nx * ny).for_each(|slice| {
-        for y in 0..ny {
-            envelope(slice, y * nx, 1, nx);
-        }
-        for x in 0..nx {
-            envelope(slice, x, nx, ny);
-        }
-    });
-    let columns: Vec<Vec<f32>> = (0..nx * ny)
-        .into_par_iter()
-        .with_min_len(256)
-        .map(|at| {
-            let mut column: Vec<f32> = (0..nz).map(|z| squared[z * nx * ny + at]).collect();
-            envelope(&mut column, 0, 1, nz);
-            column
-        })
-        .collect();
-    for (at, column) in columns.iter().enumerate() {
-        for (z, &value) in column.iter().enumerate() {
-            squared[z * nx * ny + at] = (value.max(0.0).sqrt() - 0.87).max(0.0);
-        }
+    distance::transform(&mut squared, &mut vec![(); signed.len()], size);
+    for value in &mut squared {
+        *value = (value.max(0.0).sqrt() - 0.87).max(0.0);
     }
     squared
-}
-
-fn envelope(values: &mut [f32], start: usize, stride: usize, count: usize) {
-    let f: Vec<f32> = (0..count).map(|k| values[start + k * stride]).collect();
-    let mut vertices = vec![0usize; count];
-    let mut borders = vec![0.0_f32; count + 1];
-    let mut last = 0;
-    borders[0] = f32::NEG_INFINITY;
-    borders[1] = f32::INFINITY;
-    for q in 1..count {
-        let qf = q as f32;
-        loop {
-            let v = vertices[last];
-            let vf = v as f32;
-            let crossing = ((f[q] + qf * qf) - (f[v] + vf * vf)) / (2.0 * (qf - vf));
-            if crossing <= borders[last] && last > 0 {
-                last -= 1;
-                continue;
-            }
-            if crossing <= borders[last] {
-                vertices[0] = q;
-                borders[1] = f32::INFINITY;
-            } else {
-                last += 1;
-                vertices[last] = q;
-                borders[last] = crossing;
-                borders[last + 1] = f32::INFINITY;
-            }
-            break;
-        }
-    }
-    let mut k = 0;
-    for q in 0..count {
-        while borders[k + 1] < q as f32 {
-            k += 1;
-        }
-        let d = q as f32 - vertices[k] as f32;
-        values[start + q * stride] = d * d + f[vertices[k]];
-    }
 }
 
 /// Gives uncoloured voxels the mean of coloured neighbours, a few voxels deep; the rest the mean of

@@ -9,7 +9,7 @@
 //! 3. The fit of [`super::locate`], refined on the edges of all photos; then support and shading
 //!    are checked once more where the common sphere is predicted.
 //! 4. The same with the candidates that are left, as long as a further sphere is confirmed. Further
-//!    ones of the first one's size have the stated radius too; others are told and left.
+//!    ones of the first one's size have the stated radius too; others are reported and left.
 //!
 //! A single photo is searched by step 1 alone, with a stricter threshold.
 
@@ -19,8 +19,10 @@ mod votes;
 
 use super::around::load_around;
 use super::cone::{OutlineCone, SphereInCamera};
+use super::consensus::crossing;
 use super::error::SphereError;
-use super::locate::{PosedOutline, SphereFit, WorldScale, crossing, locate};
+use super::known::PosedOutline;
+use super::locate::{SphereFit, WorldScale, locate};
 use super::options::SphereOptions;
 use super::posed_image::{Photo, PosedImage};
 use super::refine::{Effort, refine_outline};
@@ -34,19 +36,18 @@ use verify::Candidate;
 
 /// Circles that are looked at more closely per photo.
 const MAX_CIRCLES: usize = 40;
+/// Smallest and largest radius of an outline, as shares of the photo's longer side.
+const RADIUS_SHARES: [f64; 2] = [0.015, 0.25];
 /// Candidates kept per photo.
 const MAX_CANDIDATES: usize = 8;
 
 fn candidates(photo: &Photo, options: &SphereOptions) -> Vec<Candidate> {
     let edges = edges::find_edges(photo.image);
     let longer = photo.image.width.max(photo.image.height) as f64;
-    let range = [
-        options.min_radius_share * longer,
-        options.max_radius_share * longer,
-    ];
+    let range = [RADIUS_SHARES[0] * longer, RADIUS_SHARES[1] * longer];
     let mut found: Vec<Candidate> = votes::circles(&edges, range, MAX_CIRCLES)
         .iter()
-        .filter_map(|circle| verify::verify(photo, circle, options))
+        .filter_map(|circle| verify::verify(photo, circle))
         .filter(|candidate| {
             candidate
                 .shading
@@ -85,15 +86,14 @@ pub fn detect_in_photo(
     image: &LinearImage,
     intrinsics: &Intrinsics,
     clip_level: f32,
-    options: &SphereOptions,
 ) -> Result<OutlineCone, SphereError> {
-    options.validate()?;
     let photo = Photo {
         image,
         intrinsics,
         object: None,
         clip_level,
     };
+    let options = &SphereOptions::default();
     match candidates(&photo, options).first() {
         Some(best)
             if best.score(options) >= SINGLE_PHOTO_SCORE
@@ -219,7 +219,7 @@ fn confirmed(
     scale: WorldScale,
     options: &SphereOptions,
 ) -> Result<SphereFit, SphereError> {
-    let first = locate(outlines, radius, scale, options)?;
+    let first = locate(outlines, radius, scale)?;
     let around = load_around(
         photos,
         views,
@@ -227,7 +227,7 @@ fn confirmed(
         options.search_px,
     )?;
     let images: Vec<PosedImage> = around.into_iter().flatten().collect();
-    let fit = refine_in_views(&images, first, radius, scale, options);
+    let fit = refine_in_views(&images, first, radius, scale, options.search_px);
     confirm(&images, views.len(), fit, options)
 }
 

@@ -6,10 +6,10 @@
 
 use super::votes::Circle;
 use crate::sphere::cone::OutlineCone;
-use crate::sphere::mark::{cone_from_points, outline_of_mark};
+use crate::sphere::mark::{MIN_INLIER_SHARE, cone_from_points, outline_of_mark};
 use crate::sphere::options::SphereOptions;
 use crate::sphere::posed_image::Photo;
-use crate::sphere::refine::{Effort, refine_outline};
+use crate::sphere::refine::{Effort, MIN_EDGE_SUPPORT, refine_outline};
 use crate::sphere::shading::{Shading, shading};
 use nalgebra::Point2;
 use rilievo_scene::SphereMark;
@@ -38,17 +38,18 @@ impl Candidate {
     }
 }
 
+/// Share of a refined outline that must lie on one cone: less than of a mark, since edges of the ground
+/// beside the sphere are among its points.
+const LOOSE_INLIER_SHARE: f64 = 0.3;
+
 /// Refines a circle to a cone and measures it; `None` where no edge follows it.
-pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) -> Option<Candidate> {
+pub(super) fn verify(photo: &Photo, circle: &Circle) -> Option<Candidate> {
     let mark = SphereMark::Circle {
         center_px: circle.center,
         radius_px: circle.radius,
     };
-    let start = cone_from_points(&outline_of_mark(&mark), photo.intrinsics, options).ok()?;
-    let loose = SphereOptions {
-        min_inlier_share: 0.3,
-        ..options.clone()
-    };
+    let start =
+        cone_from_points(&outline_of_mark(&mark), photo.intrinsics, MIN_INLIER_SHARE).ok()?;
     let mut cone = start.cone;
     let mut best = None;
     // From the tenth of the radius that voting leaves open down to the width of the edge.
@@ -62,17 +63,17 @@ pub(super) fn verify(photo: &Photo, circle: &Circle, options: &SphereOptions) ->
         if found.visible_share() < 0.3 {
             return None;
         }
-        let fit = cone_from_points(&found.points, photo.intrinsics, &loose).ok()?;
+        let fit = cone_from_points(&found.points, photo.intrinsics, LOOSE_INLIER_SHARE).ok()?;
         cone = fit.cone;
         let support = fit.inliers.len() as f64 / found.num_searched.max(1) as f64;
         // Most circles follow no edge at all: they need no second look.
-        if support < 0.5 * options.min_edge_support {
+        if support < 0.5 * MIN_EDGE_SUPPORT {
             return None;
         }
         best = Some((fit, support, found.visible_share()));
     }
     let (fit, support, visible) = best?;
-    if support < options.min_edge_support {
+    if support < MIN_EDGE_SUPPORT {
         return None;
     }
     let shading = shading(photo, &cone)?;
