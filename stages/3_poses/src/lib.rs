@@ -88,7 +88,7 @@ pub fn run(
     if !keeps_given {
         finish(&scene, &mut reconstruction, options)?;
     }
-    if options.refine_tracks {
+    if !options.matches_only {
         let free_photos: Option<&[usize]> = if keeps_given { Some(&[]) } else { None };
         finish_on_patches(&scene, &mut reconstruction, free_photos, options, observer)?;
     }
@@ -139,16 +139,12 @@ pub fn run(
     {
         error::warn(observer, message)?;
     }
-    let (anchors, anchor_report) = anchors::find(
-        photos,
-        matches,
-        &posed,
-        &options.anchors,
-        options.memory,
-        observer,
-    )?;
-    posed.anchors = anchors;
-    report.anchors = Some(anchor_report);
+    if !options.matches_only {
+        let (anchors, anchor_report) =
+            anchors::find(photos, &posed, &options.anchors, options.memory, observer)?;
+        posed.anchors = anchors;
+        report.anchors = Some(anchor_report);
+    }
     Ok((posed, report))
 }
 

@@ -60,8 +60,6 @@ pub struct PosesOptions {
     pub min_num_visible_points: usize,
     /// Least inliers of the first pair.
     pub min_num_initial_inliers: usize,
-    /// Whether track positions are refined by patch alignment before the last adjustment.
-    pub refine_tracks: bool,
     /// A distance measured in the scene, which makes the world metric.
     pub known_distance: Option<KnownDistance>,
     /// How the reference sphere is found and located.
@@ -69,6 +67,10 @@ pub struct PosesOptions {
     /// Bytes that the photos worked on at once may take; a few photos' where nothing is said. Changes no result.
     #[serde(skip)]
     pub memory: Option<u64>,
+    /// Whether matches alone are used: the photos' pixels neither refine the tracks nor give anchors. For photo sets
+    /// without pixels.
+    #[serde(skip)]
+    pub matches_only: bool,
     /// Seed of all random samples.
     pub seed: u64,
     /// How depth anchors are found.
@@ -85,10 +87,10 @@ impl Default for PosesOptions {
             min_initial_angle_deg: 8.0,
             min_num_visible_points: 15,
             min_num_initial_inliers: 30,
-            refine_tracks: true,
             known_distance: None,
             sphere: SphereOptions::default(),
             memory: None,
+            matches_only: false,
             seed: 1,
             anchors: AnchorOptions::default(),
         }
