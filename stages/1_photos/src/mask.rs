@@ -11,8 +11,14 @@
 
 use crate::edges;
 use crate::error::PhotosError;
-use crate::options::PhotosOptions;
 use rilievo_scene::{LinearImage, Mask, Orientation};
+
+/// Fewest object pixels of a usable mask.
+const MIN_MASK_PX: usize = 64;
+
+/// Share of the frame's border that a mask must mark, besides missing the middle, to be taken for inverted. Too small refuses
+/// objects that the frame cuts, too large misses inversions.
+const INVERTED_BORDER_SHARE: f64 = 0.75;
 
 /// Share of the frame that a mask which is not full must at least leave out.
 const FULL_SHARE: f64 = 0.999;
@@ -76,7 +82,6 @@ pub(crate) fn check(
     photo: &str,
     (width, height): (usize, usize),
     mask: &Mask,
-    options: &PhotosOptions,
 ) -> Result<(), PhotosError> {
     if (mask.width, mask.height) != (width, height) {
         return Err(PhotosError::MaskSize {
@@ -88,7 +93,7 @@ pub(crate) fn check(
         });
     }
     let num_pixels = mask.count();
-    if num_pixels < options.min_mask_px {
+    if num_pixels < MIN_MASK_PX {
         return Err(PhotosError::MaskEmpty {
             photo: photo.to_owned(),
             num_pixels,
@@ -101,9 +106,7 @@ pub(crate) fn check(
         });
     }
     let border = border_share(mask);
-    if border >= options.inverted_border_share
-        && border > coverage
-        && 1.0 - coverage >= INVERTED_HOLE_SHARE
+    if border >= INVERTED_BORDER_SHARE && border > coverage && 1.0 - coverage >= INVERTED_HOLE_SHARE
     {
         return Err(PhotosError::MaskInverted {
             photo: photo.to_owned(),
@@ -164,7 +167,7 @@ mod tests {
         let mask = Raster::from_fn(SIZE.0, SIZE.1, |x, y| {
             inside(x as f64 - 40.0, y as f64 - 30.0)
         });
-        check("a.jpg", SIZE, &mask, &PhotosOptions::default())
+        check("a.jpg", SIZE, &mask)
     }
 
     #[test]
@@ -230,7 +233,7 @@ mod tests {
         );
         let mask = Raster::filled(60, 80, false);
         assert!(matches!(
-            check("a.jpg", SIZE, &mask, &PhotosOptions::default()),
+            check("a.jpg", SIZE, &mask),
             Err(PhotosError::MaskSize { .. })
         ));
     }
