@@ -82,7 +82,7 @@ pub fn unknown_names<'a>(photos: &PhotoSet, options: &'a FeaturesOptions) -> BTr
 pub fn is_exhaustive(num_photos: usize, options: &FeaturesOptions) -> bool {
     match options.pairs {
         PairChoice::All => true,
-        PairChoice::Auto => num_photos <= options.max_num_exhaustive_photos,
+        PairChoice::Auto => num_photos <= options.pair_limits.max_num_exhaustive_photos,
         PairChoice::Sequential | PairChoice::Listed(_) => false,
     }
 }
@@ -134,7 +134,10 @@ fn ordered(i: usize, j: usize) -> Pair {
 
 /// Each photo with those that follow it, around the end, but never with itself.
 fn sequential(num: usize, options: &FeaturesOptions) -> impl Iterator<Item = Pair> {
-    let num_next = options.num_sequential_neighbors.min(num.saturating_sub(1));
+    let num_next = options
+        .pair_limits
+        .num_sequential_neighbors
+        .min(num.saturating_sub(1));
     (0..num).flat_map(move |i| (1..=num_next).map(move |step| ordered(i, (i + step) % num)))
 }
 
@@ -149,7 +152,9 @@ fn similar(photos: &[PhotoKeypoints], options: &FeaturesOptions) -> Vec<Pair> {
                 .map(|j| (dot(&signatures[i], &signatures[j]), j))
                 .collect();
             others.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-            let similar = others.into_iter().take(options.num_similar_neighbors);
+            let similar = others
+                .into_iter()
+                .take(options.pair_limits.num_similar_neighbors);
             similar.map(move |(_, j)| ordered(i, j))
         })
         .collect()
@@ -237,6 +242,7 @@ fn signatures(photos: &[PhotoKeypoints]) -> Vec<Vec<f32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::options::PairLimits;
 
     /// Photos of a ring: neighbours share most of their descriptors.
     fn ring(num: usize) -> Vec<PhotoKeypoints> {
@@ -281,7 +287,10 @@ mod tests {
         for pairs_of in [PairChoice::Auto, PairChoice::Sequential] {
             let options = FeaturesOptions {
                 pairs: pairs_of,
-                max_num_exhaustive_photos: 1,
+                pair_limits: PairLimits {
+                    max_num_exhaustive_photos: 1,
+                    ..PairLimits::default()
+                },
                 ..FeaturesOptions::default()
             };
             let found = pairs(&ring(4), &options);

@@ -21,6 +21,10 @@ use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
 use rilievo_scene::{Observer, RigidTransform, StageId};
 
+/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the point too far.
+pub const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
+/// Points that a photo must see to be registered, and a pair to begin: few agree by chance.
+pub const MIN_NUM_VISIBLE_POINTS: usize = 15;
 /// Up to this many views every adjustment covers all of them.
 const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
 /// Growth after which a larger model is adjusted as a whole again; less costs time, more lets errors
@@ -42,7 +46,7 @@ const MIN_COST_DROP_FOR_DISTORTION: f64 = 0.03;
 pub fn limits(options: &PosesOptions) -> TriangulationLimits {
     TriangulationLimits {
         max_error_px: options.max_reprojection_error_px,
-        min_angle_rad: options.min_triangulation_angle_deg.to_radians(),
+        min_angle_rad: MIN_TRIANGULATION_ANGLE_DEG.to_radians(),
     }
 }
 
@@ -74,7 +78,7 @@ pub fn reconstruct(
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Reconstruction, PosesError> {
-    let pairs = initial_pair::candidates(scene, available, options)?;
+    let pairs = initial_pair::candidates(scene, available)?;
     let wanted = available.iter().filter(|&&a| a).count();
     let mut best: Option<Reconstruction> = None;
     let (mut num_tried, mut most_points) = (0, 0);
@@ -105,7 +109,7 @@ pub fn reconstruct(
     best.ok_or(PosesError::NoStableStart {
         num_pairs: num_tried,
         best_points: most_points,
-        needed_points: options.min_num_visible_points,
+        needed_points: MIN_NUM_VISIBLE_POINTS,
     })
 }
 
@@ -135,7 +139,7 @@ fn grow(
     let mut adjustments = Vec::new();
     model.triangulate_all(scene, &limits);
     let num_points = model.num_points();
-    if num_points < options.min_num_visible_points {
+    if num_points < MIN_NUM_VISIBLE_POINTS {
         return Ok(Grown::Collapsed { num_points });
     }
     for _ in 0..2 {
@@ -143,7 +147,7 @@ fn grow(
         model.triangulate_all(scene, &limits);
     }
     let num_points = model.num_points();
-    if num_points < options.min_num_visible_points {
+    if num_points < MIN_NUM_VISIBLE_POINTS {
         return Ok(Grown::Collapsed { num_points });
     }
     let mut grown = Reconstruction {
@@ -204,7 +208,7 @@ fn extend(
         );
         flow.ok_or(PosesError::Interrupted)?;
         // A photo that failed is tried again once the model has grown.
-        let candidates = ranking.next_views(scene, model, available, failed, options);
+        let candidates = ranking.next_views(scene, model, available, failed);
         let mut registered = None;
         for photo in candidates {
             match register(scene, model, photo, options) {
@@ -330,7 +334,7 @@ fn register(
         [options.seed, photo as u64],
     );
     let num_inliers = found.as_ref().map_or(0, |f| f.inliers.len());
-    let needed = options.min_num_visible_points.max(pixels.len() / 5);
+    let needed = MIN_NUM_VISIBLE_POINTS.max(pixels.len() / 5);
     match found {
         Some(found) if num_inliers >= needed => Ok(found.pose),
         _ => Err((pixels.len(), num_inliers)),

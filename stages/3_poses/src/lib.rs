@@ -96,7 +96,7 @@ pub fn run(
         check_given_intrinsics(&scene, &mut reconstruction, options)?;
     }
     let (mut posed, mut report) =
-        result::assemble(&scene, &reconstruction, &other_models, keeps_given, options);
+        result::assemble(&scene, &reconstruction, &other_models, keeps_given);
     scale::apply(
         photos,
         sphere,
@@ -134,7 +134,7 @@ pub fn run(
         )
         .chain(contradicted_exif(&scene, &reconstruction))
         .chain(own_focal::warnings(&scene, &reconstruction.model))
-        .chain(narrow::warning(&posed, options))
+        .chain(narrow::warning(&posed))
         .chain(left_out)
     {
         error::warn(observer, message)?;

@@ -4,7 +4,7 @@
 //! Rays that meet at the angle `θ` under the focal length `f` give the relative depth with the
 //! error `δ / (f tan θ)` for an error of `δ` pixels between the photos.
 
-use crate::options::PosesOptions;
+use crate::initial_pair::MIN_ANGLE_DEG;
 use crate::triangulation;
 use nalgebra::Point3;
 use rilievo_numerics::robust::median;
@@ -40,20 +40,20 @@ pub fn widest_angle(posed: &PosedViews) -> Option<f64> {
 }
 
 /// What to tell of photos that all lie within the angle that a first pair should have.
-pub fn warning(posed: &PosedViews, options: &PosesOptions) -> Option<String> {
+pub fn warning(posed: &PosedViews) -> Option<String> {
     let angle = widest_angle(posed)?;
-    if angle >= options.min_initial_angle_deg.to_radians() || angle <= 0.0 {
+    if angle >= MIN_ANGLE_DEG.to_radians() || angle <= 0.0 {
         return None;
     }
     let mut focals: Vec<f64> = posed.views.iter().map(|view| view.intrinsics.fx).collect();
     let depth = ERROR_PX / (median(&mut focals)? * angle.tan());
-    let gain = (3.0 * options.min_initial_angle_deg).to_radians().tan() / angle.tan();
+    let gain = (3.0 * MIN_ANGLE_DEG).to_radians().tan() / angle.tan();
     Some(format!(
         "the photos see most points from within {:.1} degrees: where they disagree by a tenth of a \
          pixel, depth errs by {:.2} %, {gain:.0} times as much as from within {:.0} degrees; move \
          further between photos",
         angle.to_degrees(),
         100.0 * depth,
-        3.0 * options.min_initial_angle_deg
+        3.0 * MIN_ANGLE_DEG
     ))
 }

@@ -5,7 +5,7 @@
 //! others determine; where far more of them agree, the photo is given a camera of its own, which later adjustments refine.
 
 use crate::error::PosesError;
-use crate::incremental::{adjust_all, limits};
+use crate::incremental::{MIN_NUM_VISIBLE_POINTS, adjust_all, limits};
 use crate::model::Model;
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::resection::resect;
@@ -131,7 +131,7 @@ impl PointsInSight {
     /// `None` where too few points are in sight.
     fn of(scene: &Scene<'_>, model: &Model, photo: usize, options: &PosesOptions) -> Option<Self> {
         let visible = model.visible_points(scene, photo);
-        if visible.0.len() < options.min_num_visible_points {
+        if visible.0.len() < MIN_NUM_VISIBLE_POINTS {
             return None;
         }
         let (pixels, points) = some(visible);

@@ -5,8 +5,8 @@
 //! pose (Schönberger and Frahm, CVPR 2016, section 4.2). Scores are kept until a point of the photo comes
 //! or goes, which concerns the neighbours of the photo just registered only.
 
+use crate::incremental::MIN_NUM_VISIBLE_POINTS;
 use crate::model::Model;
-use crate::options::PosesOptions;
 use crate::scene::Scene;
 
 /// What was last known of a photo.
@@ -46,7 +46,6 @@ impl Ranking {
         model: &Model,
         available: &[bool],
         failed: &[(usize, usize, usize)],
-        options: &PosesOptions,
     ) -> Vec<usize> {
         let mut scored: Vec<(usize, usize)> = Vec::new();
         for (photo, &is_available) in available.iter().enumerate() {
@@ -58,7 +57,7 @@ impl Ranking {
             let tried = failed
                 .iter()
                 .any(|&(p, seen, _)| p == photo && num <= seen + seen / 10);
-            if num >= options.min_num_visible_points && !tried {
+            if num >= MIN_NUM_VISIBLE_POINTS && !tried {
                 scored.push((rank.score, photo));
             }
         }

@@ -1,9 +1,8 @@
 //! The model as the stage's output, with its report.
 
 use crate::adjustment::BundleOptions;
-use crate::incremental::Reconstruction;
+use crate::incremental::{MIN_NUM_VISIBLE_POINTS, Reconstruction};
 use crate::model::{AdjustmentScope, IntrinsicsScope};
-use crate::options::PosesOptions;
 use crate::report::{PosesReport, ViewReport};
 use crate::scene::Scene;
 use nalgebra::Point2;
@@ -21,7 +20,6 @@ pub fn assemble(
     reconstruction: &Reconstruction,
     other_models: &[Vec<usize>],
     keeps_given: bool,
-    options: &PosesOptions,
 ) -> (PosedViews, PosesReport) {
     let model = &reconstruction.model;
     let cameras = model.intrinsics();
@@ -32,7 +30,7 @@ pub fn assemble(
             posed.unregistered.push(Unregistered {
                 photo: PhotoIdx(p),
                 file_name: photo.file_name.clone(),
-                reason: reason(scene, reconstruction, other_models, p, options),
+                reason: reason(scene, reconstruction, other_models, p),
             });
             continue;
         };
@@ -139,7 +137,6 @@ fn reason(
     reconstruction: &Reconstruction,
     other_models: &[Vec<usize>],
     photo: usize,
-    options: &PosesOptions,
 ) -> String {
     if reconstruction.contradicting.contains(&photo) {
         return "wherever it is placed, most of its matches with other photos contradict that; \
@@ -165,7 +162,7 @@ fn reason(
         ),
         (None, Some(most)) => format!(
             "sees fewer than {} known points (best pair: {most} matches); add photos between it and the others",
-            options.min_num_visible_points
+            MIN_NUM_VISIBLE_POINTS
         ),
         (None, None) => {
             "matches no other photo; it shows something else or is too far from its neighbours"

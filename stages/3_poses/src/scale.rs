@@ -19,8 +19,8 @@ use crate::options::PosesOptions;
 use crate::report::PosesReport;
 use nalgebra::Point3;
 use rilievo_photometry::sphere::{
-    LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, WorldScale,
-    locate_request,
+    LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, SphereOptions,
+    WorldScale, locate_request,
 };
 use rilievo_scene::loading::num_at_once;
 use rilievo_scene::{
@@ -84,7 +84,7 @@ pub fn apply(
             &posed.views,
             &placed,
             world_scale,
-            &options.sphere,
+            &SphereOptions::default(),
             at_once,
         );
         let found = match found {
