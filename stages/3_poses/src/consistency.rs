@@ -5,7 +5,7 @@
 //! texture, or on the far side of a symmetric object, agrees with the points that deceived it and
 //! contradicts most of its other neighbours; its own reprojection errors do not show that.
 
-use crate::adjustment::robust_adjustment;
+use crate::adjustment::BundleOptions;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::relative_pose::depths;
 use crate::scene::Scene;
@@ -84,11 +84,11 @@ pub fn expel(
     for &(track, _) in &scene.tracks_of[photo] {
         model.points[track] = None;
     }
-    let scope = AdjustmentScope {
-        step: "without a photo that contradicts the others",
-        photos: None,
-        intrinsics: IntrinsicsScope::Fixed,
-    };
+    let step = "without a photo that contradicts the others";
+    let scope = AdjustmentScope::all(step, IntrinsicsScope::Fixed);
     model.triangulate_all(scene, limits);
-    model.num_points() > 0 && model.adjust(scene, &scope, &robust_adjustment()).is_ok()
+    model.num_points() > 0
+        && model
+            .adjust(scene, &scope, &BundleOptions::growing())
+            .is_ok()
 }

@@ -6,7 +6,7 @@
 //! locally, and as a whole whenever they have grown by a quarter: then the cost of a photo does not
 //! depend on how many there are, and that of all adjustments of the whole is a few times the last's.
 
-use crate::adjustment::{AdjustedCamera, robust_adjustment};
+use crate::adjustment::{AdjustedCamera, BundleOptions};
 use crate::consistency;
 use crate::error::PosesError;
 use crate::initial_pair::{self, InitialPair};
@@ -66,6 +66,20 @@ pub struct Reconstruction {
     pub lens: Option<LensReport>,
     /// The given focal length, where the photos contradict it.
     pub contradicted_focal: Option<ContradictedFocal>,
+}
+
+impl From<Model> for Reconstruction {
+    fn from(model: Model) -> Self {
+        Self {
+            model,
+            initial_pair: None,
+            adjustments: Vec::new(),
+            failed: Vec::new(),
+            contradicting: Vec::new(),
+            lens: None,
+            contradicted_focal: None,
+        }
+    }
 }
 
 /// Reconstructs as many of the available photos as possible in one model.
@@ -151,13 +165,9 @@ fn grow(
         return Ok(Grown::Collapsed { num_points });
     }
     let mut grown = Reconstruction {
-        model,
         initial_pair: Some((pair.first, pair.second)),
         adjustments,
-        failed: Vec::new(),
-        contradicting: Vec::new(),
-        lens: None,
-        contradicted_focal: None,
+        ..model.into()
     };
     extend(scene, &mut grown, available, options, observer)?;
     // A photo that was deceived by repeated texture gets a second chance among the others.
@@ -249,7 +259,7 @@ fn extend(
                 photos: Some(&local),
                 intrinsics: IntrinsicsScope::Fixed,
             };
-            adjustments.push(model.adjust(scene, &scope, &robust_adjustment())?);
+            adjustments.push(model.adjust(scene, &scope, &BundleOptions::growing())?);
             renew(model, &local, &limits);
         }
     }
@@ -285,15 +295,19 @@ pub fn try_full_intrinsics(
     {
         return Ok(None);
     }
-    let scope = |intrinsics| AdjustmentScope {
-        step: "with distortion",
-        photos: None,
-        intrinsics,
-    };
+    let scope = |intrinsics| AdjustmentScope::all("with distortion", intrinsics);
     let mut plain = model.clone();
-    let before = plain.adjust(scene, &scope(IntrinsicsScope::Focal), &robust_adjustment())?;
+    let before = plain.adjust(
+        scene,
+        &scope(IntrinsicsScope::Focal),
+        &BundleOptions::growing(),
+    )?;
     let mut full = model.clone();
-    let after = full.adjust(scene, &scope(IntrinsicsScope::All), &robust_adjustment())?;
+    let after = full.adjust(
+        scene,
+        &scope(IntrinsicsScope::All),
+        &BundleOptions::growing(),
+    )?;
     let clearly_better =
         after.solve.final_cost < (1.0 - MIN_COST_DROP_FOR_DISTORTION) * before.solve.final_cost;
     Ok(clearly_better.then(|| {
@@ -307,12 +321,8 @@ pub fn try_full_intrinsics(
 /// # Errors
 /// When it breaks down.
 pub fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, PosesError> {
-    let scope = AdjustmentScope {
-        step: "global",
-        photos: None,
-        intrinsics: intrinsics_scope(model),
-    };
-    model.adjust(scene, &scope, &robust_adjustment())
+    let scope = AdjustmentScope::all("global", intrinsics_scope(model));
+    model.adjust(scene, &scope, &BundleOptions::growing())
 }
 
 /// Pose of a photo, or the numbers of points that it sees and that agreed.

@@ -41,19 +41,16 @@ pub use vertical::{Vertical, VerticalSource};
 
 use adjustment::BundleOptions;
 use incremental::Reconstruction;
-use model::{AdjustmentScope, IntrinsicsScope};
+use model::AdjustmentScope;
 use projection::FOCAL;
-use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{
     FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, WorldFrame,
 };
 use scene::Scene;
+use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
 pub const VERSION: u32 = 14;
-
-/// Scale of the Cauchy loss of the last adjustments, standard deviations.
-const FINAL_LOSS_SCALE: f64 = 2.0;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
@@ -89,11 +86,10 @@ pub fn run(
         finish(&scene, &mut reconstruction, options)?;
     }
     if !options.matches_only {
-        let free_photos: Option<&[usize]> = if keeps_given { Some(&[]) } else { None };
-        finish_on_patches(&scene, &mut reconstruction, free_photos, options, observer)?;
+        finish_on_patches(&scene, &mut reconstruction, keeps_given, options, observer)?;
     }
     if !keeps_given {
-        check_given_intrinsics(&scene, &mut reconstruction, options)?;
+        lens::check_given_intrinsics(&scene, &mut reconstruction, options)?;
     }
     let (mut posed, mut report) =
         result::assemble(&scene, &reconstruction, &other_models, keeps_given);
@@ -282,22 +278,13 @@ fn largest_model(
         }
     }
     // The first of the largest: ties go to the better first pair.
-    let mut largest = 0;
-    for (k, model) in models.iter().enumerate() {
-        if model.model.num_views() > models[largest].model.num_views() {
-            largest = k;
-        }
-    }
-    let kept = models.remove(largest);
-    let others = models
-        .iter()
-        .map(|m| {
-            (0..scene.num_photos())
-                .filter(|&p| m.model.poses[p].is_some())
-                .collect()
-        })
-        .collect();
-    Ok((kept, others))
+    models.sort_by_key(|found| Reverse(found.model.num_views()));
+    let kept = models.remove(0);
+    let posed = |found: &Reconstruction| {
+        let photos = 0..scene.num_photos();
+        photos.filter(|&p| found.model.poses[p].is_some()).collect()
+    };
+    Ok((kept, models.iter().map(posed).collect()))
 }
 
 /// Rounds of adjustment and outlier removal with ever tighter limits, the last ones converged.
@@ -306,27 +293,17 @@ fn finish(
     reconstruction: &mut Reconstruction,
     options: &PosesOptions,
 ) -> Result<(), PosesError> {
-    let model = &mut reconstruction.model;
+    let Reconstruction {
+        model, adjustments, ..
+    } = reconstruction;
     let mut limits = incremental::limits(options);
     for round in 0..3 {
-        let scope = AdjustmentScope {
-            step: "final",
-            photos: None,
-            intrinsics: incremental::intrinsics_scope(model),
-        };
+        let scope = AdjustmentScope::all("final", incremental::intrinsics_scope(model));
         let last = round == 2;
-        let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
-            max_num_iterations: 50,
-            relative_cost_change: if last { 1e-7 } else { 1e-4 },
-        };
-        reconstruction
-            .adjustments
-            .push(model.adjust(scene, &scope, &bundle_options)?);
+        let bundle_options = BundleOptions::complete(if last { 1e-7 } else { 1e-4 });
+        adjustments.push(model.adjust(scene, &scope, &bundle_options)?);
         if !last {
-            reconstruction
-                .adjustments
-                .extend(incremental::try_full_intrinsics(model, scene)?);
+            adjustments.extend(incremental::try_full_intrinsics(model, scene)?);
             limits.max_error_px = options.max_reprojection_error_px * 0.7;
             model.triangulate_all(scene, &limits);
         }
@@ -334,11 +311,11 @@ fn finish(
     Ok(())
 }
 
-/// Moves the tracks to where patches align, and adjusts the free photos (`None`: all) to that.
+/// Moves the tracks to where patches align, and adjusts all to that; the points alone where the poses are kept.
 fn finish_on_patches(
     scene: &Scene<'_>,
     reconstruction: &mut Reconstruction,
-    free_photos: Option<&[usize]>,
+    keeps_poses: bool,
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<(), PosesError> {
@@ -346,49 +323,17 @@ fn finish_on_patches(
     let at_once = rilievo_scene::loading::num_at_once(scene.photos, options.memory);
     model.refined = Some(refinement::refine_tracks(scene, model, at_once, observer)?);
     for round in 0..2 {
-        let scope = AdjustmentScope {
-            step: "on aligned patches",
-            photos: free_photos,
-            intrinsics: match free_photos {
-                None => incremental::intrinsics_scope(model),
-                Some(_) => IntrinsicsScope::Fixed,
-            },
+        let step = "on aligned patches";
+        let scope = match keeps_poses {
+            true => AdjustmentScope::points(step),
+            false => AdjustmentScope::all(step, incremental::intrinsics_scope(model)),
         };
-        let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
-            max_num_iterations: 50,
-            relative_cost_change: if round == 0 { 1e-5 } else { 1e-8 },
-        };
-        reconstruction
-            .adjustments
-            .push(model.adjust(scene, &scope, &bundle_options)?);
+        let bundle_options = BundleOptions::complete(if round == 0 { 1e-5 } else { 1e-8 });
+        let adjusted = model.adjust(scene, &scope, &bundle_options)?;
+        reconstruction.adjustments.push(adjusted);
         if round == 0 {
             model.drop_outliers(scene, &incremental::limits(options));
         }
-    }
-    Ok(())
-}
-
-/// Lets the poses allow for distortion that given intrinsics do not state, and tells wrong focal lengths; see [`lens`].
-fn check_given_intrinsics(
-    scene: &Scene<'_>,
-    reconstruction: &mut Reconstruction,
-    options: &PosesOptions,
-) -> Result<(), PosesError> {
-    let bundle_options = BundleOptions {
-        loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
-        max_num_iterations: 50,
-        relative_cost_change: 1e-8,
-    };
-    let model = &mut reconstruction.model;
-    let Some(before) = reconstruction.adjustments.last() else {
-        return Ok(());
-    };
-    let found = lens::check_given_intrinsics(scene, model, before, &bundle_options, options)?;
-    reconstruction.contradicted_focal = found.contradicted_focal;
-    if let Some((lens, adjustments)) = found.distortion {
-        reconstruction.lens = Some(lens);
-        reconstruction.adjustments.extend(adjustments);
     }
     Ok(())
 }

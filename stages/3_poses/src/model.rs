@@ -2,13 +2,13 @@
 
 use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Observation};
 use crate::error::PosesError;
-use crate::projection::{CenteredPose, FOCAL, K1};
+use crate::projection::{CenteredPose, FOCAL, K1, NUM_INTRINSICS};
 use crate::report::AdjustmentReport;
-use crate::scene::{DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, Scene};
+use crate::scene::{DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, Scene, SceneCamera};
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
 use nalgebra::{Matrix3, Point2, Point3};
 use rayon::prelude::*;
-use rilievo_numerics::robust::median;
+use rilievo_numerics::robust::{RobustLoss, median};
 use rilievo_scene::Intrinsics;
 
 /// An observation is an outlier beyond this many median errors (3.4 standard deviations of a
@@ -56,16 +56,52 @@ pub struct AdjustmentScope<'a> {
 /// Which of the intrinsics that have a prior may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum IntrinsicsScope {
-    /// None.
     Fixed,
-    /// Focal length: what few views determine.
+    /// What few views determine.
     Focal,
-    /// All.
     All,
     /// Radial distortion of cameras that are otherwise as given; see [`crate::lens`].
     Nuisance,
     /// The same, and a focal length of which nothing is known.
     NuisanceAndFocal,
+}
+
+impl IntrinsicsScope {
+    /// Standard deviations of the priors of a camera's parameters; `None` for what may not change.
+    fn prior_sigma(self, camera: &SceneCamera) -> [Option<f64>; NUM_INTRINSICS] {
+        let mut sigma = [None; NUM_INTRINSICS];
+        match self {
+            Self::Fixed => {}
+            Self::Focal => sigma[FOCAL] = camera.prior_sigma[FOCAL],
+            Self::All => sigma = camera.prior_sigma,
+            Self::Nuisance => sigma[K1] = Some(DISTORTION_SIGMA[0]),
+            Self::NuisanceAndFocal => {
+                sigma[FOCAL] = Some(GUESS_FOCAL_SIGMA);
+                sigma[K1] = Some(DISTORTION_SIGMA[0]);
+            }
+        }
+        sigma
+    }
+}
+
+impl<'a> AdjustmentScope<'a> {
+    /// All poses and points.
+    pub fn all(step: &'a str, intrinsics: IntrinsicsScope) -> Self {
+        Self {
+            step,
+            photos: None,
+            intrinsics,
+        }
+    }
+
+    /// All points, cameras as they are.
+    pub fn points(step: &'a str) -> Self {
+        Self {
+            step,
+            photos: Some(&[]),
+            intrinsics: IntrinsicsScope::Fixed,
+        }
+    }
 }
 
 /// A pixel that replaces a keypoint's own, with its standard deviation in pixels.
@@ -352,35 +388,17 @@ impl Model {
             points.push(point.position);
             tracks.push(t);
         }
-        let cameras = self
-            .cameras
-            .iter()
-            .zip(&scene.cameras)
-            .map(|(camera, fixed)| AdjustedCamera {
-                prior_sigma: match scope.intrinsics {
-                    IntrinsicsScope::Fixed => Default::default(),
-                    IntrinsicsScope::Focal => {
-                        std::array::from_fn(|k| fixed.prior_sigma[k].filter(|_| k == FOCAL))
-                    }
-                    IntrinsicsScope::All => fixed.prior_sigma,
-                    IntrinsicsScope::Nuisance => {
-                        std::array::from_fn(|k| (k == K1).then_some(DISTORTION_SIGMA[0]))
-                    }
-                    IntrinsicsScope::NuisanceAndFocal => std::array::from_fn(|k| match k {
-                        FOCAL => Some(GUESS_FOCAL_SIGMA),
-                        K1 => Some(DISTORTION_SIGMA[0]),
-                        _ => None,
-                    }),
-                },
-                ..camera.clone()
-            })
-            .collect();
+        let cameras = self.cameras.iter().zip(&scene.cameras);
+        let cameras = cameras.map(|(camera, fixed)| AdjustedCamera {
+            prior_sigma: scope.intrinsics.prior_sigma(fixed),
+            ..camera.clone()
+        });
         let mut bundle = Bundle {
-            cameras,
+            cameras: cameras.collect(),
             views,
             points,
-            observations,
-            offsets,
+            observations: observations.into(),
+            offsets: offsets.into(),
         };
         bundle.fix_gauge();
         (bundle, tracks, photos)
@@ -425,7 +443,7 @@ impl Model {
         &self,
         scene: &Scene<'_>,
         scope: &AdjustmentScope<'_>,
-        options: &BundleOptions,
+        loss: RobustLoss,
     ) -> Precision {
         let (bundle, _, photos) = self.bundle(scene, scope);
         let statistics = bundle.residual_statistics();
@@ -434,7 +452,7 @@ impl Model {
             median_point_sigma: None,
             sigma_px: statistics.sigma_px,
         };
-        if let Some(covariances) = bundle.covariances(options.loss) {
+        if let Some(covariances) = bundle.covariances(loss) {
             let largest = |block: Matrix3<f64>| {
                 statistics.unit_sigma * block.symmetric_eigenvalues().max().max(0.0).sqrt()
             };

@@ -8,6 +8,7 @@ use crate::error::PosesError;
 use crate::incremental::{MIN_NUM_VISIBLE_POINTS, adjust_all, limits};
 use crate::model::Model;
 use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::projection::{FOCAL, PRINCIPAL_POINT};
 use crate::resection::resect;
 use crate::scene::{GUESS_FOCAL_SIGMA, Scene, SceneCamera};
 use nalgebra::{Point2, Point3};
@@ -63,7 +64,8 @@ pub fn find(
     model: &Model,
     options: &PosesOptions,
 ) -> Result<Vec<OwnFocal>, PosesError> {
-    let is_refined = |photo: usize| scene.cameras[scene.camera_of[photo]].prior_sigma[0].is_some();
+    let is_refined =
+        |photo: usize| scene.cameras[scene.camera_of[photo]].prior_sigma[FOCAL].is_some();
     let shares: Vec<Option<f64>> = (0..scene.num_photos())
         .into_par_iter()
         .map(|photo| {
@@ -210,10 +212,10 @@ pub fn give_cameras(
         let shared = &scene.cameras[camera];
         let initial = scaled(&model.cameras[camera].current(), zoom[0].ln_focal);
         let mut prior_sigma = shared.prior_sigma;
-        prior_sigma[0] = Some(GUESS_FOCAL_SIGMA);
+        prior_sigma[FOCAL] = Some(GUESS_FOCAL_SIGMA);
         if zoom.len() == 1 && refine != RefineIntrinsics::Focal {
             let offset = CROP_OFFSET * initial.width.max(initial.height) as f64;
-            prior_sigma[1..3].fill(Some(offset));
+            prior_sigma[PRINCIPAL_POINT].fill(Some(offset));
         }
         let own = SceneCamera {
             group: shared.group,

@@ -12,8 +12,11 @@ use rilievo_scene::{Intrinsics, RigidTransform};
 pub const NUM_INTRINSICS: usize = 8;
 /// Index of the logarithm of the focal length among the intrinsics.
 pub const FOCAL: usize = 0;
-/// Index of `k₁` among the intrinsics.
+/// Indices of `c_x` and `c_y`.
+pub const PRINCIPAL_POINT: std::ops::Range<usize> = 1..3;
+/// Indices of `k₁` and `k₂`, which `p₁`, `p₂` and `k₃` follow.
 pub const K1: usize = 3;
+pub const K2: usize = 4;
 
 /// Derivatives of a pixel.
 pub struct ProjectionJacobian {
@@ -125,34 +128,14 @@ pub fn project_with_jacobian(
     let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
     by_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&by_rotation);
     by_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_point);
-    let mut by_intrinsics = SMatrix::<f64, 2, NUM_INTRINSICS>::zeros();
-    let rows = [
-        [
-            camera.fx * ud,
-            1.0,
-            0.0,
-            camera.fx * u * r2,
-            camera.fx * u * r2 * r2,
-            camera.fx * 2.0 * u * v,
-            camera.fx * (r2 + 2.0 * u * u),
-            camera.fx * u * r2 * r2 * r2,
-        ],
-        [
-            camera.fy * vd,
-            0.0,
-            1.0,
-            camera.fy * v * r2,
-            camera.fy * v * r2 * r2,
-            camera.fy * (r2 + 2.0 * v * v),
-            camera.fy * 2.0 * u * v,
-            camera.fy * v * r2 * r2 * r2,
-        ],
-    ];
-    for (row, values) in rows.iter().enumerate() {
-        for (column, value) in values.iter().enumerate() {
-            by_intrinsics[(row, column)] = *value;
-        }
-    }
+    let (fx, fy) = (camera.fx, camera.fy);
+    #[rustfmt::skip]
+    let by_intrinsics = SMatrix::<f64, 2, NUM_INTRINSICS>::from_row_slice(&[
+        fx * ud, 1.0, 0.0,
+        fx * u * r2, fx * u * r2 * r2, fx * 2.0 * u * v, fx * (r2 + 2.0 * u * u), fx * u * r2 * r2 * r2,
+        fy * vd, 0.0, 1.0,
+        fy * v * r2, fy * v * r2 * r2, fy * (r2 + 2.0 * v * v), fy * 2.0 * u * v, fy * v * r2 * r2 * r2,
+    ]);
     Some((
         Point2::new(camera.fx * ud + camera.cx, camera.fy * vd + camera.cy),
         ProjectionJacobian {

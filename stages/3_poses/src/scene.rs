@@ -1,10 +1,10 @@
 //! What stays the same while poses are found: cameras, keypoint positions and tracks.
 
 use crate::options::{PosesOptions, RefineIntrinsics};
-use crate::projection::NUM_INTRINSICS;
+use crate::projection::{FOCAL, K1, K2, NUM_INTRINSICS, PRINCIPAL_POINT};
 use crate::tracks::{self, TrackSighting};
 use nalgebra::Point2;
-use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, PhotoSet};
+use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, Keypoint, PhotoSet};
 
 /// Standard deviation of `ln f` where it comes from EXIF: a nominal length, rounded to whole
 /// millimetres or thereabouts, at a focus nearer than infinity.
@@ -83,28 +83,9 @@ impl<'a> Scene<'a> {
                 })
             })
             .collect();
-        let pixels = matches
-            .photos
-            .iter()
-            .map(|list| {
-                list.keypoints
-                    .iter()
-                    .map(|k| Point2::new(f64::from(k.x), f64::from(k.y)))
-                    .collect()
-            })
-            .collect();
-        let sigmas_px = matches
-            .photos
-            .iter()
-            .map(|list| {
-                list.keypoints
-                    .iter()
-                    .map(|k| {
-                        KEYPOINT_SIGMA_PX.hypot(KEYPOINT_SIGMA_PER_SIZE * f64::from(k.size_px))
-                    })
-                    .collect()
-            })
-            .collect();
+        let pixel = |k: &Keypoint| Point2::new(f64::from(k.x), f64::from(k.y));
+        let sigma_px =
+            |k: &Keypoint| KEYPOINT_SIGMA_PX.hypot(KEYPOINT_SIGMA_PER_SIZE * f64::from(k.size_px));
         let tracks = tracks::build(matches);
         let mut tracks_of = vec![Vec::new(); photos.photos.len()];
         for (t, track) in tracks.iter().enumerate() {
@@ -117,8 +98,8 @@ impl<'a> Scene<'a> {
             matches,
             cameras,
             camera_of,
-            pixels,
-            sigmas_px,
+            pixels: each_keypoint(matches, pixel),
+            sigmas_px: each_keypoint(matches, sigma_px),
             tracks,
             tracks_of,
         }
@@ -149,6 +130,14 @@ impl<'a> Scene<'a> {
     }
 }
 
+/// A value of every keypoint, per photo.
+fn each_keypoint<T>(matches: &FeatureMatches, value: impl Fn(&Keypoint) -> T) -> Vec<Vec<T>> {
+    let photos = matches.photos.iter();
+    photos
+        .map(|list| list.keypoints.iter().map(&value).collect())
+        .collect()
+}
+
 /// Which intrinsics may change, and how far the start may be trusted.
 fn prior_sigma(
     camera: &Intrinsics,
@@ -164,19 +153,16 @@ fn prior_sigma(
         RefineIntrinsics::None => {}
         RefineIntrinsics::Auto if source == FocalSource::CameraFile => {}
         RefineIntrinsics::Auto => {
-            sigma[0] = Some(focal_sigma);
-            sigma[3] = Some(DISTORTION_SIGMA[0]);
-            sigma[4] = Some(DISTORTION_SIGMA[1]);
+            sigma[FOCAL] = Some(focal_sigma);
+            sigma[K1] = Some(DISTORTION_SIGMA[0]);
+            sigma[K2] = Some(DISTORTION_SIGMA[1]);
         }
-        RefineIntrinsics::Focal => sigma[0] = Some(focal_sigma),
+        RefineIntrinsics::Focal => sigma[FOCAL] = Some(focal_sigma),
         RefineIntrinsics::All => {
             let longer = camera.width.max(camera.height) as f64;
-            sigma[0] = Some(focal_sigma);
-            sigma[1] = Some(PRINCIPAL_POINT_SIGMA * longer);
-            sigma[2] = Some(PRINCIPAL_POINT_SIGMA * longer);
-            for (s, d) in sigma[3..].iter_mut().zip(DISTORTION_SIGMA) {
-                *s = Some(d);
-            }
+            sigma[FOCAL] = Some(focal_sigma);
+            sigma[PRINCIPAL_POINT].fill(Some(PRINCIPAL_POINT_SIGMA * longer));
+            sigma[K1..].copy_from_slice(&DISTORTION_SIGMA.map(Some));
         }
     }
     sigma

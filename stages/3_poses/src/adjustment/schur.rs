@@ -53,7 +53,6 @@ pub struct Step {
 }
 
 impl Step {
-    /// Euclidean length.
     pub fn norm(&self) -> f64 {
         let reduced: f64 = self.reduced.iter().map(|v| v * v).sum();
         let points: f64 = self.points.iter().map(Vector3::norm_squared).sum();
@@ -86,7 +85,7 @@ impl System {
     /// Linearises a bundle with the weights of the loss at its state.
     pub fn build(bundle: &Bundle, layout: &Layout, loss: RobustLoss) -> Self {
         let pattern = &layout.pattern;
-        let cameras: Vec<Intrinsics> = bundle.cameras.iter().map(|c| c.current()).collect();
+        let cameras = bundle.intrinsics();
         let parts: Vec<(Chunk, Vec<f64>, Vec<f64>)> = bundle
             .point_chunks()
             .into_par_iter()
@@ -101,11 +100,8 @@ impl System {
             chunks.push(chunk);
         }
         for (camera, columns) in bundle.cameras.iter().zip(&layout.cameras) {
-            for ((column, sigma), deviation) in columns
-                .iter()
-                .zip(&camera.prior_sigma)
-                .zip(&camera.deviation)
-            {
+            let priors = camera.prior_sigma.iter().zip(&camera.deviation);
+            for (column, (sigma, deviation)) in columns.iter().zip(priors) {
                 if let (Some(c), Some(sigma)) = (column, sigma) {
                     let precision = PRIOR_LOSS.weight(deviation / sigma) / (sigma * sigma);
                     u[pattern.column_starts[*c]] += precision;
@@ -275,7 +271,7 @@ fn build_chunk(
             gradient: Vector3::zeros(),
             rows: start..start,
         };
-        for o in &bundle.observations[bundle.offsets[p]..bundle.offsets[p + 1]] {
+        for o in bundle.seen(p) {
             let view = &bundle.views[o.view];
             let camera = &cameras[view.camera];
             let Some((seen, j)) = project_with_jacobian(camera, &view.pose, &bundle.points[p])
