@@ -52,11 +52,8 @@ pub fn limits(options: &PosesOptions) -> TriangulationLimits {
 
 /// A model with what led to it.
 pub struct Reconstruction {
-    /// Poses and points.
     pub model: Model,
-    /// Photos of the first pair.
     pub initial_pair: Option<(usize, usize)>,
-    /// Adjustments.
     pub adjustments: Vec<AdjustmentReport>,
     /// Photos that failed, with the number of known points that they see and of those that agreed.
     pub failed: Vec<(usize, usize, usize)>,
@@ -129,11 +126,9 @@ pub fn reconstruct(
 
 /// What became of a pair.
 enum Grown {
-    /// A model.
     Model(Box<Reconstruction>),
     /// Too few points stayed.
     Collapsed {
-        /// How many.
         num_points: usize,
     },
 }
@@ -281,9 +276,6 @@ pub fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
 /// Tries a model with all intrinsics free, and adopts it where the residuals fall clearly.
 ///
 /// A lens without distortion keeps exactly none: free coefficients would only fit noise.
-///
-/// # Errors
-/// When the adjustment breaks down.
 pub fn try_full_intrinsics(
     model: &mut Model,
     scene: &Scene<'_>,
@@ -317,9 +309,6 @@ pub fn try_full_intrinsics(
 }
 
 /// Robust adjustment of the whole model.
-///
-/// # Errors
-/// When it breaks down.
 pub fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, PosesError> {
     let scope = AdjustmentScope::all("global", intrinsics_scope(model));
     model.adjust(scene, &scope, &BundleOptions::growing())

@@ -25,7 +25,6 @@ const SATURATION_ANGLE_DEG: f64 = 16.0;
 /// Homography share from which a pair counts as a pure rotation or a flat scene.
 const MAX_HOMOGRAPHY_SHARE: f64 = 0.97;
 
-/// A pair to start from.
 pub struct InitialPair {
     pub first: usize,
     pub second: usize,

@@ -38,9 +38,6 @@ const MIN_CHI_SQUARE_DROP: f64 = 25.0;
 
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
 /// leave some, and finds focal lengths that the photos contradict.
-///
-/// # Errors
-/// When an adjustment breaks down.
 pub fn check_given_intrinsics(
     scene: &Scene<'_>,
     reconstruction: &mut Reconstruction,

@@ -30,14 +30,11 @@ pub struct ModelPoint {
     pub support: Vec<usize>,
 }
 
-/// Poses and points.
 #[derive(Clone)]
 pub struct Model {
     /// Cameras, as in the scene.
     pub cameras: Vec<AdjustedCamera>,
-    /// Pose per photo.
     pub poses: Vec<Option<CenteredPose>>,
-    /// Point per track.
     pub points: Vec<Option<ModelPoint>>,
     /// Positions by patch alignment, once there are any.
     pub refined: Option<RefinedPixels>,
@@ -49,7 +46,6 @@ pub struct AdjustmentScope<'a> {
     pub step: &'a str,
     /// Photos whose poses may change; `None`: all; empty: none, all points alone.
     pub photos: Option<&'a [usize]>,
-    /// Which intrinsics may change.
     pub intrinsics: IntrinsicsScope,
 }
 
@@ -129,12 +125,10 @@ impl Model {
         }
     }
 
-    /// Number of photos with a pose.
     pub fn num_views(&self) -> usize {
         self.poses.iter().flatten().count()
     }
 
-    /// Number of points.
     pub fn num_points(&self) -> usize {
         self.points.iter().flatten().count()
     }
@@ -405,9 +399,6 @@ impl Model {
     }
 
     /// Bundle adjustment over a scope.
-    ///
-    /// # Errors
-    /// When the adjustment breaks down.
     pub fn adjust(
         &mut self,
         scene: &Scene<'_>,

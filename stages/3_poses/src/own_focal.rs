@@ -49,16 +49,12 @@ const CROP_OFFSET: f64 = 0.05;
 /// A photo whose matches agree with another focal length than its camera's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OwnFocal {
-    /// The photo.
     pub photo: usize,
     /// Logarithm of its focal length over its camera's.
     pub ln_focal: f64,
 }
 
 /// Photos that agree with far more of the points in sight at another focal length, in order.
-///
-/// # Errors
-/// When an adjustment breaks down.
 pub fn find(
     scene: &Scene<'_>,
     model: &Model,

@@ -18,9 +18,7 @@ const MAX_NUM_SAMPLES: usize = 2000;
 /// Certainty at which sampling stops early.
 const CONFIDENCE: f64 = 0.9999;
 
-/// A pose with the correspondences that support it.
 pub struct Resection {
-    /// The pose.
     pub pose: CenteredPose,
     /// Indices of the correspondences within the threshold.
     pub inliers: Vec<usize>,

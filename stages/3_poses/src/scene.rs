@@ -38,11 +38,8 @@ pub struct SceneCamera {
 
 /// The fixed part of the problem.
 pub struct Scene<'a> {
-    /// The photos.
     pub photos: &'a PhotoSet,
-    /// The matches.
     pub matches: &'a FeatureMatches,
-    /// Distinct cameras.
     pub cameras: Vec<SceneCamera>,
     /// Camera of each photo.
     pub camera_of: Vec<usize>,
@@ -57,7 +54,6 @@ pub struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// Builds tracks and cameras.
     pub fn new(photos: &'a PhotoSet, matches: &'a FeatureMatches, options: &PosesOptions) -> Self {
         let mut cameras: Vec<SceneCamera> = Vec::new();
         let camera_of = photos
@@ -105,7 +101,6 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// Observed pixel of a sighting.
     pub fn pixel(&self, sighting: &TrackSighting) -> Point2<f64> {
         self.pixels[sighting.photo][sighting.keypoint as usize]
     }
@@ -124,7 +119,6 @@ impl<'a> Scene<'a> {
         tracks
     }
 
-    /// Number of photos.
     pub fn num_photos(&self) -> usize {
         self.photos.photos.len()
     }

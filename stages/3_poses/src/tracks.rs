@@ -15,7 +15,6 @@ use rilievo_scene::{FeatureMatches, PhotoKeypoints};
 /// One sighting of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TrackSighting {
-    /// Photo.
     pub photo: usize,
     /// Keypoint in it.
     pub keypoint: u32,
@@ -85,7 +84,6 @@ struct End {
     node: usize,
 }
 
-/// A match.
 type Link = [End; 2];
 
 /// Broken loops beyond the closed ones that a match may have.

@@ -15,11 +15,8 @@ use rilievo_scene::Intrinsics;
 /// A sighting: camera, pose and pixel.
 #[derive(Clone, Copy)]
 pub struct Sighting<'a> {
-    /// Camera.
     pub camera: &'a Intrinsics,
-    /// Pose.
     pub pose: &'a CenteredPose,
-    /// Observed pixel.
     pub pixel: Point2<f64>,
 }
 

@@ -147,12 +147,10 @@ impl Pattern {
         }
     }
 
-    /// Number of columns.
     pub fn num_columns(&self) -> usize {
         self.block_of.len()
     }
 
-    /// Number of entries.
     pub fn len(&self) -> usize {
         self.rows.len()
     }

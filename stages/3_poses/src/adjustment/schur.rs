@@ -46,7 +46,6 @@ pub struct System {
 pub struct Step {
     /// Poses and cameras, by column.
     pub reduced: Vec<f64>,
-    /// Points.
     pub points: Vec<Vector3<f64>>,
     /// Decrease of the cost that the quadratic model predicts.
     pub predicted_decrease: f64,

@@ -19,9 +19,7 @@ const MAX_CELLS: f64 = 6000.0;
 pub(super) struct Grid {
     /// Distance between neighbouring anchors, working pixels.
     pub spacing: usize,
-    /// Number of columns.
     pub columns: usize,
-    /// Number of rows.
     pub rows: usize,
 }
 
@@ -35,7 +33,6 @@ impl Grid {
         }
     }
 
-    /// Number of cells.
     pub fn len(&self) -> usize {
         self.columns * self.rows
     }
@@ -49,7 +46,6 @@ impl Grid {
         )
     }
 
-    /// Cell of a position.
     pub fn cell(&self, x: f64, y: f64) -> Option<usize> {
         if x.is_nan() || y.is_nan() || x < 0.0 || y < 0.0 {
             return None;

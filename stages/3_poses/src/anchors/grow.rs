@@ -40,10 +40,8 @@ const MAX_SIGMA_PX: f64 = 0.3;
 /// Largest tangent of the tilt against the image plane.
 const MAX_TILT: f64 = 4.0;
 
-/// A patch of a cell.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Node {
-    /// Its alignment.
     pub alignment: Alignment,
     /// How it was found.
     pub origin: AnchorOrigin,
@@ -52,7 +50,6 @@ pub(super) struct Node {
 /// A depth to start from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seed {
-    /// Cell.
     pub cell: usize,
     /// Inverse depth at the cell's centre.
     pub q: f64,
@@ -61,13 +58,11 @@ pub(super) struct Seed {
 /// The reference view with what its patches need.
 #[derive(Clone, Copy)]
 pub(super) struct Reference<'a> {
-    /// All views.
     pub views: &'a [WorkingView],
     /// Index of the reference.
     pub index: usize,
     /// Geometry to every view that may serve as a source.
     pub pairs: &'a [PairGeometry],
-    /// Cells.
     pub grid: &'a Grid,
     /// Range of inverse depth per cell.
     pub ranges: &'a [Option<(f64, f64)>],
@@ -144,7 +139,6 @@ impl<'a> Reference<'a> {
     }
 }
 
-/// Entry of the queue.
 struct Proposal {
     priority: f64,
     entry: usize,

@@ -59,10 +59,8 @@ const ROBUST_SCALE: f64 = 2.5;
 /// A patch that strays this far from its start is given up, pixels of disparity.
 const MAX_MOVE_PX: f64 = 4.0;
 
-/// An aligned patch.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Alignment {
-    /// The plane found.
     pub plane: PatchPlane,
     /// Sources that agree.
     pub num_sources: usize,

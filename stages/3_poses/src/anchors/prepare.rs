@@ -61,7 +61,6 @@ pub(super) struct AnchorScene<'a> {
     pub ids: Vec<ViewIdx>,
     /// Normalised images of the epipolar search.
     pub details: Vec<DetailImage>,
-    /// Cells per view.
     pub grids: Vec<Grid>,
     /// Range of inverse depth per view and cell.
     pub ranges: Vec<CellRanges>,

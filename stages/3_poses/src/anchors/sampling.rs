@@ -28,7 +28,6 @@ const MAX_REACH_PX: f64 = 60.0;
 /// Added to coordinates inside a patch so that truncation is flooring.
 const COORDINATE_SHIFT: f32 = 64.0;
 
-/// Buffers of the alignment.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Workspace {
     disc: Vec<(i32, i32)>,

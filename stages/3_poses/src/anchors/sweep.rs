@@ -37,9 +37,7 @@ const MAX_RATIO: f64 = 0.8;
 pub(super) struct DetailImage {
     /// Working pixels per pixel of this image.
     pub reduction: usize,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Normalised value and flag (1 on the object).
     pub data: Vec<[f32; 2]>,
@@ -117,7 +115,6 @@ struct Samples {
     used: [f32; LANES],
 }
 
-/// Buffers of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SweepScratch {
     offsets: Vec<(i32, i32)>,

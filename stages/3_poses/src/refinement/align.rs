@@ -20,7 +20,6 @@ const CONVERGED: f32 = 0.003;
 /// An affine map of offsets from the patch's centre (in full-size pixels) to another photo.
 #[derive(Clone, Copy, Debug)]
 pub struct AffineMap {
-    /// Linear part.
     pub linear: Matrix2<f32>,
     /// Where the centre goes.
     pub center: Vector2<f32>,
@@ -38,11 +37,9 @@ pub struct Template {
     level: usize,
 }
 
-/// Outcome of an alignment.
 pub struct Aligned {
     /// Place of the template's centre in the other photo, full-size pixels.
     pub center: Vector2<f32>,
-    /// Zero-mean correlation.
     pub correlation: f32,
     /// Standard deviation of the centre as least squares sees it, full-size pixels.
     pub sigma_px: f32,

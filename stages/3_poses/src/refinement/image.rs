@@ -13,7 +13,6 @@ struct Level {
     data: Vec<u16>,
 }
 
-/// A photo's pyramid.
 pub struct Pyramid {
     levels: Vec<Level>,
 }
