@@ -14,14 +14,12 @@
 //! 5. `exposure`: photos brought to one exposure by EXIF;
 //! 6. `assemble`: order, groups of photos that share a camera, spreads over the set, warnings.
 //!
-//! Beside the way: [`backdrop`] proposes masks of objects before a plain backdrop, and [`table`]
-//! writes the preflight for people.
+//! [`table`] writes the preflight for people.
 //!
 //! Pixels are never rotated or scaled: everything is in the frame of the pixels as stored. EXIF's
 //! orientation is noted, and masks that were drawn over the photo as EXIF turns it are turned back.
 
 mod assemble;
-pub mod backdrop;
 mod edges;
 pub mod encoding;
 pub mod error;
@@ -37,7 +35,6 @@ pub mod table;
 mod vignetting;
 
 pub use assemble::assemble;
-pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use encoding::linearize;
 pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions, RETIRED_KEYS};

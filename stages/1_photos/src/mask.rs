@@ -33,25 +33,6 @@ const NOISE_CORRELATION: f64 = 0.3;
 /// Pixels that are looked at for that: 0 is then known to a few thousandths.
 const MAX_NUM_NOISE_SAMPLES: usize = 1_000_000;
 
-/// Share of the pixels along the four sides that a mask marks.
-pub(crate) fn border_share(mask: &Mask) -> f64 {
-    let (w, h) = (mask.width, mask.height);
-    let mut marked = 0usize;
-    let mut total = 0usize;
-    for y in 0..h {
-        let step = if y == 0 || y + 1 == h {
-            1
-        } else {
-            w.max(2) - 1
-        };
-        for x in (0..w).step_by(step) {
-            total += 1;
-            marked += usize::from(*mask.at(x, y));
-        }
-    }
-    marked as f64 / total.max(1) as f64
-}
-
 /// What the border of a turned mask must have at least of the photo's edges, and how many times as much as the border of
 /// the mask as given: an outline has 2 to 3, a border elsewhere less than 1.
 const OUTLINE_EDGE_RATIO: f64 = 1.5;
@@ -105,7 +86,7 @@ pub(crate) fn check(
             photo: photo.to_owned(),
         });
     }
-    let border = border_share(mask);
+    let border = mask.frame_share();
     if border >= INVERTED_BORDER_SHARE && border > coverage && 1.0 - coverage >= INVERTED_HOLE_SHARE
     {
         return Err(PhotosError::MaskInverted {
