@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {
-    /// By the file's format and metadata, photo by photo (see the table in [`crate::encoding`]).
+    /// By the file's format and metadata, photo by photo (see the table in `encoding.rs`).
     #[default]
     Auto,
     /// The sRGB curve, whatever the file says.

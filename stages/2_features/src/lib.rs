@@ -8,11 +8,11 @@
 mod candidates;
 mod descriptors;
 mod detect;
-pub mod error;
+mod error;
 mod matching;
-pub mod options;
+mod options;
 mod polarity;
-pub mod report;
+mod report;
 mod retention;
 mod two_view;
 

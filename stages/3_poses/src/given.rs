@@ -8,10 +8,10 @@ use crate::adjustment::BundleOptions;
 use crate::consistency::{MIN_CONSISTENT_SHARE, num_agreeing};
 use crate::error::PosesError;
 use crate::incremental::{Reconstruction, limits};
+use crate::matched::MatchedPhotos;
 use crate::model::{AdjustmentScope, Model};
 use crate::options::{GivenPoses, PosesOptions};
 use crate::projection::CenteredPose;
-use crate::scene::Scene;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rilievo_scene::{PhotoSet, RigidTransform};
 
@@ -41,13 +41,17 @@ fn common_place(poses: &[RigidTransform]) -> Option<[f64; 3]> {
 }
 
 /// Share of all verified matches that poses explain; `None` without matches.
-fn consistent_share(scene: &Scene<'_>, poses: &[RigidTransform], max_error_px: f64) -> Option<f64> {
+fn consistent_share(
+    matched: &MatchedPhotos<'_>,
+    poses: &[RigidTransform],
+    max_error_px: f64,
+) -> Option<f64> {
     let (mut agreeing, mut total) = (0_usize, 0_usize);
-    for pair in &scene.matches.pairs {
+    for pair in &matched.matches.pairs {
         let (i, j) = (pair.first.0, pair.second.0);
-        let cameras = [i, j].map(|photo| &scene.photos.photos[photo].intrinsics);
+        let cameras = [i, j].map(|photo| &matched.photos.photos[photo].intrinsics);
         if let Some(found) =
-            num_agreeing(scene, pair, cameras, [&poses[i], &poses[j]], max_error_px)
+            num_agreeing(matched, pair, cameras, [&poses[i], &poses[j]], max_error_px)
         {
             agreeing += found;
             total += pair.matches.len();
@@ -108,7 +112,7 @@ fn other_conventions(poses: &[RigidTransform]) -> Vec<(&'static str, Vec<RigidTr
 /// # Errors
 /// When the poses contradict the matches.
 pub fn reconstruct(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     poses: &[RigidTransform],
     options: &PosesOptions,
 ) -> Result<Reconstruction, PosesError> {
@@ -116,13 +120,13 @@ pub fn reconstruct(
     if let Some(place) = common_place(poses) {
         return Err(PosesError::GivenPosesAtOnePlace { place });
     }
-    if let Some(share) = consistent_share(scene, poses, max_error_px)
+    if let Some(share) = consistent_share(matched, poses, max_error_px)
         && share < MIN_CONSISTENT_SHARE
     {
         let best = other_conventions(poses)
             .into_iter()
             .filter_map(|(hint, other)| {
-                Some((consistent_share(scene, &other, max_error_px)?, hint))
+                Some((consistent_share(matched, &other, max_error_px)?, hint))
             })
             .reduce(|a, b| if b.0 > a.0 { b } else { a });
         let hint = match best {
@@ -136,14 +140,14 @@ pub fn reconstruct(
             hint,
         });
     }
-    let mut model = Model::empty(scene);
+    let mut model = Model::empty(matched);
     model.poses = poses.iter().map(|&p| Some(CenteredPose::from(p))).collect();
-    model.triangulate_all(scene, &limits(options));
+    model.triangulate_all(matched, &limits(options));
     let mut reconstruction = Reconstruction::from(model);
     let model = &mut reconstruction.model;
     if model.num_points() > 0 {
         let scope = AdjustmentScope::points("points only");
-        let adjusted = model.adjust(scene, &scope, &BundleOptions::complete(1e-6))?;
+        let adjusted = model.adjust(matched, &scope, &BundleOptions::complete(1e-6))?;
         reconstruction.adjustments.push(adjusted);
     }
     Ok(reconstruction)

@@ -6,8 +6,8 @@
 
 use crate::error::PosesError;
 use crate::incremental::MIN_TRIANGULATION_ANGLE_DEG;
+use crate::matched::MatchedPhotos;
 use crate::relative_pose::{self, RelativePose};
-use crate::scene::Scene;
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;
@@ -37,13 +37,13 @@ pub struct InitialPair {
 
 impl InitialPair {
     /// A pair of photos with its relative pose; `None` without an essential matrix.
-    fn of(scene: &Scene<'_>, pair: &PairMatches) -> Option<Self> {
+    fn of(matched: &MatchedPhotos<'_>, pair: &PairMatches) -> Option<Self> {
         let normalized = |photo: usize, side: usize| -> Vec<Point2<f64>> {
-            let camera = &scene.cameras[scene.camera_of[photo]].initial;
+            let camera = &matched.cameras[matched.camera_of[photo]].initial;
             let pixels = pair
                 .matches
                 .iter()
-                .map(|m| &scene.pixels[photo][m[side] as usize]);
+                .map(|m| &matched.pixels[photo][m[side] as usize]);
             pixels.map(|pixel| camera.normalized(pixel)).collect()
         };
         let (first, second) = (pair.first.0, pair.second.0);
@@ -72,15 +72,18 @@ impl InitialPair {
 ///
 /// # Errors
 /// A named reason when there is none.
-pub fn candidates(scene: &Scene<'_>, available: &[bool]) -> Result<Vec<InitialPair>, PosesError> {
+pub fn candidates(
+    matched: &MatchedPhotos<'_>,
+    available: &[bool],
+) -> Result<Vec<InitialPair>, PosesError> {
     let usable = || {
-        let pairs = scene.matches.pairs.iter();
+        let pairs = matched.matches.pairs.iter();
         pairs.filter(|p| available[p.first.0] && available[p.second.0])
     };
     let enough = || usable().filter(|p| p.matches.len() >= MIN_NUM_INLIERS);
     if enough().next().is_none() {
         return Err(PosesError::NoMatches {
-            num_photos: scene.num_photos(),
+            num_photos: matched.num_photos(),
             best: usable().map(|p| p.matches.len()).max().unwrap_or(0),
             needed: MIN_NUM_INLIERS,
         });
@@ -95,7 +98,7 @@ pub fn candidates(scene: &Scene<'_>, available: &[bool]) -> Result<Vec<InitialPa
         });
     }
     let posed = spatial.par_iter();
-    let posed: Vec<InitialPair> = posed.filter_map(|p| InitialPair::of(scene, p)).collect();
+    let posed: Vec<InitialPair> = posed.filter_map(|p| InitialPair::of(matched, p)).collect();
     // Poses hold under much smaller angles than depth would like; only where no pair is wide
     // enough may a narrow one begin.
     let is_start =

@@ -19,11 +19,11 @@
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
 use crate::incremental::Reconstruction;
+use crate::matched::{CameraPrior, MatchedPhotos};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, K1};
 use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
-use crate::scene::{Scene, SceneCamera};
 use rilievo_numerics::robust::median;
 
 /// Views from which lens distortion can be told from the shape of the scene.
@@ -39,17 +39,17 @@ const MIN_CHI_SQUARE_DROP: f64 = 25.0;
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
 /// leave some, and finds focal lengths that the photos contradict.
 pub fn check_given_intrinsics(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     reconstruction: &mut Reconstruction,
     options: &PosesOptions,
 ) -> Result<(), PosesError> {
     let model = &mut reconstruction.model;
-    let fixed = |c: &SceneCamera| c.prior_sigma.iter().all(Option::is_none);
+    let fixed = |c: &CameraPrior| c.prior_sigma.iter().all(Option::is_none);
     // The last adjustment of all poses has the intrinsics as given.
     let Some(before) = reconstruction.adjustments.last().filter(|_| {
         options.refine_intrinsics == RefineIntrinsics::Auto
             && model.num_views() >= MIN_NUM_VIEWS_FOR_DISTORTION
-            && scene.cameras.iter().all(fixed)
+            && matched.cameras.iter().all(fixed)
     }) else {
         return Ok(());
     };
@@ -57,15 +57,15 @@ pub fn check_given_intrinsics(
     let mut bent = model.clone();
     let step = "radial distortion as a nuisance";
     let scope = AdjustmentScope::all(step, IntrinsicsScope::Nuisance);
-    let after = bent.adjust(scene, &scope, &bundle_options)?;
+    let after = bent.adjust(matched, &scope, &bundle_options)?;
     let mut free = bent.clone();
     let step = "radial distortion and focal length as nuisances";
     let scope = AdjustmentScope::all(step, IntrinsicsScope::NuisanceAndFocal);
     // The model stands without what this looks for.
-    if let Ok(with_focal) = free.adjust(scene, &scope, &bundle_options)
+    if let Ok(with_focal) = free.adjust(matched, &scope, &bundle_options)
         && clear_drop(&after, &with_focal).is_some()
     {
-        reconstruction.contradicted_focal = contradicted_focal(scene, &free);
+        reconstruction.contradicted_focal = contradicted_focal(matched, &free);
     }
     let Some(cost_drop) = clear_drop(before, &after) else {
         return Ok(());
@@ -75,24 +75,24 @@ pub fn check_given_intrinsics(
     }
     reconstruction.lens = Some(LensReport {
         k1: bent.cameras.iter().map(|c| c.deviation[K1]).collect(),
-        largest_px: largest_shift_px(scene, &bent),
+        largest_px: largest_shift_px(matched, &bent),
         cost_drop,
     });
     model.poses = bent.poses;
     model.points = bent.points;
     let scope = AdjustmentScope::points("points, intrinsics as given");
-    let settled = model.adjust(scene, &scope, &bundle_options)?;
+    let settled = model.adjust(matched, &scope, &bundle_options)?;
     reconstruction.adjustments.extend([after, settled]);
     Ok(())
 }
 
 /// Largest displacement by `k₁` at an observation, pixels.
-fn largest_shift_px(scene: &Scene<'_>, bent: &Model) -> f64 {
+fn largest_shift_px(matched: &MatchedPhotos<'_>, bent: &Model) -> f64 {
     let mut largest_px = 0.0_f64;
     for track in 0..bent.points.len() {
-        for (place, pixel, _) in bent.observations(scene, track) {
-            let camera = scene.camera_of[scene.tracks[track][place].photo];
-            let intrinsics = &scene.cameras[camera].initial;
+        for (place, pixel, _) in bent.observations(matched, track) {
+            let camera = matched.camera_of[matched.tracks[track][place].photo];
+            let intrinsics = &matched.cameras[camera].initial;
             let radius = intrinsics.ray(&pixel).xy().norm();
             let k1 = bent.cameras[camera].deviation[K1];
             largest_px = largest_px.max((k1 * radius.powi(3) * intrinsics.focal_px()).abs());
@@ -112,17 +112,17 @@ fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64
 }
 
 /// The focal length, where a model that was free to choose it has another one.
-fn contradicted_focal(scene: &Scene<'_>, free: &Model) -> Option<ContradictedFocal> {
-    let posed = (0..scene.num_photos()).filter(|&photo| free.poses[photo].is_some());
+fn contradicted_focal(matched: &MatchedPhotos<'_>, free: &Model) -> Option<ContradictedFocal> {
+    let posed = (0..matched.num_photos()).filter(|&photo| free.poses[photo].is_some());
     let photo = posed.clone().next()?;
-    let mut used: Vec<usize> = posed.map(|photo| scene.camera_of[photo]).collect();
+    let mut used: Vec<usize> = posed.map(|photo| matched.camera_of[photo]).collect();
     used.sort_unstable();
     used.dedup();
     let changes = used.iter().map(|&c| free.cameras[c].deviation[FOCAL]);
     let change = median(&mut changes.collect::<Vec<f64>>())?.exp();
-    let given_px = scene.cameras[scene.camera_of[photo]].initial.focal_px();
+    let given_px = matched.cameras[matched.camera_of[photo]].initial.focal_px();
     ((change - 1.0).abs() > MIN_FOCAL_CHANGE).then(|| ContradictedFocal {
-        file_name: scene.photos.photos[photo].file_name.clone(),
+        file_name: matched.photos.photos[photo].file_name.clone(),
         given_px,
         found_px: given_px * change,
     })

@@ -10,7 +10,7 @@ use rilievo_numerics::plane::Plane;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{PosedViews, RigidTransform, WorldFrame};
 
-/// Fewest points inside the masks that tell where the object is.
+/// Fewest points inside the masks that place the object.
 const MIN_OBJECT_POINTS: usize = 30;
 /// Share of the object's points beyond its middle's box on either side: single wrong ones.
 const BEYOND: f64 = 0.02;

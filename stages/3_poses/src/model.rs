@@ -2,9 +2,9 @@
 
 use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Observation};
 use crate::error::PosesError;
+use crate::matched::{CameraPrior, DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, MatchedPhotos};
 use crate::projection::{CenteredPose, FOCAL, K1, NUM_INTRINSICS};
 use crate::report::AdjustmentReport;
-use crate::scene::{DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, Scene, SceneCamera};
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
 use nalgebra::{Matrix3, Point2, Point3};
 use rayon::prelude::*;
@@ -64,7 +64,7 @@ pub enum IntrinsicsScope {
 
 impl IntrinsicsScope {
     /// Standard deviations of the priors of a camera's parameters; `None` for what may not change.
-    fn prior_sigma(self, camera: &SceneCamera) -> [Option<f64>; NUM_INTRINSICS] {
+    fn prior_sigma(self, camera: &CameraPrior) -> [Option<f64>; NUM_INTRINSICS] {
         let mut sigma = [None; NUM_INTRINSICS];
         match self {
             Self::Fixed => {}
@@ -108,9 +108,9 @@ pub type RefinedPixels = Vec<Vec<RefinedPixel>>;
 
 impl Model {
     /// No poses, no points.
-    pub fn empty(scene: &Scene<'_>) -> Self {
+    pub fn empty(matched: &MatchedPhotos<'_>) -> Self {
         Self {
-            cameras: scene
+            cameras: matched
                 .cameras
                 .iter()
                 .map(|c| {
@@ -119,8 +119,8 @@ impl Model {
                     camera
                 })
                 .collect(),
-            poses: vec![None; scene.num_photos()],
-            points: vec![None; scene.tracks.len()],
+            poses: vec![None; matched.num_photos()],
+            points: vec![None; matched.tracks.len()],
             refined: None,
         }
     }
@@ -134,8 +134,8 @@ impl Model {
     }
 
     /// Number of points that a photo's sightings support.
-    pub fn num_sightings(&self, scene: &Scene<'_>, photo: usize) -> usize {
-        let sightings = scene.tracks_of[photo].iter();
+    pub fn num_sightings(&self, matched: &MatchedPhotos<'_>, photo: usize) -> usize {
+        let sightings = matched.tracks_of[photo].iter();
         let supports = |&(track, place): &(usize, usize)| {
             let point = self.points[track].as_ref();
             point.is_some_and(|point| point.support.binary_search(&place).is_ok())
@@ -151,14 +151,14 @@ impl Model {
     /// Known points that a photo sees: keypoint pixel and position.
     pub fn visible_points(
         &self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         photo: usize,
     ) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
-        scene.tracks_of[photo]
+        matched.tracks_of[photo]
             .iter()
             .filter_map(|&(track, place)| {
                 let point = self.points[track].as_ref()?;
-                Some((scene.pixel(&scene.tracks[track][place]), point.position))
+                Some((matched.pixel(&matched.tracks[track][place]), point.position))
             })
             .unzip()
     }
@@ -166,7 +166,11 @@ impl Model {
     /// What was seen of a point: place in the track, pixel, standard deviation in pixels.
     ///
     /// A track with two aligned sightings or more goes by them alone; others by their keypoints.
-    pub fn observations(&self, scene: &Scene<'_>, track: usize) -> Vec<(usize, Point2<f64>, f64)> {
+    pub fn observations(
+        &self,
+        matched: &MatchedPhotos<'_>,
+        track: usize,
+    ) -> Vec<(usize, Point2<f64>, f64)> {
         let Some(point) = &self.points[track] else {
             return Vec::new();
         };
@@ -184,8 +188,8 @@ impl Model {
             .support
             .iter()
             .map(|&place| {
-                let sighting = &scene.tracks[track][place];
-                (place, scene.pixel(sighting), scene.sigma_px(sighting))
+                let sighting = &matched.tracks[track][place];
+                (place, matched.pixel(sighting), matched.sigma_px(sighting))
             })
             .collect()
     }
@@ -193,19 +197,19 @@ impl Model {
     /// The posed sightings of a track with their places in it.
     fn posed_sightings<'m>(
         &'m self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         cameras: &'m [Intrinsics],
         track: usize,
     ) -> (Vec<usize>, Vec<Sighting<'m>>) {
-        scene.tracks[track]
+        matched.tracks[track]
             .iter()
             .enumerate()
             .filter_map(|(place, s)| {
                 self.poses[s.photo].as_ref().map(|pose| {
                     let sighting = Sighting {
-                        camera: &cameras[scene.camera_of[s.photo]],
+                        camera: &cameras[matched.camera_of[s.photo]],
                         pose,
-                        pixel: scene.pixel(s),
+                        pixel: matched.pixel(s),
                     };
                     (place, sighting)
                 })
@@ -214,15 +218,15 @@ impl Model {
     }
 
     /// Triangulates every track that can be, and extends or trims the support of known points.
-    pub fn triangulate_all(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) {
-        let all: Vec<usize> = (0..scene.tracks.len()).collect();
-        self.triangulate(scene, &all, limits);
+    pub fn triangulate_all(&mut self, matched: &MatchedPhotos<'_>, limits: &TriangulationLimits) {
+        let all: Vec<usize> = (0..matched.tracks.len()).collect();
+        self.triangulate(matched, &all, limits);
     }
 
     /// The same for some of the tracks; those that became a point or ceased to be one.
     pub fn triangulate(
         &mut self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         tracks: &[usize],
         limits: &TriangulationLimits,
     ) -> Vec<usize> {
@@ -230,7 +234,7 @@ impl Model {
         let updated: Vec<Option<ModelPoint>> = tracks
             .par_iter()
             .map(|&t| {
-                let (places, sightings) = self.posed_sightings(scene, &cameras, t);
+                let (places, sightings) = self.posed_sightings(matched, &cameras, t);
                 if sightings.len() < 2 {
                     return None;
                 }
@@ -266,7 +270,7 @@ impl Model {
 
     /// Drops sightings that err by more than four times the median, and points left with fewer
     /// than two or with rays too nearly parallel.
-    pub fn drop_outliers(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) {
+    pub fn drop_outliers(&mut self, matched: &MatchedPhotos<'_>, limits: &TriangulationLimits) {
         let cameras = self.intrinsics();
         let errors: Vec<Vec<(usize, f64)>> = (0..self.points.len())
             .into_par_iter()
@@ -274,12 +278,12 @@ impl Model {
                 let Some(point) = &self.points[t] else {
                     return Vec::new();
                 };
-                self.observations(scene, t)
+                self.observations(matched, t)
                     .into_iter()
                     .filter_map(|(place, pixel, _)| {
-                        let photo = scene.tracks[t][place].photo;
+                        let photo = matched.tracks[t][place].photo;
                         let sighting = Sighting {
-                            camera: &cameras[scene.camera_of[photo]],
+                            camera: &cameras[matched.camera_of[photo]],
                             pose: self.poses[photo].as_ref()?,
                             pixel,
                         };
@@ -299,7 +303,7 @@ impl Model {
                 .collect();
             let centers: Vec<Point3<f64>> = support
                 .iter()
-                .filter_map(|&place| self.poses[scene.tracks[t][place].photo])
+                .filter_map(|&place| self.poses[matched.tracks[t][place].photo])
                 .map(|pose| pose.center)
                 .collect();
             if let Some(point) = &mut self.points[t] {
@@ -316,7 +320,7 @@ impl Model {
     /// The bundle of a scope, with the track of each of its points and the photo of each view.
     fn bundle(
         &self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         scope: &AdjustmentScope<'_>,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
         let mut free = vec![scope.photos.is_none(); self.poses.len()];
@@ -328,7 +332,7 @@ impl Model {
         let is_free = |photo: usize| free[photo];
         // With no pose free it is the points that are wanted, all of them.
         let wanted = match scope.photos {
-            Some(photos) if !photos.is_empty() => scene.tracks_of_any(photos),
+            Some(photos) if !photos.is_empty() => matched.tracks_of_any(photos),
             _ => (0..self.points.len()).collect(),
         };
         let points_only = scope.photos.is_some_and(<[usize]>::is_empty);
@@ -341,12 +345,12 @@ impl Model {
             let Some(point) = &self.points[t] else {
                 continue;
             };
-            let sightings = &scene.tracks[t];
+            let sightings = &matched.tracks[t];
             let sees = |&place: &usize| is_free(sightings[place].photo);
             if !points_only && !point.support.iter().any(sees) {
                 continue;
             }
-            let mut seen = self.observations(scene, t);
+            let mut seen = self.observations(matched, t);
             if scope.photos.is_some() && !points_only {
                 let (held, moved): (Vec<_>, _) =
                     seen.into_iter().partition(|(place, ..)| !sees(place));
@@ -362,7 +366,7 @@ impl Model {
                 let view = *view_of[sighting.photo].get_or_insert_with(|| {
                     photos.push(sighting.photo);
                     views.push(AdjustedView {
-                        camera: scene.camera_of[sighting.photo],
+                        camera: matched.camera_of[sighting.photo],
                         pose,
                         free: [is_free(sighting.photo); 6],
                     });
@@ -382,7 +386,7 @@ impl Model {
             points.push(point.position);
             tracks.push(t);
         }
-        let cameras = self.cameras.iter().zip(&scene.cameras);
+        let cameras = self.cameras.iter().zip(&matched.cameras);
         let cameras = cameras.map(|(camera, fixed)| AdjustedCamera {
             prior_sigma: scope.intrinsics.prior_sigma(fixed),
             ..camera.clone()
@@ -401,11 +405,11 @@ impl Model {
     /// Bundle adjustment over a scope.
     pub fn adjust(
         &mut self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         scope: &AdjustmentScope<'_>,
         options: &BundleOptions,
     ) -> Result<AdjustmentReport, PosesError> {
-        let (mut bundle, tracks, photos) = self.bundle(scene, scope);
+        let (mut bundle, tracks, photos) = self.bundle(matched, scope);
         let solve = bundle.adjust(options)?;
         for (view, &photo) in bundle.views.iter().zip(&photos) {
             self.poses[photo] = Some(view.pose);
@@ -432,11 +436,11 @@ impl Model {
     /// How well the observations of a scope determine poses and points.
     pub fn precision(
         &self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         scope: &AdjustmentScope<'_>,
         loss: RobustLoss,
     ) -> Precision {
-        let (bundle, _, photos) = self.bundle(scene, scope);
+        let (bundle, _, photos) = self.bundle(matched, scope);
         let statistics = bundle.residual_statistics();
         let mut precision = Precision {
             poses: vec![None; self.poses.len()],

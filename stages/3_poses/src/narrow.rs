@@ -10,7 +10,7 @@ use nalgebra::Point3;
 use rilievo_numerics::robust::median;
 use rilievo_scene::PosedViews;
 
-/// Points that are looked at; more change nothing but the time.
+/// Points that are used; more change nothing but the time.
 const MAX_POINTS: usize = 2000;
 /// Error between photos that the warning states depth's error for, pixels.
 const ERROR_PX: f64 = 0.1;
@@ -39,7 +39,7 @@ pub fn widest_angle(posed: &PosedViews) -> Option<f64> {
     median(&mut widest)
 }
 
-/// What to tell of photos that all lie within the angle that a first pair should have.
+/// A warning of photos that all lie within the angle that a first pair should have.
 pub fn warning(posed: &PosedViews) -> Option<String> {
     let angle = widest_angle(posed)?;
     if angle >= MIN_ANGLE_DEG.to_radians() || angle <= 0.0 {

@@ -2,9 +2,9 @@
 
 use crate::adjustment::FINAL_LOSS;
 use crate::incremental::{MIN_NUM_VISIBLE_POINTS, Reconstruction};
+use crate::matched::MatchedPhotos;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::report::{PosesReport, ViewReport};
-use crate::scene::Scene;
 use nalgebra::Point2;
 use rilievo_scene::{
     PhotoIdx, PosedView, PosedViews, RigidTransform, SparsePoint, TrackElement, Unregistered,
@@ -33,7 +33,7 @@ impl Errors {
 ///
 /// With `keeps_given` the poses are copied from the photos, so that they stay bit-identical.
 pub fn assemble(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     reconstruction: &Reconstruction,
     other_models: &[Vec<usize>],
     keeps_given: bool,
@@ -41,13 +41,13 @@ pub fn assemble(
     let model = &reconstruction.model;
     let cameras = model.intrinsics();
     let mut posed = PosedViews::default();
-    let mut view_of = vec![None; scene.num_photos()];
-    for (p, photo) in scene.photos.photos.iter().enumerate() {
+    let mut view_of = vec![None; matched.num_photos()];
+    for (p, photo) in matched.photos.photos.iter().enumerate() {
         let Some(pose) = model.poses[p] else {
             posed.unregistered.push(Unregistered {
                 photo: PhotoIdx(p),
                 file_name: photo.file_name.clone(),
-                reason: reason(scene, reconstruction, other_models, p),
+                reason: reason(matched, reconstruction, other_models, p),
             });
             continue;
         };
@@ -57,18 +57,18 @@ pub fn assemble(
             photo: PhotoIdx(p),
             name: photo.name.clone(),
             file_name: photo.file_name.clone(),
-            intrinsics: cameras[scene.camera_of[p]],
+            intrinsics: cameras[matched.camera_of[p]],
             cam_from_world: kept.unwrap_or_else(|| RigidTransform::from(pose)),
         });
     }
-    let errors = add_points(scene, model, &view_of, &mut posed);
-    paint(scene, &mut posed);
+    let errors = add_points(matched, model, &view_of, &mut posed);
+    paint(matched, &mut posed);
     let scope = match (keeps_given, &reconstruction.lens) {
         (true, _) => AdjustmentScope::points("covariance"),
         (false, Some(_)) => AdjustmentScope::all("covariance", IntrinsicsScope::Nuisance),
         (false, None) => AdjustmentScope::all("covariance", IntrinsicsScope::Fixed),
     };
-    let precision = model.precision(scene, &scope, FINAL_LOSS);
+    let precision = model.precision(matched, &scope, FINAL_LOSS);
     let views = posed.views.iter().zip(&errors).map(|(view, errors)| {
         let sigma = precision.poses[view.photo.0];
         ViewReport {
@@ -83,8 +83,8 @@ pub fn assemble(
         sum_px: errors.iter().map(|e| e.sum_px).sum(),
         num: errors.iter().map(|e| e.num).sum(),
     };
-    let name = |p: usize| scene.photos.photos[p].file_name.clone();
-    let refined = scene.cameras.iter().zip(&cameras);
+    let name = |p: usize| matched.photos.photos[p].file_name.clone();
+    let refined = matched.cameras.iter().zip(&cameras);
     let refined = refined.filter(|(before, after)| !before.is_own && before.initial.fx != after.fx);
     let report = PosesReport {
         initial_pair: reconstruction.initial_pair.map(|(a, b)| (name(a), name(b))),
@@ -108,7 +108,7 @@ pub fn assemble(
 
 /// Adds the points with two sightings or more; the reprojection errors of each view.
 fn add_points(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     model: &Model,
     view_of: &[Option<ViewIdx>],
     posed: &mut PosedViews,
@@ -118,8 +118,8 @@ fn add_points(
         let Some(point) = point else { continue };
         let mut track = Vec::with_capacity(point.support.len());
         let mut errors = Errors::default();
-        for (place, pixel, _) in model.observations(scene, t) {
-            let sighting = &scene.tracks[t][place];
+        for (place, pixel, _) in model.observations(matched, t) {
+            let sighting = &matched.tracks[t][place];
             let Some(view) = view_of[sighting.photo] else {
                 continue;
             };
@@ -152,7 +152,7 @@ fn add_points(
 
 /// Why a photo has no pose, and what to try.
 fn reason(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     reconstruction: &Reconstruction,
     other_models: &[Vec<usize>],
     photo: usize,
@@ -168,7 +168,7 @@ fn reason(
             others.len()
         );
     }
-    let most = scene
+    let most = matched
         .matches
         .pairs
         .iter()
@@ -191,7 +191,7 @@ fn reason(
 }
 
 /// Colours each point from its first sighting.
-fn paint(scene: &Scene<'_>, posed: &mut PosedViews) {
+fn paint(matched: &MatchedPhotos<'_>, posed: &mut PosedViews) {
     let mut of_view: Vec<Vec<(usize, Point2<f64>)>> = vec![Vec::new(); posed.views.len()];
     for (k, point) in posed.points.iter().enumerate() {
         if let Some(first) = point.track.first() {
@@ -203,7 +203,7 @@ fn paint(scene: &Scene<'_>, posed: &mut PosedViews) {
             continue;
         }
         // Colours are for looking at: a photo that cannot be read leaves its points black.
-        let Ok(image) = scene.photos.photos[posed.views[view].photo.0].linear() else {
+        let Ok(image) = matched.photos.photos[posed.views[view].photo.0].linear() else {
             continue;
         };
         for (k, pixel) in points {

@@ -42,9 +42,9 @@ const SAME_PHOTOS_CORRELATION: f64 = 0.64;
 /// Deviation that remains without noise, working pixels of disparity; set with the correlation, by
 /// the errors of the surest fifth of the anchors.
 const FLOOR_PX: f64 = 0.37;
-/// Noise factor where too few pairs tell; plain surfaces give 5 to 8.
+/// Noise factor of too few pairs; plain surfaces give 5 to 8.
 const DEFAULT_NOISE_FACTOR: f64 = 7.0;
-/// Pairs needed to measure it.
+/// Fewest pairs that measure it.
 const MIN_PAIRS: usize = 50;
 /// Two views agree within this disparity, working pixels.
 const AGREE_PX: f64 = 1.0;

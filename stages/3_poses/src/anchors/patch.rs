@@ -7,7 +7,7 @@
 //! gain (contrast) per patch and source. The cost `Σ_s Σ_d w e² + (γ/σ_γ)²` + slope prior is
 //! minimised by Gauss-Newton; offset and gain are eliminated exactly (variable projection with the
 //! projected Jacobian), so that the step solves 3×3. Where exposure is known to vary little between
-//! two photos the offset has a prior (see [`super::exposure`]): absolute brightness then tells depth
+//! two photos the offset has a prior (see [`super::exposure`]): absolute brightness then shows depth
 //! where shading changes too slowly for the texture to.
 //!
 //! Derivative: `∂u/∂q = (b₁ − u b₃)/h₃` (and `v` alike), times the gradient of `I_s`; by the slopes
@@ -31,7 +31,7 @@ const MIN_SOURCE_SHARE: f64 = 0.8;
 /// Without it a blank patch would claim any precision.
 const LEAST_NOISE: f64 = 1e-3;
 
-/// Residuals are correlated: a patch's samples tell as little as this many times fewer independent
+/// Residuals are correlated: a patch's samples weigh as little as this many times fewer independent
 /// ones, so that a prior must weigh this much more against them (the square of a noise factor of 7).
 const CORRELATED: f64 = 50.0;
 /// Iteration at which sources that disagree are dropped.

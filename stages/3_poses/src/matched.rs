@@ -1,4 +1,4 @@
-//! What stays the same while poses are found: cameras, keypoint positions and tracks.
+//! The matched photos: cameras, keypoint positions and tracks, which stay the same while poses are found.
 
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, K1, K2, NUM_INTRINSICS, PRINCIPAL_POINT};
@@ -23,7 +23,7 @@ const KEYPOINT_SIGMA_PX: f64 = 0.15;
 const KEYPOINT_SIGMA_PER_SIZE: f64 = 0.05;
 
 /// A camera shared by photos.
-pub struct SceneCamera {
+pub struct CameraPrior {
     /// Its group in the photo set.
     pub group: usize,
     /// Intrinsics before any adjustment.
@@ -36,11 +36,11 @@ pub struct SceneCamera {
     pub is_own: bool,
 }
 
-/// The fixed part of the problem.
-pub struct Scene<'a> {
+/// Photos with their cameras, keypoints and tracks.
+pub struct MatchedPhotos<'a> {
     pub photos: &'a PhotoSet,
     pub matches: &'a FeatureMatches,
-    pub cameras: Vec<SceneCamera>,
+    pub cameras: Vec<CameraPrior>,
     /// Camera of each photo.
     pub camera_of: Vec<usize>,
     /// Keypoint positions per photo, pixels.
@@ -53,18 +53,18 @@ pub struct Scene<'a> {
     pub tracks_of: Vec<Vec<(usize, usize)>>,
 }
 
-impl<'a> Scene<'a> {
+impl<'a> MatchedPhotos<'a> {
     pub fn new(photos: &'a PhotoSet, matches: &'a FeatureMatches, options: &PosesOptions) -> Self {
-        let mut cameras: Vec<SceneCamera> = Vec::new();
+        let mut cameras: Vec<CameraPrior> = Vec::new();
         let camera_of = photos
             .photos
             .iter()
             .map(|photo| {
-                let same = |c: &SceneCamera| {
+                let same = |c: &CameraPrior| {
                     c.group == photo.camera_group && c.initial == photo.intrinsics
                 };
                 cameras.iter().position(same).unwrap_or_else(|| {
-                    cameras.push(SceneCamera {
+                    cameras.push(CameraPrior {
                         group: photo.camera_group,
                         initial: photo.intrinsics,
                         prior_sigma: prior_sigma(
