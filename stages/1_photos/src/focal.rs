@@ -56,7 +56,7 @@ const SENSOR_WIDTHS_MM: [(&str, f64); 24] = [
 
 /// A camera before poses, and how it came about.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FirstCamera {
+pub(crate) struct FirstCamera {
     /// The camera.
     pub intrinsics: Intrinsics,
     /// Where its focal length came from.
@@ -66,7 +66,7 @@ pub struct FirstCamera {
 }
 
 /// The camera of an image of which the user gave none.
-pub fn first_camera(
+pub(crate) fn first_camera(
     width: usize,
     height: usize,
     exif: &ExifFacts,

@@ -14,7 +14,7 @@ use rilievo_scene::{PhotoKeypoints, PhotoSet};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A pair of photos, the smaller index first.
-pub type Pair = (usize, usize);
+pub(crate) type Pair = (usize, usize);
 
 /// Words of the vocabulary: enough to tell views of one object apart, few enough to be cheap.
 const NUM_WORDS: usize = 32;
@@ -31,7 +31,7 @@ const NUM_TRIED_PER_LOG: f64 = 12.0;
 ///
 /// # Errors
 /// When pairs are listed and none is one of two of the photos.
-pub fn first(
+pub(crate) fn first(
     photos: &PhotoSet,
     keypoints: &[PhotoKeypoints],
     options: &FeaturesOptions,
@@ -67,7 +67,10 @@ pub fn first(
 }
 
 /// Names in the listed pairs that are no photo's, each once.
-pub fn unknown_names<'a>(photos: &PhotoSet, options: &'a FeaturesOptions) -> BTreeSet<&'a str> {
+pub(crate) fn unknown_names<'a>(
+    photos: &PhotoSet,
+    options: &'a FeaturesOptions,
+) -> BTreeSet<&'a str> {
     let PairChoice::Listed(names) = &options.pairs else {
         return BTreeSet::new();
     };
@@ -79,7 +82,7 @@ pub fn unknown_names<'a>(photos: &PhotoSet, options: &'a FeaturesOptions) -> BTr
 }
 
 /// Whether all pairs are tried.
-pub fn is_exhaustive(num_photos: usize, options: &FeaturesOptions) -> bool {
+pub(crate) fn is_exhaustive(num_photos: usize, options: &FeaturesOptions) -> bool {
     match options.pairs {
         PairChoice::All => true,
         PairChoice::Auto => num_photos <= options.pair_limits.max_num_exhaustive_photos,
@@ -91,7 +94,7 @@ pub fn is_exhaustive(num_photos: usize, options: &FeaturesOptions) -> bool {
 /// many as each photo is to be tried with.
 ///
 /// `strong` are the pairs that match well, `tried` all that were looked at.
-pub fn beyond(num_photos: usize, strong: &[Pair], tried: &BTreeSet<Pair>) -> Vec<Pair> {
+pub(crate) fn beyond(num_photos: usize, strong: &[Pair], tried: &BTreeSet<Pair>) -> Vec<Pair> {
     let mut partners = vec![Vec::new(); num_photos];
     for &(i, j) in strong {
         partners[i].push(j);

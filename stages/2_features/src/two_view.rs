@@ -21,7 +21,7 @@ use rilievo_numerics::least_squares::{LeastSquaresOptions, LeastSquaresProblem, 
 use rilievo_numerics::robust::RobustLoss;
 
 /// Verified geometry of a pair.
-pub struct TwoViewGeometry {
+pub(crate) struct TwoViewGeometry {
     /// Essential matrix, Frobenius norm √2.
     pub essential: Matrix3<f64>,
     /// Indices of the matches that agree with it, ascending.
@@ -37,7 +37,7 @@ const MIN_NUM_SAMPLES: usize = 100;
 const MAX_NUM_RANSAC_SAMPLES: usize = 2000;
 
 /// Pairs with fewer verified matches are dropped.
-pub const MIN_NUM_INLIERS: usize = 15;
+pub(crate) const MIN_NUM_INLIERS: usize = 15;
 
 /// Largest distance from the epipolar line, pixels.
 const MAX_EPIPOLAR_ERROR_PX: f64 = 3.0;
@@ -52,7 +52,7 @@ const RANSAC_CONFIDENCE: f64 = 0.9999;
 ///
 /// # Errors
 /// When OpenCV refuses a call.
-pub fn verify(
+pub(crate) fn verify(
     x1: &[Point2<f64>],
     x2: &[Point2<f64>],
     distinctive: &[usize],

@@ -13,13 +13,13 @@ use crate::triangulation::TriangulationLimits;
 use rilievo_scene::{Intrinsics, PairMatches, RigidTransform};
 
 /// Least share of a photo's matches, over all its pairs, that its pose must explain.
-pub const MIN_CONSISTENT_SHARE: f64 = 0.5;
+pub(crate) const MIN_CONSISTENT_SHARE: f64 = 0.5;
 /// Photos with fewer matches cannot be judged.
 const MIN_NUM_MATCHES: usize = 20;
 
 /// Number of matches of a pair that two poses explain; `None` without a baseline, where every match
 /// of one point does.
-pub fn num_agreeing(
+pub(crate) fn num_agreeing(
     matched: &MatchedPhotos<'_>,
     pair: &PairMatches,
     [ci, cj]: [&Intrinsics; 2],
@@ -47,7 +47,7 @@ pub fn num_agreeing(
 }
 
 /// The posed photo that contradicts most of its matches with other posed photos, if any does.
-pub fn contradicting(
+pub(crate) fn contradicting(
     matched: &MatchedPhotos<'_>,
     model: &Model,
     max_error_px: f64,
@@ -77,7 +77,7 @@ pub fn contradicting(
 }
 
 /// Takes a photo out of a model and settles the rest; `false` when nothing is left to settle.
-pub fn expel(
+pub(crate) fn expel(
     matched: &MatchedPhotos<'_>,
     model: &mut Model,
     photo: usize,

@@ -16,7 +16,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rilievo_scene::{PhotoSet, RigidTransform};
 
 /// The given poses, when every photo has one and they are to be used.
-pub fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<RigidTransform>> {
+pub(crate) fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<RigidTransform>> {
     if options.given_poses == GivenPoses::Ignore {
         return None;
     }
@@ -111,7 +111,7 @@ fn other_conventions(poses: &[RigidTransform]) -> Vec<(&'static str, Vec<RigidTr
 ///
 /// # Errors
 /// When the poses contradict the matches.
-pub fn reconstruct(
+pub(crate) fn reconstruct(
     matched: &MatchedPhotos<'_>,
     poses: &[RigidTransform],
     options: &PosesOptions,

@@ -22,9 +22,9 @@ use crate::triangulation::TriangulationLimits;
 use rilievo_scene::{Observer, RigidTransform, StageId};
 
 /// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the point too far.
-pub const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
+pub(crate) const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
 /// Points that a photo must see to be registered, and a pair to begin: few agree by chance.
-pub const MIN_NUM_VISIBLE_POINTS: usize = 15;
+pub(crate) const MIN_NUM_VISIBLE_POINTS: usize = 15;
 /// Up to this many views every adjustment covers all of them.
 const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
 /// Growth after which a larger model is adjusted as a whole again; less costs time, more lets errors
@@ -43,7 +43,7 @@ const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
 const MIN_COST_DROP_FOR_DISTORTION: f64 = 0.03;
 
 /// Limits of a triangulated point under the options.
-pub fn limits(options: &PosesOptions) -> TriangulationLimits {
+pub(crate) fn limits(options: &PosesOptions) -> TriangulationLimits {
     TriangulationLimits {
         max_error_px: options.max_reprojection_error_px,
         min_angle_rad: MIN_TRIANGULATION_ANGLE_DEG.to_radians(),
@@ -51,7 +51,7 @@ pub fn limits(options: &PosesOptions) -> TriangulationLimits {
 }
 
 /// A model with what led to it.
-pub struct Reconstruction {
+pub(crate) struct Reconstruction {
     pub model: Model,
     pub initial_pair: Option<(usize, usize)>,
     pub adjustments: Vec<AdjustmentReport>,
@@ -83,7 +83,7 @@ impl From<Model> for Reconstruction {
 ///
 /// # Errors
 /// When there is no pair to start from, an adjustment breaks down, or the observer asked to stop.
-pub fn reconstruct(
+pub(crate) fn reconstruct(
     matched: &MatchedPhotos<'_>,
     available: &[bool],
     options: &PosesOptions,
@@ -262,7 +262,7 @@ fn extend(
 }
 
 /// What may change: the focal length once enough views hold it, distortion once it was adopted.
-pub fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
+pub(crate) fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
     let bent = |c: &AdjustedCamera| c.deviation[1..].iter().any(|&d| d != 0.0);
     if model.num_views() < MIN_NUM_VIEWS_FOR_INTRINSICS {
         IntrinsicsScope::Fixed
@@ -276,7 +276,7 @@ pub fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
 /// Tries a model with all intrinsics free, and adopts it where the residuals fall clearly.
 ///
 /// A lens without distortion keeps exactly none: free coefficients would only fit noise.
-pub fn try_full_intrinsics(
+pub(crate) fn try_full_intrinsics(
     model: &mut Model,
     matched: &MatchedPhotos<'_>,
 ) -> Result<Option<AdjustmentReport>, PosesError> {
@@ -309,7 +309,7 @@ pub fn try_full_intrinsics(
 }
 
 /// Robust adjustment of the whole model.
-pub fn adjust_all(
+pub(crate) fn adjust_all(
     model: &mut Model,
     matched: &MatchedPhotos<'_>,
 ) -> Result<AdjustmentReport, PosesError> {

@@ -17,7 +17,7 @@ use rilievo_scene::PairMatches;
 const MIN_NUM_INLIERS: usize = 30;
 /// Median triangulation angle that the first pair should have, degrees. Where no pair has it, the model begins with a
 /// narrower one, and a warning states what that costs depth (`narrow`).
-pub const MIN_ANGLE_DEG: f64 = 8.0;
+pub(crate) const MIN_ANGLE_DEG: f64 = 8.0;
 /// The same where no pair is wide: twice the smallest angle of a point, below which most points would be dropped.
 const LEAST_ANGLE_DEG: f64 = 2.0 * MIN_TRIANGULATION_ANGLE_DEG;
 /// Angle beyond which a wider one does not improve a point any more, degrees.
@@ -25,7 +25,7 @@ const SATURATION_ANGLE_DEG: f64 = 16.0;
 /// Homography share from which a pair counts as a pure rotation or a flat scene.
 const MAX_HOMOGRAPHY_SHARE: f64 = 0.97;
 
-pub struct InitialPair {
+pub(crate) struct InitialPair {
     pub first: usize,
     pub second: usize,
     pub pose: RelativePose,
@@ -72,7 +72,7 @@ impl InitialPair {
 ///
 /// # Errors
 /// A named reason when there is none.
-pub fn candidates(
+pub(crate) fn candidates(
     matched: &MatchedPhotos<'_>,
     available: &[bool],
 ) -> Result<Vec<InitialPair>, PosesError> {

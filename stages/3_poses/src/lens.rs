@@ -27,7 +27,7 @@ use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use rilievo_numerics::robust::median;
 
 /// Views from which lens distortion can be told from the shape of the scene.
-pub const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
+pub(crate) const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
 /// Least change of a given focal length that is reported: a calibration at another focus is off by about as much.
 const MIN_FOCAL_CHANGE: f64 = 0.03;
 /// Least relative drop of the cost: below it, distortion is less than what patches and noise do.
@@ -38,7 +38,7 @@ const MIN_CHI_SQUARE_DROP: f64 = 25.0;
 
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
 /// leave some, and finds focal lengths that the photos contradict.
-pub fn check_given_intrinsics(
+pub(crate) fn check_given_intrinsics(
     matched: &MatchedPhotos<'_>,
     reconstruction: &mut Reconstruction,
     options: &PosesOptions,

@@ -22,7 +22,7 @@ const MIN_DOWN: f64 = 0.05;
 
 /// Turns and moves the world so that it lies as the module says; the vertical with it. `object` are the points that
 /// masks show to be the object's.
-pub fn apply(
+pub(crate) fn apply(
     object: &[Point3<f64>],
     ground: Option<&Plane>,
     posed: &mut PosedViews,

@@ -8,13 +8,13 @@ use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, Keypoint, PhotoSet}
 
 /// Standard deviation of `ln f` where it comes from EXIF: a nominal length, rounded to whole
 /// millimetres or thereabouts, at a focus nearer than infinity.
-pub const EXIF_FOCAL_SIGMA: f64 = 0.02;
+pub(crate) const EXIF_FOCAL_SIGMA: f64 = 0.02;
 /// Standard deviation of `ln f` where nothing is known.
-pub const GUESS_FOCAL_SIGMA: f64 = 0.4;
+pub(crate) const GUESS_FOCAL_SIGMA: f64 = 0.4;
 /// Standard deviation of the principal point, as a share of the image's longer side.
 const PRINCIPAL_POINT_SIGMA: f64 = 0.02;
 /// Standard deviation of the distortion coefficients `k1, k2, p1, p2, k3`.
-pub const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
+pub(crate) const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
 
 /// Standard deviation of a small keypoint's coordinate, pixels: the distances of matches from the
 /// true epipolar lines of three calibrated photo sets.
@@ -23,7 +23,7 @@ const KEYPOINT_SIGMA_PX: f64 = 0.15;
 const KEYPOINT_SIGMA_PER_SIZE: f64 = 0.05;
 
 /// A camera shared by photos.
-pub struct CameraPrior {
+pub(crate) struct CameraPrior {
     /// Its group in the photo set.
     pub group: usize,
     /// Intrinsics before any adjustment.
@@ -37,7 +37,7 @@ pub struct CameraPrior {
 }
 
 /// Photos with their cameras, keypoints and tracks.
-pub struct MatchedPhotos<'a> {
+pub(crate) struct MatchedPhotos<'a> {
     pub photos: &'a PhotoSet,
     pub matches: &'a FeatureMatches,
     pub cameras: Vec<CameraPrior>,

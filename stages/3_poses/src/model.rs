@@ -23,7 +23,7 @@ const MAX_NUM_HELD: usize = 8;
 
 /// A triangulated track.
 #[derive(Clone, Debug)]
-pub struct ModelPoint {
+pub(crate) struct ModelPoint {
     /// Position in the world frame.
     pub position: Point3<f64>,
     /// Which sightings of the track support it, ascending.
@@ -31,7 +31,7 @@ pub struct ModelPoint {
 }
 
 #[derive(Clone)]
-pub struct Model {
+pub(crate) struct Model {
     /// Cameras, as in the scene.
     pub cameras: Vec<AdjustedCamera>,
     pub poses: Vec<Option<CenteredPose>>,
@@ -41,7 +41,7 @@ pub struct Model {
 }
 
 /// What an adjustment covers.
-pub struct AdjustmentScope<'a> {
+pub(crate) struct AdjustmentScope<'a> {
     /// Name for the report.
     pub step: &'a str,
     /// Photos whose poses may change; `None`: all; empty: none, all points alone.
@@ -51,7 +51,7 @@ pub struct AdjustmentScope<'a> {
 
 /// Which of the intrinsics that have a prior may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum IntrinsicsScope {
+pub(crate) enum IntrinsicsScope {
     Fixed,
     /// What few views determine.
     Focal,
@@ -101,10 +101,10 @@ impl<'a> AdjustmentScope<'a> {
 }
 
 /// A pixel that replaces a keypoint's own, with its standard deviation in pixels.
-pub type RefinedPixel = Option<(Point2<f64>, f64)>;
+pub(crate) type RefinedPixel = Option<(Point2<f64>, f64)>;
 
 /// Refined pixels per track and sighting.
-pub type RefinedPixels = Vec<Vec<RefinedPixel>>;
+pub(crate) type RefinedPixels = Vec<Vec<RefinedPixel>>;
 
 impl Model {
     /// No poses, no points.
@@ -463,7 +463,7 @@ impl Model {
 }
 
 /// Standard deviations in the adjustment's gauge.
-pub struct Precision {
+pub(crate) struct Precision {
     /// Per photo: of the rotation (radians) and of the centre (world's unit), largest axis.
     pub poses: Vec<Option<(f64, f64)>>,
     /// Median over the points, largest axis, world's unit.

@@ -16,7 +16,7 @@ const MAX_POINTS: usize = 2000;
 const ERROR_PX: f64 = 0.1;
 
 /// The median over the sparse points of the widest angle between two of their rays, radians.
-pub fn widest_angle(posed: &PosedViews) -> Option<f64> {
+pub(crate) fn widest_angle(posed: &PosedViews) -> Option<f64> {
     let centers: Vec<Point3<f64>> = posed
         .views
         .iter()
@@ -40,7 +40,7 @@ pub fn widest_angle(posed: &PosedViews) -> Option<f64> {
 }
 
 /// A warning of photos that all lie within the angle that a first pair should have.
-pub fn warning(posed: &PosedViews) -> Option<String> {
+pub(crate) fn warning(posed: &PosedViews) -> Option<String> {
     let angle = widest_angle(posed)?;
     if angle >= MIN_ANGLE_DEG.to_radians() || angle <= 0.0 {
         return None;

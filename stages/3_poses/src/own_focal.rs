@@ -23,7 +23,7 @@ const UPPER_QUARTILE: f64 = 0.75;
 const MIN_GAIN: f64 = 1.5;
 const MIN_SHARE: f64 = 0.4;
 /// With cameras of their own the photos must see this many times as many points of the model.
-pub const MIN_GROWTH: f64 = 1.1;
+pub(crate) const MIN_GROWTH: f64 = 1.1;
 /// Largest error of an inlier, over `max_reprojection_error_px`: another distance makes up for most of a wrong focal length,
 /// so that only small errors show it.
 const TIGHT: f64 = 1.0 / 3.0;
@@ -46,14 +46,14 @@ const CROP_OFFSET: f64 = 0.05;
 
 /// A photo with another focal length than its camera's.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OwnFocal {
+pub(crate) struct OwnFocal {
     pub photo: usize,
     /// Logarithm of its focal length over its camera's.
     pub ln_focal: f64,
 }
 
 /// Photos with far more inliers at another focal length, in order.
-pub fn find(
+pub(crate) fn find(
     matched: &MatchedPhotos<'_>,
     model: &Model,
     options: &PosesOptions,
@@ -179,7 +179,7 @@ fn scaled(camera: &Intrinsics, ln_focal: f64) -> Intrinsics {
 
 /// Gives photos cameras of their own; those of one zoom share theirs. The principal point of a photo that is alone is free:
 /// it may be a crop beside the middle.
-pub fn give_cameras(
+pub(crate) fn give_cameras(
     matched: &mut MatchedPhotos<'_>,
     model: &Model,
     own: &[OwnFocal],
@@ -228,7 +228,7 @@ pub fn give_cameras(
 }
 
 /// A warning for each camera that was made for photos of a focal length of their own.
-pub fn warnings(matched: &MatchedPhotos<'_>, model: &Model) -> Vec<String> {
+pub(crate) fn warnings(matched: &MatchedPhotos<'_>, model: &Model) -> Vec<String> {
     let of = |camera: usize| {
         let posed = (0..matched.num_photos())
             .filter(move |&p| matched.camera_of[p] == camera && model.poses[p].is_some());

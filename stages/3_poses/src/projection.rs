@@ -9,17 +9,17 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point2, Point3, SMatrix, UnitQuatern
 use rilievo_scene::{Intrinsics, RigidTransform};
 
 /// Number of intrinsic parameters that may be refined.
-pub const NUM_INTRINSICS: usize = 8;
+pub(crate) const NUM_INTRINSICS: usize = 8;
 /// Index of the logarithm of the focal length among the intrinsics.
-pub const FOCAL: usize = 0;
+pub(crate) const FOCAL: usize = 0;
 /// Indices of `c_x` and `c_y`.
-pub const PRINCIPAL_POINT: std::ops::Range<usize> = 1..3;
+pub(crate) const PRINCIPAL_POINT: std::ops::Range<usize> = 1..3;
 /// Indices of `k₁` and `k₂`, which `p₁`, `p₂` and `k₃` follow.
-pub const K1: usize = 3;
-pub const K2: usize = 4;
+pub(crate) const K1: usize = 3;
+pub(crate) const K2: usize = 4;
 
 /// Derivatives of a pixel.
-pub struct ProjectionJacobian {
+pub(crate) struct ProjectionJacobian {
     /// By `(ω, δ)`.
     pub by_pose: SMatrix<f64, 2, 6>,
     /// By the point in the world frame.
@@ -30,7 +30,7 @@ pub struct ProjectionJacobian {
 
 /// A pose as rotation and centre: the form in which it is adjusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CenteredPose {
+pub(crate) struct CenteredPose {
     /// Rotation `cam_from_world`.
     pub rotation: UnitQuaternion<f64>,
     /// Camera centre in the world frame.
@@ -72,7 +72,7 @@ impl CenteredPose {
 }
 
 /// A camera moved by a step of its eight parameters.
-pub fn retract_intrinsics(camera: &Intrinsics, step: &[f64; NUM_INTRINSICS]) -> Intrinsics {
+pub(crate) fn retract_intrinsics(camera: &Intrinsics, step: &[f64; NUM_INTRINSICS]) -> Intrinsics {
     let mut moved = *camera;
     let factor = step[0].exp();
     moved.fx *= factor;
@@ -88,7 +88,7 @@ pub fn retract_intrinsics(camera: &Intrinsics, step: &[f64; NUM_INTRINSICS]) -> 
 }
 
 /// Pixel of a world point and its derivatives; `None` behind the camera.
-pub fn project_with_jacobian(
+pub(crate) fn project_with_jacobian(
     camera: &Intrinsics,
     pose: &CenteredPose,
     point: &Point3<f64>,

@@ -17,7 +17,7 @@ struct Rank {
 }
 
 /// Scores of the photos without a pose.
-pub struct Ranking {
+pub(crate) struct Ranking {
     /// `None` where points came or went since.
     ranks: Vec<Option<Rank>>,
 }

@@ -32,7 +32,7 @@ impl Errors {
 /// Builds views, points and report from a model.
 ///
 /// With `keeps_given` the poses are copied from the photos, so that they stay bit-identical.
-pub fn assemble(
+pub(crate) fn assemble(
     matched: &MatchedPhotos<'_>,
     reconstruction: &Reconstruction,
     other_models: &[Vec<usize>],

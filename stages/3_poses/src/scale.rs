@@ -32,7 +32,7 @@ use std::collections::BTreeSet;
 ///
 /// # Errors
 /// When a known distance cannot be found in the model, or the observer asked to stop.
-pub fn apply(
+pub(crate) fn apply(
     photos: &PhotoSet,
     sphere: Option<&SphereRequest>,
     has_given_poses: bool,

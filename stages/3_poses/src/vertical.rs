@@ -49,7 +49,7 @@ const MAX_SPREAD_DEG: f64 = 25.0;
 
 /// The vertical, and the ground with its normal upwards, among the points off the object; `None` when neither ground nor
 /// cameras show it.
-pub fn find(
+pub(crate) fn find(
     photos: &PhotoSet,
     posed: &PosedViews,
     off_object: &[Point3<f64>],
@@ -68,7 +68,7 @@ pub fn find(
 }
 
 /// The points that a mask shows to be the object's, and all others.
-pub fn object_and_rest(
+pub(crate) fn object_and_rest(
     photos: &PhotoSet,
     posed: &PosedViews,
 ) -> (Vec<Point3<f64>>, Vec<Point3<f64>>) {

@@ -12,7 +12,7 @@ pub(super) const PRIOR_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
 
 /// A camera shared by the views of its group.
 #[derive(Clone, Debug)]
-pub struct AdjustedCamera {
+pub(crate) struct AdjustedCamera {
     /// Where the adjustment starts, and the mean of the priors.
     pub initial: Intrinsics,
     /// Deviation from it: `ln f, cx, cy, k1, k2, p1, p2, k3`.
@@ -43,7 +43,7 @@ impl AdjustedCamera {
 
 /// A view of the problem.
 #[derive(Clone, Debug)]
-pub struct AdjustedView {
+pub(crate) struct AdjustedView {
     /// Index of its camera.
     pub camera: usize,
     pub pose: CenteredPose,
@@ -53,7 +53,7 @@ pub struct AdjustedView {
 
 /// One sighting of a point.
 #[derive(Clone, Copy, Debug)]
-pub struct Observation {
+pub(crate) struct Observation {
     pub view: usize,
     pub pixel: Point2<f64>,
     /// Inverse variance, px⁻².
@@ -62,7 +62,7 @@ pub struct Observation {
 
 /// Cameras, views, points and what was seen of them.
 #[derive(Clone, Debug)]
-pub struct Bundle {
+pub(crate) struct Bundle {
     pub cameras: Vec<AdjustedCamera>,
     pub views: Vec<AdjustedView>,
     /// In the world frame.
@@ -75,7 +75,7 @@ pub struct Bundle {
 
 /// Size of the residuals of a bundle.
 #[derive(Clone, Copy, Debug)]
-pub struct ResidualStatistics {
+pub(crate) struct ResidualStatistics {
     /// Root mean square of the coordinates, pixels.
     pub rms_px: f64,
     /// Standard deviation of an observation's coordinate, degrees of freedom counted, pixels.

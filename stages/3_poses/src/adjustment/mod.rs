@@ -15,7 +15,7 @@ mod factor;
 mod layout;
 mod schur;
 
-pub use bundle::{AdjustedCamera, AdjustedView, Bundle, Observation};
+pub(crate) use bundle::{AdjustedCamera, AdjustedView, Bundle, Observation};
 
 use crate::error::PosesError;
 use factor::Method;
@@ -30,11 +30,11 @@ use schur::{Covariances, Step, System};
 /// Loss of a model that still grows, with outliers about, and of one that is complete; of the reprojection error over its
 /// standard deviation.
 const GROWING_LOSS: RobustLoss = RobustLoss::Cauchy(3.0);
-pub const FINAL_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
+pub(crate) const FINAL_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
 
 /// When to stop and how to treat outliers.
 #[derive(Clone, Copy, Debug)]
-pub struct BundleOptions {
+pub(crate) struct BundleOptions {
     pub loss: RobustLoss,
     pub max_num_iterations: usize,
     /// Stop when the cost falls by less than this share.

@@ -35,7 +35,7 @@ struct Chunk {
 }
 
 /// The normal equations at one state.
-pub struct System {
+pub(crate) struct System {
     /// Lower triangle of `U`, on the pattern of the complement.
     u: Vec<f64>,
     gradient: Vec<f64>,
@@ -43,7 +43,7 @@ pub struct System {
 }
 
 /// A step of all parameters.
-pub struct Step {
+pub(crate) struct Step {
     /// Poses and cameras, by column.
     pub reduced: Vec<f64>,
     pub points: Vec<Vector3<f64>>,
@@ -60,7 +60,7 @@ impl Step {
 }
 
 /// Covariances in a fixed gauge.
-pub struct Covariances {
+pub(crate) struct Covariances {
     /// Per view, of `(ω, δ)`; zero for what is fixed.
     pub poses: Vec<Matrix6<f64>>,
     /// Per point.

@@ -19,14 +19,14 @@ const CONVERGED: f32 = 0.003;
 
 /// An affine map of offsets from the patch's centre (in full-size pixels) to another photo.
 #[derive(Clone, Copy, Debug)]
-pub struct AffineMap {
+pub(crate) struct AffineMap {
     pub linear: Matrix2<f32>,
     /// Where the centre goes.
     pub center: Vector2<f32>,
 }
 
 /// A patch around a point of one photo, ready to be aligned.
-pub struct Template {
+pub(crate) struct Template {
     /// Values without mean, of unit length.
     values: [f32; NUM_SAMPLES],
     /// Derivatives by the map (a11, a12, a21, a22, t1, t2), without what gain and offset explain.
@@ -37,7 +37,7 @@ pub struct Template {
     level: usize,
 }
 
-pub struct Aligned {
+pub(crate) struct Aligned {
     /// Place of the template's centre in the other photo, full-size pixels.
     pub center: Vector2<f32>,
     pub correlation: f32,

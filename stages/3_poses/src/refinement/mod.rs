@@ -159,7 +159,7 @@ struct Patch {
 ///
 /// # Errors
 /// When a photo cannot be read or the observer asked to stop.
-pub fn refine_tracks(
+pub(crate) fn refine_tracks(
     matched: &MatchedPhotos<'_>,
     model: &Model,
     at_once: usize,
