@@ -153,8 +153,8 @@ fn check_set(photos: &[PreparedPhoto]) -> Result<(), PhotosError> {
 
 /// Refuses photos that differ by more than one light and one exposure can explain.
 fn check_levels(report: &PhotosReport, options: &PhotosOptions) -> Result<(), PhotosError> {
-    let told = report.exposure_spread_ev.is_some();
-    if told || report.level_spread_ev <= options.max_level_spread_ev {
+    let is_known = report.exposure_spread_ev.is_some();
+    if is_known || report.level_spread_ev <= options.max_level_spread_ev {
         return Ok(());
     }
     let level = |a: &&PhotoFacts, b: &&PhotoFacts| a.median_level.total_cmp(&b.median_level);

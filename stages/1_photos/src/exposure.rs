@@ -2,7 +2,7 @@
 //!
 //! A pixel's intensity is proportional to `H = t · ISO / N²` (exposure time, sensitivity, f-number), so
 //! that photo `i` of a set with middle exposure `H_m` is multiplied by `g_i = H_m / H_i`. Done only
-//! where every photo tells its exposure and they differ; without EXIF the gains are left to the stages
+//! where EXIF states every photo's exposure and they differ; without EXIF the gains are left to the stages
 //! that compare the photos' contents.
 
 use crate::measures::ratio;

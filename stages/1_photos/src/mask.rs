@@ -4,7 +4,7 @@
 //! than of the whole frame: what it leaves out then lies inside, as an object does. An object that
 //! fills the frame leaves out parts of the border instead.
 //!
-//! A mask is taken for noise when a pixel tells nothing of its neighbour: `c(d) = (P(m, m') - p²) / (p - p²)`
+//! A mask is taken for noise when a pixel is independent of its neighbour: `c(d) = (P(m, m') - p²) / (p - p²)`
 //! with the share `p` of object pixels and the share `P` of pairs at a step `d` that both are, is 0 for
 //! independent pixels of any density, 1 far from borders, and high along a hair or a wire however thin.
 //! The largest of the steps right, down and along both diagonals counts.
@@ -38,7 +38,7 @@ const MAX_NUM_NOISE_SAMPLES: usize = 1_000_000;
 const OUTLINE_EDGE_RATIO: f64 = 1.5;
 
 /// A mask in the stored frame, and whether it was drawn over the photo as EXIF turns it, where sizes do not
-/// tell (turned by half, mirrored, square): the object's outline is under one of both borders.
+/// decide (turned by half, mirrored, square): the object's outline is under one of both borders.
 pub(crate) fn turned_by_content(
     mask: Mask,
     image: &LinearImage,
@@ -105,7 +105,7 @@ pub(crate) fn check(
     Ok(())
 }
 
-/// How much a pixel tells of its neighbour: 1 where all, 0 where nothing; `None` where the pixels looked at are all alike.
+/// Correlation of a pixel with its neighbours; `None` where the sampled pixels are all alike.
 fn neighbour_correlation(mask: &Mask) -> Option<f64> {
     let (width, height) = (mask.width, mask.height);
     if width < 3 || height < 2 {

@@ -47,10 +47,10 @@ pub struct PhotosOptions {
     /// bright pixels, too large takes clipped ones for measurements.
     pub clip_fraction: f64,
     /// Whether photos are brought to one exposure by what EXIF says of time, aperture and
-    /// sensitivity, where every photo tells them. Switch it off where EXIF is wrong: a grey filter, an
+    /// sensitivity, where every photo states them. Switch it off where EXIF is wrong: a grey filter, an
     /// aperture set at the lens, levels evened out while developing.
     pub normalize_exposure: bool,
-    /// Spread of the photos' median levels, in EV, beyond which photos whose EXIF does not tell
+    /// Spread of the photos' median levels, in EV, beyond which photos whose EXIF does not state
     /// their exposure are refused: automatic exposure of that size leaves no light to solve for.
     /// Walking around an object under one light changes its level by one or two. Larger forces it.
     pub max_level_spread_ev: f64,

@@ -224,14 +224,14 @@ impl<'a> Matcher<'a> {
     }
 }
 
-/// The pair, where it matches well enough to tell of other pairs.
+/// The pair, where it matches well enough to suggest other pairs.
 fn strong(pair: &PairMatches) -> Option<Pair> {
     let is_strong = pair.matches.len() >= 2 * two_view::MIN_NUM_INLIERS;
     is_strong.then_some((pair.first.0, pair.second.0))
 }
 
 /// Of the pairs to begin with, those that were not matched of photos that match no other: few keypoints may be too few
-/// to tell.
+/// to decide.
 fn refused_of_lonely(begun: &[Pair], matched: &[PairMatches], num_photos: usize) -> Vec<Pair> {
     let mut is_lonely = vec![true; num_photos];
     for pair in matched.iter().filter(|pair| !pair.matches.is_empty()) {

@@ -3,7 +3,7 @@
 use rilievo_scene::{OptionError, RetiredKey, check_ranges};
 use serde::{Deserialize, Serialize};
 
-/// Which keypoints tell the poses.
+/// Which keypoints determine the poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum KeypointRegion {

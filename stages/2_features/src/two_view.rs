@@ -9,7 +9,7 @@
 //! from the distinctive matches only, where wrong ones are few; the others are then held against
 //! the matrix that was found, and join in its refinement.
 //!
-//! The homography is fitted to the inliers of `E`; the share that it explains tells flat scenes
+//! The homography is fitted to the inliers of `E`; the share that it explains distinguishes flat scenes
 //! and pure rotations from pairs with parallax.
 
 use crate::error::FeaturesError;

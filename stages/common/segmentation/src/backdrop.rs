@@ -7,7 +7,7 @@
 //! `d > t`, its holes filled, with `t` by Otsu's method (IEEE Trans. SMC 9, 1979) on `ln(1 + d)`.
 //!
 //! It is a proposal, to be looked at and corrected by hand: shadows on the backdrop, and parts of
-//! the object as dark as it, are beyond what brightness tells. How sure it is, [`MaskProposal`] says
+//! the object as dark as it, are beyond what brightness shows. [`MaskProposal`] states how sure it is
 //! by how far the two classes lie apart, `η = between-class variance / variance` (Otsu's measure), and
 //! by how much of the object's area lies near the threshold.
 

@@ -14,7 +14,7 @@
 //! 3. [`Consensus`]: every place around the object is voted on by all sketches. In each photo the [`outline`] is cut
 //!    again, with what the votes say of it, and drawn once more in a band around the border on a larger image.
 //! 4. What the others' outlines leave of a photo's own, what of the object's points lies in it, and what of it lies near
-//!    such points tell how sure it is.
+//!    such points say how sure it is.
 //!
 //! Photos without poses: [`propose_mask`], where the object stands before a plain backdrop.
 
