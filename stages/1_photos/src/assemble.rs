@@ -243,7 +243,8 @@ struct Comparison {
 
 type Condition = fn(&PhotoFacts, &Comparison) -> bool;
 
-/// What the user should know of single photos: the condition, and what the warning says after their names.
+/// What the user should know of single photos: the condition, and what the warning says after their
+/// names.
 const ABOUT_PHOTOS: [(Condition, &str); 10] = [
     (
         |f, _| f.focal_source == FocalSource::Guess,
@@ -361,7 +362,8 @@ fn warnings(report: &PhotosReport) -> Vec<String> {
 
 /// What the user should know of masks whose border is not the object's outline.
 fn about_masks(report: &PhotosReport) -> impl Iterator<Item = String> {
-    // The photos with such an outline, its median distance and the share of the border that lies on it.
+    // The photos with such an outline, its median distance and the share of the border that lies on
+    // it.
     let apart = |is_apart: fn(&MaskOutline) -> bool| {
         let outlines = report.photos.iter();
         let outlines = outlines.filter_map(|f| Some((f, f.mask_outline.filter(is_apart)?)));

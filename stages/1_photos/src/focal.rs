@@ -12,8 +12,9 @@
 
 use rilievo_scene::{ExifFacts, FocalSource, Intrinsics};
 
-/// Focal length of a camera of which nothing is known, over the longer side: between a phone's wide angle (26 mm in 35 mm
-/// equivalents, 0.7) and a portrait lens (85 mm, 2.4). Poses may fail from a start that is off by more than half.
+/// Focal length of a camera of which nothing is known, over the longer side: between a phone's wide
+/// angle (26 mm in 35 mm equivalents, 0.7) and a portrait lens (85 mm, 2.4). Poses may fail from a
+/// start that is off by more than half.
 const GUESS_OVER_SIDE: f64 = 1.2;
 
 /// Diagonal of the 36 x 24 mm film frame, mm.

@@ -4,10 +4,11 @@
 //! than of the whole frame: what it leaves out then lies inside, as an object does. An object that
 //! fills the frame leaves out parts of the border instead.
 //!
-//! A mask is taken for noise when a pixel is independent of its neighbour: `c(d) = (P(m, m') - p²) / (p - p²)`
-//! with the share `p` of object pixels and the share `P` of pairs at a step `d` that both are, is 0 for
-//! independent pixels of any density, 1 far from borders, and high along a hair or a wire however thin.
-//! The largest of the steps right, down and along both diagonals counts.
+//! A mask is taken for noise when a pixel is independent of its neighbour:
+//! `c(d) = (P(m, m') - p²) / (p - p²)` with the share `p` of object pixels and the share `P` of
+//! pairs at a step `d` that both are, is 0 for independent pixels of any density, 1 far from
+//! borders, and high along a hair or a wire however thin. The largest of the steps right, down and
+//! along both diagonals counts.
 
 use crate::edges;
 use crate::error::PhotosError;
@@ -16,8 +17,8 @@ use rilievo_scene::{LinearImage, Mask, Orientation};
 /// Fewest object pixels of a usable mask.
 const MIN_MASK_PX: usize = 64;
 
-/// Share of the frame's border that a mask must mark, besides missing the middle, to be taken for inverted. Too small refuses
-/// objects that the frame cuts, too large misses inversions.
+/// Share of the frame's border that a mask must mark, besides missing the middle, to be taken for
+/// inverted. Too small refuses objects that the frame cuts, too large misses inversions.
 const INVERTED_BORDER_SHARE: f64 = 0.75;
 
 /// Share of the frame that a mask which is not full must at least leave out.

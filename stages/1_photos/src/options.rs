@@ -47,8 +47,8 @@ pub struct PhotosOptions {
     /// bright pixels, too large takes clipped ones for measurements.
     pub clip_fraction: f64,
     /// Whether photos are brought to one exposure by what EXIF says of time, aperture and
-    /// sensitivity, where every photo states them. Switch it off where EXIF is wrong: a grey filter, an
-    /// aperture set at the lens, levels evened out while developing.
+    /// sensitivity, where every photo states them. Switch it off where EXIF is wrong: a grey
+    /// filter, an aperture set at the lens, levels evened out while developing.
     pub normalize_exposure: bool,
     /// Spread of the photos' median levels, in EV, beyond which photos whose EXIF does not state
     /// their exposure are refused: automatic exposure of that size leaves no light to solve for.

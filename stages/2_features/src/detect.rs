@@ -24,12 +24,12 @@ const OPENCV_SIFT_OFFSET_PX: f32 = 0.25;
 /// Exponent of the encoding: lifts the shadows, where a matte object has its faint texture.
 const ENCODING_GAMMA: f32 = 1.0 / 2.2;
 
-/// Ratio of principal curvatures above which a keypoint counts as an edge: larger than OpenCV's 10, since a plain object has
-/// few keypoints.
+/// Ratio of principal curvatures above which a keypoint counts as an edge: larger than OpenCV's 10,
+/// since a plain object has few keypoints.
 const EDGE_THRESHOLD: f64 = 15.0;
 
-/// Cells along the longer side of the photo; keypoints are kept evenly per cell, so that one busy corner does not use up
-/// the budget.
+/// Cells along the longer side of the photo; keypoints are kept evenly per cell, so that one busy
+/// corner does not use up the budget.
 const NUM_GRID_CELLS: f32 = 16.0;
 
 /// Finds the keypoints of one photo, over the whole frame.

@@ -36,8 +36,8 @@ pub const VERSION: u32 = 4;
 
 /// A photo with fewer keypoints than this deserves a warning.
 const FEW_KEYPOINTS: usize = 100;
-/// Largest ratio of the best to the second-best descriptor distance of matches that join where they agree with the geometry
-/// that more distinctive ones found. Wide baselines live on them.
+/// Largest ratio of the best to the second-best descriptor distance of matches that join where they
+/// agree with the geometry that more distinctive ones found. Wide baselines live on them.
 const MAX_VERIFIED_RATIO: f64 = 0.9;
 /// Keypoints of a photo that are compared before a pair of a large set is matched, and the matches among them without
 /// which it is not.

@@ -34,13 +34,15 @@ pub enum PairChoice {
 pub struct PairLimits {
     /// Up to this many photos `auto` tries all pairs.
     pub max_num_exhaustive_photos: usize,
-    /// Neighbours in the order of names, before and after each photo, that `sequential` and `auto` pair it with.
+    /// Neighbours in the order of names, before and after each photo, that `sequential` and `auto`
+    /// pair it with.
     pub num_sequential_neighbors: usize,
     /// Most similar photos that `auto` pairs each photo with at first.
     pub num_similar_neighbors: usize,
 }
 
-/// Of a ring of photos, 10 to 20 degrees apart, each matches the few on either side; all pairs of twenty photos are 190.
+/// Of a ring of photos, 10 to 20 degrees apart, each matches the few on either side; all pairs of
+/// twenty photos are 190.
 impl Default for PairLimits {
     fn default() -> Self {
         Self {

@@ -9,8 +9,8 @@
 //! from the distinctive matches only, where wrong ones are few; the others are then held against
 //! the matrix that was found, and join in its refinement.
 //!
-//! The homography is fitted to the inliers of `E`; the share that it explains distinguishes flat scenes
-//! and pure rotations from pairs with parallax.
+//! The homography is fitted to the inliers of `E`; the share that it explains distinguishes flat
+//! scenes and pure rotations from pairs with parallax.
 
 use crate::error::FeaturesError;
 use nalgebra::{Matrix3, Point2, Rotation3, SMatrix, SVector, Vector3};
@@ -105,11 +105,11 @@ fn matrix3(mat: &Mat) -> Option<Matrix3<f64>> {
 
 /// Samples after which a pair that would be accepted has been found with [`RANSAC_CONFIDENCE`].
 ///
-/// A pair of `n` matches counts from `m` = [`MIN_NUM_INLIERS`] on, so a share `w ≥ m/n` of them must
-/// agree; `ln(1 − p) / ln(1 − w⁵)` samples of five then hold a clean one with probability `p`
+/// A pair of `n` matches counts from `m` = [`MIN_NUM_INLIERS`] on, so a share `w ≥ m/n` of them
+/// must agree; `ln(1 − p) / ln(1 − w⁵)` samples of five then hold a clean one with probability `p`
 /// (Fischler and Bolles, 1981). Pairs without overlap, whose few matches all disagree, would
-/// otherwise take [`MAX_NUM_RANSAC_SAMPLES`]. A clean sample is not yet a good one:
-/// points close together magnify noise, so that a hundred are drawn at least.
+/// otherwise take [`MAX_NUM_RANSAC_SAMPLES`]. A clean sample is not yet a good one: points close
+/// together magnify noise, so that a hundred are drawn at least.
 fn num_useful_samples(num_matches: usize) -> usize {
     let share = (MIN_NUM_INLIERS as f64 / num_matches.max(1) as f64).min(1.0);
     let all_clean = share.powi(5);

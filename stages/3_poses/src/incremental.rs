@@ -21,7 +21,8 @@ use crate::resection::resect;
 use crate::triangulation::TriangulationLimits;
 use rilievo_scene::{Observer, RigidTransform, StageId};
 
-/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the point too far.
+/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the
+/// point too far.
 pub(crate) const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
 /// Points that a photo must see to be registered, and a pair to begin: few agree by chance.
 pub(crate) const MIN_NUM_VISIBLE_POINTS: usize = 15;
@@ -30,7 +31,8 @@ const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
 /// Growth after which a larger model is adjusted as a whole again; less costs time, more lets errors
 /// add up that the next adjustment has farther to go for.
 const GLOBAL_AFTER_GROWTH: f64 = 1.25;
-/// An adjustment of a whole large model takes sightings with errors up to this many times the allowed one.
+/// An adjustment of a whole large model takes sightings with errors up to this many times the
+/// allowed one.
 const DRIFT: f64 = 5.0;
 /// Views of a local adjustment besides the new one.
 const NUM_LOCAL_VIEWS: usize = 6;

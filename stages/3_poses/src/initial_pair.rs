@@ -15,10 +15,11 @@ use rilievo_scene::PairMatches;
 
 /// Least inliers of the first pair.
 const MIN_NUM_INLIERS: usize = 30;
-/// Median triangulation angle that the first pair should have, degrees. Where no pair has it, the model begins with a
-/// narrower one, and a warning states what that costs depth (`narrow`).
+/// Median triangulation angle that the first pair should have, degrees. Where no pair has it, the
+/// model begins with a narrower one, and a warning states what that costs depth (`narrow`).
 pub(crate) const MIN_ANGLE_DEG: f64 = 8.0;
-/// The same where no pair is wide: twice the smallest angle of a point, below which most points would be dropped.
+/// The same where no pair is wide: twice the smallest angle of a point, below which most points
+/// would be dropped.
 const LEAST_ANGLE_DEG: f64 = 2.0 * MIN_TRIANGULATION_ANGLE_DEG;
 /// Angle beyond which a wider one does not improve a point any more, degrees.
 const SATURATION_ANGLE_DEG: f64 = 16.0;
@@ -126,8 +127,8 @@ pub(crate) fn candidates(
     Ok(good)
 }
 
-/// Points and angle of the pair that the error names when there is no start: the widest of those with enough points, else
-/// that with the most points, since the angle of a few says little.
+/// Points and angle of the pair that the error names when there is no start: the widest of those
+/// with enough points, else that with the most points, since the angle of a few says little.
 fn best_of(posed: &[InitialPair]) -> (usize, f64) {
     let posed = posed.iter().map(|p| (p.num_points(), p.angle_deg));
     let best = posed.max_by(|a, b| {

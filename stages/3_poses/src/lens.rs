@@ -11,10 +11,11 @@
 //! intrinsics. Only where the observations show it clearly: with exact intrinsics the parameter is
 //! worth nothing, and poses that were found without it are more exact.
 //!
-//! A focal length that is wrong altogether (another lens, a zoom, photos resized after the calibration) leaves good residuals
-//! too, and bends depth by per cents. It is reported where the same minimum with the focal length free as well is
-//! clearly lower and lies elsewhere. Poses then stay as they are: a distortion would explain part of the wrong length.
-//! Of several cameras the middle change counts, since single ones may be free to drift.
+//! A focal length that is wrong altogether (another lens, a zoom, photos resized after the
+//! calibration) leaves good residuals too, and bends depth by per cents. It is reported where the
+//! same minimum with the focal length free as well is clearly lower and lies elsewhere. Poses then
+//! stay as they are: a distortion would explain part of the wrong length. Of several cameras the
+//! middle change counts, since single ones may be free to drift.
 
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
@@ -28,7 +29,8 @@ use rilievo_numerics::robust::median;
 
 /// Views from which lens distortion can be told from the shape of the scene.
 pub(crate) const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
-/// Least change of a given focal length that is reported: a calibration at another focus is off by about as much.
+/// Least change of a given focal length that is reported: a calibration at another focus is off by
+/// about as much.
 const MIN_FOCAL_CHANGE: f64 = 0.03;
 /// Least relative drop of the cost: below it, distortion is less than what patches and noise do.
 const MIN_COST_DROP: f64 = 0.03;

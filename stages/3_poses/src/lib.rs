@@ -317,7 +317,8 @@ fn finish(
     Ok(())
 }
 
-/// Moves the tracks to where patches align, and adjusts all to that; the points alone where the poses are kept.
+/// Moves the tracks to where patches align, and adjusts all to that; the points alone where the
+/// poses are kept.
 fn finish_on_patches(
     matched: &MatchedPhotos<'_>,
     reconstruction: &mut Reconstruction,

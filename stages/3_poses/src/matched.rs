@@ -1,4 +1,5 @@
-//! The matched photos: cameras, keypoint positions and tracks, which stay the same while poses are found.
+//! The matched photos: cameras, keypoint positions and tracks, which stay the same while poses are
+//! found.
 
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, K1, K2, NUM_INTRINSICS, PRINCIPAL_POINT};

@@ -87,8 +87,8 @@ pub struct PosesOptions {
     /// Bytes that the photos worked on at once may take; a few photos' where nothing is said. Changes no result.
     #[serde(skip)]
     pub memory: Option<u64>,
-    /// Whether matches alone are used: the photos' pixels neither refine the tracks nor give anchors. For photo sets
-    /// without pixels.
+    /// Whether matches alone are used: the photos' pixels neither refine the tracks nor give
+    /// anchors. For photo sets without pixels.
     #[serde(skip)]
     pub matches_only: bool,
     /// Seed of all random samples.

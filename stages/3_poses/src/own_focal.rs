@@ -16,7 +16,8 @@ use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{Intrinsics, first_and_more};
 
-/// A photo keeps its camera's focal length where its inlier ratio is at least this share of the photos' upper quartile.
+/// A photo keeps its camera's focal length where its inlier ratio is at least this share of the
+/// photos' upper quartile.
 const ENOUGH: f64 = 0.75;
 const UPPER_QUARTILE: f64 = 0.75;
 /// Another focal length must have this many times as many inliers, and this inlier ratio.
@@ -24,11 +25,12 @@ const MIN_GAIN: f64 = 1.5;
 const MIN_SHARE: f64 = 0.4;
 /// With cameras of their own the photos must see this many times as many points of the model.
 pub(crate) const MIN_GROWTH: f64 = 1.1;
-/// Largest error of an inlier, over `max_reprojection_error_px`: another distance makes up for most of a wrong focal length,
-/// so that only small errors show it.
+/// Largest error of an inlier, over `max_reprojection_error_px`: another distance makes up for most
+/// of a wrong focal length, so that only small errors show it.
 const TIGHT: f64 = 1.0 / 3.0;
-/// Logarithms of the focal lengths that are tried, over the camera's: up to 2.5 times longer and shorter, in steps at
-/// which neighbours still share half of the inliers, then in fine steps around the best.
+/// Logarithms of the focal lengths that are tried, over the camera's: up to 2.5 times longer and
+/// shorter, in steps at which neighbours still share half of the inliers, then in fine steps around
+/// the best.
 const STEP: f64 = 0.06;
 const NUM_STEPS: i32 = 15;
 const FINE_STEP: f64 = 0.015;

@@ -27,8 +27,8 @@ use rilievo_numerics::least_squares::{
 use rilievo_numerics::robust::RobustLoss;
 use schur::{Covariances, Step, System};
 
-/// Loss of a model that still grows, with outliers about, and of one that is complete; of the reprojection error over its
-/// standard deviation.
+/// Loss of a model that still grows, with outliers about, and of one that is complete; of the
+/// reprojection error over its standard deviation.
 const GROWING_LOSS: RobustLoss = RobustLoss::Cauchy(3.0);
 pub(crate) const FINAL_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
 

@@ -1,6 +1,7 @@
 //! Cells of a view, and the range of depth at each of them.
 //!
-//! The range is that of the visual hull, or of the sparse points in the world where there are no masks.
+//! The range is that of the visual hull, or of the sparse points in the world where there are no
+//! masks.
 
 use super::working::WorkingView;
 use nalgebra::Point3;

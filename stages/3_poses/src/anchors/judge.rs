@@ -13,19 +13,23 @@
 //! weights `1/σ²`; with correlation `ρ`, the mean over these views, the variance is
 //! `ρ (Σ w σ)² + (1 − ρ) Σ w² σ²` for weights that sum to 1.
 //!
-//! **Belief.** More views agree than look through the point, and its doubt is at most [`MAX_DOUBT_PX`]:
+//! **Belief.** More views agree than look through the point, and its doubt is at most
+//! [`MAX_DOUBT_PX`]:
 //!
-//! `doubt = √(d² + (½ s)²) · (1 + 0.6 tan τ) · (1 + 0.08 m) · a · (0.92 + 1.5 (1 − r))`, pixels of disparity, with
+//! `doubt = √(d² + (½ s)²) · (1 + 0.6 tan τ) · (1 + 0.08 m) · a · (0.92 + 1.5 (1 − r))`, pixels of
+//! disparity, with
 //!
-//! - `d = ¼σ + ¾σ₁` of the combined deviation `σ` and the patch's own `σ₁`: a view that rests on the same photos agrees
-//!   with their errors too;
-//! - `s` the largest step to a neighbour, `½ [(q + g·d − q_n) + (q − (q_n − g_n·d))]`, in which curvature cancels, so that
-//!   it shows depth edges;
-//! - `τ` the tilt, `m` how many of the eight neighbours failed, and `a` = 1.5, 1.2, 1 for one, two, more views that agree;
-//! - `r` the mean correlation with the sources: what no plane, offset and gain explain is relief, an edge, or shading that
-//!   moved.
+//! - `d = ¼σ + ¾σ₁` of the combined deviation `σ` and the patch's own `σ₁`: a view that rests on
+//!   the same photos agrees with their errors too;
+//! - `s` the largest step to a neighbour, `½ [(q + g·d − q_n) + (q − (q_n − g_n·d))]`, in which
+//!   curvature cancels, so that it shows depth edges;
+//! - `τ` the tilt, `m` how many of the eight neighbours failed, and `a` = 1.5, 1.2, 1 for one, two,
+//!   more views that agree;
+//! - `r` the mean correlation with the sources: what no plane, offset and gain explain is relief,
+//!   an edge, or shading that moved.
 //!
-//! The factors are no model: they were fitted to the outliers of rendered and real objects with known depth.
+//! The factors are no model: they were fitted to the outliers of rendered and real objects with
+//! known depth.
 
 use super::check::{Support, supports};
 use super::grid::Grid;

@@ -62,8 +62,8 @@ use rilievo_scene::{Anchor, DividedStep, Flow, Observer, PhotoSet, PosedViews, S
 /// Distance within which another view's patch predicts, in units of the grid's spacing.
 const SUPPORT_RADIUS: f64 = 1.5;
 
-/// Finds the depth anchors of posed views. Images take about `memory` bytes at most, which changes no result. Too few
-/// views, no overlap or no contrast give an empty result with a warning.
+/// Finds the depth anchors of posed views. Images take about `memory` bytes at most, which changes
+/// no result. Too few views, no overlap or no contrast give an empty result with a warning.
 ///
 /// # Errors
 /// When an option is out of range, a photo cannot be read, or the observer asked to stop.

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AnchorOptions {
-    /// Distance between neighbouring anchors of a view, pixels of the photo (of its reduction, where it has more than
-    /// 4 megapixels); more where a view would get more than about 6000. Smaller takes longer and gives more anchors, whose
-    /// errors correlate; larger is faster.
+    /// Distance between neighbouring anchors of a view, pixels of the photo (of its reduction,
+    /// where it has more than 4 megapixels); more where a view would get more than about 6000.
+    /// Smaller takes longer and gives more anchors, whose errors correlate; larger is faster.
     pub spacing_px: f64,
 }
 

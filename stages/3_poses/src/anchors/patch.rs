@@ -7,8 +7,8 @@
 //! gain (contrast) per patch and source. The cost `Σ_s Σ_d w e² + (γ/σ_γ)²` + slope prior is
 //! minimised by Gauss-Newton; offset and gain are eliminated exactly (variable projection with the
 //! projected Jacobian), so that the step solves 3×3. Where exposure is known to vary little between
-//! two photos the offset has a prior (see [`super::exposure`]): absolute brightness then shows depth
-//! where shading changes too slowly for the texture to.
+//! two photos the offset has a prior (see [`super::exposure`]): absolute brightness then shows
+//! depth where shading changes too slowly for the texture to.
 //!
 //! Derivative: `∂u/∂q = (b₁ − u b₃)/h₃` (and `v` alike), times the gradient of `I_s`; by the slopes
 //! the same times `d_x`, `d_y`.
@@ -47,8 +47,8 @@ const MIN_NUM_ITERATIONS: usize = 2;
 
 /// Gauss-Newton steps at most.
 const MAX_NUM_ITERATIONS: usize = 8;
-/// Prior deviation of the contrast between views: larger lets patches of another texture pass, smaller fails where
-/// photos are tone-mapped differently.
+/// Prior deviation of the contrast between views: larger lets patches of another texture pass,
+/// smaller fails where photos are tone-mapped differently.
 const GAIN_SIGMA: f64 = 0.02;
 /// Prior deviation of the change of slope, tangent of the tilt.
 const SLOPE_SIGMA: f64 = 0.5;
@@ -80,10 +80,11 @@ pub(super) struct Alignment {
     pub last_step_px: f64,
 }
 
-/// Aligns a patch of the reference with its sources, from a starting plane; `radius_px` of the disc in working pixels.
+/// Aligns a patch of the reference with its sources, from a starting plane; `radius_px` of the disc
+/// in working pixels.
 ///
-/// `None` where the patch or its images are not usable, fewer than two sources agree (one of two views), or the patch
-/// has no contrast along the epipolar lines.
+/// `None` where the patch or its images are not usable, fewer than two sources agree (one of two
+/// views), or the patch has no contrast along the epipolar lines.
 pub(super) fn align(
     views: &[WorkingView],
     reference: usize,
@@ -264,7 +265,8 @@ impl<'a> SourceStates<'a> {
         Some(normal)
     }
 
-    /// Drops sources that correlate too little or err by more than twice the median; whether there were any.
+    /// Drops sources that correlate too little or err by more than twice the median; whether there
+    /// were any.
     fn drop_disagreeing(&mut self) -> bool {
         let rms = |source: &Reduced| (source.squares / source.weight).sqrt();
         let mut sorted = [0.0; MAX_SOURCES];
@@ -285,7 +287,8 @@ impl<'a> SourceStates<'a> {
         self.active != before
     }
 
-    /// The result, with the spread of the sources' own depth estimates at the common slopes; `None` without information.
+    /// The result, with the spread of the sources' own depth estimates at the common slopes; `None`
+    /// without information.
     fn alignment(&self, found: Alignment) -> Option<Alignment> {
         let (mut deviations, mut information) = (0.0, 0.0);
         let mut correlation = 0.0;

@@ -18,8 +18,9 @@ use rilievo_scene::{Observer, PhotoSet, PosedView, PosedViews, ViewIdx};
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Smallest angle between the rays of a patch and a source, degrees: below it a pixel of noise moves the depth too far.
-/// Where the widest rays of most points meet at less than four times this, a quarter of their angle takes its place.
+/// Smallest angle between the rays of a patch and a source, degrees: below it a pixel of noise
+/// moves the depth too far. Where the widest rays of most points meet at less than four times this,
+/// a quarter of their angle takes its place.
 const MIN_SOURCE_ANGLE_DEG: f64 = 5.0;
 /// Largest such angle, degrees: beyond it patches look too different.
 const MAX_SOURCE_ANGLE_DEG: f64 = 60.0;
@@ -31,8 +32,8 @@ const IMAGE_BYTES: usize = 1 << 30;
 pub(super) struct Working {
     /// Photos with more megapixels are reduced by a whole factor: bounds memory and time.
     pub max_mpx: f64,
-    /// Radius of a patch, pixels; samples are weighed by a Gaussian of 3/7 of it. Smaller follows curvature, larger
-    /// averages noise.
+    /// Radius of a patch, pixels; samples are weighed by a Gaussian of 3/7 of it. Smaller follows
+    /// curvature, larger averages noise.
     pub patch_radius_px: usize,
 }
 

@@ -29,7 +29,8 @@ const DEVIATION_FLOOR: f32 = 0.5;
 const MIN_SHARE: f32 = 0.7;
 /// Smallest mean correlation of a seed.
 const MIN_SCORE: f64 = 0.5;
-/// Largest ratio of what the best and the second-best depth leave unexplained; that of keypoint matching.
+/// Largest ratio of what the best and the second-best depth leave unexplained; that of keypoint
+/// matching.
 const MAX_RATIO: f64 = 0.8;
 
 /// Half-size normalised image with a flag that a pixel is on the object.

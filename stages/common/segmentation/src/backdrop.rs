@@ -7,9 +7,9 @@
 //! `d > t`, its holes filled, with `t` by Otsu's method (IEEE Trans. SMC 9, 1979) on `ln(1 + d)`.
 //!
 //! It is a proposal, to be looked at and corrected by hand: shadows on the backdrop, and parts of
-//! the object as dark as it, are beyond what brightness shows. [`MaskProposal`] states how sure it is
-//! by how far the two classes lie apart, `η = between-class variance / variance` (Otsu's measure), and
-//! by how much of the object's area lies near the threshold.
+//! the object as dark as it, are beyond what brightness shows. [`MaskProposal`] states how sure it
+//! is by how far the two classes lie apart, `η = between-class variance / variance` (Otsu's
+//! measure), and by how much of the object's area lies near the threshold.
 
 use crate::error::SegmentationError;
 use crate::raster::regions;
@@ -93,7 +93,8 @@ fn monomials(x: f64, y: f64) -> Vector6<f64> {
 /// Proposes a mask of a photo.
 ///
 /// # Errors
-/// [`SegmentationError::NoBackdrop`] when the frame's border is not plain or nothing stands out from it.
+/// [`SegmentationError::NoBackdrop`] when the frame's border is not plain or nothing stands out
+/// from it.
 pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<MaskProposal, SegmentationError> {
     let refuse = |reason: &'static str| SegmentationError::NoBackdrop {
         photo: photo.to_owned(),

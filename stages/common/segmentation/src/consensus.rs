@@ -131,8 +131,8 @@ impl Consensus {
         })
     }
 
-    /// Share of a view's mask that lies within the outlines of the others, where there are enough of them; `None`
-    /// where there are nowhere. `sketch` is the one that voted.
+    /// Share of a view's mask that lies within the outlines of the others, where there are enough
+    /// of them; `None` where there are nowhere. `sketch` is the one that voted.
     ///
     /// # Errors
     /// [`SegmentationError::OpenCv`].
