@@ -17,15 +17,12 @@ use parse::{
 use rilievo_fusion::{ColorMode, FusionOptions, MeshFormat};
 use rilievo_photos::Encoding;
 use rilievo_poses::KnownDistance;
-use rilievo_poses::anchors::AnchorMode;
 use rilievo_scene::StageId;
 use rilievo_shading::ShadingModel;
 use rilievo_shading::paper::{Projection, Splitting};
 use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::PathBuf;
-use words::{
-    ALIGNMENTS, ANCHORS, COLORS, ENCODINGS, MESH_FORMATS, MODELS, PROJECTIONS, SPLITTINGS, words,
-};
+use words::{ALIGNMENTS, COLORS, ENCODINGS, MESH_FORMATS, MODELS, PROJECTIONS, SPLITTINGS, words};
 
 /// Photographs of a plain, matte object to an accurate, finely detailed 3D model, by shading.
 #[derive(Debug, Parser)]
@@ -324,9 +321,6 @@ pub struct ReconstructArgs {
     /// names a line, separated by a comma or white space. [default: auto]
     #[arg(long, value_name = "all|auto|sequential|FILE")]
     pub pairs: Option<PathBuf>,
-    /// How depth anchors are found
-    #[arg(long, value_name = "MODE", value_parser = words(ANCHORS))]
-    pub anchors: Option<AnchorMode>,
     /// How samples relate to light
     #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,

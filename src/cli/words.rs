@@ -4,7 +4,6 @@ use super::parse::one_of;
 use clap::builder::{PossibleValue, TypedValueParser};
 use rilievo_fusion::{ColorMode, MeshFormat};
 use rilievo_photos::Encoding;
-use rilievo_poses::anchors::AnchorMode;
 use rilievo_shading::ShadingModel;
 use rilievo_shading::paper::{Projection, Splitting};
 use rilievo_synthetic::compare::AlignmentRequest;
@@ -24,21 +23,6 @@ pub(super) const MODELS: Words<ShadingModel> = &[
         "paper",
         "Distant harmonics and depth anchors only",
     ),
-];
-
-/// `--anchors`
-pub(super) const ANCHORS: Words<AnchorMode> = &[
-    (
-        AnchorMode::Grown,
-        "grown",
-        "Grown over the surface from refined matches",
-    ),
-    (
-        AnchorMode::Guided,
-        "guided",
-        "Matched along epipolar lines and refined",
-    ),
-    (AnchorMode::Sift, "sift", "Keypoint tracks alone"),
 ];
 
 /// `--formats`

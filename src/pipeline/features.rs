@@ -81,25 +81,15 @@ fn detection_options(options: &FeaturesOptions) -> impl serde::Serialize {
         region,
         max_num_keypoints,
         contrast_threshold,
-        edge_threshold,
-        num_grid_cells,
         max_detection_mpx,
         max_ratio: _,
-        max_verified_ratio: _,
-        max_epipolar_error_px: _,
-        min_num_inliers: _,
         pairs: _,
-        max_num_exhaustive_photos: _,
-        num_sequential_neighbors: _,
-        num_similar_neighbors: _,
-        max_num_ransac_samples: _,
+        pair_limits: _,
     } = options.clone();
     (
         region,
         max_num_keypoints,
         contrast_threshold,
-        edge_threshold,
-        num_grid_cells,
         max_detection_mpx,
     )
 }

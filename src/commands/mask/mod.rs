@@ -23,7 +23,7 @@ use crate::observe::Console;
 use crate::pipeline::{Context, Inputs, Request, Resources, linear_photo, load_poses, map_photos};
 use crate::store::RunDir;
 use by_poses::{Found, PosedProposal};
-use rilievo_photos::{Backdrop, MaskProposal, propose_mask};
+use rilievo_segmentation::{Backdrop, MaskProposal, propose_mask};
 use target::{Target, beside};
 
 /// Certainty below which the user is asked to look closely, of a mask before a backdrop.

@@ -213,8 +213,7 @@ fn poses(facts: &PosesReport) -> Markup {
         }
         @if let Some(anchors) = &facts.anchors {
             p {
-                (anchors.num_anchors) " anchors (" (word(&anchors.mode)) ") from "
-                (anchors.num_patches) " patches: mean correlation "
+                (anchors.num_anchors) " anchors from " (anchors.num_patches) " patches: mean correlation "
                 (number(anchors.mean_correlation, 3)) ", residual " (number(anchors.rms_residual, 4))
                 " of ln intensity (RMS), deviations " (number(anchors.noise_factor, 1))
                 " times those of independent residuals; all in "

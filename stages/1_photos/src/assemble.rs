@@ -14,6 +14,9 @@ use std::sync::Arc;
 /// Noise over level from which the user is warned: at a tenth of the shading's own range.
 const NOISE_WARNING: f64 = 0.05;
 
+/// Clipped share of the object (or of the frame without mask) from which the user is warned.
+const CLIPPED_WARNING: f64 = 0.02;
+
 /// Sharpness over the middle one of the set below which a photo is likely blurred.
 const BLUR_WARNING: f64 = 0.5;
 
@@ -27,7 +30,7 @@ const PEDESTAL_WARNING: f64 = 0.02;
 /// Corners over sides, over a whole set, below which vignetting is likely.
 const FALLOFF_WARNING: f64 = 0.7;
 
-/// Figures that are told of photos with one and the same trouble.
+/// Figures that a warning names of photos with one and the same trouble.
 const MAX_NUM_FIGURES: usize = 3;
 
 /// Orders photos by file name, groups them by camera, and reports on the set.
@@ -79,7 +82,10 @@ pub fn assemble(
     }
 
     let facts: Vec<PhotoFacts> = photos.into_iter().map(|photo| photo.facts).collect();
-    let gains = exposure::gains(&facts, options).unwrap_or_default();
+    let gains = match options.normalize_exposure {
+        true => exposure::gains(&facts).unwrap_or_default(),
+        false => Vec::new(),
+    };
     for (photo, &gain) in set.photos.iter_mut().zip(&gains) {
         let pixels = photo.pixels.clone();
         let gain = gain as f32;
@@ -109,7 +115,7 @@ pub fn assemble(
         photos: facts,
     };
     check_levels(&report, options)?;
-    for message in warnings(&report, options) {
+    for message in warnings(&report) {
         let flow = observer.warn(StageId::Photos, message);
         flow.ok_or(PhotosError::Interrupted)?;
     }
@@ -147,8 +153,8 @@ fn check_set(photos: &[PreparedPhoto]) -> Result<(), PhotosError> {
 
 /// Refuses photos that differ by more than one light and one exposure can explain.
 fn check_levels(report: &PhotosReport, options: &PhotosOptions) -> Result<(), PhotosError> {
-    let told = report.exposure_spread_ev.is_some();
-    if told || report.level_spread_ev <= options.max_level_spread_ev {
+    let is_known = report.exposure_spread_ev.is_some();
+    if is_known || report.level_spread_ev <= options.max_level_spread_ev {
         return Ok(());
     }
     let level = |a: &&PhotoFacts, b: &&PhotoFacts| a.median_level.total_cmp(&b.median_level);
@@ -225,119 +231,95 @@ fn white_balance_spread(facts: &[PhotoFacts]) -> Option<f64> {
     Some(spread(0)?.max(spread(1)?))
 }
 
-/// What the user should know, each with the photo and what to try.
-fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
-    let mut warnings = Vec::new();
-    // One line for what concerns several photos.
-    let mut about = |photos: Vec<&PhotoFacts>, text: &str| {
-        let names = first_and_more(photos.iter().map(|photo| photo.file_name.as_str()));
-        warnings.extend(names.map(|names| format!("{names}: {text}")));
-    };
-    let which = |condition: &dyn Fn(&PhotoFacts) -> bool| -> Vec<&PhotoFacts> {
-        report.photos.iter().filter(|f| condition(f)).collect()
-    };
+/// What a photo is compared with.
+struct Comparison {
+    /// Whether any photo has a mask.
+    has_masks: bool,
+    /// Encoding of the first photo.
+    encoding: Option<AppliedEncoding>,
+    /// Median sharpness; zero in a set too small to have one.
+    sharpness: f64,
+}
 
-    about(
-        which(&|f| f.focal_source == FocalSource::Guess),
+type Condition = fn(&PhotoFacts, &Comparison) -> bool;
+
+/// What the user should know of single photos: the condition, and what the warning says after their
+/// names.
+const ABOUT_PHOTOS: [(Condition, &str); 10] = [
+    (
+        |f, _| f.focal_source == FocalSource::Guess,
         "focal length unknown, guessed and then refined with the poses; depth and normals depend \
          on it, give --cameras or a photo with EXIF",
-    );
-    about(
-        which(&|f| {
-            f.clipped_share_on_object.unwrap_or(f.clipped_share) > options.clipped_warning_share
-        }),
+    ),
+    (
+        |f, _| f.clipped_share_on_object.unwrap_or(f.clipped_share) > CLIPPED_WARNING,
         "many clipped pixels, which say nothing of the shape; expose less",
-    );
-    about(
-        which(&|f| f.num_invalid_px > 0),
+    ),
+    (
+        |f, _| f.num_invalid_px > 0,
         "has pixels that are not numbers; they were set to zero",
-    );
-    about(
-        which(&|f| f.orientation != Orientation::UPRIGHT),
+    ),
+    (
+        |f, _| f.orientation != Orientation::UPRIGHT,
         "EXIF asks to turn it for display; it is used as stored, and so are cameras, maps and exports",
-    );
-    about(
-        which(&|f| f.orientation.is_mirrored()),
+    ),
+    (
+        |f, _| f.orientation.is_mirrored(),
         "EXIF says that the stored pixels are the scene's mirror image, and so would be the model; store it \
          unmirrored (exiftran -a, or an image editor)",
-    );
-    about(
-        which(&|f| f.mask_was_upright),
+    ),
+    (
+        |f, _| f.mask_was_upright,
         "the mask was drawn over the photo as EXIF turns it; it was turned back to the pixels as stored",
-    );
-    about(
-        which(&|f| {
+    ),
+    (
+        |f, _| {
             f.encoding == AppliedEncoding::Linear && f.encoding_reason.contains("without colour")
-        }),
+        },
         "16 bit without colour metadata, taken as linear; say --encoding srgb if it is not",
-    );
-    let first = report.photos.first();
-    about(
-        which(&|f| first.is_some_and(|first| f.encoding != first.encoding)),
+    ),
+    (
+        |f, set| set.encoding.is_some_and(|first| f.encoding != first),
         "encoded otherwise than the first photo; say --encoding if that is wrong",
-    );
-    about(
-        which(&|f| f.mask_coverage.is_none() && report.num_masks > 0),
+    ),
+    (
+        |f, set| f.mask_coverage.is_none() && set.has_masks,
         "has no mask though others have",
-    );
-    let apart = |is_apart: fn(&MaskOutline) -> bool| {
-        let photos = report.photos.iter();
-        let outlines = photos.filter_map(|f| Some((f, f.mask_outline.filter(is_apart)?)));
-        let (photos, outlines): (Vec<&PhotoFacts>, Vec<MaskOutline>) = outlines.unzip();
-        let middle = |value: fn(&MaskOutline) -> f64| {
-            median(&mut outlines.iter().map(value).collect::<Vec<f64>>()).unwrap_or(0.0)
-        };
-        let distance = middle(|outline| outline.beyond_px.abs());
-        let share = 100.0 * middle(|outline| outline.share_on_outline);
-        (photos, format!("{distance:.0} px"), format!("{share:.0} %"))
-    };
-    let (photos, distance, share) = apart(MaskOutline::is_too_large);
-    about(
-        photos,
-        &format!(
-            "the mask reaches {distance} beyond the object's outline along most of its border ({share} lie on it), and \
-             what stands behind becomes the model's rim; draw it tighter"
-        ),
-    );
-    let (photos, distance, share) = apart(MaskOutline::is_too_small);
-    about(
-        photos,
-        &format!(
-            "the mask ends {distance} inside the object's outline along most of its border ({share} lie on it): the \
-             rim is left out"
-        ),
-    );
-    // Of a mask that is too large or too small it is known where its border should lie.
-    let off_edges = |f: &PhotoFacts| {
-        let is_told = f.mask_outline.is_some_and(|outline| outline.is_apart());
-        !is_told && f.mask_edge_ratio.is_some_and(|ratio| ratio < 1.0)
-    };
-    let figures: Vec<String> = report
-        .photos
-        .iter()
-        .filter(|f| off_edges(f))
-        .take(MAX_NUM_FIGURES)
-        .filter_map(|f| f.mask_edge_ratio.map(|ratio| format!("{ratio:.2}")))
-        .collect();
-    about(
-        which(&off_edges),
-        &format!(
-            "the mask's border lies on no edge of the photo: brightness changes {} times as much along it \
-             as along the same border shifted by 3 or 6 % of the diagonal, along an object's own outline \
-             about twice as much; is it the mask of another photo, or shifted?",
-            figures.join(", ")
-        ),
-    );
-    let set = report.photos.len() >= MIN_SET;
-    let sharpness = middle(report.photos.iter().map(|f| f.sharpness));
-    about(
-        which(&|f| set && f.sharpness < BLUR_WARNING * sharpness),
+    ),
+    (
+        |f, set| f.sharpness < BLUR_WARNING * set.sharpness,
         "much less sharp than the others; blurred or out of focus? Leave it out if so",
-    );
-    about(
-        which(&|f| f.noise_sigma > NOISE_WARNING * f.median_level.max(1e-4)),
+    ),
+];
+
+/// One line for what concerns several photos.
+fn about<'a>(photos: impl Iterator<Item = &'a PhotoFacts>, text: &str) -> Option<String> {
+    let names = first_and_more(photos.map(|photo| photo.file_name.as_str()))?;
+    Some(format!("{names}: {text}"))
+}
+
+/// What the user should know, each with the photo and what to try.
+fn warnings(report: &PhotosReport) -> Vec<String> {
+    let photos = || report.photos.iter();
+    let is_set = report.photos.len() >= MIN_SET;
+    let comparison = Comparison {
+        has_masks: report.num_masks > 0,
+        encoding: report.photos.first().map(|first| first.encoding),
+        sharpness: match is_set {
+            true => middle(photos().map(|f| f.sharpness)),
+            false => 0.0,
+        },
+    };
+    let mut warnings: Vec<String> = ABOUT_PHOTOS
+        .iter()
+        .filter_map(|(holds, text)| about(photos().filter(|f| holds(f, &comparison)), text))
+        .collect();
+    warnings.extend(about_masks(report));
+    let is_noisy = |f: &&PhotoFacts| f.noise_sigma > NOISE_WARNING * f.median_level.max(1e-4);
+    warnings.extend(about(
+        photos().filter(is_noisy),
         "noisy; shoot at the lowest ISO, from a tripod, or with more light",
-    );
+    ));
     if report.num_masks == 0 {
         warnings.push(
             "no photo has a mask (--masks, or an alpha channel): the whole frame is taken for the \
@@ -346,19 +328,17 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
                 .to_owned(),
         );
     }
-    let black = report
-        .photos
-        .iter()
+    let black = photos()
         .map(|f| f.black_level)
         .fold(f64::INFINITY, f64::min);
-    let linear = |f: &PhotoFacts| f.encoding == AppliedEncoding::Linear && f.bits < 32;
-    if set && black > PEDESTAL_WARNING && report.photos.iter().all(linear) {
+    let is_linear = |f: &PhotoFacts| f.encoding == AppliedEncoding::Linear && f.bits < 32;
+    if is_set && black > PEDESTAL_WARNING && photos().all(is_linear) {
         warnings.push(format!(
             "nothing in any photo is darker than {black:.3}: was the black level subtracted when \
              the photos were made linear?"
         ));
     }
-    if set && report.corner_falloff < FALLOFF_WARNING {
+    if is_set && report.corner_falloff < FALLOFF_WARNING {
         warnings.push(format!(
             "brightness falls towards the corners over the whole set, to {:.0} % of the sides': if the lens \
              darkens them, use a smaller aperture or correct vignetting while developing",
@@ -366,7 +346,7 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         ));
     }
     if let Some(spread) = report.exposure_spread_ev
-        && spread > options.exposure_warning_ev
+        && spread > exposure::EXPOSURE_SPREAD_EV
     {
         warnings.push(format!(
             "exposure varies by {spread:.2} EV between the photos{}; shoot with fixed exposure",
@@ -378,4 +358,55 @@ fn warnings(report: &PhotosReport, options: &PhotosOptions) -> Vec<String> {
         ));
     }
     warnings
+}
+
+/// What the user should know of masks whose border is not the object's outline.
+fn about_masks(report: &PhotosReport) -> impl Iterator<Item = String> {
+    // The photos with such an outline, its median distance and the share of the border that lies on
+    // it.
+    let apart = |is_apart: fn(&MaskOutline) -> bool| {
+        let outlines = report.photos.iter();
+        let outlines = outlines.filter_map(|f| Some((f, f.mask_outline.filter(is_apart)?)));
+        let (photos, outlines): (Vec<&PhotoFacts>, Vec<MaskOutline>) = outlines.unzip();
+        let distance = middle(outlines.iter().map(|outline| outline.beyond_px.abs()));
+        let share = 100.0 * middle(outlines.iter().map(|outline| outline.share_on_outline));
+        (photos, format!("{distance:.0} px"), format!("{share:.0} %"))
+    };
+    let (photos, distance, share) = apart(MaskOutline::is_too_large);
+    let too_large = about(
+        photos.into_iter(),
+        &format!(
+            "the mask reaches {distance} beyond the object's outline along most of its border ({share} lie on it), and \
+             what stands behind becomes the model's rim; draw it tighter"
+        ),
+    );
+    let (photos, distance, share) = apart(MaskOutline::is_too_small);
+    let too_small = about(
+        photos.into_iter(),
+        &format!(
+            "the mask ends {distance} inside the object's outline along most of its border ({share} lie on it): the \
+             rim is left out"
+        ),
+    );
+    // Of a mask that is too large or too small it is known where its border should lie.
+    let off_edges = || {
+        report.photos.iter().filter_map(|f| {
+            let is_apart = f.mask_outline.is_some_and(|outline| outline.is_apart());
+            let ratio = f
+                .mask_edge_ratio
+                .filter(|&ratio| !is_apart && ratio < 1.0)?;
+            Some((f, format!("{ratio:.2}")))
+        })
+    };
+    let figures: Vec<String> = off_edges().take(MAX_NUM_FIGURES).map(|off| off.1).collect();
+    let elsewhere = about(
+        off_edges().map(|off| off.0),
+        &format!(
+            "the mask's border lies on no edge of the photo: brightness changes {} times as much along it \
+             as along the same border shifted by 3 or 6 % of the diagonal, along an object's own outline \
+             about twice as much; is it the mask of another photo, or shifted?",
+            figures.join(", ")
+        ),
+    );
+    [too_large, too_small, elsewhere].into_iter().flatten()
 }

@@ -215,14 +215,6 @@ pub enum PhotosError {
         /// The brightest photo.
         bright: String,
     },
-    /// No mask can be proposed.
-    #[error("{photo}: no mask can be proposed: {reason}")]
-    NoBackdrop {
-        /// The photo.
-        photo: String,
-        /// Why, and what to try.
-        reason: &'static str,
-    },
     /// There is no usable photo.
     #[error("no usable photo")]
     NoPhotos,

@@ -8,10 +8,14 @@
 //!    its height the file keeps: `f_px = f · max(w, h) / 36 mm`;
 //! 3. EXIF focal length and focal-plane resolution, `f_px = f · r`, scaled to the image's size;
 //! 4. EXIF focal length and the sensor of a known camera;
-//! 5. a guess, `focal_guess_factor · max(w, h)`.
+//! 5. a guess, `1.2 · max(w, h)`, which is refined with the poses.
 
-use crate::options::PhotosOptions;
 use rilievo_scene::{ExifFacts, FocalSource, Intrinsics};
+
+/// Focal length of a camera of which nothing is known, over the longer side: between a phone's wide
+/// angle (26 mm in 35 mm equivalents, 0.7) and a portrait lens (85 mm, 2.4). Poses may fail from a
+/// start that is off by more than half.
+const GUESS_OVER_SIDE: f64 = 1.2;
 
 /// Diagonal of the 36 x 24 mm film frame, mm.
 const FILM_DIAGONAL_MM: f64 = 43.266_615_305_567_875;
@@ -53,7 +57,7 @@ const SENSOR_WIDTHS_MM: [(&str, f64); 24] = [
 
 /// A camera before poses, and how it came about.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FirstCamera {
+pub(crate) struct FirstCamera {
     /// The camera.
     pub intrinsics: Intrinsics,
     /// Where its focal length came from.
@@ -63,11 +67,11 @@ pub struct FirstCamera {
 }
 
 /// The camera of an image of which the user gave none.
-pub fn first_camera(
+pub(crate) fn first_camera(
     width: usize,
     height: usize,
     exif: &ExifFacts,
-    options: &PhotosOptions,
+    given_35mm: Option<f64>,
 ) -> FirstCamera {
     let side = width.max(height) as f64;
     let diagonal = (width as f64).hypot(height as f64);
@@ -84,7 +88,7 @@ pub fn first_camera(
         note,
     };
 
-    if let Some(focal_35mm) = options.focal_35mm {
+    if let Some(focal_35mm) = given_35mm {
         let focal_px = focal_35mm * diagonal / FILM_DIAGONAL_MM;
         let note = format!("given, {focal_35mm} mm in 35 mm equivalents");
         return camera(focal_px, FocalSource::CameraFile, note);
@@ -103,12 +107,11 @@ pub fn first_camera(
         implausible.get_or_insert(note);
     }
 
-    let factor = options.focal_guess_factor;
-    let note = match implausible {
-        Some(what) => format!("guess, {factor} times the longer side ({what} is not plausible)"),
-        None => format!("guess, {factor} times the longer side"),
-    };
-    camera(factor * side, FocalSource::Guess, note)
+    let mut note = format!("guess, {GUESS_OVER_SIDE} times the longer side");
+    if let Some(what) = implausible {
+        note += &format!(" ({what} is not plausible)");
+    }
+    camera(GUESS_OVER_SIDE * side, FocalSource::Guess, note)
 }
 
 type Candidate = Option<(f64, FocalSource, String)>;
@@ -168,7 +171,7 @@ mod tests {
     use super::*;
 
     fn camera(exif: ExifFacts) -> FirstCamera {
-        first_camera(2832, 2128, &exif, &PhotosOptions::default())
+        first_camera(2832, 2128, &exif, None)
     }
 
     fn close(found: f64, expected: f64) {
@@ -199,7 +202,7 @@ mod tests {
             focal_35mm: Some(50.0),
             ..ExifFacts::default()
         };
-        let found = first_camera(1280, 960, &exif, &PhotosOptions::default());
+        let found = first_camera(1280, 960, &exif, None);
         close(found.intrinsics.fx, 1280.0 / 36.0 * 50.0);
     }
 

@@ -6,38 +6,35 @@
 //! what was found.
 //!
 //! Steps, each in its module:
-//! 1. [`encoding`]: stored samples to linear intensities, by the file's metadata or the user's word;
+//! 1. `encoding`: stored samples to linear intensities, by the file's metadata or the user's word;
 //! 2. `mask`: refuse masks that cannot be an object's; `edges`: whether their border lies on edges; `outline`: how far
 //!    beyond the object's outline;
-//! 3. [`focal`]: the camera before poses, from the best source there is;
+//! 3. `focal`: the camera before poses, from the best source there is;
 //! 4. `measures`: level, clipping, noise, sharpness and colour for the preflight;
 //! 5. `exposure`: photos brought to one exposure by EXIF;
 //! 6. `assemble`: order, groups of photos that share a camera, spreads over the set, warnings.
 //!
-//! Beside the way: [`backdrop`] proposes masks of objects before a plain backdrop, and [`table`]
-//! writes the preflight for people.
+//! `table` writes the preflight for people.
 //!
 //! Pixels are never rotated or scaled: everything is in the frame of the pixels as stored. EXIF's
 //! orientation is noted, and masks that were drawn over the photo as EXIF turns it are turned back.
 
 mod assemble;
-pub mod backdrop;
 mod edges;
-pub mod encoding;
-pub mod error;
+mod encoding;
+mod error;
 mod exposure;
-pub mod focal;
+mod focal;
 mod mask;
 mod measures;
-pub mod options;
+mod options;
 mod outline;
 mod prepare;
-pub mod report;
-pub mod table;
+mod report;
+mod table;
 mod vignetting;
 
 pub use assemble::assemble;
-pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use encoding::linearize;
 pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions, RETIRED_KEYS};

@@ -4,15 +4,22 @@
 //! than of the whole frame: what it leaves out then lies inside, as an object does. An object that
 //! fills the frame leaves out parts of the border instead.
 //!
-//! A mask is taken for noise when a pixel tells nothing of its neighbour: `c(d) = (P(m, m') - p²) / (p - p²)`
-//! with the share `p` of object pixels and the share `P` of pairs at a step `d` that both are, is 0 for
-//! independent pixels of any density, 1 far from borders, and high along a hair or a wire however thin.
-//! The largest of the steps right, down and along both diagonals counts.
+//! A mask is taken for noise when a pixel is independent of its neighbour:
+//! `c(d) = (P(m, m') - p²) / (p - p²)` with the share `p` of object pixels and the share `P` of
+//! pairs at a step `d` that both are, is 0 for independent pixels of any density, 1 far from
+//! borders, and high along a hair or a wire however thin. The largest of the steps right, down and
+//! along both diagonals counts.
 
 use crate::edges;
 use crate::error::PhotosError;
-use crate::options::PhotosOptions;
 use rilievo_scene::{LinearImage, Mask, Orientation};
+
+/// Fewest object pixels of a usable mask.
+const MIN_MASK_PX: usize = 64;
+
+/// Share of the frame's border that a mask must mark, besides missing the middle, to be taken for
+/// inverted. Too small refuses objects that the frame cuts, too large misses inversions.
+const INVERTED_BORDER_SHARE: f64 = 0.75;
 
 /// Share of the frame that a mask which is not full must at least leave out.
 const FULL_SHARE: f64 = 0.999;
@@ -27,31 +34,12 @@ const NOISE_CORRELATION: f64 = 0.3;
 /// Pixels that are looked at for that: 0 is then known to a few thousandths.
 const MAX_NUM_NOISE_SAMPLES: usize = 1_000_000;
 
-/// Share of the pixels along the four sides that a mask marks.
-pub(crate) fn border_share(mask: &Mask) -> f64 {
-    let (w, h) = (mask.width, mask.height);
-    let mut marked = 0usize;
-    let mut total = 0usize;
-    for y in 0..h {
-        let step = if y == 0 || y + 1 == h {
-            1
-        } else {
-            w.max(2) - 1
-        };
-        for x in (0..w).step_by(step) {
-            total += 1;
-            marked += usize::from(*mask.at(x, y));
-        }
-    }
-    marked as f64 / total.max(1) as f64
-}
-
 /// What the border of a turned mask must have at least of the photo's edges, and how many times as much as the border of
 /// the mask as given: an outline has 2 to 3, a border elsewhere less than 1.
 const OUTLINE_EDGE_RATIO: f64 = 1.5;
 
 /// A mask in the stored frame, and whether it was drawn over the photo as EXIF turns it, where sizes do not
-/// tell (turned by half, mirrored, square): the object's outline is under one of both borders.
+/// decide (turned by half, mirrored, square): the object's outline is under one of both borders.
 pub(crate) fn turned_by_content(
     mask: Mask,
     image: &LinearImage,
@@ -76,7 +64,6 @@ pub(crate) fn check(
     photo: &str,
     (width, height): (usize, usize),
     mask: &Mask,
-    options: &PhotosOptions,
 ) -> Result<(), PhotosError> {
     if (mask.width, mask.height) != (width, height) {
         return Err(PhotosError::MaskSize {
@@ -88,7 +75,7 @@ pub(crate) fn check(
         });
     }
     let num_pixels = mask.count();
-    if num_pixels < options.min_mask_px {
+    if num_pixels < MIN_MASK_PX {
         return Err(PhotosError::MaskEmpty {
             photo: photo.to_owned(),
             num_pixels,
@@ -100,10 +87,8 @@ pub(crate) fn check(
             photo: photo.to_owned(),
         });
     }
-    let border = border_share(mask);
-    if border >= options.inverted_border_share
-        && border > coverage
-        && 1.0 - coverage >= INVERTED_HOLE_SHARE
+    let border = mask.frame_share();
+    if border >= INVERTED_BORDER_SHARE && border > coverage && 1.0 - coverage >= INVERTED_HOLE_SHARE
     {
         return Err(PhotosError::MaskInverted {
             photo: photo.to_owned(),
@@ -121,7 +106,7 @@ pub(crate) fn check(
     Ok(())
 }
 
-/// How much a pixel tells of its neighbour: 1 where all, 0 where nothing; `None` where the pixels looked at are all alike.
+/// Correlation of a pixel with its neighbours; `None` where the sampled pixels are all alike.
 fn neighbour_correlation(mask: &Mask) -> Option<f64> {
     let (width, height) = (mask.width, mask.height);
     if width < 3 || height < 2 {
@@ -164,7 +149,7 @@ mod tests {
         let mask = Raster::from_fn(SIZE.0, SIZE.1, |x, y| {
             inside(x as f64 - 40.0, y as f64 - 30.0)
         });
-        check("a.jpg", SIZE, &mask, &PhotosOptions::default())
+        check("a.jpg", SIZE, &mask)
     }
 
     #[test]
@@ -230,7 +215,7 @@ mod tests {
         );
         let mask = Raster::filled(60, 80, false);
         assert!(matches!(
-            check("a.jpg", SIZE, &mask, &PhotosOptions::default()),
+            check("a.jpg", SIZE, &mask),
             Err(PhotosError::MaskSize { .. })
         ));
     }

@@ -20,7 +20,7 @@ const PATCH_PX: usize = 48;
 const MIN_PATCH_BORDER_PX: usize = 24;
 /// Peak over median from which a patch has an outline.
 const CLEAR_PEAK: f64 = 3.0;
-/// Fewest such patches that tell of the whole border.
+/// Fewest such patches that stand for the whole border.
 const MIN_CLEAR_PATCHES: usize = 6;
 /// Distance up to which a border lies on the outline, pixels of the reduced photo: what hands and JPEG miss.
 const ON_OUTLINE_PX: f64 = 2.5;

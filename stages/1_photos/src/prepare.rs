@@ -16,6 +16,9 @@ use std::sync::Arc;
 /// a sum in single precision.
 const MAX_VALUE: f32 = 1e12;
 
+/// Fewest pixels on a side of a usable photo: less holds no object.
+const MIN_SIDE_PX: usize = 32;
+
 /// A camera that the user gave for a photo.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GivenCamera {
@@ -83,7 +86,7 @@ pub fn prepare(
     options: &PhotosOptions,
 ) -> Result<PreparedPhoto, PhotosError> {
     options.validate()?;
-    check_frame(&decoded, options)?;
+    check_frame(&decoded)?;
     let size = (decoded.width, decoded.height);
     let orientation = decoded
         .exif
@@ -96,11 +99,11 @@ pub fn prepare(
         false => (given.mask, false),
     });
     if let Some((mask, _)) = &mask {
-        mask::check(&decoded.file_name, size, mask, options)?;
+        mask::check(&decoded.file_name, size, mask)?;
     }
     let first = match camera {
         Some(given) => given_camera(&decoded, given.intrinsics)?,
-        None => first_camera(size.0, size.1, &decoded.exif, options),
+        None => first_camera(size.0, size.1, &decoded.exif, options.focal_35mm),
     };
 
     let (mut image, encoding) = linearize(&decoded, options.encoding);
@@ -179,16 +182,14 @@ fn name_of(file_name: &str) -> &str {
     }
 }
 
-fn check_frame(decoded: &DecodedPhoto, options: &PhotosOptions) -> Result<(), PhotosError> {
+fn check_frame(decoded: &DecodedPhoto) -> Result<(), PhotosError> {
     let (width, height) = (decoded.width, decoded.height);
-    // A pixel on each side of the inside is needed for differences, whatever the options say.
-    let min = options.min_side_px.max(2);
-    if width.min(height) < min {
+    if width.min(height) < MIN_SIDE_PX {
         return Err(PhotosError::TooSmall {
             photo: decoded.file_name.clone(),
             width,
             height,
-            min,
+            min: MIN_SIDE_PX,
         });
     }
     let expected = width * height * decoded.channels;

@@ -77,7 +77,7 @@ pub struct PhotoFacts {
     /// Darkest thousandth of the frame, linear.
     pub black_level: f64,
     /// Brightness of the corners over that of the sides' middles that the lens alone would cause, as
-    /// far as one photo tells; hints at vignetting over a whole set.
+    /// far as one photo shows; hints at vignetting over a whole set.
     pub corner_falloff: f64,
     /// What EXIF says.
     pub exif: ExifFacts,
@@ -114,7 +114,7 @@ pub struct PhotosReport {
     pub num_masks: usize,
     /// Mean share of the frame that masks mark.
     pub mean_mask_coverage: Option<f64>,
-    /// Largest over smallest exposure by EXIF, in EV; absent unless every photo tells its own.
+    /// Largest over smallest exposure by EXIF, in EV; absent unless every photo states its own.
     pub exposure_spread_ev: Option<f64>,
     /// Factor that brings every photo, in their order, to one exposure; empty where none was applied.
     #[serde(default)]

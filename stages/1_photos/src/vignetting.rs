@@ -6,7 +6,7 @@
 //! even; edges, texture and the scene's own shading are outliers. The median over each of eight
 //! sectors of the frame, weighted by `|Δρ²|`, and the median of these: light that falls off to one
 //! side has opposite signs in opposite sectors, and what stands in one corner stays in its sector.
-//! The object is left out where a mask tells it: round bodies darken towards their limbs.
+//! The object is left out where there is a mask: round bodies darken towards their limbs.
 //!
 //! Comparing the corners' own level with the sides' would compare what stands there: a bright mat
 //! below a dark room has corners of a third of the brightness without any lens.

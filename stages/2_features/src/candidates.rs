@@ -14,7 +14,7 @@ use rilievo_scene::{PhotoKeypoints, PhotoSet};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A pair of photos, the smaller index first.
-pub type Pair = (usize, usize);
+pub(crate) type Pair = (usize, usize);
 
 /// Words of the vocabulary: enough to tell views of one object apart, few enough to be cheap.
 const NUM_WORDS: usize = 32;
@@ -31,7 +31,7 @@ const NUM_TRIED_PER_LOG: f64 = 12.0;
 ///
 /// # Errors
 /// When pairs are listed and none is one of two of the photos.
-pub fn first(
+pub(crate) fn first(
     photos: &PhotoSet,
     keypoints: &[PhotoKeypoints],
     options: &FeaturesOptions,
@@ -67,7 +67,10 @@ pub fn first(
 }
 
 /// Names in the listed pairs that are no photo's, each once.
-pub fn unknown_names<'a>(photos: &PhotoSet, options: &'a FeaturesOptions) -> BTreeSet<&'a str> {
+pub(crate) fn unknown_names<'a>(
+    photos: &PhotoSet,
+    options: &'a FeaturesOptions,
+) -> BTreeSet<&'a str> {
     let PairChoice::Listed(names) = &options.pairs else {
         return BTreeSet::new();
     };
@@ -79,10 +82,10 @@ pub fn unknown_names<'a>(photos: &PhotoSet, options: &'a FeaturesOptions) -> BTr
 }
 
 /// Whether all pairs are tried.
-pub fn is_exhaustive(num_photos: usize, options: &FeaturesOptions) -> bool {
+pub(crate) fn is_exhaustive(num_photos: usize, options: &FeaturesOptions) -> bool {
     match options.pairs {
         PairChoice::All => true,
-        PairChoice::Auto => num_photos <= options.max_num_exhaustive_photos,
+        PairChoice::Auto => num_photos <= options.pair_limits.max_num_exhaustive_photos,
         PairChoice::Sequential | PairChoice::Listed(_) => false,
     }
 }
@@ -91,7 +94,7 @@ pub fn is_exhaustive(num_photos: usize, options: &FeaturesOptions) -> bool {
 /// many as each photo is to be tried with.
 ///
 /// `strong` are the pairs that match well, `tried` all that were looked at.
-pub fn beyond(num_photos: usize, strong: &[Pair], tried: &BTreeSet<Pair>) -> Vec<Pair> {
+pub(crate) fn beyond(num_photos: usize, strong: &[Pair], tried: &BTreeSet<Pair>) -> Vec<Pair> {
     let mut partners = vec![Vec::new(); num_photos];
     for &(i, j) in strong {
         partners[i].push(j);
@@ -134,7 +137,10 @@ fn ordered(i: usize, j: usize) -> Pair {
 
 /// Each photo with those that follow it, around the end, but never with itself.
 fn sequential(num: usize, options: &FeaturesOptions) -> impl Iterator<Item = Pair> {
-    let num_next = options.num_sequential_neighbors.min(num.saturating_sub(1));
+    let num_next = options
+        .pair_limits
+        .num_sequential_neighbors
+        .min(num.saturating_sub(1));
     (0..num).flat_map(move |i| (1..=num_next).map(move |step| ordered(i, (i + step) % num)))
 }
 
@@ -149,7 +155,9 @@ fn similar(photos: &[PhotoKeypoints], options: &FeaturesOptions) -> Vec<Pair> {
                 .map(|j| (dot(&signatures[i], &signatures[j]), j))
                 .collect();
             others.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-            let similar = others.into_iter().take(options.num_similar_neighbors);
+            let similar = others
+                .into_iter()
+                .take(options.pair_limits.num_similar_neighbors);
             similar.map(move |(_, j)| ordered(i, j))
         })
         .collect()
@@ -237,6 +245,7 @@ fn signatures(photos: &[PhotoKeypoints]) -> Vec<Vec<f32>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::options::PairLimits;
 
     /// Photos of a ring: neighbours share most of their descriptors.
     fn ring(num: usize) -> Vec<PhotoKeypoints> {
@@ -281,7 +290,10 @@ mod tests {
         for pairs_of in [PairChoice::Auto, PairChoice::Sequential] {
             let options = FeaturesOptions {
                 pairs: pairs_of,
-                max_num_exhaustive_photos: 1,
+                pair_limits: PairLimits {
+                    max_num_exhaustive_photos: 1,
+                    ..PairLimits::default()
+                },
                 ..FeaturesOptions::default()
             };
             let found = pairs(&ring(4), &options);

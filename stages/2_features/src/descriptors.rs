@@ -5,7 +5,7 @@
 const QUANTISATION: f32 = 512.0;
 
 /// Quantised RootSIFT of one SIFT descriptor.
-pub fn root_sift(descriptor: &[f32]) -> impl Iterator<Item = u8> + '_ {
+pub(crate) fn root_sift(descriptor: &[f32]) -> impl Iterator<Item = u8> + '_ {
     let sum: f32 = descriptor.iter().sum::<f32>().max(f32::MIN_POSITIVE);
     descriptor.iter().map(move |v| {
         (QUANTISATION * (v.max(0.0) / sum).sqrt())

@@ -24,6 +24,14 @@ const OPENCV_SIFT_OFFSET_PX: f32 = 0.25;
 /// Exponent of the encoding: lifts the shadows, where a matte object has its faint texture.
 const ENCODING_GAMMA: f32 = 1.0 / 2.2;
 
+/// Ratio of principal curvatures above which a keypoint counts as an edge: larger than OpenCV's 10,
+/// since a plain object has few keypoints.
+const EDGE_THRESHOLD: f64 = 15.0;
+
+/// Cells along the longer side of the photo; keypoints are kept evenly per cell, so that one busy
+/// corner does not use up the budget.
+const NUM_GRID_CELLS: f32 = 16.0;
+
 /// Finds the keypoints of one photo, over the whole frame.
 ///
 /// # Errors
@@ -64,7 +72,7 @@ pub fn detect(photo: &Photo, options: &FeaturesOptions) -> Result<PhotoKeypoints
     let longer = photo.intrinsics.width.max(photo.intrinsics.height);
     let kept = spread_over_grid(
         &keypoints,
-        longer as f32 / options.num_grid_cells as f32,
+        longer as f32 / NUM_GRID_CELLS,
         options.max_num_keypoints,
     );
     let mut polarity = BlobPolarity::new(&encoded);
@@ -132,7 +140,7 @@ fn sift(
         num_features,
         3,
         options.contrast_threshold,
-        options.edge_threshold,
+        EDGE_THRESHOLD,
         1.6,
     )
     .map_err(failed)?;

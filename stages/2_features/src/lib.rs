@@ -8,17 +8,17 @@
 mod candidates;
 mod descriptors;
 mod detect;
-pub mod error;
+mod error;
 mod matching;
-pub mod options;
+mod options;
 mod polarity;
-pub mod report;
+mod report;
 mod retention;
 mod two_view;
 
 pub use detect::detect;
 pub use error::FeaturesError;
-pub use options::{FeaturesOptions, KeypointRegion, PairChoice, RETIRED_KEYS};
+pub use options::{FeaturesOptions, KeypointRegion, PairChoice, PairLimits, RETIRED_KEYS};
 pub use report::{FeaturesReport, PairReport, PhotoFeatures};
 
 use candidates::Pair;
@@ -36,6 +36,9 @@ pub const VERSION: u32 = 4;
 
 /// A photo with fewer keypoints than this deserves a warning.
 const FEW_KEYPOINTS: usize = 100;
+/// Largest ratio of the best to the second-best descriptor distance of matches that join where they
+/// agree with the geometry that more distinctive ones found. Wide baselines live on them.
+const MAX_VERIFIED_RATIO: f64 = 0.9;
 /// Keypoints of a photo that are compared before a pair of a large set is matched, and the matches among them without
 /// which it is not.
 const NUM_PREVIEWED: usize = 512;
@@ -71,7 +74,7 @@ pub fn match_photos(
     if matcher.has_previews() {
         let mut tried: BTreeSet<Pair> = begun.iter().copied().collect();
         loop {
-            let strong: Vec<Pair> = matched.iter().filter_map(|p| strong(p, options)).collect();
+            let strong: Vec<Pair> = matched.iter().filter_map(strong).collect();
             let next = candidates::beyond(keypoints.len(), &strong, &tried);
             if next.is_empty() {
                 break;
@@ -189,7 +192,7 @@ impl<'a> Matcher<'a> {
     /// Matches of two photos that agree with a two-view geometry; none where nothing agrees.
     fn pair(&self, first: usize, second: usize) -> Result<PairMatches, FeaturesError> {
         let options = self.options;
-        let widest_ratio = options.max_ratio.max(options.max_verified_ratio);
+        let widest_ratio = options.max_ratio.max(MAX_VERIFIED_RATIO);
         let [a, b] = [first, second].map(|photo| &self.descriptors[photo]);
         let putative = match_descriptors(a, b, widest_ratio);
         let pick = |side: usize, photo: usize| -> Vec<Point2<f64>> {
@@ -207,7 +210,6 @@ impl<'a> Matcher<'a> {
             &pick(1, second),
             &distinctive,
             0.5 * (focal_px(first) + focal_px(second)),
-            options,
         )?;
         Ok(PairMatches {
             first: PhotoIdx(first),
@@ -222,14 +224,14 @@ impl<'a> Matcher<'a> {
     }
 }
 
-/// The pair, where it matches well enough to tell of other pairs.
-fn strong(pair: &PairMatches, options: &FeaturesOptions) -> Option<Pair> {
-    let is_strong = pair.matches.len() >= 2 * options.min_num_inliers;
+/// The pair, where it matches well enough to suggest other pairs.
+fn strong(pair: &PairMatches) -> Option<Pair> {
+    let is_strong = pair.matches.len() >= 2 * two_view::MIN_NUM_INLIERS;
     is_strong.then_some((pair.first.0, pair.second.0))
 }
 
 /// Of the pairs to begin with, those that were not matched of photos that match no other: few keypoints may be too few
-/// to tell.
+/// to decide.
 fn refused_of_lonely(begun: &[Pair], matched: &[PairMatches], num_photos: usize) -> Vec<Pair> {
     let mut is_lonely = vec![true; num_photos];
     for pair in matched.iter().filter(|pair| !pair.matches.is_empty()) {

@@ -12,7 +12,7 @@ use faer::{Accum, Mat, MatRef, Par};
 use rilievo_scene::PhotoKeypoints;
 
 /// Descriptors of one photo's bright and of its dark blobs.
-pub struct PhotoDescriptors([DescriptorMatrix; 2]);
+pub(crate) struct PhotoDescriptors([DescriptorMatrix; 2]);
 
 impl PhotoDescriptors {
     /// Sorts a photo's descriptors by polarity.
@@ -115,7 +115,7 @@ const TILE: usize = 256;
 
 /// A pair of mutual nearest neighbours.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct DescriptorMatch {
+pub(crate) struct DescriptorMatch {
     /// Indices in the first and in the second photo.
     pub pair: [u32; 2],
     /// Ratio of nearest to second-nearest distance, the larger of both directions.
@@ -124,7 +124,7 @@ pub struct DescriptorMatch {
 
 /// Mutual nearest neighbours of like polarity that pass the ratio test both ways, ordered by the
 /// first index.
-pub fn match_descriptors(
+pub(crate) fn match_descriptors(
     first: &PhotoDescriptors,
     second: &PhotoDescriptors,
     max_ratio: f64,

@@ -3,7 +3,7 @@
 use rilievo_scene::{OptionError, RetiredKey, check_ranges};
 use serde::{Deserialize, Serialize};
 
-/// Which keypoints tell the poses.
+/// Which keypoints determine the poses.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum KeypointRegion {
@@ -29,8 +29,57 @@ pub enum PairChoice {
     Listed(Vec<[String; 2]>),
 }
 
+/// How many pairs are tried.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PairLimits {
+    /// Up to this many photos `auto` tries all pairs.
+    pub max_num_exhaustive_photos: usize,
+    /// Neighbours in the order of names, before and after each photo, that `sequential` and `auto`
+    /// pair it with.
+    pub num_sequential_neighbors: usize,
+    /// Most similar photos that `auto` pairs each photo with at first.
+    pub num_similar_neighbors: usize,
+}
+
+/// Of a ring of photos, 10 to 20 degrees apart, each matches the few on either side; all pairs of
+/// twenty photos are 190.
+impl Default for PairLimits {
+    fn default() -> Self {
+        Self {
+            max_num_exhaustive_photos: 20,
+            num_sequential_neighbors: 8,
+            num_similar_neighbors: 12,
+        }
+    }
+}
+
 /// Keys that the table `[features]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
-pub const RETIRED_KEYS: &[RetiredKey] = &[];
+pub const RETIRED_KEYS: &[RetiredKey] = &[
+    RetiredKey::new(
+        &["edge_threshold"],
+        "it is fixed at 15; `features.contrast_threshold` decides how many keypoints there are",
+    ),
+    RetiredKey::new(&["num_grid_cells"], "it is fixed at 16"),
+    RetiredKey::new(
+        &["max_verified_ratio"],
+        "it is fixed at 0.9, or `features.max_ratio` where that is larger",
+    ),
+    RetiredKey::new(&["max_epipolar_error_px"], "it is fixed at 3 px"),
+    RetiredKey::new(&["min_num_inliers"], "it is fixed at 15"),
+    RetiredKey::new(
+        &["max_num_exhaustive_photos"],
+        "it is fixed at 20; say which pairs are matched by `features.pairs` or --pairs",
+    ),
+    RetiredKey::new(
+        &["num_sequential_neighbors"],
+        "it is fixed at 8; list the pairs by --pairs FILE",
+    ),
+    RetiredKey::new(
+        &["num_similar_neighbors"],
+        "it is fixed at 12; list the pairs by --pairs FILE",
+    ),
+    RetiredKey::new(&["max_num_ransac_samples"], "it is fixed at 2000"),
+];
 
 /// How keypoints are found and matched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -43,34 +92,17 @@ pub struct FeaturesOptions {
     /// Contrast below which SIFT drops a keypoint (OpenCV's scale, its default is 0.04). Plain
     /// objects need a low one; below 0.005 only the cost grows.
     pub contrast_threshold: f64,
-    /// Ratio of principal curvatures above which a keypoint counts as an edge; larger keeps more.
-    pub edge_threshold: f64,
-    /// Cells along the longer side of the photo; keypoints are kept evenly per cell, so that one
-    /// busy corner does not use up the budget.
-    pub num_grid_cells: usize,
     /// Photos with more megapixels are halved before detection; bounds memory (about 180 bytes
     /// per pixel).
     pub max_detection_mpx: f64,
     /// Largest ratio of the best to the second-best descriptor distance of the matches that find a
     /// pair's geometry; nearer to 1 admits ambiguous ones, and RANSAC takes long.
     pub max_ratio: f64,
-    /// The same for further matches, which are taken where they agree with the geometry found.
-    /// Wide baselines live on them; below `max_ratio` there are none.
-    pub max_verified_ratio: f64,
-    /// Largest distance from the epipolar line, pixels.
-    pub max_epipolar_error_px: f64,
-    /// Pairs with fewer verified matches are dropped.
-    pub min_num_inliers: usize,
     /// Which pairs are matched.
     pub pairs: PairChoice,
-    /// Up to this many photos `auto` tries all pairs.
-    pub max_num_exhaustive_photos: usize,
-    /// Neighbours in the order of names, before and after each photo, that `sequential` and `auto` pair it with.
-    pub num_sequential_neighbors: usize,
-    /// Most similar photos that `auto` pairs each photo with at first.
-    pub num_similar_neighbors: usize,
-    /// Largest number of RANSAC samples per pair.
-    pub max_num_ransac_samples: usize,
+    /// How many they are.
+    #[serde(skip)]
+    pub pair_limits: PairLimits,
 }
 
 impl Default for FeaturesOptions {
@@ -79,18 +111,10 @@ impl Default for FeaturesOptions {
             region: KeypointRegion::Photo,
             max_num_keypoints: 8000,
             contrast_threshold: 0.01,
-            edge_threshold: 15.0,
-            num_grid_cells: 16,
             max_detection_mpx: 8.0,
             max_ratio: 0.8,
-            max_verified_ratio: 0.9,
-            max_epipolar_error_px: 3.0,
-            min_num_inliers: 15,
             pairs: PairChoice::Auto,
-            max_num_exhaustive_photos: 20,
-            num_sequential_neighbors: 8,
-            num_similar_neighbors: 12,
-            max_num_ransac_samples: 2000,
+            pair_limits: PairLimits::default(),
         }
     }
 }
@@ -105,17 +129,8 @@ impl FeaturesOptions {
             self;
             max_num_keypoints in 8..=1_000_000,
             contrast_threshold in 1e-6..=0.99,
-            edge_threshold in 1.01..=1e6,
-            num_grid_cells in 1..=1000,
             max_detection_mpx in 0.001..=1e4,
             max_ratio in 0.01..=1.0,
-            max_verified_ratio in 0.01..=1.0,
-            max_epipolar_error_px in 0.01..=1000.0,
-            min_num_inliers in 8..=1_000_000,
-            max_num_exhaustive_photos in 0..=1_000_000,
-            num_sequential_neighbors in 1..=1_000_000,
-            num_similar_neighbors in 0..=1_000_000,
-            max_num_ransac_samples in 1..=10_000_000,
         )
     }
 }

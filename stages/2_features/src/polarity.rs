@@ -25,7 +25,7 @@ const MAX_SIGMA_PX: f32 = 4.0;
 const MIDDLE_WIDTH: f32 = 1.122_462;
 
 /// An image and its halvings.
-pub struct BlobPolarity {
+pub(crate) struct BlobPolarity {
     levels: Vec<Raster<f32>>,
 }
 
@@ -61,7 +61,7 @@ impl BlobPolarity {
 }
 
 /// Mean of 2×2 pixels.
-pub fn halve(image: &Raster<f32>) -> Raster<f32> {
+pub(crate) fn halve(image: &Raster<f32>) -> Raster<f32> {
     Raster::from_fn(image.width / 2, image.height / 2, |x, y| {
         0.25 * (image.at(2 * x, 2 * y)
             + image.at(2 * x + 1, 2 * y)

@@ -4,7 +4,7 @@
 use rilievo_scene::Keypoint;
 
 /// Indices (ascending) of at most `budget` keypoints, spread over cells of the given size.
-pub fn spread_over_grid(keypoints: &[Keypoint], cell_px: f32, budget: usize) -> Vec<usize> {
+pub(crate) fn spread_over_grid(keypoints: &[Keypoint], cell_px: f32, budget: usize) -> Vec<usize> {
     if keypoints.len() <= budget {
         return (0..keypoints.len()).collect();
     }

@@ -9,11 +9,10 @@
 //! from the distinctive matches only, where wrong ones are few; the others are then held against
 //! the matrix that was found, and join in its refinement.
 //!
-//! The homography is fitted to the inliers of `E`; the share that it explains tells flat scenes
-//! and pure rotations from pairs with parallax.
+//! The homography is fitted to the inliers of `E`; the share that it explains distinguishes flat
+//! scenes and pure rotations from pairs with parallax.
 
 use crate::error::FeaturesError;
-use crate::options::FeaturesOptions;
 use nalgebra::{Matrix3, Point2, Rotation3, SMatrix, SVector, Vector3};
 use opencv::calib3d;
 use opencv::core::{Mat, Point2d, Vector};
@@ -22,7 +21,7 @@ use rilievo_numerics::least_squares::{LeastSquaresOptions, LeastSquaresProblem, 
 use rilievo_numerics::robust::RobustLoss;
 
 /// Verified geometry of a pair.
-pub struct TwoViewGeometry {
+pub(crate) struct TwoViewGeometry {
     /// Essential matrix, Frobenius norm √2.
     pub essential: Matrix3<f64>,
     /// Indices of the matches that agree with it, ascending.
@@ -34,6 +33,15 @@ pub struct TwoViewGeometry {
 /// Samples that are drawn of every pair, unless a good one is found before.
 const MIN_NUM_SAMPLES: usize = 100;
 
+/// Most samples per pair.
+const MAX_NUM_RANSAC_SAMPLES: usize = 2000;
+
+/// Pairs with fewer verified matches are dropped.
+pub(crate) const MIN_NUM_INLIERS: usize = 15;
+
+/// Largest distance from the epipolar line, pixels.
+const MAX_EPIPOLAR_ERROR_PX: f64 = 3.0;
+
 /// Confidence at which RANSAC may stop early.
 const RANSAC_CONFIDENCE: f64 = 0.9999;
 
@@ -44,20 +52,19 @@ const RANSAC_CONFIDENCE: f64 = 0.9999;
 ///
 /// # Errors
 /// When OpenCV refuses a call.
-pub fn verify(
+pub(crate) fn verify(
     x1: &[Point2<f64>],
     x2: &[Point2<f64>],
     distinctive: &[usize],
     focal_px: f64,
-    options: &FeaturesOptions,
 ) -> Result<Option<TwoViewGeometry>, FeaturesError> {
-    if distinctive.len() < options.min_num_inliers {
+    if distinctive.len() < MIN_NUM_INLIERS {
         return Ok(None);
     }
-    let threshold = options.max_epipolar_error_px / focal_px;
+    let threshold = MAX_EPIPOLAR_ERROR_PX / focal_px;
     let pick =
         |x: &[Point2<f64>]| -> Vec<Point2<f64>> { distinctive.iter().map(|&k| x[k]).collect() };
-    let Some(mut essential) = ransac_essential(&pick(x1), &pick(x2), threshold, options)? else {
+    let Some(mut essential) = ransac_essential(&pick(x1), &pick(x2), threshold)? else {
         return Ok(None);
     };
     let mut inliers = sampson_inliers(&essential, x1, x2, threshold);
@@ -67,7 +74,7 @@ pub fn verify(
             .iter()
             .filter(|&k| distinctive.binary_search(k).is_ok())
             .count();
-        if num_distinctive < options.min_num_inliers {
+        if num_distinctive < MIN_NUM_INLIERS {
             return Ok(None);
         }
         if let Some(refined) = refine_essential(&essential, x1, x2, &inliers, threshold) {
@@ -98,27 +105,26 @@ fn matrix3(mat: &Mat) -> Option<Matrix3<f64>> {
 
 /// Samples after which a pair that would be accepted has been found with [`RANSAC_CONFIDENCE`].
 ///
-/// A pair of `n` matches counts from `m` = `min_num_inliers` on, so a share `w ≥ m/n` of them must
-/// agree; `ln(1 − p) / ln(1 − w⁵)` samples of five then hold a clean one with probability `p`
+/// A pair of `n` matches counts from `m` = [`MIN_NUM_INLIERS`] on, so a share `w ≥ m/n` of them
+/// must agree; `ln(1 − p) / ln(1 − w⁵)` samples of five then hold a clean one with probability `p`
 /// (Fischler and Bolles, 1981). Pairs without overlap, whose few matches all disagree, would
-/// otherwise take every sample that the options allow. A clean sample is not yet a good one:
-/// points close together magnify noise, so that a hundred are drawn at least.
-fn num_useful_samples(num_matches: usize, options: &FeaturesOptions) -> usize {
-    let share = (options.min_num_inliers as f64 / num_matches.max(1) as f64).min(1.0);
+/// otherwise take [`MAX_NUM_RANSAC_SAMPLES`]. A clean sample is not yet a good one: points close
+/// together magnify noise, so that a hundred are drawn at least.
+fn num_useful_samples(num_matches: usize) -> usize {
+    let share = (MIN_NUM_INLIERS as f64 / num_matches.max(1) as f64).min(1.0);
     let all_clean = share.powi(5);
     let needed = (1.0 - RANSAC_CONFIDENCE).ln() / (-all_clean).ln_1p();
     (needed.ceil() as usize)
         .max(MIN_NUM_SAMPLES)
-        .min(options.max_num_ransac_samples)
+        .min(MAX_NUM_RANSAC_SAMPLES)
 }
 
 fn ransac_essential(
     x1: &[Point2<f64>],
     x2: &[Point2<f64>],
     threshold: f64,
-    options: &FeaturesOptions,
 ) -> Result<Option<Matrix3<f64>>, FeaturesError> {
-    let num_samples = num_useful_samples(x1.len(), options);
+    let num_samples = num_useful_samples(x1.len());
     let mut mask = Mat::default();
     let found = calib3d::find_essential_mat_1(
         &to_opencv(x1.iter().copied()),

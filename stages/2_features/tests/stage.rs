@@ -5,7 +5,9 @@
 
 use nalgebra::Matrix3;
 use rand::{Rng, SeedableRng};
-use rilievo_features::{FeaturesError, FeaturesOptions, PairChoice, detect, match_photos};
+use rilievo_features::{
+    FeaturesError, FeaturesOptions, PairChoice, PairLimits, detect, match_photos,
+};
 use rilievo_scene::{
     FeatureMatches, FocalSource, Intrinsics, LinearImage, PairMatches, Photo, PhotoSet, Recorder,
 };
@@ -165,9 +167,11 @@ fn matched_of(pairs: PairChoice) -> Result<(Vec<[usize; 2]>, Vec<String>), Featu
     let set = PhotoSet { photos: photos() };
     let options = FeaturesOptions {
         pairs,
-        max_num_exhaustive_photos: 0,
-        num_sequential_neighbors: 1,
-        num_similar_neighbors: 1,
+        pair_limits: PairLimits {
+            max_num_exhaustive_photos: 0,
+            num_sequential_neighbors: 1,
+            num_similar_neighbors: 1,
+        },
         ..FeaturesOptions::default()
     };
     let keypoints = set.photos.iter().map(|p| detect(p, &options).unwrap());

@@ -10,7 +10,7 @@
 use nalgebra::Point3;
 use rilievo_io::{decode_photo, read_cameras, read_depth, read_mask};
 use rilievo_poses::anchors::{AnchorOptions, find};
-use rilievo_scene::{FeatureMatches, Photo, PhotoSet, PosedViews, Raster, Silent, ViewIdx};
+use rilievo_scene::{Photo, PhotoSet, PosedViews, Raster, Silent, ViewIdx};
 use rilievo_synthetic::testing::{PosedPhotos, linear_of, photo};
 use std::error::Error;
 use std::path::Path;
@@ -160,14 +160,7 @@ fn main() -> Result<(), Failure> {
     let step: f64 = value("--truth-step").map_or(Ok(0.0), |v| v.parse())?;
     let before = cpu_seconds();
     let clock = std::time::Instant::now();
-    let (anchors, report) = find(
-        &truth.photos,
-        &FeatureMatches::default(),
-        &truth.posed,
-        &options,
-        None,
-        &Silent,
-    )?;
+    let (anchors, report) = find(&truth.photos, &truth.posed, &options, None, &Silent)?;
     let cpu = cpu_seconds() - before;
     let wall = clock.elapsed().as_secs_f64();
     let views = &truth.posed.views;

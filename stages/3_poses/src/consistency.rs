@@ -5,22 +5,22 @@
 //! texture, or on the far side of a symmetric object, agrees with the points that deceived it and
 //! contradicts most of its other neighbours; its own reprojection errors do not show that.
 
-use crate::adjustment::robust_adjustment;
+use crate::adjustment::BundleOptions;
+use crate::matched::MatchedPhotos;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::relative_pose::depths;
-use crate::scene::Scene;
 use crate::triangulation::TriangulationLimits;
 use rilievo_scene::{Intrinsics, PairMatches, RigidTransform};
 
 /// Least share of a photo's matches, over all its pairs, that its pose must explain.
-pub const MIN_CONSISTENT_SHARE: f64 = 0.5;
+pub(crate) const MIN_CONSISTENT_SHARE: f64 = 0.5;
 /// Photos with fewer matches cannot be judged.
 const MIN_NUM_MATCHES: usize = 20;
 
 /// Number of matches of a pair that two poses explain; `None` without a baseline, where every match
 /// of one point does.
-pub fn num_agreeing(
-    scene: &Scene<'_>,
+pub(crate) fn num_agreeing(
+    matched: &MatchedPhotos<'_>,
     pair: &PairMatches,
     [ci, cj]: [&Intrinsics; 2],
     [first, second]: [&RigidTransform; 2],
@@ -35,8 +35,8 @@ pub fn num_agreeing(
     let essential = (relative.translation / baseline).cross_matrix() * relative.rotation_matrix();
     let limit = max_error_px / (0.5 * (ci.focal_px() + cj.focal_px()));
     let agrees = |m: &&[u32; 2]| {
-        let x1 = ci.ray(&scene.pixels[i][m[0] as usize]);
-        let x2 = cj.ray(&scene.pixels[j][m[1] as usize]);
+        let x1 = ci.ray(&matched.pixels[i][m[0] as usize]);
+        let x2 = cj.ray(&matched.pixels[j][m[1] as usize]);
         let (l2, l1) = (essential * x1, essential.tr_mul(&x2));
         let g = l2.xy().norm_squared() + l1.xy().norm_squared();
         // The epipolar constraint alone also holds for a scene behind the cameras.
@@ -47,17 +47,21 @@ pub fn num_agreeing(
 }
 
 /// The posed photo that contradicts most of its matches with other posed photos, if any does.
-pub fn contradicting(scene: &Scene<'_>, model: &Model, max_error_px: f64) -> Option<usize> {
+pub(crate) fn contradicting(
+    matched: &MatchedPhotos<'_>,
+    model: &Model,
+    max_error_px: f64,
+) -> Option<usize> {
     let cameras = model.intrinsics();
-    let mut counts = vec![(0_usize, 0_usize); scene.num_photos()];
-    for pair in &scene.matches.pairs {
+    let mut counts = vec![(0_usize, 0_usize); matched.num_photos()];
+    for pair in &matched.matches.pairs {
         let (i, j) = (pair.first.0, pair.second.0);
         let (Some(first), Some(second)) = (model.poses[i], model.poses[j]) else {
             continue;
         };
-        let seen_by = [i, j].map(|photo| &cameras[scene.camera_of[photo]]);
+        let seen_by = [i, j].map(|photo| &cameras[matched.camera_of[photo]]);
         let poses = [&first.into(), &second.into()];
-        let agreeing = num_agreeing(scene, pair, seen_by, poses, max_error_px);
+        let agreeing = num_agreeing(matched, pair, seen_by, poses, max_error_px);
         for photo in [i, j] {
             counts[photo].0 += agreeing.unwrap_or(pair.matches.len());
             counts[photo].1 += pair.matches.len();
@@ -73,22 +77,22 @@ pub fn contradicting(scene: &Scene<'_>, model: &Model, max_error_px: f64) -> Opt
 }
 
 /// Takes a photo out of a model and settles the rest; `false` when nothing is left to settle.
-pub fn expel(
-    scene: &Scene<'_>,
+pub(crate) fn expel(
+    matched: &MatchedPhotos<'_>,
     model: &mut Model,
     photo: usize,
     limits: &TriangulationLimits,
 ) -> bool {
     model.poses[photo] = None;
     // Points that hung on it are found anew.
-    for &(track, _) in &scene.tracks_of[photo] {
+    for &(track, _) in &matched.tracks_of[photo] {
         model.points[track] = None;
     }
-    let scope = AdjustmentScope {
-        step: "without a photo that contradicts the others",
-        photos: None,
-        intrinsics: IntrinsicsScope::Fixed,
-    };
-    model.triangulate_all(scene, limits);
-    model.num_points() > 0 && model.adjust(scene, &scope, &robust_adjustment()).is_ok()
+    let step = "without a photo that contradicts the others";
+    let scope = AdjustmentScope::all(step, IntrinsicsScope::Fixed);
+    model.triangulate_all(matched, limits);
+    model.num_points() > 0
+        && model
+            .adjust(matched, &scope, &BundleOptions::growing())
+            .is_ok()
 }

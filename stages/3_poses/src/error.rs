@@ -129,7 +129,7 @@ fn pair_advice(enough_points: bool, wide_enough: bool) -> &'static str {
     }
 }
 
-/// Tells the user of something; the stage goes on.
+/// Warns; the stage goes on.
 pub(crate) fn warn(observer: &dyn Observer, message: String) -> Result<(), PosesError> {
     let flow = observer.warn(StageId::Poses, message);
     flow.ok_or(PosesError::Interrupted)

@@ -8,16 +8,15 @@ use crate::adjustment::BundleOptions;
 use crate::consistency::{MIN_CONSISTENT_SHARE, num_agreeing};
 use crate::error::PosesError;
 use crate::incremental::{Reconstruction, limits};
-use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
+use crate::matched::MatchedPhotos;
+use crate::model::{AdjustmentScope, Model};
 use crate::options::{GivenPoses, PosesOptions};
 use crate::projection::CenteredPose;
-use crate::scene::Scene;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
-use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{PhotoSet, RigidTransform};
 
 /// The given poses, when every photo has one and they are to be used.
-pub fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<RigidTransform>> {
+pub(crate) fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<RigidTransform>> {
     if options.given_poses == GivenPoses::Ignore {
         return None;
     }
@@ -42,13 +41,17 @@ fn common_place(poses: &[RigidTransform]) -> Option<[f64; 3]> {
 }
 
 /// Share of all verified matches that poses explain; `None` without matches.
-fn consistent_share(scene: &Scene<'_>, poses: &[RigidTransform], max_error_px: f64) -> Option<f64> {
+fn consistent_share(
+    matched: &MatchedPhotos<'_>,
+    poses: &[RigidTransform],
+    max_error_px: f64,
+) -> Option<f64> {
     let (mut agreeing, mut total) = (0_usize, 0_usize);
-    for pair in &scene.matches.pairs {
+    for pair in &matched.matches.pairs {
         let (i, j) = (pair.first.0, pair.second.0);
-        let cameras = [i, j].map(|photo| &scene.photos.photos[photo].intrinsics);
+        let cameras = [i, j].map(|photo| &matched.photos.photos[photo].intrinsics);
         if let Some(found) =
-            num_agreeing(scene, pair, cameras, [&poses[i], &poses[j]], max_error_px)
+            num_agreeing(matched, pair, cameras, [&poses[i], &poses[j]], max_error_px)
         {
             agreeing += found;
             total += pair.matches.len();
@@ -59,33 +62,22 @@ fn consistent_share(scene: &Scene<'_>, poses: &[RigidTransform], max_error_px: f
 
 /// Other conventions in which poses are often written, with their names.
 fn other_conventions(poses: &[RigidTransform]) -> Vec<(&'static str, Vec<RigidTransform>)> {
-    let flip = |x: f64, y: f64, z: f64| {
-        let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
-            Matrix3::from_diagonal(&Vector3::new(x, y, z)),
-        ));
-        RigidTransform {
-            rotation: turn,
-            translation: Vector3::zeros(),
-        }
+    let rotation = |matrix: Matrix3<f64>| {
+        UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix))
     };
-    let opengl = flip(1.0, -1.0, -1.0);
+    let opengl = RigidTransform {
+        rotation: rotation(Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0))),
+        translation: Vector3::zeros(),
+    };
     let each = |f: &dyn Fn(&RigidTransform) -> RigidTransform| poses.iter().map(f).collect();
     // A mirrored world: the same cameras seen in a mirror across one axis.
-    let mirrored = |axis: usize| -> Vec<RigidTransform> {
+    let mirrored = |axis: usize| {
         let mut m = Matrix3::identity();
         m[(axis, axis)] = -1.0;
-        poses
-            .iter()
-            .map(|p| {
-                let r = m * p.rotation_matrix() * m;
-                RigidTransform {
-                    rotation: UnitQuaternion::from_rotation_matrix(
-                        &Rotation3::from_matrix_unchecked(r),
-                    ),
-                    translation: m * p.translation,
-                }
-            })
-            .collect()
+        each(&|p| RigidTransform {
+            rotation: rotation(m * p.rotation_matrix() * m),
+            translation: m * p.translation,
+        })
     };
     vec![
         (
@@ -119,8 +111,8 @@ fn other_conventions(poses: &[RigidTransform]) -> Vec<(&'static str, Vec<RigidTr
 ///
 /// # Errors
 /// When the poses contradict the matches.
-pub fn reconstruct(
-    scene: &Scene<'_>,
+pub(crate) fn reconstruct(
+    matched: &MatchedPhotos<'_>,
     poses: &[RigidTransform],
     options: &PosesOptions,
 ) -> Result<Reconstruction, PosesError> {
@@ -128,13 +120,13 @@ pub fn reconstruct(
     if let Some(place) = common_place(poses) {
         return Err(PosesError::GivenPosesAtOnePlace { place });
     }
-    if let Some(share) = consistent_share(scene, poses, max_error_px)
+    if let Some(share) = consistent_share(matched, poses, max_error_px)
         && share < MIN_CONSISTENT_SHARE
     {
         let best = other_conventions(poses)
             .into_iter()
             .filter_map(|(hint, other)| {
-                Some((consistent_share(scene, &other, max_error_px)?, hint))
+                Some((consistent_share(matched, &other, max_error_px)?, hint))
             })
             .reduce(|a, b| if b.0 > a.0 { b } else { a });
         let hint = match best {
@@ -148,30 +140,15 @@ pub fn reconstruct(
             hint,
         });
     }
-    let mut model = Model::empty(scene);
+    let mut model = Model::empty(matched);
     model.poses = poses.iter().map(|&p| Some(CenteredPose::from(p))).collect();
-    model.triangulate_all(scene, &limits(options));
-    let mut adjustments = Vec::new();
+    model.triangulate_all(matched, &limits(options));
+    let mut reconstruction = Reconstruction::from(model);
+    let model = &mut reconstruction.model;
     if model.num_points() > 0 {
-        let scope = AdjustmentScope {
-            step: "points only",
-            photos: Some(&[]),
-            intrinsics: IntrinsicsScope::Fixed,
-        };
-        let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(2.0),
-            max_num_iterations: 30,
-            relative_cost_change: 1e-6,
-        };
-        adjustments.push(model.adjust(scene, &scope, &bundle_options)?);
+        let scope = AdjustmentScope::points("points only");
+        let adjusted = model.adjust(matched, &scope, &BundleOptions::complete(1e-6))?;
+        reconstruction.adjustments.push(adjusted);
     }
-    Ok(Reconstruction {
-        model,
-        initial_pair: None,
-        adjustments,
-        failed: Vec::new(),
-        contradicting: Vec::new(),
-        lens: None,
-        contradicted_focal: None,
-    })
+    Ok(reconstruction)
 }

@@ -6,53 +6,56 @@
 //! locally, and as a whole whenever they have grown by a quarter: then the cost of a photo does not
 //! depend on how many there are, and that of all adjustments of the whole is a few times the last's.
 
-use crate::adjustment::{AdjustedCamera, robust_adjustment};
+use crate::adjustment::{AdjustedCamera, BundleOptions};
 use crate::consistency;
 use crate::error::PosesError;
 use crate::initial_pair::{self, InitialPair};
 use crate::lens::MIN_NUM_VIEWS_FOR_DISTORTION;
+use crate::matched::{CameraPrior, MatchedPhotos};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
 use crate::projection::CenteredPose;
 use crate::ranking::Ranking;
 use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use crate::resection::resect;
-use crate::scene::{Scene, SceneCamera};
 use crate::triangulation::TriangulationLimits;
 use rilievo_scene::{Observer, RigidTransform, StageId};
 
+/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the
+/// point too far.
+pub(crate) const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
+/// Points that a photo must see to be registered, and a pair to begin: few agree by chance.
+pub(crate) const MIN_NUM_VISIBLE_POINTS: usize = 15;
 /// Up to this many views every adjustment covers all of them.
 const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
 /// Growth after which a larger model is adjusted as a whole again; less costs time, more lets errors
 /// add up that the next adjustment has farther to go for.
 const GLOBAL_AFTER_GROWTH: f64 = 1.25;
-/// Errors of sightings over the allowed ones up to which a large model's adjustment of the whole regards them.
+/// An adjustment of a whole large model takes sightings with errors up to this many times the
+/// allowed one.
 const DRIFT: f64 = 5.0;
 /// Views of a local adjustment besides the new one.
 const NUM_LOCAL_VIEWS: usize = 6;
 /// Initial pairs that are tried before a model is given up.
 const MAX_NUM_INITIAL_PAIRS: usize = 6;
-/// Views from which a focal length can be told from a motion along the axis.
+/// Views that distinguish a focal length from a motion along the axis.
 const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
 /// Least relative drop of the cost for which distortion is adopted: noise alone lowers it by the
 /// number of its coefficients over that of the observations, far less.
 const MIN_COST_DROP_FOR_DISTORTION: f64 = 0.03;
 
 /// Limits of a triangulated point under the options.
-pub fn limits(options: &PosesOptions) -> TriangulationLimits {
+pub(crate) fn limits(options: &PosesOptions) -> TriangulationLimits {
     TriangulationLimits {
         max_error_px: options.max_reprojection_error_px,
-        min_angle_rad: options.min_triangulation_angle_deg.to_radians(),
+        min_angle_rad: MIN_TRIANGULATION_ANGLE_DEG.to_radians(),
     }
 }
 
 /// A model with what led to it.
-pub struct Reconstruction {
-    /// Poses and points.
+pub(crate) struct Reconstruction {
     pub model: Model,
-    /// Photos of the first pair.
     pub initial_pair: Option<(usize, usize)>,
-    /// Adjustments.
     pub adjustments: Vec<AdjustmentReport>,
     /// Photos that failed, with the number of known points that they see and of those that agreed.
     pub failed: Vec<(usize, usize, usize)>,
@@ -64,17 +67,31 @@ pub struct Reconstruction {
     pub contradicted_focal: Option<ContradictedFocal>,
 }
 
+impl From<Model> for Reconstruction {
+    fn from(model: Model) -> Self {
+        Self {
+            model,
+            initial_pair: None,
+            adjustments: Vec::new(),
+            failed: Vec::new(),
+            contradicting: Vec::new(),
+            lens: None,
+            contradicted_focal: None,
+        }
+    }
+}
+
 /// Reconstructs as many of the available photos as possible in one model.
 ///
 /// # Errors
 /// When there is no pair to start from, an adjustment breaks down, or the observer asked to stop.
-pub fn reconstruct(
-    scene: &Scene<'_>,
+pub(crate) fn reconstruct(
+    matched: &MatchedPhotos<'_>,
     available: &[bool],
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Reconstruction, PosesError> {
-    let pairs = initial_pair::candidates(scene, available, options)?;
+    let pairs = initial_pair::candidates(matched, available)?;
     let wanted = available.iter().filter(|&&a| a).count();
     let mut best: Option<Reconstruction> = None;
     let (mut num_tried, mut most_points) = (0, 0);
@@ -87,7 +104,7 @@ pub fn reconstruct(
             continue;
         }
         num_tried += 1;
-        let grown = match grow(scene, pair, available, options, observer)? {
+        let grown = match grow(matched, pair, available, options, observer)? {
             Grown::Model(grown) => *grown,
             Grown::Collapsed { num_points } => {
                 most_points = most_points.max(num_points);
@@ -105,76 +122,70 @@ pub fn reconstruct(
     best.ok_or(PosesError::NoStableStart {
         num_pairs: num_tried,
         best_points: most_points,
-        needed_points: options.min_num_visible_points,
+        needed_points: MIN_NUM_VISIBLE_POINTS,
     })
 }
 
 /// What became of a pair.
 enum Grown {
-    /// A model.
     Model(Box<Reconstruction>),
     /// Too few points stayed.
     Collapsed {
-        /// How many.
         num_points: usize,
     },
 }
 
 /// Grows a model from a pair, where the pair itself holds.
 fn grow(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     pair: &InitialPair,
     available: &[bool],
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Grown, PosesError> {
     let limits = limits(options);
-    let mut model = Model::empty(scene);
+    let mut model = Model::empty(matched);
     model.poses[pair.first] = Some(CenteredPose::from(RigidTransform::identity()));
     model.poses[pair.second] = Some(CenteredPose::from(pair.pose.second_from_first));
     let mut adjustments = Vec::new();
-    model.triangulate_all(scene, &limits);
+    model.triangulate_all(matched, &limits);
     let num_points = model.num_points();
-    if num_points < options.min_num_visible_points {
+    if num_points < MIN_NUM_VISIBLE_POINTS {
         return Ok(Grown::Collapsed { num_points });
     }
     for _ in 0..2 {
-        adjustments.push(adjust_all(&mut model, scene)?);
-        model.triangulate_all(scene, &limits);
+        adjustments.push(adjust_all(&mut model, matched)?);
+        model.triangulate_all(matched, &limits);
     }
     let num_points = model.num_points();
-    if num_points < options.min_num_visible_points {
+    if num_points < MIN_NUM_VISIBLE_POINTS {
         return Ok(Grown::Collapsed { num_points });
     }
     let mut grown = Reconstruction {
-        model,
         initial_pair: Some((pair.first, pair.second)),
         adjustments,
-        failed: Vec::new(),
-        contradicting: Vec::new(),
-        lens: None,
-        contradicted_focal: None,
+        ..model.into()
     };
-    extend(scene, &mut grown, available, options, observer)?;
+    extend(matched, &mut grown, available, options, observer)?;
     // A photo that was deceived by repeated texture gets a second chance among the others.
     let max_error_px = 3.0 * options.max_reprojection_error_px;
     let mut available = available.to_vec();
     while grown.model.num_views() > 3
-        && let Some(photo) = consistency::contradicting(scene, &grown.model, max_error_px)
+        && let Some(photo) = consistency::contradicting(matched, &grown.model, max_error_px)
     {
-        if !consistency::expel(scene, &mut grown.model, photo, &limits) {
+        if !consistency::expel(matched, &mut grown.model, photo, &limits) {
             return Ok(Grown::Collapsed { num_points: 0 });
         }
         available[photo] = !grown.contradicting.contains(&photo);
         grown.contradicting.push(photo);
-        extend(scene, &mut grown, &available, options, observer)?;
+        extend(matched, &mut grown, &available, options, observer)?;
     }
     Ok(Grown::Model(Box::new(grown)))
 }
 
 /// Registers photos one after the other, the best seen first, until none is left that can be.
 fn extend(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     grown: &mut Reconstruction,
     available: &[bool],
     options: &PosesOptions,
@@ -188,8 +199,8 @@ fn extend(
         ..
     } = grown;
     let mut num_at_last_global = model.num_views();
-    let mut ranking = Ranking::new(scene.num_photos());
-    let all_photos: Vec<usize> = (0..scene.num_photos()).collect();
+    let mut ranking = Ranking::new(matched.num_photos());
+    let all_photos: Vec<usize> = (0..matched.num_photos()).collect();
     // Where a large model meets itself again, errors that added up on the way part it: let both sides of the seam
     // pull at each other.
     let drifted = TriangulationLimits {
@@ -204,10 +215,10 @@ fn extend(
         );
         flow.ok_or(PosesError::Interrupted)?;
         // A photo that failed is tried again once the model has grown.
-        let candidates = ranking.next_views(scene, model, available, failed, options);
+        let candidates = ranking.next_views(matched, model, available, failed);
         let mut registered = None;
         for photo in candidates {
-            match register(scene, model, photo, options) {
+            match register(matched, model, photo, options) {
                 Ok(pose) => {
                     model.poses[photo] = Some(pose);
                     registered = Some(photo);
@@ -223,8 +234,8 @@ fn extend(
         failed.retain(|f| f.0 != photo);
         // What does not hang on a pose that changed stays as it is.
         let mut renew = |model: &mut Model, photos: &[usize], limits: &TriangulationLimits| {
-            let changed = model.triangulate(scene, &scene.tracks_of_any(photos), limits);
-            ranking.renew(scene, &changed);
+            let changed = model.triangulate(matched, &matched.tracks_of_any(photos), limits);
+            ranking.renew(matched, &changed);
         };
         renew(model, &[photo], &limits);
         let num_views = model.num_views();
@@ -233,19 +244,19 @@ fn extend(
             if num_views > MAX_NUM_VIEWS_ALWAYS_GLOBAL {
                 renew(model, &all_photos, &drifted);
             }
-            adjustments.push(adjust_all(model, scene)?);
-            adjustments.extend(try_full_intrinsics(model, scene)?);
+            adjustments.push(adjust_all(model, matched)?);
+            adjustments.extend(try_full_intrinsics(model, matched)?);
             num_at_last_global = num_views;
             renew(model, &all_photos, &limits);
         } else {
-            let mut local = neighbors(scene, model, photo);
+            let mut local = neighbors(matched, model, photo);
             local.push(photo);
             let scope = AdjustmentScope {
                 step: "local",
                 photos: Some(&local),
                 intrinsics: IntrinsicsScope::Fixed,
             };
-            adjustments.push(model.adjust(scene, &scope, &robust_adjustment())?);
+            adjustments.push(model.adjust(matched, &scope, &BundleOptions::growing())?);
             renew(model, &local, &limits);
         }
     }
@@ -253,7 +264,7 @@ fn extend(
 }
 
 /// What may change: the focal length once enough views hold it, distortion once it was adopted.
-pub fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
+pub(crate) fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
     let bent = |c: &AdjustedCamera| c.deviation[1..].iter().any(|&d| d != 0.0);
     if model.num_views() < MIN_NUM_VIEWS_FOR_INTRINSICS {
         IntrinsicsScope::Fixed
@@ -267,29 +278,30 @@ pub fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
 /// Tries a model with all intrinsics free, and adopts it where the residuals fall clearly.
 ///
 /// A lens without distortion keeps exactly none: free coefficients would only fit noise.
-///
-/// # Errors
-/// When the adjustment breaks down.
-pub fn try_full_intrinsics(
+pub(crate) fn try_full_intrinsics(
     model: &mut Model,
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
 ) -> Result<Option<AdjustmentReport>, PosesError> {
-    let more = |c: &SceneCamera| c.prior_sigma[1..].iter().any(Option::is_some);
+    let more = |c: &CameraPrior| c.prior_sigma[1..].iter().any(Option::is_some);
     if intrinsics_scope(model) != IntrinsicsScope::Focal
         || model.num_views() < MIN_NUM_VIEWS_FOR_DISTORTION
-        || !scene.cameras.iter().any(more)
+        || !matched.cameras.iter().any(more)
     {
         return Ok(None);
     }
-    let scope = |intrinsics| AdjustmentScope {
-        step: "with distortion",
-        photos: None,
-        intrinsics,
-    };
+    let scope = |intrinsics| AdjustmentScope::all("with distortion", intrinsics);
     let mut plain = model.clone();
-    let before = plain.adjust(scene, &scope(IntrinsicsScope::Focal), &robust_adjustment())?;
+    let before = plain.adjust(
+        matched,
+        &scope(IntrinsicsScope::Focal),
+        &BundleOptions::growing(),
+    )?;
     let mut full = model.clone();
-    let after = full.adjust(scene, &scope(IntrinsicsScope::All), &robust_adjustment())?;
+    let after = full.adjust(
+        matched,
+        &scope(IntrinsicsScope::All),
+        &BundleOptions::growing(),
+    )?;
     let clearly_better =
         after.solve.final_cost < (1.0 - MIN_COST_DROP_FOR_DISTORTION) * before.solve.final_cost;
     Ok(clearly_better.then(|| {
@@ -299,27 +311,23 @@ pub fn try_full_intrinsics(
 }
 
 /// Robust adjustment of the whole model.
-///
-/// # Errors
-/// When it breaks down.
-pub fn adjust_all(model: &mut Model, scene: &Scene<'_>) -> Result<AdjustmentReport, PosesError> {
-    let scope = AdjustmentScope {
-        step: "global",
-        photos: None,
-        intrinsics: intrinsics_scope(model),
-    };
-    model.adjust(scene, &scope, &robust_adjustment())
+pub(crate) fn adjust_all(
+    model: &mut Model,
+    matched: &MatchedPhotos<'_>,
+) -> Result<AdjustmentReport, PosesError> {
+    let scope = AdjustmentScope::all("global", intrinsics_scope(model));
+    model.adjust(matched, &scope, &BundleOptions::growing())
 }
 
 /// Pose of a photo, or the numbers of points that it sees and that agreed.
 fn register(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     model: &Model,
     photo: usize,
     options: &PosesOptions,
 ) -> Result<CenteredPose, (usize, usize)> {
-    let (pixels, points) = model.visible_points(scene, photo);
-    let camera = model.cameras[scene.camera_of[photo]].current();
+    let (pixels, points) = model.visible_points(matched, photo);
+    let camera = model.cameras[matched.camera_of[photo]].current();
     // Points come from few views yet and intrinsics may be off: be generous here, strict later.
     let max_error_px = 2.0 * options.max_reprojection_error_px;
     let found = resect(
@@ -330,7 +338,7 @@ fn register(
         [options.seed, photo as u64],
     );
     let num_inliers = found.as_ref().map_or(0, |f| f.inliers.len());
-    let needed = options.min_num_visible_points.max(pixels.len() / 5);
+    let needed = MIN_NUM_VISIBLE_POINTS.max(pixels.len() / 5);
     match found {
         Some(found) if num_inliers >= needed => Ok(found.pose),
         _ => Err((pixels.len(), num_inliers)),
@@ -338,16 +346,16 @@ fn register(
 }
 
 /// Posed photos that share most points with a photo.
-fn neighbors(scene: &Scene<'_>, model: &Model, photo: usize) -> Vec<usize> {
-    let mut shared = vec![0_usize; scene.num_photos()];
-    for &(track, _) in &scene.tracks_of[photo] {
+fn neighbors(matched: &MatchedPhotos<'_>, model: &Model, photo: usize) -> Vec<usize> {
+    let mut shared = vec![0_usize; matched.num_photos()];
+    for &(track, _) in &matched.tracks_of[photo] {
         if let Some(point) = &model.points[track] {
             for &place in &point.support {
-                shared[scene.tracks[track][place].photo] += 1;
+                shared[matched.tracks[track][place].photo] += 1;
             }
         }
     }
-    let mut order: Vec<usize> = (0..scene.num_photos())
+    let mut order: Vec<usize> = (0..matched.num_photos())
         .filter(|&p| p != photo && model.poses[p].is_some() && shared[p] > 0)
         .collect();
     order.sort_by(|&a, &b| shared[b].cmp(&shared[a]).then(a.cmp(&b)));

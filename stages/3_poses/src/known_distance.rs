@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 const MARK_SIGMA_PX: f64 = 1.0;
 /// A mark farther from the others' point than this is another point, pixels.
 const MAX_MARK_ERROR_PX: f64 = 10.0;
-/// Rays that are more nearly parallel tell no distance, radians (1°).
+/// Rays that are more nearly parallel give no distance, radians (1°).
 const MIN_MARK_ANGLE_RAD: f64 = 0.0175;
 
 /// The two points in one photo.

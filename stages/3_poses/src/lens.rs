@@ -11,23 +11,26 @@
 //! intrinsics. Only where the observations show it clearly: with exact intrinsics the parameter is
 //! worth nothing, and poses that were found without it are more exact.
 //!
-//! A focal length that is wrong altogether (another lens, a zoom, photos resized after the calibration) leaves good residuals
-//! too, and bends depth by per cents. It is told where the same minimum with the focal length free as well is
-//! clearly lower and lies elsewhere. Poses then stay as they are: a distortion would explain part of the wrong length.
-//! Of several cameras the middle change counts, since single ones may be free to drift.
+//! A focal length that is wrong altogether (another lens, a zoom, photos resized after the
+//! calibration) leaves good residuals too, and bends depth by per cents. It is reported where the
+//! same minimum with the focal length free as well is clearly lower and lies elsewhere. Poses then
+//! stay as they are: a distortion would explain part of the wrong length. Of several cameras the
+//! middle change counts, since single ones may be free to drift.
 
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
+use crate::incremental::Reconstruction;
+use crate::matched::{CameraPrior, MatchedPhotos};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, K1};
 use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
-use crate::scene::Scene;
 use rilievo_numerics::robust::median;
 
-/// Views from which lens distortion is told from the shape of the scene.
-pub const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
-/// Least change of a given focal length that is told: a calibration at another focus is off by about as much.
+/// Views from which lens distortion can be told from the shape of the scene.
+pub(crate) const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
+/// Least change of a given focal length that is reported: a calibration at another focus is off by
+/// about as much.
 const MIN_FOCAL_CHANGE: f64 = 0.03;
 /// Least relative drop of the cost: below it, distortion is less than what patches and noise do.
 const MIN_COST_DROP: f64 = 0.03;
@@ -35,86 +38,69 @@ const MIN_COST_DROP: f64 = 0.03;
 /// when observations are independent; neighbouring ones are not, so ask for five deviations.
 const MIN_CHI_SQUARE_DROP: f64 = 25.0;
 
-/// What the photos say of given intrinsics.
-#[derive(Default)]
-pub struct Findings {
-    /// Distortion that they leave, and the adjustments that let the poses allow for it.
-    pub distortion: Option<(LensReport, Vec<AdjustmentReport>)>,
-    /// The given focal length, where the photos contradict it.
-    pub contradicted_focal: Option<ContradictedFocal>,
-}
-
 /// Moves the poses to where they are with radial distortion free, when given intrinsics clearly
-/// leave some, and tells focal lengths that the photos contradict.
-///
-/// `before`: the last adjustment of all poses with the intrinsics as given.
-///
-/// # Errors
-/// When an adjustment breaks down.
-pub fn check_given_intrinsics(
-    scene: &Scene<'_>,
-    model: &mut Model,
-    before: &AdjustmentReport,
-    bundle_options: &BundleOptions,
+/// leave some, and finds focal lengths that the photos contradict.
+pub(crate) fn check_given_intrinsics(
+    matched: &MatchedPhotos<'_>,
+    reconstruction: &mut Reconstruction,
     options: &PosesOptions,
-) -> Result<Findings, PosesError> {
-    let fixed = |c: &crate::scene::SceneCamera| c.prior_sigma.iter().all(Option::is_none);
-    if options.refine_intrinsics != RefineIntrinsics::Auto
-        || model.num_views() < MIN_NUM_VIEWS_FOR_DISTORTION
-        || !scene.cameras.iter().all(fixed)
-    {
-        return Ok(Findings::default());
-    }
-    let mut bent = model.clone();
-    let mut scope = AdjustmentScope {
-        step: "radial distortion as a nuisance",
-        photos: None,
-        intrinsics: IntrinsicsScope::Nuisance,
+) -> Result<(), PosesError> {
+    let model = &mut reconstruction.model;
+    let fixed = |c: &CameraPrior| c.prior_sigma.iter().all(Option::is_none);
+    // The last adjustment of all poses has the intrinsics as given.
+    let Some(before) = reconstruction.adjustments.last().filter(|_| {
+        options.refine_intrinsics == RefineIntrinsics::Auto
+            && model.num_views() >= MIN_NUM_VIEWS_FOR_DISTORTION
+            && matched.cameras.iter().all(fixed)
+    }) else {
+        return Ok(());
     };
-    let after = bent.adjust(scene, &scope, bundle_options)?;
-    let mut found = Findings::default();
+    let bundle_options = BundleOptions::complete(1e-8);
+    let mut bent = model.clone();
+    let step = "radial distortion as a nuisance";
+    let scope = AdjustmentScope::all(step, IntrinsicsScope::Nuisance);
+    let after = bent.adjust(matched, &scope, &bundle_options)?;
     let mut free = bent.clone();
-    scope.step = "radial distortion and focal length as nuisances";
-    scope.intrinsics = IntrinsicsScope::NuisanceAndFocal;
+    let step = "radial distortion and focal length as nuisances";
+    let scope = AdjustmentScope::all(step, IntrinsicsScope::NuisanceAndFocal);
     // The model stands without what this looks for.
-    if let Ok(with_focal) = free.adjust(scene, &scope, bundle_options)
+    if let Ok(with_focal) = free.adjust(matched, &scope, &bundle_options)
         && clear_drop(&after, &with_focal).is_some()
     {
-        found.contradicted_focal = contradicted_focal(scene, &free);
+        reconstruction.contradicted_focal = contradicted_focal(matched, &free);
     }
-    let Some(drop) = clear_drop(before, &after).filter(|_| found.contradicted_focal.is_none())
-    else {
-        return Ok(found);
+    let Some(cost_drop) = clear_drop(before, &after) else {
+        return Ok(());
     };
-    let k1: Vec<f64> = bent.cameras.iter().map(|c| c.deviation[K1]).collect();
-    let mut largest_px = 0.0_f64;
-    for (t, point) in bent.points.iter().enumerate() {
-        if point.is_none() {
-            continue;
-        }
-        for (place, pixel, _) in bent.observations(scene, t) {
-            let camera = scene.camera_of[scene.tracks[t][place].photo];
-            let intrinsics = &scene.cameras[camera].initial;
-            let radius = intrinsics.ray(&pixel).xy().norm();
-            let shift = (k1[camera] * radius.powi(3) * intrinsics.focal_px()).abs();
-            largest_px = largest_px.max(shift);
-        }
+    if reconstruction.contradicted_focal.is_some() {
+        return Ok(());
     }
+    reconstruction.lens = Some(LensReport {
+        k1: bent.cameras.iter().map(|c| c.deviation[K1]).collect(),
+        largest_px: largest_shift_px(matched, &bent),
+        cost_drop,
+    });
     model.poses = bent.poses;
     model.points = bent.points;
-    let points_only = AdjustmentScope {
-        step: "points, intrinsics as given",
-        photos: Some(&[]),
-        intrinsics: IntrinsicsScope::Fixed,
-    };
-    let settled = model.adjust(scene, &points_only, bundle_options)?;
-    let report = LensReport {
-        k1,
-        largest_px,
-        cost_drop: drop,
-    };
-    found.distortion = Some((report, vec![after, settled]));
-    Ok(found)
+    let scope = AdjustmentScope::points("points, intrinsics as given");
+    let settled = model.adjust(matched, &scope, &bundle_options)?;
+    reconstruction.adjustments.extend([after, settled]);
+    Ok(())
+}
+
+/// Largest displacement by `k₁` at an observation, pixels.
+fn largest_shift_px(matched: &MatchedPhotos<'_>, bent: &Model) -> f64 {
+    let mut largest_px = 0.0_f64;
+    for track in 0..bent.points.len() {
+        for (place, pixel, _) in bent.observations(matched, track) {
+            let camera = matched.camera_of[matched.tracks[track][place].photo];
+            let intrinsics = &matched.cameras[camera].initial;
+            let radius = intrinsics.ray(&pixel).xy().norm();
+            let k1 = bent.cameras[camera].deviation[K1];
+            largest_px = largest_px.max((k1 * radius.powi(3) * intrinsics.focal_px()).abs());
+        }
+    }
+    largest_px
 }
 
 /// Share by which the cost falls, where it clearly does.
@@ -128,17 +114,17 @@ fn clear_drop(before: &AdjustmentReport, after: &AdjustmentReport) -> Option<f64
 }
 
 /// The focal length, where a model that was free to choose it has another one.
-fn contradicted_focal(scene: &Scene<'_>, free: &Model) -> Option<ContradictedFocal> {
-    let posed = (0..scene.num_photos()).filter(|&photo| free.poses[photo].is_some());
+fn contradicted_focal(matched: &MatchedPhotos<'_>, free: &Model) -> Option<ContradictedFocal> {
+    let posed = (0..matched.num_photos()).filter(|&photo| free.poses[photo].is_some());
     let photo = posed.clone().next()?;
-    let mut used: Vec<usize> = posed.map(|photo| scene.camera_of[photo]).collect();
+    let mut used: Vec<usize> = posed.map(|photo| matched.camera_of[photo]).collect();
     used.sort_unstable();
     used.dedup();
     let changes = used.iter().map(|&c| free.cameras[c].deviation[FOCAL]);
     let change = median(&mut changes.collect::<Vec<f64>>())?.exp();
-    let given_px = scene.cameras[scene.camera_of[photo]].initial.focal_px();
+    let given_px = matched.cameras[matched.camera_of[photo]].initial.focal_px();
     ((change - 1.0).abs() > MIN_FOCAL_CHANGE).then(|| ContradictedFocal {
-        file_name: scene.photos.photos[photo].file_name.clone(),
+        file_name: matched.photos.photos[photo].file_name.clone(),
         given_px,
         found_px: given_px * change,
     })

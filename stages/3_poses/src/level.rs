@@ -10,7 +10,7 @@ use rilievo_numerics::plane::Plane;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{PosedViews, RigidTransform, WorldFrame};
 
-/// Fewest points inside the masks that tell where the object is.
+/// Fewest points inside the masks that place the object.
 const MIN_OBJECT_POINTS: usize = 30;
 /// Share of the object's points beyond its middle's box on either side: single wrong ones.
 const BEYOND: f64 = 0.02;
@@ -22,7 +22,7 @@ const MIN_DOWN: f64 = 0.05;
 
 /// Turns and moves the world so that it lies as the module says; the vertical with it. `object` are the points that
 /// masks show to be the object's.
-pub fn apply(
+pub(crate) fn apply(
     object: &[Point3<f64>],
     ground: Option<&Plane>,
     posed: &mut PosedViews,

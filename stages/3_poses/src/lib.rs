@@ -8,27 +8,27 @@
 mod adjustment;
 pub mod anchors;
 mod consistency;
-pub mod error;
+mod error;
 mod given;
 mod incremental;
 mod initial_pair;
 mod known_distance;
 mod lens;
 mod level;
+mod matched;
 mod model;
 mod narrow;
-pub mod options;
+mod options;
 mod own_focal;
 mod p3p;
 mod projection;
 mod ranking;
 mod refinement;
 mod relative_pose;
-pub mod report;
+mod report;
 mod resection;
 mod result;
 mod scale;
-mod scene;
 mod tracks;
 mod triangulation;
 mod vertical;
@@ -41,19 +41,16 @@ pub use vertical::{Vertical, VerticalSource};
 
 use adjustment::BundleOptions;
 use incremental::Reconstruction;
-use model::{AdjustmentScope, IntrinsicsScope};
+use matched::MatchedPhotos;
+use model::AdjustmentScope;
 use projection::FOCAL;
-use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{
     FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, WorldFrame,
 };
-use scene::Scene;
+use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
 pub const VERSION: u32 = 14;
-
-/// Scale of the Cauchy loss of the last adjustments, standard deviations.
-const FINAL_LOSS_SCALE: f64 = 2.0;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
@@ -74,29 +71,34 @@ pub fn run(
     if num_photos < 2 {
         return Err(PosesError::TooFewPhotos { num_photos });
     }
-    let mut scene = Scene::new(photos, matches, options);
+    let mut matched = MatchedPhotos::new(photos, matches, options);
     let given = given::poses(photos, options);
     let keeps_given = given.is_some() && options.given_poses == GivenPoses::Keep;
     let (mut reconstruction, other_models) = match &given {
-        Some(poses) => (given::reconstruct(&scene, poses, options)?, Vec::new()),
+        Some(poses) => (given::reconstruct(&matched, poses, options)?, Vec::new()),
         None => {
-            let first = largest_model(&scene, options, observer)?;
-            let found = larger_from_found_focal(&mut scene, first, options, observer)?;
-            with_own_focals(&mut scene, found, options, observer)?
+            let first = largest_model(&matched, options, observer)?;
+            let found = larger_from_found_focal(&mut matched, first, options, observer)?;
+            with_own_focals(&mut matched, found, options, observer)?
         }
     };
     if !keeps_given {
-        finish(&scene, &mut reconstruction, options)?;
+        finish(&matched, &mut reconstruction, options)?;
     }
-    if options.refine_tracks {
-        let free_photos: Option<&[usize]> = if keeps_given { Some(&[]) } else { None };
-        finish_on_patches(&scene, &mut reconstruction, free_photos, options, observer)?;
+    if !options.matches_only {
+        finish_on_patches(
+            &matched,
+            &mut reconstruction,
+            keeps_given,
+            options,
+            observer,
+        )?;
     }
     if !keeps_given {
-        check_given_intrinsics(&scene, &mut reconstruction, options)?;
+        lens::check_given_intrinsics(&matched, &mut reconstruction, options)?;
     }
     let (mut posed, mut report) =
-        result::assemble(&scene, &reconstruction, &other_models, keeps_given, options);
+        result::assemble(&matched, &reconstruction, &other_models, keeps_given);
     scale::apply(
         photos,
         sphere,
@@ -132,23 +134,19 @@ pub fn run(
                 .iter()
                 .map(ContradictedFocal::advice),
         )
-        .chain(contradicted_exif(&scene, &reconstruction))
-        .chain(own_focal::warnings(&scene, &reconstruction.model))
-        .chain(narrow::warning(&posed, options))
+        .chain(contradicted_exif(&matched, &reconstruction))
+        .chain(own_focal::warnings(&matched, &reconstruction.model))
+        .chain(narrow::warning(&posed))
         .chain(left_out)
     {
         error::warn(observer, message)?;
     }
-    let (anchors, anchor_report) = anchors::find(
-        photos,
-        matches,
-        &posed,
-        &options.anchors,
-        options.memory,
-        observer,
-    )?;
-    posed.anchors = anchors;
-    report.anchors = Some(anchor_report);
+    if !options.matches_only {
+        let (anchors, anchor_report) =
+            anchors::find(photos, &posed, &options.anchors, options.memory, observer)?;
+        posed.anchors = anchors;
+        report.anchors = Some(anchor_report);
+    }
     Ok((posed, report))
 }
 
@@ -158,34 +156,34 @@ type Found = (Reconstruction, Vec<Vec<usize>>);
 /// Reconstructs once more where the focal length turned out far from the first guess and photos were
 /// left out, which the wrong one may have kept from being posed; the larger model.
 fn larger_from_found_focal(
-    scene: &mut Scene<'_>,
+    matched: &mut MatchedPhotos<'_>,
     first: Found,
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Found, PosesError> {
     let model = &first.0.model;
     let mut far = false;
-    for (camera, adjusted) in scene.cameras.iter_mut().zip(&model.cameras) {
+    for (camera, adjusted) in matched.cameras.iter_mut().zip(&model.cameras) {
         if is_far(adjusted.deviation[FOCAL]) {
             camera.start_ln_focal = adjusted.deviation[FOCAL];
             far = true;
         }
     }
-    if !far || model.num_views() == scene.num_photos() {
+    if !far || model.num_views() == matched.num_photos() {
         return Ok(first);
     }
     let better = |second: &Found| second.0.model.num_views() > model.num_views();
-    Ok(again(scene, better, options, observer)?.unwrap_or(first))
+    Ok(again(matched, better, options, observer)?.unwrap_or(first))
 }
 
 /// A model that is reconstructed once more; `None` where that fails or is no better.
 fn again(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     is_better: impl Fn(&Found) -> bool,
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Option<Found>, PosesError> {
-    match largest_model(scene, options, observer) {
+    match largest_model(matched, options, observer) {
         Ok(second) if is_better(&second) => Ok(Some(second)),
         Err(PosesError::Interrupted) => Err(PosesError::Interrupted),
         _ => Ok(None),
@@ -195,54 +193,54 @@ fn again(
 /// Reconstructs once more with cameras of their own for photos that were zoomed or cropped, where there are any; the
 /// better model.
 fn with_own_focals(
-    scene: &mut Scene<'_>,
+    matched: &mut MatchedPhotos<'_>,
     first: Found,
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Found, PosesError> {
     // The model stands without what this looks for.
-    let own = own_focal::find(scene, &first.0.model, options).unwrap_or_default();
+    let own = own_focal::find(matched, &first.0.model, options).unwrap_or_default();
     if own.is_empty() {
         return Ok(first);
     }
-    let (num_cameras, camera_of) = (scene.cameras.len(), scene.camera_of.clone());
-    own_focal::give_cameras(scene, &first.0.model, &own, options.refine_intrinsics);
+    let (num_cameras, camera_of) = (matched.cameras.len(), matched.camera_of.clone());
+    own_focal::give_cameras(matched, &first.0.model, &own, options.refine_intrinsics);
     let better = |second: &Found| {
         let num_views = [&first, second].map(|found| found.0.model.num_views());
         let [before, after] = [&first, second].map(|found| {
             let photos = own.iter().map(|own| own.photo);
             photos
-                .map(|photo| found.0.model.num_sightings(scene, photo))
+                .map(|photo| found.0.model.num_sightings(matched, photo))
                 .sum::<usize>()
         });
         num_views[1] >= num_views[0] && after as f64 >= own_focal::MIN_GROWTH * before as f64
     };
-    if let Some(second) = again(scene, better, options, observer)? {
+    if let Some(second) = again(matched, better, options, observer)? {
         return Ok(second);
     }
-    scene.cameras.truncate(num_cameras);
-    scene.camera_of = camera_of;
+    matched.cameras.truncate(num_cameras);
+    matched.camera_of = camera_of;
     Ok(first)
 }
 
 /// Whether a focal length is farther from its start than EXIF's may be when it is right.
 fn is_far(ln_focal: f64) -> bool {
-    ln_focal.abs() > WRONG_EXIF_SIGMAS * scene::EXIF_FOCAL_SIGMA
+    ln_focal.abs() > WRONG_EXIF_SIGMAS * matched::EXIF_FOCAL_SIGMA
 }
 
 /// Deviations of a focal length from EXIF's beyond which EXIF must be wrong.
 const WRONG_EXIF_SIGMAS: f64 = 4.0;
 
 /// A warning for each camera whose photos contradict the focal length in EXIF.
-fn contradicted_exif(scene: &Scene<'_>, reconstruction: &Reconstruction) -> Vec<String> {
+fn contradicted_exif(matched: &MatchedPhotos<'_>, reconstruction: &Reconstruction) -> Vec<String> {
     let model = &reconstruction.model;
-    (0..scene.cameras.len())
+    (0..matched.cameras.len())
         .filter_map(|k| {
-            let photo = (0..scene.num_photos())
-                .find(|&p| scene.camera_of[p] == k && model.poses[p].is_some())?;
-            let photo = &scene.photos.photos[photo];
+            let photo = (0..matched.num_photos())
+                .find(|&p| matched.camera_of[p] == k && model.poses[p].is_some())?;
+            let photo = &matched.photos.photos[photo];
             let deviation = model.cameras[k].deviation[FOCAL];
-            let from_exif = !scene.cameras[k].is_own
+            let from_exif = !matched.cameras[k].is_own
                 && matches!(
                     photo.focal_source,
                     FocalSource::Exif35mm | FocalSource::ExifSensor
@@ -263,14 +261,14 @@ fn contradicted_exif(scene: &Scene<'_>, reconstruction: &Reconstruction) -> Vec<
 /// Reconstructs models until no photo is left that can start one; the largest, and the photos of
 /// the others.
 fn largest_model(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<Found, PosesError> {
-    let mut available = vec![true; scene.num_photos()];
+    let mut available = vec![true; matched.num_photos()];
     let mut models: Vec<Reconstruction> = Vec::new();
     loop {
-        match incremental::reconstruct(scene, &available, options, observer) {
+        match incremental::reconstruct(matched, &available, options, observer) {
             Ok(found) => {
                 for (free, pose) in available.iter_mut().zip(&found.model.poses) {
                     *free &= pose.is_none();
@@ -286,113 +284,65 @@ fn largest_model(
         }
     }
     // The first of the largest: ties go to the better first pair.
-    let mut largest = 0;
-    for (k, model) in models.iter().enumerate() {
-        if model.model.num_views() > models[largest].model.num_views() {
-            largest = k;
-        }
-    }
-    let kept = models.remove(largest);
-    let others = models
-        .iter()
-        .map(|m| {
-            (0..scene.num_photos())
-                .filter(|&p| m.model.poses[p].is_some())
-                .collect()
-        })
-        .collect();
-    Ok((kept, others))
+    models.sort_by_key(|found| Reverse(found.model.num_views()));
+    let kept = models.remove(0);
+    let posed = |found: &Reconstruction| {
+        let photos = 0..matched.num_photos();
+        photos.filter(|&p| found.model.poses[p].is_some()).collect()
+    };
+    Ok((kept, models.iter().map(posed).collect()))
 }
 
 /// Rounds of adjustment and outlier removal with ever tighter limits, the last ones converged.
 fn finish(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     reconstruction: &mut Reconstruction,
     options: &PosesOptions,
 ) -> Result<(), PosesError> {
-    let model = &mut reconstruction.model;
+    let Reconstruction {
+        model, adjustments, ..
+    } = reconstruction;
     let mut limits = incremental::limits(options);
     for round in 0..3 {
-        let scope = AdjustmentScope {
-            step: "final",
-            photos: None,
-            intrinsics: incremental::intrinsics_scope(model),
-        };
+        let scope = AdjustmentScope::all("final", incremental::intrinsics_scope(model));
         let last = round == 2;
-        let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
-            max_num_iterations: 50,
-            relative_cost_change: if last { 1e-7 } else { 1e-4 },
-        };
-        reconstruction
-            .adjustments
-            .push(model.adjust(scene, &scope, &bundle_options)?);
+        let bundle_options = BundleOptions::complete(if last { 1e-7 } else { 1e-4 });
+        adjustments.push(model.adjust(matched, &scope, &bundle_options)?);
         if !last {
-            reconstruction
-                .adjustments
-                .extend(incremental::try_full_intrinsics(model, scene)?);
+            adjustments.extend(incremental::try_full_intrinsics(model, matched)?);
             limits.max_error_px = options.max_reprojection_error_px * 0.7;
-            model.triangulate_all(scene, &limits);
+            model.triangulate_all(matched, &limits);
         }
     }
     Ok(())
 }
 
-/// Moves the tracks to where patches align, and adjusts the free photos (`None`: all) to that.
+/// Moves the tracks to where patches align, and adjusts all to that; the points alone where the
+/// poses are kept.
 fn finish_on_patches(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     reconstruction: &mut Reconstruction,
-    free_photos: Option<&[usize]>,
+    keeps_poses: bool,
     options: &PosesOptions,
     observer: &dyn Observer,
 ) -> Result<(), PosesError> {
     let model = &mut reconstruction.model;
-    let at_once = rilievo_scene::loading::num_at_once(scene.photos, options.memory);
-    model.refined = Some(refinement::refine_tracks(scene, model, at_once, observer)?);
+    let at_once = rilievo_scene::loading::num_at_once(matched.photos, options.memory);
+    model.refined = Some(refinement::refine_tracks(
+        matched, model, at_once, observer,
+    )?);
     for round in 0..2 {
-        let scope = AdjustmentScope {
-            step: "on aligned patches",
-            photos: free_photos,
-            intrinsics: match free_photos {
-                None => incremental::intrinsics_scope(model),
-                Some(_) => IntrinsicsScope::Fixed,
-            },
+        let step = "on aligned patches";
+        let scope = match keeps_poses {
+            true => AdjustmentScope::points(step),
+            false => AdjustmentScope::all(step, incremental::intrinsics_scope(model)),
         };
-        let bundle_options = BundleOptions {
-            loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
-            max_num_iterations: 50,
-            relative_cost_change: if round == 0 { 1e-5 } else { 1e-8 },
-        };
-        reconstruction
-            .adjustments
-            .push(model.adjust(scene, &scope, &bundle_options)?);
+        let bundle_options = BundleOptions::complete(if round == 0 { 1e-5 } else { 1e-8 });
+        let adjusted = model.adjust(matched, &scope, &bundle_options)?;
+        reconstruction.adjustments.push(adjusted);
         if round == 0 {
-            model.drop_outliers(scene, &incremental::limits(options));
+            model.drop_outliers(matched, &incremental::limits(options));
         }
-    }
-    Ok(())
-}
-
-/// Lets the poses allow for distortion that given intrinsics do not state, and tells wrong focal lengths; see [`lens`].
-fn check_given_intrinsics(
-    scene: &Scene<'_>,
-    reconstruction: &mut Reconstruction,
-    options: &PosesOptions,
-) -> Result<(), PosesError> {
-    let bundle_options = BundleOptions {
-        loss: RobustLoss::Cauchy(FINAL_LOSS_SCALE),
-        max_num_iterations: 50,
-        relative_cost_change: 1e-8,
-    };
-    let model = &mut reconstruction.model;
-    let Some(before) = reconstruction.adjustments.last() else {
-        return Ok(());
-    };
-    let found = lens::check_given_intrinsics(scene, model, before, &bundle_options, options)?;
-    reconstruction.contradicted_focal = found.contradicted_focal;
-    if let Some((lens, adjustments)) = found.distortion {
-        reconstruction.lens = Some(lens);
-        reconstruction.adjustments.extend(adjustments);
     }
     Ok(())
 }

@@ -2,13 +2,13 @@
 
 use crate::adjustment::{AdjustedCamera, AdjustedView, Bundle, BundleOptions, Observation};
 use crate::error::PosesError;
-use crate::projection::{CenteredPose, FOCAL, K1};
+use crate::matched::{CameraPrior, DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, MatchedPhotos};
+use crate::projection::{CenteredPose, FOCAL, K1, NUM_INTRINSICS};
 use crate::report::AdjustmentReport;
-use crate::scene::{DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, Scene};
 use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
 use nalgebra::{Matrix3, Point2, Point3};
 use rayon::prelude::*;
-use rilievo_numerics::robust::median;
+use rilievo_numerics::robust::{RobustLoss, median};
 use rilievo_scene::Intrinsics;
 
 /// An observation is an outlier beyond this many median errors (3.4 standard deviations of a
@@ -23,44 +23,38 @@ const MAX_NUM_HELD: usize = 8;
 
 /// A triangulated track.
 #[derive(Clone, Debug)]
-pub struct ModelPoint {
+pub(crate) struct ModelPoint {
     /// Position in the world frame.
     pub position: Point3<f64>,
     /// Which sightings of the track support it, ascending.
     pub support: Vec<usize>,
 }
 
-/// Poses and points.
 #[derive(Clone)]
-pub struct Model {
+pub(crate) struct Model {
     /// Cameras, as in the scene.
     pub cameras: Vec<AdjustedCamera>,
-    /// Pose per photo.
     pub poses: Vec<Option<CenteredPose>>,
-    /// Point per track.
     pub points: Vec<Option<ModelPoint>>,
     /// Positions by patch alignment, once there are any.
     pub refined: Option<RefinedPixels>,
 }
 
 /// What an adjustment covers.
-pub struct AdjustmentScope<'a> {
+pub(crate) struct AdjustmentScope<'a> {
     /// Name for the report.
     pub step: &'a str,
     /// Photos whose poses may change; `None`: all; empty: none, all points alone.
     pub photos: Option<&'a [usize]>,
-    /// Which intrinsics may change.
     pub intrinsics: IntrinsicsScope,
 }
 
 /// Which of the intrinsics that have a prior may change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum IntrinsicsScope {
-    /// None.
+pub(crate) enum IntrinsicsScope {
     Fixed,
-    /// Focal length: what few views determine.
+    /// What few views determine.
     Focal,
-    /// All.
     All,
     /// Radial distortion of cameras that are otherwise as given; see [`crate::lens`].
     Nuisance,
@@ -68,17 +62,55 @@ pub enum IntrinsicsScope {
     NuisanceAndFocal,
 }
 
+impl IntrinsicsScope {
+    /// Standard deviations of the priors of a camera's parameters; `None` for what may not change.
+    fn prior_sigma(self, camera: &CameraPrior) -> [Option<f64>; NUM_INTRINSICS] {
+        let mut sigma = [None; NUM_INTRINSICS];
+        match self {
+            Self::Fixed => {}
+            Self::Focal => sigma[FOCAL] = camera.prior_sigma[FOCAL],
+            Self::All => sigma = camera.prior_sigma,
+            Self::Nuisance => sigma[K1] = Some(DISTORTION_SIGMA[0]),
+            Self::NuisanceAndFocal => {
+                sigma[FOCAL] = Some(GUESS_FOCAL_SIGMA);
+                sigma[K1] = Some(DISTORTION_SIGMA[0]);
+            }
+        }
+        sigma
+    }
+}
+
+impl<'a> AdjustmentScope<'a> {
+    /// All poses and points.
+    pub fn all(step: &'a str, intrinsics: IntrinsicsScope) -> Self {
+        Self {
+            step,
+            photos: None,
+            intrinsics,
+        }
+    }
+
+    /// All points, cameras as they are.
+    pub fn points(step: &'a str) -> Self {
+        Self {
+            step,
+            photos: Some(&[]),
+            intrinsics: IntrinsicsScope::Fixed,
+        }
+    }
+}
+
 /// A pixel that replaces a keypoint's own, with its standard deviation in pixels.
-pub type RefinedPixel = Option<(Point2<f64>, f64)>;
+pub(crate) type RefinedPixel = Option<(Point2<f64>, f64)>;
 
 /// Refined pixels per track and sighting.
-pub type RefinedPixels = Vec<Vec<RefinedPixel>>;
+pub(crate) type RefinedPixels = Vec<Vec<RefinedPixel>>;
 
 impl Model {
     /// No poses, no points.
-    pub fn empty(scene: &Scene<'_>) -> Self {
+    pub fn empty(matched: &MatchedPhotos<'_>) -> Self {
         Self {
-            cameras: scene
+            cameras: matched
                 .cameras
                 .iter()
                 .map(|c| {
@@ -87,25 +119,23 @@ impl Model {
                     camera
                 })
                 .collect(),
-            poses: vec![None; scene.num_photos()],
-            points: vec![None; scene.tracks.len()],
+            poses: vec![None; matched.num_photos()],
+            points: vec![None; matched.tracks.len()],
             refined: None,
         }
     }
 
-    /// Number of photos with a pose.
     pub fn num_views(&self) -> usize {
         self.poses.iter().flatten().count()
     }
 
-    /// Number of points.
     pub fn num_points(&self) -> usize {
         self.points.iter().flatten().count()
     }
 
     /// Number of points that a photo's sightings support.
-    pub fn num_sightings(&self, scene: &Scene<'_>, photo: usize) -> usize {
-        let sightings = scene.tracks_of[photo].iter();
+    pub fn num_sightings(&self, matched: &MatchedPhotos<'_>, photo: usize) -> usize {
+        let sightings = matched.tracks_of[photo].iter();
         let supports = |&(track, place): &(usize, usize)| {
             let point = self.points[track].as_ref();
             point.is_some_and(|point| point.support.binary_search(&place).is_ok())
@@ -121,14 +151,14 @@ impl Model {
     /// Known points that a photo sees: keypoint pixel and position.
     pub fn visible_points(
         &self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         photo: usize,
     ) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
-        scene.tracks_of[photo]
+        matched.tracks_of[photo]
             .iter()
             .filter_map(|&(track, place)| {
                 let point = self.points[track].as_ref()?;
-                Some((scene.pixel(&scene.tracks[track][place]), point.position))
+                Some((matched.pixel(&matched.tracks[track][place]), point.position))
             })
             .unzip()
     }
@@ -136,7 +166,11 @@ impl Model {
     /// What was seen of a point: place in the track, pixel, standard deviation in pixels.
     ///
     /// A track with two aligned sightings or more goes by them alone; others by their keypoints.
-    pub fn observations(&self, scene: &Scene<'_>, track: usize) -> Vec<(usize, Point2<f64>, f64)> {
+    pub fn observations(
+        &self,
+        matched: &MatchedPhotos<'_>,
+        track: usize,
+    ) -> Vec<(usize, Point2<f64>, f64)> {
         let Some(point) = &self.points[track] else {
             return Vec::new();
         };
@@ -154,8 +188,8 @@ impl Model {
             .support
             .iter()
             .map(|&place| {
-                let sighting = &scene.tracks[track][place];
-                (place, scene.pixel(sighting), scene.sigma_px(sighting))
+                let sighting = &matched.tracks[track][place];
+                (place, matched.pixel(sighting), matched.sigma_px(sighting))
             })
             .collect()
     }
@@ -163,19 +197,19 @@ impl Model {
     /// The posed sightings of a track with their places in it.
     fn posed_sightings<'m>(
         &'m self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         cameras: &'m [Intrinsics],
         track: usize,
     ) -> (Vec<usize>, Vec<Sighting<'m>>) {
-        scene.tracks[track]
+        matched.tracks[track]
             .iter()
             .enumerate()
             .filter_map(|(place, s)| {
                 self.poses[s.photo].as_ref().map(|pose| {
                     let sighting = Sighting {
-                        camera: &cameras[scene.camera_of[s.photo]],
+                        camera: &cameras[matched.camera_of[s.photo]],
                         pose,
-                        pixel: scene.pixel(s),
+                        pixel: matched.pixel(s),
                     };
                     (place, sighting)
                 })
@@ -184,15 +218,15 @@ impl Model {
     }
 
     /// Triangulates every track that can be, and extends or trims the support of known points.
-    pub fn triangulate_all(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) {
-        let all: Vec<usize> = (0..scene.tracks.len()).collect();
-        self.triangulate(scene, &all, limits);
+    pub fn triangulate_all(&mut self, matched: &MatchedPhotos<'_>, limits: &TriangulationLimits) {
+        let all: Vec<usize> = (0..matched.tracks.len()).collect();
+        self.triangulate(matched, &all, limits);
     }
 
     /// The same for some of the tracks; those that became a point or ceased to be one.
     pub fn triangulate(
         &mut self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         tracks: &[usize],
         limits: &TriangulationLimits,
     ) -> Vec<usize> {
@@ -200,7 +234,7 @@ impl Model {
         let updated: Vec<Option<ModelPoint>> = tracks
             .par_iter()
             .map(|&t| {
-                let (places, sightings) = self.posed_sightings(scene, &cameras, t);
+                let (places, sightings) = self.posed_sightings(matched, &cameras, t);
                 if sightings.len() < 2 {
                     return None;
                 }
@@ -236,7 +270,7 @@ impl Model {
 
     /// Drops sightings that err by more than four times the median, and points left with fewer
     /// than two or with rays too nearly parallel.
-    pub fn drop_outliers(&mut self, scene: &Scene<'_>, limits: &TriangulationLimits) {
+    pub fn drop_outliers(&mut self, matched: &MatchedPhotos<'_>, limits: &TriangulationLimits) {
         let cameras = self.intrinsics();
         let errors: Vec<Vec<(usize, f64)>> = (0..self.points.len())
             .into_par_iter()
@@ -244,12 +278,12 @@ impl Model {
                 let Some(point) = &self.points[t] else {
                     return Vec::new();
                 };
-                self.observations(scene, t)
+                self.observations(matched, t)
                     .into_iter()
                     .filter_map(|(place, pixel, _)| {
-                        let photo = scene.tracks[t][place].photo;
+                        let photo = matched.tracks[t][place].photo;
                         let sighting = Sighting {
-                            camera: &cameras[scene.camera_of[photo]],
+                            camera: &cameras[matched.camera_of[photo]],
                             pose: self.poses[photo].as_ref()?,
                             pixel,
                         };
@@ -269,7 +303,7 @@ impl Model {
                 .collect();
             let centers: Vec<Point3<f64>> = support
                 .iter()
-                .filter_map(|&place| self.poses[scene.tracks[t][place].photo])
+                .filter_map(|&place| self.poses[matched.tracks[t][place].photo])
                 .map(|pose| pose.center)
                 .collect();
             if let Some(point) = &mut self.points[t] {
@@ -286,7 +320,7 @@ impl Model {
     /// The bundle of a scope, with the track of each of its points and the photo of each view.
     fn bundle(
         &self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         scope: &AdjustmentScope<'_>,
     ) -> (Bundle, Vec<usize>, Vec<usize>) {
         let mut free = vec![scope.photos.is_none(); self.poses.len()];
@@ -298,7 +332,7 @@ impl Model {
         let is_free = |photo: usize| free[photo];
         // With no pose free it is the points that are wanted, all of them.
         let wanted = match scope.photos {
-            Some(photos) if !photos.is_empty() => scene.tracks_of_any(photos),
+            Some(photos) if !photos.is_empty() => matched.tracks_of_any(photos),
             _ => (0..self.points.len()).collect(),
         };
         let points_only = scope.photos.is_some_and(<[usize]>::is_empty);
@@ -311,12 +345,12 @@ impl Model {
             let Some(point) = &self.points[t] else {
                 continue;
             };
-            let sightings = &scene.tracks[t];
+            let sightings = &matched.tracks[t];
             let sees = |&place: &usize| is_free(sightings[place].photo);
             if !points_only && !point.support.iter().any(sees) {
                 continue;
             }
-            let mut seen = self.observations(scene, t);
+            let mut seen = self.observations(matched, t);
             if scope.photos.is_some() && !points_only {
                 let (held, moved): (Vec<_>, _) =
                     seen.into_iter().partition(|(place, ..)| !sees(place));
@@ -332,7 +366,7 @@ impl Model {
                 let view = *view_of[sighting.photo].get_or_insert_with(|| {
                     photos.push(sighting.photo);
                     views.push(AdjustedView {
-                        camera: scene.camera_of[sighting.photo],
+                        camera: matched.camera_of[sighting.photo],
                         pose,
                         free: [is_free(sighting.photo); 6],
                     });
@@ -352,51 +386,30 @@ impl Model {
             points.push(point.position);
             tracks.push(t);
         }
-        let cameras = self
-            .cameras
-            .iter()
-            .zip(&scene.cameras)
-            .map(|(camera, fixed)| AdjustedCamera {
-                prior_sigma: match scope.intrinsics {
-                    IntrinsicsScope::Fixed => Default::default(),
-                    IntrinsicsScope::Focal => {
-                        std::array::from_fn(|k| fixed.prior_sigma[k].filter(|_| k == FOCAL))
-                    }
-                    IntrinsicsScope::All => fixed.prior_sigma,
-                    IntrinsicsScope::Nuisance => {
-                        std::array::from_fn(|k| (k == K1).then_some(DISTORTION_SIGMA[0]))
-                    }
-                    IntrinsicsScope::NuisanceAndFocal => std::array::from_fn(|k| match k {
-                        FOCAL => Some(GUESS_FOCAL_SIGMA),
-                        K1 => Some(DISTORTION_SIGMA[0]),
-                        _ => None,
-                    }),
-                },
-                ..camera.clone()
-            })
-            .collect();
+        let cameras = self.cameras.iter().zip(&matched.cameras);
+        let cameras = cameras.map(|(camera, fixed)| AdjustedCamera {
+            prior_sigma: scope.intrinsics.prior_sigma(fixed),
+            ..camera.clone()
+        });
         let mut bundle = Bundle {
-            cameras,
+            cameras: cameras.collect(),
             views,
             points,
-            observations,
-            offsets,
+            observations: observations.into(),
+            offsets: offsets.into(),
         };
         bundle.fix_gauge();
         (bundle, tracks, photos)
     }
 
     /// Bundle adjustment over a scope.
-    ///
-    /// # Errors
-    /// When the adjustment breaks down.
     pub fn adjust(
         &mut self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         scope: &AdjustmentScope<'_>,
         options: &BundleOptions,
     ) -> Result<AdjustmentReport, PosesError> {
-        let (mut bundle, tracks, photos) = self.bundle(scene, scope);
+        let (mut bundle, tracks, photos) = self.bundle(matched, scope);
         let solve = bundle.adjust(options)?;
         for (view, &photo) in bundle.views.iter().zip(&photos) {
             self.poses[photo] = Some(view.pose);
@@ -423,18 +436,18 @@ impl Model {
     /// How well the observations of a scope determine poses and points.
     pub fn precision(
         &self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         scope: &AdjustmentScope<'_>,
-        options: &BundleOptions,
+        loss: RobustLoss,
     ) -> Precision {
-        let (bundle, _, photos) = self.bundle(scene, scope);
+        let (bundle, _, photos) = self.bundle(matched, scope);
         let statistics = bundle.residual_statistics();
         let mut precision = Precision {
             poses: vec![None; self.poses.len()],
             median_point_sigma: None,
             sigma_px: statistics.sigma_px,
         };
-        if let Some(covariances) = bundle.covariances(options.loss) {
+        if let Some(covariances) = bundle.covariances(loss) {
             let largest = |block: Matrix3<f64>| {
                 statistics.unit_sigma * block.symmetric_eigenvalues().max().max(0.0).sqrt()
             };
@@ -450,7 +463,7 @@ impl Model {
 }
 
 /// Standard deviations in the adjustment's gauge.
-pub struct Precision {
+pub(crate) struct Precision {
     /// Per photo: of the rotation (radians) and of the centre (world's unit), largest axis.
     pub poses: Vec<Option<(f64, f64)>>,
     /// Median over the points, largest axis, world's unit.

@@ -2,7 +2,6 @@
 
 use crate::anchors::options::AnchorOptions;
 use crate::known_distance::KnownDistance;
-use rilievo_photometry::sphere::SphereOptions;
 use rilievo_scene::{InTable, OptionError, RetiredKey, in_range};
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +36,40 @@ pub enum GivenPoses {
 }
 
 /// Keys that the table `[poses]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
-pub const RETIRED_KEYS: &[RetiredKey] = &[];
+pub const RETIRED_KEYS: &[RetiredKey] = &[
+    RetiredKey::new(&["min_triangulation_angle_deg"], "it is fixed at 1.5"),
+    RetiredKey::new(
+        &["min_initial_angle_deg"],
+        "it is fixed at 8; where no pair has it, narrower ones begin",
+    ),
+    RetiredKey::new(&["min_num_visible_points"], "it is fixed at 15"),
+    RetiredKey::new(&["min_num_initial_inliers"], "it is fixed at 30"),
+    RetiredKey::new(&["refine_tracks"], "tracks are always refined"),
+    RetiredKey::new(
+        &["sphere"],
+        "its values are fixed; mark the sphere by hand where it is not found",
+    ),
+    RetiredKey::new(
+        &["anchors", "mode"],
+        "anchors are always grown; `poses.anchors.spacing_px` makes them fewer",
+    ),
+    RetiredKey::new(
+        &["anchors", "keypoint_sigma_px"],
+        "anchors are always grown",
+    ),
+    RetiredKey::new(&["anchors", "min_angle_deg"], "anchors are always grown"),
+    RetiredKey::new(&["anchors", "min_source_angle_deg"], "it is fixed at 5"),
+    RetiredKey::new(&["anchors", "max_source_angle_deg"], "it is fixed at 60"),
+    RetiredKey::new(&["anchors", "patch_radius_px"], "it is fixed at 14"),
+    RetiredKey::new(&["anchors", "gain_sigma"], "it is fixed at 0.02"),
+    RetiredKey::new(&["anchors", "min_correlation"], "it is fixed at 0.7"),
+    RetiredKey::new(&["anchors", "seed_correlation"], "it is fixed at 0.85"),
+    RetiredKey::new(&["anchors", "max_doubt_px"], "it is fixed at 3.35"),
+    RetiredKey::new(
+        &["anchors", "max_working_mpx"],
+        "it is fixed at 4; --memory bounds the memory",
+    ),
+];
 
 /// How poses are found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,25 +82,15 @@ pub struct PosesOptions {
     /// Largest reprojection error of an observation, pixels; smaller loses true tracks on large
     /// photos, larger lets wrong ones bend the poses.
     pub max_reprojection_error_px: f64,
-    /// Smallest angle between two rays of a triangulated point, degrees.
-    pub min_triangulation_angle_deg: f64,
-    /// Median triangulation angle that the first pair should have, degrees. Where no pair has it, the
-    /// model begins with a narrower one, down to twice the smallest angle of a point, and a warning
-    /// tells what that costs depth.
-    pub min_initial_angle_deg: f64,
-    /// Points that a photo must see to be registered.
-    pub min_num_visible_points: usize,
-    /// Least inliers of the first pair.
-    pub min_num_initial_inliers: usize,
-    /// Whether track positions are refined by patch alignment before the last adjustment.
-    pub refine_tracks: bool,
     /// A distance measured in the scene, which makes the world metric.
     pub known_distance: Option<KnownDistance>,
-    /// How the reference sphere is found and located.
-    pub sphere: SphereOptions,
     /// Bytes that the photos worked on at once may take; a few photos' where nothing is said. Changes no result.
     #[serde(skip)]
     pub memory: Option<u64>,
+    /// Whether matches alone are used: the photos' pixels neither refine the tracks nor give
+    /// anchors. For photo sets without pixels.
+    #[serde(skip)]
+    pub matches_only: bool,
     /// Seed of all random samples.
     pub seed: u64,
     /// How depth anchors are found.
@@ -81,14 +103,9 @@ impl Default for PosesOptions {
             refine_intrinsics: RefineIntrinsics::Auto,
             given_poses: GivenPoses::Keep,
             max_reprojection_error_px: 3.0,
-            min_triangulation_angle_deg: 1.5,
-            min_initial_angle_deg: 8.0,
-            min_num_visible_points: 15,
-            min_num_initial_inliers: 30,
-            refine_tracks: true,
             known_distance: None,
-            sphere: SphereOptions::default(),
             memory: None,
+            matches_only: false,
             seed: 1,
             anchors: AnchorOptions::default(),
         }
@@ -106,30 +123,9 @@ impl PosesOptions {
             self.max_reprojection_error_px,
             0.01..=1000.0,
         )?;
-        in_range(
-            "min_triangulation_angle_deg",
-            self.min_triangulation_angle_deg,
-            0.001..=90.0,
-        )?;
-        in_range(
-            "min_initial_angle_deg",
-            self.min_initial_angle_deg,
-            0.001..=90.0,
-        )?;
-        in_range(
-            "min_num_visible_points",
-            self.min_num_visible_points,
-            6..=1_000_000,
-        )?;
-        in_range(
-            "min_num_initial_inliers",
-            self.min_num_initial_inliers,
-            6..=1_000_000,
-        )?;
         if let Some(known) = &self.known_distance {
             known.validate().in_table("known_distance")?;
         }
-        self.sphere.validate().in_table("sphere")?;
         self.anchors.validate().in_table("anchors")
     }
 }

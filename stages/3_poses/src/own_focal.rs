@@ -5,69 +5,67 @@
 //! others determine; where far more of them agree, the photo is given a camera of its own, which later adjustments refine.
 
 use crate::error::PosesError;
-use crate::incremental::{adjust_all, limits};
+use crate::incremental::{MIN_NUM_VISIBLE_POINTS, adjust_all, limits};
+use crate::matched::{CameraPrior, GUESS_FOCAL_SIGMA, MatchedPhotos};
 use crate::model::Model;
 use crate::options::{PosesOptions, RefineIntrinsics};
+use crate::projection::{FOCAL, PRINCIPAL_POINT};
 use crate::resection::resect;
-use crate::scene::{GUESS_FOCAL_SIGMA, Scene, SceneCamera};
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::quantile;
 use rilievo_scene::{Intrinsics, first_and_more};
 
-/// Share of the points in sight that agree with a photo's pose, over that of the photos that agree well (the upper
-/// quartile), from which on its focal length is not questioned.
+/// A photo keeps its camera's focal length where its inlier ratio is at least this share of the
+/// photos' upper quartile.
 const ENOUGH: f64 = 0.75;
 const UPPER_QUARTILE: f64 = 0.75;
-/// How many times more points must agree with another focal length.
+/// Another focal length must have this many times as many inliers, and this inlier ratio.
 const MIN_GAIN: f64 = 1.5;
-/// How many times more points the photos must hold in the model with their own cameras, at the options' larger error.
-pub const MIN_GROWTH: f64 = 1.1;
-/// Least share of the points in sight that must.
 const MIN_SHARE: f64 = 0.4;
-/// Largest error of a point that agrees, over that of the options: wrong focal lengths are told by small errors, since
-/// distance makes up for most of them.
+/// With cameras of their own the photos must see this many times as many points of the model.
+pub(crate) const MIN_GROWTH: f64 = 1.1;
+/// Largest error of an inlier, over `max_reprojection_error_px`: another distance makes up for most
+/// of a wrong focal length, so that only small errors show it.
 const TIGHT: f64 = 1.0 / 3.0;
-/// Logarithms of the focal lengths that are tried, over the camera's: up to 2.5 times and as much less, first in steps at
-/// which neighbours still share half of the points that agree, then around the best of them.
+/// Logarithms of the focal lengths that are tried, over the camera's: up to 2.5 times longer and
+/// shorter, in steps at which neighbours still share half of the inliers, then in fine steps around
+/// the best.
 const STEP: f64 = 0.06;
 const NUM_STEPS: i32 = 15;
 const FINE_STEP: f64 = 0.015;
 const NUM_FINE_STEPS: i32 = 3;
-/// Least such logarithm that is another focal length: what focusing changes is less.
+/// Least such logarithm that counts as another focal length: focusing changes less.
 const MIN_LN_FOCAL: f64 = 0.06;
-/// Posed photos beside them that must determine the points.
+/// Other photos that must determine the points.
 const MIN_NUM_OTHERS: usize = 2;
-/// Points that are looked at for the search, evenly taken.
+/// Points that the search uses, evenly taken.
 const MAX_NUM_POINTS: usize = 400;
 /// Largest difference of logarithms between photos of one zoom.
 const SAME_ZOOM: f64 = 0.06;
 /// Standard deviation of the principal point of a cropped photo, as a share of its longer side.
 const CROP_OFFSET: f64 = 0.05;
 
-/// A photo whose matches agree with another focal length than its camera's.
+/// A photo with another focal length than its camera's.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct OwnFocal {
-    /// The photo.
+pub(crate) struct OwnFocal {
     pub photo: usize,
     /// Logarithm of its focal length over its camera's.
     pub ln_focal: f64,
 }
 
-/// Photos that agree with far more of the points in sight at another focal length, in order.
-///
-/// # Errors
-/// When an adjustment breaks down.
-pub fn find(
-    scene: &Scene<'_>,
+/// Photos with far more inliers at another focal length, in order.
+pub(crate) fn find(
+    matched: &MatchedPhotos<'_>,
     model: &Model,
     options: &PosesOptions,
 ) -> Result<Vec<OwnFocal>, PosesError> {
-    let is_refined = |photo: usize| scene.cameras[scene.camera_of[photo]].prior_sigma[0].is_some();
-    let shares: Vec<Option<f64>> = (0..scene.num_photos())
+    let is_refined =
+        |photo: usize| matched.cameras[matched.camera_of[photo]].prior_sigma[FOCAL].is_some();
+    let shares: Vec<Option<f64>> = (0..matched.num_photos())
         .into_par_iter()
         .map(|photo| {
-            let (num_agreeing, num) = PointsInSight::of(scene, model, photo, options)?.at(0.0);
+            let (num_agreeing, num) = PointsInSight::of(matched, model, photo, options)?.at(0.0);
             Some(num_agreeing as f64 / num as f64)
         })
         .collect();
@@ -78,8 +76,8 @@ pub fn find(
     let is_suspect = |photo: &usize| {
         is_refined(*photo) && shares[*photo].is_some_and(|share| share < ENOUGH * good)
     };
-    let suspects: Vec<usize> = (0..scene.num_photos()).filter(is_suspect).collect();
-    let num_left = (0..scene.num_photos())
+    let suspects: Vec<usize> = (0..matched.num_photos()).filter(is_suspect).collect();
+    let num_left = (0..matched.num_photos())
         .filter(|photo| model.poses[*photo].is_some() && !suspects.contains(photo))
         .count();
     if suspects.is_empty() || num_left < MIN_NUM_OTHERS {
@@ -92,25 +90,22 @@ pub fn find(
     }
     let limits = limits(options);
     for _ in 0..2 {
-        others.triangulate_all(scene, &limits);
-        adjust_all(&mut others, scene)?;
+        others.triangulate_all(matched, &limits);
+        adjust_all(&mut others, matched)?;
     }
     let found = suspects.into_par_iter().filter_map(|photo| {
-        let in_sight = PointsInSight::of(scene, &others, photo, options)?;
-        let best_of = |ln_focals: &mut dyn Iterator<Item = f64>| {
-            ln_focals
-                .map(|ln_focal| (in_sight.at(ln_focal).0, ln_focal))
-                // The first of equals: the order is fixed.
-                .fold(
-                    (0, 0.0),
-                    |best: (usize, f64), next| if next.0 > best.0 { next } else { best },
-                )
+        let in_sight = PointsInSight::of(matched, &others, photo, options)?;
+        // The first of equals: the order is fixed.
+        let best_around = |middle: f64, step: f64, num: i32| {
+            let ln_focals = (-num..=num).map(|k| middle + step * f64::from(k));
+            let counted = ln_focals.map(|ln_focal| (in_sight.at(ln_focal).0, ln_focal));
+            counted.fold(
+                (0, 0.0),
+                |best, next| if next.0 > best.0 { next } else { best },
+            )
         };
-        let around = |middle: f64, step: f64, num: i32| {
-            (-num..=num).map(move |k| middle + step * f64::from(k))
-        };
-        let coarse = best_of(&mut around(0.0, STEP, NUM_STEPS));
-        let (most, ln_focal) = best_of(&mut around(coarse.1, FINE_STEP, NUM_FINE_STEPS));
+        let (_, coarse) = best_around(0.0, STEP, NUM_STEPS);
+        let (most, ln_focal) = best_around(coarse, FINE_STEP, NUM_FINE_STEPS);
         let (shared, num) = in_sight.at(0.0);
         let gains = most as f64 >= (MIN_GAIN * shared as f64).max(MIN_SHARE * num as f64);
         (gains && ln_focal.abs() >= MIN_LN_FOCAL).then_some(OwnFocal { photo, ln_focal })
@@ -129,14 +124,19 @@ struct PointsInSight {
 
 impl PointsInSight {
     /// `None` where too few points are in sight.
-    fn of(scene: &Scene<'_>, model: &Model, photo: usize, options: &PosesOptions) -> Option<Self> {
-        let visible = model.visible_points(scene, photo);
-        if visible.0.len() < options.min_num_visible_points {
+    fn of(
+        matched: &MatchedPhotos<'_>,
+        model: &Model,
+        photo: usize,
+        options: &PosesOptions,
+    ) -> Option<Self> {
+        let visible = model.visible_points(matched, photo);
+        if visible.0.len() < MIN_NUM_VISIBLE_POINTS {
             return None;
         }
         let (pixels, points) = some(visible);
         Some(Self {
-            camera: model.cameras[scene.camera_of[photo]].current(),
+            camera: model.cameras[matched.camera_of[photo]].current(),
             pixels,
             points,
             max_error_px: TIGHT * options.max_reprojection_error_px,
@@ -144,7 +144,7 @@ impl PointsInSight {
         })
     }
 
-    /// Points that agree with the best pose at a focal length, and all of them.
+    /// Inliers of the best pose at a focal length, and the number of points.
     fn at(&self, ln_focal: f64) -> (usize, usize) {
         let camera = scaled(&self.camera, ln_focal);
         let found = resect(
@@ -181,15 +181,15 @@ fn scaled(camera: &Intrinsics, ln_focal: f64) -> Intrinsics {
 
 /// Gives photos cameras of their own; those of one zoom share theirs. The principal point of a photo that is alone is free:
 /// it may be a crop beside the middle.
-pub fn give_cameras(
-    scene: &mut Scene<'_>,
+pub(crate) fn give_cameras(
+    matched: &mut MatchedPhotos<'_>,
     model: &Model,
     own: &[OwnFocal],
     refine: RefineIntrinsics,
 ) {
     let mut order = own.to_vec();
     order.sort_by(|a, b| {
-        let camera = |own: &OwnFocal| scene.camera_of[own.photo];
+        let camera = |own: &OwnFocal| matched.camera_of[own.photo];
         let by_camera = camera(a).cmp(&camera(b));
         by_camera.then(a.ln_focal.total_cmp(&b.ln_focal))
     });
@@ -197,7 +197,7 @@ pub fn give_cameras(
     for own in order {
         let is_of = |zoom: &[OwnFocal]| {
             let first = zoom[0];
-            scene.camera_of[first.photo] == scene.camera_of[own.photo]
+            matched.camera_of[first.photo] == matched.camera_of[own.photo]
                 && (own.ln_focal - first.ln_focal).abs() < SAME_ZOOM
         };
         match zooms.last_mut() {
@@ -206,16 +206,16 @@ pub fn give_cameras(
         }
     }
     for zoom in zooms {
-        let camera = scene.camera_of[zoom[0].photo];
-        let shared = &scene.cameras[camera];
+        let camera = matched.camera_of[zoom[0].photo];
+        let shared = &matched.cameras[camera];
         let initial = scaled(&model.cameras[camera].current(), zoom[0].ln_focal);
         let mut prior_sigma = shared.prior_sigma;
-        prior_sigma[0] = Some(GUESS_FOCAL_SIGMA);
+        prior_sigma[FOCAL] = Some(GUESS_FOCAL_SIGMA);
         if zoom.len() == 1 && refine != RefineIntrinsics::Focal {
             let offset = CROP_OFFSET * initial.width.max(initial.height) as f64;
-            prior_sigma[1..3].fill(Some(offset));
+            prior_sigma[PRINCIPAL_POINT].fill(Some(offset));
         }
-        let own = SceneCamera {
+        let own = CameraPrior {
             group: shared.group,
             initial,
             prior_sigma,
@@ -223,26 +223,26 @@ pub fn give_cameras(
             is_own: true,
         };
         for OwnFocal { photo, .. } in zoom {
-            scene.camera_of[photo] = scene.cameras.len();
+            matched.camera_of[photo] = matched.cameras.len();
         }
-        scene.cameras.push(own);
+        matched.cameras.push(own);
     }
 }
 
 /// A warning for each camera that was made for photos of a focal length of their own.
-pub fn warnings(scene: &Scene<'_>, model: &Model) -> Vec<String> {
+pub(crate) fn warnings(matched: &MatchedPhotos<'_>, model: &Model) -> Vec<String> {
     let of = |camera: usize| {
-        let posed = (0..scene.num_photos())
-            .filter(move |&p| scene.camera_of[p] == camera && model.poses[p].is_some());
-        posed.map(|p| scene.photos.photos[p].file_name.as_str())
+        let posed = (0..matched.num_photos())
+            .filter(move |&p| matched.camera_of[p] == camera && model.poses[p].is_some());
+        posed.map(|p| matched.photos.photos[p].file_name.as_str())
     };
-    (0..scene.cameras.len())
-        .filter(|&k| scene.cameras[k].is_own)
+    (0..matched.cameras.len())
+        .filter(|&k| matched.cameras[k].is_own)
         .filter_map(|k| {
             let names = first_and_more(of(k))?;
             let focal = model.cameras[k].current().focal_px();
-            let group = scene.cameras[k].group;
-            let shared = (0..k).find(|&other| scene.cameras[other].group == group)?;
+            let group = matched.cameras[k].group;
+            let shared = (0..k).find(|&other| matched.cameras[other].group == group)?;
             Some(format!(
                 "{names}: the matches say a focal length of {focal:.0} px where the camera has {:.0} px: zoomed \
                  or cropped; the matches were believed",

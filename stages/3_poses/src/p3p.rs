@@ -8,7 +8,7 @@ use nalgebra::{Complex, Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use rilievo_scene::RigidTransform;
 
 /// All poses `cam_from_world` (at most four) that see three world points along three unit rays.
-pub fn solve(rays: &[Vector3<f64>; 3], points: &[Point3<f64>; 3]) -> Vec<RigidTransform> {
+pub(crate) fn solve(rays: &[Vector3<f64>; 3], points: &[Point3<f64>; 3]) -> Vec<RigidTransform> {
     let a2 = (points[1] - points[2]).norm_squared();
     let b2 = (points[0] - points[2]).norm_squared();
     let c2 = (points[0] - points[1]).norm_squared();

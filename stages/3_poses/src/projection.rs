@@ -9,14 +9,17 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix3, Point2, Point3, SMatrix, UnitQuatern
 use rilievo_scene::{Intrinsics, RigidTransform};
 
 /// Number of intrinsic parameters that may be refined.
-pub const NUM_INTRINSICS: usize = 8;
+pub(crate) const NUM_INTRINSICS: usize = 8;
 /// Index of the logarithm of the focal length among the intrinsics.
-pub const FOCAL: usize = 0;
-/// Index of `k₁` among the intrinsics.
-pub const K1: usize = 3;
+pub(crate) const FOCAL: usize = 0;
+/// Indices of `c_x` and `c_y`.
+pub(crate) const PRINCIPAL_POINT: std::ops::Range<usize> = 1..3;
+/// Indices of `k₁` and `k₂`, which `p₁`, `p₂` and `k₃` follow.
+pub(crate) const K1: usize = 3;
+pub(crate) const K2: usize = 4;
 
 /// Derivatives of a pixel.
-pub struct ProjectionJacobian {
+pub(crate) struct ProjectionJacobian {
     /// By `(ω, δ)`.
     pub by_pose: SMatrix<f64, 2, 6>,
     /// By the point in the world frame.
@@ -27,7 +30,7 @@ pub struct ProjectionJacobian {
 
 /// A pose as rotation and centre: the form in which it is adjusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct CenteredPose {
+pub(crate) struct CenteredPose {
     /// Rotation `cam_from_world`.
     pub rotation: UnitQuaternion<f64>,
     /// Camera centre in the world frame.
@@ -69,7 +72,7 @@ impl CenteredPose {
 }
 
 /// A camera moved by a step of its eight parameters.
-pub fn retract_intrinsics(camera: &Intrinsics, step: &[f64; NUM_INTRINSICS]) -> Intrinsics {
+pub(crate) fn retract_intrinsics(camera: &Intrinsics, step: &[f64; NUM_INTRINSICS]) -> Intrinsics {
     let mut moved = *camera;
     let factor = step[0].exp();
     moved.fx *= factor;
@@ -85,7 +88,7 @@ pub fn retract_intrinsics(camera: &Intrinsics, step: &[f64; NUM_INTRINSICS]) -> 
 }
 
 /// Pixel of a world point and its derivatives; `None` behind the camera.
-pub fn project_with_jacobian(
+pub(crate) fn project_with_jacobian(
     camera: &Intrinsics,
     pose: &CenteredPose,
     point: &Point3<f64>,
@@ -125,34 +128,14 @@ pub fn project_with_jacobian(
     let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
     by_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&by_rotation);
     by_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_point);
-    let mut by_intrinsics = SMatrix::<f64, 2, NUM_INTRINSICS>::zeros();
-    let rows = [
-        [
-            camera.fx * ud,
-            1.0,
-            0.0,
-            camera.fx * u * r2,
-            camera.fx * u * r2 * r2,
-            camera.fx * 2.0 * u * v,
-            camera.fx * (r2 + 2.0 * u * u),
-            camera.fx * u * r2 * r2 * r2,
-        ],
-        [
-            camera.fy * vd,
-            0.0,
-            1.0,
-            camera.fy * v * r2,
-            camera.fy * v * r2 * r2,
-            camera.fy * (r2 + 2.0 * v * v),
-            camera.fy * 2.0 * u * v,
-            camera.fy * v * r2 * r2 * r2,
-        ],
-    ];
-    for (row, values) in rows.iter().enumerate() {
-        for (column, value) in values.iter().enumerate() {
-            by_intrinsics[(row, column)] = *value;
-        }
-    }
+    let (fx, fy) = (camera.fx, camera.fy);
+    #[rustfmt::skip]
+    let by_intrinsics = SMatrix::<f64, 2, NUM_INTRINSICS>::from_row_slice(&[
+        fx * ud, 1.0, 0.0,
+        fx * u * r2, fx * u * r2 * r2, fx * 2.0 * u * v, fx * (r2 + 2.0 * u * u), fx * u * r2 * r2 * r2,
+        fy * vd, 0.0, 1.0,
+        fy * v * r2, fy * v * r2 * r2, fy * (r2 + 2.0 * v * v), fy * 2.0 * u * v, fy * v * r2 * r2 * r2,
+    ]);
     Some((
         Point2::new(camera.fx * ud + camera.cx, camera.fy * vd + camera.cy),
         ProjectionJacobian {

@@ -5,9 +5,9 @@
 //! pose (Schönberger and Frahm, CVPR 2016, section 4.2). Scores are kept until a point of the photo comes
 //! or goes, which concerns the neighbours of the photo just registered only.
 
+use crate::incremental::MIN_NUM_VISIBLE_POINTS;
+use crate::matched::MatchedPhotos;
 use crate::model::Model;
-use crate::options::PosesOptions;
-use crate::scene::Scene;
 
 /// What was last known of a photo.
 #[derive(Clone, Copy)]
@@ -17,7 +17,7 @@ struct Rank {
 }
 
 /// Scores of the photos without a pose.
-pub struct Ranking {
+pub(crate) struct Ranking {
     /// `None` where points came or went since.
     ranks: Vec<Option<Rank>>,
 }
@@ -31,9 +31,9 @@ impl Ranking {
     }
 
     /// Forgets the scores of the photos that see points that came or went.
-    pub fn renew(&mut self, scene: &Scene<'_>, changed_tracks: &[usize]) {
+    pub fn renew(&mut self, matched: &MatchedPhotos<'_>, changed_tracks: &[usize]) {
         for &track in changed_tracks {
-            for sighting in &scene.tracks[track] {
+            for sighting in &matched.tracks[track] {
                 self.ranks[sighting.photo] = None;
             }
         }
@@ -42,23 +42,22 @@ impl Ranking {
     /// Photos to try next, best first; those that failed only where they see a tenth more points now.
     pub fn next_views(
         &mut self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         model: &Model,
         available: &[bool],
         failed: &[(usize, usize, usize)],
-        options: &PosesOptions,
     ) -> Vec<usize> {
         let mut scored: Vec<(usize, usize)> = Vec::new();
         for (photo, &is_available) in available.iter().enumerate() {
             if !is_available || model.poses[photo].is_some() {
                 continue;
             }
-            let rank = self.ranks[photo].get_or_insert_with(|| rank(scene, model, photo));
+            let rank = self.ranks[photo].get_or_insert_with(|| rank(matched, model, photo));
             let num = rank.num_visible;
             let tried = failed
                 .iter()
                 .any(|&(p, seen, _)| p == photo && num <= seen + seen / 10);
-            if num >= options.min_num_visible_points && !tried {
+            if num >= MIN_NUM_VISIBLE_POINTS && !tried {
                 scored.push((rank.score, photo));
             }
         }
@@ -67,9 +66,9 @@ impl Ranking {
     }
 }
 
-fn rank(scene: &Scene<'_>, model: &Model, photo: usize) -> Rank {
-    let (pixels, _) = model.visible_points(scene, photo);
-    let camera = &scene.photos.photos[photo].intrinsics;
+fn rank(matched: &MatchedPhotos<'_>, model: &Model, photo: usize) -> Rank {
+    let (pixels, _) = model.visible_points(matched, photo);
+    let camera = &matched.photos.photos[photo].intrinsics;
     let mut score = 0;
     for level in 1..=5 {
         let cells = 1_usize << level;

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Point2, Rotation3, UnitQuaternion, Vector3};
 use rilievo_scene::RigidTransform;
 
 /// A relative pose with what supports it.
-pub struct RelativePose {
+pub(crate) struct RelativePose {
     /// Second camera from the first, translation of length 1.
     pub second_from_first: RigidTransform,
     /// Angle between the rays of each match in front of both cameras, radians.
@@ -38,7 +38,11 @@ fn motions(essential: &Matrix3<f64>) -> Option<[RigidTransform; 4]> {
 
 /// Signed distances along both rays of normalised coordinates to where they come nearest, with the
 /// angle between them.
-pub fn depths(motion: &RigidTransform, x1: &Point2<f64>, x2: &Point2<f64>) -> (f64, f64, f64) {
+pub(crate) fn depths(
+    motion: &RigidTransform,
+    x1: &Point2<f64>,
+    x2: &Point2<f64>,
+) -> (f64, f64, f64) {
     // λ2 d2 = λ1 R d1 + t, in the least-squares sense.
     let d1 = (motion.rotation * x1.to_homogeneous()).normalize();
     let d2 = x2.to_homogeneous().normalize();
@@ -51,7 +55,7 @@ pub fn depths(motion: &RigidTransform, x1: &Point2<f64>, x2: &Point2<f64>) -> (f
 }
 
 /// Chooses the motion that puts most matches in front of both cameras.
-pub fn from_essential(
+pub(crate) fn from_essential(
     essential: &Matrix3<f64>,
     x1: &[Point2<f64>],
     x2: &[Point2<f64>],

@@ -111,7 +111,7 @@ pub struct PosesReport {
     pub refined_focals_px: Vec<(usize, f64, f64)>,
     /// Unit and origin of the scale.
     pub scale: Scale,
-    /// The vertical, where it can be told.
+    /// The vertical, where ground or cameras show it.
     pub vertical: Option<Vertical>,
     /// Distortion that given intrinsics leave.
     pub lens: Option<LensReport>,

@@ -18,9 +18,7 @@ const MAX_NUM_SAMPLES: usize = 2000;
 /// Certainty at which sampling stops early.
 const CONFIDENCE: f64 = 0.9999;
 
-/// A pose with the correspondences that support it.
-pub struct Resection {
-    /// The pose.
+pub(crate) struct Resection {
     pub pose: CenteredPose,
     /// Indices of the correspondences within the threshold.
     pub inliers: Vec<usize>,
@@ -34,7 +32,7 @@ fn error_px(camera: &Intrinsics, pose: &CenteredPose, pixel: &Point2<f64>, p: &P
 
 /// Finds the pose of a camera that sees world points at pixels; `None` when no sample finds
 /// at least six that agree.
-pub fn resect(
+pub(crate) fn resect(
     camera: &Intrinsics,
     pixels: &[Point2<f64>],
     points: &[Point3<f64>],

@@ -1,38 +1,53 @@
 //! The model as the stage's output, with its report.
 
-use crate::adjustment::BundleOptions;
-use crate::incremental::Reconstruction;
-use crate::model::{AdjustmentScope, IntrinsicsScope};
-use crate::options::PosesOptions;
+use crate::adjustment::FINAL_LOSS;
+use crate::incremental::{MIN_NUM_VISIBLE_POINTS, Reconstruction};
+use crate::matched::MatchedPhotos;
+use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::report::{PosesReport, ViewReport};
-use crate::scene::Scene;
 use nalgebra::Point2;
-use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{
     PhotoIdx, PosedView, PosedViews, RigidTransform, SparsePoint, TrackElement, Unregistered,
     ViewIdx,
 };
 
+/// Sum of reprojection errors, pixels, and their number.
+#[derive(Clone, Copy, Default)]
+struct Errors {
+    sum_px: f64,
+    num: usize,
+}
+
+impl Errors {
+    fn add(&mut self, error_px: f64) {
+        self.sum_px += error_px;
+        self.num += 1;
+    }
+
+    fn mean_px(&self) -> f64 {
+        self.sum_px / self.num.max(1) as f64
+    }
+}
+
 /// Builds views, points and report from a model.
 ///
 /// With `keeps_given` the poses are copied from the photos, so that they stay bit-identical.
-pub fn assemble(
-    scene: &Scene<'_>,
+pub(crate) fn assemble(
+    matched: &MatchedPhotos<'_>,
     reconstruction: &Reconstruction,
     other_models: &[Vec<usize>],
     keeps_given: bool,
-    options: &PosesOptions,
 ) -> (PosedViews, PosesReport) {
     let model = &reconstruction.model;
     let cameras = model.intrinsics();
-    let mut view_of = vec![None; scene.num_photos()];
     let mut posed = PosedViews::default();
-    for (p, photo) in scene.photos.photos.iter().enumerate() {
+    let mut view_of = vec![None; matched.num_photos()];
+    for (p, photo) in matched.photos.photos.iter().enumerate() {
         let Some(pose) = model.poses[p] else {
             posed.unregistered.push(Unregistered {
                 photo: PhotoIdx(p),
                 file_name: photo.file_name.clone(),
-                reason: reason(scene, reconstruction, other_models, p, options),
+                reason: reason(matched, reconstruction, other_models, p),
             });
             continue;
         };
@@ -42,87 +57,45 @@ pub fn assemble(
             photo: PhotoIdx(p),
             name: photo.name.clone(),
             file_name: photo.file_name.clone(),
-            intrinsics: cameras[scene.camera_of[p]],
+            intrinsics: cameras[matched.camera_of[p]],
             cam_from_world: kept.unwrap_or_else(|| RigidTransform::from(pose)),
         });
     }
-    let mut error_sums = vec![(0.0, 0_usize); posed.views.len()];
-    for (t, point) in model.points.iter().enumerate() {
-        let Some(point) = point else { continue };
-        let mut track = Vec::with_capacity(point.support.len());
-        let mut error_sum = 0.0;
-        for (place, pixel, _) in model.observations(scene, t) {
-            let sighting = &scene.tracks[t][place];
-            let Some(view) = view_of[sighting.photo] else {
-                continue;
-            };
-            let posed_view = &posed.views[view.0];
-            let seen = posed_view
-                .intrinsics
-                .project(&posed_view.cam_from_world.apply(&point.position));
-            let error = seen.map_or(f64::INFINITY, |s| (s - pixel).norm());
-            error_sum += error;
-            error_sums[view.0].0 += error;
-            error_sums[view.0].1 += 1;
-            track.push(TrackElement {
-                view,
-                keypoint_idx: sighting.keypoint,
-                pixel: [pixel.x, pixel.y],
-            });
-        }
-        if track.len() >= 2 {
-            posed.points.push(SparsePoint {
-                position: point.position.coords.into(),
-                color: [0; 3],
-                error_px: error_sum / track.len() as f64,
-                track,
-            });
-        }
-    }
-    paint(scene, &mut posed);
-    let scope = AdjustmentScope {
-        step: "covariance",
-        photos: if keeps_given { Some(&[]) } else { None },
-        intrinsics: match reconstruction.lens {
-            Some(_) => IntrinsicsScope::Nuisance,
-            None => IntrinsicsScope::Fixed,
-        },
+    let errors = add_points(matched, model, &view_of, &mut posed);
+    paint(matched, &mut posed);
+    let scope = match (keeps_given, &reconstruction.lens) {
+        (true, _) => AdjustmentScope::points("covariance"),
+        (false, Some(_)) => AdjustmentScope::all("covariance", IntrinsicsScope::Nuisance),
+        (false, None) => AdjustmentScope::all("covariance", IntrinsicsScope::Fixed),
     };
-    let bundle_options = BundleOptions {
-        loss: RobustLoss::Cauchy(2.0),
-        max_num_iterations: 0,
-        relative_cost_change: 0.0,
-    };
-    let precision = model.precision(scene, &scope, &bundle_options);
-    let views = posed
-        .views
-        .iter()
-        .zip(&error_sums)
-        .map(|(view, (sum, count))| ViewReport {
+    let precision = model.precision(matched, &scope, FINAL_LOSS);
+    let views = posed.views.iter().zip(&errors).map(|(view, errors)| {
+        let sigma = precision.poses[view.photo.0];
+        ViewReport {
             file_name: view.file_name.clone(),
-            num_points: *count,
-            mean_error_px: sum / (*count).max(1) as f64,
-            rotation_sigma_deg: precision.poses[view.photo.0].map(|s| s.0.to_degrees()),
-            center_sigma: precision.poses[view.photo.0].map(|s| s.1),
-        })
-        .collect();
-    let num_sightings: usize = error_sums.iter().map(|s| s.1).sum();
-    let total_error: f64 = error_sums.iter().map(|s| s.0).sum();
-    let name = |p: usize| scene.photos.photos[p].file_name.clone();
+            num_points: errors.num,
+            mean_error_px: errors.mean_px(),
+            rotation_sigma_deg: sigma.map(|(rotation, _)| rotation.to_degrees()),
+            center_sigma: sigma.map(|(_, center)| center),
+        }
+    });
+    let all = Errors {
+        sum_px: errors.iter().map(|e| e.sum_px).sum(),
+        num: errors.iter().map(|e| e.num).sum(),
+    };
+    let name = |p: usize| matched.photos.photos[p].file_name.clone();
+    let refined = matched.cameras.iter().zip(&cameras);
+    let refined = refined.filter(|(before, after)| !before.is_own && before.initial.fx != after.fx);
     let report = PosesReport {
         initial_pair: reconstruction.initial_pair.map(|(a, b)| (name(a), name(b))),
-        views,
+        views: views.collect(),
         num_points: posed.points.len(),
-        mean_track_length: num_sightings as f64 / posed.points.len().max(1) as f64,
-        mean_reprojection_error_px: total_error / num_sightings.max(1) as f64,
+        mean_track_length: all.num as f64 / posed.points.len().max(1) as f64,
+        mean_reprojection_error_px: all.mean_px(),
         keypoint_sigma_px: precision.sigma_px,
         median_point_sigma: precision.median_point_sigma,
         other_model_sizes: other_models.iter().map(Vec::len).collect(),
-        refined_focals_px: scene
-            .cameras
-            .iter()
-            .zip(&cameras)
-            .filter(|(before, after)| !before.is_own && before.initial.fx != after.fx)
+        refined_focals_px: refined
             .map(|(before, after)| (before.group, before.initial.fx, after.fx))
             .collect(),
         lens: reconstruction.lens.clone(),
@@ -133,13 +106,56 @@ pub fn assemble(
     (posed, report)
 }
 
+/// Adds the points with two sightings or more; the reprojection errors of each view.
+fn add_points(
+    matched: &MatchedPhotos<'_>,
+    model: &Model,
+    view_of: &[Option<ViewIdx>],
+    posed: &mut PosedViews,
+) -> Vec<Errors> {
+    let mut of_views = vec![Errors::default(); posed.views.len()];
+    for (t, point) in model.points.iter().enumerate() {
+        let Some(point) = point else { continue };
+        let mut track = Vec::with_capacity(point.support.len());
+        let mut errors = Errors::default();
+        for (place, pixel, _) in model.observations(matched, t) {
+            let sighting = &matched.tracks[t][place];
+            let Some(view) = view_of[sighting.photo] else {
+                continue;
+            };
+            let PosedView {
+                intrinsics,
+                cam_from_world,
+                ..
+            } = &posed.views[view.0];
+            let seen = intrinsics.project(&cam_from_world.apply(&point.position));
+            let error_px = seen.map_or(f64::INFINITY, |s| (s - pixel).norm());
+            errors.add(error_px);
+            of_views[view.0].add(error_px);
+            track.push(TrackElement {
+                view,
+                keypoint_idx: sighting.keypoint,
+                pixel: [pixel.x, pixel.y],
+            });
+        }
+        if track.len() >= 2 {
+            posed.points.push(SparsePoint {
+                position: point.position.coords.into(),
+                color: [0; 3],
+                error_px: errors.mean_px(),
+                track,
+            });
+        }
+    }
+    of_views
+}
+
 /// Why a photo has no pose, and what to try.
 fn reason(
-    scene: &Scene<'_>,
+    matched: &MatchedPhotos<'_>,
     reconstruction: &Reconstruction,
     other_models: &[Vec<usize>],
     photo: usize,
-    options: &PosesOptions,
 ) -> String {
     if reconstruction.contradicting.contains(&photo) {
         return "wherever it is placed, most of its matches with other photos contradict that; \
@@ -152,7 +168,7 @@ fn reason(
             others.len()
         );
     }
-    let most = scene
+    let most = matched
         .matches
         .pairs
         .iter()
@@ -165,7 +181,7 @@ fn reason(
         ),
         (None, Some(most)) => format!(
             "sees fewer than {} known points (best pair: {most} matches); add photos between it and the others",
-            options.min_num_visible_points
+            MIN_NUM_VISIBLE_POINTS
         ),
         (None, None) => {
             "matches no other photo; it shows something else or is too far from its neighbours"
@@ -175,7 +191,7 @@ fn reason(
 }
 
 /// Colours each point from its first sighting.
-fn paint(scene: &Scene<'_>, posed: &mut PosedViews) {
+fn paint(matched: &MatchedPhotos<'_>, posed: &mut PosedViews) {
     let mut of_view: Vec<Vec<(usize, Point2<f64>)>> = vec![Vec::new(); posed.views.len()];
     for (k, point) in posed.points.iter().enumerate() {
         if let Some(first) = point.track.first() {
@@ -187,7 +203,7 @@ fn paint(scene: &Scene<'_>, posed: &mut PosedViews) {
             continue;
         }
         // Colours are for looking at: a photo that cannot be read leaves its points black.
-        let Ok(image) = scene.photos.photos[posed.views[view].photo.0].linear() else {
+        let Ok(image) = matched.photos.photos[posed.views[view].photo.0].linear() else {
             continue;
         };
         for (k, pixel) in points {

@@ -19,8 +19,8 @@ use crate::options::PosesOptions;
 use crate::report::PosesReport;
 use nalgebra::Point3;
 use rilievo_photometry::sphere::{
-    LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, WorldScale,
-    locate_request,
+    LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, SphereOptions,
+    WorldScale, locate_request,
 };
 use rilievo_scene::loading::num_at_once;
 use rilievo_scene::{
@@ -32,7 +32,7 @@ use std::collections::BTreeSet;
 ///
 /// # Errors
 /// When a known distance cannot be found in the model, or the observer asked to stop.
-pub fn apply(
+pub(crate) fn apply(
     photos: &PhotoSet,
     sphere: Option<&SphereRequest>,
     has_given_poses: bool,
@@ -84,7 +84,7 @@ pub fn apply(
             &posed.views,
             &placed,
             world_scale,
-            &options.sphere,
+            &SphereOptions::default(),
             at_once,
         );
         let found = match found {
@@ -98,9 +98,9 @@ pub fn apply(
         };
         match found {
             Ok(located) => {
-                let mut told = warnings_of(photos, request, &located, is_metric);
-                told.extend(centers_of(request, &located, has_given_poses));
-                for message in told {
+                let mut warnings = warnings_of(photos, request, &located, is_metric);
+                warnings.extend(centers_of(request, &located, has_given_poses));
+                for message in warnings {
                     warn(observer, message)?;
                 }
                 posed.spheres = located.fits.into_iter().map(|fit| fit.sphere).collect();
@@ -169,7 +169,7 @@ fn centers_of(
     located: &LocatedSpheres,
     has_given_poses: bool,
 ) -> Vec<String> {
-    let told = located.fits.iter().filter_map(|fit| {
+    let warnings = located.fits.iter().filter_map(|fit| {
         let sphere = request.spheres.iter().find(|s| s.name == fit.sphere.name)?;
         let stated = sphere.center_in_world.filter(|_| !fit.views.is_empty())?;
         if !has_given_poses {
@@ -197,7 +197,7 @@ fn centers_of(
             )
         })
     });
-    told.collect()
+    warnings.collect()
 }
 
 /// Share of a marked outline that an edge follows in a photo that shows the sphere there.
@@ -207,7 +207,7 @@ const MAX_SHADING_RESIDUAL: f64 = 0.1;
 
 /// What the user should know of marks that the photos do not confirm.
 fn unconfirmed(photos: &PhotoSet, fit: &SphereFit) -> Option<String> {
-    let told: Vec<String> = fit
+    let photos: Vec<String> = fit
         .evidence
         .iter()
         .filter_map(|seen| {
@@ -222,13 +222,13 @@ fn unconfirmed(photos: &PhotoSet, fit: &SphereFit) -> Option<String> {
             })
         })
         .collect();
-    (!told.is_empty()).then(|| {
+    (!photos.is_empty()).then(|| {
         format!(
             "the marks of {} outline no matte sphere in {}: an edge along {:.0} % or more and less than \
              {:.0} % unexplained are expected; check that they follow its outline, and that nothing \
              stands before it",
             fit.sphere.name,
-            told.join(", "),
+            photos.join(", "),
             100.0 * MIN_EDGE_SHARE,
             100.0 * MAX_SHADING_RESIDUAL
         )
@@ -279,11 +279,11 @@ fn warnings_of(
             ));
         }
     }
-    let mut told = BTreeSet::new();
+    let mut sizes = BTreeSet::new();
     for size in &located.other_sizes {
         let size = format!("{size:.2}");
-        // Several of one size are told of once.
-        if told.insert(size.clone()) {
+        // One warning for several of one size.
+        if sizes.insert(size.clone()) {
             warnings.push(format!(
                 "a further sphere {size} times as large was found and left, the one that is seen best \
                  was taken as that of the stated radius; give a sphere file to use both"
@@ -291,23 +291,23 @@ fn warnings_of(
         }
     }
     let contradictions = located.scale.contradictions.iter();
-    warnings.extend(contradictions.map(|told| contradiction(told, is_metric)));
+    warnings.extend(contradictions.map(|found| contradiction(found, is_metric)));
     warnings
 }
 
-fn contradiction(told: &ScaleContradiction, is_metric: bool) -> String {
+fn contradiction(found: &ScaleContradiction, is_metric: bool) -> String {
     format!(
         "the scale that {} gives is {:.2} % of that of the other sphere{} (standard deviation {:.2} %): \
          {}; measure the radii again",
-        told.sphere,
-        100.0 * told.ratio,
-        if told.outcome == ScaleOutcome::Outvoted {
+        found.sphere,
+        100.0 * found.ratio,
+        if found.outcome == ScaleOutcome::Outvoted {
             "s"
         } else {
             ""
         },
-        100.0 * told.sigma,
-        match (is_metric, told.outcome) {
+        100.0 * found.sigma,
+        match (is_metric, found.outcome) {
             (true, _) => "a radius is wrong",
             (false, ScaleOutcome::Outvoted) => "it is left out of the scale",
             (false, ScaleOutcome::Averaged) =>

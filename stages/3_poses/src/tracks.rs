@@ -14,8 +14,7 @@ use rilievo_scene::{FeatureMatches, PhotoKeypoints};
 
 /// One sighting of a track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct TrackSighting {
-    /// Photo.
+pub(crate) struct TrackSighting {
     pub photo: usize,
     /// Keypoint in it.
     pub keypoint: u32,
@@ -85,7 +84,6 @@ struct End {
     node: usize,
 }
 
-/// A match.
 type Link = [End; 2];
 
 /// Broken loops beyond the closed ones that a match may have.
@@ -125,7 +123,7 @@ fn believed(links: &[Link], num_nodes: usize) -> Vec<Link> {
 }
 
 /// Tracks with at least two sightings, each ordered by photo.
-pub fn build(matches: &FeatureMatches) -> Vec<Vec<TrackSighting>> {
+pub(crate) fn build(matches: &FeatureMatches) -> Vec<Vec<TrackSighting>> {
     let places: Vec<Vec<u32>> = matches.photos.iter().map(same_place).collect();
     let mut start = vec![0];
     for photo in &matches.photos {

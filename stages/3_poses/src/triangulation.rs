@@ -14,12 +14,9 @@ use rilievo_scene::Intrinsics;
 
 /// A sighting: camera, pose and pixel.
 #[derive(Clone, Copy)]
-pub struct Sighting<'a> {
-    /// Camera.
+pub(crate) struct Sighting<'a> {
     pub camera: &'a Intrinsics,
-    /// Pose.
     pub pose: &'a CenteredPose,
-    /// Observed pixel.
     pub pixel: Point2<f64>,
 }
 
@@ -39,7 +36,7 @@ impl Sighting<'_> {
 
 /// What a triangulated point must fulfil.
 #[derive(Clone, Copy, Debug)]
-pub struct TriangulationLimits {
+pub(crate) struct TriangulationLimits {
     /// Largest reprojection error of a sighting, pixels.
     pub max_error_px: f64,
     /// Smallest of the widest angles between two of its rays, radians.
@@ -57,7 +54,7 @@ fn nearest_to_rays(centers: &[Point3<f64>], rays: &[Vector3<f64>]) -> Option<Poi
 }
 
 /// Widest angle at a point between the directions to two centres, radians.
-pub fn widest_angle(point: &Point3<f64>, centers: &[Point3<f64>]) -> f64 {
+pub(crate) fn widest_angle(point: &Point3<f64>, centers: &[Point3<f64>]) -> f64 {
     let rays: Vec<Vector3<f64>> = centers.iter().map(|c| (point - c).normalize()).collect();
     let mut least_cosine = 1.0_f64;
     for (k, a) in rays.iter().enumerate() {
@@ -111,7 +108,7 @@ impl LeastSquaresProblem<3> for PointProblem<'_> {
 }
 
 /// Minimises the reprojection errors from a start.
-pub fn refine_point(
+pub(crate) fn refine_point(
     sightings: &[Sighting<'_>],
     start: Point3<f64>,
     loss: RobustLoss,
@@ -126,7 +123,7 @@ pub fn refine_point(
 
 /// Point of a track with the indices of the sightings that support it; `None` when fewer than two
 /// do, or their rays are too nearly parallel.
-pub fn triangulate(
+pub(crate) fn triangulate(
     sightings: &[Sighting<'_>],
     limits: &TriangulationLimits,
 ) -> Option<(Point3<f64>, Vec<usize>)> {

@@ -1,4 +1,4 @@
-//! The vertical of the scene, where it can be told.
+//! The vertical of the scene, where ground or cameras show it.
 //!
 //! A flat ground (a printed mat, a table): the plane `n · X = d` that most points off the object lie
 //! on, by random triples and a least-squares fit (`n` = the eigenvector of the smallest eigenvalue
@@ -11,7 +11,7 @@ use rilievo_numerics::plane::Plane;
 use rilievo_scene::{PhotoSet, PosedViews, SparsePoint};
 use serde::{Deserialize, Serialize};
 
-/// What the vertical was told from.
+/// What the vertical follows from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VerticalSource {
@@ -26,7 +26,7 @@ pub enum VerticalSource {
 pub struct Vertical {
     /// Unit vector upwards in the world frame.
     pub up_in_world: [f64; 3],
-    /// What it was told from.
+    /// What it follows from.
     pub source: VerticalSource,
     /// Standard deviation, degrees.
     pub sigma_deg: f64,
@@ -48,8 +48,8 @@ const MAX_LEAN_DEG: f64 = 60.0;
 const MAX_SPREAD_DEG: f64 = 25.0;
 
 /// The vertical, and the ground with its normal upwards, among the points off the object; `None` when neither ground nor
-/// cameras tell it.
-pub fn find(
+/// cameras show it.
+pub(crate) fn find(
     photos: &PhotoSet,
     posed: &PosedViews,
     off_object: &[Point3<f64>],
@@ -68,7 +68,7 @@ pub fn find(
 }
 
 /// The points that a mask shows to be the object's, and all others.
-pub fn object_and_rest(
+pub(crate) fn object_and_rest(
     photos: &PhotoSet,
     posed: &PosedViews,
 ) -> (Vec<Point3<f64>>, Vec<Point3<f64>>) {

@@ -53,8 +53,7 @@ fn distance(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
 
 fn verified(pair: &Pair) -> Option<TwoViewGeometry> {
     let all: Vec<usize> = (0..pair.x1.len()).collect();
-    let options = FeaturesOptions::default();
-    verify(&pair.x1, &pair.x2, &all, FOCAL_PX, &options).unwrap()
+    verify(&pair.x1, &pair.x2, &all, FOCAL_PX).unwrap()
 }
 
 #[test]
@@ -152,14 +151,13 @@ fn the_sampson_derivative_agrees_with_differences() {
 #[test]
 fn indistinctive_matches_join_but_do_not_decide() {
     let good = pair(&cloud(200, false), 0.8, 0.2, 8);
-    let options = FeaturesOptions::default();
     let some: Vec<usize> = (0..200).step_by(4).collect();
-    let found = verify(&good.x1, &good.x2, &some, FOCAL_PX, &options)
+    let found = verify(&good.x1, &good.x2, &some, FOCAL_PX)
         .unwrap()
         .unwrap();
     assert_eq!(found.inliers.len(), 200);
     let few: Vec<usize> = (0..10).collect();
-    let none = verify(&good.x1, &good.x2, &few, FOCAL_PX, &options).unwrap();
+    let none = verify(&good.x1, &good.x2, &few, FOCAL_PX).unwrap();
     assert!(none.is_none());
 }
 
@@ -174,20 +172,16 @@ fn few_noisy_matches_are_enough() {
 
 #[test]
 fn a_pair_that_may_count_gets_the_samples_that_find_it() {
-    let options = FeaturesOptions::default();
     for num_matches in [15, 20, 40, 60] {
-        let samples = num_useful_samples(num_matches, &options);
-        assert!(samples <= options.max_num_ransac_samples);
-        let share = options.min_num_inliers as f64 / num_matches as f64;
+        let samples = num_useful_samples(num_matches);
+        assert!(samples <= MAX_NUM_RANSAC_SAMPLES);
+        let share = MIN_NUM_INLIERS as f64 / num_matches as f64;
         let missed = (1.0 - share.powi(5)).powi(samples as i32);
         assert!(
-            missed <= 1.01e-4 || samples == options.max_num_ransac_samples,
+            missed <= 1.01e-4 || samples == MAX_NUM_RANSAC_SAMPLES,
             "{num_matches} matches: {samples} samples miss with probability {missed}"
         );
     }
-    assert_eq!(num_useful_samples(15, &options), MIN_NUM_SAMPLES);
-    assert_eq!(
-        num_useful_samples(5000, &options),
-        options.max_num_ransac_samples
-    );
+    assert_eq!(num_useful_samples(15), MIN_NUM_SAMPLES);
+    assert_eq!(num_useful_samples(5000), MAX_NUM_RANSAC_SAMPLES);
 }

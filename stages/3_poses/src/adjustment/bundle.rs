@@ -1,17 +1,18 @@
 //! What is adjusted: cameras, views, points and their sightings, with its cost and its residuals.
 
 use crate::projection::{CenteredPose, NUM_INTRINSICS, retract_intrinsics};
-use nalgebra::{Point2, Point3};
+use nalgebra::{Point2, Point3, Vector2};
 use rayon::prelude::*;
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::Intrinsics;
+use std::sync::Arc;
 
 /// Loss of the priors on intrinsics.
 pub(super) const PRIOR_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
 
 /// A camera shared by the views of its group.
 #[derive(Clone, Debug)]
-pub struct AdjustedCamera {
+pub(crate) struct AdjustedCamera {
     /// Where the adjustment starts, and the mean of the priors.
     pub initial: Intrinsics,
     /// Deviation from it: `ln f, cx, cy, k1, k2, p1, p2, k3`.
@@ -42,10 +43,9 @@ impl AdjustedCamera {
 
 /// A view of the problem.
 #[derive(Clone, Debug)]
-pub struct AdjustedView {
+pub(crate) struct AdjustedView {
     /// Index of its camera.
     pub camera: usize,
-    /// Pose.
     pub pose: CenteredPose,
     /// Which of `(ω, δ)` may change.
     pub free: [bool; 6],
@@ -53,33 +53,29 @@ pub struct AdjustedView {
 
 /// One sighting of a point.
 #[derive(Clone, Copy, Debug)]
-pub struct Observation {
-    /// View.
+pub(crate) struct Observation {
     pub view: usize,
-    /// Observed pixel.
     pub pixel: Point2<f64>,
-    /// Weight: inverse variance, in px⁻².
+    /// Inverse variance, px⁻².
     pub weight: f64,
 }
 
 /// Cameras, views, points and what was seen of them.
 #[derive(Clone, Debug)]
-pub struct Bundle {
-    /// Cameras.
+pub(crate) struct Bundle {
     pub cameras: Vec<AdjustedCamera>,
-    /// Views.
     pub views: Vec<AdjustedView>,
-    /// Points in the world frame.
+    /// In the world frame.
     pub points: Vec<Point3<f64>>,
-    /// Observations of all points, one point after the other.
-    pub observations: Vec<Observation>,
+    /// Of all points, one point after the other.
+    pub observations: Arc<Vec<Observation>>,
     /// Where the observations of point `p` start; one more entry than points.
-    pub offsets: Vec<usize>,
+    pub offsets: Arc<Vec<usize>>,
 }
 
 /// Size of the residuals of a bundle.
 #[derive(Clone, Copy, Debug)]
-pub struct ResidualStatistics {
+pub(crate) struct ResidualStatistics {
     /// Root mean square of the coordinates, pixels.
     pub rms_px: f64,
     /// Standard deviation of an observation's coordinate, degrees of freedom counted, pixels.
@@ -113,24 +109,42 @@ impl Bundle {
         }
     }
 
+    /// Current intrinsics, per camera.
+    pub(super) fn intrinsics(&self) -> Vec<Intrinsics> {
+        self.cameras.iter().map(AdjustedCamera::current).collect()
+    }
+
+    /// What was seen of a point.
+    pub(super) fn seen(&self, point: usize) -> &[Observation] {
+        &self.observations[self.offsets[point]..self.offsets[point + 1]]
+    }
+
+    /// Difference of a point's image from what was observed, pixels; `None` behind the camera.
+    fn residual(
+        &self,
+        cameras: &[Intrinsics],
+        point: usize,
+        observation: &Observation,
+    ) -> Option<Vector2<f64>> {
+        let view = &self.views[observation.view];
+        let seen = cameras[view.camera].project(&view.pose.apply(&self.points[point]))?;
+        Some(seen - observation.pixel)
+    }
+
     /// Cost at the current state, infinite when a point lies behind a camera that sees it.
     pub(super) fn cost(&self, loss: RobustLoss) -> f64 {
-        let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
+        let cameras = self.intrinsics();
         let chunks: Vec<f64> = self
             .point_chunks()
             .into_par_iter()
             .map(|range| {
                 let mut sum = 0.0;
                 for p in range {
-                    for o in &self.observations[self.offsets[p]..self.offsets[p + 1]] {
-                        let view = &self.views[o.view];
-                        match cameras[view.camera].project(&view.pose.apply(&self.points[p])) {
-                            Some(seen) => {
-                                let root = o.weight.sqrt();
-                                sum += loss.cost(root * (seen - o.pixel).norm());
-                            }
-                            None => return f64::INFINITY,
-                        }
+                    for o in self.seen(p) {
+                        let Some(residual) = self.residual(&cameras, p, o) else {
+                            return f64::INFINITY;
+                        };
+                        sum += loss.cost(o.weight.sqrt() * residual.norm());
                     }
                 }
                 sum
@@ -159,26 +173,19 @@ impl Bundle {
 
     /// How large the residuals are.
     pub fn residual_statistics(&self) -> ResidualStatistics {
-        let cameras: Vec<Intrinsics> = self.cameras.iter().map(AdjustedCamera::current).collect();
+        let cameras = self.intrinsics();
         let (mut squares, mut weighted) = (0.0, 0.0);
         for p in 0..self.points.len() {
-            for o in &self.observations[self.offsets[p]..self.offsets[p + 1]] {
-                let view = &self.views[o.view];
-                if let Some(seen) = cameras[view.camera].project(&view.pose.apply(&self.points[p]))
-                {
-                    squares += (seen - o.pixel).norm_squared();
-                    weighted += o.weight * (seen - o.pixel).norm_squared();
+            for o in self.seen(p) {
+                if let Some(residual) = self.residual(&cameras, p, o) {
+                    squares += residual.norm_squared();
+                    weighted += o.weight * residual.norm_squared();
                 }
             }
         }
         let num_residuals = 2 * self.observations.len();
-        let num_free = 3 * self.points.len()
-            + self
-                .views
-                .iter()
-                .flat_map(|v| v.free)
-                .filter(|&free| free)
-                .count();
+        let of_poses = self.views.iter().flat_map(|v| v.free);
+        let num_free = 3 * self.points.len() + of_poses.filter(|&free| free).count();
         let degrees = num_residuals.saturating_sub(num_free).max(1);
         ResidualStatistics {
             rms_px: (squares / num_residuals.max(1) as f64).sqrt(),

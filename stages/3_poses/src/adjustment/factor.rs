@@ -26,7 +26,7 @@ const MIN_NUM_SPARSE_COLUMNS: usize = 200;
 const MAX_SPARSE_FILL: f64 = 0.4;
 
 /// How matrices of one pattern are factored.
-pub struct Method<'a> {
+pub(crate) struct Method<'a> {
     pattern: &'a Pattern,
     symbolic: Option<SymbolicCholesky<usize>>,
 }

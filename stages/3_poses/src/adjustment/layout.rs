@@ -11,7 +11,7 @@ use crate::projection::NUM_INTRINSICS;
 use std::ops::Range;
 
 /// Column of each parameter in the reduced system; `None` where it is fixed.
-pub struct Layout {
+pub(crate) struct Layout {
     /// Per view: `(ω, δ)`.
     pub views: Vec<[Option<usize>; 6]>,
     /// Per camera.
@@ -80,7 +80,7 @@ fn blocks_of_points(bundle: &Bundle, blocks: &[Option<usize>]) -> Vec<Vec<usize>
 }
 
 /// Lower triangle of a symmetric matrix of blocks, by columns.
-pub struct Pattern {
+pub(crate) struct Pattern {
     /// First column of each block, and the number of columns.
     starts: Vec<usize>,
     /// Block of each column.
@@ -147,12 +147,10 @@ impl Pattern {
         }
     }
 
-    /// Number of columns.
     pub fn num_columns(&self) -> usize {
         self.block_of.len()
     }
 
-    /// Number of entries.
     pub fn len(&self) -> usize {
         self.rows.len()
     }

@@ -15,7 +15,7 @@ mod factor;
 mod layout;
 mod schur;
 
-pub use bundle::{AdjustedCamera, AdjustedView, Bundle, Observation};
+pub(crate) use bundle::{AdjustedCamera, AdjustedView, Bundle, Observation};
 
 use crate::error::PosesError;
 use factor::Method;
@@ -27,31 +27,42 @@ use rilievo_numerics::least_squares::{
 use rilievo_numerics::robust::RobustLoss;
 use schur::{Covariances, Step, System};
 
-/// Scale of the Cauchy loss while outliers are about, standard deviations.
-const GROWING_LOSS_SCALE: f64 = 3.0;
+/// Loss of a model that still grows, with outliers about, and of one that is complete; of the
+/// reprojection error over its standard deviation.
+const GROWING_LOSS: RobustLoss = RobustLoss::Cauchy(3.0);
+pub(crate) const FINAL_LOSS: RobustLoss = RobustLoss::Cauchy(2.0);
 
 /// When to stop and how to treat outliers.
 #[derive(Clone, Copy, Debug)]
-pub struct BundleOptions {
-    /// Loss of the reprojection error over its standard deviation.
+pub(crate) struct BundleOptions {
     pub loss: RobustLoss,
-    /// Upper bound on the iterations.
     pub max_num_iterations: usize,
     /// Stop when the cost falls by less than this share.
     pub relative_cost_change: f64,
 }
 
-/// Robust adjustment while outliers are still about.
-pub fn robust_adjustment() -> BundleOptions {
-    BundleOptions {
-        loss: RobustLoss::Cauchy(GROWING_LOSS_SCALE),
-        max_num_iterations: 30,
-        relative_cost_change: 1e-4,
+impl BundleOptions {
+    /// While the model grows.
+    pub fn growing() -> Self {
+        Self {
+            loss: GROWING_LOSS,
+            max_num_iterations: 30,
+            relative_cost_change: 1e-4,
+        }
+    }
+
+    /// Of a complete model.
+    pub fn complete(relative_cost_change: f64) -> Self {
+        Self {
+            loss: FINAL_LOSS,
+            max_num_iterations: 50,
+            relative_cost_change,
+        }
     }
 }
 
 impl Bundle {
-    /// Moves everything by a step.
+    /// Moves everything by a step; what was seen is shared, not copied.
     fn retract(&self, layout: &Layout, step: &Step) -> Self {
         let mut moved = self.clone();
         for (view, columns) in moved.views.iter_mut().zip(&layout.views) {

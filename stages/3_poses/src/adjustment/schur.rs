@@ -35,7 +35,7 @@ struct Chunk {
 }
 
 /// The normal equations at one state.
-pub struct System {
+pub(crate) struct System {
     /// Lower triangle of `U`, on the pattern of the complement.
     u: Vec<f64>,
     gradient: Vec<f64>,
@@ -43,17 +43,15 @@ pub struct System {
 }
 
 /// A step of all parameters.
-pub struct Step {
+pub(crate) struct Step {
     /// Poses and cameras, by column.
     pub reduced: Vec<f64>,
-    /// Points.
     pub points: Vec<Vector3<f64>>,
     /// Decrease of the cost that the quadratic model predicts.
     pub predicted_decrease: f64,
 }
 
 impl Step {
-    /// Euclidean length.
     pub fn norm(&self) -> f64 {
         let reduced: f64 = self.reduced.iter().map(|v| v * v).sum();
         let points: f64 = self.points.iter().map(Vector3::norm_squared).sum();
@@ -62,7 +60,7 @@ impl Step {
 }
 
 /// Covariances in a fixed gauge.
-pub struct Covariances {
+pub(crate) struct Covariances {
     /// Per view, of `(ω, δ)`; zero for what is fixed.
     pub poses: Vec<Matrix6<f64>>,
     /// Per point.
@@ -86,7 +84,7 @@ impl System {
     /// Linearises a bundle with the weights of the loss at its state.
     pub fn build(bundle: &Bundle, layout: &Layout, loss: RobustLoss) -> Self {
         let pattern = &layout.pattern;
-        let cameras: Vec<Intrinsics> = bundle.cameras.iter().map(|c| c.current()).collect();
+        let cameras = bundle.intrinsics();
         let parts: Vec<(Chunk, Vec<f64>, Vec<f64>)> = bundle
             .point_chunks()
             .into_par_iter()
@@ -101,11 +99,8 @@ impl System {
             chunks.push(chunk);
         }
         for (camera, columns) in bundle.cameras.iter().zip(&layout.cameras) {
-            for ((column, sigma), deviation) in columns
-                .iter()
-                .zip(&camera.prior_sigma)
-                .zip(&camera.deviation)
-            {
+            let priors = camera.prior_sigma.iter().zip(&camera.deviation);
+            for (column, (sigma, deviation)) in columns.iter().zip(priors) {
                 if let (Some(c), Some(sigma)) = (column, sigma) {
                     let precision = PRIOR_LOSS.weight(deviation / sigma) / (sigma * sigma);
                     u[pattern.column_starts[*c]] += precision;
@@ -275,7 +270,7 @@ fn build_chunk(
             gradient: Vector3::zeros(),
             rows: start..start,
         };
-        for o in &bundle.observations[bundle.offsets[p]..bundle.offsets[p + 1]] {
+        for o in bundle.seen(p) {
             let view = &bundle.views[o.view];
             let camera = &cameras[view.camera];
             let Some((seen, j)) = project_with_jacobian(camera, &view.pose, &bundle.points[p])

@@ -5,6 +5,7 @@ use super::*;
 use crate::projection::CenteredPose;
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, UnitQuaternion, Vector3};
 use rilievo_scene::Intrinsics;
+use std::sync::Arc;
 
 /// Views on an arc, points in a cloud; residuals of up to `noise` pixels.
 fn bundle(noise: f64, refine: bool) -> Bundle {
@@ -52,8 +53,8 @@ fn bundle(noise: f64, refine: bool) -> Bundle {
         cameras: vec![adjusted],
         views,
         points,
-        observations,
-        offsets,
+        observations: observations.into(),
+        offsets: offsets.into(),
     };
     bundle.fix_gauge();
     bundle
@@ -184,8 +185,8 @@ fn ring(num_views: usize, refine: bool) -> Bundle {
         cameras: vec![adjusted],
         views,
         points: Vec::new(),
-        observations: Vec::new(),
-        offsets: vec![0],
+        observations: Arc::default(),
+        offsets: vec![0].into(),
     };
     for k in 0..num_views {
         for l in 0..8 {
@@ -201,14 +202,14 @@ fn ring(num_views: usize, refine: bool) -> Bundle {
                 let pose = &bundle.views[view].pose;
                 let pixel = camera.project(&pose.apply(&point)).unwrap();
                 let wiggle = Vector3::new((9.1 * t + view as f64).sin(), (7.7 * t).cos(), 0.0);
-                bundle.observations.push(Observation {
+                Arc::make_mut(&mut bundle.observations).push(Observation {
                     view,
                     pixel: pixel + 0.5 * wiggle.xy(),
                     weight: 1.0 + 0.01 * t,
                 });
             }
             bundle.points.push(point);
-            bundle.offsets.push(bundle.observations.len());
+            Arc::make_mut(&mut bundle.offsets).push(bundle.observations.len());
         }
     }
     bundle.fix_gauge();
@@ -272,9 +273,8 @@ fn a_singular_system_is_none_however_it_is_factored() {
         kept.1.push(kept.0.len());
         kept.2.push(bundle.points[p]);
     }
-    (bundle.observations, bundle.offsets, bundle.points) = kept;
-    bundle
-        .observations
+    (bundle.observations, bundle.offsets, bundle.points) = (kept.0.into(), kept.1.into(), kept.2);
+    Arc::make_mut(&mut bundle.observations)
         .iter_mut()
         .filter(|o| o.view == view)
         .for_each(|o| o.weight = 0.0);
@@ -337,7 +337,7 @@ fn costs_fall_monotonically_and_outliers_are_outvoted() {
     let mut disturbed = truth.clone();
     disturb(&mut disturbed);
     for k in (0..disturbed.observations.len()).step_by(11) {
-        disturbed.observations[k].pixel.x += 60.0;
+        Arc::make_mut(&mut disturbed.observations)[k].pixel.x += 60.0;
     }
     let options = BundleOptions {
         loss: RobustLoss::Cauchy(1.0),

@@ -13,9 +13,7 @@ use rilievo_stereo::camera::Warp;
 /// What one view says of another view's patch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Support {
-    /// The other view.
     pub view: usize,
-    /// Its cell.
     pub cell: usize,
     /// Inverse depth that it predicts along the ray.
     pub q: f64,

@@ -102,7 +102,6 @@ pub(super) struct Reduced {
     pub weight: f64,
     /// Zero-mean correlation of template and source.
     pub correlation: f64,
-    /// Offset of the source.
     pub offset: f64,
     /// Gain of the source above 1.
     pub gain: f64,

@@ -2,7 +2,7 @@
 //!
 //! A free offset per patch takes whatever exposure did, but it also takes the information of a slow
 //! change of shading: on a ramp a shift in depth and an offset look the same. The offsets of seeds
-//! in textured places tell, per pair of photos, what to expect elsewhere: their median, and
+//! in textured places give, per pair of photos, what to expect elsewhere: their median, and
 //! `σ = 1.48 MAD`. Photos that agree give a narrow prior, photos that do not give a wide one, which
 //! changes nothing. (Measured on a smooth object: a tenth more anchors, five per cent smaller errors;
 //! rendered photos have σ of 0.015 to 0.04, real ones 0.07 to 0.13.)
@@ -13,7 +13,7 @@ use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
 
 /// Pairs that scatter more differ by gloss or tone mapping, in whole regions at once: no prior.
 const MAX_SIGMA: f64 = 0.05;
-/// Patches needed to know a pair's offset.
+/// Fewest patches for a pair's offset.
 const MIN_PATCHES: usize = 20;
 /// No pair agrees better than this: light that is not quite matte, and vignetting.
 const MIN_SIGMA: f64 = 0.02;

@@ -1,4 +1,4 @@
-//! Small filters on rasters: Gaussian blur and box sums.
+//! Small separable filters on rasters: Gaussian blur and box sums.
 
 use rilievo_scene::Raster;
 
@@ -10,78 +10,47 @@ pub(super) fn gaussian_blur(raster: &Raster<f32>, sigma_px: f32) -> Raster<f32> 
         .collect();
     let sum: f32 = kernel.iter().sum();
     kernel.iter_mut().for_each(|k| *k /= sum);
-    let (width, height) = (raster.width, raster.height);
-    let clamp = |i: isize, n: usize| i.clamp(0, n as isize - 1) as usize;
-    let mut rows = Raster::filled(width, height, 0.0_f32);
-    for y in 0..height {
-        let source = &raster.data[y * width..(y + 1) * width];
-        let target = &mut rows.data[y * width..(y + 1) * width];
-        for (k, &weight) in kernel.iter().enumerate() {
-            let shift = k as isize - radius;
-            for (x, value) in target.iter_mut().enumerate() {
-                *value += weight * source[clamp(x as isize + shift, width)];
+    separable(raster, |source, target| {
+        let last = source.len() as isize - 1;
+        for (shift, &weight) in (-radius..).zip(&kernel) {
+            for (x, value) in (shift..).zip(target.iter_mut()) {
+                *value += weight * source[x.clamp(0, last) as usize];
             }
         }
-    }
-    let mut blurred = Raster::filled(width, height, 0.0_f32);
-    for y in 0..height {
-        for (k, &weight) in kernel.iter().enumerate() {
-            let from = clamp(y as isize + k as isize - radius, height);
-            let (source, target) = (
-                &rows.data[from * width..(from + 1) * width],
-                &mut blurred.data[y * width..(y + 1) * width],
-            );
-            for (value, &s) in target.iter_mut().zip(source) {
-                *value += weight * s;
-            }
-        }
-    }
-    blurred
+    })
 }
 
 /// Sums over squares of `2 radius + 1` pixels, by running sums; beyond the border is zero.
 pub(super) fn box_sum(raster: &Raster<f32>, radius: usize) -> Raster<f32> {
-    let (width, height) = (raster.width, raster.height);
-    let mut rows = Raster::filled(width, height, 0.0_f32);
-    // Running sums in f64: their rounding must not grow along a row.
-    for y in 0..height {
-        let source = &raster.data[y * width..(y + 1) * width];
+    separable(raster, |source, target| {
+        // In f64: rounding must not grow along a row.
         let mut sum: f64 = source.iter().take(radius).map(|&v| f64::from(v)).sum();
-        for x in 0..width {
-            if x + radius < width {
+        for (x, value) in target.iter_mut().enumerate() {
+            if x + radius < source.len() {
                 sum += f64::from(source[x + radius]);
             }
             if x > radius {
                 sum -= f64::from(source[x - radius - 1]);
             }
-            rows.data[y * width + x] = sum as f32;
-        }
-    }
-    let mut total = Raster::filled(width, height, 0.0_f32);
-    let mut sums = vec![0.0_f64; width];
-    for y in 0..radius.min(height) {
-        for (sum, &v) in sums.iter_mut().zip(&rows.data[y * width..(y + 1) * width]) {
-            *sum += f64::from(v);
-        }
-    }
-    for y in 0..height {
-        if y + radius < height {
-            let row = &rows.data[(y + radius) * width..(y + radius + 1) * width];
-            for (sum, &v) in sums.iter_mut().zip(row) {
-                *sum += f64::from(v);
-            }
-        }
-        if y > radius {
-            let row = &rows.data[(y - radius - 1) * width..(y - radius) * width];
-            for (sum, &v) in sums.iter_mut().zip(row) {
-                *sum -= f64::from(v);
-            }
-        }
-        for (value, &sum) in total.data[y * width..(y + 1) * width].iter_mut().zip(&sums) {
             *value = sum as f32;
         }
-    }
-    total
+    })
+}
+
+/// Filters every row from a source into zeros, then every column.
+fn separable(raster: &Raster<f32>, filter: impl Fn(&[f32], &mut [f32])) -> Raster<f32> {
+    let rows_filtered = |raster: &Raster<f32>| {
+        let mut filtered = Raster::filled(raster.width, raster.height, 0.0_f32);
+        let sources = raster.data.chunks(raster.width.max(1));
+        for (source, target) in sources.zip(filtered.data.chunks_mut(raster.width.max(1))) {
+            filter(source, target);
+        }
+        filtered
+    };
+    let transposed = |raster: &Raster<f32>| {
+        Raster::from_fn(raster.height, raster.width, |x, y| *raster.at(y, x))
+    };
+    transposed(&rows_filtered(&transposed(&rows_filtered(raster))))
 }
 
 #[cfg(test)]

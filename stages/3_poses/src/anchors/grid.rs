@@ -1,6 +1,7 @@
 //! Cells of a view, and the range of depth at each of them.
 //!
-//! The range is that of the visual hull, or of the sparse points in the world where no masks tell.
+//! The range is that of the visual hull, or of the sparse points in the world where there are no
+//! masks.
 
 use super::working::WorkingView;
 use nalgebra::Point3;
@@ -10,7 +11,7 @@ use rilievo_stereo::hull::{self, Outline};
 
 /// Masks are widened before the test: outlines and poses are not exact.
 const MASK_TOLERANCE_PX: usize = 3;
-/// Cells on the object of a view at most: more anchors would cost time and tell little, since
+/// Cells on the object of a view at most: more anchors would cost time and add little, since
 /// neighbours' errors correlate.
 const MAX_CELLS: f64 = 6000.0;
 
@@ -19,9 +20,7 @@ const MAX_CELLS: f64 = 6000.0;
 pub(super) struct Grid {
     /// Distance between neighbouring anchors, working pixels.
     pub spacing: usize,
-    /// Number of columns.
     pub columns: usize,
-    /// Number of rows.
     pub rows: usize,
 }
 
@@ -35,7 +34,6 @@ impl Grid {
         }
     }
 
-    /// Number of cells.
     pub fn len(&self) -> usize {
         self.columns * self.rows
     }
@@ -49,7 +47,6 @@ impl Grid {
         )
     }
 
-    /// Cell of a position.
     pub fn cell(&self, x: f64, y: f64) -> Option<usize> {
         if x.is_nan() || y.is_nan() || x < 0.0 || y < 0.0 {
             return None;
@@ -106,7 +103,7 @@ fn carving(views: &[WorkingView]) -> Vec<usize> {
 /// Range of inverse depth (far, near) per cell; `None` off the object and outside the hull.
 pub(super) type CellRanges = Vec<Option<(f64, f64)>>;
 
-/// Ranges of every view; `None` where neither masks nor the sparse `points` tell where the object is.
+/// Ranges of every view; `None` where neither masks nor the sparse `points` place the object.
 pub(super) fn depth_ranges(
     views: &[WorkingView],
     grids: &[Grid],
@@ -142,7 +139,7 @@ pub(super) fn depth_ranges(
                 })
                 .filter(|&(_, (x, y))| view.on_object(x, y))
                 .unzip();
-            // The view's own outline tells nothing of depth, only its camera counts.
+            // The view's own outline says nothing of depth; only its camera counts.
             let mut cutting = vec![view.outline(&view.object)];
             cutting.extend(outlines.iter().filter(|(v, _)| *v != index).map(|o| o.1));
             let inside = hull::ranges_inside(&cutting, 0, &positions, whole);

@@ -11,7 +11,7 @@
 
 use super::grid::Grid;
 use super::pair::{MAX_SOURCES, PairGeometry, ray_angle};
-use super::patch::{Alignment, PatchOptions, align};
+use super::patch::{Alignment, MIN_CORRELATION, align};
 use super::plane::PatchPlane;
 use super::sampling::Workspace;
 use super::working::WorkingView;
@@ -26,33 +26,22 @@ const HULL_TOLERANCE: f64 = 0.01;
 /// A cell is aligned at most this often.
 const MAX_TRIES: u8 = 3;
 
-/// What a patch must satisfy.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct GrowOptions {
-    /// Alignment of grown patches.
-    pub patch: PatchOptions,
-    /// Smallest correlation of a seed.
-    pub seed_correlation: f64,
-    /// Smallest correlation of a patch that one source alone supports.
-    pub lone_correlation: f64,
-    /// Largest move from the proposed depth, working pixels of disparity.
-    pub max_jump_px: f64,
-    /// Largest move of a seed.
-    pub max_seed_jump_px: f64,
-    /// Largest standard error between the sources, working pixels.
-    pub max_spread_px: f64,
-    /// Largest least-squares deviation, working pixels.
-    pub max_sigma_px: f64,
-    /// Largest tangent of the tilt against the image plane.
-    pub max_tilt: f64,
-    /// Angles between the rays of reference and source, radians.
-    pub angles_rad: (f64, f64),
-}
+/// Smallest correlation of a patch that others grow from at the start.
+const SEED_CORRELATION: f64 = 0.85;
+/// Smallest correlation of a patch that one source alone supports.
+const LONE_CORRELATION: f64 = 0.9;
+/// Largest move from the proposed depth, working pixels of disparity; and of a seed.
+const MAX_JUMP_PX: f64 = 2.0;
+const MAX_SEED_JUMP_PX: f64 = 4.0;
+/// Largest standard error between the sources, working pixels.
+const MAX_SPREAD_PX: f64 = 0.7;
+/// Largest least-squares deviation, working pixels.
+const MAX_SIGMA_PX: f64 = 0.3;
+/// Largest tangent of the tilt against the image plane.
+const MAX_TILT: f64 = 4.0;
 
-/// A patch of a cell.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub(super) struct Node {
-    /// Its alignment.
     pub alignment: Alignment,
     /// How it was found.
     pub origin: AnchorOrigin,
@@ -61,45 +50,38 @@ pub(super) struct Node {
 /// A depth to start from.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Seed {
-    /// Cell.
     pub cell: usize,
-    /// Inverse depth and slopes at the cell's centre.
+    /// Inverse depth at the cell's centre.
     pub q: f64,
-    /// Slope along x.
-    pub qx: f64,
-    /// Slope along y.
-    pub qy: f64,
 }
 
 /// The reference view with what its patches need.
 #[derive(Clone, Copy)]
 pub(super) struct Reference<'a> {
-    /// All views.
     pub views: &'a [WorkingView],
     /// Index of the reference.
     pub index: usize,
     /// Geometry to every view that may serve as a source.
     pub pairs: &'a [PairGeometry],
-    /// Cells.
     pub grid: &'a Grid,
     /// Range of inverse depth per cell.
     pub ranges: &'a [Option<(f64, f64)>],
+    /// Radius of a patch, working pixels.
+    pub radius_px: usize,
+    /// Angles between the rays of reference and source, radians.
+    pub angles_rad: (f64, f64),
 }
 
 impl<'a> Reference<'a> {
     /// The nearest sources of a point, by angle between the rays, within the allowed angles.
-    pub fn sources(
-        &self,
-        point: &Point3<f64>,
-        angles_rad: (f64, f64),
-    ) -> ([&'a PairGeometry; MAX_SOURCES], usize) {
+    pub fn sources(&self, point: &Point3<f64>) -> ([&'a PairGeometry; MAX_SOURCES], usize) {
         let mut chosen = [&self.pairs[0]; MAX_SOURCES];
         let mut angles = [f64::INFINITY; MAX_SOURCES];
         let mut count = 0;
         let own = &self.views[self.index].camera.center;
         for pair in self.pairs {
             let angle = ray_angle(point, own, &self.views[pair.source].camera.center);
-            if !(angles_rad.0..=angles_rad.1).contains(&angle) {
+            if !(self.angles_rad.0..=self.angles_rad.1).contains(&angle) {
                 continue;
             }
             // Insertion into the sorted few.
@@ -123,43 +105,40 @@ impl<'a> Reference<'a> {
         start: &PatchPlane,
         max_jump_px: f64,
         min_correlation: f64,
-        options: &GrowOptions,
         ws: &mut Workspace,
     ) -> Option<Alignment> {
-        let view = &self.views[self.index];
-        let (x, y) = (start.x as f64, start.y as f64);
-        let point = view.camera.unproject(x, y, 1.0 / start.q);
-        let (sources, count) = self.sources(&point, options.angles_rad);
-        let found = align(
-            self.views,
-            self.index,
-            &sources[..count],
-            start,
-            &options.patch,
-            ws,
-        )?;
+        let camera = &self.views[self.index].camera;
+        let point = camera.unproject(start.x as f64, start.y as f64, 1.0 / start.q);
+        let (sources, count) = self.sources(&point);
+        let sources = &sources[..count];
+        let found = align(self.views, self.index, sources, start, self.radius_px, ws)?;
         let px = found.px_per_q;
         let plane = &found.plane;
-        let tilt = plane.qx.hypot(plane.qy) / plane.q * view.camera.focal();
+        let tilt = plane.qx.hypot(plane.qy) / plane.q * camera.focal();
         let (far, near) = self.ranges[cell]?;
         let wanted = if found.num_sources < 2 {
-            options.lone_correlation.max(min_correlation)
+            LONE_CORRELATION
         } else {
             min_correlation
         };
         let kept = found.last_step_px < 0.1
             && found.correlation >= wanted
             && (plane.q - start.q).abs() * px <= max_jump_px
-            && found.spread_q * px <= options.max_spread_px
-            && found.sigma_q * px <= options.max_sigma_px
-            && tilt <= options.max_tilt
+            && found.spread_q * px <= MAX_SPREAD_PX
+            && found.sigma_q * px <= MAX_SIGMA_PX
+            && tilt <= MAX_TILT
             && plane.q >= far * (1.0 - HULL_TOLERANCE)
             && plane.q <= near * (1.0 + HULL_TOLERANCE);
         kept.then_some(found)
     }
+
+    /// The plane through a cell's centre.
+    fn plane_at(&self, cell: usize, q: f64, (qx, qy): (f64, f64)) -> PatchPlane {
+        let (x, y) = self.grid.pixel(cell);
+        PatchPlane { x, y, q, qx, qy }
+    }
 }
 
-/// Entry of the queue.
 struct Proposal {
     priority: f64,
     entry: usize,
@@ -196,44 +175,21 @@ impl Eq for Proposal {}
 pub(super) fn plant(
     reference: &Reference<'_>,
     seeds: &[Seed],
-    origin: AnchorOrigin,
-    options: &GrowOptions,
     nodes: &mut [Option<Node>],
     ws: &mut Workspace,
 ) {
-    for seed in seeds {
-        if nodes[seed.cell].is_some() {
-            continue;
-        }
-        let (x, y) = reference.grid.pixel(seed.cell);
-        let start = PatchPlane {
-            x,
-            y,
-            q: seed.q,
-            qx: seed.qx,
-            qy: seed.qy,
-        };
-        let found = reference.try_patch(
-            seed.cell,
-            &start,
-            options.max_seed_jump_px,
-            options.seed_correlation,
-            options,
-            ws,
-        );
-        if let Some(alignment) = found {
-            nodes[seed.cell] = Some(Node { alignment, origin });
+    for &Seed { cell, q } in seeds {
+        if nodes[cell].is_none() {
+            let start = reference.plane_at(cell, q, (0.0, 0.0));
+            let found = reference.try_patch(cell, &start, MAX_SEED_JUMP_PX, SEED_CORRELATION, ws);
+            let origin = AnchorOrigin::Guided;
+            nodes[cell] = found.map(|alignment| Node { alignment, origin });
         }
     }
 }
 
 /// Grows from the patches that are there into empty cells.
-pub(super) fn grow(
-    reference: &Reference<'_>,
-    options: &GrowOptions,
-    nodes: &mut [Option<Node>],
-    ws: &mut Workspace,
-) {
+pub(super) fn grow(reference: &Reference<'_>, nodes: &mut [Option<Node>], ws: &mut Workspace) {
     let mut tries = vec![0_u8; nodes.len()];
     let mut queue = BinaryHeap::new();
     let mut entry = 0;
@@ -256,22 +212,16 @@ pub(super) fn grow(
             let q = plane.q
                 + plane.qx * (x as f64 - plane.x as f64)
                 + plane.qy * (y as f64 - plane.y as f64);
-            if q <= 0.0 {
-                continue;
+            if q > 0.0 {
+                let start = reference.plane_at(cell, q, (plane.qx, plane.qy));
+                queue.push(Proposal {
+                    priority,
+                    entry,
+                    cell,
+                    start,
+                });
+                entry += 1;
             }
-            queue.push(Proposal {
-                priority,
-                entry,
-                cell,
-                start: PatchPlane {
-                    x,
-                    y,
-                    q,
-                    qx: plane.qx,
-                    qy: plane.qy,
-                },
-            });
-            entry += 1;
         }
     };
     for cell in 0..nodes.len() {
@@ -279,25 +229,15 @@ pub(super) fn grow(
             propose(&mut queue, cell, &node.alignment, nodes, &tries);
         }
     }
-    while let Some(proposal) = queue.pop() {
-        let cell = proposal.cell;
+    while let Some(Proposal { cell, start, .. }) = queue.pop() {
         if nodes[cell].is_some() || tries[cell] >= MAX_TRIES {
             continue;
         }
         tries[cell] += 1;
-        let found = reference.try_patch(
-            cell,
-            &proposal.start,
-            options.max_jump_px,
-            options.patch.min_correlation,
-            options,
-            ws,
-        );
+        let found = reference.try_patch(cell, &start, MAX_JUMP_PX, MIN_CORRELATION, ws);
         if let Some(alignment) = found {
-            nodes[cell] = Some(Node {
-                alignment,
-                origin: AnchorOrigin::Grown,
-            });
+            let origin = AnchorOrigin::Grown;
+            nodes[cell] = Some(Node { alignment, origin });
             propose(&mut queue, cell, &alignment, nodes, &tries);
         }
     }

@@ -13,15 +13,23 @@
 //! weights `1/σ²`; with correlation `ρ`, the mean over these views, the variance is
 //! `ρ (Σ w σ)² + (1 − ρ) Σ w² σ²` for weights that sum to 1.
 //!
-//! **Belief.** More views agree than look through the point, and its doubt is small:
-//! `√((¼σ + ¾σ₁)² + (½ s)²) · (1 + 0.6 tan τ) · (1 + 0.08 m) · a`, in pixels of disparity, with the
-//! combined deviation `σ`; the patch's own `σ₁`, since a view that rests on the same photos agrees with
-//! their errors too; the largest step `s` to a neighbour, `½ [(q + g·d − q_n) + (q − (q_n − g_n·d))]`,
-//! in which curvature cancels, so that it tells depth edges; the tilt `τ`; the number `m` of the eight
-//! neighbours that failed; and `a` = 1.5, 1.2, 1 for one, two, more views that agree. All this times
-//! `0.92 + 1.5 (1 − r)`, `r` the mean correlation with the sources: what no plane, offset and gain
-//! explain is relief, an edge, or shading that moved. The factors were fitted to the outliers of
-//! rendered and real objects with known depth.
+//! **Belief.** More views agree than look through the point, and its doubt is at most
+//! [`MAX_DOUBT_PX`]:
+//!
+//! `doubt = √(d² + (½ s)²) · (1 + 0.6 tan τ) · (1 + 0.08 m) · a · (0.92 + 1.5 (1 − r))`, pixels of
+//! disparity, with
+//!
+//! - `d = ¼σ + ¾σ₁` of the combined deviation `σ` and the patch's own `σ₁`: a view that rests on
+//!   the same photos agrees with their errors too;
+//! - `s` the largest step to a neighbour, `½ [(q + g·d − q_n) + (q − (q_n − g_n·d))]`, in which
+//!   curvature cancels, so that it shows depth edges;
+//! - `τ` the tilt, `m` how many of the eight neighbours failed, and `a` = 1.5, 1.2, 1 for one, two,
+//!   more views that agree;
+//! - `r` the mean correlation with the sources: what no plane, offset and gain explain is relief,
+//!   an edge, or shading that moved.
+//!
+//! The factors are no model: they were fitted to the outliers of rendered and real objects with
+//! known depth.
 
 use super::check::{Support, supports};
 use super::grid::Grid;
@@ -38,9 +46,9 @@ const SAME_PHOTOS_CORRELATION: f64 = 0.64;
 /// Deviation that remains without noise, working pixels of disparity; set with the correlation, by
 /// the errors of the surest fifth of the anchors.
 const FLOOR_PX: f64 = 0.37;
-/// Noise factor where too few pairs tell; plain surfaces give 5 to 8.
+/// Noise factor of too few pairs; plain surfaces give 5 to 8.
 const DEFAULT_NOISE_FACTOR: f64 = 7.0;
-/// Pairs needed to measure it.
+/// Fewest pairs that measure it.
 const MIN_PAIRS: usize = 50;
 /// Two views agree within this disparity, working pixels.
 const AGREE_PX: f64 = 1.0;
@@ -50,16 +58,8 @@ const CONTRADICT_PX: f64 = 3.0;
 /// Steps beyond this say no more.
 const MAX_STEP_PX: f64 = 6.0;
 
-/// What must hold for a patch to become an anchor.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct JudgeOptions {
-    /// Distance within which another view's patch predicts, working pixels.
-    pub radius_px: f64,
-    /// Largest doubt, working pixels of disparity.
-    pub max_doubt_px: f64,
-    /// Whether patches cover the surface, so that other views and neighbours must bear each out.
-    pub dense: bool,
-}
+/// Largest doubt, working pixels of disparity. Smaller leaves fewer and better anchors.
+const MAX_DOUBT_PX: f64 = 3.35;
 
 /// A believed surface point of a view.
 #[derive(Clone, Debug)]
@@ -204,7 +204,6 @@ pub(super) fn judge(
     nodes: &[Vec<Option<Node>>],
     lists: &SupportLists,
     noise_factor: Option<f64>,
-    options: &JudgeOptions,
 ) -> Vec<Estimate> {
     let factor = noise_factor.unwrap_or(DEFAULT_NOISE_FACTOR);
     let mut believed = Vec::new();
@@ -240,11 +239,7 @@ pub(super) fn judge(
         let plane = &node.alignment.plane;
         let tilt = plane.qx.hypot(plane.qy) / plane.q * focal_px;
         let (step, neighbours) = neighbourhood(grid, &nodes[view], cell, node);
-        let lonely = if options.dense {
-            1.0 + 0.08 * (8 - neighbours) as f64
-        } else {
-            1.0
-        };
+        let lonely = 1.0 + 0.08 * (8 - neighbours) as f64;
         let few = match agreeing.len() {
             0 | 1 => 1.5,
             2 => 1.2,
@@ -255,9 +250,7 @@ pub(super) fn judge(
         let deviation_px = 0.25 * sigma_px + 0.75 * own_px;
         let doubt =
             deviation_px.hypot(0.5 * step) * (1.0 + 0.6 * tilt) * lonely * few * unexplained;
-        let supported =
-            agreeing.len() > contradicting || (!options.dense && agreeing.len() == contradicting);
-        if supported && doubt <= options.max_doubt_px {
+        if agreeing.len() > contradicting && doubt <= MAX_DOUBT_PX {
             believed.push(Estimate {
                 view,
                 cell,

@@ -15,8 +15,6 @@
 //! 5. What other views say of each patch (`check`); noise factor, combination and belief (`judge`).
 //! 6. One anchor per surface point with all its views (`merge`).
 //!
-//! `sift` mode takes the sparse points as they are; `guided` mode leaves out growing.
-//!
 //! # Why here
 //! Anchors need photos and poses and give tracks with covariance, as stage 3 does; a stage of its
 //! own would only add a copy of the poses. Keypoints are not needed: at a plain spot nothing is
@@ -44,37 +42,47 @@ mod plane;
 mod prepare;
 pub(crate) mod report;
 mod sampling;
-mod sift;
 mod sweep;
 #[cfg(test)]
 mod tests;
 mod working;
 
-pub use options::{AnchorMode, AnchorOptions};
+pub use options::AnchorOptions;
 pub use report::{AnchorReport, ViewAnchors};
 
 use crate::error::PosesError;
 use cover::cover;
 use grow::Node;
-use judge::{JudgeOptions, all_supports, judge, noise_factor};
+use judge::{all_supports, judge, noise_factor};
 use merge::merge;
-use prepare::prepare;
+use prepare::{Working, prepare};
 use rayon::prelude::*;
-use report::Facts;
-use rilievo_scene::{
-    Anchor, DividedStep, FeatureMatches, Flow, Observer, PhotoSet, PosedViews, StageId,
-};
+use rilievo_scene::{Anchor, DividedStep, Flow, Observer, PhotoSet, PosedViews, StageId};
 
-/// Finds the depth anchors of posed views; images take `memory` bytes at most, about, which changes no result. Too few views, no overlap or no contrast give an empty
-/// result with a warning.
+/// Distance within which another view's patch predicts, in units of the grid's spacing.
+const SUPPORT_RADIUS: f64 = 1.5;
+
+/// Finds the depth anchors of posed views. Images take about `memory` bytes at most, which changes
+/// no result. Too few views, no overlap or no contrast give an empty result with a warning.
 ///
 /// # Errors
 /// When an option is out of range, a photo cannot be read, or the observer asked to stop.
 pub fn find(
     photos: &PhotoSet,
-    _matches: &FeatureMatches,
     posed: &PosedViews,
     options: &AnchorOptions,
+    memory: Option<u64>,
+    observer: &dyn Observer,
+) -> Result<(Vec<Anchor>, AnchorReport), PosesError> {
+    find_at(photos, posed, options, Working::default(), memory, observer)
+}
+
+/// The same at another size of images and patches.
+fn find_at(
+    photos: &PhotoSet,
+    posed: &PosedViews,
+    options: &AnchorOptions,
+    working: Working,
     memory: Option<u64>,
     observer: &dyn Observer,
 ) -> Result<(Vec<Anchor>, AnchorReport), PosesError> {
@@ -83,39 +91,27 @@ pub fn find(
     if observer.flow() == Flow::Stop {
         return Err(PosesError::Interrupted);
     }
-    let (anchors, facts) = match options.mode {
-        AnchorMode::Sift => {
-            let anchors = posed
-                .points
-                .iter()
-                .filter_map(|point| sift::sift_anchor(photos, posed, point, options))
-                .collect();
-            (anchors, Facts::default())
-        }
-        AnchorMode::Guided | AnchorMode::Grown => {
-            aligned(photos, posed, options, memory, observer)?
-        }
+    let mut report = AnchorReport::default();
+    let prepared = prepare(photos, posed, options, working, memory, observer)?;
+    report.unmasked_views = prepared.unmasked_views;
+    let anchors = match prepared.scene {
+        Some(scene) => aligned(scene, &mut report, observer)?,
+        None => Vec::new(),
     };
-    if anchors.is_empty() && !facts.warned {
+    if anchors.is_empty() && !prepared.warned {
         let message = "no depth anchors: nothing on the object matches between the views; take photos closer together, or light it so that its shading shows";
         crate::error::warn(observer, message.to_owned())?;
     }
-    let report = report::report(photos, posed, options.mode, &anchors, facts);
+    report.count(photos, posed, &anchors);
     Ok((anchors, report))
 }
 
 /// Anchors by patch alignment.
 fn aligned(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    options: &AnchorOptions,
-    memory: Option<u64>,
+    mut scene: prepare::AnchorScene<'_>,
+    report: &mut AnchorReport,
     observer: &dyn Observer,
-) -> Result<(Vec<Anchor>, Facts), PosesError> {
-    let mut facts = Facts::default();
-    let Some(mut scene) = prepare(photos, posed, options, memory, &mut facts, observer)? else {
-        return Ok((Vec::new(), facts));
-    };
+) -> Result<Vec<Anchor>, PosesError> {
     let num_views = scene.views.len();
     let step = DividedStep::new(observer, StageId::Poses, "growing anchors");
     let mut nodes: Vec<Vec<Option<Node>>> = Vec::with_capacity(num_views);
@@ -128,39 +124,25 @@ fn aligned(
         })?);
     }
     scene.hold(0..0)?;
-    let spacing = scene.grids[0].spacing as f64;
-    let judge_options = JudgeOptions {
-        radius_px: 1.5 * spacing,
-        max_doubt_px: options.max_doubt_px,
-        dense: options.mode == AnchorMode::Grown,
-    };
-    let lists = all_supports(
-        &scene.views,
-        &scene.neighbours,
-        &scene.grids,
-        &nodes,
-        judge_options.radius_px,
-    );
-    let factor = noise_factor(&nodes, &lists);
-    let estimates: Vec<_> = (0..num_views)
+    let (views, grids) = (&scene.views, &scene.grids);
+    let radius_px = SUPPORT_RADIUS * grids[0].spacing as f64;
+    let lists = all_supports(views, &scene.neighbours, grids, &nodes, radius_px);
+    report.noise_factor = noise_factor(&nodes, &lists);
+    report.add_patches(&nodes);
+    let estimates: Vec<Vec<_>> = (0..num_views)
         .into_par_iter()
         .map(|view| {
+            let focal_px = views[view].camera.focal();
             judge(
                 view,
-                scene.views[view].camera.focal(),
-                &scene.grids[view],
+                focal_px,
+                &grids[view],
                 &nodes,
                 &lists,
-                factor,
-                &judge_options,
+                report.noise_factor,
             )
         })
-        .collect::<Vec<_>>()
-        .into_iter()
-        .flatten()
         .collect();
-    facts.noise_factor = factor;
-    facts.add_patches(&nodes);
-    let anchors = merge(&scene.views, &scene.ids, &scene.grids, &nodes, estimates);
-    Ok((anchors, facts))
+    let estimates = estimates.into_iter().flatten().collect();
+    Ok(merge(views, &scene.ids, grids, &nodes, estimates))
 }

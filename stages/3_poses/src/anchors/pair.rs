@@ -15,7 +15,6 @@ pub(super) const MAX_SOURCES: usize = 4;
 /// What is known of the offset between two log images, the logarithm of a gain in exposure.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OffsetPrior {
-    /// Expected offset.
     pub mean: f64,
     /// Its standard deviation from patch to patch.
     pub sigma: f64,

@@ -7,8 +7,8 @@
 //! gain (contrast) per patch and source. The cost `Σ_s Σ_d w e² + (γ/σ_γ)²` + slope prior is
 //! minimised by Gauss-Newton; offset and gain are eliminated exactly (variable projection with the
 //! projected Jacobian), so that the step solves 3×3. Where exposure is known to vary little between
-//! two photos the offset has a prior (see [`super::exposure`]): absolute brightness then tells depth
-//! where shading changes too slowly for the texture to.
+//! two photos the offset has a prior (see [`super::exposure`]): absolute brightness then shows
+//! depth where shading changes too slowly for the texture to.
 //!
 //! Derivative: `∂u/∂q = (b₁ − u b₃)/h₃` (and `v` alike), times the gradient of `I_s`; by the slopes
 //! the same times `d_x`, `d_y`.
@@ -31,7 +31,7 @@ const MIN_SOURCE_SHARE: f64 = 0.8;
 /// Without it a blank patch would claim any precision.
 const LEAST_NOISE: f64 = 1e-3;
 
-/// Residuals are correlated: a patch's samples tell as little as this many times fewer independent
+/// Residuals are correlated: a patch's samples weigh as little as this many times fewer independent
 /// ones, so that a prior must weigh this much more against them (the square of a noise factor of 7).
 const CORRELATED: f64 = 50.0;
 /// Iteration at which sources that disagree are dropped.
@@ -45,31 +45,22 @@ const LAST_STEP_PX: f64 = 0.02;
 /// Evaluations before the end: the first has no weights yet.
 const MIN_NUM_ITERATIONS: usize = 2;
 
-/// How patches are aligned.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct PatchOptions {
-    /// Radius of the disc, working pixels.
-    pub radius_px: usize,
-    /// Gauss-Newton steps at most.
-    pub max_num_iterations: usize,
-    /// Prior deviation of the contrast between views.
-    pub gain_sigma: f64,
-    /// Prior deviation of the change of slope, tangent of the tilt.
-    pub slope_sigma: f64,
-    /// Smallest zero-mean correlation of a source that is kept.
-    pub min_correlation: f64,
-    /// Scale of the weights in units of a source's RMS residual.
-    pub robust_scale: f64,
-    /// Sources that must agree.
-    pub min_num_sources: usize,
-    /// A patch that strays this far from its start is given up, pixels of disparity.
-    pub max_move_px: f64,
-}
+/// Gauss-Newton steps at most.
+const MAX_NUM_ITERATIONS: usize = 8;
+/// Prior deviation of the contrast between views: larger lets patches of another texture pass,
+/// smaller fails where photos are tone-mapped differently.
+const GAIN_SIGMA: f64 = 0.02;
+/// Prior deviation of the change of slope, tangent of the tilt.
+const SLOPE_SIGMA: f64 = 0.5;
+/// Smallest zero-mean correlation of a source that is kept.
+pub(super) const MIN_CORRELATION: f64 = 0.7;
+/// Scale of the weights in units of a source's RMS residual.
+const ROBUST_SCALE: f64 = 2.5;
+/// A patch that strays this far from its start is given up, pixels of disparity.
+const MAX_MOVE_PX: f64 = 4.0;
 
-/// An aligned patch.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub(super) struct Alignment {
-    /// The plane found.
     pub plane: PatchPlane,
     /// Sources that agree.
     pub num_sources: usize,
@@ -89,118 +80,72 @@ pub(super) struct Alignment {
     pub last_step_px: f64,
 }
 
-/// Aligns a patch of the reference with its sources, from a starting plane.
+/// Aligns a patch of the reference with its sources, from a starting plane; `radius_px` of the disc
+/// in working pixels.
 ///
-/// `None` where the patch or its images are not usable, too few sources agree, or the patch has no
-/// contrast along the epipolar lines.
+/// `None` where the patch or its images are not usable, fewer than two sources agree (one of two
+/// views), or the patch has no contrast along the epipolar lines.
 pub(super) fn align(
     views: &[WorkingView],
     reference: usize,
     sources: &[&PairGeometry],
     start: &PatchPlane,
-    options: &PatchOptions,
+    radius_px: usize,
     ws: &mut Workspace,
 ) -> Option<Alignment> {
-    let num_sources = sources.len().min(MAX_SOURCES);
-    if num_sources < options.min_num_sources {
+    let sources = &sources[..sources.len().min(MAX_SOURCES)];
+    let min_num_sources = 2.min(views.len() - 1);
+    if sources.len() < min_num_sources {
         return None;
     }
-    ws.prepare(options.radius_px);
+    ws.prepare(radius_px);
     let view = &views[reference];
     ws.load_template(view, start.x, start.y)?;
+    let mut state = SourceStates::of(sources);
     // Unknowns (q, w q_x, w q_y) with the radius w: all three in units of q.
-    let w = options.radius_px as f64;
+    let w = radius_px as f64;
     let mut plane = *start;
-    let mut active = [false; MAX_SOURCES];
-    active[..num_sources].fill(true);
-    let mut reduced = [Reduced::default(); MAX_SOURCES];
-    let mut inv_c2 = [0.0_f64; MAX_SOURCES];
-    // Mean of the source at the patch's centre above the template's: sums leave it out.
-    let mut shift = [0.0_f64; MAX_SOURCES];
     let mut last_step_px = f64::INFINITY;
-    let px_per_q = |plane: &PatchPlane, active: &[bool; MAX_SOURCES]| {
-        (0..num_sources)
-            .filter(|&s| active[s])
-            .map(|s| sources[s].px_per_inverse_depth(plane.x as f64, plane.y as f64, plane.q))
-            .fold(0.0, f64::max)
-    };
     let mut residual_variance = 1e-4;
     let mut all_samples = false;
-    for iteration in 0..=options.max_num_iterations {
+    for iteration in 0..=MAX_NUM_ITERATIONS {
         all_samples |= iteration >= JUDGE_AT || last_step_px < COARSE_STEP_PX;
         ws.use_samples(all_samples);
-        for s in 0..num_sources {
-            if !active[s] {
-                continue;
-            }
-            active[s] = false;
-            let source_view = &views[sources[s].source];
-            let Some(warp) = LocalWarp::new(sources[s], &plane) else {
-                continue;
-            };
-            if !warp.fits(
-                options.radius_px,
-                source_view.camera.width,
-                source_view.camera.height,
-            ) || sample_source(source_view, &warp, ws, s) < MIN_SOURCE_SHARE
-            {
-                continue;
-            }
-            let mut sums = accumulate(ws, s, inv_c2[s] as f32);
-            let (center_x, center_y) = warp.center();
-            shift[s] = f64::from(source_view.texel(center_x, center_y)[0]) - ws.mean;
-            if let Some(prior) = sources[s].offset {
-                let precision = CORRELATED * residual_variance / prior.sigma.powi(2);
-                sums.expect_offset(prior.mean - shift[s], precision);
-            }
-            let gain_precision = residual_variance / options.gain_sigma.powi(2);
-            let Some(scaled) = sums.eliminate(gain_precision) else {
-                continue;
-            };
-            reduced[s] = scaled;
-            ws.brightness[s] = (scaled.offset, scaled.gain);
-            let variance_s = scaled.squares / scaled.weight + 1e-12;
-            inv_c2[s] = 1.0 / (options.robust_scale.powi(2) * variance_s);
-            active[s] = true;
-        }
+        state.evaluate(views, &plane, radius_px, residual_variance, ws);
         // A source is judged once the others have had time to agree.
         if iteration == JUDGE_AT {
-            drop_disagreeing(&reduced, &mut active, options.min_correlation);
+            state.drop_disagreeing();
         }
-        let mut normal = Normal::sum(&reduced, &active, options)?;
+        let mut normal = state.normal(min_num_sources)?;
         residual_variance = normal.residual_variance();
         let slopes = SlopePrior {
             start,
-            sigma: options.slope_sigma * plane.q / view.camera.focal(),
+            sigma: SLOPE_SIGMA * plane.q / view.camera.focal(),
             radius: w,
         };
         let mut solved = slopes.solve(&normal, &plane)?;
-        let px = px_per_q(&plane, &active);
+        let px = state.px_per_q(&plane);
         last_step_px = solved.step.x.abs() * px;
         let settled = all_samples && iteration >= MIN_NUM_ITERATIONS && last_step_px < LAST_STEP_PX;
-        if settled || iteration == options.max_num_iterations {
-            let before = active;
-            drop_disagreeing(&reduced, &mut active, options.min_correlation);
-            if active != before {
-                normal = Normal::sum(&reduced, &active, options)?;
+        if settled || iteration == MAX_NUM_ITERATIONS {
+            if state.drop_disagreeing() {
+                normal = state.normal(min_num_sources)?;
                 residual_variance = normal.residual_variance();
                 solved = slopes.solve(&normal, &plane)?;
             }
-            let px = px_per_q(&plane, &active);
-            last_step_px = solved.step.x.abs() * px;
+            let px_per_q = state.px_per_q(&plane);
+            last_step_px = solved.step.x.abs() * px_per_q;
             if last_step_px < LAST_STEP_PX {
                 plane = moved(&plane, &solved.step, w);
             }
-            return finish(Finished {
-                plane: &plane,
-                sources,
-                shift: &shift,
-                active: &active,
-                reduced: &reduced,
-                variance_q: solved.inverse[(0, 0)] * residual_variance,
-                px_per_q: px,
-                residual_variance,
+            let variance_q = solved.inverse[(0, 0)] * residual_variance;
+            return state.alignment(Alignment {
+                plane,
+                rms: residual_variance.sqrt(),
+                sigma_q: variance_q.sqrt(),
+                px_per_q,
                 last_step_px,
+                ..Alignment::default()
             });
         }
         // Linearisation holds for about two pixels.
@@ -212,11 +157,170 @@ pub(super) fn align(
         }
         plane = moved(&plane, &step, w);
         let moved_px = (plane.q - start.q).abs() * px;
-        if plane.q <= 0.0 || moved_px.is_nan() || moved_px > options.max_move_px {
+        if plane.q <= 0.0 || moved_px.is_nan() || moved_px > MAX_MOVE_PX {
             return None;
         }
     }
     None
+}
+
+/// What is known of each source while a patch is aligned.
+struct SourceStates<'a> {
+    sources: &'a [&'a PairGeometry],
+    /// Whether it still agrees.
+    active: [bool; MAX_SOURCES],
+    /// Its share of the normal equations at the last plane.
+    reduced: [Reduced; MAX_SOURCES],
+    /// 1/c² of the weights.
+    inv_c2: [f64; MAX_SOURCES],
+    /// Mean of the source at the patch's centre above the template's: sums leave it out.
+    shift: [f64; MAX_SOURCES],
+}
+
+impl<'a> SourceStates<'a> {
+    fn of(sources: &'a [&'a PairGeometry]) -> Self {
+        Self {
+            sources,
+            active: std::array::from_fn(|s| s < sources.len()),
+            reduced: Default::default(),
+            inv_c2: Default::default(),
+            shift: Default::default(),
+        }
+    }
+
+    /// Those that agree.
+    fn agreeing(&self) -> impl Iterator<Item = usize> + '_ {
+        (0..self.sources.len()).filter(|&s| self.active[s])
+    }
+
+    /// Samples the sources under a plane; those that cannot be are active no longer.
+    fn evaluate(
+        &mut self,
+        views: &[WorkingView],
+        plane: &PatchPlane,
+        radius_px: usize,
+        residual_variance: f64,
+        ws: &mut Workspace,
+    ) {
+        for s in 0..self.sources.len() {
+            if self.active[s] {
+                let sampled = self.sample(s, views, plane, radius_px, residual_variance, ws);
+                self.active[s] = sampled.is_some();
+            }
+        }
+    }
+
+    fn sample(
+        &mut self,
+        s: usize,
+        views: &[WorkingView],
+        plane: &PatchPlane,
+        radius_px: usize,
+        residual_variance: f64,
+        ws: &mut Workspace,
+    ) -> Option<()> {
+        let source = self.sources[s];
+        let view = &views[source.source];
+        let warp = LocalWarp::new(source, plane)?;
+        if !warp.fits(radius_px, view.camera.width, view.camera.height)
+            || sample_source(view, &warp, ws, s) < MIN_SOURCE_SHARE
+        {
+            return None;
+        }
+        let mut sums = accumulate(ws, s, self.inv_c2[s] as f32);
+        let (center_x, center_y) = warp.center();
+        self.shift[s] = f64::from(view.texel(center_x, center_y)[0]) - ws.mean;
+        if let Some(prior) = source.offset {
+            let precision = CORRELATED * residual_variance / prior.sigma.powi(2);
+            sums.expect_offset(prior.mean - self.shift[s], precision);
+        }
+        let reduced = sums.eliminate(residual_variance / GAIN_SIGMA.powi(2))?;
+        ws.brightness[s] = (reduced.offset, reduced.gain);
+        let variance = reduced.squares / reduced.weight + 1e-12;
+        self.inv_c2[s] = 1.0 / (ROBUST_SCALE.powi(2) * variance);
+        self.reduced[s] = reduced;
+        Some(())
+    }
+
+    /// Largest disparity per unit of `q`, working pixels.
+    fn px_per_q(&self, plane: &PatchPlane) -> f64 {
+        let (x, y) = (plane.x as f64, plane.y as f64);
+        self.agreeing()
+            .map(|s| self.sources[s].px_per_inverse_depth(x, y, plane.q))
+            .fold(0.0, f64::max)
+    }
+
+    /// Sums the sources that agree; `None` when they are too few.
+    fn normal(&self, min_num_sources: usize) -> Option<Normal> {
+        if self.agreeing().count() < min_num_sources.max(1) {
+            return None;
+        }
+        let mut normal = Normal::default();
+        for source in self.agreeing().map(|s| &self.reduced[s]) {
+            normal.hessian += source.hessian;
+            normal.gradient += source.gradient;
+            normal.squares += source.squares;
+            normal.weight += source.weight;
+        }
+        Some(normal)
+    }
+
+    /// Drops sources that correlate too little or err by more than twice the median; whether there
+    /// were any.
+    fn drop_disagreeing(&mut self) -> bool {
+        let rms = |source: &Reduced| (source.squares / source.weight).sqrt();
+        let mut sorted = [0.0; MAX_SOURCES];
+        let count = self.agreeing().count();
+        for (value, s) in sorted.iter_mut().zip(self.agreeing()) {
+            *value = rms(&self.reduced[s]);
+        }
+        sorted[..count].sort_unstable_by(f64::total_cmp);
+        let median = match count {
+            0 => return false,
+            n if n % 2 == 1 => sorted[n / 2],
+            n => 0.5 * (sorted[n / 2] + sorted[n / 2 - 1]),
+        };
+        let before = self.active;
+        for (active, source) in self.active.iter_mut().zip(&self.reduced) {
+            *active &= source.correlation >= MIN_CORRELATION && rms(source) <= 2.0 * median;
+        }
+        self.active != before
+    }
+
+    /// The result, with the spread of the sources' own depth estimates at the common slopes; `None`
+    /// without information.
+    fn alignment(&self, found: Alignment) -> Option<Alignment> {
+        let (mut deviations, mut information) = (0.0, 0.0);
+        let mut correlation = 0.0;
+        let mut offsets = [(usize::MAX, 0.0); MAX_SOURCES];
+        let mut count = 0;
+        for s in self.agreeing() {
+            let source = &self.reduced[s];
+            let h = source.hessian[(0, 0)];
+            if h > 0.0 {
+                deviations += source.gradient[0].powi(2) / h;
+                information += h;
+            }
+            correlation += source.correlation;
+            offsets[count] = (self.sources[s].source, source.offset + self.shift[s]);
+            count += 1;
+        }
+        if information <= 0.0 || found.sigma_q.is_nan() || found.sigma_q <= 0.0 {
+            return None;
+        }
+        let degrees = (count as f64 - 1.0).max(1.0);
+        Some(Alignment {
+            num_sources: count,
+            offsets,
+            correlation: correlation / count as f64,
+            spread_q: if count > 1 {
+                (deviations / information / degrees).sqrt()
+            } else {
+                0.0
+            },
+            ..found
+        })
+    }
 }
 
 /// The plane less a step of `(q, w q_x, w q_y)`.
@@ -230,6 +334,7 @@ fn moved(plane: &PatchPlane, step: &Vector3<f64>, w: f64) -> PatchPlane {
 }
 
 /// Normal equations of all sources that agree.
+#[derive(Default)]
 struct Normal {
     hessian: Matrix3<f64>,
     gradient: Vector3<f64>,
@@ -238,31 +343,6 @@ struct Normal {
 }
 
 impl Normal {
-    /// Sums the sources in use; `None` when they are too few.
-    fn sum(
-        reduced: &[Reduced; MAX_SOURCES],
-        active: &[bool; MAX_SOURCES],
-        options: &PatchOptions,
-    ) -> Option<Self> {
-        let count = active.iter().filter(|&&a| a).count();
-        if count < options.min_num_sources.max(1) {
-            return None;
-        }
-        let mut normal = Self {
-            hessian: Matrix3::zeros(),
-            gradient: Vector3::zeros(),
-            squares: 0.0,
-            weight: 0.0,
-        };
-        for (source, _) in reduced.iter().zip(active).filter(|&(_, &a)| a) {
-            normal.hessian += source.hessian;
-            normal.gradient += source.gradient;
-            normal.squares += source.squares;
-            normal.weight += source.weight;
-        }
-        Some(normal)
-    }
-
     fn residual_variance(&self) -> f64 {
         self.squares / (self.weight - 3.0).max(1.0) + LEAST_NOISE.powi(2)
     }
@@ -301,83 +381,4 @@ impl SlopePrior<'_> {
             inverse,
         })
     }
-}
-
-/// Drops sources that correlate too little or err by more than twice the median.
-fn drop_disagreeing(
-    reduced: &[Reduced; MAX_SOURCES],
-    active: &mut [bool; MAX_SOURCES],
-    min_correlation: f64,
-) {
-    let mut rms = [0.0; MAX_SOURCES];
-    let mut count = 0;
-    for s in 0..MAX_SOURCES {
-        if active[s] {
-            rms[count] = (reduced[s].squares / reduced[s].weight).sqrt();
-            count += 1;
-        }
-    }
-    let sorted = &mut rms[..count];
-    sorted.sort_unstable_by(f64::total_cmp);
-    let median = match count {
-        0 => return,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => 0.5 * (sorted[n / 2] + sorted[n / 2 - 1]),
-    };
-    for s in 0..MAX_SOURCES {
-        let own = (reduced[s].squares / reduced[s].weight).sqrt();
-        if active[s] && (reduced[s].correlation < min_correlation || own > 2.0 * median) {
-            active[s] = false;
-        }
-    }
-}
-
-/// What an alignment ends with.
-struct Finished<'a> {
-    plane: &'a PatchPlane,
-    sources: &'a [&'a PairGeometry],
-    shift: &'a [f64; MAX_SOURCES],
-    active: &'a [bool; MAX_SOURCES],
-    reduced: &'a [Reduced; MAX_SOURCES],
-    variance_q: f64,
-    px_per_q: f64,
-    residual_variance: f64,
-    last_step_px: f64,
-}
-
-/// The result, with the spread of the sources' own depth estimates at the common slopes.
-fn finish(end: Finished<'_>) -> Option<Alignment> {
-    let (mut deviations, mut information) = (0.0, 0.0);
-    let mut correlation = 0.0;
-    let mut offsets = [(usize::MAX, 0.0); MAX_SOURCES];
-    let mut count = 0;
-    for s in (0..MAX_SOURCES).filter(|&s| end.active[s]) {
-        let h = end.reduced[s].hessian[(0, 0)];
-        if h > 0.0 {
-            deviations += end.reduced[s].gradient[0].powi(2) / h;
-            information += h;
-        }
-        correlation += end.reduced[s].correlation;
-        offsets[count] = (end.sources[s].source, end.reduced[s].offset + end.shift[s]);
-        count += 1;
-    }
-    if information <= 0.0 || end.variance_q.is_nan() || end.variance_q <= 0.0 {
-        return None;
-    }
-    let degrees = (count as f64 - 1.0).max(1.0);
-    Some(Alignment {
-        plane: *end.plane,
-        num_sources: count,
-        offsets,
-        correlation: correlation / count as f64,
-        rms: end.residual_variance.sqrt(),
-        sigma_q: end.variance_q.sqrt(),
-        spread_q: if count > 1 {
-            (deviations / information / degrees).sqrt()
-        } else {
-            0.0
-        },
-        px_per_q: end.px_per_q,
-        last_step_px: end.last_step_px,
-    })
 }

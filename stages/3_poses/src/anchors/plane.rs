@@ -5,7 +5,7 @@ use rilievo_stereo::camera::Camera;
 use serde::{Deserialize, Serialize};
 
 /// A plane through a reference pixel.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct PatchPlane {
     /// Column of the centre.
     pub x: usize,

@@ -4,11 +4,10 @@
 //! neighbours', loaded again when their turn comes.
 
 use super::grid::{CellRanges, Grid, depth_ranges, grid_spacing};
-use super::grow::GrowOptions;
+use super::grow::Reference;
 use super::neighbours::neighbours;
 use super::options::AnchorOptions;
-use super::patch::PatchOptions;
-use super::report::Facts;
+use super::pair::PairGeometry;
 use super::sweep::DetailImage;
 use super::working::WorkingView;
 use crate::error::PosesError;
@@ -19,22 +18,50 @@ use rilievo_scene::{Observer, PhotoSet, PosedView, PosedViews, ViewIdx};
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+/// Smallest angle between the rays of a patch and a source, degrees: below it a pixel of noise
+/// moves the depth too far. Where the widest rays of most points meet at less than four times this,
+/// a quarter of their angle takes its place.
+const MIN_SOURCE_ANGLE_DEG: f64 = 5.0;
+/// Largest such angle, degrees: beyond it patches look too different.
+const MAX_SOURCE_ANGLE_DEG: f64 = 60.0;
+/// Bytes that working images may take where no memory is given.
+const IMAGE_BYTES: usize = 1 << 30;
+
+/// Sizes of images and patches.
+#[derive(Clone, Copy)]
+pub(super) struct Working {
+    /// Photos with more megapixels are reduced by a whole factor: bounds memory and time.
+    pub max_mpx: f64,
+    /// Radius of a patch, pixels; samples are weighed by a Gaussian of 3/7 of it. Smaller follows
+    /// curvature, larger averages noise.
+    pub patch_radius_px: usize,
+}
+
+impl Default for Working {
+    fn default() -> Self {
+        Self {
+            max_mpx: 4.0,
+            patch_radius_px: 14,
+        }
+    }
+}
+
 /// What every view needs of the whole scene.
-pub(super) struct Scene<'a> {
+pub(super) struct AnchorScene<'a> {
     photos: &'a PhotoSet,
     posed: &'a PosedViews,
     /// Photos that may be loaded at once, and bytes that working images may take.
     at_once: usize,
     bytes: usize,
-    /// Options as given.
-    pub options: &'a AnchorOptions,
+    working: Working,
+    /// Angles between the rays of reference and source, radians.
+    angles_rad: (f64, f64),
     /// Views with the object in them; of many, only some have their images at a time.
     pub views: Vec<WorkingView>,
     /// Index among the posed views, per working view.
     pub ids: Vec<ViewIdx>,
     /// Normalised images of the epipolar search.
     pub details: Vec<DetailImage>,
-    /// Cells per view.
     pub grids: Vec<Grid>,
     /// Range of inverse depth per view and cell.
     pub ranges: Vec<CellRanges>,
@@ -42,33 +69,46 @@ pub(super) struct Scene<'a> {
     pub neighbours: Vec<Vec<usize>>,
     /// Sparse points in the world that each view sees.
     pub points: Vec<Vec<Point3<f64>>>,
-    /// Criteria of growing.
-    pub grow: GrowOptions,
 }
 
-/// Working views with cells and ranges; `None`, with the reason among the facts, where anchors
-/// cannot be had.
+/// What anchors start from.
+#[derive(Default)]
+pub(super) struct Prepared<'a> {
+    /// Working views with cells and ranges; `None`, after a warning, where there can be no anchors.
+    pub scene: Option<AnchorScene<'a>>,
+    /// Views without a mask.
+    pub unmasked_views: usize,
+    /// Whether a warning was given of something that may leave no anchors.
+    pub warned: bool,
+}
+
+/// Loads the views and finds where the object can be in them.
 pub(super) fn prepare<'a>(
     photos: &'a PhotoSet,
     posed: &'a PosedViews,
-    options: &'a AnchorOptions,
+    options: &AnchorOptions,
+    working: Working,
     memory: Option<u64>,
-    facts: &mut Facts,
     observer: &dyn Observer,
-) -> Result<Option<Scene<'a>>, PosesError> {
+) -> Result<Prepared<'a>, PosesError> {
+    let mut prepared = Prepared::default();
+    let mut warn = |message: String| {
+        prepared.warned = true;
+        crate::error::warn(observer, message)
+    };
     let at_once = num_at_once(photos, memory);
     let bytes = memory.map_or(IMAGE_BYTES, |memory| (memory / 3) as usize);
     let held = AtomicUsize::new(0);
     let loaded = map_few_at_once(&posed.views, at_once, |view| {
-        let mut working = load(photos, view, options)?;
-        if let Some(working) = &mut working {
+        let mut loaded = load(photos, view, working)?;
+        if let Some(loaded) = &mut loaded {
             // What does not fit is loaded again when its turn comes.
-            let size = working.image_bytes();
+            let size = loaded.image_bytes();
             if held.fetch_add(size, Ordering::Relaxed) + size > bytes {
-                working.texels = Vec::new();
+                loaded.texels = Vec::new();
             }
         }
-        Ok::<_, PosesError>(working)
+        Ok::<_, PosesError>(loaded)
     })?;
     let (mut ids, mut views) = (Vec::new(), Vec::new());
     for (idx, view) in loaded.into_iter().enumerate() {
@@ -82,17 +122,17 @@ pub(super) fn prepare<'a>(
             "no depth anchors: {} view(s) with a pose and the object in it, at least 2 are needed",
             views.len()
         );
-        facts.warn(observer, message)?;
-        return Ok(None);
+        warn(message)?;
+        return Ok(prepared);
     }
     let without_mask = views.iter().filter(|view| !view.has_mask).count();
     if without_mask > 0 {
-        facts.unmasked_views = without_mask;
         let message = format!(
             "{without_mask} of {} views have no mask: anchors cover everything that they show, background too",
             views.len()
         );
-        facts.warn(observer, message)?;
+        warn(message)?;
+        prepared.unmasked_views = without_mask;
     }
     let mut working_of = vec![None; posed.views.len()];
     for (working, id) in ids.iter().enumerate() {
@@ -115,47 +155,61 @@ pub(super) fn prepare<'a>(
     let grids: Vec<Grid> = views.iter().map(|view| Grid::new(view, spacing)).collect();
     let Some(ranges) = depth_ranges(&views, &grids, &positions) else {
         let message = "no depth anchors: neither masks nor sparse points tell where the object is; give masks";
-        facts.warn(observer, message.to_owned())?;
-        return Ok(None);
+        warn(message.to_owned())?;
+        return Ok(prepared);
     };
-    let grow = grow_options(options, views.len(), crate::narrow::widest_angle(posed));
-    Ok(Some(Scene {
+    let angles_rad = source_angles_rad(crate::narrow::widest_angle(posed));
+    prepared.scene = Some(AnchorScene {
         photos,
         posed,
         at_once,
         bytes,
-        options,
-        neighbours: neighbours(&views, &grids, &ranges, grow.angles_rad),
+        working,
+        neighbours: neighbours(&views, &grids, &ranges, angles_rad),
         details: vec![DetailImage::default(); views.len()],
-        grow,
+        angles_rad,
         views,
         ids,
         grids,
         ranges,
         points,
-    }))
+    });
+    Ok(prepared)
 }
 
-/// Bytes that working images may take where no memory is given.
-const IMAGE_BYTES: usize = 1 << 30;
+fn source_angles_rad(widest_rad: Option<f64>) -> (f64, f64) {
+    let smallest = MIN_SOURCE_ANGLE_DEG.to_radians();
+    (
+        widest_rad.map_or(smallest, |widest| smallest.min(0.25 * widest)),
+        MAX_SOURCE_ANGLE_DEG.to_radians(),
+    )
+}
 
 /// A view made ready; `None` when nothing of the object is in it.
 fn load(
     photos: &PhotoSet,
     view: &PosedView,
-    options: &AnchorOptions,
+    working: Working,
 ) -> Result<Option<WorkingView>, PosesError> {
     let photo = &photos.photos[view.photo.0];
     let image = photo.linear()?;
-    Ok(WorkingView::new(
-        photo,
-        view,
-        &image,
-        options.max_working_mpx,
-    ))
+    Ok(WorkingView::new(photo, view, &image, working.max_mpx))
 }
 
-impl Scene<'_> {
+impl AnchorScene<'_> {
+    /// A view as the reference of its patches.
+    pub fn reference<'a>(&'a self, index: usize, pairs: &'a [PairGeometry]) -> Reference<'a> {
+        Reference {
+            views: &self.views,
+            index,
+            pairs,
+            grid: &self.grids[index],
+            ranges: &self.ranges[index],
+            radius_px: self.working.patch_radius_px,
+            angles_rad: self.angles_rad,
+        }
+    }
+
     /// Ranges of views, in order, whose images and those of their neighbours fit into memory together.
     pub fn groups(&self) -> Vec<Range<usize>> {
         let mut groups = Vec::new();
@@ -203,7 +257,7 @@ impl Scene<'_> {
             }
         }
         let loaded = map_few_at_once(&missing, self.at_once, |&v| {
-            load(self.photos, &self.posed.views[self.ids[v].0], self.options)
+            load(self.photos, &self.posed.views[self.ids[v].0], self.working)
         })?;
         for (v, view) in missing.into_iter().zip(loaded) {
             self.views[v].texels = view.map(|view| view.texels).unwrap_or_default();
@@ -223,37 +277,5 @@ impl Scene<'_> {
                 }
             });
         Ok(())
-    }
-}
-
-/// Criteria of seeds and growing.
-fn grow_options(
-    options: &AnchorOptions,
-    num_views: usize,
-    widest_angle_rad: Option<f64>,
-) -> GrowOptions {
-    let smallest = options.min_source_angle_deg.to_radians();
-    GrowOptions {
-        patch: PatchOptions {
-            radius_px: options.patch_radius_px,
-            max_num_iterations: 8,
-            gain_sigma: options.gain_sigma,
-            slope_sigma: 0.5,
-            min_correlation: options.min_correlation,
-            robust_scale: 2.5,
-            min_num_sources: 2.min(num_views - 1),
-            max_move_px: 4.0,
-        },
-        seed_correlation: options.seed_correlation,
-        lone_correlation: 0.9,
-        max_jump_px: 2.0,
-        max_seed_jump_px: 4.0,
-        max_spread_px: 0.7,
-        max_sigma_px: 0.3,
-        max_tilt: 4.0,
-        angles_rad: (
-            widest_angle_rad.map_or(smallest, |widest| smallest.min(0.25 * widest)),
-            options.max_source_angle_deg.to_radians(),
-        ),
     }
 }

@@ -1,9 +1,7 @@
 //! Facts about the anchors.
 
 use super::grow::Node;
-use super::options::AnchorMode;
-use crate::error::PosesError;
-use rilievo_scene::{Anchor, AnchorObservation, Mask, Observer, PhotoSet, PosedViews};
+use rilievo_scene::{Anchor, AnchorObservation, Mask, PhotoSet, PosedViews};
 use serde::{Deserialize, Serialize};
 
 /// Anchors of one view.
@@ -20,10 +18,8 @@ pub struct ViewAnchors {
 }
 
 /// Facts about the anchors.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AnchorReport {
-    /// How they were found.
-    pub mode: AnchorMode,
     /// Anchors in all.
     pub num_anchors: usize,
     /// One entry per view.
@@ -40,27 +36,12 @@ pub struct AnchorReport {
     pub unmasked_views: usize,
 }
 
-/// Facts gathered on the way to the anchors.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Facts {
-    pub num_patches: usize,
-    pub mean_correlation: Option<f64>,
-    pub rms_residual: Option<f64>,
-    pub noise_factor: Option<f64>,
-    pub unmasked_views: usize,
-    /// Whether the user was told of something that may leave no anchors.
-    pub warned: bool,
-}
+/// Distance within which an anchor covers a pixel of the mask.
+const COVERAGE_RADIUS_PX: f64 = 20.0;
 
-impl Facts {
-    /// Tells the user of something that may leave no anchors.
-    pub fn warn(&mut self, observer: &dyn Observer, message: String) -> Result<(), PosesError> {
-        self.warned = true;
-        crate::error::warn(observer, message)
-    }
-
+impl AnchorReport {
     /// Counts patches and averages their residuals.
-    pub fn add_patches(&mut self, nodes: &[Vec<Option<Node>>]) {
+    pub(super) fn add_patches(&mut self, nodes: &[Vec<Option<Node>>]) {
         let (mut correlation, mut squares) = (0.0, 0.0);
         for node in nodes.iter().flatten().flatten() {
             self.num_patches += 1;
@@ -73,32 +54,19 @@ impl Facts {
             self.rms_residual = Some((squares / count).sqrt());
         }
     }
-}
 
-/// Distance within which an anchor covers a pixel of the mask.
-const COVERAGE_RADIUS_PX: f64 = 20.0;
-
-/// Counts, coverage and precision per view.
-pub(super) fn report(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    mode: AnchorMode,
-    anchors: &[Anchor],
-    facts: Facts,
-) -> AnchorReport {
-    let mut seen_by: Vec<Vec<&AnchorObservation>> = vec![Vec::new(); posed.views.len()];
-    for observation in anchors.iter().flat_map(|a| &a.observations) {
-        seen_by[observation.view.0].push(observation);
-    }
-    let views = posed
-        .views
-        .iter()
-        .zip(seen_by)
-        .map(|(view, seen)| {
+    /// Counts, coverage and precision per view.
+    pub(super) fn count(&mut self, photos: &PhotoSet, posed: &PosedViews, anchors: &[Anchor]) {
+        self.num_anchors = anchors.len();
+        let mut seen_by: Vec<Vec<&AnchorObservation>> = vec![Vec::new(); posed.views.len()];
+        for observation in anchors.iter().flat_map(|a| &a.observations) {
+            seen_by[observation.view.0].push(observation);
+        }
+        let views = posed.views.iter().zip(seen_by).map(|(view, seen)| {
             let mut sigmas: Vec<f64> = seen.iter().map(|o| o.sigma_ln_depth).collect();
-            let coverage = photos.photos[view.photo.0].mask.as_ref().map(|mask| {
-                let (width, height) = (mask.width(), mask.height());
-                let mut covered = Mask::filled(width, height, false);
+            let mask = photos.photos[view.photo.0].mask.as_ref();
+            let coverage = mask.map(|mask| {
+                let mut covered = Mask::filled(mask.width(), mask.height(), false);
                 let radius = COVERAGE_RADIUS_PX as isize;
                 for o in &seen {
                     let (cx, cy) = (o.pixel[0].round() as isize, o.pixel[1].round() as isize);
@@ -120,16 +88,7 @@ pub(super) fn report(
                 coverage,
                 median_sigma_ln_depth: rilievo_numerics::robust::median(&mut sigmas),
             }
-        })
-        .collect();
-    AnchorReport {
-        mode,
-        num_anchors: anchors.len(),
-        views,
-        num_patches: facts.num_patches,
-        mean_correlation: facts.mean_correlation,
-        rms_residual: facts.rms_residual,
-        noise_factor: facts.noise_factor,
-        unmasked_views: facts.unmasked_views,
+        });
+        self.views = views.collect();
     }
 }

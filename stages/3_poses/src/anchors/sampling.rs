@@ -1,7 +1,7 @@
 //! Samples of a patch: template, warp into a source, interpolation.
 //!
 //! Samples lie on every second pixel like the dark squares of a chessboard: with the blur and the
-//! noise of real photos residuals of neighbours correlate by 0.6 to 0.7, and half of them tell as
+//! noise of real photos residuals of neighbours correlate by 0.6 to 0.7, and half of them weigh as
 //! much as all (measured: the same depth errors at 0.7 of the time). They are weighed by a Gaussian
 //! window, which follows curved surfaces better than a disc of the same precision. Those in even
 //! columns come first: they alone serve while a patch is still far from its place.
@@ -28,7 +28,6 @@ const MAX_REACH_PX: f64 = 60.0;
 /// Added to coordinates inside a patch so that truncation is flooring.
 const COORDINATE_SHIFT: f32 = 64.0;
 
-/// Buffers of the alignment.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Workspace {
     disc: Vec<(i32, i32)>,

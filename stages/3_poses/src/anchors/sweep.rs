@@ -10,7 +10,7 @@
 //! remains after normalisation is the weak texture.
 //!
 //! A maximum becomes a seed when its score is high and the best score two or more steps away leaves
-//! clearly more unexplained, `(1 − ρ₁)/(1 − ρ₂) ≤ ratio`.
+//! clearly more unexplained, `(1 − ρ₁)/(1 − ρ₂) ≤ 0.8`.
 
 use super::filter::box_sum;
 use super::grid::Grid;
@@ -27,15 +27,18 @@ const WINDOW: usize = 13;
 const DEVIATION_FLOOR: f32 = 0.5;
 /// Smallest share of a disc on the object.
 const MIN_SHARE: f32 = 0.7;
+/// Smallest mean correlation of a seed.
+const MIN_SCORE: f64 = 0.5;
+/// Largest ratio of what the best and the second-best depth leave unexplained; that of keypoint
+/// matching.
+const MAX_RATIO: f64 = 0.8;
 
 /// Half-size normalised image with a flag that a pixel is on the object.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DetailImage {
     /// Working pixels per pixel of this image.
     pub reduction: usize,
-    /// Columns.
     pub width: usize,
-    /// Rows.
     pub height: usize,
     /// Normalised value and flag (1 on the object).
     pub data: Vec<[f32; 2]>,
@@ -103,15 +106,6 @@ impl DetailImage {
     }
 }
 
-/// How seeds are chosen.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct SweepOptions {
-    /// Smallest mean correlation of a seed.
-    pub min_score: f64,
-    /// Largest ratio of what the best and the second-best depth leave unexplained.
-    pub ratio: f64,
-}
-
 /// Eight samples of a template: offsets (working pixels), values without their mean, and 1 for each
 /// that counts, 0 for padding.
 #[derive(Clone, Copy, Debug, Default)]
@@ -122,7 +116,6 @@ struct Samples {
     used: [f32; LANES],
 }
 
-/// Buffers of the search.
 #[derive(Clone, Debug, Default)]
 pub(super) struct SweepScratch {
     offsets: Vec<(i32, i32)>,
@@ -138,7 +131,6 @@ pub(super) fn search(
     sources: &[&PairGeometry],
     (x, y): (usize, usize),
     range: (f64, f64),
-    options: &SweepOptions,
     scratch: &mut SweepScratch,
 ) -> Option<f64> {
     if sources.is_empty() {
@@ -180,7 +172,7 @@ pub(super) fn search(
         .map(|k| scores[k])
         .fold(-1.0_f32, f32::max);
     let (first, second) = (f64::from(scores[best]), f64::from(rival));
-    if first < options.min_score || (1.0 - first) > options.ratio * (1.0 - second) {
+    if first < MIN_SCORE || (1.0 - first) > MAX_RATIO * (1.0 - second) {
         return None;
     }
     // Vertex of the parabola through the maximum and its neighbours.

@@ -153,7 +153,6 @@ impl WorkingView {
         self.object.contains(x.round() as isize, y.round() as isize)
     }
 
-    /// Texel at a whole pixel.
     #[inline]
     pub fn texel(&self, x: usize, y: usize) -> &Texel {
         &self.texels[y * self.camera.width + x]

@@ -19,15 +19,14 @@ const CONVERGED: f32 = 0.003;
 
 /// An affine map of offsets from the patch's centre (in full-size pixels) to another photo.
 #[derive(Clone, Copy, Debug)]
-pub struct AffineMap {
-    /// Linear part.
+pub(crate) struct AffineMap {
     pub linear: Matrix2<f32>,
     /// Where the centre goes.
     pub center: Vector2<f32>,
 }
 
 /// A patch around a point of one photo, ready to be aligned.
-pub struct Template {
+pub(crate) struct Template {
     /// Values without mean, of unit length.
     values: [f32; NUM_SAMPLES],
     /// Derivatives by the map (a11, a12, a21, a22, t1, t2), without what gain and offset explain.
@@ -38,11 +37,9 @@ pub struct Template {
     level: usize,
 }
 
-/// Outcome of an alignment.
-pub struct Aligned {
+pub(crate) struct Aligned {
     /// Place of the template's centre in the other photo, full-size pixels.
     pub center: Vector2<f32>,
-    /// Zero-mean correlation.
     pub correlation: f32,
     /// Standard deviation of the centre as least squares sees it, full-size pixels.
     pub sigma_px: f32,

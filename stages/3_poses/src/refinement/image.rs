@@ -3,7 +3,7 @@
 use rilievo_scene::LinearImage;
 
 /// Levels: full size, half, quarter.
-pub const NUM_LEVELS: usize = 3;
+pub(crate) const NUM_LEVELS: usize = 3;
 /// Code of `√I = 1`; leaves headroom above white.
 const WHITE: f32 = 32_768.0;
 
@@ -13,8 +13,7 @@ struct Level {
     data: Vec<u16>,
 }
 
-/// A photo's pyramid.
-pub struct Pyramid {
+pub(crate) struct Pyramid {
     levels: Vec<Level>,
 }
 

@@ -11,9 +11,9 @@ mod align;
 mod image;
 
 use crate::error::PosesError;
+use crate::matched::MatchedPhotos;
 use crate::model::{Model, RefinedPixel, RefinedPixels};
 use crate::projection::CenteredPose;
-use crate::scene::Scene;
 use align::{AffineMap, Template};
 use image::Pyramid;
 use nalgebra::{Matrix2, Matrix3, Point2, Point3, Vector2, Vector3};
@@ -45,16 +45,16 @@ struct Neighborhood {
 }
 
 impl Neighborhood {
-    fn new(scene: &Scene<'_>, model: &Model, photo: usize) -> Self {
-        let camera = &scene.photos.photos[photo].intrinsics;
+    fn new(matched: &MatchedPhotos<'_>, model: &Model, photo: usize) -> Self {
+        let camera = &matched.photos.photos[photo].intrinsics;
         let num_columns = (camera.width as f64 / MAX_PLANE_DISTANCE_PX).ceil() as usize + 1;
         let num_rows = (camera.height as f64 / MAX_PLANE_DISTANCE_PX).ceil() as usize + 1;
         let mut cells = vec![Vec::new(); num_columns * num_rows];
-        for &(track, place) in &scene.tracks_of[photo] {
+        for &(track, place) in &matched.tracks_of[photo] {
             if let Some(point) = &model.points[track]
                 && point.support.contains(&place)
             {
-                let pixel = scene.pixel(&scene.tracks[track][place]);
+                let pixel = matched.pixel(&matched.tracks[track][place]);
                 let column =
                     ((pixel.x / MAX_PLANE_DISTANCE_PX).max(0.0) as usize).min(num_columns - 1);
                 let row = ((pixel.y / MAX_PLANE_DISTANCE_PX).max(0.0) as usize).min(num_rows - 1);
@@ -159,19 +159,19 @@ struct Patch {
 ///
 /// # Errors
 /// When a photo cannot be read or the observer asked to stop.
-pub fn refine_tracks(
-    scene: &Scene<'_>,
+pub(crate) fn refine_tracks(
+    matched: &MatchedPhotos<'_>,
     model: &Model,
     at_once: usize,
     observer: &dyn Observer,
 ) -> Result<RefinedPixels, PosesError> {
     let cameras = model.intrinsics();
-    let mut refined: RefinedPixels = scene.tracks.iter().map(|t| vec![None; t.len()]).collect();
+    let mut refined: RefinedPixels = matched.tracks.iter().map(|t| vec![None; t.len()]).collect();
     // Track and place of its reference, by photo, so that photos near each other come together.
-    let mut references: Vec<(usize, usize, usize)> = (0..scene.tracks.len())
+    let mut references: Vec<(usize, usize, usize)> = (0..matched.tracks.len())
         .filter_map(|track| {
-            let place = reference(scene, model, track)?;
-            Some((scene.tracks[track][place].photo, track, place))
+            let place = reference(matched, model, track)?;
+            Some((matched.tracks[track][place].photo, track, place))
         })
         .collect();
     references.sort_unstable();
@@ -179,10 +179,10 @@ pub fn refine_tracks(
         let given: Vec<&[(usize, usize, usize)]> = batch.chunk_by(|a, b| a.0 == b.0).collect();
         let patches: Vec<Vec<Patch>> = map_few_at_once(&given, at_once, |list| {
             let photo = list[0].0;
-            let pyramid = load(scene, photo, observer)?;
-            let neighborhood = Neighborhood::new(scene, model, photo);
+            let pyramid = load(matched, photo, observer)?;
+            let neighborhood = Neighborhood::new(matched, model, photo);
             let patch = |&(_, track, place): &(usize, usize, usize)| {
-                Patch::new(scene, model, &pyramid, &neighborhood, (track, place))
+                Patch::new(matched, model, &pyramid, &neighborhood, (track, place))
             };
             Ok::<_, PosesError>(list.par_iter().filter_map(patch).collect())
         })?;
@@ -193,16 +193,16 @@ pub fn refine_tracks(
             refined[patch.track][patch.reference] = Some((patch.pixel, FLOOR_SIGMA_PX));
             for place in model.points[patch.track].iter().flat_map(|p| &p.support) {
                 if *place != patch.reference {
-                    sought.push((scene.tracks[patch.track][*place].photo, k, *place));
+                    sought.push((matched.tracks[patch.track][*place].photo, k, *place));
                 }
             }
         }
         sought.sort_unstable();
         let sought: Vec<&[(usize, usize, usize)]> = sought.chunk_by(|a, b| a.0 == b.0).collect();
         let found = map_few_at_once(&sought, at_once, |list| {
-            let pyramid = load(scene, list[0].0, observer)?;
+            let pyramid = load(matched, list[0].0, observer)?;
             let find = |&(_, patch, place): &(usize, usize, usize)| {
-                patches[patch].find(scene, model, &cameras, &pyramid, place)
+                patches[patch].find(matched, model, &cameras, &pyramid, place)
             };
             Ok::<_, PosesError>(list.par_iter().map(find).collect::<Vec<_>>())
         })?;
@@ -215,23 +215,27 @@ pub fn refine_tracks(
     Ok(refined)
 }
 
-fn load(scene: &Scene<'_>, photo: usize, observer: &dyn Observer) -> Result<Pyramid, PosesError> {
+fn load(
+    matched: &MatchedPhotos<'_>,
+    photo: usize,
+    observer: &dyn Observer,
+) -> Result<Pyramid, PosesError> {
     if observer.flow() == Flow::Stop {
         return Err(PosesError::Interrupted);
     }
-    Ok(Pyramid::new(&*scene.photos.photos[photo].linear()?))
+    Ok(Pyramid::new(&*matched.photos.photos[photo].linear()?))
 }
 
 /// Size of a sighting's keypoint, pixels.
-fn keypoint_size(scene: &Scene<'_>, track: usize, place: usize) -> f64 {
-    let s = &scene.tracks[track][place];
-    f64::from(scene.matches.photos[s.photo].keypoints[s.keypoint as usize].size_px)
+fn keypoint_size(matched: &MatchedPhotos<'_>, track: usize, place: usize) -> f64 {
+    let s = &matched.tracks[track][place];
+    f64::from(matched.matches.photos[s.photo].keypoints[s.keypoint as usize].size_px)
 }
 
 /// The sighting with the largest image of a track's point.
-fn reference(scene: &Scene<'_>, model: &Model, track: usize) -> Option<usize> {
+fn reference(matched: &MatchedPhotos<'_>, model: &Model, track: usize) -> Option<usize> {
     let support = &model.points[track].as_ref()?.support;
-    let size = |place: usize| keypoint_size(scene, track, place);
+    let size = |place: usize| keypoint_size(matched, track, place);
     support
         .iter()
         .copied()
@@ -240,17 +244,17 @@ fn reference(scene: &Scene<'_>, model: &Model, track: usize) -> Option<usize> {
 
 impl Patch {
     fn new(
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         model: &Model,
         pyramid: &Pyramid,
         neighborhood: &Neighborhood,
         (track, reference): (usize, usize),
     ) -> Option<Self> {
-        let sightings = &scene.tracks[track];
+        let sightings = &matched.tracks[track];
         let point = model.points[track].as_ref()?;
-        let keypoint = scene.pixel(&sightings[reference]);
+        let keypoint = matched.pixel(&sightings[reference]);
         let pixel = Point2::new(keypoint.x.round(), keypoint.y.round());
-        let step = STEP_PER_SIZE * keypoint_size(scene, track, reference);
+        let step = STEP_PER_SIZE * keypoint_size(matched, track, reference);
         let template = Template::new(
             pyramid,
             pixel.x as f32,
@@ -278,18 +282,18 @@ impl Patch {
     /// Where another photo of the track shows the patch.
     fn find(
         &self,
-        scene: &Scene<'_>,
+        matched: &MatchedPhotos<'_>,
         model: &Model,
         cameras: &[Intrinsics],
         image: &Pyramid,
         place: usize,
     ) -> RefinedPixel {
-        let sightings = &scene.tracks[self.track];
+        let sightings = &matched.tracks[self.track];
         let point = model.points[self.track].as_ref()?;
         let view = |place: usize| -> Option<(&Intrinsics, &CenteredPose)> {
             let photo = sightings[place].photo;
             Some((
-                &cameras[scene.camera_of[photo]],
+                &cameras[matched.camera_of[photo]],
                 model.poses[photo].as_ref()?,
             ))
         };
@@ -304,7 +308,7 @@ impl Patch {
             })
             .reduce(|a, b| if b.0 > a.0 { b } else { a });
         let (_, start) = best?;
-        let sigma_px = |place: usize| scene.sigma_px(&sightings[place]);
+        let sigma_px = |place: usize| matched.sigma_px(&sightings[place]);
         let reach = sigma_px(place).hypot(sigma_px(self.reference));
         let max_shift_px = (MAX_SHIFT_SIGMAS * reach).max(MIN_MAX_SHIFT_PX);
         let aligned = self.template.align(image, start, max_shift_px as f32)?;

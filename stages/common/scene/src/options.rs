@@ -25,6 +25,13 @@ pub struct RetiredKey {
     pub instead: &'static str,
 }
 
+impl RetiredKey {
+    /// A key with what replaces it.
+    pub const fn new(path: &'static [&'static str], instead: &'static str) -> Self {
+        Self { path, instead }
+    }
+}
+
 /// Checks one number; NaN lies in no range.
 ///
 /// A range is wide enough for every use that makes sense, and ends where work or memory would no

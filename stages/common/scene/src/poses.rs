@@ -164,8 +164,6 @@ pub struct SparsePoint {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AnchorOrigin {
-    /// A SIFT track on the object.
-    Sift,
     /// Matched along epipolar lines and refined by patch alignment.
     Guided,
     /// Grown from a neighbouring anchor and refined by patch alignment.

@@ -128,6 +128,22 @@ impl Mask {
         self.count() as f64 / self.data.len().max(1) as f64
     }
 
+    /// Places of the pixels along the four sides, each once.
+    pub fn frame(&self) -> impl Iterator<Item = (usize, usize)> {
+        let (width, height) = (self.width, self.height);
+        (0..height).flat_map(move |y| {
+            let is_side = y == 0 || y + 1 == height;
+            let step = if is_side { 1 } else { width.max(2) - 1 };
+            (0..width).step_by(step).map(move |x| (x, y))
+        })
+    }
+
+    /// Share of those pixels that are set, 0 to 1.
+    pub fn frame_share(&self) -> f64 {
+        let marked = self.frame().filter(|&(x, y)| *self.at(x, y)).count();
+        marked as f64 / self.frame().count().max(1) as f64
+    }
+
     /// The pixels that it leaves out.
     #[must_use]
     pub fn inverted(mut self) -> Self {

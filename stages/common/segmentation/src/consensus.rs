@@ -131,8 +131,8 @@ impl Consensus {
         })
     }
 
-    /// Share of a view's mask that lies within the outlines of the others, where there are enough of them to tell; `None`
-    /// where there are nowhere. `sketch` is the one that voted.
+    /// Share of a view's mask that lies within the outlines of the others, where there are enough
+    /// of them; `None` where there are nowhere. `sketch` is the one that voted.
     ///
     /// # Errors
     /// [`SegmentationError::OpenCv`].
@@ -142,14 +142,14 @@ impl Consensus {
         sketch: &Sketch,
     ) -> Result<Option<f64>, SegmentationError> {
         let near = self.widened(view, sketch)?;
-        let [in_box, told, others] = self.projected(view, sketch, |votes, (x, y)| {
-            let is_told = votes.seen >= MIN_NUM_PHOTOS;
+        let [in_box, is_seen, others] = self.projected(view, sketch, |votes, (x, y)| {
+            let is_seen = votes.seen >= MIN_NUM_PHOTOS;
             let off = votes.off - usize::from(!*near.at(x, y));
             let is_within = off as f64 <= MAX_OFF_BELIEVED * (votes.seen - 1) as f64;
-            [true, is_told, is_told && is_within]
+            [true, is_seen, is_seen && is_within]
         })?;
         // Off the box around the object nothing is the object's, whoever sees it.
-        let counts = |k: &usize| told.data[*k] || !in_box.data[*k];
+        let counts = |k: &usize| is_seen.data[*k] || !in_box.data[*k];
         let own = (0..sketch.mask.data.len()).filter(|&k| sketch.mask.data[k]);
         let own = own.filter(counts);
         let (num, within) = own.fold((0, 0), |(num, within), k| {

@@ -22,6 +22,14 @@ pub enum SegmentationError {
         /// The photo's file name.
         photo: String,
     },
+    /// The object does not stand before a plain backdrop.
+    #[error("{photo}: no mask can be proposed: {reason}")]
+    NoBackdrop {
+        /// The photo's file name.
+        photo: String,
+        /// Why, and what to try.
+        reason: &'static str,
+    },
     /// OpenCV failed.
     #[error("the library that cuts masks failed ({0}); draw the masks in an image editor")]
     OpenCv(#[from] opencv::Error),

@@ -14,8 +14,11 @@
 //! 3. [`Consensus`]: every place around the object is voted on by all sketches. In each photo the [`outline`] is cut
 //!    again, with what the votes say of it, and drawn once more in a band around the border on a larger image.
 //! 4. What the others' outlines leave of a photo's own, what of the object's points lies in it, and what of it lies near
-//!    such points tell how sure it is.
+//!    such points say how sure it is.
+//!
+//! Photos without poses: [`propose_mask`], where the object stands before a plain backdrop.
 
+mod backdrop;
 mod consensus;
 mod cut;
 mod error;
@@ -23,6 +26,7 @@ mod outline;
 mod points;
 mod raster;
 
+pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use consensus::{Consensus, Sketch};
 pub use error::SegmentationError;
 pub use outline::{Outline, outline, sketch};

@@ -1,7 +1,7 @@
 //! The patch residual: its derivative, and its minimum from a displaced start.
 
 use super::super::pair::PairGeometry;
-use super::super::patch::{PatchOptions, align};
+use super::super::patch::align;
 use super::super::plane::PatchPlane;
 use super::super::sampling::{LocalWarp, Workspace, sample_source};
 use super::super::working::WorkingView;
@@ -126,16 +126,6 @@ fn alignment_finds_the_plane_from_a_displaced_start() {
         .map(|k| PairGeometry::new(&views[0], k, &views[k]).unwrap())
         .collect();
     let sources: Vec<&PairGeometry> = pairs.iter().collect();
-    let options = PatchOptions {
-        radius_px: 14,
-        max_num_iterations: 10,
-        gain_sigma: 0.01,
-        slope_sigma: 0.5,
-        min_correlation: 0.7,
-        robust_scale: 2.5,
-        min_num_sources: 2,
-        max_move_px: 4.0,
-    };
     let mut ws = Workspace::default();
     let (x, y) = (
         views[0].camera.width / 2 + 9,
@@ -149,7 +139,7 @@ fn alignment_finds_the_plane_from_a_displaced_start() {
         qy: 0.0,
         ..truth
     };
-    let found = align(&views, 0, &sources, &start, &options, &mut ws).unwrap();
+    let found = align(&views, 0, &sources, &start, 14, &mut ws).unwrap();
     let error_px = (found.plane.q - truth.q).abs() * px;
     let slope_error = (found.plane.qx - truth.qx).hypot(found.plane.qy - truth.qy) / truth.q
         * views[0].camera.focal();

@@ -5,11 +5,12 @@
 mod kernel;
 mod scene;
 
-use super::{AnchorMode, AnchorOptions, AnchorReport, find};
+use super::prepare::Working;
+use super::{AnchorOptions, AnchorReport, find, find_at};
 use crate::error::PosesError;
 use nalgebra::Point3;
 use rilievo_numerics::robust::quantile;
-use rilievo_scene::{Anchor, Distortion, Event, FeatureMatches, Flow, Observer, Recorder};
+use rilievo_scene::{Anchor, Distortion, Event, Flow, Observer, Recorder};
 use scene::{Scene, Settings, Shape, photograph};
 
 const BALL: Shape = Shape::Sphere {
@@ -33,15 +34,7 @@ fn anchors_and_told(
     options: &AnchorOptions,
 ) -> (Vec<Anchor>, AnchorReport, Vec<String>) {
     let told = Recorder::default();
-    let (anchors, report) = find(
-        &scene.photos,
-        &FeatureMatches::default(),
-        &scene.posed,
-        options,
-        None,
-        &told,
-    )
-    .unwrap();
+    let (anchors, report) = find(&scene.photos, &scene.posed, options, None, &told).unwrap();
     (anchors, report, told.warnings())
 }
 
@@ -193,12 +186,14 @@ fn distorted_lenses_are_undone() {
 #[test]
 fn reduced_photos_keep_positions_and_depths() {
     let scene = photograph(&[SQUARE], &Settings::default());
-    let options = AnchorOptions {
-        max_working_mpx: 0.02,
+    let working = Working {
+        max_mpx: 0.02,
         patch_radius_px: 8,
-        ..AnchorOptions::default()
     };
-    let (anchors, _) = anchors_with(&scene, &options);
+    let options = AnchorOptions::default();
+    let (photos, posed) = (&scene.photos, &scene.posed);
+    let told = Recorder::default();
+    let (anchors, _) = find_at(photos, posed, &options, working, None, &told).unwrap();
     let errors = errors(&scene, &anchors);
     let most = percentile(&errors, 0.95);
     assert!(
@@ -220,14 +215,8 @@ impl Observer for Impatient {
 #[test]
 fn an_observer_can_stop_it() {
     let scene = photograph(&[SQUARE], &Settings::default());
-    let result = find(
-        &scene.photos,
-        &FeatureMatches::default(),
-        &scene.posed,
-        &AnchorOptions::default(),
-        None,
-        &Impatient,
-    );
+    let options = AnchorOptions::default();
+    let result = find(&scene.photos, &scene.posed, &options, None, &Impatient);
     assert!(matches!(result, Err(PosesError::Interrupted)), "{result:?}");
 }
 
@@ -235,18 +224,9 @@ fn an_observer_can_stop_it() {
 fn images_that_do_not_fit_into_memory_are_loaded_when_their_turn_comes() {
     let scene = photograph(&[BALL], &Settings::default());
     let found = |memory| {
-        let (photos, posed) = (&scene.photos, &scene.posed);
         let options = AnchorOptions::default();
-        let matches = FeatureMatches::default();
-        find(
-            photos,
-            &matches,
-            posed,
-            &options,
-            memory,
-            &Recorder::default(),
-        )
-        .unwrap()
+        let told = Recorder::default();
+        find(&scene.photos, &scene.posed, &options, memory, &told).unwrap()
     };
     let (all, report) = found(None);
     assert!(all.len() > 100, "{}", all.len());
@@ -257,35 +237,9 @@ fn images_that_do_not_fit_into_memory_are_loaded_when_their_turn_comes() {
 
 #[test]
 fn options_out_of_range_are_named() {
-    let options = AnchorOptions {
-        spacing_px: 0.5,
-        ..AnchorOptions::default()
-    };
+    let options = AnchorOptions { spacing_px: 0.5 };
     let message = options.validate().unwrap_err().to_string();
     assert!(message.contains("spacing_px"), "{message}");
-}
-
-#[test]
-fn modes_differ_as_they_say() {
-    let scene = photograph(&[BALL], &Settings::default());
-    let guided = AnchorOptions {
-        mode: AnchorMode::Guided,
-        ..AnchorOptions::default()
-    };
-    let (few, _) = anchors_with(&scene, &guided);
-    let (many, _) = anchors(&scene);
-    let most = percentile(&errors(&scene, &few), 0.95);
-    assert!(
-        few.len() > 20 && most < 6e-3,
-        "{} anchors, 95 % within {most:.2e}",
-        few.len()
-    );
-    assert!(many.len() > 2 * few.len(), "{} {}", many.len(), few.len());
-    let sift = AnchorOptions {
-        mode: AnchorMode::Sift,
-        ..AnchorOptions::default()
-    };
-    assert!(anchors_with(&scene, &sift).0.is_empty());
 }
 
 /// An empty result with a warning, never an error.

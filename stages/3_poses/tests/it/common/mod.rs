@@ -6,7 +6,6 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rilievo_poses::PosesOptions;
-use rilievo_poses::anchors::AnchorMode;
 use rilievo_scene::{
     FeatureMatches, Intrinsics, Keypoint, LinearImage, PairMatches, PhotoIdx, PhotoKeypoints,
     PhotoSet, PosedViews, RigidTransform,
@@ -359,12 +358,10 @@ pub fn rings(options: &RingsOptions) -> World {
 
 /// Options for sets without images.
 pub fn options() -> PosesOptions {
-    let mut options = PosesOptions {
-        refine_tracks: false,
+    PosesOptions {
+        matches_only: true,
         ..PosesOptions::default()
-    };
-    options.anchors.mode = AnchorMode::Sift;
-    options
+    }
 }
 
 /// Largest errors of centres (share of the ring's radius) and rotations (degrees) after a

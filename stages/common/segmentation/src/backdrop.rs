@@ -7,16 +7,18 @@
 //! `d > t`, its holes filled, with `t` by Otsu's method (IEEE Trans. SMC 9, 1979) on `ln(1 + d)`.
 //!
 //! It is a proposal, to be looked at and corrected by hand: shadows on the backdrop, and parts of
-//! the object as dark as it, are beyond what brightness tells. How sure it is, [`MaskProposal`] says
-//! by how far the two classes lie apart, `η = between-class variance / variance` (Otsu's measure), and
-//! by how much of the object's area lies near the threshold.
+//! the object as dark as it, are beyond what brightness shows. [`MaskProposal`] states how sure it
+//! is by how far the two classes lie apart, `η = between-class variance / variance` (Otsu's
+//! measure), and by how much of the object's area lies near the threshold.
 
-use crate::error::PhotosError;
+use crate::error::SegmentationError;
+use crate::raster::regions;
 use nalgebra::{Matrix6, Vector6};
+use opencv::core::Mat;
+use opencv::imgproc;
 use rilievo_numerics::robust::median;
 use rilievo_scene::{LinearImage, Mask, Raster};
 use serde::{Deserialize, Serialize};
-use std::collections::VecDeque;
 
 /// Width of the ring, share of the shorter side.
 const RING_SHARE: f64 = 0.04;
@@ -91,9 +93,10 @@ fn monomials(x: f64, y: f64) -> Vector6<f64> {
 /// Proposes a mask of a photo.
 ///
 /// # Errors
-/// [`PhotosError::NoBackdrop`] when the frame's border is not plain or nothing stands out from it.
-pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<MaskProposal, PhotosError> {
-    let refuse = |reason: &'static str| PhotosError::NoBackdrop {
+/// [`SegmentationError::NoBackdrop`] when the frame's border is not plain or nothing stands out
+/// from it.
+pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<MaskProposal, SegmentationError> {
+    let refuse = |reason: &'static str| SegmentationError::NoBackdrop {
         photo: photo.to_owned(),
         reason,
     };
@@ -134,14 +137,14 @@ pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<MaskProposal, Ph
     let distance: Vec<f32> = squared.into_iter().map(|sum| sum.sqrt().ln_1p()).collect();
 
     // Object.
-    let (threshold, separability) = otsu(&distance);
+    let (threshold, separability) = otsu(&distance)?;
     let threshold = threshold.max(MIN_DISTANCE.ln_1p() as f32);
     let apart = Raster {
         width,
         height,
         data: distance.iter().map(|&d| d > threshold).collect(),
     };
-    let object = fill_holes(&largest_region(&apart));
+    let object = without_holes(&largest_region(&apart)?)?;
     if !OBJECT_SHARES.contains(&object.coverage()) {
         return Err(refuse("nothing stands out from the backdrop"));
     }
@@ -163,7 +166,7 @@ pub fn propose_mask(photo: &str, image: &LinearImage) -> Result<MaskProposal, Ph
         },
         separability,
         doubtful_share: doubtful as f64 / object.count().max(1) as f64,
-        border_share: crate::mask::border_share(&object),
+        border_share: object.frame_share(),
         mask: object,
     })
 }
@@ -217,111 +220,64 @@ fn fit(
 
 /// The threshold that parts values into two classes with the largest variance between them, and
 /// that variance over the whole.
-fn otsu(values: &[f32]) -> (f32, f64) {
-    const NUM_BINS: usize = 256;
+fn otsu(values: &[f32]) -> opencv::Result<(f32, f64)> {
     let max = values.iter().copied().fold(0.0f32, f32::max).max(1e-6);
-    let mut histogram = [0usize; NUM_BINS];
-    for &value in values {
-        let bin = (value / max * (NUM_BINS - 1) as f32) as usize;
-        histogram[bin.min(NUM_BINS - 1)] += 1;
-    }
-    let total = values.len() as f64;
-    let sum: f64 = histogram
-        .iter()
-        .enumerate()
-        .map(|(bin, &count)| bin as f64 * count as f64)
-        .sum();
-    let (mut below, mut sum_below) = (0.0, 0.0);
-    let (mut best, mut best_bin) = (-1.0, 0);
-    for (bin, &count) in histogram.iter().enumerate() {
-        below += count as f64;
-        sum_below += bin as f64 * count as f64;
-        let above = total - below;
-        if below == 0.0 || above == 0.0 {
-            continue;
-        }
-        let gap = sum_below / below - (sum - sum_below) / above;
-        let between = below * above * gap * gap;
-        if between > best {
-            (best, best_bin) = (between, bin);
+    let levels: Vec<u8> = values.iter().map(|v| (v / max * 255.0) as u8).collect();
+    let (mode, mut parted) = (
+        imgproc::THRESH_BINARY | imgproc::THRESH_OTSU,
+        Mat::default(),
+    );
+    let best = imgproc::threshold(&Mat::from_slice(&levels)?, &mut parted, 0.0, 255.0, mode)?;
+    // Number, sum and sum of squares of all levels, and of those of the lower class.
+    let (mut all, mut below) = ([0.0; 3], [0.0; 3]);
+    for level in levels.into_iter().map(f64::from) {
+        for (k, value) in [1.0, level, level * level].into_iter().enumerate() {
+            all[k] += value;
+            below[k] += if level <= best { value } else { 0.0 };
         }
     }
-    let mean = sum / total;
-    let variance: f64 = histogram
-        .iter()
-        .enumerate()
-        .map(|(bin, &count)| (bin as f64 - mean).powi(2) * count as f64)
-        .sum();
-    // `best` holds the classes' counts where shares belong.
-    let separability = best.max(0.0) / (total * variance).max(f64::MIN_POSITIVE);
-    let threshold = (best_bin as f32 + 1.0) / (NUM_BINS - 1) as f32 * max;
-    (threshold, separability.clamp(0.0, 1.0))
+    let [num_above, sum_above] = [all[0] - below[0], all[1] - below[1]];
+    let gap = below[1] / below[0] - sum_above / num_above;
+    let between = below[0] * num_above * gap * gap / all[0];
+    let separability = between / (all[2] - all[1] * all[1] / all[0]).max(f64::MIN_POSITIVE);
+    // Values without two classes have none apart.
+    let separability = if separability.is_finite() {
+        separability.clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    Ok(((best as f32 + 1.0) / 255.0 * max, separability))
 }
 
-/// Visits the pixels connected to a start through pixels of the same value.
-fn flood(mask: &Mask, start: usize, seen: &mut [bool]) -> Vec<usize> {
-    let wanted = mask.data[start];
-    let mut region = vec![];
-    let mut queue = VecDeque::from([start]);
-    seen[start] = true;
-    while let Some(index) = queue.pop_front() {
-        region.push(index);
-        let (x, y) = (index % mask.width, index / mask.width);
-        let neighbours = [
-            (x > 0).then(|| index - 1),
-            (x + 1 < mask.width).then(|| index + 1),
-            (y > 0).then(|| index - mask.width),
-            (y + 1 < mask.height).then(|| index + mask.width),
-        ];
-        for next in neighbours.into_iter().flatten() {
-            if !seen[next] && mask.data[next] == wanted {
-                seen[next] = true;
-                queue.push_back(next);
-            }
-        }
-    }
-    region
-}
-
-/// The largest connected region; the first of equals.
-fn largest_region(mask: &Mask) -> Mask {
-    let mut seen = vec![false; mask.data.len()];
-    let mut largest = Vec::new();
-    for start in 0..mask.data.len() {
-        if mask.data[start] && !seen[start] {
-            let region = flood(mask, start, &mut seen);
-            if region.len() > largest.len() {
-                largest = region;
-            }
-        }
-    }
-    let mut found = Raster::filled(mask.width, mask.height, false);
-    largest
-        .into_iter()
-        .for_each(|index| found.data[index] = true);
-    found
+/// The largest connected region.
+fn largest_region(mask: &Mask) -> opencv::Result<Mask> {
+    let (number, num_regions) = regions(mask)?;
+    let mut area = vec![0_usize; num_regions];
+    number.data.iter().for_each(|&k| area[k as usize] += 1);
+    // The first of equals; number 0 is no region.
+    let largest = (1..num_regions).rev().max_by_key(|&k| area[k]);
+    Ok(Mask::from_fn(mask.width, mask.height, |x, y| {
+        largest == Some(*number.at(x, y) as usize)
+    }))
 }
 
 /// Sets everything that is not connected to the frame's border from outside.
-fn fill_holes(mask: &Mask) -> Mask {
-    let (width, height) = (mask.width, mask.height);
-    let mut seen = vec![false; mask.data.len()];
-    let mut filled = Raster::filled(width, height, true);
-    for index in 0..mask.data.len() {
-        let (x, y) = (index % width, index / width);
-        let on_border = x == 0 || y == 0 || x + 1 == width || y + 1 == height;
-        if on_border && !mask.data[index] && !seen[index] {
-            for outside in flood(mask, index, &mut seen) {
-                filled.data[outside] = false;
-            }
-        }
+fn without_holes(mask: &Mask) -> opencv::Result<Mask> {
+    let (number, num_regions) = regions(&mask.clone().inverted())?;
+    let mut is_outside = vec![false; num_regions];
+    for (x, y) in mask.frame() {
+        is_outside[*number.at(x, y) as usize] = true;
     }
-    filled
+    is_outside[0] = false;
+    Ok(Mask::from_fn(mask.width, mask.height, |x, y| {
+        !is_outside[*number.at(x, y) as usize]
+    }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rilievo_synthetic::testing::overlap;
 
     /// Uniform numbers in -1..1 from the pixel's place.
     fn noise(index: usize) -> f32 {
@@ -356,13 +312,6 @@ mod tests {
             }
         }
         (image, truth)
-    }
-
-    fn overlap(a: &Mask, b: &Mask) -> f64 {
-        let pairs = || a.data.iter().zip(&b.data);
-        let both = pairs().filter(|(a, b)| **a && **b).count();
-        let any = pairs().filter(|(a, b)| **a || **b).count();
-        both as f64 / any as f64
     }
 
     #[test]

@@ -1,20 +1,21 @@
-//! What stays the same while poses are found: cameras, keypoint positions and tracks.
+//! The matched photos: cameras, keypoint positions and tracks, which stay the same while poses are
+//! found.
 
 use crate::options::{PosesOptions, RefineIntrinsics};
-use crate::projection::NUM_INTRINSICS;
+use crate::projection::{FOCAL, K1, K2, NUM_INTRINSICS, PRINCIPAL_POINT};
 use crate::tracks::{self, TrackSighting};
 use nalgebra::Point2;
-use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, PhotoSet};
+use rilievo_scene::{FeatureMatches, FocalSource, Intrinsics, Keypoint, PhotoSet};
 
 /// Standard deviation of `ln f` where it comes from EXIF: a nominal length, rounded to whole
 /// millimetres or thereabouts, at a focus nearer than infinity.
-pub const EXIF_FOCAL_SIGMA: f64 = 0.02;
+pub(crate) const EXIF_FOCAL_SIGMA: f64 = 0.02;
 /// Standard deviation of `ln f` where nothing is known.
-pub const GUESS_FOCAL_SIGMA: f64 = 0.4;
+pub(crate) const GUESS_FOCAL_SIGMA: f64 = 0.4;
 /// Standard deviation of the principal point, as a share of the image's longer side.
 const PRINCIPAL_POINT_SIGMA: f64 = 0.02;
 /// Standard deviation of the distortion coefficients `k1, k2, p1, p2, k3`.
-pub const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
+pub(crate) const DISTORTION_SIGMA: [f64; 5] = [0.3, 0.3, 0.01, 0.01, 0.1];
 
 /// Standard deviation of a small keypoint's coordinate, pixels: the distances of matches from the
 /// true epipolar lines of three calibrated photo sets.
@@ -23,7 +24,7 @@ const KEYPOINT_SIGMA_PX: f64 = 0.15;
 const KEYPOINT_SIGMA_PER_SIZE: f64 = 0.05;
 
 /// A camera shared by photos.
-pub struct SceneCamera {
+pub(crate) struct CameraPrior {
     /// Its group in the photo set.
     pub group: usize,
     /// Intrinsics before any adjustment.
@@ -36,14 +37,11 @@ pub struct SceneCamera {
     pub is_own: bool,
 }
 
-/// The fixed part of the problem.
-pub struct Scene<'a> {
-    /// The photos.
+/// Photos with their cameras, keypoints and tracks.
+pub(crate) struct MatchedPhotos<'a> {
     pub photos: &'a PhotoSet,
-    /// The matches.
     pub matches: &'a FeatureMatches,
-    /// Distinct cameras.
-    pub cameras: Vec<SceneCamera>,
+    pub cameras: Vec<CameraPrior>,
     /// Camera of each photo.
     pub camera_of: Vec<usize>,
     /// Keypoint positions per photo, pixels.
@@ -56,19 +54,18 @@ pub struct Scene<'a> {
     pub tracks_of: Vec<Vec<(usize, usize)>>,
 }
 
-impl<'a> Scene<'a> {
-    /// Builds tracks and cameras.
+impl<'a> MatchedPhotos<'a> {
     pub fn new(photos: &'a PhotoSet, matches: &'a FeatureMatches, options: &PosesOptions) -> Self {
-        let mut cameras: Vec<SceneCamera> = Vec::new();
+        let mut cameras: Vec<CameraPrior> = Vec::new();
         let camera_of = photos
             .photos
             .iter()
             .map(|photo| {
-                let same = |c: &SceneCamera| {
+                let same = |c: &CameraPrior| {
                     c.group == photo.camera_group && c.initial == photo.intrinsics
                 };
                 cameras.iter().position(same).unwrap_or_else(|| {
-                    cameras.push(SceneCamera {
+                    cameras.push(CameraPrior {
                         group: photo.camera_group,
                         initial: photo.intrinsics,
                         prior_sigma: prior_sigma(
@@ -83,28 +80,9 @@ impl<'a> Scene<'a> {
                 })
             })
             .collect();
-        let pixels = matches
-            .photos
-            .iter()
-            .map(|list| {
-                list.keypoints
-                    .iter()
-                    .map(|k| Point2::new(f64::from(k.x), f64::from(k.y)))
-                    .collect()
-            })
-            .collect();
-        let sigmas_px = matches
-            .photos
-            .iter()
-            .map(|list| {
-                list.keypoints
-                    .iter()
-                    .map(|k| {
-                        KEYPOINT_SIGMA_PX.hypot(KEYPOINT_SIGMA_PER_SIZE * f64::from(k.size_px))
-                    })
-                    .collect()
-            })
-            .collect();
+        let pixel = |k: &Keypoint| Point2::new(f64::from(k.x), f64::from(k.y));
+        let sigma_px =
+            |k: &Keypoint| KEYPOINT_SIGMA_PX.hypot(KEYPOINT_SIGMA_PER_SIZE * f64::from(k.size_px));
         let tracks = tracks::build(matches);
         let mut tracks_of = vec![Vec::new(); photos.photos.len()];
         for (t, track) in tracks.iter().enumerate() {
@@ -117,14 +95,13 @@ impl<'a> Scene<'a> {
             matches,
             cameras,
             camera_of,
-            pixels,
-            sigmas_px,
+            pixels: each_keypoint(matches, pixel),
+            sigmas_px: each_keypoint(matches, sigma_px),
             tracks,
             tracks_of,
         }
     }
 
-    /// Observed pixel of a sighting.
     pub fn pixel(&self, sighting: &TrackSighting) -> Point2<f64> {
         self.pixels[sighting.photo][sighting.keypoint as usize]
     }
@@ -143,10 +120,17 @@ impl<'a> Scene<'a> {
         tracks
     }
 
-    /// Number of photos.
     pub fn num_photos(&self) -> usize {
         self.photos.photos.len()
     }
+}
+
+/// A value of every keypoint, per photo.
+fn each_keypoint<T>(matches: &FeatureMatches, value: impl Fn(&Keypoint) -> T) -> Vec<Vec<T>> {
+    let photos = matches.photos.iter();
+    photos
+        .map(|list| list.keypoints.iter().map(&value).collect())
+        .collect()
 }
 
 /// Which intrinsics may change, and how far the start may be trusted.
@@ -164,19 +148,16 @@ fn prior_sigma(
         RefineIntrinsics::None => {}
         RefineIntrinsics::Auto if source == FocalSource::CameraFile => {}
         RefineIntrinsics::Auto => {
-            sigma[0] = Some(focal_sigma);
-            sigma[3] = Some(DISTORTION_SIGMA[0]);
-            sigma[4] = Some(DISTORTION_SIGMA[1]);
+            sigma[FOCAL] = Some(focal_sigma);
+            sigma[K1] = Some(DISTORTION_SIGMA[0]);
+            sigma[K2] = Some(DISTORTION_SIGMA[1]);
         }
-        RefineIntrinsics::Focal => sigma[0] = Some(focal_sigma),
+        RefineIntrinsics::Focal => sigma[FOCAL] = Some(focal_sigma),
         RefineIntrinsics::All => {
             let longer = camera.width.max(camera.height) as f64;
-            sigma[0] = Some(focal_sigma);
-            sigma[1] = Some(PRINCIPAL_POINT_SIGMA * longer);
-            sigma[2] = Some(PRINCIPAL_POINT_SIGMA * longer);
-            for (s, d) in sigma[3..].iter_mut().zip(DISTORTION_SIGMA) {
-                *s = Some(d);
-            }
+            sigma[FOCAL] = Some(focal_sigma);
+            sigma[PRINCIPAL_POINT].fill(Some(PRINCIPAL_POINT_SIGMA * longer));
+            sigma[K1..].copy_from_slice(&DISTORTION_SIGMA.map(Some));
         }
     }
     sigma
