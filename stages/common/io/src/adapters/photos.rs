@@ -70,16 +70,14 @@ impl Photos {
 
 /// Number and name of each photo, by the list that this program writes beside the cameras: for
 /// formats that know their photos by numbers alone.
-pub(super) fn listed_names(list: &Path) -> Result<Vec<(String, String)>, IoError> {
+pub(super) fn listed_names(list: &Path) -> Result<Vec<String>, IoError> {
     if !list.is_file() {
         return Ok(Vec::new());
     }
     let text = read_regular_text(list)?;
     let pairs = text.lines().filter_map(|line| line.split_once(' '));
-    Ok(pairs
-        .filter(|(_, name)| !name.is_empty())
-        .map(|(number, name)| (number.to_owned(), name.to_owned()))
-        .collect())
+    let names = pairs.map(|(_, name)| name.to_owned());
+    Ok(names.filter(|name| !name.is_empty()).collect())
 }
 
 /// Columns and rows of a photo: by its header, or, where that describes a preview, by its pixels.
