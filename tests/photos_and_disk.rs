@@ -10,7 +10,7 @@ use common::{
     rilievo, run, synthetic_set, with_exposure, write_noise_photo,
 };
 use rilievo_io::{
-    DeepFormat, encode_photo_jpeg, read_linear, write_linear, write_photo_deep, write_photo_jpeg,
+    encode_photo_jpeg, read_linear, write_linear, write_photo_deep, write_photo_jpeg,
 };
 use rilievo_scene::LinearImage;
 use std::io::{BufRead, BufReader};
@@ -38,8 +38,8 @@ fn one_photo_in_every_format_is_the_same_light() {
     let photos = dir.path().join("photos");
     std::fs::create_dir(&photos).unwrap();
     let image = picture(160, 120);
-    write_photo_deep(&photos.join("tiff.tif"), &image, DeepFormat::Tiff).unwrap();
-    write_photo_deep(&photos.join("png.png"), &image, DeepFormat::Png).unwrap();
+    write_photo_deep(&photos.join("tiff.tif"), &image).unwrap();
+    write_photo_deep(&photos.join("png.png"), &image).unwrap();
     write_linear(&photos.join("exr.exr"), &image).unwrap();
     write_photo_jpeg(&photos.join("jpeg.jpg"), &image, 95).unwrap();
     let run_dir = dir.path().join("run");
