@@ -9,9 +9,7 @@ use common::{
     SmallDisk, arg, differences, json_of, noise_photos, reconstruct_until, reconstructed_until,
     rilievo, run, synthetic_set, with_exposure, write_noise_photo,
 };
-use rilievo_io::{
-    encode_photo_jpeg, read_linear, write_linear, write_photo_deep, write_photo_jpeg,
-};
+use rilievo_io::{read_linear, write_linear, write_photo_deep, write_photo_jpeg};
 use rilievo_scene::LinearImage;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -66,12 +64,10 @@ fn exposures_are_evened_out_by_exif() {
     ] {
         let mut image = picture(160, 120);
         image.data.iter_mut().for_each(|value| *value *= gain);
-        let jpeg = encode_photo_jpeg(&image, 95).unwrap();
-        std::fs::write(
-            photos.join(format!("{name}.jpg")),
-            with_exposure(&jpeg, time),
-        )
-        .unwrap();
+        let path = photos.join(format!("{name}.jpg"));
+        write_photo_jpeg(&path, &image, 95).unwrap();
+        let jpeg = std::fs::read(&path).unwrap();
+        std::fs::write(&path, with_exposure(&jpeg, time)).unwrap();
     }
     let run_dir = dir.path().join("run");
     reconstructed_until("1_photos", &photos, &run_dir, &[]);

@@ -8,37 +8,21 @@ use image::{DynamicImage, ExtendedColorType, ImageBuffer};
 use rilievo_scene::{LinearImage, srgb};
 use std::path::Path;
 
-/// A linear image as the bytes of a JPEG file; values outside 0 to 1 are clipped, as in a camera.
-///
-/// # Errors
-/// When the image is too large for JPEG; the error names no file.
-pub fn encode_photo_jpeg(photo: &LinearImage, quality: u8) -> Result<Vec<u8>, IoError> {
-    let samples: Vec<u8> = photo
-        .data
-        .iter()
-        .map(|&linear| srgb::encode_byte(linear))
-        .collect();
-    let color = if photo.channels == 1 {
-        ExtendedColorType::L8
-    } else {
-        ExtendedColorType::Rgb8
-    };
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, quality)
-        .encode(&samples, photo.width as u32, photo.height as u32, color)
-        .map_err(|error| IoError::write(Path::new("JPEG"), error))?;
-    Ok(bytes)
-}
-
-/// Writes a linear image as JPEG.
+/// Writes a linear image as JPEG; values outside 0 to 1 are clipped, as in a camera.
 ///
 /// # Errors
 /// When the file cannot be written, or the image is too large for JPEG.
 pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result<(), IoError> {
-    let bytes = encode_photo_jpeg(photo, quality).map_err(|error| IoError {
-        path: path.to_path_buf(),
-        ..error
-    })?;
+    let samples = photo.data.iter().map(|&linear| srgb::encode_byte(linear));
+    let samples: Vec<u8> = samples.collect();
+    let color = match photo.channels {
+        1 => ExtendedColorType::L8,
+        _ => ExtendedColorType::Rgb8,
+    };
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality)
+        .encode(&samples, photo.width as u32, photo.height as u32, color)
+        .map_err(|error| IoError::write(path, error))?;
     OutputFile::new(path, bytes).write()
 }
 
