@@ -18,8 +18,7 @@ pub struct SpheresInSet {
     pub absent: Vec<String>,
     /// Photos whose marks were drawn over the photo as EXIF turns it, and were turned back.
     pub upright: Vec<String>,
-    /// Whether that is undecided, since the marks fit the photos either way: they were taken as
-    /// they are.
+    /// Whether that is undecided, since the marks fit either way: they were taken as they are.
     pub may_be_upright: bool,
 }
 
@@ -33,8 +32,7 @@ fn find_photo(photos: &PhotoSet, name: &str) -> Option<PhotoIdx> {
     meant(name).iter().find_map(|name| photos.find(name))
 }
 
-/// Whether a mark's photo, named with or without ending or folder, is the one of a file name and
-/// its stem.
+/// Whether a mark's name, with or without ending or folder, is that of a file name and its stem.
 pub fn is_mark_of(name: &str, file_name: &str, stem: &str) -> bool {
     let mut meant = meant(name).into_iter();
     meant.any(|name| name == file_name || name == stem)
