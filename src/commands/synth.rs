@@ -19,8 +19,8 @@ use crate::exit::Failure;
 use crate::observe::Console;
 use crate::store::{StoreError, create_folder};
 use rilievo_io::{
-    CameraEntry, CameraFile, DeepFormat, read_mesh_ply, write_cameras, write_depth, write_linear,
-    write_mask, write_matches_csv, write_mesh_ply, write_normal, write_photo_deep, write_photo_dng,
+    CameraEntry, CameraFile, read_mesh_ply, write_cameras, write_depth, write_linear, write_mask,
+    write_matches_csv, write_mesh_ply, write_normal, write_photo_deep, write_photo_dng,
     write_photo_jpeg,
 };
 use rilievo_scene::{ExifFacts, InTable, LinearImage, NormalMap, Observer, StageId, Unit};
@@ -340,8 +340,7 @@ fn write_view(folder: &Path, view: &RenderedView, format: SynthFormat) -> Result
     let photo = folder.join(format!("photos/{name}.{}", ending(format)));
     match format {
         SynthFormat::Jpeg => write_photo_jpeg(&photo, &view.image, JPEG_QUALITY),
-        SynthFormat::Tiff => write_photo_deep(&photo, &view.image, DeepFormat::Tiff),
-        SynthFormat::Png => write_photo_deep(&photo, &view.image, DeepFormat::Png),
+        SynthFormat::Tiff | SynthFormat::Png => write_photo_deep(&photo, &view.image),
         SynthFormat::Exr => write_linear(&photo, &view.image),
         SynthFormat::Dng => write_photo_dng(&photo, &view.image, [1.0; 3], &ExifFacts::default()),
     }?;

@@ -5,9 +5,7 @@
 use crate::common;
 
 use common::{arg, done, run};
-use rilievo_io::{
-    DeepFormat, read_cameras, read_linear, read_mask, read_normal, write_mask, write_photo_deep,
-};
+use rilievo_io::{read_cameras, read_linear, read_mask, read_normal, write_mask, write_photo_deep};
 use rilievo_scene::{LinearImage, Mask};
 use rilievo_synthetic::testing::mat_file;
 use std::path::Path;
@@ -36,7 +34,7 @@ fn write_view(folder: &Path) {
     }
     let image = LinearImage::filled(width, height, 3, 0.4);
     for name in ["001.png", "002.png"] {
-        write_photo_deep(&folder.join(name), &image, DeepFormat::Png).expect("a file");
+        write_photo_deep(&folder.join(name), &image).expect("a file");
     }
     let mask = Mask::from_fn(width, height, |x, y| x > 5 && y > 5);
     write_mask(&folder.join("mask.png"), &mask).expect("a file");

@@ -6,8 +6,8 @@ use crate::common;
 
 use common::{arg, done, json_of, noise_photos, reconstructed_until, run};
 use rilievo_io::{
-    DeepFormat, read_linear, read_mask, read_normal, write_linear, write_photo_deep,
-    write_photo_dng, write_photo_jpeg,
+    read_linear, read_mask, read_normal, write_linear, write_photo_deep, write_photo_dng,
+    write_photo_jpeg,
 };
 use rilievo_scene::{ExifFacts, LinearImage, Mask, NormalMap};
 use serde_json::Value;
@@ -47,10 +47,10 @@ impl View {
     /// the object's linear values and to the mean change of normals, degrees.
     fn in_all_formats(&self) -> Vec<(&'static str, f64, f64)> {
         let image = &self.image;
-        let deep = |name: &str, format| write_photo_deep(&self.path(name), image, format);
+        let deep = |name: &str| write_photo_deep(&self.path(name), image);
         write_linear(&self.path("exr.exr"), image).expect("a file");
-        deep("tiff.tif", DeepFormat::Tiff).expect("a file");
-        deep("png.png", DeepFormat::Png).expect("a file");
+        deep("tiff.tif").expect("a file");
+        deep("png.png").expect("a file");
         write_photo_jpeg(&self.path("jpeg.jpg"), image, 95).expect("a file");
         // A step of q leaves q / √12; JPEG halves the resolution of colours, besides rounding them.
         let step = 1.0 / 65_535.0 / 12.0_f64.sqrt();

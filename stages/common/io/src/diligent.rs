@@ -1,5 +1,4 @@
-//! The photometric stereo data sets DiLiGenT and DiLiGenT-MV: folders as their authors publish
-//! them.
+//! The photometric stereo data sets DiLiGenT and DiLiGenT-MV, as their authors publish them.
 //!
 //! ```text
 //! OBJECT/                            DiLiGenT: one view; DiLiGenT-MV: view_01, view_02, … inside

@@ -1,5 +1,4 @@
-//! Writes a linear image as a camera RAW file: an uncompressed mosaic in the Digital Negative
-//! format.
+//! Writes a linear image as a camera RAW file: an uncompressed mosaic as Digital Negative.
 //!
 //! Each pixel keeps the one colour of its filter, red and green in even rows, green and blue in odd
 //! ones, as `s = b + (w - b) L` between the black level `b` and the white level `w` of a camera of

@@ -85,7 +85,7 @@ pub use photo::{
     RawDecoder, decode_photo, decode_photo_bytes, decode_raw_here, decoder_is_guarded,
     is_photo_name, photo_size, set_raw_decoder,
 };
-pub use photo_writer::{DeepFormat, encode_photo_jpeg, write_photo_deep, write_photo_jpeg};
+pub use photo_writer::{write_photo_deep, write_photo_jpeg};
 pub use ply::{
     CloudPlyWriter, mesh_ply_file, read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply,
 };

@@ -1,5 +1,4 @@
-//! Lighting for programs of reflectance transformation imaging (`.lp`): one directional light per
-//! photo.
+//! Lighting for reflectance transformation imaging (`.lp`): one directional light per photo.
 //!
 //! `I = l₁n₁ + l₂n₂ + l₃n₃ + …` is, in its first three terms, a distant lamp of direction `s = (l₁,
 //! l₂, l₃)/|·|`; the format has no place for what the other six terms hold (ambient light, soft

@@ -20,20 +20,10 @@ pub fn read_mask(path: &Path) -> Result<Mask, IoError> {
     if let Some(alpha) = image.alpha {
         return Ok(alpha);
     }
-    let white = |white: f64, max: f64| if max == 1.0 { 1.0 } else { white };
     let levels = match image.samples {
-        Samples::U8(v) => {
-            let max = v.iter().copied().max().unwrap_or(0);
-            if image.channels == 1 && max != 1 {
-                v
-            } else {
-                levels(&v, image.channels, white(255.0, f64::from(max)))
-            }
-        }
-        Samples::U16(v) => {
-            let max = v.iter().copied().max().unwrap_or(0);
-            levels(&v, image.channels, white(65535.0, f64::from(max)))
-        }
+        Samples::U8(v) if image.channels == 1 && v.iter().any(|&level| level > 1) => v,
+        Samples::U8(v) => levels(&v, image.channels, u8::MAX),
+        Samples::U16(v) => levels(&v, image.channels, u16::MAX),
         Samples::F32(v) => levels(&v, image.channels, 1.0),
     };
     mask_values::check(path, &levels, image.width)?;
@@ -42,8 +32,11 @@ pub fn read_mask(path: &Path) -> Result<Mask, IoError> {
         .ok_or_else(|| IoError::input(path, "its pixels do not fill its frame"))
 }
 
-/// Mean of each pixel's channels in whole steps of 255; what is not a number is 0.
-fn levels<T: Copy + Into<f64>>(samples: &[T], channels: usize, white: f64) -> Vec<u8> {
+/// Mean of each pixel's channels in whole steps of 255; 1 is as good as `white` where nothing is
+/// brighter, and what is not a number is 0.
+fn levels<T: Copy + Into<f64>>(samples: &[T], channels: usize, white: T) -> Vec<u8> {
+    let is_label = samples.iter().all(|&sample| sample.into() <= 1.0);
+    let white = if is_label { 1.0 } else { white.into() };
     let scale = 255.0 / (white * channels as f64);
     samples
         .chunks_exact(channels)

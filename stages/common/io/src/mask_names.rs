@@ -50,8 +50,7 @@ fn photos_of(mask_file_name: &str) -> impl Iterator<Item = (usize, &str)> {
         .filter(move |_| is_image)
 }
 
-/// Mask files by the names of the photos that they fit: looking one up costs the same among any
-/// number.
+/// Mask files by the names of the photos that they fit; a look-up costs the same among any number.
 #[derive(Debug)]
 pub struct MaskNames {
     /// By place in the list and photo's name, in alphabetical order.

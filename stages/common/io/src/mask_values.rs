@@ -35,7 +35,10 @@ pub(crate) const BRIGHT: u8 = 128;
 /// # Shapes
 /// `levels`: `height * width`.
 pub(crate) fn check(path: &Path, levels: &[u8], width: usize) -> Result<(), IoError> {
-    let histogram = histogram(levels);
+    let mut histogram = [0usize; 256];
+    for &level in levels {
+        histogram[usize::from(level)] += 1;
+    }
     let most_frequent = |range: std::ops::RangeInclusive<u8>| {
         range.fold((0, 0), |best: (u8, usize), level| {
             let count = histogram[usize::from(level)];
@@ -82,24 +85,8 @@ pub(crate) fn check(path: &Path, levels: &[u8], width: usize) -> Result<(), IoEr
     .with_hint("give a picture that is white on the object and black elsewhere, from a folder of masks alone"))
 }
 
-/// Pixels of each level. Four tables take turns: where one level follows itself, as in masks,
-/// adding to a single one waits for the sum before.
-fn histogram(levels: &[u8]) -> [usize; 256] {
-    let mut tables = [[0usize; 256]; 4];
-    for part in levels.chunks(4) {
-        for (table, &level) in tables.iter_mut().zip(part) {
-            table[usize::from(level)] += 1;
-        }
-    }
-    std::array::from_fn(|level| tables.iter().map(|table| table[level]).sum())
-}
-
 /// Grey pixels in the tiles that hold no border between dark and bright, nor touch one that does.
 fn grey_away_from_borders(levels: &[u8], width: usize, is_grey: impl Fn(u8) -> bool) -> usize {
-    let mut is_grey_level = [false; 256];
-    for level in 0..=u8::MAX {
-        is_grey_level[usize::from(level)] = is_grey(level);
-    }
     let columns = width.div_ceil(TILE_PX);
     // Of each tile: whether it has dark pixels, bright ones, and how many grey ones.
     let tiles: Vec<(bool, bool, usize)> = levels
@@ -111,10 +98,7 @@ fn grey_away_from_borders(levels: &[u8], width: usize, is_grey: impl Fn(u8) -> b
                     let num_bright = part.iter().filter(|&&level| level >= BRIGHT).count();
                     tile.0 |= num_bright < part.len();
                     tile.1 |= num_bright > 0;
-                    tile.2 += part
-                        .iter()
-                        .filter(|&&level| is_grey_level[usize::from(level)])
-                        .count();
+                    tile.2 += part.iter().filter(|&&level| is_grey(level)).count();
                 }
             }
             tiles

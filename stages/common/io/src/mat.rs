@@ -45,8 +45,7 @@ pub struct MatArray {
 }
 
 impl MatArray {
-    /// The `R x C` matrix that it is, by rows; `None` where it has another size or no finite
-    /// values.
+    /// The `R x C` matrix that it is, by rows; `None` of another size or without finite values.
     pub fn matrix<const R: usize, const C: usize>(&self) -> Option<[[f64; C]; R]> {
         let fits = self.dims == [R, C] && self.values.iter().all(|v| v.is_finite());
         let at = |row: usize, column: usize| self.values[column * R + row];

@@ -4,59 +4,31 @@
 use crate::error::IoError;
 use crate::files::OutputFile;
 use image::codecs::jpeg::JpegEncoder;
-use image::{DynamicImage, ExtendedColorType, ImageBuffer, ImageFormat};
+use image::{DynamicImage, ExtendedColorType, ImageBuffer};
 use rilievo_scene::{LinearImage, srgb};
 use std::path::Path;
 
-/// A linear image as the bytes of a JPEG file; values outside 0 to 1 are clipped, as in a camera.
-///
-/// # Errors
-/// When the image is too large for JPEG; the error names no file.
-pub fn encode_photo_jpeg(photo: &LinearImage, quality: u8) -> Result<Vec<u8>, IoError> {
-    let samples: Vec<u8> = photo
-        .data
-        .iter()
-        .map(|&linear| srgb::encode_byte(linear))
-        .collect();
-    let color = if photo.channels == 1 {
-        ExtendedColorType::L8
-    } else {
-        ExtendedColorType::Rgb8
-    };
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, quality)
-        .encode(&samples, photo.width as u32, photo.height as u32, color)
-        .map_err(|error| IoError::write(Path::new("JPEG"), error))?;
-    Ok(bytes)
-}
-
-/// Writes a linear image as JPEG.
+/// Writes a linear image as JPEG; values outside 0 to 1 are clipped, as in a camera.
 ///
 /// # Errors
 /// When the file cannot be written, or the image is too large for JPEG.
 pub fn write_photo_jpeg(path: &Path, photo: &LinearImage, quality: u8) -> Result<(), IoError> {
-    let bytes = encode_photo_jpeg(photo, quality).map_err(|error| IoError {
-        path: path.to_path_buf(),
-        ..error
-    })?;
+    let samples = photo.data.iter().map(|&linear| srgb::encode_byte(linear));
+    let samples: Vec<u8> = samples.collect();
+    let color = match photo.channels {
+        1 => ExtendedColorType::L8,
+        _ => ExtendedColorType::Rgb8,
+    };
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, quality)
+        .encode(&samples, photo.width as u32, photo.height as u32, color)
+        .map_err(|error| IoError::write(path, error))?;
     OutputFile::new(path, bytes).write()
 }
 
-/// Formats of 16-bit photos.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum DeepFormat {
-    /// PNG.
-    Png,
-    /// TIFF.
-    Tiff,
-}
-
-/// Writes a linear image with 16 bits, proportional to light; values outside 0 to 1 are clipped.
-pub fn write_photo_deep(
-    path: &Path,
-    photo: &LinearImage,
-    format: DeepFormat,
-) -> Result<(), IoError> {
+/// Writes a linear image with 16 bits, proportional to light, as PNG or TIFF by the path's ending;
+/// values outside 0 to 1 are clipped.
+pub fn write_photo_deep(path: &Path, photo: &LinearImage) -> Result<(), IoError> {
     let deep = |&linear: &f32| (linear.clamp(0.0, 1.0) * 65535.0).round() as u16;
     let samples: Vec<u16> = photo.data.iter().map(deep).collect();
     let (width, height) = (photo.width as u32, photo.height as u32);
@@ -66,12 +38,8 @@ pub fn write_photo_deep(
         ImageBuffer::from_raw(width, height, samples).map(DynamicImage::ImageRgb16)
     };
     let image = image.ok_or_else(|| IoError::write(path, "pixels and size do not match"))?;
-    let format = match format {
-        DeepFormat::Png => ImageFormat::Png,
-        DeepFormat::Tiff => ImageFormat::Tiff,
-    };
     image
-        .save_with_format(path, format)
+        .save(path)
         .map_err(|error| IoError::write(path, error))
 }
 
@@ -100,9 +68,9 @@ mod tests {
         for (i, value) in photo.data.iter_mut().enumerate() {
             *value = i as f32 / 3600.0;
         }
-        for (name, format) in [("a.png", DeepFormat::Png), ("a.tif", DeepFormat::Tiff)] {
+        for name in ["a.png", "a.tif"] {
             let path = folder.path().join(name);
-            write_photo_deep(&path, &photo, format).unwrap();
+            write_photo_deep(&path, &photo).unwrap();
             let decoded = crate::decode_photo(&path).unwrap();
             assert!(decoded.linear_by_metadata, "{}", decoded.encoding_reason);
             let rilievo_scene::decoded::Samples::U16(samples) = &decoded.samples else {

@@ -1,5 +1,4 @@
-//! Pictures for people: depth, normals, linear images and error maps as 8-bit PNG, or as JPEG of
-//! few bytes.
+//! Pictures for people: depth, normals, linear images and error maps as PNG, or JPEG of few bytes.
 //!
 //! | map | colours |
 //! |---|---|

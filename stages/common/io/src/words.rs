@@ -63,15 +63,6 @@ pub(crate) fn spaced<'a>(values: impl IntoIterator<Item = &'a f64>) -> String {
     words.join(" ")
 }
 
-/// The next line, which must be there.
-pub(crate) fn next_line<'a>(
-    lines: &mut impl Iterator<Item = Line<'a>>,
-    file: &Path,
-) -> Result<Line<'a>, IoError> {
-    let line = lines.next();
-    line.ok_or_else(|| IoError::input(file, "the file ends too early"))
-}
-
 /// Lines that carry data; empty ones stay with `keep_empty`, where they mean something.
 pub(crate) fn lines<'a>(
     file: &'a Path,

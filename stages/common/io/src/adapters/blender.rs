@@ -6,7 +6,7 @@
 //! upwards; pixels are `f_x / f_y` times as high as wide. Source: Blender manual, "Cameras", and
 //! its Python API, `bpy.types.Camera`.
 
-use super::limits::{flip, refuse_distortion};
+use super::limits::{flip, refuse_distortion, rows_of};
 use crate::cameras::CameraFile;
 use crate::error::IoError;
 use crate::files::OutputFile;
@@ -73,10 +73,7 @@ pub fn blender_file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoE
         let rotation = pose.inverse().rotation_matrix() * flip();
         let center = pose.center_in_source();
         centers.push(center);
-        let row = |i: usize| {
-            let r = |j: usize| rotation[(i, j)];
-            [r(0), r(1), r(2), center[i]]
-        };
+        let [first, second, third] = rows_of(&rotation, &center);
         let name = Path::new(entry.name()).file_stem().unwrap_or_default();
         list.push(json!({
             "name": name.to_string_lossy(),
@@ -88,7 +85,7 @@ pub fn blender_file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoE
                 (k.cy - 0.5 * (height - 1.0)) * aspect / width,
             ],
             "pixel_aspect": aspect,
-            "world_from_camera": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            "world_from_camera": [first, second, third, [0.0, 0.0, 0.0, 1.0]],
         }));
     }
     if list.is_empty() {

@@ -11,6 +11,7 @@
 //! which is kept: the chunk's transform into the earth's frame would cost six digits. Only its
 //! scale is applied, and makes lengths metres. Source: Metashape manual, appendix "Camera models".
 
+use super::limits::rows_of;
 use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, rigid_from_world_pose};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
@@ -194,10 +195,9 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
             "      <camera id=\"{i}\" sensor_id=\"{sensor}\" label=\"{label}\">"
         );
         if let Some(pose) = entry.cam_from_world {
-            let (r, c) = (pose.inverse().rotation_matrix(), pose.center_in_source());
-            let rows = r.row_iter().zip(c.iter());
-            let rows: Vec<String> = rows.map(|(row, t)| spaced(row.iter().chain([t]))).collect();
-            let rows = rows.join(" ");
+            let rotation = pose.inverse().rotation_matrix();
+            let rows = rows_of(&rotation, &pose.center_in_source());
+            let rows = spaced(rows.as_flattened());
             entries += &format!("<transform>{rows} 0 0 0 1</transform>");
         }
         entries.push_str("</camera>\n");

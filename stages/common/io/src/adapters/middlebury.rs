@@ -9,7 +9,7 @@ use crate::cameras::{CameraEntry, CameraFile, intrinsics_of, matrix_of, rigid_fr
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
 use crate::names::Names;
-use crate::words::{lines, next_line, spaced};
+use crate::words::{lines, spaced};
 use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
@@ -17,7 +17,9 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
     let photos = Photos::new(photos, folder_of(path), &["", "images"]);
     let text = read_regular_text(path)?;
     let mut rest = lines(path, &text, false);
-    let num_images: usize = next_line(&mut rest, path)?.parse("the number of images")?;
+    let first = rest.next();
+    let mut first = first.ok_or_else(|| IoError::input(path, "the file ends too early"))?;
+    let num_images: usize = first.parse("the number of images")?;
     let mut file = CameraFile::default();
     for mut line in rest.take(num_images) {
         let name = line.word("the image's name")?.to_owned();

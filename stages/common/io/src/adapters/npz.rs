@@ -76,7 +76,7 @@ fn images(path: &Path, photos: &Photos, num: usize) -> Result<Vec<PathBuf>, IoEr
     let names = listed_names(&names_of(path))?;
     if names.len() == num {
         let beside = |name: &str| Some(path.with_file_name(name)).filter(|path| path.is_file());
-        let found = |(_, name): &(String, String)| photos.find(name).or_else(|| beside(name));
+        let found = |name: &String| photos.find(name).or_else(|| beside(name));
         if let Some(images) = names.iter().map(found).collect() {
             return Ok(images);
         }

@@ -19,8 +19,7 @@ pub(super) struct Photos {
 }
 
 impl Photos {
-    /// The folder that the user names, then some beside a file or in a folder, then those
-    /// themselves.
+    /// The folder that the user names, then folders beside a file.
     pub(super) fn new(given: Option<&Path>, beside: &Path, inside: &[&str]) -> Self {
         let given = given.map(Path::to_path_buf);
         let inside = inside.iter().map(|name| beside.join(name));
@@ -60,8 +59,7 @@ impl Photos {
         IoError::input(file, reason).with_hint(HINT)
     }
 
-    /// The photo of the first of its names that is there, or the refusal of the camera file that
-    /// names it.
+    /// The photo of the first of its names that is there, or the refusal of the camera file.
     pub(super) fn named(&self, file: &Path, names: &[&str]) -> Result<PathBuf, IoError> {
         let found = names.iter().find_map(|name| self.find(name));
         found.ok_or_else(|| self.missing(file, &format!("the photo {}", names[0])))
@@ -70,16 +68,14 @@ impl Photos {
 
 /// Number and name of each photo, by the list that this program writes beside the cameras: for
 /// formats that know their photos by numbers alone.
-pub(super) fn listed_names(list: &Path) -> Result<Vec<(String, String)>, IoError> {
+pub(super) fn listed_names(list: &Path) -> Result<Vec<String>, IoError> {
     if !list.is_file() {
         return Ok(Vec::new());
     }
     let text = read_regular_text(list)?;
     let pairs = text.lines().filter_map(|line| line.split_once(' '));
-    Ok(pairs
-        .filter(|(_, name)| !name.is_empty())
-        .map(|(number, name)| (number.to_owned(), name.to_owned()))
-        .collect())
+    let names = pairs.map(|(_, name)| name.to_owned());
+    Ok(names.filter(|name| !name.is_empty()).collect())
 }
 
 /// Columns and rows of a photo: by its header, or, where that describes a preview, by its pixels.

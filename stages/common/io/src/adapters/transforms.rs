@@ -8,7 +8,7 @@
 //! may stand at the top or in a frame, `camera_angle_x` instead of a focal length. Source:
 //! nerfstudio documentation, "Data conventions".
 
-use super::limits::flip;
+use super::limits::{flip, rows_of};
 use super::photos::{Photos, folder_of, size_of};
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose, unit};
 use crate::error::IoError;
@@ -119,18 +119,14 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
     }
     let frames = cameras.posed().map(|(entry, pose)| {
         let rotation = pose.inverse().rotation_matrix() * flip();
-        let center = pose.center_in_source();
-        let row = |i: usize| {
-            let [x, y, z] = [0, 1, 2].map(|j| rotation[(i, j)]);
-            [x, y, z, center[i]]
-        };
+        let [first, second, third] = rows_of(&rotation, &pose.center_in_source());
         let (i, d) = (&entry.intrinsics, &entry.intrinsics.distortion);
         json!({
             "file_path": entry.name(),
             "w": i.width, "h": i.height,
             "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx + 0.5, "cy": i.cy + 0.5,
             "k1": d.k1, "k2": d.k2, "p1": d.p1, "p2": d.p2, "k3": d.k3,
-            "transform_matrix": [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]],
+            "transform_matrix": [first, second, third, [0.0, 0.0, 0.0, 1.0]],
         })
     });
     let frames: Vec<serde_json::Value> = frames.collect();

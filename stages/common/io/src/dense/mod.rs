@@ -5,8 +5,7 @@
 //! | COLMAP | `depth_maps/NAME.geometric.bin`, `normal_maps/…` | along the axis, 0: none | camera frame, towards the camera |
 //! | OpenMVS | `depthNNNN.dmap`, with its camera | along the axis, 0: none | camera frame, towards the camera |
 //!
-//! Values are handed on as they stand, also what is no number: whoever uses them counts and drops
-//! it.
+//! Values are handed on as they stand, also what is no number: whoever uses them drops it.
 
 mod colmap;
 mod openmvs;

@@ -1,6 +1,6 @@
 use super::*;
 use crate::mat::sample;
-use crate::{DeepFormat, write_mask, write_photo_deep};
+use crate::{write_mask, write_photo_deep};
 use nalgebra::{Point3, Rotation3};
 use rilievo_scene::Raster;
 
@@ -24,7 +24,7 @@ fn write_view(folder: &Path, compress: bool) {
         for (i, value) in image.data.iter_mut().enumerate() {
             *value = 0.2 * intensity[i % 3] as f32;
         }
-        write_photo_deep(&folder.join(name), &image, DeepFormat::Png).unwrap();
+        write_photo_deep(&folder.join(name), &image).unwrap();
     }
     let mask = Raster::from_fn(width, height, |x, _| x > 0);
     write_mask(&folder.join("mask.png"), &mask).unwrap();

@@ -1,5 +1,4 @@
-//! Binary glTF 2.0: one mesh with normals and colours, or an asset with textures, for viewers and
-//! the web.
+//! Binary glTF 2.0 for viewers and the web: one mesh with normals and colours, or an asset.
 //!
 //! glTF wants metres, y up and the front towards z. A level world is turned by a quarter; any other
 //! has no such axes, and [`ViewerFrame`] takes them from the cameras: up is the mean of their
@@ -183,8 +182,7 @@ type Part<'a> = (
     Box<dyn FnMut(&mut BufWriter<File>) -> std::io::Result<()> + 'a>,
 );
 
-/// A file while it is gathered: the JSON's parts, and those of the binary chunk, made as it is
-/// written.
+/// A file while it is gathered: parts of the JSON and of the binary chunk, which is made last.
 struct Glb<'a> {
     attributes: serde_json::Map<String, Value>,
     views: Vec<Value>,

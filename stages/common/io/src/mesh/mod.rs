@@ -1,5 +1,4 @@
-//! Meshes for other programs: Wavefront OBJ and binary glTF (GLB), and assets with textures. PLY is
-//! in [`crate::ply`].
+//! Meshes for other programs: Wavefront OBJ, binary glTF (GLB) and assets; PLY: [`crate::ply`].
 //!
 //! | format | frame | unit | colours |
 //! |---|---|---|---|

@@ -6,8 +6,7 @@ use crate::error::IoError;
 use image::ImageFormat;
 use std::path::Path;
 
-/// Brands of still pictures in HEIF (ISO/IEC 23008-12, annex B) whose codec is HEVC or is not
-/// named.
+/// Brands of still pictures in HEIF (ISO/IEC 23008-12, annex B) of HEVC or any codec.
 const HEIF_BRANDS: [&[u8; 4]; 8] = [
     b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1",
 ];

@@ -18,8 +18,7 @@ use heic_decoder::{ColorInfo, DecodeOptions, HeifError, RgbOptions};
 use rilievo_scene::{DecodedPhoto, Orientation, Raster, Samples};
 use std::path::Path;
 
-/// Bytes in memory per pixel: three planes of integers, of the tiles and of the whole, and the
-/// colours.
+/// Bytes in memory per pixel: three planes of integers, of tiles and of the whole, and colours.
 const BYTES_PER_PX: u64 = 18;
 
 /// Colours of files without a statement of them: sRGB, the whole range, BT.601's matrix (ISO/IEC

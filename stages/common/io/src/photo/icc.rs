@@ -1,5 +1,4 @@
-//! ICC profiles: how large one may be, and its tone curve, `linear = f(stored)`, from its `gTRC` or
-//! `kTRC` tag.
+//! ICC profiles: how large one may be, and its tone curve `linear = f(stored)` (`gTRC`, `kTRC`).
 //!
 //! Source: ICC.1:2022, sections 10.6 (`curv`) and 10.18 (`para`). The three channels of every
 //! working space in use share one curve, so the green one stands for all. Primaries are left as
@@ -34,8 +33,7 @@ pub(super) enum ToneCurve {
     Other(Vec<f32>),
 }
 
-/// The curve of a profile; `None` where it has no plain one (a look-up-table profile) or is
-/// damaged.
+/// The curve of a profile; `None` where it has no plain one (look-up tables) or is damaged.
 pub(super) fn tone_curve(profile: &[u8]) -> Option<ToneCurve> {
     let tag = find_tag(profile, b"gTRC").or_else(|| find_tag(profile, b"kTRC"))?;
     let curve = parse(tag)?;

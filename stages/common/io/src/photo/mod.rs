@@ -1,7 +1,6 @@
-//! Photos: JPEG, HEIC, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with
-//! their metadata.
+//! JPEG, HEIC, PNG, TIFF, Radiance HDR, OpenEXR and camera RAW to samples as stored, with metadata.
 //!
-//! Nothing is linearised, rotated or scaled here; its encoding by its metadata is noted
+//! Nothing is linearised, rotated or scaled here; the encoding by the metadata is noted
 //! ([`DecodedPhoto::linear_by_metadata`], [`DecodedPhoto::profile_curve`]), and stage 1 decides.
 //!
 //! # What counts as linear by metadata

@@ -114,8 +114,7 @@ fn decode(
     })
 }
 
-/// The colour profile of a TIFF, which the image library looks for without bounds or within those
-/// of the pixels.
+/// The colour profile of a TIFF; the image library has no bounds for it, or those of the pixels.
 fn tiff_profile(bytes: &[u8]) -> Result<Option<Vec<u8>>, String> {
     use tiff::decoder::{Decoder, Limits, ifd::Value};
     let Ok(decoder) = Decoder::new(Cursor::new(bytes)) else {

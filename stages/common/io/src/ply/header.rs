@@ -122,21 +122,18 @@ impl Header {
                     count: count.parse().map_err(|_| wrong())?,
                     properties: Vec::new(),
                 }),
-                ["property", "list", length, scalar, name] => {
-                    let element = elements.last_mut().ok_or_else(wrong)?;
-                    let length = Scalar::from_name(length).ok_or_else(wrong)?;
-                    element.properties.push(Property {
-                        name: name.to_owned(),
-                        list: Some(length),
-                        scalar: Scalar::from_name(scalar).ok_or_else(wrong)?,
-                    });
-                }
-                ["property", scalar, name] => {
+                ["property", ref property @ ..] => {
+                    let (list, scalar, name) = match *property {
+                        ["list", length, scalar, name] => (Some(length), scalar, name),
+                        [scalar, name] => (None, scalar, name),
+                        _ => return Err(wrong()),
+                    };
+                    let of = |name| Scalar::from_name(name).ok_or_else(wrong);
                     let element = elements.last_mut().ok_or_else(wrong)?;
                     element.properties.push(Property {
                         name: name.to_owned(),
-                        list: None,
-                        scalar: Scalar::from_name(scalar).ok_or_else(wrong)?,
+                        list: list.map(of).transpose()?,
+                        scalar: of(scalar)?,
                     });
                 }
                 ["end_header"] => break,

@@ -154,8 +154,7 @@ fn parse(bytes: &[u8]) -> Result<Content, String> {
     Ok(content)
 }
 
-/// For every property of an element of vertices its slot and the factor of its values, where it is
-/// understood.
+/// For every property of a vertex its slot and the factor of its values, where it is understood.
 fn slots(element: &Element) -> Vec<Option<(usize, f64)>> {
     element
         .properties

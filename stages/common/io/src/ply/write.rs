@@ -23,12 +23,10 @@ fn put(out: &mut impl Write, values: [f32; 3]) -> std::io::Result<()> {
         .try_for_each(|value| out.write_all(&value.to_le_bytes()))
 }
 
-/// Columns that a cloud's header keeps free for the number of its points: those of the largest
-/// `u64`.
+/// Columns of a cloud's header for the number of its points: those of the largest `u64`.
 const COUNT_COLUMNS: usize = 20;
 
-/// Header of a cloud; of one length for any number of points, so that it can be written over: the
-/// comment is filled up.
+/// Header of a cloud, to be written over: the comment is filled up, for one length at any number.
 fn cloud_header(world: WorldCoordinates, num_points: u64) -> String {
     let count = num_points.to_string();
     let mut header = preamble(world);

@@ -8,8 +8,7 @@ use std::path::PathBuf;
 /// Most spheres of a file. Each is fitted in every photo, which takes a tenth of a second or more,
 /// and nobody places as many beside an object: a longer list was made by mistake.
 pub const MAX_NUM_SPHERES: usize = 64;
-/// Radii that can be meant, in whatever unit of length: beyond, sums of squares lose the smaller
-/// term.
+/// Radii that can be meant, in any unit of length: beyond, sums of squares lose the smaller term.
 pub const SPHERE_RADII: RangeInclusive<f64> = 1e-6..=1e6;
 /// A photo of a sphere in the object's place, as the file names it.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! The spheres of a file in a set of photos: marks become those of photos, in pixels as stored.
 
-use super::file::SphereFile;
+use super::file::{SphereFile, SphereFileCalibration, SphereFileEntry};
 use crate::cameras::{last_part, stem};
 use crate::error::IoError;
 use nalgebra::Point3;
@@ -18,8 +18,7 @@ pub struct SpheresInSet {
     pub absent: Vec<String>,
     /// Photos whose marks were drawn over the photo as EXIF turns it, and were turned back.
     pub upright: Vec<String>,
-    /// Whether that is undecided, since the marks fit the photos either way: they were taken as
-    /// they are.
+    /// Whether that is undecided, since the marks fit either way: they were taken as they are.
     pub may_be_upright: bool,
 }
 
@@ -33,8 +32,7 @@ fn find_photo(photos: &PhotoSet, name: &str) -> Option<PhotoIdx> {
     meant(name).iter().find_map(|name| photos.find(name))
 }
 
-/// Whether a mark's photo, named with or without ending or folder, is the one of a file name and
-/// its stem.
+/// Whether a mark's name, with or without ending or folder, is that of a file name and its stem.
 pub fn is_mark_of(name: &str, file_name: &str, stem: &str) -> bool {
     let mut meant = meant(name).into_iter();
     meant.any(|name| name == file_name || name == stem)
@@ -90,93 +88,98 @@ impl SphereFile {
         photos: &PhotoSet,
         calibration_images: Vec<LinearImage>,
     ) -> Result<SpheresInSet, IoError> {
-        let mut in_set = SpheresInSet::default();
-        let SpheresInSet {
-            request,
-            absent,
-            upright,
-            may_be_upright,
-        } = &mut in_set;
-        request.light = self.light;
         let is_upright = self.is_upright(photos);
-        *may_be_upright = is_upright.is_none();
+        let mut in_set = SpheresInSet {
+            may_be_upright: is_upright.is_none(),
+            ..SpheresInSet::default()
+        };
+        in_set.request.light = self.light;
         for entry in &self.spheres {
-            let mut sphere = MarkedSphere {
-                name: entry.name.clone(),
-                radius: entry.radius,
-                marks: Vec::new(),
-                center_in_world: entry.center.map(Point3::from),
-            };
-            for (name, mark) in &entry.views {
-                let Some(photo) = find_photo(photos, name) else {
-                    if !absent.contains(name) {
-                        absent.push(name.clone());
-                    }
-                    continue;
-                };
-                let Photo {
-                    intrinsics,
-                    orientation,
-                    file_name,
-                    ..
-                } = &photos.photos[photo.0];
-                let stored = (intrinsics.width, intrinsics.height);
-                let mark = if is_upright == Some(true) && *orientation != Orientation::UPRIGHT {
-                    if !upright.contains(file_name) {
-                        upright.push(file_name.clone());
-                    }
-                    orientation.mark_to_stored(mark, stored)
-                } else {
-                    mark.clone()
-                };
-                check_frame(&mark, stored.0, stored.1).map_err(|reason| {
-                    IoError::input(&self.path, format!("{}views.{name}: {reason}", entry.key))
-                })?;
-                sphere.marks.push((photo, mark));
-            }
-            sphere.marks.sort_by_key(|(photo, _)| *photo);
-            request.spheres.push(sphere);
+            let sphere = self.marked(entry, photos, is_upright == Some(true), &mut in_set)?;
+            in_set.request.spheres.push(sphere);
         }
-        if calibration_images.len() != self.calibration.len() {
-            return Err(IoError::input(
-                &self.path,
-                format!(
-                    "names {} calibration photos, of which {} were read",
-                    self.calibration.len(),
-                    calibration_images.len()
-                ),
-            ));
+        let (num, num_read) = (self.calibration.len(), calibration_images.len());
+        if num_read != num {
+            let reason = format!("names {num} calibration photos, of which {num_read} were read");
+            return Err(IoError::input(&self.path, reason));
         }
         for (i, (entry, image)) in self.calibration.iter().zip(calibration_images).enumerate() {
-            let refuse =
-                |reason: String| IoError::input(&self.path, format!("calibration[{i}]{reason}"));
-            let photo = find_photo(photos, &entry.same_camera_as).ok_or_else(|| {
-                refuse(format!(
-                    ".same_camera_as: \"{}\" is none of the photos",
-                    entry.same_camera_as
-                ))
+            let calibration = calibration(entry, image, photos).map_err(|reason| {
+                IoError::input(&self.path, format!("calibration[{i}]{reason}"))
             })?;
-            let camera = &photos.photos[photo.0].intrinsics;
-            if (image.width, image.height) != (camera.width, camera.height) {
-                return Err(refuse(format!(
-                    ".image: {} x {} pixels, but {} has {} x {}",
-                    image.width, image.height, entry.same_camera_as, camera.width, camera.height
-                )));
-            }
-            if let Some(mark) = &entry.mark {
-                check_frame(mark, image.width, image.height)
-                    .map_err(|reason| refuse(format!(": {reason}")))?;
-            }
-            request.calibration.push(SphereCalibration {
-                image,
-                name: last_part(&entry.image.to_string_lossy()).to_owned(),
-                same_camera_as: photo,
-                radius: entry.radius,
-                mark: entry.mark.clone(),
-            });
+            in_set.request.calibration.push(calibration);
         }
         Ok(in_set)
     }
+
+    /// A sphere with its marks in the set's photos, turned back where they were drawn upright.
+    fn marked(
+        &self,
+        entry: &SphereFileEntry,
+        photos: &PhotoSet,
+        is_upright: bool,
+        in_set: &mut SpheresInSet,
+    ) -> Result<MarkedSphere, IoError> {
+        let mut sphere = MarkedSphere {
+            name: entry.name.clone(),
+            radius: entry.radius,
+            marks: Vec::new(),
+            center_in_world: entry.center.map(Point3::from),
+        };
+        for (name, mark) in &entry.views {
+            let Some(idx) = find_photo(photos, name) else {
+                if !in_set.absent.contains(name) {
+                    in_set.absent.push(name.clone());
+                }
+                continue;
+            };
+            let photo = &photos.photos[idx.0];
+            let stored = (photo.intrinsics.width, photo.intrinsics.height);
+            let mark = if is_upright && photo.orientation != Orientation::UPRIGHT {
+                if !in_set.upright.contains(&photo.file_name) {
+                    in_set.upright.push(photo.file_name.clone());
+                }
+                photo.orientation.mark_to_stored(mark, stored)
+            } else {
+                mark.clone()
+            };
+            check_frame(&mark, stored.0, stored.1).map_err(|reason| {
+                IoError::input(&self.path, format!("{}views.{name}: {reason}", entry.key))
+            })?;
+            sphere.marks.push((idx, mark));
+        }
+        sphere.marks.sort_by_key(|(photo, _)| *photo);
+        Ok(sphere)
+    }
+}
+
+/// A calibration photo of a set; the reason, with its key, where it is none.
+fn calibration(
+    entry: &SphereFileCalibration,
+    image: LinearImage,
+    photos: &PhotoSet,
+) -> Result<SphereCalibration, String> {
+    let same = &entry.same_camera_as;
+    let photo = find_photo(photos, same)
+        .ok_or_else(|| format!(".same_camera_as: \"{same}\" is none of the photos"))?;
+    let camera = &photos.photos[photo.0].intrinsics;
+    let (width, height) = (image.width, image.height);
+    if (width, height) != (camera.width, camera.height) {
+        return Err(format!(
+            ".image: {width} x {height} pixels, but {same} has {} x {}",
+            camera.width, camera.height
+        ));
+    }
+    if let Some(mark) = &entry.mark {
+        check_frame(mark, width, height).map_err(|reason| format!(": {reason}"))?;
+    }
+    Ok(SphereCalibration {
+        image,
+        name: last_part(&entry.image.to_string_lossy()).to_owned(),
+        same_camera_as: photo,
+        radius: entry.radius,
+        mark: entry.mark.clone(),
+    })
 }
 
 /// Whether a mark is of a photo of this size: a mask has its size, any other reaches into it.

@@ -128,7 +128,8 @@ pub(super) fn follow(
     bytes: &[u8],
     at: usize,
 ) -> Result<usize, Defect> {
-    let mut bits = Bits::new(bytes, at);
+    let no_memory = Defect::Damaged("its image data exceed the memory");
+    let mut bits = Bits::new(bytes, at).ok_or(no_memory)?;
     let mut means = vec![0i64; scan.parts.len()];
     let mut end_of_band = 0u32;
     // A scan of one component holds its own blocks, without those that only fill the last units.
@@ -155,7 +156,7 @@ pub(super) fn follow(
             if bits.num_left() > MAX_LEFT || rest.get(fill) != Some(&expected) {
                 return Err(damaged);
             }
-            bits = Bits::new(bytes, bits.marker + fill + 1);
+            bits = Bits::new(bytes, bits.marker + fill + 1).ok_or(no_memory)?;
             means.fill(0);
             end_of_band = 0;
         }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 /// Equal bytes in a row from which coefficients other than zero are none: a lost sector. Chance
 /// makes as many once in 2¹⁸⁴.
-const MIN_LOST: u32 = 24;
+const MIN_LOST: usize = 24;
 
 /// Longest code, bits.
 const MAX_LENGTH: usize = 16;
@@ -36,10 +36,8 @@ impl HuffmanTable {
 
 /// The bits of a scan, or of its part up to a restart: as far as the next marker.
 pub(super) struct Bits {
-    /// Bytes without the zeros that are stuffed behind `0xFF`; four zeros more, and for each byte
-    /// whether it is the last of many equal ones.
+    /// Bytes without the zeros that are stuffed behind `0xFF`, and four zeros more.
     data: Vec<u8>,
-    lost: Vec<bool>,
     /// Bits that were read, and those that there are.
     at: usize,
     len: usize,
@@ -48,36 +46,37 @@ pub(super) struct Bits {
 }
 
 impl Bits {
-    pub(super) fn new(bytes: &[u8], mut at: usize) -> Self {
-        let (mut data, mut lost) = (Vec::new(), Vec::new());
-        let mut repeated = 0;
-        loop {
-            let (byte, step) = match bytes.get(at..) {
-                Some([0xFF, 0x00, ..]) => (0xFF, 2),
-                // A marker, or fill bytes before one.
-                Some([0xFF, ..] | []) | None => break,
-                Some([byte, ..]) => (*byte, 1),
-            };
-            let is_same = data.last() == Some(&byte);
-            repeated = if is_same { repeated + 1 } else { 1 };
-            data.push(byte);
-            lost.push(repeated >= MIN_LOST);
-            at += step;
+    /// The bits from a place on; `None` where there is no memory for them.
+    pub(super) fn new(bytes: &[u8], at: usize) -> Option<Self> {
+        let rest = bytes.get(at..).unwrap_or_default();
+        let is_marker = |pair: &[u8]| pair[0] == 0xFF && pair[1] != 0;
+        let end = rest.windows(2).position(is_marker);
+        let end = end.unwrap_or(rest.len() - usize::from(rest.ends_with(&[0xFF])));
+        let mut data = Vec::new();
+        data.try_reserve_exact(end + 4).ok()?;
+        let mut before = 0;
+        for &byte in &rest[..end] {
+            if (before, byte) != (0xFF, 0) {
+                data.push(byte);
+            }
+            before = byte;
         }
         let len = 8 * data.len();
         data.extend([0; 4]);
-        Self {
+        Some(Self {
             data,
-            lost,
             at: 0,
             len,
-            marker: at,
-        }
+            marker: at + end,
+        })
     }
 
     /// Whether the byte at hand repeats those before it over and over.
     pub(super) fn is_lost(&self) -> bool {
-        self.lost.get(self.at / 8).is_some_and(|&lost| lost)
+        let last = self.at / 8;
+        let equal = (last + 1).checked_sub(MIN_LOST);
+        let equal = equal.and_then(|first| self.data.get(first..=last));
+        equal.is_some_and(|equal| equal.iter().rev().all(|byte| *byte == equal[0]))
     }
 
     /// The next 16 bits, zeros behind the last.

@@ -1,8 +1,8 @@
 //! Whether a JPEG file is whole: a walk over its markers and through its Huffman-coded data.
 //!
 //! Decoders fill the missing part of a cut-off JPEG with grey, go on after damage in the middle
-//! with whatever the bits happen to say, and report success; as a photo that is worse than none.
-//! Two things tell:
+//! with whatever the bits happen to mean, and report success; as a photo that is worse than none.
+//! Two signs betray it:
 //! 1. the end-of-image marker (ITU-T T.81, section B.1.1.3), always the last thing that a camera
 //!    writes, is absent from a file that was cut off;
 //! 2. each scan must hold exactly the blocks that its frame asks for ([`entropy`]): after damage the
