@@ -12,20 +12,21 @@ pub enum PhotosError {
     InvalidOption(#[from] OptionError),
     /// The photo is too small to hold an object.
     #[error(
-        "{photo}: {width} x {height} pixels are too few; at least {min} on each side are needed"
+        "{photo}: {} x {} pixels are too few; at least {min} on each side are needed",
+        size.0, size.1
     )]
     TooSmall {
         /// The photo.
         photo: String,
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
+        /// Columns and rows.
+        size: (usize, usize),
         /// Fewest pixels on a side.
         min: usize,
     },
     /// The decoded samples do not fill the frame.
-    #[error("{photo}: {found} samples, {expected} expected for {width} x {height} x {channels}")]
+    #[error(
+        "{photo}: {found} samples, {expected} expected for {} x {} x {channels}", size.0, size.1
+    )]
     Samples {
         /// The photo.
         photo: String,
@@ -33,10 +34,8 @@ pub enum PhotosError {
         found: usize,
         /// Samples expected.
         expected: usize,
-        /// Columns.
-        width: usize,
-        /// Rows.
-        height: usize,
+        /// Columns and rows.
+        size: (usize, usize),
         /// Channels.
         channels: usize,
     },
@@ -98,20 +97,16 @@ pub enum PhotosError {
     },
     /// The mask has another size than the photo.
     #[error(
-        "mask of {photo} has {mask_width} x {mask_height} pixels, the photo {width} x {height}; \
-         export it at the photo's size, as stored or upright as EXIF turns the photo"
+        "mask of {photo} has {} x {} pixels, the photo {} x {}; export it at the photo's size, as \
+         stored or upright as EXIF turns the photo", mask_size.0, mask_size.1, size.0, size.1
     )]
     MaskSize {
         /// The photo.
         photo: String,
-        /// Columns of the mask.
-        mask_width: usize,
-        /// Rows of the mask.
-        mask_height: usize,
-        /// Columns of the photo.
-        width: usize,
-        /// Rows of the photo.
-        height: usize,
+        /// Columns and rows of the mask.
+        mask_size: (usize, usize),
+        /// Those of the photo.
+        size: (usize, usize),
     },
     /// The mask has no object pixel, or hardly any.
     #[error("mask of {photo} is black: {num_pixels} object pixels; white must mark the object")]
@@ -153,20 +148,17 @@ pub enum PhotosError {
     },
     /// The given camera belongs to an image of another size.
     #[error(
-        "camera of {photo} is for {camera_width} x {camera_height} pixels, the photo has \
-         {width} x {height}; give the camera for this size (a rotated photo keeps the sensor's frame)"
+        "camera of {photo} is for {} x {} pixels, the photo has {} x {}; give the camera for this \
+         size (a rotated photo keeps the sensor's frame)",
+        camera_size.0, camera_size.1, size.0, size.1
     )]
     CameraSize {
         /// The photo.
         photo: String,
-        /// Columns of the camera.
-        camera_width: usize,
-        /// Rows of the camera.
-        camera_height: usize,
-        /// Columns of the photo.
-        width: usize,
-        /// Rows of the photo.
-        height: usize,
+        /// Columns and rows of the camera.
+        camera_size: (usize, usize),
+        /// Those of the photo.
+        size: (usize, usize),
     },
     /// The given camera has a focal length that no lens has.
     #[error(

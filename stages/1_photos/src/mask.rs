@@ -60,18 +60,13 @@ pub(crate) fn turned_by_content(
 }
 
 /// Checks a photo's mask.
-pub(crate) fn check(
-    photo: &str,
-    (width, height): (usize, usize),
-    mask: &Mask,
-) -> Result<(), PhotosError> {
-    if (mask.width, mask.height) != (width, height) {
+pub(crate) fn check(photo: &str, size: (usize, usize), mask: &Mask) -> Result<(), PhotosError> {
+    let mask_size = (mask.width, mask.height);
+    if mask_size != size {
         return Err(PhotosError::MaskSize {
             photo: photo.to_owned(),
-            mask_width: mask.width,
-            mask_height: mask.height,
-            width,
-            height,
+            mask_size,
+            size,
         });
     }
     let num_pixels = mask.count();

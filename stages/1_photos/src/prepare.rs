@@ -183,23 +183,21 @@ fn name_of(file_name: &str) -> &str {
 }
 
 fn check_frame(decoded: &DecodedPhoto) -> Result<(), PhotosError> {
-    let (width, height) = (decoded.width, decoded.height);
-    if width.min(height) < MIN_SIDE_PX {
+    let size = (decoded.width, decoded.height);
+    if size.0.min(size.1) < MIN_SIDE_PX {
         return Err(PhotosError::TooSmall {
             photo: decoded.file_name.clone(),
-            width,
-            height,
+            size,
             min: MIN_SIDE_PX,
         });
     }
-    let expected = width * height * decoded.channels;
+    let expected = size.0 * size.1 * decoded.channels;
     if decoded.samples.len() != expected || !matches!(decoded.channels, 1 | 3) {
         return Err(PhotosError::Samples {
             photo: decoded.file_name.clone(),
             found: decoded.samples.len(),
             expected,
-            width,
-            height,
+            size,
             channels: decoded.channels,
         });
     }
@@ -210,13 +208,13 @@ fn given_camera(
     decoded: &DecodedPhoto,
     intrinsics: Intrinsics,
 ) -> Result<FirstCamera, PhotosError> {
-    if (intrinsics.width, intrinsics.height) != (decoded.width, decoded.height) {
+    let size = (decoded.width, decoded.height);
+    let camera_size = (intrinsics.width, intrinsics.height);
+    if camera_size != size {
         return Err(PhotosError::CameraSize {
             photo: decoded.file_name.clone(),
-            camera_width: intrinsics.width,
-            camera_height: intrinsics.height,
-            width: decoded.width,
-            height: decoded.height,
+            camera_size,
+            size,
         });
     }
     if let Some(focal_px) = intrinsics.implausible_focal_px() {

@@ -10,22 +10,16 @@ use crate::adjustment::{AdjustedCamera, BundleOptions};
 use crate::consistency;
 use crate::error::PosesError;
 use crate::initial_pair::{self, InitialPair};
-use crate::lens::MIN_NUM_VIEWS_FOR_DISTORTION;
 use crate::matched::{CameraPrior, MatchedPhotos};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::PosesOptions;
 use crate::projection::CenteredPose;
-use crate::ranking::Ranking;
+use crate::ranking::{MIN_NUM_VISIBLE_POINTS, Ranking};
 use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use crate::resection::resect;
-use crate::triangulation::TriangulationLimits;
+use crate::triangulation::{MIN_TRIANGULATION_ANGLE_DEG, TriangulationLimits};
 use rilievo_scene::{Observer, RigidTransform, StageId};
 
-/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the
-/// point too far.
-pub(crate) const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
-/// Points that a photo must see to be registered, and a pair to begin: few agree by chance.
-pub(crate) const MIN_NUM_VISIBLE_POINTS: usize = 15;
 /// Up to this many views every adjustment covers all of them.
 const MAX_NUM_VIEWS_ALWAYS_GLOBAL: usize = 20;
 /// Growth after which a larger model is adjusted as a whole again; less costs time, more lets errors
@@ -40,6 +34,8 @@ const NUM_LOCAL_VIEWS: usize = 6;
 const MAX_NUM_INITIAL_PAIRS: usize = 6;
 /// Views that distinguish a focal length from a motion along the axis.
 const MIN_NUM_VIEWS_FOR_INTRINSICS: usize = 3;
+/// Views from which lens distortion can be told from the shape of the scene.
+pub(crate) const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
 /// Least relative drop of the cost for which distortion is adopted: noise alone lowers it by the
 /// number of its coefficients over that of the observations, far less.
 const MIN_COST_DROP_FOR_DISTORTION: f64 = 0.03;

@@ -5,9 +5,9 @@
 //! off a plane win. Pairs under [`MIN_ANGLE_DEG`] take part only where there is no wider one.
 
 use crate::error::PosesError;
-use crate::incremental::MIN_TRIANGULATION_ANGLE_DEG;
 use crate::matched::MatchedPhotos;
 use crate::relative_pose::{self, RelativePose};
+use crate::triangulation::MIN_TRIANGULATION_ANGLE_DEG;
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_numerics::robust::median;

@@ -19,7 +19,7 @@
 
 use crate::adjustment::BundleOptions;
 use crate::error::PosesError;
-use crate::incremental::Reconstruction;
+use crate::incremental::{MIN_NUM_VIEWS_FOR_DISTORTION, Reconstruction};
 use crate::matched::{CameraPrior, MatchedPhotos};
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
 use crate::options::{PosesOptions, RefineIntrinsics};
@@ -27,8 +27,6 @@ use crate::projection::{FOCAL, K1};
 use crate::report::{AdjustmentReport, ContradictedFocal, LensReport};
 use rilievo_numerics::robust::median;
 
-/// Views from which lens distortion can be told from the shape of the scene.
-pub(crate) const MIN_NUM_VIEWS_FOR_DISTORTION: usize = 4;
 /// Least change of a given focal length that is reported: a calibration at another focus is off by
 /// about as much.
 const MIN_FOCAL_CHANGE: f64 = 0.03;

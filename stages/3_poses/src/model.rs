@@ -5,7 +5,7 @@ use crate::error::PosesError;
 use crate::matched::{CameraPrior, DISTORTION_SIGMA, GUESS_FOCAL_SIGMA, MatchedPhotos};
 use crate::projection::{CenteredPose, FOCAL, K1, NUM_INTRINSICS};
 use crate::report::AdjustmentReport;
-use crate::triangulation::{Sighting, TriangulationLimits, triangulate, widest_angle};
+use crate::triangulation::{Sighting, TriangulationLimits, triangulate};
 use nalgebra::{Matrix3, Point2, Point3};
 use rayon::prelude::*;
 use rilievo_numerics::robust::{RobustLoss, median};
@@ -194,27 +194,19 @@ impl Model {
             .collect()
     }
 
-    /// The posed sightings of a track with their places in it.
-    fn posed_sightings<'m>(
+    /// A sighting of a track at a pixel; `None` without a pose.
+    fn sighting<'m>(
         &'m self,
         matched: &MatchedPhotos<'_>,
         cameras: &'m [Intrinsics],
-        track: usize,
-    ) -> (Vec<usize>, Vec<Sighting<'m>>) {
-        matched.tracks[track]
-            .iter()
-            .enumerate()
-            .filter_map(|(place, s)| {
-                self.poses[s.photo].as_ref().map(|pose| {
-                    let sighting = Sighting {
-                        camera: &cameras[matched.camera_of[s.photo]],
-                        pose,
-                        pixel: matched.pixel(s),
-                    };
-                    (place, sighting)
-                })
-            })
-            .unzip()
+        photo: usize,
+        pixel: Point2<f64>,
+    ) -> Option<Sighting<'m>> {
+        Some(Sighting {
+            camera: &cameras[matched.camera_of[photo]],
+            pose: self.poses[photo].as_ref()?,
+            pixel,
+        })
     }
 
     /// Triangulates every track that can be, and extends or trims the support of known points.
@@ -234,28 +226,30 @@ impl Model {
         let updated: Vec<Option<ModelPoint>> = tracks
             .par_iter()
             .map(|&t| {
-                let (places, sightings) = self.posed_sightings(matched, &cameras, t);
+                let posed = matched.tracks[t].iter().enumerate();
+                let posed = posed.filter_map(|(place, s)| {
+                    let pixel = matched.pixel(s);
+                    Some((place, self.sighting(matched, &cameras, s.photo, pixel)?))
+                });
+                let (places, sightings): (Vec<usize>, Vec<Sighting<'_>>) = posed.unzip();
                 if sightings.len() < 2 {
                     return None;
                 }
-                if let Some(point) = &self.points[t] {
+                let supported = |(position, support): (Point3<f64>, Vec<usize>)| ModelPoint {
+                    position,
+                    support: support.into_iter().map(|k| places[k]).collect(),
+                };
+                if let Some(ModelPoint { position, .. }) = self.points[t] {
                     let support: Vec<usize> = (0..sightings.len())
-                        .filter(|&k| sightings[k].error_px(&point.position) <= limits.max_error_px)
+                        .filter(|&k| sightings[k].error_px(&position) <= limits.max_error_px)
                         .collect();
-                    let centers: Vec<Point3<f64>> =
-                        support.iter().map(|&k| sightings[k].pose.center).collect();
-                    let wide = widest_angle(&point.position, &centers) >= limits.min_angle_rad;
-                    if support.len() >= 2 && support.len() * 2 > sightings.len() && wide {
-                        return Some(ModelPoint {
-                            position: point.position,
-                            support: support.iter().map(|&k| places[k]).collect(),
-                        });
+                    let centers = support.iter().map(|&k| sightings[k].pose.center);
+                    let centers: Vec<Point3<f64>> = centers.collect();
+                    if support.len() * 2 > sightings.len() && limits.hold(&position, &centers) {
+                        return Some(supported((position, support)));
                     }
                 }
-                triangulate(&sightings, limits).map(|(position, support)| ModelPoint {
-                    position,
-                    support: support.iter().map(|&k| places[k]).collect(),
-                })
+                triangulate(&sightings, limits).map(supported)
             })
             .collect();
         let mut changed = Vec::new();
@@ -278,41 +272,30 @@ impl Model {
                 let Some(point) = &self.points[t] else {
                     return Vec::new();
                 };
-                self.observations(matched, t)
-                    .into_iter()
-                    .filter_map(|(place, pixel, _)| {
-                        let photo = matched.tracks[t][place].photo;
-                        let sighting = Sighting {
-                            camera: &cameras[matched.camera_of[photo]],
-                            pose: self.poses[photo].as_ref()?,
-                            pixel,
-                        };
-                        Some((place, sighting.error_px(&point.position)))
-                    })
-                    .collect()
+                let seen = self.observations(matched, t).into_iter();
+                let errors = seen.filter_map(|(place, pixel, _)| {
+                    let photo = matched.tracks[t][place].photo;
+                    let sighting = self.sighting(matched, &cameras, photo, pixel)?;
+                    Some((place, sighting.error_px(&point.position)))
+                });
+                errors.collect()
             })
             .collect();
         let mut all: Vec<f64> = errors.iter().flatten().map(|e| e.1).collect();
         let typical = median(&mut all).unwrap_or(0.0);
-        let limit = (OUTLIER_MEDIANS * typical).clamp(MIN_OUTLIER_PX, limits.max_error_px);
+        let limit = (OUTLIER_MEDIANS * typical).max(MIN_OUTLIER_PX);
+        let limit = limit.min(limits.max_error_px);
         for (t, errors) in errors.into_iter().enumerate() {
-            let support: Vec<usize> = errors
-                .iter()
-                .filter(|(_, error)| *error <= limit)
-                .map(|(place, _)| *place)
-                .collect();
-            let centers: Vec<Point3<f64>> = support
-                .iter()
-                .filter_map(|&place| self.poses[matched.tracks[t][place].photo])
-                .map(|pose| pose.center)
-                .collect();
-            if let Some(point) = &mut self.points[t] {
-                let wide = widest_angle(&point.position, &centers) >= limits.min_angle_rad;
-                if support.len() >= 2 && wide {
-                    point.support = support;
-                } else {
-                    self.points[t] = None;
-                }
+            let Some(point) = &mut self.points[t] else {
+                continue;
+            };
+            let close = errors.into_iter().filter(|&(_, error)| error <= limit);
+            point.support = close.map(|(place, _)| place).collect();
+            let poses = point.support.iter();
+            let poses = poses.filter_map(|&place| self.poses[matched.tracks[t][place].photo]);
+            let centers: Vec<Point3<f64>> = poses.map(|pose| pose.center).collect();
+            if !limits.hold(&point.position, &centers) {
+                self.points[t] = None;
             }
         }
     }

@@ -5,11 +5,12 @@
 //! others determine; where far more of them agree, the photo is given a camera of its own, which later adjustments refine.
 
 use crate::error::PosesError;
-use crate::incremental::{MIN_NUM_VISIBLE_POINTS, adjust_all, limits};
+use crate::incremental::{adjust_all, limits};
 use crate::matched::{CameraPrior, GUESS_FOCAL_SIGMA, MatchedPhotos};
 use crate::model::Model;
 use crate::options::{PosesOptions, RefineIntrinsics};
 use crate::projection::{FOCAL, PRINCIPAL_POINT};
+use crate::ranking::MIN_NUM_VISIBLE_POINTS;
 use crate::resection::resect;
 use nalgebra::{Point2, Point3};
 use rayon::prelude::*;

@@ -5,9 +5,11 @@
 //! pose (Schönberger and Frahm, CVPR 2016, section 4.2). Scores are kept until a point of the photo comes
 //! or goes, which concerns the neighbours of the photo just registered only.
 
-use crate::incremental::MIN_NUM_VISIBLE_POINTS;
 use crate::matched::MatchedPhotos;
 use crate::model::Model;
+
+/// Points that a photo must see to be registered, and a pair to begin: few agree by chance.
+pub(crate) const MIN_NUM_VISIBLE_POINTS: usize = 15;
 
 /// What was last known of a photo.
 #[derive(Clone, Copy)]

@@ -1,9 +1,10 @@
 //! The model as the stage's output, with its report.
 
 use crate::adjustment::FINAL_LOSS;
-use crate::incremental::{MIN_NUM_VISIBLE_POINTS, Reconstruction};
+use crate::incremental::Reconstruction;
 use crate::matched::MatchedPhotos;
 use crate::model::{AdjustmentScope, IntrinsicsScope, Model};
+use crate::ranking::MIN_NUM_VISIBLE_POINTS;
 use crate::report::{PosesReport, ViewReport};
 use nalgebra::Point2;
 use rilievo_scene::{

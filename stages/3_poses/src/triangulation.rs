@@ -12,6 +12,10 @@ use rilievo_numerics::lines::normal_equations;
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::Intrinsics;
 
+/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the point
+/// too far.
+pub(crate) const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
+
 /// A sighting: camera, pose and pixel.
 #[derive(Clone, Copy)]
 pub(crate) struct Sighting<'a> {
@@ -41,6 +45,13 @@ pub(crate) struct TriangulationLimits {
     pub max_error_px: f64,
     /// Smallest of the widest angles between two of its rays, radians.
     pub min_angle_rad: f64,
+}
+
+impl TriangulationLimits {
+    /// Whether rays from these centres hold a point: two or more, and not too nearly parallel.
+    pub fn hold(&self, point: &Point3<f64>, centers: &[Point3<f64>]) -> bool {
+        centers.len() >= 2 && widest_angle(point, centers) >= self.min_angle_rad
+    }
 }
 
 /// Point nearest to all rays.
@@ -146,14 +157,12 @@ pub(crate) fn triangulate(
         'pairs: for a in 0..sightings.len() {
             for b in a + 1..sightings.len() {
                 let pair = [a, b];
-                let Some(point) =
-                    nearest_to_rays(&pair.map(|k| centers[k]), &pair.map(|k| rays[k]))
+                let of_pair = pair.map(|k| centers[k]);
+                let Some(point) = nearest_to_rays(&of_pair, &pair.map(|k| rays[k]))
+                    .filter(|point| limits.hold(point, &of_pair))
                 else {
                     continue;
                 };
-                if widest_angle(&point, &pair.map(|k| centers[k])) < limits.min_angle_rad {
-                    continue;
-                }
                 let support = supporters(&point);
                 if best
                     .as_ref()
@@ -178,9 +187,6 @@ pub(crate) fn triangulate(
         RobustLoss::Cauchy(0.5 * limits.max_error_px),
     );
     let support = supporters(&point);
-    if support.len() < 2 {
-        return None;
-    }
     let used: Vec<Point3<f64>> = support.iter().map(|&k| centers[k]).collect();
-    (widest_angle(&point, &used) >= limits.min_angle_rad).then_some((point, support))
+    limits.hold(&point, &used).then_some((point, support))
 }
