@@ -19,8 +19,8 @@ pub enum ObjectLight {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LightingOptions {
-    /// What the light is fixed to where it is fitted on the program's own shape; absent, the anchors'
-    /// brightness decides.
+    /// What the light is fixed to where it is fitted on the program's own shape; absent, the
+    /// anchors' brightness decides.
     pub own_shape_light: Option<LightKind>,
     /// Whether the object's own anchors may correct the light of a sphere.
     pub object_light: ObjectLight,

@@ -114,7 +114,8 @@ impl CornerPoisson {
         }
         self.constraints.clear();
         self.constraints.extend_from_slice(constraints);
-        // diag(b) ⪰ b bᵀ because the bilinear weights sum to one: the lumped preconditioner is safe.
+        // diag(b) ⪰ b bᵀ because the bilinear weights sum to one: the lumped preconditioner is
+        // safe.
         for (total, mass) in self.operator.mass.iter_mut().zip(&self.mass) {
             *total = mass + PROXIMITY;
         }
