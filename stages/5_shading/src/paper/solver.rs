@@ -303,9 +303,9 @@ fn solve_view(
         |outcome| draw_to_shading(finest, sigma, &surface, outcome),
     );
     report.rms_rendered = rms_residual(&finest.pixels, &theta);
-    let mut solved = maps(view, finest, &geometry, &y, &theta);
     let size = (view.image.width, view.image.height);
-    solved.confidence = Some(confidence::map(size, finest, &theta, &surface, sigma));
+    let confidence = confidence::map(size, finest, &theta, &surface, sigma);
+    let solved = maps(view, finest, &geometry, &y, &theta, confidence);
     report.seconds.total = begun.elapsed().as_secs_f64();
     Ok((solved, report))
 }
