@@ -10,7 +10,7 @@
 //! then `R / r` metres. Where the world is metric already, `r = R` is kept and only `C` is sought.
 //!
 //! # Steps
-//! 1. A cone per view ([`super::cone_from_points`]).
+//! 1. A cone per view ([`super::mark`]).
 //! 2. Every pair of views proposes a sphere: the axes' nearest points give the centre, the
 //!    half-angles the radius; the proposal that most views agree with wins, so that one bad mark
 //!    is outvoted.
