@@ -57,7 +57,7 @@ pub const RETIRED_KEYS: &[RetiredKey] = &[
     retired(&["shadow_level"], "use `shading.paper.shadow_level`"),
     retired(
         &["coupling"],
-        "matches are always triangulated into anchors, which solves the same problem",
+        "matches are always triangulated into anchors",
     ),
     retired(
         &["match_noise_px"],

@@ -37,10 +37,9 @@ const BALANCE: f64 = 10.0;
 const BETA_FACTOR: f64 = 2.0;
 /// Fewest iterations before the energy may stop the iteration.
 const MIN_ITERATIONS: usize = 6;
-/// Iterations at most, far more than either needs to settle.
+/// Iterations at most, where the energy never settles.
 const MAX_ITERATIONS: usize = 100;
-/// Relative change of the energy at which the iteration stops: a tenth of a per cent, below which
-/// the angle no longer changes by what the tables show.
+/// Relative change of the energy at which the iteration stops.
 const RELATIVE_TOLERANCE: f64 = 1e-3;
 /// Regularisation of the fixed point, against pixels whose `a` vanishes.
 const FIXED_POINT_DAMPING: f64 = 1e-4;
