@@ -51,6 +51,7 @@ impl StageOptions {
             (self.photos.validate(), "photos"),
             (self.features.validate(), "features"),
             (self.poses.validate(), "poses"),
+            (self.lighting.validate(), "lighting"),
             (self.shading.validate(), "shading"),
             (self.fusion.validate(), "fusion"),
         ];

@@ -499,7 +499,7 @@ pub struct ShadeArgs {
     /// How samples relate to light
     #[arg(long, value_name = "ENCODING", value_parser = words(ENCODINGS))]
     pub encoding: Option<Encoding>,
-    /// Options, as TOML: tables `photos`, `shading` and `lighting`
+    /// Options, as TOML: tables `photos` and `shading.paper`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     /// Folder for the results

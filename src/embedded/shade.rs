@@ -97,7 +97,7 @@ pub fn shade(
                         depth: view.depth,
                         normal: view.normal,
                         rendered: view.rendered,
-                        confidence: view.confidence,
+                        confidence: Some(view.confidence),
                     });
                     Ok(())
                 })?;

@@ -65,6 +65,7 @@ const ONE_PHOTO: &str = "1 usable photo, poses need at least 2: add photos from 
 pub fn from_lighting(error: LightingError) -> anyhow::Error {
     match error {
         LightingError::Interrupted => Failure::Interrupted.into(),
+        LightingError::InvalidOption { .. } => Failure::Usage(error.to_string()).into(),
         LightingError::Inconsistent(error) => damaged(&error),
         LightingError::Pixels(error) => Failure::ReadOrWrite(error.to_string()).into(),
         other => Failure::NoResult(other.to_string()).into(),

@@ -139,7 +139,7 @@ fn write_view(folder: &Path, index: usize, view: SolvedView) -> anyhow::Result<(
         name: view.name,
         depth: view.depth,
         normal: view.normal,
-        confidence: view.confidence,
+        confidence: Some(view.confidence),
         rendered: Some(view.rendered),
         albedo: None,
     };

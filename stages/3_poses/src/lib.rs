@@ -50,7 +50,7 @@ use rilievo_scene::{
 use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 14;
+pub const VERSION: u32 = 15;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///

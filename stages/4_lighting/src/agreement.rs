@@ -111,10 +111,8 @@ pub(crate) fn judge(
     let Some((_, reference)) = best else {
         return Ok(());
     };
-    let mut verdicts = Vec::new();
-    for &k in spheres.iter().filter(|&&k| k != reference) {
-        verdicts.push((k, compare(k, reference)));
-    }
+    let others = spheres.iter().filter(|&&k| k != reference);
+    let verdicts: Vec<_> = others.map(|&k| (k, compare(k, reference))).collect();
     let mut paint = side.paint.clone();
     let by = report.spheres[reference].name.clone();
     for (k, verdict) in verdicts {

@@ -2,11 +2,14 @@
 
 use rilievo_photometry::harmonics::FitError;
 use rilievo_photometry::sphere::SphereError;
-use rilievo_scene::{Inconsistent, Observer, PixelError, StageId};
+use rilievo_scene::{Inconsistent, Observer, OptionError, PixelError, StageId};
 
 /// Failures of stage 4.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum LightingError {
+    /// An option out of range.
+    #[error(transparent)]
+    InvalidOption(#[from] OptionError),
     /// What an earlier stage left contradicts itself.
     #[error(transparent)]
     Inconsistent(#[from] Inconsistent),

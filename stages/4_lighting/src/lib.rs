@@ -63,7 +63,7 @@ pub use shape::fit_on_shape;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 6;
+pub const VERSION: u32 = 7;
 
 /// Lighting of all posed views.
 ///
@@ -76,6 +76,8 @@ pub fn run(
     options: &LightingOptions,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
+    options.validate()?;
+    let min_num_pixels = options.min_num_pixels;
     photos.check()?;
     posed.check_with(photos)?;
     if posed.views.is_empty() {
@@ -86,13 +88,14 @@ pub fn run(
             let (mut calibration, report) = request::given(posed, lightings)?;
             // Of the spheres the solver needs to know what they hide and send.
             let mut facts = LightingReport::default();
-            let side = side::collect(photos, posed, observer, &mut facts)?;
+            let side = side::collect(photos, posed, min_num_pixels, observer, &mut facts)?;
             calibration.samples.extend(light_samples::of_spheres(&side));
             Ok((calibration, report))
         }
         LightingRequest::Shape(shapes) => shape::run(photos, posed, shapes, observer),
         LightingRequest::Sphere(sphere) => {
-            let (mut calibration, mut report) = sphere_light::run(photos, posed, sphere, observer)?;
+            let (mut calibration, mut report) =
+                sphere_light::run(photos, posed, sphere, min_num_pixels, observer)?;
             if options.object_light == ObjectLight::Correct {
                 let (light, facts) = (&mut calibration, &mut report);
                 object_light::confront(photos, posed, light, facts, observer)?;

@@ -1,6 +1,6 @@
 //! Options of stage 4.
 
-use rilievo_scene::{LightKind, RetiredKey};
+use rilievo_scene::{LightKind, OptionError, RetiredKey, in_range};
 use serde::{Deserialize, Serialize};
 
 /// What the object's own brightness at the depth anchors may do.
@@ -16,14 +16,37 @@ pub enum ObjectLight {
 }
 
 /// How the lighting is found.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LightingOptions {
-    /// What the light is fixed to where it is fitted on the program's own shape; absent, the anchors'
-    /// brightness decides.
+    /// What the light is fixed to where it is fitted on the program's own shape; absent, the
+    /// anchors' brightness decides.
     pub own_shape_light: Option<LightKind>,
     /// Whether the object's own anchors may correct the light of a sphere.
     pub object_light: ObjectLight,
+    /// Fewest usable pixels of a sphere that make a view count. Spheres in small photos need less;
+    /// fewer pixels leave more of the light's second order open.
+    pub min_num_pixels: usize,
+}
+
+impl Default for LightingOptions {
+    fn default() -> Self {
+        Self {
+            own_shape_light: None,
+            object_light: ObjectLight::Correct,
+            min_num_pixels: 150,
+        }
+    }
+}
+
+impl LightingOptions {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// Names the first one that is out of its range.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        in_range("min_num_pixels", self.min_num_pixels, 9..=1_000_000_000)
+    }
 }
 
 const fn fixed(path: &'static [&'static str], instead: &'static str) -> RetiredKey {
@@ -46,7 +69,6 @@ pub const RETIRED_KEYS: &[RetiredKey] = &[
         &["clip_share"],
         "it is fixed at 0.97; `photos.clip_fraction` sets the clip level",
     ),
-    fixed(&["min_num_pixels"], "it is fixed at 150"),
     fixed(
         &["gains"],
         "gains are found, and applied where they differ by more than their uncertainty",

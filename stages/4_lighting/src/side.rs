@@ -9,9 +9,6 @@ use rilievo_scene::{
     LocatedSphere, Observer, PhotoSet, PosedView, PosedViews, SphereLight, StageId,
 };
 
-/// Fewest usable pixels that make a sphere count in a view.
-const MIN_PIXELS: usize = 150;
-
 /// One sphere in one view.
 pub(crate) struct Patch {
     /// The view, as a position in [`Side::views`].
@@ -75,6 +72,7 @@ impl Side {
 pub(crate) fn collect(
     photos: &PhotoSet,
     posed: &PosedViews,
+    min_num_pixels: usize,
     observer: &dyn Observer,
     report: &mut LightingReport,
 ) -> Result<Side, LightingError> {
@@ -94,7 +92,13 @@ pub(crate) fn collect(
             (idx, posed.views.len()),
         );
         flow.ok_or(LightingError::Interrupted)?;
-        let facts = one_view(photos, posed, (idx, view), (&mut side, report))?;
+        let facts = one_view(
+            photos,
+            posed,
+            (idx, view),
+            min_num_pixels,
+            (&mut side, report),
+        )?;
         report.views.push(facts);
     }
     side.paint = vec![Some(vec![1.0; side.num_channels()]); posed.spheres.len()];
@@ -106,6 +110,7 @@ fn one_view(
     photos: &PhotoSet,
     posed: &PosedViews,
     (idx, view): (usize, &PosedView),
+    min_num_pixels: usize,
     (side, report): (&mut Side, &mut LightingReport),
 ) -> Result<ViewLightReport, LightingError> {
     let mut facts = ViewLightReport::named(&view.name);
@@ -130,7 +135,7 @@ fn one_view(
         facts.num_pixels += num_pixels;
         facts.radius_px = Some(facts.radius_px.unwrap_or(0.0).max(samples.radius_px));
         coverage.add(samples.coverage);
-        if num_pixels < MIN_PIXELS {
+        if num_pixels < min_num_pixels {
             reasons.push(format!(
                 "{num_pixels} usable pixels of {} ({:.0} % hidden, {:.0} % clipped)",
                 sphere.name,

@@ -35,6 +35,7 @@ pub(crate) fn run(
     photos: &PhotoSet,
     posed: &PosedViews,
     request: &SphereRequest,
+    min_num_pixels: usize,
     observer: &dyn Observer,
 ) -> Result<(LightingCalibration, LightingReport), LightingError> {
     if posed.spheres.is_empty() && request.calibration.is_empty() {
@@ -46,7 +47,7 @@ pub(crate) fn run(
         source: LightSource::Sphere,
         ..LightingReport::default()
     };
-    let side = collect(photos, posed, observer, &mut report)?;
+    let side = collect(photos, posed, min_num_pixels, observer, &mut report)?;
     report.kind_check = kind::check(&side, request.light);
     report.kind = kind::settled(request.light, report.kind_check.as_ref());
     for message in wrong_kind(&report).into_iter().chain(place::odd(posed)) {

@@ -39,35 +39,35 @@ impl ShadingOptions {
     }
 }
 
-const fn retired(path: &'static [&'static str], instead: &'static str) -> RetiredKey {
+const fn fixed(path: &'static [&'static str], instead: &'static str) -> RetiredKey {
     RetiredKey { path, instead }
 }
 
 /// Keys that the table `[shading]` had once, with what to do instead: see [`RetiredKey`].
 pub const RETIRED_KEYS: &[RetiredKey] = &[
-    retired(&["splitting"], "use `shading.paper.splitting`"),
-    retired(&["order"], "use `shading.paper.order`"),
-    retired(&["projection"], "use `shading.paper.projection`"),
-    retired(&["start"], "use `shading.paper.start`"),
-    retired(&["schedule"], "it follows from lighting, noise and anchors"),
-    retired(&["loss"], "use `shading.paper.loss`"),
-    retired(&["noise"], "use `shading.paper.noise`"),
-    retired(&["area_weight"], "use `shading.paper.area_weight`"),
-    retired(&["depth_edges"], "use `shading.paper.depth_edges`"),
-    retired(&["shadow_level"], "use `shading.paper.shadow_level`"),
-    retired(
+    fixed(&["splitting"], "use `shading.paper.splitting`"),
+    fixed(&["order"], "use `shading.paper.order`"),
+    fixed(&["projection"], "use `shading.paper.projection`"),
+    fixed(&["start"], "use `shading.paper.start`"),
+    fixed(&["schedule"], "it follows from lighting, noise and anchors"),
+    fixed(&["loss"], "use `shading.paper.loss`"),
+    fixed(&["noise"], "use `shading.paper.noise`"),
+    fixed(&["area_weight"], "use `shading.paper.area_weight`"),
+    fixed(&["depth_edges"], "use `shading.paper.depth_edges`"),
+    fixed(&["shadow_level"], "use `shading.paper.shadow_level`"),
+    fixed(
         &["coupling"],
-        "matches are always triangulated into anchors, which solves the same problem",
+        "matches are always triangulated into anchors",
     ),
-    retired(
+    fixed(
         &["match_noise_px"],
         "it is always estimated from the matches' epipolar distances",
     ),
-    retired(
+    fixed(
         &["coarse_to_fine"],
         "the full splitting always starts on coarser grids, the paper's never does",
     ),
-    retired(&["max_num_iterations"], "it is fixed at 100"),
-    retired(&["relative_tolerance"], "it is fixed at 1e-3"),
-    retired(&["confidence"], "the map is always computed"),
+    fixed(&["max_num_iterations"], "it is fixed at 100"),
+    fixed(&["relative_tolerance"], "it is fixed at 1e-3"),
+    fixed(&["confidence"], "the map is always computed"),
 ];

@@ -9,7 +9,10 @@ use rilievo_scene::{Silent, SphereRequest, StageId};
 use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
 fn options() -> LightingOptions {
-    LightingOptions::default()
+    LightingOptions {
+        min_num_pixels: 30,
+        ..LightingOptions::default()
+    }
 }
 
 #[test]

@@ -383,12 +383,22 @@ fn input_without_light_gives_named_errors() {
         matches!(result, Err(LightingError::GivenMissing { .. })),
         "{result:?}"
     );
-    // The sphere's outline is seen in no photo of the set.
-    let mut hidden = posed.clone();
-    hidden.spheres[0].seen_in = vec![(PhotoIdx(99), 0.0)];
-    let result = go(&hidden, &sphere, &options);
+    let greedy = LightingOptions {
+        min_num_pixels: 1_000_000,
+        ..options.clone()
+    };
+    let result = go(&posed, &sphere, &greedy);
     assert!(
         matches!(result, Err(LightingError::SphereUnusable { .. })),
+        "{result:?}"
+    );
+    let bad = LightingOptions {
+        min_num_pixels: 0,
+        ..options
+    };
+    let result = go(&posed, &sphere, &bad);
+    assert!(
+        matches!(result, Err(LightingError::InvalidOption { .. })),
         "{result:?}"
     );
 }

@@ -7,10 +7,10 @@
 //! S(g; θ) = a(θ)·g − b̃(θ),   a = [l₁ − X l₃, l₂ − Y l₃]/d(θ),   b̃ = l₃/d(θ) − l₄ − second(n(θ)).
 //! ```
 //!
-//! * the splitting (eq. 9–12), scaled dual `u`:
-//!   `y ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²`, whose matrix changes with θ;
-//!   `θ ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²` per pixel; `u ← u + ∇y − θ`; β doubles when
-//!   the primal residual exceeds ten times the dual one and halves in the other case (He et al. 2000).
+//! * the splitting (eq. 9–12), scaled dual `u`: `y ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²`,
+//!   whose matrix changes with θ; `θ ← argmin Σ (S(∇y; θ) − I)² + β/2 |∇y − θ + u|²` per pixel; `u
+//!   ← u + ∇y − θ`; β doubles when the primal residual exceeds ten times the dual one and halves in
+//!   the other case (He et al. 2000).
 //! * the fixed point: `y ← argmin Σ (S(∇y; ∇y_before) − I)²`, nothing else. The paper shows
 //!   that it fails; it stands here for comparison only.
 //!
@@ -37,10 +37,9 @@ const BALANCE: f64 = 10.0;
 const BETA_FACTOR: f64 = 2.0;
 /// Fewest iterations before the energy may stop the iteration.
 const MIN_ITERATIONS: usize = 6;
-/// Iterations at most, far more than either needs to settle.
+/// Iterations at most, where the energy never settles.
 const MAX_ITERATIONS: usize = 100;
-/// Relative change of the energy at which the iteration stops: a tenth of a per cent, below which the
-/// angle no longer changes by what the tables show.
+/// Relative change of the energy at which the iteration stops.
 const RELATIVE_TOLERANCE: f64 = 1e-3;
 /// Regularisation of the fixed point, against pixels whose `a` vanishes.
 const FIXED_POINT_DAMPING: f64 = 1e-4;

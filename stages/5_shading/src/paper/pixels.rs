@@ -80,8 +80,8 @@ impl Pixels {
     }
 
     /// Half the resolution: weighted means of the up to four pixels under each coarse one.
-    /// `parents[k]` is the coarse index of fine pixel `k`; a coarse pixel whose intensities differ by
-    /// more than `unlike` loses weight.
+    /// `parents[k]` is the coarse index of fine pixel `k`; a coarse pixel whose intensities differ
+    /// by more than `unlike` loses weight.
     pub(crate) fn coarsen(&self, parents: &[u32], coarse_len: usize, unlike: f32) -> Self {
         let padded = Self::padded_len(coarse_len);
         let mut count = vec![0.0_f32; padded];

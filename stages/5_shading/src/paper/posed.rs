@@ -6,8 +6,8 @@ use super::solution::{PaperReport, SolvedView};
 use crate::error::{ShadingError, warn};
 use crate::photo_of::photo_of;
 use rilievo_scene::{
-    DepthMap, LightingCalibration, LinearImage, Mask, Observer, PhotoSet, PosedViews, Raster,
-    ShadedView, ShadedViews, ViewIdx,
+    ConfidenceMap, DepthMap, LightingCalibration, LinearImage, Mask, Observer, PhotoSet,
+    PosedViews, Raster, ShadedView, ShadedViews, ViewIdx,
 };
 use rilievo_stereo::rectify::Rectification;
 use std::sync::Arc;
@@ -84,14 +84,8 @@ pub(crate) fn run(
                 ..
             } = solved;
             if !rectification.is_identity() {
-                confidence = confidence
-                    .map(|c| bent(&rectification, &mask, &depth, c.data.iter().map(|&v| [v])))
-                    .map(|c| Raster {
-                        width: c.width,
-                        height: c.height,
-                        data: c.data.iter().map(|v| v[0]).collect(),
-                    });
-                rendered = bent_image(&rectification, &mask, &depth, &rendered);
+                (rendered, confidence) =
+                    bent(&rectification, &mask, &depth, &rendered, &confidence);
                 (depth, normal) = rectification.bend_back(&mask, &depth, &normal);
             }
             shaded.views.push(ShadedView {
@@ -99,7 +93,7 @@ pub(crate) fn run(
                 name: posed_view.name.clone(),
                 depth,
                 normal,
-                confidence,
+                confidence: Some(confidence),
                 rendered: Some(rendered),
                 albedo: None,
             });
@@ -111,43 +105,41 @@ pub(crate) fn run(
     Ok((shaded, report))
 }
 
-/// Values of a straightened image on the photo's own pixels.
-fn bent<const N: usize>(
-    rectification: &Rectification,
-    mask: &Mask,
-    depth: &DepthMap,
-    values: impl Iterator<Item = [f32; N]>,
-) -> Raster<[f32; N]> {
-    let values = Raster {
-        width: depth.width,
-        height: depth.height,
-        data: values.collect(),
-    };
-    rectification.bend_values_back(mask, depth, &values)
-}
-
-fn bent_image(
+/// A straightened view's picture and confidence on the photo's own pixels.
+fn bent(
     rectification: &Rectification,
     mask: &Mask,
     depth: &DepthMap,
     image: &LinearImage,
-) -> LinearImage {
+    confidence: &ConfidenceMap,
+) -> (LinearImage, ConfidenceMap) {
     let channels = image.channels;
-    let pixels = image
-        .data
-        .chunks_exact(channels)
-        .map(|p| std::array::from_fn::<f32, 3, _>(|c| p[c.min(channels - 1)]));
-    let bent = bent(rectification, mask, depth, pixels);
-    LinearImage {
-        width: bent.width,
-        height: bent.height,
+    let pixels = image.data.chunks_exact(channels).zip(&confidence.data);
+    let values = Raster {
+        width: depth.width,
+        height: depth.height,
+        data: pixels
+            .map(|(p, &sure)| [p[0], p[1.min(channels - 1)], p[channels - 1], sure])
+            .collect(),
+    };
+    let bent = rectification.bend_values_back(mask, depth, &values);
+    let (width, height) = (bent.width, bent.height);
+    let image = LinearImage {
+        width,
+        height,
         channels,
         data: bent
             .data
             .iter()
-            .flat_map(|v| v.iter().take(channels).copied())
+            .flat_map(|v| v[..channels].iter().copied())
             .collect(),
-    }
+    };
+    let confidence = Raster {
+        width,
+        height,
+        data: bent.data.iter().map(|v| v[3]).collect(),
+    };
+    (image, confidence)
 }
 
 /// Anchors, or failing these sparse points, that a view sees, at pixels of its pinhole camera.

@@ -1,7 +1,8 @@
 //! From a view as given to arrays that the solver reads: checks, usable pixels, normalised rays.
 //!
 //! A pixel's shading term is left out (weight 0) where an intensity is not finite, a channel is
-//! clipped, or all channels lie below the shadow level; such a pixel keeps its place in the surface.
+//! clipped, or all channels lie below the shadow level; such a pixel keeps its place in the
+//! surface.
 
 use super::options::{HarmonicOrder, PaperOptions, Projection};
 use super::pixels::{Coefficients, Pixels};

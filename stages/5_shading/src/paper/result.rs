@@ -5,7 +5,7 @@ use super::pixels::{Pixels, Slopes};
 use super::prepare::Geometry;
 use super::problem::ShadingView;
 use super::solution::SolvedView;
-use rilievo_scene::{DepthMap, LinearImage, NormalMap};
+use rilievo_scene::{ConfidenceMap, DepthMap, LinearImage, NormalMap};
 
 /// RMS difference between image and model at given slopes, over the pixels that are used.
 pub(crate) fn rms_residual(pixels: &Pixels, [p, q]: &Slopes) -> f64 {
@@ -26,6 +26,7 @@ pub(crate) fn maps(
     geometry: &Geometry,
     y: &[f32],
     [p, q]: &Slopes,
+    confidence: ConfidenceMap,
 ) -> SolvedView {
     let (width, height) = (view.image.width, view.image.height);
     let pixels = &level.pixels;
@@ -47,6 +48,6 @@ pub(crate) fn maps(
         depth,
         normal,
         rendered,
-        confidence: None,
+        confidence,
     }
 }

@@ -15,7 +15,7 @@ pub struct SolvedView {
     /// The image that the shape explains.
     pub rendered: LinearImage,
     /// How well data and anchors determine each pixel, 0 to 1.
-    pub confidence: Option<ConfidenceMap>,
+    pub confidence: ConfidenceMap,
 }
 
 /// Result of [`super::solve`].

@@ -25,7 +25,8 @@ const MAX_LEVELS: usize = 4;
 const MIN_ANCHORS: usize = 4;
 /// Errors of the shading model are alike over about this many pixels, so that many pixels together
 /// know their common slope no better than one: the weight of anchors against shading grows by its
-/// square (measured: 1 to 10 lowers the angle in every case with anchors, most where they are noisy).
+/// square (measured: 1 to 10 lowers the angle in every case with anchors, most where they are
+/// noisy).
 const SHADING_CORRELATION_PX: f64 = 10.0;
 /// By how much slopes of the integrated surface may err (curvature within a pixel, edges): normals
 /// are drawn towards shading where that is surer.
@@ -66,8 +67,8 @@ pub(crate) fn solve(
     Ok(ShadingSolution { views, report })
 }
 
-/// Depth that fixes the unknown's zero: the median of what is known, or 1 where a plane is asked for
-/// and shape up to a factor is all that one photo determines.
+/// Depth that fixes the unknown's zero: the median of what is known, or 1 where a plane is asked
+/// for and shape up to a factor is all that one photo determines.
 fn reference_depth(
     view: &ShadingView,
     anchors: &[DepthAnchor],
@@ -173,8 +174,8 @@ fn normal_beta(sigma: f64) -> f32 {
     (2.0 * (sigma / SLOPE_ERROR).powi(2)) as f32
 }
 
-/// Normals: slopes of the surface, drawn towards what each pixel's intensity says; all the more where
-/// the surface breaks.
+/// Normals: slopes of the surface, drawn towards what each pixel's intensity says; all the more
+/// where the surface breaks.
 fn draw_to_shading(
     level: &Level,
     sigma: f64,
@@ -295,15 +296,16 @@ fn solve_view(
     }
     let surface = slopes_of(finest, geometry.aspect, &y);
     energies(view, finest, &geometry, options, &y, &surface, &mut report);
-    // The paper's methods return the surface's own normals; the full splitting draws them to shading.
+    // The paper's methods return the surface's own normals; the full splitting draws them to
+    // shading.
     let theta = outcome.map_or_else(
         || surface.clone(),
         |outcome| draw_to_shading(finest, sigma, &surface, outcome),
     );
     report.rms_rendered = rms_residual(&finest.pixels, &theta);
-    let mut solved = maps(view, finest, &geometry, &y, &theta);
     let size = (view.image.width, view.image.height);
-    solved.confidence = Some(confidence::map(size, finest, &theta, &surface, sigma));
+    let confidence = confidence::map(size, finest, &theta, &surface, sigma);
+    let solved = maps(view, finest, &geometry, &y, &theta, confidence);
     report.seconds.total = begun.elapsed().as_secs_f64();
     Ok((solved, report))
 }

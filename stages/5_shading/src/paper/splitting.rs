@@ -364,8 +364,8 @@ pub(crate) fn report(
 }
 
 /// Ties of a coarser level: points are placed by position, masses by node. In the coarse unknown,
-/// half as large, a squared difference counts four times; so do the four fine nodes of a coarse one,
-/// which the coarse pixel's fourfold area cancels.
+/// half as large, a squared difference counts four times; so do the four fine nodes of a coarse
+/// one, which the coarse pixel's fourfold area cancels.
 fn restrict_ties(ties: &Ties, fine: &CornerGrid, coarse: &CornerGrid) -> Ties {
     if ties.mass.is_empty() {
         return ties.clone();

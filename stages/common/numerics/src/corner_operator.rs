@@ -1,4 +1,5 @@
-//! The operator of [`crate::corner_poisson`] as a nine-point stencil on padded rasters, with its Jacobi step.
+//! The operator of [`crate::corner_poisson`] as a nine-point stencil on padded rasters, with its
+//! Jacobi step.
 //!
 //! Everything runs in `f32`; rows are independent, so results do not depend on the thread count.
 
@@ -75,8 +76,8 @@ impl Operator {
         });
     }
 
-    /// `out = A z` on one row, compiled for the widest vectors of this processor (measured: half the
-    /// time of the baseline on a processor with AVX2).
+    /// `out = A z` on one row, compiled for the widest vectors of this processor (measured: half
+    /// the time of the baseline on a processor with AVX2).
     fn apply_row(&self, y: usize, z: &[f32], out: &mut [f32]) {
         #[cfg(target_arch = "x86_64")]
         {

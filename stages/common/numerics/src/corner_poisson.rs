@@ -68,8 +68,15 @@ pub struct CornerPoisson {
     mass: Vec<f32>,
     constraints: Vec<PointConstraint>,
     multigrid: Multigrid,
+    buffers: Buffers,
+}
+
+/// Arrays of an iteration, kept from solve to solve.
+#[derive(Clone, Debug, Default)]
+struct Buffers {
     r: Vec<f32>,
     direction: Vec<f32>,
+    /// The matrix times the direction.
     image: Vec<f32>,
     preconditioned: Vec<f32>,
 }
@@ -90,10 +97,12 @@ impl CornerPoisson {
             operator,
             mass: zeros.clone(),
             constraints: Vec::new(),
-            r: zeros.clone(),
-            direction: zeros.clone(),
-            image: zeros.clone(),
-            preconditioned: zeros,
+            buffers: Buffers {
+                r: zeros.clone(),
+                direction: zeros.clone(),
+                image: zeros.clone(),
+                preconditioned: zeros,
+            },
         }
     }
 
@@ -105,7 +114,8 @@ impl CornerPoisson {
         }
         self.constraints.clear();
         self.constraints.extend_from_slice(constraints);
-        // diag(b) ⪰ b bᵀ because the bilinear weights sum to one: the lumped preconditioner is safe.
+        // diag(b) ⪰ b bᵀ because the bilinear weights sum to one: the lumped preconditioner is
+        // safe.
         for (total, mass) in self.operator.mass.iter_mut().zip(&self.mass) {
             *total = mass + PROXIMITY;
         }
@@ -125,11 +135,6 @@ impl CornerPoisson {
                 rhs[node] += constraint.weight * b * constraint.value;
             }
         }
-    }
-
-    /// The point constraints.
-    pub fn constraints(&self) -> &[PointConstraint] {
-        &self.constraints
     }
 
     /// `out = A x` with the exact, not the lumped, constraints, and the proximity mass.
@@ -167,14 +172,16 @@ impl CornerPoisson {
         mut add_product: impl FnMut(&[f32], &mut [f32]),
     ) -> CgInfo {
         let stride = self.operator.stride;
-        let mut image = std::mem::take(&mut self.image);
-        let mut r = std::mem::take(&mut self.r);
-        let mut direction = std::mem::take(&mut self.direction);
-        let mut preconditioned = std::mem::take(&mut self.preconditioned);
-
-        self.apply(x, &mut image);
-        add_product(x, &mut image);
-        for_rows(stride, &mut r, |y, r| {
+        let mut buffers = std::mem::take(&mut self.buffers);
+        let Buffers {
+            r,
+            direction,
+            image,
+            preconditioned,
+        } = &mut buffers;
+        self.apply(x, image);
+        add_product(x, image);
+        for_rows(stride, r, |y, r| {
             let range = y * stride..(y + 1) * stride;
             for ((r, b), a) in r.iter_mut().zip(&rhs[range.clone()]).zip(&image[range]) {
                 *r = b - a;
@@ -184,38 +191,37 @@ impl CornerPoisson {
                 *r += PROXIMITY * x;
             }
         });
-        let start = dot(stride, &r, &r);
+        let start = dot(stride, r, r);
         let mut squared = start;
         let (mut best, mut since_best) = (start, 0);
         let mut rho_before = 0.0;
         let mut num_iterations = 0;
         while num_iterations < max_num_iterations && squared > tolerance * tolerance * start {
-            self.multigrid
-                .cycle(&self.operator, &r, &mut preconditioned);
-            let rho = dot(stride, &r, &preconditioned);
+            self.multigrid.cycle(&self.operator, r, preconditioned);
+            let rho = dot(stride, r, preconditioned);
             if rho.is_nan() || rho <= 0.0 {
                 break;
             }
             if num_iterations == 0 {
-                direction.copy_from_slice(&preconditioned);
+                direction.copy_from_slice(preconditioned);
             } else {
                 let along = (rho / rho_before) as f32;
-                for_rows(stride, &mut direction, |y, d| {
+                for_rows(stride, direction, |y, d| {
                     for (d, z) in d.iter_mut().zip(&preconditioned[y * stride..]) {
                         *d = z + along * *d;
                     }
                 });
             }
-            self.apply(&direction, &mut image);
-            add_product(&direction, &mut image);
-            let curvature = dot(stride, &direction, &image);
+            self.apply(direction, image);
+            add_product(direction, image);
+            let curvature = dot(stride, direction, image);
             if curvature.is_nan() || curvature <= 0.0 {
                 break;
             }
             let step = (rho / curvature) as f32;
-            add_scaled(stride, step, &direction, x);
-            add_scaled(stride, -step, &image, &mut r);
-            squared = dot(stride, &r, &r);
+            add_scaled(stride, step, direction, x);
+            add_scaled(stride, -step, image, r);
+            squared = dot(stride, r, r);
             rho_before = rho;
             num_iterations += 1;
             // Residuals of conjugate gradients may rise for a step or two; not falling for longer
@@ -230,10 +236,7 @@ impl CornerPoisson {
                 }
             }
         }
-        self.image = image;
-        self.r = r;
-        self.direction = direction;
-        self.preconditioned = preconditioned;
+        self.buffers = buffers;
         CgInfo {
             num_iterations,
             relative_residual: if start > 0.0 {

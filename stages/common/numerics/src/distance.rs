@@ -1,8 +1,10 @@
-//! Exact Euclidean distance transform: how far every place of a grid lies from the nearest one that is set.
+//! Exact Euclidean distance transform: how far every place of a grid lies from the nearest one that
+//! is set.
 //!
-//! `d²(p) = min over q of |p − q|² + f(q)`, `f` 0 where set: the lower envelope of parabolas, axis by
-//! axis (Felzenszwalb, Huttenlocher, "Distance Transforms of Sampled Functions", Theory of Computing 8,
-//! 2012). A label of the nearest place travels along, so that the same transform answers "which one".
+//! `d²(p) = min over q of |p − q|² + f(q)`, `f` 0 where set: the lower envelope of parabolas, axis
+//! by axis (Felzenszwalb, Huttenlocher, "Distance Transforms of Sampled Functions", Theory of
+//! Computing 8, 2012). A label of the nearest place travels along, so that the same transform
+//! answers "which one".
 
 use rayon::prelude::*;
 
@@ -10,8 +12,8 @@ use rayon::prelude::*;
 pub const FAR: f32 = 1e12;
 
 /// Squared distances in cells, in place, on a grid of `size` (x fastest): 0 where set and [`FAR`]
-/// elsewhere at the start. Labels become those of the nearest set place; `()` where only distances are
-/// wanted.
+/// elsewhere at the start. Labels become those of the nearest set place; `()` where only distances
+/// are wanted.
 pub fn transform<L: Copy + Send + Sync>(squared: &mut [f32], labels: &mut [L], size: [usize; 3]) {
     let [nx, ny, nz] = size;
     let plane = (nx * ny).max(1);

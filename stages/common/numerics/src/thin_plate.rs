@@ -158,17 +158,13 @@ impl ThinPlate {
                     }
                     system.add_square(numbering, &functional, weight, 0.0);
                 };
-                if x > 0 && x + 1 < self.width {
-                    add(
-                        &[(at(x - 1, y), 1.0), (at(x, y), -2.0), (at(x + 1, y), 1.0)],
-                        bending,
-                    );
-                }
-                if y > 0 && y + 1 < self.height {
-                    add(
-                        &[(at(x, y - 1), 1.0), (at(x, y), -2.0), (at(x, y + 1), 1.0)],
-                        bending,
-                    );
+                for (dx, dy) in [(1, 0), (0, 1)] {
+                    let (right, below) = (x + dx, y + dy);
+                    if x >= dx && y >= dy && right < self.width && below < self.height {
+                        let [before, here] = [at(x - dx, y - dy), at(x, y)];
+                        let after = at(right, below);
+                        add(&[(before, 1.0), (here, -2.0), (after, 1.0)], bending);
+                    }
                 }
                 if x + 1 < self.width && y + 1 < self.height {
                     add(

@@ -6,14 +6,14 @@
 //! min_θ  w Σ_c (S_c(θ) − I_c)² + ν d(θ) + β s/2 |θ − t|²,      t = ∇y + u,
 //! ```
 //!
-//! `S` the model of [`crate::paper::model`], `d` the facet's area, `s` the pixel's stiffness, `u` the scaled
-//! dual. Two unknowns, a few
-//! damped Gauss-Newton steps from the current `θ`; a step that does not lower the term is undone
-//! and the damping raised. A far start is first replaced by the best of a fixed set of normals.
+//! `S` the model of [`crate::paper::model`], `d` the facet's area, `s` the pixel's stiffness, `u`
+//! the scaled dual. Two unknowns, a few damped Gauss-Newton steps from the current `θ`; a step that
+//! does not lower the term is undone and the damping raised. A far start is first replaced by the
+//! best of a fixed set of normals.
 //!
-//! `pixel` holds the term and a damped step in readable form, the oracle of the tests; `lanes` treats
-//! [`LANES`] pixels at once with the same functions, compiled for the processor that runs it;
-//! `search` holds the fixed set of normals.
+//! `pixel` holds the term and a damped step in readable form, the oracle of the tests; `lanes`
+//! treats [`LANES`] pixels at once with the same functions, compiled for the processor that runs
+//! it; `search` holds the fixed set of normals.
 //!
 //! Source: Quéau et al., ICCV 2017 (`queau2017`), eq. 11, with the shading term whole instead of
 //! linearised.

@@ -49,7 +49,7 @@ fn confidence_ranks_the_true_errors() {
         let view = table::view(&data, "view1", light, "rough");
         let solution = solved(view, &PaperOptions::default());
         let solved = &solution.views[0];
-        let confidence = solved.confidence.as_ref().expect("asked for");
+        let confidence = &solved.confidence;
         let mut pairs: Vec<(f32, f64)> = table::angles(&data, solved)
             .into_iter()
             .map(|(x, y, angle)| (*confidence.at(x, y), angle))

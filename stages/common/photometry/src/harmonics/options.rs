@@ -36,13 +36,13 @@ impl FitOptions {
     };
 }
 
-/// Residuals beyond this many `σ` are damped in the convex phase. Less biases the fit by throwing away
-/// good samples, more lets shadows through.
+/// Residuals beyond this many `σ` are damped in the convex phase. Less biases the fit by throwing
+/// away good samples, more lets shadows through.
 pub(super) const HUBER_SIGMAS: f64 = 1.5;
 /// Scale of the redescending phases in `σ`; influence falls beyond it, and ends at 1.5 times it.
 pub(super) const REDESCENDING_SIGMAS: f64 = 3.0;
-/// Brightness, as a share of the mean, below which noise no longer falls with it. Less lets the darkest
-/// samples decide, more lets faint shadows on dark parts through.
+/// Brightness, as a share of the mean, below which noise no longer falls with it. Less lets the
+/// darkest samples decide, more lets faint shadows on dark parts through.
 pub(super) const NOISE_FLOOR: f64 = 0.3;
 /// The share of samples, at least, that is taken as good when starts are sought.
 pub(super) const START_QUANTILE: f64 = 0.6;

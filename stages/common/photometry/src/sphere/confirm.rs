@@ -1,8 +1,8 @@
 //! Whether the marked photos show the sphere where it was located.
 //!
-//! Marks that are all too large, or that follow another thing, agree with each other all the same. What only a
-//! sphere shows distinguishes it: an edge along the predicted outline, and brightness inside it that
-//! nine harmonics of its normals explain.
+//! Marks that are all too large, or that follow another thing, agree with each other all the same.
+//! What only a sphere shows distinguishes it: an edge along the predicted outline, and brightness
+//! inside it that nine harmonics of its normals explain.
 
 use super::mark::{INLIER_PX, distance_px};
 use super::posed_image::PosedImage;
@@ -16,18 +16,18 @@ use serde::{Deserialize, Serialize};
 pub struct MarkEvidence {
     /// The photo.
     pub photo: PhotoIdx,
-    /// Share of the visible outline that an edge of the photo follows within
-    /// 1.5 px.
+    /// Share of the visible outline that an edge of the photo follows within 1.5 px.
     pub edge_share: f64,
-    /// Relative residual of nine harmonics inside the outline; `None` with too few unclipped pixels.
+    /// Relative residual of nine harmonics inside the outline; `None` with too few unclipped
+    /// pixels.
     pub shading_residual: Option<f64>,
 }
 
 /// Smallest part of an outline in which an edge is looked for.
 const MIN_VISIBLE: f64 = 0.25;
 
-/// Looks at the photos of `marked` around a located sphere. Photos in which the object, the frame or
-/// another sphere hides it are left out.
+/// Looks at the photos of `marked` around a located sphere. Photos in which the object, the frame
+/// or another sphere hides it are left out.
 pub(super) fn confirm(
     images: &[PosedImage],
     marked: &[PhotoIdx],

@@ -1,7 +1,8 @@
 //! The sphere that most outlines agree on, so that one bad mark is outvoted.
 //!
-//! Every pair of views proposes a sphere: the axes' nearest points give the centre, the half-angles the
-//! radius. In a metric world every single view proposes one too, at the distance of the stated radius.
+//! Every pair of views proposes a sphere: the axes' nearest points give the centre, the half-angles
+//! the radius. In a metric world every single view proposes one too, at the distance of the stated
+//! radius.
 
 use super::cone::OutlineCone;
 use super::error::SphereError;

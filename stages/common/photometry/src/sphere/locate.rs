@@ -10,13 +10,14 @@
 //! then `R / r` metres. Where the world is metric already, `r = R` is kept and only `C` is sought.
 //!
 //! # Steps
-//! 1. A cone per view ([`super::cone_from_points`]).
+//! 1. A cone per view ([`super::mark`]).
 //! 2. Every pair of views proposes a sphere: the axes' nearest points give the centre, the
 //!    half-angles the radius; the proposal that most views agree with wins, so that one bad mark
 //!    is outvoted.
 //! 3. Levenberg–Marquardt over the outline points of the agreeing views, Huber loss.
 //! 4. Covariance: `σ_p² (JᵀJ)⁻¹` with neighbouring points counted as one per pixel of blur, plus
-//!    the outline's systematic offset: moved, it does not average out within a view; wider, not over the views either.
+//!    the outline's systematic offset: moved, it does not average out within a view; wider, not
+//!    over the views either.
 
 use super::confirm::MarkEvidence;
 use super::consensus::{MAX_VIEW_RMS_PX, check_radius, consensus};
@@ -69,12 +70,13 @@ pub struct SphereFit {
     /// Centre and radius in the world's unit, as it was given.
     pub sphere: LocatedSphere,
     /// What its outlines and its stated radius say of the world's unit; `None` with fewer than two
-    /// views. Far from 1 with [`WorldScale::Metric`], the stated radius or the poses' unit is wrong.
+    /// views. Far from 1 with [`WorldScale::Metric`], the stated radius or the poses' unit is
+    /// wrong.
     pub scale: Option<ScaleEstimate>,
     /// Every view that had a mark.
     pub views: Vec<ViewAgreement>,
-    /// Photos whose own mark was left out, with the reason; their outline may have been found on the
-    /// image all the same.
+    /// Photos whose own mark was left out, with the reason; their outline may have been found on
+    /// the image all the same.
     pub unused_marks: Vec<(PhotoIdx, String)>,
     /// What the photos whose marks were used show of it, where its outline was refined on them.
     pub evidence: Vec<MarkEvidence>,
@@ -168,8 +170,8 @@ pub(super) fn locate_with(
     })
 }
 
-/// The sphere fitted to the views that it explains, and which these are. Repeated: views that the fitted
-/// sphere no longer explains leave, others come in.
+/// The sphere fitted to the views that it explains, and which these are. Repeated: views that the
+/// fitted sphere no longer explains leave, others come in.
 fn settled(
     known: &[Known],
     radius: f64,

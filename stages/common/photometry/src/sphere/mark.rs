@@ -9,9 +9,9 @@
 //!    shadow cut may be a third of the outline), then re-weighted least squares of the distances
 //!    in pixels.
 //! 3. Points on a line or a short arc lie on many cones. With `φ_i` the angles of the points around
-//!    their circle in the picture, rows `(cos φ_i, sin φ_i, 1)` of `J` (two shifts and a widening) and
-//!    `σ` the error of a point, its radius has the standard deviation `σ √((JᵀJ)⁻¹)₃₃`; it must be
-//!    small.
+//!    their circle in the picture, rows `(cos φ_i, sin φ_i, 1)` of `J` (two shifts and a widening)
+//!    and `σ` the error of a point, its radius has the standard deviation `σ √((JᵀJ)⁻¹)₃₃`; it must
+//!    be small.
 
 use super::cone::{EllipsePx, OutlineCone};
 use super::error::SphereError;
@@ -112,26 +112,26 @@ pub fn cone_from_mark(mark: &SphereMark, intrinsics: &Intrinsics) -> Result<Mark
     cone_from_points(&outline_of_mark(mark), intrinsics, MIN_INLIER_SHARE)
 }
 
-/// Outline points farther than this from a cone are not of it, pixels. Marks by hand are good to about a
-/// pixel; more lets an occluder's edge in.
+/// Outline points farther than this from a cone are not of it, pixels. Marks by hand are good to
+/// about a pixel; more lets an occluder's edge in.
 pub(super) const INLIER_PX: f64 = 1.5;
 /// Share of a mark's outline that must lie on one cone; below it the mark is no disc.
 pub(super) const MIN_INLIER_SHARE: f64 = 0.4;
-/// Systematic uncertainty of an outline, pixels: where the edge of a matte sphere is seen depends on blur,
-/// gamma and background, alike along the whole outline and in all photos.
+/// Systematic uncertainty of an outline, pixels: where the edge of a matte sphere is seen depends
+/// on blur, gamma and background, alike along the whole outline and in all photos.
 pub(super) const OUTLINE_BIAS_PX: f64 = 0.1;
 /// Outline points needed for a cone with a check: three determine it.
 const MIN_POINTS: usize = 5;
 
-/// Largest relative standard deviation of an outline's radius: the sphere's distance from the camera,
-/// and with it the model's size, is as uncertain.
+/// Largest relative standard deviation of an outline's radius: the sphere's distance from the
+/// camera, and with it the model's size, is as uncertain.
 const MAX_SIZE_SIGMA: f64 = 0.1;
 /// Error of a point that is marked by hand, pixels.
 const HAND_SIGMA_PX: f64 = 1.0;
 
-/// Relative standard deviation of the radius of the circle through points with an error of `sigma_px`;
-/// infinite where they leave it open. In the picture, where a line is straight: to a camera it is a cone
-/// of a right angle, whose size is well determined.
+/// Relative standard deviation of the radius of the circle through points with an error of
+/// `sigma_px`; infinite where they leave it open. In the picture, where a line is straight: to a
+/// camera it is a cone of a right angle, whose size is well determined.
 fn size_sigma(points: &[Point2<f64>], sigma_px: f64) -> f64 {
     let mean = points.iter().map(|p| p.coords).sum::<Vector2<f64>>() / points.len() as f64;
     let centred = || points.iter().map(|p| p.coords - mean);
@@ -156,15 +156,16 @@ fn size_sigma(points: &[Point2<f64>], sigma_px: f64) -> f64 {
         matrix += row * row.transpose();
     }
     let variance = matrix.try_inverse().map(|inverse| inverse[(2, 2)]);
-    // Rounding makes a nearly singular inverse negative, and a circle of points on a line no number.
+    // Rounding makes a nearly singular inverse negative, and a circle of points on a line no
+    // number.
     let sigma = variance
         .filter(|v| *v > 0.0)
         .map(|v| sigma_px * v.sqrt() / radius_px);
     sigma.filter(|s| s.is_finite()).unwrap_or(f64::INFINITY)
 }
 
-/// Whether points marked by hand determine an outline, whatever the camera. One stray point among good
-/// ones passes: only the camera's cone reveals it.
+/// Whether points marked by hand determine an outline, whatever the camera. One stray point among
+/// good ones passes: only the camera's cone reveals it.
 ///
 /// # Errors
 /// [`SphereError::TooFewPoints`] where fewer than five differ, [`SphereError::OpenOutline`].
@@ -273,8 +274,8 @@ pub(super) fn distance_px(cone: &OutlineCone, ray: &Vector3<f64>, intrinsics: &I
     cone.angle_outside(ray) * px_per_radian(ray, intrinsics)
 }
 
-/// Pixels per radian at a ray. Radially an angle is stretched by 1/cos² of the ray's angle off the axis,
-/// around by 1/cos; their mean serves everywhere, as it only weighs residuals.
+/// Pixels per radian at a ray. Radially an angle is stretched by 1/cos² of the ray's angle off the
+/// axis, around by 1/cos; their mean serves everywhere, as it only weighs residuals.
 #[inline]
 pub(super) fn px_per_radian(ray: &Vector3<f64>, intrinsics: &Intrinsics) -> f64 {
     intrinsics.focal_px() / ray.z.max(0.1).powf(1.5)

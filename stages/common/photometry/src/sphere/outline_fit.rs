@@ -54,10 +54,10 @@ struct Sums {
     cost: f64,
     square: f64,
     weight: f64,
-    /// Outer products of summed rows: what offsets common to a whole outline do. Each view's outline is
-    /// moved by an offset of its own. All are wider by one: what makes a matte sphere seem larger or
-    /// smaller (its falling brightness, blur, gamma, the ground) is the same in all views and does not
-    /// average out.
+    /// Outer products of summed rows: what offsets common to a whole outline do. Each view's
+    /// outline is moved by an offset of its own. All are wider by one: what makes a matte sphere
+    /// seem larger or smaller (its falling brightness, blur, gamma, the ground) is the same in all
+    /// views and does not average out.
     bias: Matrix4<f64>,
 }
 

@@ -38,11 +38,12 @@ pub struct LocatedSpheres {
 /// Locates the spheres that a request describes in posed views.
 ///
 /// With [`WorldScale::Free`], multiply the world by `scale` of the result, where there is one, to
-/// make it metric. A sphere that cannot be located does not hinder the others. A search has `at_once` whole photos in
-/// memory at most.
+/// make it metric. A sphere that cannot be located does not hinder the others. A search has
+/// `at_once` whole photos in memory at most.
 ///
 /// # Errors
-/// That of the first sphere where none can be located, [`SphereError::Pixels`]; [`SphereError::NoView`] when the request has no sphere.
+/// That of the first sphere where none can be located, [`SphereError::Pixels`];
+/// [`SphereError::NoView`] when the request has no sphere.
 pub fn locate_request(
     photos: &PhotoSet,
     views: &[PosedView],

@@ -1,11 +1,12 @@
 //! A solid on a regular grid: carved by the masks and depth maps of all views, with the distance to
 //! it, and the radiance of its surface.
 //!
-//! Signed distance of a voxel (positive outside): the mean of `z_j(x) − z` over the views that see it
-//! before or shortly behind their surface, times the cosine of incidence and weighted with its
-//! square, truncated (Curless, Levoy, SIGGRAPH 1996); outside where a mask does not contain it; inside
-//! where it lies behind the surface of every view that shows it. So the solid has a back, which shades.
-//! What no view shows, beyond the frames or on a rim between pixels, holds back no light.
+//! Signed distance of a voxel (positive outside): the mean of `z_j(x) − z` over the views that see
+//! it before or shortly behind their surface, times the cosine of incidence and weighted with its
+//! square, truncated (Curless, Levoy, SIGGRAPH 1996); outside where a mask does not contain it;
+//! inside where it lies behind the surface of every view that shows it. So the solid has a back,
+//! which shades. What no view shows, beyond the frames or on a rim between pixels, holds back no
+//! light.
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
@@ -14,8 +15,8 @@ use rilievo_scene::{DepthMap, Intrinsics, LinearImage, RigidTransform};
 
 /// Voxels behind a surface that still count as seen.
 const TRUNCATION: f32 = 4.0;
-/// Rays start between these heights over the surface, in voxels: below the first its roughness is the
-/// grid's own, beyond the last a fold's far side comes near.
+/// Rays start between these heights over the surface, in voxels: below the first its roughness is
+/// the grid's own, beyond the last a fold's far side comes near.
 const START: [f32; 2] = [0.5, 2.5];
 /// Signed distance, in voxels, at which the start is free of the surface that it belongs to.
 const FREE: f32 = 0.4;
@@ -268,9 +269,10 @@ impl Volume {
         None
     }
 
-    /// Height over a surface point, along its normal and in the world's unit, at which rays start: the
-    /// least at which the grid leaves the point free. A fixed height would either lift the floor of a
-    /// fold into the light, or leave points under the surface where the grid has smoothed it.
+    /// Height over a surface point, along its normal and in the world's unit, at which rays start:
+    /// the least at which the grid leaves the point free. A fixed height would either lift the
+    /// floor of a fold into the light, or leave points under the surface where the grid has
+    /// smoothed it.
     pub fn start_height(&self, point: &Vector3<f32>, normal: &Vector3<f32>) -> f32 {
         const STEP: f32 = 0.25;
         let o = (point - self.origin) / self.voxel;
@@ -356,7 +358,8 @@ fn bounds(views: &[DepthView]) -> Option<(Vector3<f32>, Vector3<f32>)> {
     Some((low, high))
 }
 
-/// Euclidean distance to the nearest voxel with a negative sign, less the voxel's own half diagonal.
+/// Euclidean distance to the nearest voxel with a negative sign, less the voxel's own half
+/// diagonal.
 fn clearance(signed: &[f32], size: [usize; 3]) -> Vec<f32> {
     let mut squared: Vec<f32> = signed
         .iter()
@@ -442,7 +445,8 @@ mod tests {
 
     #[test]
     fn beside_the_object_is_empty_and_beyond_the_photo_unknown() {
-        // The middle columns show a surface, those on the left its background, those on the right nothing.
+        // The middle columns show a surface, those on the left its background, those on the right
+        // nothing.
         let depth = Raster::from_fn(16, 16, |x, _| match x {
             0..6 => 0.0,
             6..10 => 2.0,
