@@ -7,13 +7,14 @@ mod verdict;
 
 pub use html::ViewErrors;
 pub use outcome::Outcome;
-pub use verdict::{Judgement, Verdict};
+pub use verdict::Judgement;
 
 use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, own_file, seal, unseal, write_atomically};
 use facts::Facts;
 use html::Addition;
 use maud::Markup;
+use rilievo_scene::Finding;
 use rilievo_synthetic::compare::HalvesComparison;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -74,6 +75,7 @@ fn put(root: &Path, sections: &[(Addition, Markup)]) -> anyhow::Result<bool> {
 #[derive(Serialize)]
 pub struct Report {
     verdict: Judgement,
+    findings: Vec<Finding>,
     #[serde(flatten)]
     facts: Facts,
 }
@@ -90,8 +92,10 @@ impl Report {
         plan: Option<&Plan>,
     ) -> anyhow::Result<Self> {
         let facts = Facts::gather(run, request, outcome, plan)?;
+        let findings = verdict::findings(&facts);
         Ok(Self {
-            verdict: Judgement::of(&facts),
+            verdict: Judgement::of(&findings),
+            findings,
             facts,
         })
     }
@@ -124,7 +128,7 @@ impl Report {
     pub fn write(&self, run: &RunDir) -> anyhow::Result<()> {
         let text = seal(self)?;
         write_atomically(&run.root().join("report.json"), &text)?;
-        let page = html::page(run, &self.facts, &self.verdict)?;
+        let page = html::page(run, &self.facts, &self.findings)?;
         write_atomically(
             &run.root().join("report.html"),
             html::sealed(&page).as_bytes(),

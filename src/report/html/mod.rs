@@ -6,7 +6,6 @@
 mod element;
 mod evaluation;
 mod halves;
-mod matches;
 mod overview;
 mod picture;
 mod plot;
@@ -18,10 +17,10 @@ pub use evaluation::{ViewErrors, section as evaluation_section};
 pub use halves::section as halves_section;
 
 use super::facts::Facts;
-use super::verdict::Judgement;
 use crate::pipeline::load_poses;
 use crate::store::{RunDir, hash_bytes};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use rilievo_scene::Finding;
 
 const STYLE: &str = include_str!("page.css");
 const PAGE_SCRIPT: &str = include_str!("page.js");
@@ -89,12 +88,12 @@ fn unreadable(error: &anyhow::Error) -> Markup {
 ///
 /// # Errors
 /// When artifacts of a committed stage cannot be read.
-pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Result<String> {
+pub fn page(run: &RunDir, facts: &Facts, findings: &[Finding]) -> anyhow::Result<String> {
     let posed = match &facts.stages.poses {
         Some(_) => Some(load_poses(run)?),
         None => None,
     };
-    let overview = overview::section(run, facts, judgement, posed.as_ref());
+    let overview = overview::section(run, facts, findings, posed.as_ref());
     let (viewer, views) = match &posed {
         Some(posed) => (
             viewer::section(run, posed).unwrap_or_else(|error| unreadable(&error)),

@@ -4,11 +4,10 @@ use super::element::{ABSENT, number, percent};
 use super::picture::{Album, Window};
 use crate::pipeline::{LightingInput, Request, SphereInput};
 use crate::report::facts::{Facts, Stages};
-use crate::report::verdict::{Judgement, Verdict};
 use crate::store::RunDir;
 use maud::{Markup, html};
 use rilievo_io::{read_depth, read_normal};
-use rilievo_scene::{PosedViews, StageId, Unit};
+use rilievo_scene::{Finding, PosedViews, StageId, Unit, Verdict};
 use rilievo_shading::ShadingModel;
 
 /// Bytes of the page that the first picture may take.
@@ -18,10 +17,11 @@ const PICTURE_BYTES: usize = 200_000;
 pub fn section(
     run: &RunDir,
     facts: &Facts,
-    judgement: &Judgement,
+    findings: &[Finding],
     posed: Option<&PosedViews>,
 ) -> Markup {
-    let Judgement { verdict, reasons } = judgement;
+    let verdict = Verdict::of(findings);
+    let sentences: Vec<String> = findings.iter().map(Finding::sentence).collect();
     let picture = picture_of_result(run, posed);
     html! {
         header { h1 { "rilievo report" } }
@@ -30,15 +30,15 @@ pub fn section(
                 img.hero src=(picture) alt="Normals of the first reconstructed view";
             }
             div {
-                h2 { "Verdict: " span class=(verdict.class()) { (verdict.words()) } }
-                @if *verdict == Verdict::Good {
+                h2 { "Verdict: " span class=(class(verdict)) { (verdict.words()) } }
+                @if verdict == Verdict::Good {
                     p {
                         "Every photo that was used has a pose, the light explains what they show, and \
                          their surfaces lie on each other."
                     }
                 }
-                @if !reasons.is_empty() {
-                    ul { @for reason in reasons { li { (reason) } } }
+                @if !findings.is_empty() {
+                    ul { @for finding in findings { (reason(finding)) } }
                 }
                 dl {
                     @for (name, value) in key_numbers(facts, posed) { dt { (name) } dd { (value) } }
@@ -51,7 +51,31 @@ pub fn section(
                 }
             }
         }
-        (warnings(facts))
+        (warnings(facts, &sentences))
+    }
+}
+
+/// Class of the page's style.
+fn class(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Good => "good",
+        Verdict::Usable | Verdict::NotFinished => "usable",
+        Verdict::NotToBeTrusted => "bad",
+    }
+}
+
+/// Names that a finding's sentence lists; more are folded away.
+const NUM_NAMED: usize = 3;
+
+fn reason(finding: &Finding) -> Markup {
+    let code = serde_json::json!(finding.code);
+    html! {
+        li {
+            (finding.sentence()) " " code.code { (code["code"].as_str().unwrap_or_default()) }
+            @if finding.subject.len() > NUM_NAMED {
+                details { summary { "all " (finding.subject.len()) } (finding.subject.join(", ")) }
+            }
+        }
     }
 }
 
@@ -233,17 +257,21 @@ fn confirmed(stages: &Stages) -> String {
     }
 }
 
-fn warnings(facts: &Facts) -> Markup {
+/// Files that cannot be used, and the warnings that are no finding's.
+fn warnings(facts: &Facts, sentences: &[String]) -> Markup {
     let problems = &facts.outcome.problems;
+    let warnings = facts.warnings.iter();
+    let warnings = warnings.filter(|warning| !sentences.contains(&warning.message));
+    let warnings: Vec<_> = warnings.collect();
     html! {
-        @if !(facts.warnings.is_empty() && problems.is_empty()) {
+        @if !(warnings.is_empty() && problems.is_empty()) {
             section {
                 h2 { "What to know, and what to try" }
                 ul {
                     @for problem in problems {
                         li { strong { (problem.file.display().to_string()) } ": " (problem.reason) }
                     }
-                    @for warning in &facts.warnings {
+                    @for warning in warnings {
                         li { code { (warning.stage.name()) } " " (warning.message) }
                     }
                 }

@@ -2,7 +2,6 @@
 //! confidence; and the whole photo with sparse points and the outlines of the spheres.
 
 use super::element::{figure, folded, number, percent};
-use super::matches::{self, Shown};
 use super::picture::{self, Album, Window};
 use crate::pipeline::shown_albedo;
 use crate::report::facts::{Facts, Stages};
@@ -35,7 +34,6 @@ pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Resul
     let num_shown = num_views.div_ceil(every);
     let album = Album::new(PICTURE_BYTES, num_shown * NUM_PICTURES);
     let mut views = Vec::new();
-    let mut shown = Vec::new();
     for (index, view) in posed.views.iter().enumerate().step_by(every) {
         let file = format!("linear/{}.exr", view.name);
         let mut photo = read_linear(&run.stage_dir(StageId::Photos).join(file))?;
@@ -49,14 +47,7 @@ pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Resul
         };
         let content = page.one(&facts.stages, posed, index, &photo)?;
         views.push(folded(&view.file_name, index == 0, &content));
-        shown.push(Shown {
-            view: index,
-            picture: picture_id(index),
-            width: photo.width as f64,
-            height: photo.height as f64,
-        });
     }
-    let matches = matches::section(run, posed, &shown)?;
     Ok(html! {
         section {
             h2 { "Views" }
@@ -68,13 +59,7 @@ pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Resul
             }
             @for view in views { (view) }
         }
-        (matches)
     })
-}
-
-/// Name of a photo's picture within the page.
-fn picture_id(view: usize) -> String {
-    format!("photo-{view}")
 }
 
 /// Factor that brought a photo to the set's exposure.
@@ -230,7 +215,7 @@ impl Page<'_> {
             figure.overlay {
                 svg viewBox=(format!("0 0 {width} {height}")) role="img"
                     aria-label=(format!("Photo {}", view.name)) {
-                    image id=(picture_id(index)) href=(picture) width=(width) height=(height) {}
+                    image href=(picture) width=(width) height=(height) {}
                     path.anchors d=(anchors) {}
                     path.points d=(points) {}
                     @for outline in &outlines { polygon points=(outline) {} }

@@ -26,6 +26,7 @@ mod edges;
 pub mod encoding;
 pub mod error;
 mod exposure;
+mod findings;
 pub mod focal;
 mod mask;
 mod measures;

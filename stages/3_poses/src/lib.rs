@@ -9,6 +9,7 @@ mod adjustment;
 pub mod anchors;
 mod consistency;
 pub mod error;
+mod findings;
 mod given;
 mod incremental;
 mod initial_pair;
@@ -130,7 +131,7 @@ pub fn run(
             report
                 .contradicted_focal
                 .iter()
-                .map(ContradictedFocal::advice),
+                .map(|focal| focal.finding().sentence()),
         )
         .chain(contradicted_exif(&scene, &reconstruction))
         .chain(own_focal::warnings(&scene, &reconstruction.model))
