@@ -1,9 +1,9 @@
-//! What a run's manifests tell, with the types of the stages' reports. Its JSON is `report.json`.
+//! What a run's manifests hold, with the types of the stages' reports. Its JSON is `report.json`.
 
 use super::outcome::Outcome;
 use crate::cost::{Cost, Estimate};
 use crate::pipeline::{Plan, Request, ShadingFacts, StageState};
-use crate::store::{Ingredients, Look, Manifest, RunDir};
+use crate::store::{Look, Manifest, RunDir};
 use crate::system;
 use rilievo_features::FeaturesReport;
 use rilievo_fusion::FusionReport;
@@ -32,9 +32,9 @@ pub struct Facts {
     pub threads: Option<usize>,
     /// Largest memory of any stage, bytes.
     pub peak_memory_bytes: Option<u64>,
-    /// What the whole run was expected to cost, where that was told.
+    /// What the whole run was expected to cost, where that was estimated.
     pub expected: Option<Estimate>,
-    /// What the stages did cost, where all are there and tell it.
+    /// What the stages did cost, where all are there and report it.
     pub cost: Option<Cost>,
     /// What to cite.
     pub citation: &'static str,
@@ -50,13 +50,19 @@ pub struct Warning {
 }
 
 /// The stages that have a result.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize)]
 pub struct Stages {
+    #[serde(rename = "1_photos", skip_serializing_if = "Option::is_none")]
     pub photos: Option<Stage<PhotosReport>>,
+    #[serde(rename = "2_features", skip_serializing_if = "Option::is_none")]
     pub features: Option<Stage<FeaturesReport>>,
+    #[serde(rename = "3_poses", skip_serializing_if = "Option::is_none")]
     pub poses: Option<Stage<PosesReport>>,
+    #[serde(rename = "4_lighting", skip_serializing_if = "Option::is_none")]
     pub lighting: Option<Stage<LightingReport>>,
+    #[serde(rename = "5_shading", skip_serializing_if = "Option::is_none")]
     pub shading: Option<Stage<ShadingFacts>>,
+    #[serde(rename = "6_fusion", skip_serializing_if = "Option::is_none")]
     pub fusion: Option<Stage<FusionReport>>,
 }
 
@@ -93,38 +99,15 @@ impl Stages {
 pub struct Stage<R> {
     /// Whether it still is what would be made now, where that is known.
     pub state: Option<StageState>,
-    /// What it was made from, and when.
-    pub made: Made,
+    /// What it was made from, and when, less what only the stage understands.
+    pub manifest: Manifest,
     /// What it found.
     pub report: R,
 }
 
-/// How a stage came to be: its manifest, less what only the stage understands.
-#[derive(Debug)]
-pub struct Made {
-    manifest: Manifest,
-}
-
-impl Made {
-    /// What decided the result.
-    pub fn ingredients(&self) -> &Ingredients {
-        &self.manifest.ingredients
-    }
-
-    /// Name of the result.
-    pub fn fingerprint(&self) -> &str {
-        &self.manifest.fingerprint
-    }
-
-    /// Wall time, seconds.
-    pub fn seconds(&self) -> f64 {
-        self.manifest.seconds
-    }
-}
-
 impl<R: Serialize> Serialize for Stage<R> {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let manifest = &self.made.manifest;
+        let manifest = &self.manifest;
         let mut map = to.serialize_map(None)?;
         map.serialize_entry("state", &self.state)?;
         map.serialize_entry("seconds", &manifest.seconds)?;
@@ -135,29 +118,6 @@ impl<R: Serialize> Serialize for Stage<R> {
         map.serialize_entry("files", &manifest.files)?;
         map.serialize_entry("report", &self.report)?;
         map.serialize_entry("peak_memory_bytes", &manifest.peak_memory_bytes)?;
-        map.end()
-    }
-}
-
-impl Serialize for Stages {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        fn entry<M: SerializeMap, R: Serialize>(
-            map: &mut M,
-            id: StageId,
-            stage: Option<&Stage<R>>,
-        ) -> Result<(), M::Error> {
-            match stage {
-                Some(stage) => map.serialize_entry(id.name(), stage),
-                None => Ok(()),
-            }
-        }
-        let mut map = to.serialize_map(None)?;
-        entry(&mut map, StageId::Photos, self.photos.as_ref())?;
-        entry(&mut map, StageId::Features, self.features.as_ref())?;
-        entry(&mut map, StageId::Poses, self.poses.as_ref())?;
-        entry(&mut map, StageId::Lighting, self.lighting.as_ref())?;
-        entry(&mut map, StageId::Shading, self.shading.as_ref())?;
-        entry(&mut map, StageId::Fusion, self.fusion.as_ref())?;
         map.end()
     }
 }
@@ -217,7 +177,7 @@ struct Gathered<'a> {
     threads: Option<usize>,
     peak_memory_bytes: Option<u64>,
     num_stages: usize,
-    /// None where a stage does not tell its own.
+    /// None where a stage does not report its own.
     cpu_seconds: Option<f64>,
     disk_bytes: u64,
     expected: Option<Estimate>,
@@ -261,7 +221,7 @@ impl Gathered<'_> {
         };
         Ok(Some(Stage {
             state: state.transpose()?,
-            made: Made { manifest },
+            manifest,
             report,
         }))
     }

@@ -4,7 +4,7 @@ use super::element::{Column, definitions, folded, grid, json, number, percent, t
 use super::plot;
 use crate::cost::{Cost, Estimate};
 use crate::pipeline::ShadingFacts;
-use crate::report::facts::{Facts, Made, Stage};
+use crate::report::facts::{Facts, Stage};
 use maud::{Markup, html};
 use rilievo_features::{FeaturesReport, PairReport, PhotoFeatures};
 use rilievo_fusion::{FusionReport, ViewFusion};
@@ -75,19 +75,21 @@ fn section<R>(id: StageId, stage: Option<&Stage<R>>, tables: fn(&R) -> Markup) -
     let Some(stage) = stage else {
         return Markup::default();
     };
-    let title = format!("{id}, {} s", number(stage.made.seconds(), 1));
-    let content = html! { (tables(&stage.report)) (settings(&stage.made)) };
-    folded(&title, false, &content)
-}
-
-fn settings(made: &Made) -> Markup {
-    let ingredients = made.ingredients();
-    let content = html! {
-        p { "fingerprint " code { (made.fingerprint()) } }
-        (json(&ingredients.options))
-        (json(&ingredients.inputs))
+    let manifest = &stage.manifest;
+    let settings = html! {
+        p { "fingerprint " code { (manifest.fingerprint) } }
+        (json(&manifest.ingredients.options))
+        (json(&manifest.ingredients.inputs))
     };
-    folded("Options, inputs and fingerprint", false, &content)
+    let content = html! {
+        (tables(&stage.report))
+        (folded("Options, inputs and fingerprint", false, &settings))
+    };
+    folded(
+        &format!("{id}, {} s", number(manifest.seconds, 1)),
+        false,
+        &content,
+    )
 }
 
 fn photos(facts: &PhotosReport) -> Markup {

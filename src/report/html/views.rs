@@ -1,10 +1,10 @@
 //! Every view as pictures: photo against re-rendered result, difference, normals, depth,
 //! confidence; and the whole photo with sparse points and the outlines of the spheres.
 
-use super::element::{figure, folded, number, percent};
+use super::element::{figure, folded, number, percent, text};
 use super::picture::{self, Album, Window};
 use crate::pipeline::shown_albedo;
-use crate::report::facts::{Facts, Stages};
+use crate::report::facts::{Facts, Stage, Stages};
 use crate::store::{RunDir, own_file};
 use maud::{Markup, html};
 use nalgebra::{Point3, Vector3};
@@ -15,7 +15,7 @@ use std::path::Path;
 /// Relative difference of photo and result that is shown as full brightness.
 const DIFFERENCE_MAX: f32 = 0.25;
 
-/// Views beyond this many have no pictures in the page: they would be too small to tell anything.
+/// Views beyond this many have no pictures in the page: they would be too small to show anything.
 const MAX_NUM_VIEWS: usize = 40;
 /// Bytes of the page that all pictures of all views may take.
 const PICTURE_BYTES: usize = 2_600_000;
@@ -321,20 +321,36 @@ fn relative_difference(
     })
 }
 
+/// The entry of a view among those of a stage.
+fn of_view<'a, R, T>(
+    stage: Option<&'a Stage<R>>,
+    entries: fn(&R) -> &[T],
+    is_it: impl Fn(&T) -> bool,
+) -> Option<&'a T> {
+    entries(&stage?.report).iter().find(|entry| is_it(entry))
+}
+
 /// What the stages found of a view.
 fn numbers(stages: &Stages, view: &PosedView) -> Markup {
     let (name, file_name) = (&view.name, &view.file_name);
-    let photos = stages.photos.iter().flat_map(|s| &s.report.photos);
-    let photo = photos.clone().find(|p| p.file_name == *file_name);
-    let features = stages.features.iter().flat_map(|s| &s.report.photos);
-    let features = features.clone().find(|p| p.file_name == *file_name);
-    let poses = stages.poses.iter().flat_map(|s| &s.report.views);
-    let pose = poses.clone().find(|v| v.file_name == *file_name);
-    let lights = stages.lighting.iter().flat_map(|s| &s.report.views);
-    let light = lights.clone().find(|v| v.name == *name);
-    let fused = stages.fusion.iter().flat_map(|s| &s.report.views);
-    let fused = fused.clone().find(|v| v.name == *name);
-    let count = |n: Option<usize>| number(n.map(|n| n as f64), 0);
+    let photo = of_view(
+        stages.photos.as_ref(),
+        |r| &r.photos,
+        |p| p.file_name == *file_name,
+    );
+    let features = of_view(
+        stages.features.as_ref(),
+        |r| &r.photos,
+        |p| p.file_name == *file_name,
+    );
+    let pose = of_view(
+        stages.poses.as_ref(),
+        |r| &r.views,
+        |v| v.file_name == *file_name,
+    );
+    let light = of_view(stages.lighting.as_ref(), |r| &r.views, |v| v.name == *name);
+    let fused = of_view(stages.fusion.as_ref(), |r| &r.views, |v| v.name == *name);
+    let error_px = number(pose.map(|v| v.mean_error_px), 2);
     let rows = [
         ("mask", percent(photo.and_then(|p| p.mask_coverage), 1)),
         (
@@ -347,20 +363,17 @@ fn numbers(stages: &Stages, view: &PosedView) -> Markup {
         ),
         (
             "keypoints on the object",
-            count(features.map(|p| p.num_on_object)),
+            text(features.map(|p| p.num_on_object)),
         ),
-        ("points seen", count(pose.map(|v| v.num_points))),
-        (
-            "reprojection error",
-            format!("{} px", number(pose.map(|v| v.mean_error_px), 2)),
-        ),
+        ("points seen", text(pose.map(|v| v.num_points))),
+        ("reprojection error", format!("{error_px} px")),
         (
             "light residual",
             percent(light.and_then(|v| v.relative_rms), 1),
         ),
         (
             "points given to the cloud",
-            count(fused.map(|v| v.num_points)),
+            text(fused.map(|v| v.num_points)),
         ),
     ];
     html! {
