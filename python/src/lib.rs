@@ -14,7 +14,7 @@ use arrays::{image_array, map_array, normal_array};
 use failures::raised;
 use pyo3::prelude::*;
 use results::RunResults;
-use rilievo::embedded::{self, ShadeRequest, ShadedArrays};
+use rilievo::embedded::{self, ShadeRequest, SolvedView};
 use std::ffi::OsString;
 use std::path::PathBuf;
 use working::work;
@@ -79,7 +79,7 @@ type ShadedTuple<'py> = (
     Option<Bound<'py, PyAny>>,
 );
 
-fn arrays_of(py: Python<'_>, view: ShadedArrays) -> PyResult<ShadedTuple<'_>> {
+fn arrays_of(py: Python<'_>, view: SolvedView) -> PyResult<ShadedTuple<'_>> {
     let confidence = view.confidence.map(|map| map_array(py, map));
     Ok((
         map_array(py, view.depth)?,

@@ -11,15 +11,17 @@ mod poses;
 mod results;
 mod shade;
 
+pub use crate::commands::ViewParts;
 pub use failure::CommandFailure;
 pub use host::{News, Stop, Tell, decode_raw, decode_raw_with};
 pub use poses::{pose_of_rows, pose_rows};
-pub use results::{RunResults, ViewCamera};
+pub use results::RunResults;
 pub use rilievo_scene::{
     DecodedPhoto, DepthMap, Distortion, ExifFacts, Intrinsics, Lighting, LinearImage, Mask,
-    NormalMap, PointCloud, Raster, RigidTransform, Samples, SphericalHarmonics,
+    NormalMap, PointCloud, PosedView, Raster, RigidTransform, Samples, SphericalHarmonics,
 };
-pub use shade::{ArrayView, ShadeRequest, ShadedArrays, shade};
+pub use rilievo_shading::paper::SolvedView;
+pub use shade::{ShadeRequest, shade};
 
 use crate::cli::Command;
 use crate::commands;
