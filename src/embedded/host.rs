@@ -34,9 +34,9 @@ pub enum News {
 }
 
 /// Takes news, from whatever thread.
-pub type Tell = Box<dyn FnMut(News) + Send>;
+pub type NewsSink = Box<dyn FnMut(News) + Send>;
 
-struct Sink(Tell);
+struct Sink(NewsSink);
 
 impl JsonSink for Sink {
     fn event(&mut self, event: &Value) {
@@ -49,8 +49,8 @@ impl JsonSink for Sink {
 }
 
 /// The console of a command.
-pub(super) fn console(stop: &Stop, tell: Tell) -> Console {
-    Console::embedded(Sink(tell), Arc::clone(&stop.0))
+pub(super) fn console(stop: &Stop, news: NewsSink) -> Console {
+    Console::embedded(Sink(news), Arc::clone(&stop.0))
 }
 
 /// Runs work whose panic is a failure.
@@ -97,7 +97,7 @@ pub fn decode_raw_with(program: Vec<OsString>) {
     rilievo_io::set_raw_decoder(raw_child::decode);
 }
 
-/// Decodes the RAW file on stdin to stdout, and tells the exit code that the process must end with. It bounds the
+/// Decodes the RAW file on stdin to stdout, and returns the exit code that the process must end with. It bounds the
 /// process's memory and time: only a process that does nothing else may call it.
 pub fn decode_raw(name: &Path) -> u8 {
     catch_unwind(|| raw_child::serve(name)).unwrap_or(CommandFailure::PANICKED)

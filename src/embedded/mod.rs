@@ -13,7 +13,7 @@ mod shade;
 
 pub use crate::commands::ViewParts;
 pub use failure::CommandFailure;
-pub use host::{News, Stop, Tell, decode_raw, decode_raw_with};
+pub use host::{News, NewsSink, Stop, decode_raw, decode_raw_with};
 pub use poses::{pose_of_rows, pose_rows};
 pub use results::RunResults;
 pub use rilievo_scene::{
@@ -33,11 +33,15 @@ use std::ffi::OsString;
 ///
 /// # Errors
 /// As the command line fails, with its exit code.
-pub fn run_command(arguments: &[OsString], stop: &Stop, tell: Tell) -> Result<(), CommandFailure> {
+pub fn run_command(
+    arguments: &[OsString],
+    stop: &Stop,
+    news: NewsSink,
+) -> Result<(), CommandFailure> {
     guarded(|| {
         let command = parsed(arguments)?;
         in_own_threads(command.threads(), || {
-            Ok(commands::dispatch_to(&command, &console(stop, tell))?)
+            Ok(commands::dispatch_to(&command, &console(stop, news))?)
         })
     })
 }
@@ -49,7 +53,7 @@ pub fn run_command(arguments: &[OsString], stop: &Stop, tell: Tell) -> Result<()
 pub fn evaluate(
     arguments: &[OsString],
     stop: &Stop,
-    tell: Tell,
+    news: NewsSink,
 ) -> Result<serde_json::Value, CommandFailure> {
     guarded(|| {
         let Command::Evaluate(args) = parsed(arguments)? else {
@@ -58,7 +62,7 @@ pub fn evaluate(
         let Some(truth) = &args.truth else {
             return Err(CommandFailure::usage("there is no truth"));
         };
-        let console = console(stop, tell);
+        let console = console(stop, news);
         in_own_threads(None, || {
             let note = |line: &str| console.note(line);
             let found = commands::evaluation(&args.run, truth, args.align, &note)?;

@@ -2,7 +2,7 @@
 
 use super::arguments::parsed;
 use super::failure::CommandFailure;
-use super::host::{Stop, Tell, console, guarded, in_own_threads};
+use super::host::{NewsSink, Stop, console, guarded, in_own_threads};
 use crate::cli::Command;
 use crate::commands::{Described, ViewParts, reporting_to, shade_options, solve_shading};
 use rilievo_shading::paper::{SolvedView, ViewMatches};
@@ -26,7 +26,7 @@ pub struct ShadeRequest {
 pub fn shade(
     request: ShadeRequest,
     stop: &Stop,
-    tell: Tell,
+    news: NewsSink,
 ) -> Result<(Vec<SolvedView>, serde_json::Value), CommandFailure> {
     guarded(|| {
         // The scene and the folder are never looked at: the views are here, and so will the results be.
@@ -36,7 +36,7 @@ pub fn shade(
         let Command::Shade(args) = parsed(&arguments)? else {
             return Err(CommandFailure::usage("this is not `shade`"));
         };
-        let console = console(stop, tell);
+        let console = console(stop, news);
         let (views, matches) = (request.views, request.matches);
         in_own_threads(args.work.threads, || {
             let (mut shaded, mut report) = (Vec::new(), serde_json::Value::Null);

@@ -122,6 +122,45 @@ impl<R: Serialize> Serialize for Stage<R> {
     }
 }
 
+impl Stages {
+    fn manifests(&self) -> impl Iterator<Item = &Manifest> {
+        fn of<R>(stage: Option<&Stage<R>>) -> Option<&Manifest> {
+            Some(&stage?.manifest)
+        }
+        let manifests = [
+            of(self.photos.as_ref()),
+            of(self.features.as_ref()),
+            of(self.poses.as_ref()),
+            of(self.lighting.as_ref()),
+            of(self.shading.as_ref()),
+            of(self.fusion.as_ref()),
+        ];
+        manifests.into_iter().flatten()
+    }
+
+    /// What all of them did cost; `None` where one is missing or does not report it.
+    fn cost(&self) -> Option<Cost> {
+        if self.manifests().count() < StageId::ALL.len() {
+            return None;
+        }
+        let files = self
+            .manifests()
+            .flat_map(|manifest| manifest.files.values());
+        let seconds = self.manifests().map(|manifest| manifest.cpu_seconds);
+        Some(Cost {
+            cpu_seconds: seconds.sum::<Option<f64>>()?,
+            peak_memory_bytes: self.peak_memory_bytes()? as f64,
+            disk_bytes: files.map(|file| file.bytes).sum::<u64>() as f64,
+        })
+    }
+
+    fn peak_memory_bytes(&self) -> Option<u64> {
+        self.manifests()
+            .filter_map(|manifest| manifest.peak_memory_bytes)
+            .max()
+    }
+}
+
 impl Facts {
     /// Gathers the facts from the stages' manifests; a stage whose manifest is damaged is left out.
     ///
@@ -133,96 +172,60 @@ impl Facts {
         outcome: &Outcome,
         plan: Option<&Plan>,
     ) -> anyhow::Result<Self> {
-        let mut gathered = Gathered {
-            run,
-            plan,
-            warnings: Vec::new(),
-            threads: None,
-            peak_memory_bytes: None,
-            num_stages: 0,
-            cpu_seconds: Some(0.0),
-            disk_bytes: 0,
-            expected: None,
-        };
+        let mut warnings = Vec::new();
         let stages = Stages {
-            photos: gathered.stage(StageId::Photos)?,
-            features: gathered.stage(StageId::Features)?,
-            poses: gathered.stage(StageId::Poses)?,
-            lighting: gathered.stage(StageId::Lighting)?,
-            shading: gathered.stage(StageId::Shading)?,
-            fusion: gathered.stage(StageId::Fusion)?,
+            photos: stage(run, plan, StageId::Photos, &mut warnings)?,
+            features: stage(run, plan, StageId::Features, &mut warnings)?,
+            poses: stage(run, plan, StageId::Poses, &mut warnings)?,
+            lighting: stage(run, plan, StageId::Lighting, &mut warnings)?,
+            shading: stage(run, plan, StageId::Shading, &mut warnings)?,
+            fusion: stage(run, plan, StageId::Fusion, &mut warnings)?,
         };
-        let cost = gathered.cost();
         Ok(Self {
             program: system::PROGRAM,
             outcome: outcome.clone(),
             request: request.clone(),
+            warnings,
+            threads: stages.manifests().last().map(|manifest| manifest.threads),
+            peak_memory_bytes: stages.peak_memory_bytes(),
+            expected: stages
+                .manifests()
+                .filter_map(|manifest| manifest.expected)
+                .last(),
+            cost: stages.cost(),
             stages,
-            warnings: gathered.warnings,
-            threads: gathered.threads,
-            peak_memory_bytes: gathered.peak_memory_bytes,
-            expected: gathered.expected,
-            cost,
             citation: "Queau, Melou, Durou, Cremers: Dense Multi-view 3D-reconstruction Without \
                        Dense Correspondences. ICCV 2017",
         })
     }
 }
 
-/// What is read stage by stage.
-struct Gathered<'a> {
-    run: &'a RunDir,
-    plan: Option<&'a Plan>,
-    warnings: Vec<Warning>,
-    threads: Option<usize>,
-    peak_memory_bytes: Option<u64>,
-    num_stages: usize,
-    /// None where a stage does not report its own.
-    cpu_seconds: Option<f64>,
-    disk_bytes: u64,
-    expected: Option<Estimate>,
-}
-
-impl Gathered<'_> {
-    fn cost(&self) -> Option<Cost> {
-        if self.num_stages < StageId::ALL.len() {
-            return None;
-        }
-        Some(Cost {
-            cpu_seconds: self.cpu_seconds?,
-            peak_memory_bytes: self.peak_memory_bytes? as f64,
-            disk_bytes: self.disk_bytes as f64,
-        })
-    }
-
-    fn stage<R: DeserializeOwned>(&mut self, id: StageId) -> anyhow::Result<Option<Stage<R>>> {
-        let Ok(Some(mut manifest)) = self.run.manifest(id) else {
-            return Ok(None);
-        };
-        let messages = manifest.warnings.drain(..);
-        self.warnings
-            .extend(messages.map(|message| Warning { stage: id, message }));
-        self.num_stages += 1;
-        self.expected = manifest.expected.or(self.expected);
-        let cpu_seconds = self.cpu_seconds.zip(manifest.cpu_seconds);
-        self.cpu_seconds = cpu_seconds.map(|(sum, of_stage)| sum + of_stage);
-        self.disk_bytes += manifest.files.values().map(|file| file.bytes).sum::<u64>();
-        self.threads = Some(manifest.threads);
-        self.peak_memory_bytes = manifest.peak_memory_bytes.max(self.peak_memory_bytes);
-        let state = self.plan.map(|plan| plan.state(self.run, id, Look::Sizes));
-        let report = match serde_json::from_value(manifest.report.take()) {
-            Ok(report) => report,
-            // JSON has no number that is not finite: the results stand, the findings cannot be shown.
-            Err(error) => {
-                let message = format!("the findings of {id} cannot be shown: {error}");
-                self.warnings.push(Warning { stage: id, message });
-                return Ok(None);
-            }
-        };
-        Ok(Some(Stage {
-            state: state.transpose()?,
+/// A committed stage; its warnings go to `warnings`.
+fn stage<R: DeserializeOwned>(
+    run: &RunDir,
+    plan: Option<&Plan>,
+    id: StageId,
+    warnings: &mut Vec<Warning>,
+) -> anyhow::Result<Option<Stage<R>>> {
+    let Ok(Some(mut manifest)) = run.manifest(id) else {
+        return Ok(None);
+    };
+    let messages = manifest.warnings.drain(..);
+    warnings.extend(messages.map(|message| Warning { stage: id, message }));
+    let state = plan
+        .map(|plan| plan.state(run, id, Look::Sizes))
+        .transpose()?;
+    match serde_json::from_value(manifest.report.take()) {
+        Ok(report) => Ok(Some(Stage {
+            state,
             manifest,
             report,
-        }))
+        })),
+        // JSON has no number that is not finite: the results stand, the findings cannot be shown.
+        Err(error) => {
+            let message = format!("the findings of {id} cannot be shown: {error}");
+            warnings.push(Warning { stage: id, message });
+            Ok(None)
+        }
     }
 }

@@ -20,7 +20,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Puts an evaluation into the report of a run, in the place of an earlier one; tells whether there is
+/// Puts an evaluation into the report of a run, in the place of an earlier one; returns whether there is
 /// a report. Whatever redoes or deletes results drops it again.
 ///
 /// # Errors
@@ -71,7 +71,7 @@ fn put(root: &Path, sections: &[(Addition, Markup)]) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// What is told of a run: its facts, and the judgement that follows from them.
+/// What is reported of a run: its facts, and the judgement that follows from them.
 #[derive(Serialize)]
 pub struct Report {
     verdict: Judgement,
@@ -81,7 +81,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Gathers what is known of a run; the plan tells which results are stale, where there is one.
+    /// Gathers what is known of a run; the plan knows which results are stale, where there is one.
     ///
     /// # Errors
     /// When artifacts cannot be read.
@@ -113,8 +113,8 @@ impl Report {
     /// Whether the run has its report in both forms, undamaged, with this request, outcome and verdict.
     pub fn is_told_by(&self, run: &RunDir) -> bool {
         let whole = |file: &str| own_file(&run.root().join(file)).ok().flatten();
-        let told = whole("report.json").and_then(|text| unseal(&text).ok());
-        let same = |key: &str, now: Value| told.as_ref().and_then(|r| r.get(key)) == Some(&now);
+        let written = whole("report.json").and_then(|text| unseal(&text).ok());
+        let same = |key: &str, now: Value| written.as_ref().and_then(|r| r.get(key)) == Some(&now);
         whole("report.html").is_some_and(|page| html::is_whole(&page))
             && same("outcome", json!(self.facts.outcome))
             && same("request", json!(self.facts.request))

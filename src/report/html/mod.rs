@@ -78,7 +78,7 @@ fn unreadable(error: &anyhow::Error) -> Markup {
         section {
             h2 { "Not to be read" }
             p { "Results cannot be shown: " (format!("{error:#}")) ". "
-                code { "rilievo status --verify" } " tells what is damaged, "
+                code { "rilievo status --verify" } " names what is damaged, "
                 code { "rilievo reconstruct" } " makes it again." }
         }
     }

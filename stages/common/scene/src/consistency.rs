@@ -1,7 +1,7 @@
 //! Whether what stages hand to each other is sound: sizes, indices and numbers that any consumer relies on.
 //!
 //! A stage's results may come from a file that was damaged, or that another program wrote. Each stage
-//! checks what it is given before it works with it, so that a wrong index is told and ends nothing else.
+//! checks what it is given before it works with it, so that a wrong index is an error and no panic.
 
 use crate::calibration::{LightSample, LightingCalibration};
 use crate::camera::Intrinsics;

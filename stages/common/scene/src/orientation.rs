@@ -90,7 +90,7 @@ impl Orientation {
         })
     }
 
-    /// A mask in the stored frame, of `stored` columns and rows, and whether its size told that it was drawn
+    /// A mask in the stored frame, of `stored` columns and rows, and whether its size shows that it was drawn
     /// over the upright picture.
     pub fn mask_by_size(self, mask: Mask, stored: (usize, usize)) -> (Mask, bool) {
         let given = (mask.width, mask.height);

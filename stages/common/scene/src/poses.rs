@@ -49,7 +49,7 @@ pub struct Scale {
     pub unit: Unit,
     /// Where it comes from.
     pub source: ScaleSource,
-    /// Relative standard deviation of the scale, where it can be told.
+    /// Relative standard deviation of the scale, where it is known.
     pub relative_sigma: Option<f64>,
 }
 
@@ -73,7 +73,7 @@ impl WorldFrame {
         format!("world of cameras.json, {}", self.words())
     }
 
-    /// What to tell who opens a file in this frame.
+    /// In words, for who opens a file in this frame.
     pub fn words(self) -> &'static str {
         match self {
             Self::FirstCamera => "first camera: x right, y down, z forward",

@@ -229,7 +229,7 @@ impl LinearImage {
     }
 }
 
-/// Bilinear interpolation at a sub-pixel position between pixels whose values `value` tells by their
+/// Bilinear interpolation at a sub-pixel position between pixels whose values `value` returns by their
 /// index, row by row; `None` where one of the four neighbours lies outside.
 #[inline]
 pub fn bilinear(

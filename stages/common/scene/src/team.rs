@@ -4,8 +4,8 @@
 //! (photos, pairs, views, tiles) is divided, and everyone gets all its results. So what is found does not depend on
 //! their number, and what is not divided is merely done by each of them.
 //!
-//! Who fails returns its error and comes to no further [`gather`](Team::gather); whoever runs the processes tells the
-//! others, whose gathering then ends with a [`TeamError`]. An error of divided work therefore ends the run: what a
+//! Who fails returns its error and comes to no further [`gather`](Team::gather); whoever runs the processes lets
+//! the others know, whose gathering then ends with a [`TeamError`]. An error of divided work therefore ends the run: what a
 //! stage can go on without is no error, but a result.
 
 use rayon::prelude::*;
@@ -130,7 +130,7 @@ pub fn gathered<T: Serialize + DeserializeOwned>(
     Ok(values)
 }
 
-/// What the first process alone finds out, told to all.
+/// What the first process alone finds out, handed to all.
 ///
 /// # Errors
 /// Its error there, and a [`TeamError`] in the others.
