@@ -45,10 +45,8 @@ impl Window {
         }
     }
 
-    fn cut<T: Clone>(&self, map: &Raster<T>) -> Raster<T> {
-        Raster::from_fn(self.width, self.height, |x, y| {
-            map.at(self.x + x, self.y + y).clone()
-        })
+    fn cut<T: Copy>(&self, map: &Raster<T>) -> Raster<T> {
+        map.cropped(self.x, self.y, self.width, self.height)
     }
 }
 
@@ -132,7 +130,8 @@ impl Album {
     }
 }
 
-fn data_url(jpeg: &[u8]) -> String {
+/// A JPEG picture as the address of an image.
+pub fn data_url(jpeg: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", base64(jpeg))
 }
 

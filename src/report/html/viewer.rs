@@ -5,7 +5,7 @@
 //! the place is zero, and its colour as 3 × u8 stands for the tangent. Behind the vertices stand the triangles, 3 × u16
 //! each.
 
-use super::picture::base64;
+use super::picture::{base64, data_url};
 use crate::store::RunDir;
 use maud::{Markup, PreEscaped, html};
 use rilievo_io::{
@@ -64,10 +64,7 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
     let data = serde_json::json!({
         "low": low, "high": high, "vertices": mesh.vertices.len(), "cameras": cameras,
         "metric": posed.scale.unit == Unit::Metre,
-        "textures": shown.textures.as_ref().map(|textures| {
-            let url = |jpeg: &Vec<u8>| format!("data:image/jpeg;base64,{}", base64(jpeg));
-            textures.each_ref().map(url)
-        }),
+        "textures": shown.textures.as_ref().map(|textures| textures.each_ref().map(|jpeg| data_url(jpeg))),
     });
     let packed = base64(&pack(&shown));
     Ok(html! {

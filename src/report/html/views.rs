@@ -122,60 +122,43 @@ impl Page<'_> {
         };
         let mut pictures = Vec::new();
         let mut comparison = Markup::default();
+        let nothing = Markup::default;
         if file("rendered").exists() {
             let rendered = read_linear(&file("rendered"))?;
-            let explained = album.photo(&rendered, window, exposure);
-            comparison = compared(name, &observed, &explained);
+            comparison = compared(name, &observed, &album.photo(&rendered, window, exposure));
             let difference = relative_difference(photo, &rendered, &depth);
+            let most = format!("{:.0} % and more", 100.0 * DIFFERENCE_MAX);
+            let picture = album.scalar(&difference, window, DIFFERENCE_MAX);
+            let legend = "where photo and result disagree";
+            let scale = bar("inferno", "0", &most);
             pictures.push(show(
-                &album.scalar(&difference, window, DIFFERENCE_MAX),
+                &picture,
                 "rendered",
                 "Relative difference",
-                "where photo and result disagree",
-                bar(
-                    "inferno",
-                    "0",
-                    &format!("{:.0} % and more", 100.0 * DIFFERENCE_MAX),
-                ),
+                legend,
+                scale,
             ));
         } else {
-            let nothing = Markup::default();
-            pictures.push(show(&observed, "", "Photo", "cut to the object", nothing));
+            pictures.push(show(&observed, "", "Photo", "cut to the object", nothing()));
         }
-        let normal = read_normal(&file("normal"))?;
-        pictures.push(show(
-            &album.normals(&normal, window),
-            "normal",
-            "Normals",
-            "red: to the right, green: up, blue: to the camera",
-            Markup::default(),
-        ));
-        pictures.push(show(
-            &album.depth(&depth, window),
-            "depth",
-            "Depth",
-            "along the optical axis",
-            depth_legend(&depth, unit),
-        ));
+        let picture = album.normals(&read_normal(&file("normal"))?, window);
+        let legend = "red: to the right, green: up, blue: to the camera";
+        pictures.push(show(&picture, "normal", "Normals", legend, nothing()));
+        let picture = album.depth(&depth, window);
+        let (legend, scale) = ("along the optical axis", depth_legend(&depth, unit));
+        pictures.push(show(&picture, "depth", "Depth", legend, scale));
         if file("albedo").exists() {
             let albedo = shown_albedo(&read_linear(&file("albedo"))?);
-            pictures.push(show(
-                &album.photo(&albedo, window, 1.0),
-                "albedo",
-                "Albedo",
-                "relative to the mean, which is a middle grey",
-                Markup::default(),
-            ));
+            let picture = album.photo(&albedo, window, 1.0);
+            let legend = "relative to the mean, which is a middle grey";
+            pictures.push(show(&picture, "albedo", "Albedo", legend, nothing()));
         }
         if file("confidence").exists() {
             let confidence = read_channel(&file("confidence"), "C")?;
-            pictures.push(show(
-                &album.scalar(&confidence, window, 1.0),
-                "confidence",
-                "Confidence",
-                "how well the photos determine a pixel",
-                bar("inferno", "0", "1: well"),
-            ));
+            let picture = album.scalar(&confidence, window, 1.0);
+            let legend = "how well the photos determine a pixel";
+            let scale = bar("inferno", "0", "1: well");
+            pictures.push(show(&picture, "confidence", "Confidence", legend, scale));
         }
         Ok(html! { (comparison) div.pictures { @for picture in pictures { (picture) } } })
     }

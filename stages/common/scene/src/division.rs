@@ -68,9 +68,10 @@ impl<'a> DividedStep<'a> {
             }
             let result = work(item)?;
             let done = (num_done.fetch_add(1, Ordering::Relaxed) + 1) * team.size();
-            let flow = self.report(done.min(num_items), num_items);
-            flow.ok_or_else(&interrupted)?;
-            Ok(result)
+            match self.report(done.min(num_items), num_items) {
+                Flow::Continue => Ok(result),
+                Flow::Stop => Err(interrupted()),
+            }
         };
         divided(team, num_items, at_once, one)
     }

@@ -119,17 +119,6 @@ impl Flow {
             Self::Stop => Err(interrupted),
         }
     }
-
-    /// The same with an error that is made only then.
-    ///
-    /// # Errors
-    /// What `interrupted` gives, for [`Flow::Stop`].
-    pub fn ok_or_else<E>(self, interrupted: impl FnOnce() -> E) -> Result<(), E> {
-        match self {
-            Self::Continue => Ok(()),
-            Self::Stop => Err(interrupted()),
-        }
-    }
 }
 
 /// Who a stage works for: receives events, from any thread, and knows whether to go on and who shares the work.
