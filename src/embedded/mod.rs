@@ -1,8 +1,10 @@
-//! The program inside another one: its commands without a terminal, with data in memory where that makes sense.
+//! The program inside another one: its commands without a terminal, with data in memory where that
+//! makes sense.
 //!
-//! Nothing here touches what belongs to the process: signals are the caller's to answer, and nothing is written to stdout. A
-//! caller asks a command to stop by the [`Stop`] that it gives it, and takes what there is to show by a function ([`News`]).
-//! Every command has threads of its own, which end with it. A panic is a failure like others.
+//! Nothing here touches what belongs to the process: signals are the caller's to answer, and
+//! nothing is written to stdout. A caller asks a command to stop by the [`Stop`] that it gives it,
+//! and takes what there is to show by a function ([`News`]). Every command has threads of its own,
+//! which end with it. A panic is a failure like others.
 
 mod arguments;
 mod failure;
@@ -29,7 +31,8 @@ use arguments::parsed;
 use host::{console, guarded, in_own_threads};
 use std::ffi::OsString;
 
-/// Runs `rilievo reconstruct` or `rilievo synth` with the arguments of its command line, the command's name first.
+/// Runs `rilievo reconstruct` or `rilievo synth` with the arguments of its command line, the
+/// command's name first.
 ///
 /// # Errors
 /// As the command line fails, with its exit code.
@@ -46,7 +49,8 @@ pub fn run_command(
     })
 }
 
-/// `rilievo evaluate` with the arguments of its command line, as JSON; the run's report shows it too.
+/// `rilievo evaluate` with the arguments of its command line, as JSON; the run's report shows it
+/// too.
 ///
 /// # Errors
 /// As the command line fails, with its exit code.

@@ -19,7 +19,8 @@ pub struct ShadeRequest {
     pub options: Vec<OsString>,
 }
 
-/// Solves the views; answers with their shapes in order, and with what `rilievo shade` writes to `report.json`.
+/// Solves the views; answers with their shapes in order, and with what `rilievo shade` writes to
+/// `report.json`.
 ///
 /// # Errors
 /// As the command line fails, with its exit code.
@@ -29,7 +30,8 @@ pub fn shade(
     news: NewsSink,
 ) -> Result<(Vec<SolvedView>, serde_json::Value), CommandFailure> {
     guarded(|| {
-        // The scene and the folder are never looked at: the views are here, and so will the results be.
+        // The scene and the folder are never looked at: the views are here, and so will the results
+        // be.
         let mut arguments: Vec<OsString> = ["shade", "--output=-"].map(OsString::from).into();
         arguments.extend(request.options);
         arguments.extend(["--", "arrays"].map(OsString::from));

@@ -67,7 +67,8 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// Lengths of the box around the mesh, what a pixel covers, and what the size rests on, in a line.
+    /// Lengths of the box around the mesh, what a pixel covers, and what the size rests on, in a
+    /// line.
     pub fn size(&self) -> Option<String> {
         let fusion = &self.fusion.as_ref()?.report;
         let scale = &self.poses.as_ref()?.report.scale;

@@ -20,8 +20,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Puts an evaluation into the report of a run, in the place of an earlier one; returns whether there is
-/// a report. Whatever redoes or deletes results drops it again.
+/// Puts an evaluation into the report of a run, in the place of an earlier one; returns whether
+/// there is a report. Whatever redoes or deletes results drops it again.
 ///
 /// # Errors
 /// When the report cannot be read or written.
@@ -110,7 +110,8 @@ impl Report {
         self.verdict
     }
 
-    /// Whether the run has its report in both forms, undamaged, with this request, outcome and verdict.
+    /// Whether the run has its report in both forms, undamaged, with this request, outcome and
+    /// verdict.
     pub fn is_told_by(&self, run: &RunDir) -> bool {
         let whole = |file: &str| own_file(&run.root().join(file)).ok().flatten();
         let written = whole("report.json").and_then(|text| unseal(&text).ok());

@@ -1,4 +1,5 @@
-//! How far a result can be relied on, and why: the findings of all stages, and those that only the whole run shows.
+//! How far a result can be relied on, and why: the findings of all stages, and those that only the
+//! whole run shows.
 
 use super::facts::{Facts, Stages};
 use crate::pipeline::{MaskOrigin, StageState};

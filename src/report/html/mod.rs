@@ -26,7 +26,8 @@ const STYLE: &str = include_str!("page.css");
 const PAGE_SCRIPT: &str = include_str!("page.js");
 const VIEWER_SCRIPT: &str = include_str!("viewer.js");
 
-/// A section that `rilievo evaluate` puts into a page that stands already, between marks of its own.
+/// A section that `rilievo evaluate` puts into a page that stands already, between marks of its
+/// own.
 #[derive(Clone, Copy, Debug)]
 pub enum Addition {
     /// Accuracy against the truth.
@@ -49,7 +50,8 @@ impl Addition {
         PreEscaped(self.marks().concat())
     }
 
-    /// A page with a section in the place of an earlier one; `None` where the page has no such place.
+    /// A page with a section in the place of an earlier one; `None` where the page has no such
+    /// place.
     pub fn put(self, page: &str, section: &Markup) -> Option<String> {
         let [begin, end] = self.marks();
         let (before, rest) = page.split_once(begin)?;

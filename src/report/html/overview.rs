@@ -100,9 +100,12 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
     let poses = stages.poses.as_ref().map(|stage| &stage.report);
     let fusion = stages.fusion.as_ref().map(|stage| &stage.report);
     let metric = posed.is_some_and(|posed| posed.scale.unit == Unit::Metre);
-    let length = |value: f64| match metric {
-        true => format!("{:.3} mm", 1e3 * value),
-        false => format!("{value:.2e} (no scale)"),
+    let length = |value: f64| {
+        if metric {
+            format!("{:.3} mm", 1e3 * value)
+        } else {
+            format!("{value:.2e} (no scale)")
+        }
     };
     let anchors = poses.and_then(|poses| poses.anchors.as_ref());
     let mesh = fusion.and_then(|fusion| fusion.mesh.as_ref());

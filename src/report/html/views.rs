@@ -24,7 +24,8 @@ const NUM_PICTURES: usize = 9;
 /// Anchors and sparse points drawn in all photos together: a dot takes some fifteen bytes.
 const NUM_DOTS: usize = 30_000;
 
-/// The section with the views that have a dense shape, or at least a pose; of many some, evenly chosen.
+/// The section with the views that have a dense shape, or at least a pose; of many some, evenly
+/// chosen.
 ///
 /// # Errors
 /// When maps cannot be read.
@@ -232,7 +233,8 @@ impl Page<'_> {
         }
     }
 
-    /// The number of places, and a path of dots at so many of them as the page bears: a tenth of the size of circles.
+    /// The number of places, and a path of dots at so many of them as the page bears: a tenth of
+    /// the size of circles.
     fn dots(&self, places: Vec<[f64; 2]>, at: &impl Fn(f64) -> String) -> (usize, String) {
         let every = places.len().div_ceil(self.max_dots.max(1)).max(1);
         let drawn = places.iter().step_by(every);

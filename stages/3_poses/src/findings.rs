@@ -6,22 +6,26 @@ use rilievo_scene::{Finding, FindingCode};
 
 /// Reprojection error above which poses are doubtful, pixels: twice what keypoints allow.
 const DOUBTFUL_REPROJECTION_PX: f64 = 1.0;
-/// Points below which a view that has less than [`FEW_POINTS_SHARE`] of the median number hangs by a thread. Views at the
-/// end of an arc share points with one side only and keep a quarter, or a seventh of very many.
+/// Points below which a view that has less than [`FEW_POINTS_SHARE`] of the median number hangs by
+/// a thread. Views at the end of an arc share points with one side only and keep a quarter, or a
+/// seventh of very many.
 const FEW_POINTS: usize = 100;
 const FEW_POINTS_SHARE: f64 = 1.0 / 6.0;
-/// Share of the median number below which it does whatever the number: a wrong focal length leaves less.
+/// Share of the median number below which it does whatever the number: a wrong focal length leaves
+/// less.
 const VERY_FEW_POINTS_SHARE: f64 = 0.1;
-/// Points that a view keeps of its matches, over what the median view keeps, below which its matches
-/// contradict its pose. Good sets have .7 and more; one photo cropped 1.4 times has .37.
+/// Points that a view keeps of its matches, over what the median view keeps, below which its
+/// matches contradict its pose. Good sets have .7 and more; one photo cropped 1.4 times has .37.
 const FEW_KEPT_SHARE: f64 = 0.5;
-/// Relative change of a focal length of EXIF data by the adjustment above which it is another photo's: such data are
-/// rounded to some per cent. Given ones are held against the photos by `lens.rs`, to its `MIN_FOCAL_CHANGE`.
+/// Relative change of a focal length of EXIF data by the adjustment above which it is another
+/// photo's: such data are rounded to some per cent. Given ones are held against the photos by
+/// `lens.rs`, to its `MIN_FOCAL_CHANGE`.
 const DOUBTFUL_FOCAL_CHANGE: f64 = 0.1;
 
 impl PosesReport {
-    /// What the user should know of the poses of `num_photos` photos. `kept`: views by name with the points that they keep
-    /// of their matches; `is_guess`: whether nothing was known of a camera group's focal length.
+    /// What the user should know of the poses of `num_photos` photos. `kept`: views by name with
+    /// the points that they keep of their matches; `is_guess`: whether nothing was known of a
+    /// camera group's focal length.
     pub fn findings(
         &self,
         num_photos: usize,

@@ -5,13 +5,13 @@ use rilievo_numerics::robust::median;
 use rilievo_photometry::surface_check::{DOUBTFUL_RESIDUAL, missed_photos};
 use rilievo_scene::{Finding, FindingCode};
 
-/// What light and pigment leave of the usual photo at the level where they are fitted, from which on the surface shines, is
-/// stained or moved: matte objects leave .012 to .03, one with a sheen of .4 leaves .049 and its normals err half as
-/// much again.
+/// What light and pigment leave of the usual photo at the level where they are fitted, from which
+/// on the surface shines, is stained or moved: matte objects leave .012 to .03, one with a sheen of
+/// .4 leaves .049 and its normals err half as much again.
 const NOT_MATTE: f64 = 0.04;
-/// Pixels over which the photos' residuals are alike, from which all photos are out of focus or enlarged. Sharp JPEG photos
-/// have 2 to 7; blurred by three pixels all of them have 17. A single photo is held against the sharpest one instead, by
-/// the `BLURRED` of `solve.rs`.
+/// Pixels over which the photos' residuals are alike, from which all photos are out of focus or
+/// enlarged. Sharp JPEG photos have 2 to 7; blurred by three pixels all of them have 17. A single
+/// photo is held against the sharpest one instead, by the `BLURRED` of `solve.rs`.
 const BLURRED_PX: f64 = 10.0;
 /// More is not reported: residuals are alike without end where nothing differs.
 const MOST_BLURRED_PX: f64 = 50.0;
@@ -20,12 +20,14 @@ const DOUBTFUL_SEEN_ALONE: f64 = 0.4;
 /// Share of the surface that several views confirm, below which most of it is a guess.
 const DOUBTFUL_CONFIRMED: f64 = 0.6;
 const UNTRUSTED_CONFIRMED: f64 = 0.3;
-/// Share of a view's surface that other views confirm, over that of the usual view, below which it shows something else
-/// than they do. Views at the ends of an arc have .9 and more; one photo of an object that was moved by six degrees has .3.
+/// Share of a view's surface that other views confirm, over that of the usual view, below which it
+/// shows something else than they do. Views at the ends of an arc have .9 and more; one photo of an
+/// object that was moved by six degrees has .3.
 const CONTRADICTED_SHARE: f64 = 0.6;
-/// Disagreement of a photo with the others about the brightness of one place from which, where it is so many times that of
-/// the photo that agrees best, something moved between them. Good sets have up to .02 and 1.3 times; an object that was
-/// moved by six degrees has .065 in some and .022 in others.
+/// Disagreement of a photo with the others about the brightness of one place from which, where it
+/// is so many times that of the photo that agrees best, something moved between them. Good sets
+/// have up to .02 and 1.3 times; an object that was moved by six degrees has .065 in some and .022
+/// in others.
 const DISAGREEMENT: f64 = 0.04;
 const UNEVEN_DISAGREEMENT: f64 = 2.5;
 
@@ -112,8 +114,8 @@ fn uneven(mut disagreements: Vec<(&str, f64)>) -> Option<Finding> {
         most_percent: 100.0 * most,
         least_percent: 100.0 * least,
     };
-    (most > DISAGREEMENT && most > UNEVEN_DISAGREEMENT * least)
-        .then(|| Finding::about([name], code))?
+    let is_uneven = most > DISAGREEMENT && most > UNEVEN_DISAGREEMENT * least;
+    Finding::about(is_uneven.then_some(name), code)
 }
 
 #[cfg(test)]

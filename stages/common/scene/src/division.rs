@@ -44,8 +44,8 @@ impl<'a> DividedStep<'a> {
         }
     }
 
-    /// Works on the items as [`divided`] does, until the observer asks to stop. The progress that is reported is this
-    /// process's, taken for that of all.
+    /// Works on the items as [`divided`] does, until the observer asks to stop. The progress that
+    /// is reported is this process's, taken for that of all.
     ///
     /// # Errors
     /// As of [`divided`]; `interrupted` when the observer asked to stop.

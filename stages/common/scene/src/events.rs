@@ -121,7 +121,8 @@ impl Flow {
     }
 }
 
-/// Who a stage works for: receives events, from any thread, and knows whether to go on and who shares the work.
+/// Who a stage works for: receives events, from any thread, and knows whether to go on and who
+/// shares the work.
 pub trait Observer: Sync {
     /// Takes one event; [`Flow::Stop`] asks the stage to end with its `Interrupted` error.
     fn event(&self, event: Event) -> Flow;

@@ -1,7 +1,8 @@
 //! What the user should know of a result: the stages find it, one table here has the words.
 //!
-//! A stage's report makes its findings from its own numbers and thresholds (`findings.rs` of each stage). What a
-//! finding means for the result, and what to do about it, stands in [the table](FindingCode) alone.
+//! A stage's report makes its findings from its own numbers and thresholds (`findings.rs` of each
+//! stage). What a finding means for the result, and what to do about it, stands in [the
+//! table](FindingCode) alone.
 
 use crate::naming::first_and_more;
 use serde::{Serialize, Serializer};
@@ -15,7 +16,8 @@ pub enum Verdict {
     /// To be used with care.
     #[serde(rename = "usable")]
     Usable,
-    /// For programs a usable one: what there is of it is no worse, and the findings say what is missing.
+    /// For programs a usable one: what there is of it is no worse, and the findings say what is
+    /// missing.
     #[serde(rename = "usable")]
     NotFinished,
     /// Wrong, or likely so.
@@ -41,13 +43,14 @@ impl Verdict {
     }
 }
 
-/// A fact that speaks against a result. As JSON it has `code`, `severity`, `subject`, `numbers` where there are any, and
-/// `sentence`.
+/// A fact that speaks against a result. As JSON it has `code`, `severity`, `subject`, `numbers`
+/// where there are any, and `sentence`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
     /// What it is, with its numbers: of several photos those of the first.
     pub code: FindingCode,
-    /// Photos, views or errors that it is about, the worst first; empty where it is about the whole.
+    /// Photos, views or errors that it is about, the worst first; empty where it is about the
+    /// whole.
     pub subject: Vec<String>,
 }
 
@@ -106,8 +109,8 @@ impl Serialize for Finding {
     }
 }
 
-/// The table: of each code its numbers, its severity, and what is said with what to try. `{first}` is the first of the
-/// subject, whose numbers they are; `{names}` are some of them.
+/// The table: of each code its numbers, its severity, and what is said with what to try. `{first}`
+/// is the first of the subject, whose numbers they are; `{names}` are some of them.
 macro_rules! findings {
     ($first:ident, $names:ident;
      $($code:ident $({ $($number:ident),+ })? $severity:ident $sentence:literal)+) => {

@@ -3,7 +3,8 @@
 /// Names that are listed; the rest is counted.
 const MAX_NUM_LISTED: usize = 3;
 
-/// The first three of some names, and how many more there are: a list of five hundred is not read. `None` without any.
+/// The first three of some names, and how many more there are: a list of five hundred is not read.
+/// `None` without any.
 pub fn first_and_more<'a>(names: impl IntoIterator<Item = &'a str>) -> Option<String> {
     let names: Vec<&str> = names.into_iter().collect();
     let (listed, more) = names.split_at(names.len().min(MAX_NUM_LISTED));

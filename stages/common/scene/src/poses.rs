@@ -62,8 +62,8 @@ pub enum WorldFrame {
     FirstCamera,
     /// Those of the poses that were given.
     Given,
-    /// z upwards from the ground that the object stands on, the origin on it under the object's middle, the
-    /// cameras or the first of them on the side of -y.
+    /// z upwards from the ground that the object stands on, the origin on it under the object's
+    /// middle, the cameras or the first of them on the side of -y.
     Level,
 }
 

@@ -27,8 +27,9 @@ impl Renumbered {
 }
 
 impl PosedViews {
-    /// The views `kept`, in this order, numbered anew; numbers that no view has are passed over. Points and anchors
-    /// keep their places, and of their sightings those in the views that are kept; those that none of them sees go.
+    /// The views `kept`, in this order, numbered anew; numbers that no view has are passed over.
+    /// Points and anchors keep their places, and of their sightings those in the views that are
+    /// kept; those that none of them sees go.
     pub fn of_views(&self, kept: &[ViewIdx]) -> Self {
         let new = Renumbered::new(self.views.len(), kept);
         let views = kept
@@ -52,8 +53,8 @@ impl PosedViews {
 }
 
 impl LightingCalibration {
-    /// The light of the views `kept` of `num_views`, numbered as [`PosedViews::of_views`] numbers them. Samples of
-    /// other views go with them.
+    /// The light of the views `kept` of `num_views`, numbered as [`PosedViews::of_views`] numbers
+    /// them. Samples of other views go with them.
     pub fn of_views(&self, num_views: usize, kept: &[ViewIdx]) -> Self {
         let new = Renumbered::new(num_views, kept);
         let lights = kept.iter();

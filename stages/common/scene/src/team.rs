@@ -1,12 +1,13 @@
 //! Processes that share the work of one run, and work that is divided among them.
 //!
-//! All processes of a team run the same program on the same input and hold the same state; only work on many items
-//! (photos, pairs, views, tiles) is divided, and everyone gets all its results. So what is found does not depend on
-//! their number, and what is not divided is merely done by each of them.
+//! All processes of a team run the same program on the same input and hold the same state; only
+//! work on many items (photos, pairs, views, tiles) is divided, and everyone gets all its results.
+//! So what is found does not depend on their number, and what is not divided is merely done by each
+//! of them.
 //!
-//! Who fails returns its error and comes to no further [`gather`](Team::gather); whoever runs the processes lets
-//! the others know, whose gathering then ends with a [`TeamError`]. An error of divided work therefore ends the run: what a
-//! stage can go on without is no error, but a result.
+//! Who fails returns its error and comes to no further [`gather`](Team::gather); whoever runs the
+//! processes lets the others know, whose gathering then ends with a [`TeamError`]. An error of
+//! divided work therefore ends the run: what a stage can go on without is no error, but a result.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -34,15 +35,15 @@ pub trait Team: Sync + Debug {
     /// How many there are.
     fn size(&self) -> usize;
 
-    /// Waits for all, and hands everyone's bytes to everyone, in the order of ranks. All of the team call it equally
-    /// often, each from one thread at a time.
+    /// Waits for all, and hands everyone's bytes to everyone, in the order of ranks. All of the
+    /// team call it equally often, each from one thread at a time.
     ///
     /// # Errors
     /// When one of them failed.
     fn gather(&self, own: Vec<u8>) -> Result<Vec<Vec<u8>>, TeamError>;
 
-    /// Notes which item of divided work failed here: where several processes fail, the lowest item decides which error
-    /// the run ends with.
+    /// Notes which item of divided work failed here: where several processes fail, the lowest item
+    /// decides which error the run ends with.
     fn failed_at(&self, _item: usize) {}
 
     /// Whether this process owns the results: the only one of a run that is not divided.
@@ -74,10 +75,11 @@ pub fn share(team: &dyn Team, num_items: usize) -> impl Iterator<Item = usize> +
     (team.rank()..num_items).step_by(team.size().max(1))
 }
 
-/// Works on the items `0..num_items`, each in one process of the team and at most `at_once` in each at a time, and
-/// gives all results to all processes, in the items' order. `work` gives the same wherever it runs, and warns of
-/// nothing: what an item deserves a warning for is part of its result. It may be called inside no parallel work, since
-/// all processes have to come to the same calls in the same order.
+/// Works on the items `0..num_items`, each in one process of the team and at most `at_once` in each
+/// at a time, and gives all results to all processes, in the items' order. `work` gives the same
+/// wherever it runs, and warns of nothing: what an item deserves a warning for is part of its
+/// result. It may be called inside no parallel work, since all processes have to come to the same
+/// calls in the same order.
 ///
 /// # Errors
 /// That of the lowest item that fails; in the other processes a [`TeamError`] with its text.
@@ -169,8 +171,8 @@ fn unreadable(rank: usize, why: &dyn std::fmt::Display) -> TeamError {
     }
 }
 
-/// Results in the order of `items`, or the lowest item that fails with its error. After a failure only items below it
-/// are still worked on, which may fail too.
+/// Results in the order of `items`, or the lowest item that fails with its error. After a failure
+/// only items below it are still worked on, which may fail too.
 fn in_parallel<T: Send, E: Send>(
     items: &[usize],
     at_once: usize,
@@ -195,7 +197,8 @@ fn in_parallel<T: Send, E: Send>(
     let mut results = Vec::with_capacity(items.len());
     for some in items.chunks(at_once) {
         let done: Vec<Option<Result<T, E>>> = some.par_iter().map(one).collect();
-        // In order, so that the first error is that of the lowest item; nothing before it was left out.
+        // In order, so that the first error is that of the lowest item; nothing before it was left
+        // out.
         for (result, &item) in done.into_iter().zip(some) {
             if let Some(result) = result {
                 results.push(result.map_err(|error| (item, error))?);
@@ -320,7 +323,8 @@ mod tests {
         }
     }
 
-    /// Runs the same program in several threads; what each ends with. One that fails tells the others.
+    /// Runs the same program in several threads; what each ends with. One that fails tells the
+    /// others.
     fn ranks<R: Send>(
         size: usize,
         program: impl Fn(&dyn Team) -> Result<R, Error> + Sync,
