@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 /// What stands for a value that is not there.
-pub const ABSENT: &str = "–";
+const ABSENT: &str = "–";
 
 /// A column's name, and what it shows of a row's item.
 pub type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> String);

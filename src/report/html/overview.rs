@@ -69,7 +69,7 @@ fn reason(finding: &Finding) -> Markup {
     let code = serde_json::json!(finding.code);
     html! {
         li {
-            (finding.sentence()) " " code.code { (code["code"].as_str().unwrap_or_default()) }
+            (finding.sentence()) " " code { (code["code"].as_str().unwrap_or_default()) }
             @if finding.subject.len() > NUM_NAMED {
                 details { summary { "all " (finding.subject.len()) } (finding.subject.join(", ")) }
             }

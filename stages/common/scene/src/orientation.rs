@@ -30,7 +30,7 @@ impl Orientation {
     }
 
     /// Whether the upright picture is as wide as the stored one is high.
-    pub fn swaps_sides(self) -> bool {
+    fn swaps_sides(self) -> bool {
         self.0 >= 5
     }
 

@@ -71,7 +71,7 @@ impl Team for Alone {
 }
 
 /// The items of this process's share: every `size`-th, since neighbours cost about the same.
-pub fn share(team: &dyn Team, num_items: usize) -> impl Iterator<Item = usize> + use<> {
+fn share(team: &dyn Team, num_items: usize) -> impl Iterator<Item = usize> + use<> {
     (team.rank()..num_items).step_by(team.size().max(1))
 }
 
@@ -93,27 +93,23 @@ where
     T: Serialize + DeserializeOwned + Send,
     E: From<TeamError> + Send,
 {
-    if team.size() <= 1 {
-        let items: Vec<usize> = (0..num_items).collect();
-        return in_parallel(&items, at_once, work).map_err(|(_, error)| error);
-    }
     let items: Vec<usize> = share(team, num_items).collect();
     let own = in_parallel(&items, at_once, work).map_err(|(item, error)| {
         team.failed_at(item);
         error
     })?;
-    let mut parts = Vec::with_capacity(team.size());
-    for part in gathered(team, &own)? {
-        parts.push(part.into_iter());
+    if team.size() <= 1 {
+        return Ok(own);
     }
+    let parts = gathered(team, &own)?.into_iter();
     drop(own);
-    let mut all = Vec::with_capacity(num_items);
-    for item in 0..num_items {
+    let mut parts: Vec<_> = parts.map(Vec::into_iter).collect();
+    let in_order = (0..num_items).map(|item| {
         let rank = item % team.size();
         let next = parts.get_mut(rank).and_then(Iterator::next);
-        all.push(next.ok_or_else(|| unreadable(rank, &"too few results"))?);
-    }
-    Ok(all)
+        next.ok_or_else(|| unreadable(rank, &"too few results").into())
+    });
+    in_order.collect()
 }
 
 /// A value of each process, in the order of ranks.
@@ -125,11 +121,11 @@ pub fn gathered<T: Serialize + DeserializeOwned>(
     own: &T,
 ) -> Result<Vec<T>, TeamError> {
     let bytes = postcard::to_stdvec(own).map_err(|error| unreadable(team.rank(), &error))?;
-    let mut values = Vec::with_capacity(team.size());
-    for (rank, bytes) in team.gather(bytes)?.into_iter().enumerate() {
-        values.push(postcard::from_bytes(&bytes).map_err(|error| unreadable(rank, &error))?);
-    }
-    Ok(values)
+    let values = team.gather(bytes)?.into_iter().enumerate();
+    let read = |bytes: Vec<u8>| postcard::from_bytes(&bytes);
+    values
+        .map(|(rank, bytes)| read(bytes).map_err(|error| unreadable(rank, &error)))
+        .collect()
 }
 
 /// What the first process alone finds out, handed to all.
