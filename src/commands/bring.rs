@@ -104,7 +104,7 @@ pub fn bring_run_up_to_date(
     }
     let told = Outcome::of(outcome.as_ref().err());
     let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
-        if !matches!(&outcome, Ok(false)) || !report.is_written_in(&run) {
+        if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
             report.write(&run)?;
         }
         Ok(report)

@@ -138,7 +138,7 @@ fn one(
 ///
 /// # Errors
 /// When the file is missing or damaged.
-fn load_keypoints(run: &RunDir, name: &str) -> anyhow::Result<PhotoKeypoints> {
+pub fn load_keypoints(run: &RunDir, name: &str) -> anyhow::Result<PhotoKeypoints> {
     read_binary(run, StageId::Features, &keypoints_file(name))
 }
 
@@ -146,6 +146,6 @@ fn load_keypoints(run: &RunDir, name: &str) -> anyhow::Result<PhotoKeypoints> {
 ///
 /// # Errors
 /// When the file is missing or damaged.
-fn load_pairs(run: &RunDir) -> anyhow::Result<Vec<PairMatches>> {
+pub fn load_pairs(run: &RunDir) -> anyhow::Result<Vec<PairMatches>> {
     read_binary(run, StageId::Features, PAIRS)
 }

@@ -112,7 +112,7 @@ impl Report {
 
     /// Whether the run has its report in both forms, undamaged, with this request, outcome and
     /// verdict.
-    pub fn is_written_in(&self, run: &RunDir) -> bool {
+    pub fn is_told_by(&self, run: &RunDir) -> bool {
         let whole = |file: &str| own_file(&run.root().join(file)).ok().flatten();
         let written = whole("report.json").and_then(|text| unseal(&text).ok());
         let same = |key: &str, now: Value| written.as_ref().and_then(|r| r.get(key)) == Some(&now);

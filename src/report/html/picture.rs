@@ -130,8 +130,7 @@ impl Album {
     }
 }
 
-/// A JPEG picture as the address of an image.
-pub fn data_url(jpeg: &[u8]) -> String {
+fn data_url(jpeg: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", base64(jpeg))
 }
 

@@ -1,12 +1,11 @@
-//! Data of the interactive view: the asset or a coarse mesh, and the cameras, packed for the page's
-//! script.
+//! Data of the interactive view: the asset or a coarse mesh, and the cameras, packed for the page's script.
 //!
-//! A vertex is 18 bytes, little endian: position as 3 × u16 over the bounding box, place on the
-//! texture as 2 × u16 over it, normal as 3 × i8 over ±127, tangent and sign of the bitangent as 4 ×
-//! i8, one to spare. Of a mesh without textures the place is zero, and its colour as 3 × u8 stands
-//! for the tangent. Behind the vertices stand the triangles, 3 × u16 each.
+//! A vertex is 18 bytes, little endian: position as 3 × u16 over the bounding box, place on the texture as 2 × u16 over
+//! it, normal as 3 × i8 over ±127, tangent and sign of the bitangent as 4 × i8, one to spare. Of a mesh without textures
+//! the place is zero, and its colour as 3 × u8 stands for the tangent. Behind the vertices stand the triangles, 3 × u16
+//! each.
 
-use super::picture::{base64, data_url};
+use super::picture::base64;
 use crate::store::RunDir;
 use maud::{Markup, PreEscaped, html};
 use rilievo_io::{
@@ -16,11 +15,9 @@ use rilievo_scene::cloud::renumber;
 use rilievo_scene::{PosedViews, StageId, Unit};
 use std::path::Path;
 
-/// Vertices of the view without textures: 1.1 MB in the page, fluent on a phone, and 16 bits tell
-/// them apart.
+/// Vertices of the view without textures: 1.1 MB in the page, fluent on a phone, and 16 bits tell them apart.
 const MAX_NUM_VERTICES: usize = 30_000;
-/// Triangles of the asset in the view, half as many vertices and those on the seams: 1 MB in the
-/// page.
+/// Triangles of the asset in the view, half as many vertices and those on the seams: 1 MB in the page.
 const MAX_NUM_FACES: usize = 40_000;
 /// Side of its textures, pixels, and bytes of each of the two.
 const TEXTURE_SIDE: usize = 1024;
@@ -67,7 +64,10 @@ pub fn section(run: &RunDir, posed: &PosedViews) -> anyhow::Result<Markup> {
     let data = serde_json::json!({
         "low": low, "high": high, "vertices": mesh.vertices.len(), "cameras": cameras,
         "metric": posed.scale.unit == Unit::Metre,
-        "textures": shown.textures.as_ref().map(|textures| textures.each_ref().map(|jpeg| data_url(jpeg))),
+        "textures": shown.textures.as_ref().map(|textures| {
+            let url = |jpeg: &Vec<u8>| format!("data:image/jpeg;base64,{}", base64(jpeg));
+            textures.each_ref().map(url)
+        }),
     });
     let packed = base64(&pack(&shown));
     Ok(html! {
