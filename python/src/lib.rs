@@ -14,7 +14,7 @@ use arrays::{image_array, map_array, normal_array};
 use failures::raised;
 use pyo3::prelude::*;
 use results::RunResults;
-use rilievo::embedded::{self, ShadeRequest, ShadedArrays};
+use rilievo::embedded::{self, ShadeRequest, SolvedView};
 use std::ffi::OsString;
 use std::path::PathBuf;
 use working::work;
@@ -76,16 +76,15 @@ type ShadedTuple<'py> = (
     Bound<'py, PyAny>,
     Bound<'py, PyAny>,
     Bound<'py, PyAny>,
-    Option<Bound<'py, PyAny>>,
+    Bound<'py, PyAny>,
 );
 
-fn arrays_of(py: Python<'_>, view: ShadedArrays) -> PyResult<ShadedTuple<'_>> {
-    let confidence = view.confidence.map(|map| map_array(py, map));
+fn arrays_of(py: Python<'_>, view: SolvedView) -> PyResult<ShadedTuple<'_>> {
     Ok((
         map_array(py, view.depth)?,
         normal_array(py, view.normal)?,
         image_array(py, view.rendered)?,
-        confidence.transpose()?,
+        map_array(py, view.confidence)?,
     ))
 }
 

@@ -4,7 +4,7 @@ use crate::arrays::Argument;
 use crate::failures::unusable;
 use pyo3::prelude::*;
 use rilievo::embedded::{
-    ArrayView, DecodedPhoto, ExifFacts, Intrinsics, Lighting, Samples, SphericalHarmonics,
+    DecodedPhoto, ExifFacts, Intrinsics, Lighting, Samples, SphericalHarmonics, ViewParts,
     pose_of_rows,
 };
 
@@ -31,7 +31,7 @@ impl<'py> View<'py> {
     ///
     /// # Errors
     /// Names the argument that does not fit.
-    pub fn read(self, py: Python<'py>) -> PyResult<ArrayView> {
+    pub fn read(self, py: Python<'py>) -> PyResult<ViewParts> {
         let argument = |name, value| named(name, &self.place, value);
         let (size, channels, samples) = argument("images", &self.image).image()?;
         let mask = self.mask.as_ref();
@@ -60,11 +60,13 @@ impl<'py> View<'py> {
                 unusable(py, message)
             })
         });
-        let view = ArrayView {
+        let view = ViewParts {
             mask: mask.transpose()?,
             intrinsics: Intrinsics::undistorted(size, self.camera),
             cam_from_world: pose.transpose()?,
-            lighting: lighting.transpose()?,
+            lighting: lighting
+                .transpose()?
+                .map(|light| (light, "given".to_owned())),
             initial: depth("initial", self.initial.as_ref())?,
             prior: depth("prior", self.prior.as_ref())?,
             photo: photo(&self.name, size, channels, samples),

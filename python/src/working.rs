@@ -2,7 +2,7 @@
 
 use crate::failures::raised;
 use pyo3::prelude::*;
-use rilievo::embedded::{CommandFailure, News, Stop, Tell};
+use rilievo::embedded::{CommandFailure, News, NewsSink, Stop};
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{self, Builder};
@@ -26,7 +26,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 pub fn work<T: Send>(
     py: Python<'_>,
     on_news: &Bound<'_, PyAny>,
-    command: impl FnOnce(&Stop, Tell) -> Result<T, CommandFailure> + Send,
+    command: impl FnOnce(&Stop, NewsSink) -> Result<T, CommandFailure> + Send,
 ) -> PyResult<T> {
     let stop = Stop::default();
     let (sender, receiver) = channel();
@@ -73,7 +73,7 @@ pub fn work<T: Send>(
     })
 }
 
-fn tell(sender: Sender<News>) -> Tell {
+fn tell(sender: Sender<News>) -> NewsSink {
     // Nobody hears it where the caller is gone.
     Box::new(move |news| drop(sender.send(news)))
 }

@@ -3,7 +3,8 @@
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::ranks;
-use crate::report::{Judgement, Verdict};
+use crate::report::Judgement;
+use rilievo_scene::Verdict;
 
 /// Runs a command with a console, and tells scripts how it ended: its exit code, its error, and
 /// what `facts` names of it.

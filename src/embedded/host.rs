@@ -10,7 +10,8 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Once};
 
-/// Stack of a command's threads, bytes: that of a program's main thread, in which commands run otherwise.
+/// Stack of a command's threads, bytes: that of a program's main thread, in which commands run
+/// otherwise.
 const STACK: usize = 8 << 20;
 
 /// Asks commands to stop: soon, leaving nothing half done.
@@ -34,9 +35,9 @@ pub enum News {
 }
 
 /// Takes news, from whatever thread.
-pub type Tell = Box<dyn FnMut(News) + Send>;
+pub type NewsSink = Box<dyn FnMut(News) + Send>;
 
-struct Sink(Tell);
+struct Sink(NewsSink);
 
 impl JsonSink for Sink {
     fn event(&mut self, event: &Value) {
@@ -49,8 +50,8 @@ impl JsonSink for Sink {
 }
 
 /// The console of a command.
-pub(super) fn console(stop: &Stop, tell: Tell) -> Console {
-    Console::embedded(Sink(tell), Arc::clone(&stop.0))
+pub(super) fn console(stop: &Stop, news: NewsSink) -> Console {
+    Console::embedded(Sink(news), Arc::clone(&stop.0))
 }
 
 /// Runs work whose panic is a failure.
@@ -58,7 +59,8 @@ pub(super) fn guarded<T>(
     work: impl FnOnce() -> Result<T, CommandFailure>,
 ) -> Result<T, CommandFailure> {
     static INSTALL: Once = Once::new();
-    // The hook of this library, whose copy of the standard library a program in another language does not share.
+    // The hook of this library, whose copy of the standard library a program in another language
+    // does not share.
     INSTALL.call_once(panics::install);
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let what = panic
@@ -89,16 +91,17 @@ pub(super) fn in_own_threads<T: Send>(
     pool.install(work)
 }
 
-/// Has camera RAW files decoded by another process, as the command line does: `program` with its arguments, to which a
-/// file's name is added, has to call [`decode_raw`]. Without it they are decoded in this process, which a damaged file
-/// can then end. Once, before the first command.
+/// Has camera RAW files decoded by another process, as the command line does: `program` with its
+/// arguments, to which a file's name is added, has to call [`decode_raw`]. Without it they are
+/// decoded in this process, which a damaged file can then end. Once, before the first command.
 pub fn decode_raw_with(program: Vec<OsString>) {
     raw_child::set_child(program);
     rilievo_io::set_raw_decoder(raw_child::decode);
 }
 
-/// Decodes the RAW file on stdin to stdout, and tells the exit code that the process must end with. It bounds the
-/// process's memory and time: only a process that does nothing else may call it.
+/// Decodes the RAW file on stdin to stdout, and returns the exit code that the process must end
+/// with. It bounds the process's memory and time: only a process that does nothing else may call
+/// it.
 pub fn decode_raw(name: &Path) -> u8 {
     catch_unwind(|| raw_child::serve(name)).unwrap_or(CommandFailure::PANICKED)
 }

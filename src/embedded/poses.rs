@@ -3,7 +3,8 @@
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use rilievo_scene::RigidTransform;
 
-/// How far the rows of a rotation may be from unit length and right angles: numbers printed with four digits.
+/// How far the rows of a rotation may be from unit length and right angles: numbers printed with
+/// four digits.
 const TOLERANCE: f64 = 1e-3;
 
 /// A pose from the rows `[R | t]`; `None` where `R` is no rotation, or a number is not finite.

@@ -9,23 +9,9 @@ use rilievo_io::{
     IoError, read_channel, read_cloud_ply, read_depth, read_linear, read_normal, read_regular_text,
 };
 use rilievo_scene::{
-    DepthMap, Intrinsics, LinearImage, NormalMap, PointCloud, PosedViews, Raster, RigidTransform,
-    StageId,
+    DepthMap, LinearImage, NormalMap, PointCloud, PosedView, PosedViews, Raster, StageId,
 };
-use std::path::{Path, PathBuf};
-
-/// A camera with its pose.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ViewCamera {
-    /// The view's name: the photo's without its ending.
-    pub name: String,
-    /// The photo's file name.
-    pub file_name: String,
-    /// Intrinsics, pixels.
-    pub intrinsics: Intrinsics,
-    /// Pose, translation in the run's unit.
-    pub cam_from_world: RigidTransform,
-}
+use std::path::Path;
 
 /// A run directory that is only read.
 #[derive(Debug)]
@@ -53,17 +39,8 @@ impl RunResults {
     ///
     /// # Errors
     /// When stage 3 has no result, or it is damaged.
-    pub fn cameras(&self) -> Result<Vec<ViewCamera>, CommandFailure> {
-        guarded(|| {
-            let views = self.posed()?.views.into_iter();
-            let camera = |view: rilievo_scene::PosedView| ViewCamera {
-                name: view.name,
-                file_name: view.file_name,
-                intrinsics: view.intrinsics,
-                cam_from_world: view.cam_from_world,
-            };
-            Ok(views.map(camera).collect())
-        })
+    pub fn cameras(&self) -> Result<Vec<PosedView>, CommandFailure> {
+        guarded(|| Ok(self.posed()?.views))
     }
 
     /// Unit of every length, `metre` or `arbitrary`.
@@ -148,13 +125,8 @@ impl RunResults {
         what: &str,
         read: impl FnOnce(&Path) -> Result<T, IoError>,
     ) -> Result<T, CommandFailure> {
-        let path: PathBuf = self.run.stage_dir(stage).join(file);
-        if !path.exists() {
-            let reason = format!("{} is not there: this run has no {what}", path.display());
-            return Err(anyhow::Error::from(Failure::RunDirectory(reason)).into());
-        }
-        let read = read(&path).map_err(Failure::from);
-        Ok(read.map_err(anyhow::Error::from)?)
+        let path = self.run.stage_dir(stage).join(file);
+        present(&path, &format!(": this run has no {what}"), read)
     }
 
     /// The text of `report.json`.
@@ -164,12 +136,22 @@ impl RunResults {
     pub fn report(&self) -> Result<String, CommandFailure> {
         guarded(|| {
             let path = self.run.root().join("report.json");
-            if !path.exists() {
-                let reason = format!("{} is not there", path.display());
-                return Err(anyhow::Error::from(Failure::RunDirectory(reason)).into());
-            }
-            let text = read_regular_text(&path).map_err(Failure::from);
-            Ok(text.map_err(anyhow::Error::from)?)
+            present(&path, "", read_regular_text)
         })
     }
+}
+
+/// What a file holds; where there is none, an error that goes on with `why`.
+fn present<T>(
+    path: &Path,
+    why: &str,
+    read: impl FnOnce(&Path) -> Result<T, IoError>,
+) -> Result<T, CommandFailure> {
+    let found = if path.exists() {
+        read(path).map_err(Failure::from)
+    } else {
+        let reason = format!("{} is not there{why}", path.display());
+        Err(Failure::RunDirectory(reason))
+    };
+    Ok(found.map_err(anyhow::Error::from)?)
 }

@@ -26,7 +26,6 @@ pub use context::Context;
 pub use errors::{from_fusion, from_lighting, from_shading};
 pub use estimate::{REPORT, WRITING, expect, expect_with_masks};
 pub use execute::{Range, bring_up_to_date, run_stage};
-pub use features::{load_keypoints, load_pairs};
 pub use fusion::write_surface;
 pub use halves::{ShapedHalf, shaped_halves};
 pub use inputs::{Inputs, PhotoInput};

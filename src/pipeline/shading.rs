@@ -105,8 +105,8 @@ pub fn run(
     if team.is_first() && !used.views.is_empty() {
         write_lighting(&writer.path("lighting.json")?, &used, &views).map_err(Failure::from)?;
     }
-    for advice in &light_on_surface.advice {
-        context.console.warn(StageId::Shading, advice);
+    for finding in light_on_surface.findings() {
+        context.console.warn(StageId::Shading, finding.sentence());
     }
     if team.is_first() {
         write_text(writer, VIEWS, &files)?;

@@ -1,9 +1,9 @@
-//! What a run's manifests tell, with the types of the stages' reports. Its JSON is `report.json`.
+//! What a run's manifests hold, with the types of the stages' reports. Its JSON is `report.json`.
 
 use super::outcome::Outcome;
 use crate::cost::{Cost, Estimate};
 use crate::pipeline::{Plan, Request, ShadingFacts, StageState};
-use crate::store::{Ingredients, Look, Manifest, RunDir};
+use crate::store::{Look, Manifest, RunDir};
 use crate::system;
 use rilievo_features::FeaturesReport;
 use rilievo_fusion::FusionReport;
@@ -32,9 +32,9 @@ pub struct Facts {
     pub threads: Option<usize>,
     /// Largest memory of any stage, bytes.
     pub peak_memory_bytes: Option<u64>,
-    /// What the whole run was expected to cost, where that was told.
+    /// What the whole run was expected to cost, where that was estimated.
     pub expected: Option<Estimate>,
-    /// What the stages did cost, where all are there and tell it.
+    /// What the stages did cost, where all are there and report it.
     pub cost: Option<Cost>,
     /// What to cite.
     pub citation: &'static str,
@@ -50,18 +50,25 @@ pub struct Warning {
 }
 
 /// The stages that have a result.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize)]
 pub struct Stages {
+    #[serde(rename = "1_photos", skip_serializing_if = "Option::is_none")]
     pub photos: Option<Stage<PhotosReport>>,
+    #[serde(rename = "2_features", skip_serializing_if = "Option::is_none")]
     pub features: Option<Stage<FeaturesReport>>,
+    #[serde(rename = "3_poses", skip_serializing_if = "Option::is_none")]
     pub poses: Option<Stage<PosesReport>>,
+    #[serde(rename = "4_lighting", skip_serializing_if = "Option::is_none")]
     pub lighting: Option<Stage<LightingReport>>,
+    #[serde(rename = "5_shading", skip_serializing_if = "Option::is_none")]
     pub shading: Option<Stage<ShadingFacts>>,
+    #[serde(rename = "6_fusion", skip_serializing_if = "Option::is_none")]
     pub fusion: Option<Stage<FusionReport>>,
 }
 
 impl Stages {
-    /// Lengths of the box around the mesh, what a pixel covers, and what the size rests on, in a line.
+    /// Lengths of the box around the mesh, what a pixel covers, and what the size rests on, in a
+    /// line.
     pub fn size(&self) -> Option<String> {
         let fusion = &self.fusion.as_ref()?.report;
         let scale = &self.poses.as_ref()?.report.scale;
@@ -93,38 +100,15 @@ impl Stages {
 pub struct Stage<R> {
     /// Whether it still is what would be made now, where that is known.
     pub state: Option<StageState>,
-    /// What it was made from, and when.
-    pub made: Made,
+    /// What it was made from, and when, less what only the stage understands.
+    pub manifest: Manifest,
     /// What it found.
     pub report: R,
 }
 
-/// How a stage came to be: its manifest, less what only the stage understands.
-#[derive(Debug)]
-pub struct Made {
-    manifest: Manifest,
-}
-
-impl Made {
-    /// What decided the result.
-    pub fn ingredients(&self) -> &Ingredients {
-        &self.manifest.ingredients
-    }
-
-    /// Name of the result.
-    pub fn fingerprint(&self) -> &str {
-        &self.manifest.fingerprint
-    }
-
-    /// Wall time, seconds.
-    pub fn seconds(&self) -> f64 {
-        self.manifest.seconds
-    }
-}
-
 impl<R: Serialize> Serialize for Stage<R> {
     fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        let manifest = &self.made.manifest;
+        let manifest = &self.manifest;
         let mut map = to.serialize_map(None)?;
         map.serialize_entry("state", &self.state)?;
         map.serialize_entry("seconds", &manifest.seconds)?;
@@ -139,26 +123,42 @@ impl<R: Serialize> Serialize for Stage<R> {
     }
 }
 
-impl Serialize for Stages {
-    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
-        fn entry<M: SerializeMap, R: Serialize>(
-            map: &mut M,
-            id: StageId,
-            stage: Option<&Stage<R>>,
-        ) -> Result<(), M::Error> {
-            match stage {
-                Some(stage) => map.serialize_entry(id.name(), stage),
-                None => Ok(()),
-            }
+impl Stages {
+    fn manifests(&self) -> impl Iterator<Item = &Manifest> {
+        fn of<R>(stage: Option<&Stage<R>>) -> Option<&Manifest> {
+            Some(&stage?.manifest)
         }
-        let mut map = to.serialize_map(None)?;
-        entry(&mut map, StageId::Photos, self.photos.as_ref())?;
-        entry(&mut map, StageId::Features, self.features.as_ref())?;
-        entry(&mut map, StageId::Poses, self.poses.as_ref())?;
-        entry(&mut map, StageId::Lighting, self.lighting.as_ref())?;
-        entry(&mut map, StageId::Shading, self.shading.as_ref())?;
-        entry(&mut map, StageId::Fusion, self.fusion.as_ref())?;
-        map.end()
+        let manifests = [
+            of(self.photos.as_ref()),
+            of(self.features.as_ref()),
+            of(self.poses.as_ref()),
+            of(self.lighting.as_ref()),
+            of(self.shading.as_ref()),
+            of(self.fusion.as_ref()),
+        ];
+        manifests.into_iter().flatten()
+    }
+
+    /// What all of them did cost; `None` where one is missing or does not report it.
+    fn cost(&self) -> Option<Cost> {
+        if self.manifests().count() < StageId::ALL.len() {
+            return None;
+        }
+        let files = self
+            .manifests()
+            .flat_map(|manifest| manifest.files.values());
+        let seconds = self.manifests().map(|manifest| manifest.cpu_seconds);
+        Some(Cost {
+            cpu_seconds: seconds.sum::<Option<f64>>()?,
+            peak_memory_bytes: self.peak_memory_bytes()? as f64,
+            disk_bytes: files.map(|file| file.bytes).sum::<u64>() as f64,
+        })
+    }
+
+    fn peak_memory_bytes(&self) -> Option<u64> {
+        self.manifests()
+            .filter_map(|manifest| manifest.peak_memory_bytes)
+            .max()
     }
 }
 
@@ -173,96 +173,60 @@ impl Facts {
         outcome: &Outcome,
         plan: Option<&Plan>,
     ) -> anyhow::Result<Self> {
-        let mut gathered = Gathered {
-            run,
-            plan,
-            warnings: Vec::new(),
-            threads: None,
-            peak_memory_bytes: None,
-            num_stages: 0,
-            cpu_seconds: Some(0.0),
-            disk_bytes: 0,
-            expected: None,
-        };
+        let mut warnings = Vec::new();
         let stages = Stages {
-            photos: gathered.stage(StageId::Photos)?,
-            features: gathered.stage(StageId::Features)?,
-            poses: gathered.stage(StageId::Poses)?,
-            lighting: gathered.stage(StageId::Lighting)?,
-            shading: gathered.stage(StageId::Shading)?,
-            fusion: gathered.stage(StageId::Fusion)?,
+            photos: stage(run, plan, StageId::Photos, &mut warnings)?,
+            features: stage(run, plan, StageId::Features, &mut warnings)?,
+            poses: stage(run, plan, StageId::Poses, &mut warnings)?,
+            lighting: stage(run, plan, StageId::Lighting, &mut warnings)?,
+            shading: stage(run, plan, StageId::Shading, &mut warnings)?,
+            fusion: stage(run, plan, StageId::Fusion, &mut warnings)?,
         };
-        let cost = gathered.cost();
         Ok(Self {
             program: system::PROGRAM,
             outcome: outcome.clone(),
             request: request.clone(),
+            warnings,
+            threads: stages.manifests().last().map(|manifest| manifest.threads),
+            peak_memory_bytes: stages.peak_memory_bytes(),
+            expected: stages
+                .manifests()
+                .filter_map(|manifest| manifest.expected)
+                .last(),
+            cost: stages.cost(),
             stages,
-            warnings: gathered.warnings,
-            threads: gathered.threads,
-            peak_memory_bytes: gathered.peak_memory_bytes,
-            expected: gathered.expected,
-            cost,
             citation: "Queau, Melou, Durou, Cremers: Dense Multi-view 3D-reconstruction Without \
                        Dense Correspondences. ICCV 2017",
         })
     }
 }
 
-/// What is read stage by stage.
-struct Gathered<'a> {
-    run: &'a RunDir,
-    plan: Option<&'a Plan>,
-    warnings: Vec<Warning>,
-    threads: Option<usize>,
-    peak_memory_bytes: Option<u64>,
-    num_stages: usize,
-    /// None where a stage does not tell its own.
-    cpu_seconds: Option<f64>,
-    disk_bytes: u64,
-    expected: Option<Estimate>,
-}
-
-impl Gathered<'_> {
-    fn cost(&self) -> Option<Cost> {
-        if self.num_stages < StageId::ALL.len() {
-            return None;
-        }
-        Some(Cost {
-            cpu_seconds: self.cpu_seconds?,
-            peak_memory_bytes: self.peak_memory_bytes? as f64,
-            disk_bytes: self.disk_bytes as f64,
-        })
-    }
-
-    fn stage<R: DeserializeOwned>(&mut self, id: StageId) -> anyhow::Result<Option<Stage<R>>> {
-        let Ok(Some(mut manifest)) = self.run.manifest(id) else {
-            return Ok(None);
-        };
-        let messages = manifest.warnings.drain(..);
-        self.warnings
-            .extend(messages.map(|message| Warning { stage: id, message }));
-        self.num_stages += 1;
-        self.expected = manifest.expected.or(self.expected);
-        let cpu_seconds = self.cpu_seconds.zip(manifest.cpu_seconds);
-        self.cpu_seconds = cpu_seconds.map(|(sum, of_stage)| sum + of_stage);
-        self.disk_bytes += manifest.files.values().map(|file| file.bytes).sum::<u64>();
-        self.threads = Some(manifest.threads);
-        self.peak_memory_bytes = manifest.peak_memory_bytes.max(self.peak_memory_bytes);
-        let state = self.plan.map(|plan| plan.state(self.run, id, Look::Sizes));
-        let report = match serde_json::from_value(manifest.report.take()) {
-            Ok(report) => report,
-            // JSON has no number that is not finite: the results stand, the findings cannot be shown.
-            Err(error) => {
-                let message = format!("the findings of {id} cannot be shown: {error}");
-                self.warnings.push(Warning { stage: id, message });
-                return Ok(None);
-            }
-        };
-        Ok(Some(Stage {
-            state: state.transpose()?,
-            made: Made { manifest },
+/// A committed stage; its warnings go to `warnings`.
+fn stage<R: DeserializeOwned>(
+    run: &RunDir,
+    plan: Option<&Plan>,
+    id: StageId,
+    warnings: &mut Vec<Warning>,
+) -> anyhow::Result<Option<Stage<R>>> {
+    let Ok(Some(mut manifest)) = run.manifest(id) else {
+        return Ok(None);
+    };
+    let messages = manifest.warnings.drain(..);
+    warnings.extend(messages.map(|message| Warning { stage: id, message }));
+    let state = plan
+        .map(|plan| plan.state(run, id, Look::Sizes))
+        .transpose()?;
+    match serde_json::from_value(manifest.report.take()) {
+        Ok(report) => Ok(Some(Stage {
+            state,
+            manifest,
             report,
-        }))
+        })),
+        // JSON has no number that is not finite: the results stand, the findings cannot be shown.
+        Err(error) => {
+            let message = format!("the findings of {id} cannot be shown: {error}");
+            warnings.push(Warning { stage: id, message });
+            Ok(None)
+        }
     }
 }

@@ -7,20 +7,21 @@ mod verdict;
 
 pub use html::ViewErrors;
 pub use outcome::Outcome;
-pub use verdict::{Judgement, Verdict};
+pub use verdict::Judgement;
 
 use crate::pipeline::{Plan, Request};
 use crate::store::{RunDir, own_file, seal, unseal, write_atomically};
 use facts::Facts;
 use html::Addition;
 use maud::Markup;
+use rilievo_scene::Finding;
 use rilievo_synthetic::compare::HalvesComparison;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::path::Path;
 
-/// Puts an evaluation into the report of a run, in the place of an earlier one; tells whether there is
-/// a report. Whatever redoes or deletes results drops it again.
+/// Puts an evaluation into the report of a run, in the place of an earlier one; returns whether
+/// there is a report. Whatever redoes or deletes results drops it again.
 ///
 /// # Errors
 /// When the report cannot be read or written.
@@ -70,16 +71,17 @@ fn put(root: &Path, sections: &[(Addition, Markup)]) -> anyhow::Result<bool> {
     Ok(true)
 }
 
-/// What is told of a run: its facts, and the judgement that follows from them.
+/// What is reported of a run: its facts, and the judgement that follows from them.
 #[derive(Serialize)]
 pub struct Report {
     verdict: Judgement,
+    findings: Vec<Finding>,
     #[serde(flatten)]
     facts: Facts,
 }
 
 impl Report {
-    /// Gathers what is known of a run; the plan tells which results are stale, where there is one.
+    /// Gathers what is known of a run; the plan knows which results are stale, where there is one.
     ///
     /// # Errors
     /// When artifacts cannot be read.
@@ -90,8 +92,10 @@ impl Report {
         plan: Option<&Plan>,
     ) -> anyhow::Result<Self> {
         let facts = Facts::gather(run, request, outcome, plan)?;
+        let findings = verdict::findings(&facts);
         Ok(Self {
-            verdict: Judgement::of(&facts),
+            verdict: Judgement::of(&findings),
+            findings,
             facts,
         })
     }
@@ -106,11 +110,12 @@ impl Report {
         self.verdict
     }
 
-    /// Whether the run has its report in both forms, undamaged, with this request, outcome and verdict.
+    /// Whether the run has its report in both forms, undamaged, with this request, outcome and
+    /// verdict.
     pub fn is_told_by(&self, run: &RunDir) -> bool {
         let whole = |file: &str| own_file(&run.root().join(file)).ok().flatten();
-        let told = whole("report.json").and_then(|text| unseal(&text).ok());
-        let same = |key: &str, now: Value| told.as_ref().and_then(|r| r.get(key)) == Some(&now);
+        let written = whole("report.json").and_then(|text| unseal(&text).ok());
+        let same = |key: &str, now: Value| written.as_ref().and_then(|r| r.get(key)) == Some(&now);
         whole("report.html").is_some_and(|page| html::is_whole(&page))
             && same("outcome", json!(self.facts.outcome))
             && same("request", json!(self.facts.request))
@@ -124,7 +129,7 @@ impl Report {
     pub fn write(&self, run: &RunDir) -> anyhow::Result<()> {
         let text = seal(self)?;
         write_atomically(&run.root().join("report.json"), &text)?;
-        let page = html::page(run, &self.facts, &self.verdict)?;
+        let page = html::page(run, &self.facts, &self.findings)?;
         write_atomically(
             &run.root().join("report.html"),
             html::sealed(&page).as_bytes(),

@@ -17,19 +17,11 @@ pub struct Outcome {
 impl Outcome {
     /// Outcome of a command that failed with `error`, or did not fail.
     pub fn of(error: Option<&anyhow::Error>) -> Self {
-        match error {
-            None => Self {
-                exit_code: 0,
-                error: None,
-                problems: Vec::new(),
-            },
-            Some(error) => Self {
-                exit_code: exit::code_of(error),
-                error: Some(format!("{error:#}")),
-                problems: error
-                    .downcast_ref::<Failure>()
-                    .map_or(Vec::new(), |failure| failure.problems().to_vec()),
-            },
+        let failure = error.and_then(|error| error.downcast_ref::<Failure>());
+        Self {
+            exit_code: error.map_or(0, exit::code_of),
+            error: error.map(|error| format!("{error:#}")),
+            problems: failure.map_or(Vec::new(), |failure| failure.problems().to_vec()),
         }
     }
 }

@@ -215,20 +215,22 @@ fn the_result_is_accurate() {
     }
 }
 
-/// The verdict that a run directory's report tells: its level, and the reasons in one text.
-fn verdict(run_dir: &Path) -> (String, String) {
+/// The verdict in a run directory's report, its level and reasons, and the codes of its findings.
+fn verdict(run_dir: &Path) -> (serde_json::Value, Vec<String>) {
     let text = std::fs::read(run_dir.join("report.json")).expect("a report");
     let report: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
-    let verdict = &report["verdict"];
-    let level = verdict["level"].as_str().unwrap_or_default().to_owned();
-    (level, verdict["reasons"].to_string())
+    let findings = report["findings"].as_array().expect("findings");
+    let codes = findings.iter().map(|finding| finding["code"].as_str());
+    let codes = codes.map(|code| code.expect("a code").to_owned());
+    (report["verdict"].clone(), codes.collect())
 }
 
 #[test]
 fn the_verdict_is_good_of_a_good_set_and_not_of_one_without_masks() {
     let _alone = alone();
     let good = reference();
-    assert_eq!(verdict(good), ("good".to_owned(), "[]".to_owned()));
+    let nothing = serde_json::json!({ "level": "good", "reasons": [] });
+    assert_eq!(verdict(good), (nothing, Vec::new()));
     let said = reconstruct(&synthetic_set(), good, &[]);
     assert!(said.ends_with("verdict: good\n"), "{said}");
 
@@ -239,14 +241,17 @@ fn the_verdict_is_good_of_a_good_set_and_not_of_one_without_masks() {
     let arguments = ["reconstruct", arg(&photos), "-o", arg(&run_dir), "--json"];
     let more = ["--cameras", arg(&cameras), "--until", "poses", "--strict"];
     let stdout = done(&[&arguments[..], &more[..]].concat());
-    let (level, reasons) = verdict(&run_dir);
-    assert_eq!(level, "usable", "{reasons}");
-    assert!(reasons.contains("no photo has an object mask"), "{reasons}");
+    let (usable, codes) = verdict(&run_dir);
+    assert_eq!(usable["level"], "usable", "{usable}");
+    assert!(codes.iter().any(|code| code == "masks_none"), "{codes:?}");
+    assert_eq!(
+        usable["reasons"].as_array().map(Vec::len),
+        Some(codes.len())
+    );
     let last = stdout.lines().last().expect("events");
     let last: serde_json::Value = serde_json::from_str(last).expect("JSON");
     assert_eq!(last["event"], "finished");
-    assert_eq!(last["verdict"]["level"], "usable", "{last}");
-    assert_eq!(last["verdict"]["reasons"].to_string(), reasons);
+    assert_eq!(last["verdict"], usable, "{last}");
 }
 
 #[test]

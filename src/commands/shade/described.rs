@@ -11,22 +11,23 @@ use rilievo_shading::paper::{DepthPrior, ShadingProblem, ShadingView, ViewLight}
 use std::sync::Arc;
 
 /// What is known of a view.
+#[derive(Debug)]
 pub struct ViewParts {
     /// Name for messages and files.
     pub name: String,
-    /// The image as its file or array holds it.
+    /// The image as its file or array holds it: integers as a camera's files, floats linear with white at 1.
     pub photo: DecodedPhoto,
     /// The object; the whole frame by default.
     pub mask: Option<Mask>,
-    /// Camera.
+    /// Camera without distortion.
     pub intrinsics: Intrinsics,
     /// Pose, needed where matches tie the view to others.
     pub cam_from_world: Option<RigidTransform>,
     /// Lighting times mean albedo with where it is from; fitted on the prior or initial depth by default.
     pub lighting: Option<(Lighting, String)>,
-    /// Start.
+    /// Start; 0 where there is no value.
     pub initial: Option<DepthMap>,
-    /// Measured depth to stay near to.
+    /// Measured depth to stay near to; 0 where there is no value.
     pub prior: Option<DepthMap>,
 }
 

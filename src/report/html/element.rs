@@ -3,16 +3,31 @@
 use maud::{Markup, html};
 
 /// What stands for a value that is not there.
-pub const ABSENT: &str = "–";
+const ABSENT: &str = "–";
 
-/// A table with a caption; nothing without rows.
-pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
+/// A column's name, and what it shows of a row's item.
+pub type Column<'a, T> = (&'a str, &'a dyn Fn(&T) -> String);
+
+/// A table with a caption, a row for each item; nothing without any.
+pub fn table<'a, T: 'a>(
+    caption: &str,
+    items: impl IntoIterator<Item = &'a T>,
+    columns: &[Column<'_, T>],
+) -> Markup {
+    let head: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
+    let items = items.into_iter();
+    let rows = items.map(|item| columns.iter().map(|(_, cell)| cell(item)).collect());
+    grid(caption, &head, &rows.collect::<Vec<_>>())
+}
+
+/// As [`table`], from cells, the first of a row its name.
+pub fn grid(caption: &str, head: &[impl AsRef<str>], rows: &[Vec<String>]) -> Markup {
     html! {
         @if !rows.is_empty() {
             div.wide {
                 table {
                     caption { (caption) }
-                    thead { tr { @for cell in head { th scope="col" { (cell) } } } }
+                    thead { tr { @for cell in head { th scope="col" { (cell.as_ref()) } } } }
                     tbody {
                         @for row in rows {
                             tr {
@@ -27,6 +42,11 @@ pub fn table(caption: &str, head: &[&str], rows: &[Vec<String>]) -> Markup {
             }
         }
     }
+}
+
+/// Names with what they stand for.
+pub fn definitions<'a>(entries: impl IntoIterator<Item = (&'a str, String)>) -> Markup {
+    html! { dl { @for (name, value) in entries { dt { (name) } dd { (value) } } } }
 }
 
 /// A section that can be folded away.
@@ -61,8 +81,8 @@ pub fn percent(share: impl Into<Option<f64>>, digits: usize) -> String {
 }
 
 /// A text; a dash where there is none.
-pub fn text(value: Option<&str>) -> String {
-    value.unwrap_or(ABSENT).to_owned()
+pub fn text(value: Option<impl ToString>) -> String {
+    value.map_or_else(|| ABSENT.to_owned(), |value| value.to_string())
 }
 
 /// An enum's name, as it stands in the report's JSON.
@@ -87,8 +107,8 @@ mod tests {
 
     #[test]
     fn file_names_cannot_break_the_page() {
-        let rows = vec![vec!["<b>\"a\" & 'b'.jpg".to_owned(), "1".to_owned()]];
-        let html = table("x", &["photo", "n"], &rows).into_string();
+        let name = "<b>\"a\" & 'b'.jpg";
+        let html = table("x", [&name], &[("photo", &|n: &&str| n.to_string())]).into_string();
         assert!(
             html.contains("&lt;b&gt;&quot;a&quot; &amp; 'b'.jpg"),
             "{html}"
@@ -104,7 +124,7 @@ mod tests {
         assert_eq!(percent(Some(0.125), 1), "12.5 %");
         assert_eq!(number(None, 2), ABSENT);
         assert_eq!(number(f64::NAN, 2), ABSENT);
-        assert_eq!(text(None), ABSENT);
+        assert_eq!(text(None::<&str>), ABSENT);
         assert_eq!(word(&rilievo_scene::LightKind::World), "world");
         assert_eq!(word(&None::<u8>), ABSENT);
     }

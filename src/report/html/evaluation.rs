@@ -74,31 +74,18 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Mark
 }
 
 fn maps(album: &Album, view: &ViewErrors) -> Markup {
-    let error_map = |map: &Option<Raster<f32>>, max: f32, what: &str, most: &str| {
-        let map = map.as_ref()?;
+    let error_map = |map: Option<&Raster<f32>>, max: f32, what: &str, most: &str| {
         let caption = html! { (what) "; grey was not compared" (bar("inferno", "0", most)) };
         let alt = format!("{what} of {}", view.name);
-        Some(figure(
-            &album.scalar(map, compared(map), max),
-            &alt,
-            &caption,
-        ))
+        let picture = |map| album.scalar(map, compared(map), max);
+        map.map(|map| figure(&picture(map), &alt, &caption))
     };
     let depth_max = format!("{} % and more", 100.0 * DEPTH_MAX);
     let normal_max = format!("{NORMAL_MAX_DEG}° and more");
+    let (depth, normal) = (view.depth_rel.as_ref(), view.normal_deg.as_ref());
     let maps = [
-        error_map(
-            &view.depth_rel,
-            DEPTH_MAX,
-            "Relative error of depth",
-            &depth_max,
-        ),
-        error_map(
-            &view.normal_deg,
-            NORMAL_MAX_DEG,
-            "Angle between normals",
-            &normal_max,
-        ),
+        error_map(depth, DEPTH_MAX, "Relative error of depth", &depth_max),
+        error_map(normal, NORMAL_MAX_DEG, "Angle between normals", &normal_max),
     ];
     html! { div.pictures.errors { @for map in maps.into_iter().flatten() { (map) } } }
 }

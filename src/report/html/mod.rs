@@ -6,7 +6,6 @@
 mod element;
 mod evaluation;
 mod halves;
-mod matches;
 mod overview;
 mod picture;
 mod plot;
@@ -18,16 +17,17 @@ pub use evaluation::{ViewErrors, section as evaluation_section};
 pub use halves::section as halves_section;
 
 use super::facts::Facts;
-use super::verdict::Judgement;
 use crate::pipeline::load_poses;
 use crate::store::{RunDir, hash_bytes};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use rilievo_scene::Finding;
 
 const STYLE: &str = include_str!("page.css");
 const PAGE_SCRIPT: &str = include_str!("page.js");
 const VIEWER_SCRIPT: &str = include_str!("viewer.js");
 
-/// A section that `rilievo evaluate` puts into a page that stands already, between marks of its own.
+/// A section that `rilievo evaluate` puts into a page that stands already, between marks of its
+/// own.
 #[derive(Clone, Copy, Debug)]
 pub enum Addition {
     /// Accuracy against the truth.
@@ -50,7 +50,8 @@ impl Addition {
         PreEscaped(self.marks().concat())
     }
 
-    /// A page with a section in the place of an earlier one; `None` where the page has no such place.
+    /// A page with a section in the place of an earlier one; `None` where the page has no such
+    /// place.
     pub fn put(self, page: &str, section: &Markup) -> Option<String> {
         let [begin, end] = self.marks();
         let (before, rest) = page.split_once(begin)?;
@@ -79,7 +80,7 @@ fn unreadable(error: &anyhow::Error) -> Markup {
         section {
             h2 { "Not to be read" }
             p { "Results cannot be shown: " (format!("{error:#}")) ". "
-                code { "rilievo status --verify" } " tells what is damaged, "
+                code { "rilievo status --verify" } " names what is damaged, "
                 code { "rilievo reconstruct" } " makes it again." }
         }
     }
@@ -89,12 +90,12 @@ fn unreadable(error: &anyhow::Error) -> Markup {
 ///
 /// # Errors
 /// When artifacts of a committed stage cannot be read.
-pub fn page(run: &RunDir, facts: &Facts, judgement: &Judgement) -> anyhow::Result<String> {
+pub fn page(run: &RunDir, facts: &Facts, findings: &[Finding]) -> anyhow::Result<String> {
     let posed = match &facts.stages.poses {
         Some(_) => Some(load_poses(run)?),
         None => None,
     };
-    let overview = overview::section(run, facts, judgement, posed.as_ref());
+    let overview = overview::section(run, facts, findings, posed.as_ref());
     let (viewer, views) = match &posed {
         Some(posed) => (
             viewer::section(run, posed).unwrap_or_else(|error| unreadable(&error)),

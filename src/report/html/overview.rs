@@ -1,14 +1,13 @@
 //! The first screen: what came out, whether to trust it, and why.
 
-use super::element::{ABSENT, number, percent};
+use super::element::{definitions, number, percent, text};
 use super::picture::{Album, Window};
 use crate::pipeline::{LightingInput, Request, SphereInput};
 use crate::report::facts::{Facts, Stages};
-use crate::report::verdict::{Judgement, Verdict};
 use crate::store::RunDir;
 use maud::{Markup, html};
 use rilievo_io::{read_depth, read_normal};
-use rilievo_scene::{PosedViews, StageId, Unit};
+use rilievo_scene::{Finding, PosedViews, StageId, Unit, Verdict};
 use rilievo_shading::ShadingModel;
 
 /// Bytes of the page that the first picture may take.
@@ -18,10 +17,11 @@ const PICTURE_BYTES: usize = 200_000;
 pub fn section(
     run: &RunDir,
     facts: &Facts,
-    judgement: &Judgement,
+    findings: &[Finding],
     posed: Option<&PosedViews>,
 ) -> Markup {
-    let Judgement { verdict, reasons } = judgement;
+    let verdict = Verdict::of(findings);
+    let sentences: Vec<String> = findings.iter().map(Finding::sentence).collect();
     let picture = picture_of_result(run, posed);
     html! {
         header { h1 { "rilievo report" } }
@@ -30,20 +30,18 @@ pub fn section(
                 img.hero src=(picture) alt="Normals of the first reconstructed view";
             }
             div {
-                h2 { "Verdict: " span class=(verdict.class()) { (verdict.words()) } }
-                @if *verdict == Verdict::Good {
+                h2 { "Verdict: " span class=(class(verdict)) { (verdict.words()) } }
+                @if verdict == Verdict::Good {
                     p {
                         "Every photo that was used has a pose, the light explains what they show, and \
                          their surfaces lie on each other."
                     }
                 }
-                @if !reasons.is_empty() {
-                    ul { @for reason in reasons { li { (reason) } } }
+                @if !findings.is_empty() {
+                    ul { @for finding in findings { (reason(finding)) } }
                 }
-                dl {
-                    @for (name, value) in key_numbers(facts, posed) { dt { (name) } dd { (value) } }
-                }
-                // What agreement between views cannot tell.
+                (definitions(key_numbers(facts, posed)))
+                // What agreement between views does not show.
                 p.hint {
                     "The views are solved together and agree more closely than they are accurate. \
                      Errors that they share show in the standard deviations, and against a known shape ("
@@ -51,7 +49,31 @@ pub fn section(
                 }
             }
         }
-        (warnings(facts))
+        (warnings(facts, &sentences))
+    }
+}
+
+/// Class of the page's style.
+fn class(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Good => "good",
+        Verdict::Usable | Verdict::NotFinished => "usable",
+        Verdict::NotToBeTrusted => "bad",
+    }
+}
+
+/// Names that a finding's sentence lists; more are folded away.
+const NUM_NAMED: usize = 3;
+
+fn reason(finding: &Finding) -> Markup {
+    let code = serde_json::json!(finding.code);
+    html! {
+        li {
+            (finding.sentence()) " " code { (code["code"].as_str().unwrap_or_default()) }
+            @if finding.subject.len() > NUM_NAMED {
+                details { summary { "all " (finding.subject.len()) } (finding.subject.join(", ")) }
+            }
+        }
     }
 }
 
@@ -61,7 +83,7 @@ fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String>
         let normal = dir.join(format!("normal/{}.exr", view.name));
         let depth = dir.join(format!("depth/{}.exr", view.name));
         if normal.exists() && depth.exists() {
-            // A damaged map is told of where the views are shown.
+            // A damaged map is reported where the views are shown.
             let (Ok(depth), Ok(normal)) = (read_depth(&depth), read_normal(&normal)) else {
                 continue;
             };
@@ -71,99 +93,83 @@ fn picture_of_result(run: &RunDir, posed: Option<&PosedViews>) -> Option<String>
     None
 }
 
+/// The numbers by which a result is known, with their names.
 fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, String); 14] {
     let stages = &facts.stages;
     let photos = stages.photos.as_ref().map(|stage| &stage.report);
     let poses = stages.poses.as_ref().map(|stage| &stage.report);
     let fusion = stages.fusion.as_ref().map(|stage| &stage.report);
     let metric = posed.is_some_and(|posed| posed.scale.unit == Unit::Metre);
-    let length = |value: Option<f64>| match value {
-        Some(value) if metric => format!("{:.3} mm", 1e3 * value),
-        Some(value) => format!("{value:.2e} (no scale)"),
-        None => ABSENT.to_owned(),
+    let length = |value: f64| {
+        if metric {
+            format!("{:.3} mm", 1e3 * value)
+        } else {
+            format!("{value:.2e} (no scale)")
+        }
     };
-    let count = |number: Option<usize>| number.map_or(ABSENT.to_owned(), |n| n.to_string());
     let anchors = poses.and_then(|poses| poses.anchors.as_ref());
     let mesh = fusion.and_then(|fusion| fusion.mesh.as_ref());
+    let asset = fusion.and_then(|fusion| fusion.asset.as_ref());
+    let num_posed = poses.map_or(0, |poses| poses.views.len());
+    let num_photos = photos.map_or(0, |photos| photos.photos.len());
+    let error_px = number(poses.map(|poses| poses.mean_reprojection_error_px), 2);
+    let size_sigma = poses.and_then(|poses| poses.scale.relative_sigma);
+    let triangles = mesh.map(|mesh| {
+        let (num, moved) = (mesh.num_triangles, length(mesh.simplified_by));
+        match mesh.num_triangles_before {
+            Some(before) => format!("{num} of {before}, which moved the surface by {moved}"),
+            None => num.to_string(),
+        }
+    });
+    let pieces = mesh.map(|mesh| {
+        let (pieces, loops, length) = (
+            mesh.num_pieces,
+            mesh.num_open_loops,
+            length(mesh.boundary_length),
+        );
+        let closed = mesh.num_closed_holes;
+        format!("{pieces}, {loops} loops of {length} in all; {closed} holes closed")
+    });
+    let asset = asset.map(|asset| {
+        let ([width, height], texel) = (asset.texture_size, length(asset.texel));
+        format!(
+            "{} triangles, textures of {width} x {height} texels of {texel} ({}); {:.1} % of it no photo sees",
+            asset.num_triangles,
+            asset.shows.sentence(),
+            100.0 * asset.unseen_share
+        )
+    });
+    let layering = fusion.map(|fusion| fusion.layering_after);
     [
         ("asked for", asked(&facts.request)),
-        (
-            "photos posed",
-            format!(
-                "{} of {}",
-                poses.map_or(0, |poses| poses.views.len()),
-                photos.map_or(0, |photos| photos.photos.len())
-            ),
-        ),
-        ("size", stages.size().unwrap_or_else(|| ABSENT.to_owned())),
+        ("photos posed", format!("{num_posed} of {num_photos}")),
+        ("size", text(stages.size())),
         (
             "a pixel covers",
-            length(fusion.map(|fusion| fusion.layering_after.footprint)),
+            text(layering.map(|l| length(l.footprint))),
         ),
-        (
-            "mean reprojection error",
-            format!(
-                "{} px",
-                number(poses.map(|poses| poses.mean_reprojection_error_px), 2)
-            ),
-        ),
-        (
-            "standard deviation of the size",
-            percent(poses.and_then(|poses| poses.scale.relative_sigma), 2),
-        ),
-        ("depth anchors", count(anchors.map(|a| a.num_anchors))),
+        ("mean reprojection error", format!("{error_px} px")),
+        ("standard deviation of the size", percent(size_sigma, 2)),
+        ("depth anchors", text(anchors.map(|a| a.num_anchors))),
         (
             "standard deviation of an anchor's depth",
-            anchor_sigma(stages, posed),
+            text(anchor_sigma(stages, posed)),
         ),
-        ("surface that several photos confirm", confirmed(stages)),
+        (
+            "surface that several photos confirm",
+            percent(confirmed(stages), 0),
+        ),
         (
             "median distance between overlapping views",
-            length(fusion.map(|fusion| fusion.layering_after.median)),
+            text(layering.map(|l| length(l.median))),
         ),
         (
             "points of the cloud",
-            count(fusion.map(|fusion| fusion.num_points)),
+            text(fusion.map(|fusion| fusion.num_points)),
         ),
-        (
-            "mesh triangles",
-            mesh.map_or(ABSENT.to_owned(), |mesh| match mesh.num_triangles_before {
-                Some(before) => format!(
-                    "{} of {before}, which moved the surface by {}",
-                    mesh.num_triangles,
-                    length(Some(mesh.simplified_by))
-                ),
-                None => mesh.num_triangles.to_string(),
-            }),
-        ),
-        (
-            "mesh pieces, open edges",
-            mesh.map_or(ABSENT.to_owned(), |mesh| {
-                format!(
-                    "{}, {} loops of {} in all; {} holes closed",
-                    mesh.num_pieces,
-                    mesh.num_open_loops,
-                    length(Some(mesh.boundary_length)),
-                    mesh.num_closed_holes
-                )
-            }),
-        ),
-        (
-            "asset for renderers",
-            fusion
-                .and_then(|fusion| fusion.asset.as_ref())
-                .map_or(ABSENT.to_owned(), |asset| {
-                    format!(
-                        "{} triangles, textures of {} x {} texels of {} ({}); {:.1} % of it no photo sees",
-                        asset.num_triangles,
-                        asset.texture_size[0],
-                        asset.texture_size[1],
-                        length(Some(asset.texel)),
-                        asset.shows.sentence(),
-                        100.0 * asset.unseen_share
-                    )
-                }),
-        ),
+        ("mesh triangles", text(triangles)),
+        ("mesh pieces, open edges", text(pieces)),
+        ("asset for renderers", text(asset)),
     ]
 }
 
@@ -199,51 +205,44 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 /// What the matches alone say of the depth at one point.
-fn anchor_sigma(stages: &Stages, posed: Option<&PosedViews>) -> String {
-    let poses = stages.poses.as_ref();
-    let anchors = poses.and_then(|poses| poses.report.anchors.as_ref());
-    let sigmas = anchors.iter().flat_map(|anchors| &anchors.views);
-    let Some(relative) = mean(sigmas.filter_map(|view| view.median_sigma_ln_depth)) else {
-        return ABSENT.to_owned();
-    };
+fn anchor_sigma(stages: &Stages, posed: Option<&PosedViews>) -> Option<String> {
+    let anchors = stages.poses.as_ref()?.report.anchors.as_ref()?;
+    let sigmas = anchors.views.iter();
+    let relative = mean(sigmas.filter_map(|view| view.median_sigma_ln_depth))?;
     let share = format!("{:.3} % of the depth", 100.0 * relative);
     // A footprint is a depth over a focal length.
     let fusion = stages.fusion.as_ref();
-    match (fusion, posed) {
+    Some(match (fusion, posed) {
         (Some(fusion), Some(posed)) if posed.scale.unit == Unit::Metre => {
             let focal_px = posed.views.first().map_or(0.0, |v| v.intrinsics.focal_px());
             let depth = fusion.report.layering_after.footprint * focal_px;
             format!("{:.2} mm, {share}", 1e3 * relative * depth)
         }
         _ => share,
-    }
+    })
 }
 
-fn confirmed(stages: &Stages) -> String {
-    let shading = stages.shading.as_ref();
-    let photo = shading.and_then(|shading| shading.report.solver.photo.as_ref());
-    match mean(
-        photo
-            .iter()
-            .flat_map(|photo| &photo.views)
-            .map(|view| view.confirmed),
-    ) {
-        Some(share) => format!("{:.0} %", 100.0 * share),
-        None => ABSENT.to_owned(),
-    }
+/// Mean over the views of the shares that other views confirm.
+fn confirmed(stages: &Stages) -> Option<f64> {
+    let photo = stages.shading.as_ref()?.report.solver.photo.as_ref()?;
+    mean(photo.views.iter().map(|view| view.confirmed))
 }
 
-fn warnings(facts: &Facts) -> Markup {
+/// Files that cannot be used, and the warnings that are no finding's.
+fn warnings(facts: &Facts, sentences: &[String]) -> Markup {
     let problems = &facts.outcome.problems;
+    let warnings = facts.warnings.iter();
+    let warnings = warnings.filter(|warning| !sentences.contains(&warning.message));
+    let warnings: Vec<_> = warnings.collect();
     html! {
-        @if !(facts.warnings.is_empty() && problems.is_empty()) {
+        @if !(warnings.is_empty() && problems.is_empty()) {
             section {
                 h2 { "What to know, and what to try" }
                 ul {
                     @for problem in problems {
                         li { strong { (problem.file.display().to_string()) } ": " (problem.reason) }
                     }
-                    @for warning in &facts.warnings {
+                    @for warning in warnings {
                         li { code { (warning.stage.name()) } " " (warning.message) }
                     }
                 }

@@ -45,10 +45,8 @@ impl Window {
         }
     }
 
-    fn cut<T: Clone>(&self, map: &Raster<T>) -> Raster<T> {
-        Raster::from_fn(self.width, self.height, |x, y| {
-            map.at(self.x + x, self.y + y).clone()
-        })
+    fn cut<T: Copy>(&self, map: &Raster<T>) -> Raster<T> {
+        map.cropped(self.x, self.y, self.width, self.height)
     }
 }
 

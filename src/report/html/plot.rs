@@ -1,4 +1,5 @@
-//! Convergence of an iterative solver, distributions of errors, and values by wavelength, as inline drawings.
+//! Convergence of an iterative solver, distributions of errors, and values by wavelength, as inline
+//! drawings.
 
 use maud::{Markup, html};
 
@@ -103,8 +104,8 @@ pub fn cumulative(title: &str, unit: &str, mut errors: Vec<f64>) -> Markup {
     }
 }
 
-/// Values of 0 to 1 over wavelengths, in growing order, each an octave or more from the next; `threshold` is drawn as a
-/// line. Empty with fewer than two.
+/// Values of 0 to 1 over wavelengths, in growing order, each an octave or more from the next;
+/// `threshold` is drawn as a line. Empty with fewer than two.
 pub fn by_wavelength(title: &str, values: &[(f64, f64)], threshold: f64) -> Markup {
     let (Some((low, _)), Some((high, _)), true) = (values.first(), values.last(), values.len() > 1)
     else {

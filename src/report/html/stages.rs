@@ -1,18 +1,20 @@
 //! What every stage found, in tables; settings, versions and hashes for those who repeat it.
 
-use super::element::{ABSENT, folded, json, number, percent, table, text, word};
+use super::element::{Column, definitions, folded, grid, json, number, percent, table, text, word};
 use super::plot;
 use crate::cost::{Cost, Estimate};
 use crate::pipeline::ShadingFacts;
-use crate::report::facts::{Facts, Made, Stage};
+use crate::report::facts::{Facts, Stage};
 use maud::{Markup, html};
-use rilievo_features::{FeaturesReport, PairReport};
-use rilievo_fusion::FusionReport;
+use rilievo_features::{FeaturesReport, PairReport, PhotoFeatures};
+use rilievo_fusion::{FusionReport, ViewFusion};
 use rilievo_lighting::{LightingReport, SphereLightReport, ViewLightReport};
-use rilievo_photos::PhotosReport;
+use rilievo_photometry::surface_check::ViewSurfaceReport;
+use rilievo_photos::{PhotoFacts, PhotosReport, RejectedPhoto};
 use rilievo_poses::PosesReport;
 use rilievo_scene::StageId;
-use rilievo_shading::photo::PhotoReport;
+use rilievo_shading::paper::IterationRecord;
+use rilievo_shading::photo::{PhotoReport, PhotoViewReport};
 
 /// Most photos of which a matrix of all pairs stays readable.
 const MAX_MATRIX: usize = 40;
@@ -32,19 +34,26 @@ pub fn sections(facts: &Facts) -> Markup {
         }
         section {
             h2 { "This run" }
-            dl {
-                dt { "program" } dd { (facts.program) }
-                dt { "threads" } dd { (facts.threads.map_or(ABSENT.to_owned(), |n| n.to_string())) }
-                dt { "peak memory" } dd { (megabytes(facts.peak_memory_bytes)) }
-                @if let (Some(expected), Some(cost)) = (&facts.expected, &facts.cost) {
-                    dt { "cost, and what was expected" }
-                    dd { (compared(expected, cost)) }
-                }
-                dt { "citation" } dd { (facts.citation) }
-            }
+            (definitions(this_run(facts)))
             (folded("What was asked for", false, &json(&facts.request)))
         }
     }
+}
+
+fn this_run(facts: &Facts) -> Vec<(&'static str, String)> {
+    let memory = facts
+        .peak_memory_bytes
+        .map(|bytes| format!("{:.0} MB", 1e-6 * bytes as f64));
+    let mut entries = vec![
+        ("program", facts.program.to_owned()),
+        ("threads", text(facts.threads)),
+        ("peak memory", text(memory)),
+    ];
+    if let (Some(expected), Some(cost)) = (&facts.expected, &facts.cost) {
+        entries.push(("cost, and what was expected", compared(expected, cost)));
+    }
+    entries.push(("citation", facts.citation.to_owned()));
+    entries
 }
 
 /// What the run did cost beside what it was expected to.
@@ -62,87 +71,60 @@ fn compared(expected: &Estimate, cost: &Cost) -> String {
     )
 }
 
-fn megabytes(bytes: Option<u64>) -> String {
-    bytes.map_or(ABSENT.to_owned(), |bytes| {
-        format!("{:.0} MB", bytes as f64 / 1e6)
-    })
-}
-
 fn section<R>(id: StageId, stage: Option<&Stage<R>>, tables: fn(&R) -> Markup) -> Markup {
     let Some(stage) = stage else {
         return Markup::default();
     };
-    let title = format!("{id}, {} s", number(stage.made.seconds(), 1));
-    let content = html! { (tables(&stage.report)) (settings(&stage.made)) };
-    folded(&title, false, &content)
-}
-
-fn settings(made: &Made) -> Markup {
-    let ingredients = made.ingredients();
-    let content = html! {
-        p { "fingerprint " code { (made.fingerprint()) } }
-        (json(&ingredients.options))
-        (json(&ingredients.inputs))
+    let manifest = &stage.manifest;
+    let settings = html! {
+        p { "fingerprint " code { (manifest.fingerprint) } }
+        (json(&manifest.ingredients.options))
+        (json(&manifest.ingredients.inputs))
     };
-    folded("Options, inputs and fingerprint", false, &content)
+    let content = html! {
+        (tables(&stage.report))
+        (folded("Options, inputs and fingerprint", false, &settings))
+    };
+    folded(
+        &format!("{id}, {} s", number(manifest.seconds, 1)),
+        false,
+        &content,
+    )
 }
 
 fn photos(facts: &PhotosReport) -> Markup {
-    let used: Vec<_> = facts
-        .photos
-        .iter()
-        .map(|photo| {
-            vec![
-                photo.file_name.clone(),
-                format!("{} x {}", photo.width, photo.height),
-                format!("{:.0} px", photo.intrinsics.fx),
-                photo.focal_note.clone(),
-                word(&photo.encoding),
-                percent(photo.mask_coverage, 1),
-                percent(photo.clipped_share_on_object, 2),
-                percent(photo.clipped_share, 2),
-                number(photo.noise_sigma, 4),
-            ]
-        })
-        .collect();
-    let head = [
-        "photo",
-        "size",
-        "focal",
-        "focal from",
-        "encoding",
-        "mask",
-        "clipped on the object",
-        "in the photo",
-        "noise",
+    let used: &[Column<'_, PhotoFacts>] = &[
+        ("photo", &|p| p.file_name.clone()),
+        ("size", &|p| format!("{} x {}", p.width, p.height)),
+        ("focal", &|p| format!("{:.0} px", p.intrinsics.fx)),
+        ("focal from", &|p| p.focal_note.clone()),
+        ("encoding", &|p| word(&p.encoding)),
+        ("mask", &|p| percent(p.mask_coverage, 1)),
+        ("clipped on the object", &|p| {
+            percent(p.clipped_share_on_object, 2)
+        }),
+        ("in the photo", &|p| percent(p.clipped_share, 2)),
+        ("noise", &|p| number(p.noise_sigma, 4)),
     ];
-    let rejected: Vec<_> = facts
-        .rejected
-        .iter()
-        .map(|photo| vec![photo.file.clone(), photo.reason.clone()])
-        .collect();
+    let rejected: &[Column<'_, RejectedPhoto>] = &[
+        ("file", &|p| p.file.clone()),
+        ("why", &|p| p.reason.clone()),
+    ];
     html! {
-        (table("Photos that are used", &head, &used))
-        (table("Photos that are not used", &["file", "why"], &rejected))
+        (table("Photos that are used", &facts.photos, used))
+        (table("Photos that are not used", &facts.rejected, rejected))
     }
 }
 
 fn features(facts: &FeaturesReport) -> Markup {
-    let rows: Vec<_> = facts
-        .photos
-        .iter()
-        .map(|photo| {
-            vec![
-                photo.file_name.clone(),
-                photo.num_keypoints.to_string(),
-                photo.num_on_object.to_string(),
-                photo.num_pairs.to_string(),
-            ]
-        })
-        .collect();
-    let head = ["photo", "keypoints", "on the object", "pairs matched"];
+    let columns: &[Column<'_, PhotoFeatures>] = &[
+        ("photo", &|p| p.file_name.clone()),
+        ("keypoints", &|p| p.num_keypoints.to_string()),
+        ("on the object", &|p| p.num_on_object.to_string()),
+        ("pairs matched", &|p| p.num_pairs.to_string()),
+    ];
     html! {
-        (table("Keypoints", &head, &rows))
+        (table("Keypoints", &facts.photos, columns))
         @if facts.photos.len() <= MAX_MATRIX { (matrix(facts)) }
     }
 }
@@ -150,64 +132,60 @@ fn features(facts: &FeaturesReport) -> Markup {
 /// Verified matches of all pairs.
 fn matrix(facts: &FeaturesReport) -> Markup {
     let num_photos = facts.photos.len();
-    let mut head = vec!["verified matches".to_owned()];
-    head.extend((1..=num_photos).map(|n| n.to_string()));
-    let head: Vec<&str> = head.iter().map(String::as_str).collect();
+    let numbers = (1..=num_photos).map(|n| n.to_string());
+    let head: Vec<String> = std::iter::once("verified matches".to_owned())
+        .chain(numbers)
+        .collect();
     let verified = |a: usize, b: usize| {
         let is_it = |pair: &&PairReport| (pair.first.0, pair.second.0) == (a.min(b), a.max(b));
         let found = facts.pairs.iter().find(is_it);
         found.map_or(String::new(), |pair| pair.num_verified.to_string())
     };
-    let rows: Vec<Vec<String>> = facts
-        .photos
-        .iter()
-        .enumerate()
-        .map(|(a, photo)| {
-            let mut row = vec![format!("{}  {}", a + 1, photo.file_name)];
-            row.extend((0..num_photos).map(|b| verified(a, b)));
-            row
-        })
-        .collect();
-    table("Matches between photos", &head, &rows)
+    let row = |(a, photo): (usize, &PhotoFeatures)| {
+        let name = format!("{}  {}", a + 1, photo.file_name);
+        std::iter::once(name)
+            .chain((0..num_photos).map(|b| verified(a, b)))
+            .collect()
+    };
+    let rows: Vec<Vec<String>> = facts.photos.iter().enumerate().map(row).collect();
+    grid("Matches between photos", &head, &rows)
 }
 
 fn poses(facts: &PosesReport) -> Markup {
-    let rows: Vec<_> = facts
-        .views
-        .iter()
-        .map(|view| {
-            vec![
-                view.file_name.clone(),
-                view.num_points.to_string(),
-                number(view.mean_error_px, 3),
-                number(view.rotation_sigma_deg, 4),
-                number(view.center_sigma, 6),
-            ]
-        })
-        .collect();
-    let head = [
-        "photo",
-        "points",
-        "error, px",
-        "rotation sigma, deg",
-        "centre sigma, world's unit",
+    let views: &[Column<'_, rilievo_poses::ViewReport>] = &[
+        ("photo", &|v| v.file_name.clone()),
+        ("points", &|v| v.num_points.to_string()),
+        ("error, px", &|v| number(v.mean_error_px, 3)),
+        ("rotation sigma, deg", &|v| number(v.rotation_sigma_deg, 4)),
+        ("centre sigma, world's unit", &|v| number(v.center_sigma, 6)),
     ];
+    let anchored = facts.anchors.iter().flat_map(|anchors| &anchors.views);
+    let anchors = table(
+        "Depth anchors",
+        anchored,
+        &[
+            ("photo", &|v| v.file_name.clone()),
+            ("anchors", &|v| v.num_anchors.to_string()),
+            ("object within 20 px of one", &|v| percent(v.coverage, 0)),
+            ("depth sigma", &|v| percent(v.median_sigma_ln_depth, 3)),
+        ],
+    );
     let first_pair = facts.initial_pair.as_ref();
     let first_pair = first_pair.map(|(first, second)| format!("{first}, {second}"));
     html! {
-        (table("Poses", &head, &rows))
-        (anchors(facts))
+        (table("Poses", &facts.views, views))
+        (anchors)
         p {
             "scale: " (word(&facts.scale.unit)) " (" (word(&facts.scale.source))
             "), relative standard deviation " (percent(facts.scale.relative_sigma, 2)) "; "
             (facts.num_points) " points seen " (number(facts.mean_track_length, 1))
-            " times on average; first pair " (text(first_pair.as_deref()))
+            " times on average; first pair " (text(first_pair))
         }
         // Which way is up.
         @if let Some(vertical) = &facts.vertical {
             p {
                 "upwards in the world: " (format!("{:?}", vertical.up_in_world))
-                ", told from the " (word(&vertical.source)) ", standard deviation "
+                ", from the " (word(&vertical.source)) ", standard deviation "
                 (number(vertical.sigma_deg, 2)) " deg"
             }
         }
@@ -224,50 +202,37 @@ fn poses(facts: &PosesReport) -> Markup {
     }
 }
 
-fn anchors(facts: &PosesReport) -> Markup {
-    let views = facts.anchors.iter().flat_map(|anchors| &anchors.views);
-    let rows: Vec<_> = views
-        .map(|view| {
-            vec![
-                view.file_name.clone(),
-                view.num_anchors.to_string(),
-                percent(view.coverage, 0),
-                percent(view.median_sigma_ln_depth, 3),
-            ]
-        })
-        .collect();
-    let head = [
-        "photo",
-        "anchors",
-        "object within 20 px of one",
-        "depth sigma",
-    ];
-    table("Depth anchors", &head, &rows)
-}
-
 fn lighting(facts: &LightingReport) -> Markup {
-    let rows: Vec<_> = facts
-        .views
-        .iter()
-        .map(|view| {
-            vec![
-                view.name.clone(),
-                view.num_pixels.to_string(),
-                percent(view.relative_rms, 1),
-                percent(view.clipped_share, 1),
-                ratios(&view.gain),
-                left_out(view),
-            ]
-        })
-        .collect();
-    let head = [
-        "view",
-        "pixels",
-        "residual",
-        "clipped",
-        "gain",
-        "left out because",
+    let views: &[Column<'_, ViewLightReport>] = &[
+        ("view", &|v| v.name.clone()),
+        ("pixels", &|v| v.num_pixels.to_string()),
+        ("residual", &|v| percent(v.relative_rms, 1)),
+        ("clipped", &|v| percent(v.clipped_share, 1)),
+        ("gain", &|v| ratios(&v.gain)),
+        ("left out because", &left_out),
     ];
+    let spheres: &[Column<'_, SphereLightReport>] = &[
+        ("sphere", &|s| s.name.clone()),
+        ("pixels", &|s| s.num_pixels.to_string()),
+        ("photos", &|s| s.views.len().to_string()),
+        ("compared with", &|s| text(s.compared_with.as_deref())),
+        ("brightness over that one's", &|s| {
+            ratios(&s.brightness_ratio)
+        }),
+        ("residual of its own light", &|s| percent(s.own_rms, 1)),
+        ("of that one's light", &|s| percent(s.other_rms, 1)),
+        ("directions apart, degrees", &|s| {
+            number(s.direction_difference_deg, 1)
+        }),
+        ("left out", &|s| {
+            if s.left_out { "yes" } else { "no" }.to_owned()
+        }),
+    ];
+    // A single sphere is compared with none.
+    let compared = facts
+        .spheres
+        .iter()
+        .any(|sphere| sphere.compared_with.is_some());
     let direction = facts.dominant_direction.map(|d| ratios(&d));
     html! {
         @if facts.uncalibrated {
@@ -287,10 +252,10 @@ fn lighting(facts: &LightingReport) -> Markup {
         }
         p {
             "light from: " (word(&facts.source)) "; fixed to: " (word(&facts.kind))
-            "; most light comes from " (text(direction.as_deref()))
+            "; most light comes from " (text(direction))
         }
-        (table("Lighting", &head, &rows))
-        (spheres(&facts.spheres))
+        (table("Lighting", &facts.views, views))
+        @if compared { (table("Spheres", &facts.spheres, spheres)) }
     }
 }
 
@@ -302,127 +267,60 @@ fn left_out(view: &ViewLightReport) -> String {
     view.unused_spheres.join("; ")
 }
 
-/// How several spheres agree on one light.
-fn spheres(spheres: &[SphereLightReport]) -> Markup {
-    if spheres.iter().all(|sphere| sphere.compared_with.is_none()) {
-        return Markup::default();
-    }
-    let rows: Vec<_> = spheres
-        .iter()
-        .map(|sphere| {
-            vec![
-                sphere.name.clone(),
-                sphere.num_pixels.to_string(),
-                sphere.views.len().to_string(),
-                text(sphere.compared_with.as_deref()),
-                ratios(&sphere.brightness_ratio),
-                percent(sphere.own_rms, 1),
-                percent(sphere.other_rms, 1),
-                number(sphere.direction_difference_deg, 1),
-                if sphere.left_out { "yes" } else { "no" }.to_owned(),
-            ]
-        })
-        .collect();
-    let head = [
-        "sphere",
-        "pixels",
-        "photos",
-        "compared with",
-        "brightness over that one's",
-        "residual of its own light",
-        "of that one's light",
-        "directions apart, degrees",
-        "left out",
-    ];
-    table("Spheres", &head, &rows)
-}
-
 /// Numbers, one per channel or axis.
 fn ratios(values: &[f64]) -> String {
     let numbers: Vec<String> = values.iter().map(|&value| number(value, 2)).collect();
-    if numbers.is_empty() {
-        return ABSENT.to_owned();
-    }
-    numbers.join(", ")
+    text((!numbers.is_empty()).then(|| numbers.join(", ")))
 }
 
 fn shading(facts: &ShadingFacts) -> Markup {
-    let light: Vec<_> = facts
-        .light_on_surface
-        .views
-        .iter()
-        .map(|view| {
-            vec![
-                view.name.clone(),
-                percent(view.used_rms, 1),
-                percent(view.used_rms_after_gain, 1),
-                percent(view.refitted_rms, 1),
-            ]
-        })
-        .collect();
-    let head = [
-        "view",
-        "re-rendered",
-        "after the best gain",
-        "with the best distant light",
+    let light: &[Column<'_, ViewSurfaceReport>] = &[
+        ("view", &|v| v.name.clone()),
+        ("re-rendered", &|v| percent(v.used_rms, 1)),
+        ("after the best gain", &|v| {
+            percent(v.used_rms_after_gain, 1)
+        }),
+        ("with the best distant light", &|v| {
+            percent(v.refitted_rms, 1)
+        }),
     ];
-    let convergence: Vec<Markup> = facts
-        .solver
-        .paper
-        .views
-        .iter()
-        .map(|view| {
-            let records = &view.iterations;
-            let column = |of: fn(&rilievo_shading::paper::IterationRecord) -> f64| -> Vec<f64> {
-                records.iter().map(of).collect()
-            };
-            plot::logarithmic(
-                &format!("Convergence of {}", view.name),
-                &[
-                    ("energy", column(|record| record.energy)),
-                    ("primal residual", column(|record| record.primal_residual)),
-                    ("dual residual", column(|record| record.dual_residual)),
-                ],
-            )
-        })
-        .collect();
+    let convergence = facts.solver.paper.views.iter().map(|view| {
+        let column = |of: fn(&IterationRecord) -> f64| view.iterations.iter().map(of).collect();
+        plot::logarithmic(
+            &format!("Convergence of {}", view.name),
+            &[
+                ("energy", column(|record| record.energy)),
+                ("primal residual", column(|record| record.primal_residual)),
+                ("dual residual", column(|record| record.dual_residual)),
+            ],
+        )
+    });
     html! {
-        (table("Photos and light, differences on the result", &head, &light))
+        (table("Photos and light, differences on the result", &facts.light_on_surface.views, light))
         @if let Some(photo) = &facts.solver.photo { (trust(photo)) }
         @for plot in convergence { (plot) }
-        p { "Everything that the solver tells stands in " a href="report.json" { "report.json" } "." }
+        p { "The whole report of the solver is in " a href="report.json" { "report.json" } "." }
     }
 }
 
 /// Where shading took part, and what photos that were left out said of it.
 fn trust(facts: &PhotoReport) -> Markup {
-    let rows: Vec<_> = facts
-        .views
-        .iter()
-        .map(|view| {
-            vec![
-                view.name.clone(),
-                number(view.gain[1], 3),
-                percent(view.disagreement, 1),
-                percent(view.seen_alone, 1),
-                percent(view.light_residual, 1),
-                percent(view.shading_trust, 0),
-                percent(view.without_shading, 1),
-                percent(view.specks[0], 3),
-                percent(view.specks[1], 3),
-            ]
-        })
-        .collect();
-    let head = [
-        "view",
-        "exposure gain (green)",
-        "disagreement with other photos",
-        "seen in this photo alone",
-        "light misses the photo by",
-        "trust in shading",
-        "where shading takes no part",
-        "specks as solved",
-        "specks in the result",
+    let columns: &[Column<'_, PhotoViewReport>] = &[
+        ("view", &|v| v.name.clone()),
+        ("exposure gain (green)", &|v| number(v.gain[1], 3)),
+        ("disagreement with other photos", &|v| {
+            percent(v.disagreement, 1)
+        }),
+        ("seen in this photo alone", &|v| percent(v.seen_alone, 1)),
+        ("light misses the photo by", &|v| {
+            percent(v.light_residual, 1)
+        }),
+        ("trust in shading", &|v| percent(v.shading_trust, 0)),
+        ("where shading takes no part", &|v| {
+            percent(v.without_shading, 1)
+        }),
+        ("specks as solved", &|v| percent(v.specks[0], 3)),
+        ("specks in the result", &|v| percent(v.specks[1], 3)),
     ];
     html! {
         p { (facts.shading) }
@@ -435,36 +333,21 @@ fn trust(facts: &PhotoReport) -> Markup {
             }
         }
         @for note in &facts.notes { p { (note) } }
-        (table("Agreement and shading", &head, &rows))
+        (table("Agreement and shading", &facts.views, columns))
     }
 }
 
 fn fusion(facts: &FusionReport) -> Markup {
-    let rows: Vec<_> = facts
-        .views
-        .iter()
-        .map(|view| {
-            let counts = [
-                view.num_depths,
-                view.num_border,
-                view.num_grazing,
-                view.num_inconsistent,
-                view.num_points,
-            ];
-            let counts = counts.iter().map(ToString::to_string);
-            std::iter::once(view.name.clone()).chain(counts).collect()
-        })
-        .collect();
-    let head = [
-        "view",
-        "depths",
-        "at borders",
-        "oblique",
-        "inconsistent",
-        "points given",
+    let columns: &[Column<'_, ViewFusion>] = &[
+        ("view", &|v| v.name.clone()),
+        ("depths", &|v| v.num_depths.to_string()),
+        ("at borders", &|v| v.num_border.to_string()),
+        ("oblique", &|v| v.num_grazing.to_string()),
+        ("inconsistent", &|v| v.num_inconsistent.to_string()),
+        ("points given", &|v| v.num_points.to_string()),
     ];
     html! {
-        (table("Fusion", &head, &rows))
+        (table("Fusion", &facts.views, columns))
         p {
             "distance between overlapping views (RMS, world's unit): "
             (number(facts.layering_before.rms, 6)) " before reconciling, "

@@ -1,11 +1,10 @@
 //! Every view as pictures: photo against re-rendered result, difference, normals, depth,
 //! confidence; and the whole photo with sparse points and the outlines of the spheres.
 
-use super::element::{figure, folded, number, percent};
-use super::matches::{self, Shown};
+use super::element::{figure, folded, number, percent, text};
 use super::picture::{self, Album, Window};
 use crate::pipeline::shown_albedo;
-use crate::report::facts::{Facts, Stages};
+use crate::report::facts::{Facts, Stage, Stages};
 use crate::store::{RunDir, own_file};
 use maud::{Markup, html};
 use nalgebra::{Point3, Vector3};
@@ -16,7 +15,7 @@ use std::path::Path;
 /// Relative difference of photo and result that is shown as full brightness.
 const DIFFERENCE_MAX: f32 = 0.25;
 
-/// Views beyond this many have no pictures in the page: they would be too small to tell anything.
+/// Views beyond this many have no pictures in the page: they would be too small to show anything.
 const MAX_NUM_VIEWS: usize = 40;
 /// Bytes of the page that all pictures of all views may take.
 const PICTURE_BYTES: usize = 2_600_000;
@@ -25,7 +24,8 @@ const NUM_PICTURES: usize = 9;
 /// Anchors and sparse points drawn in all photos together: a dot takes some fifteen bytes.
 const NUM_DOTS: usize = 30_000;
 
-/// The section with the views that have a dense shape, or at least a pose; of many some, evenly chosen.
+/// The section with the views that have a dense shape, or at least a pose; of many some, evenly
+/// chosen.
 ///
 /// # Errors
 /// When maps cannot be read.
@@ -35,7 +35,6 @@ pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Resul
     let num_shown = num_views.div_ceil(every);
     let album = Album::new(PICTURE_BYTES, num_shown * NUM_PICTURES);
     let mut views = Vec::new();
-    let mut shown = Vec::new();
     for (index, view) in posed.views.iter().enumerate().step_by(every) {
         let file = format!("linear/{}.exr", view.name);
         let mut photo = read_linear(&run.stage_dir(StageId::Photos).join(file))?;
@@ -49,14 +48,7 @@ pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Resul
         };
         let content = page.one(&facts.stages, posed, index, &photo)?;
         views.push(folded(&view.file_name, index == 0, &content));
-        shown.push(Shown {
-            view: index,
-            picture: picture_id(index),
-            width: photo.width as f64,
-            height: photo.height as f64,
-        });
     }
-    let matches = matches::section(run, posed, &shown)?;
     Ok(html! {
         section {
             h2 { "Views" }
@@ -68,13 +60,7 @@ pub fn section(run: &RunDir, facts: &Facts, posed: &PosedViews) -> anyhow::Resul
             }
             @for view in views { (view) }
         }
-        (matches)
     })
-}
-
-/// Name of a photo's picture within the page.
-fn picture_id(view: usize) -> String {
-    format!("photo-{view}")
 }
 
 /// Factor that brought a photo to the set's exposure.
@@ -137,60 +123,43 @@ impl Page<'_> {
         };
         let mut pictures = Vec::new();
         let mut comparison = Markup::default();
+        let nothing = Markup::default;
         if file("rendered").exists() {
             let rendered = read_linear(&file("rendered"))?;
-            let explained = album.photo(&rendered, window, exposure);
-            comparison = compared(name, &observed, &explained);
+            comparison = compared(name, &observed, &album.photo(&rendered, window, exposure));
             let difference = relative_difference(photo, &rendered, &depth);
+            let most = format!("{:.0} % and more", 100.0 * DIFFERENCE_MAX);
+            let picture = album.scalar(&difference, window, DIFFERENCE_MAX);
+            let legend = "where photo and result disagree";
+            let scale = bar("inferno", "0", &most);
             pictures.push(show(
-                &album.scalar(&difference, window, DIFFERENCE_MAX),
+                &picture,
                 "rendered",
                 "Relative difference",
-                "where photo and result disagree",
-                bar(
-                    "inferno",
-                    "0",
-                    &format!("{:.0} % and more", 100.0 * DIFFERENCE_MAX),
-                ),
+                legend,
+                scale,
             ));
         } else {
-            let nothing = Markup::default();
-            pictures.push(show(&observed, "", "Photo", "cut to the object", nothing));
+            pictures.push(show(&observed, "", "Photo", "cut to the object", nothing()));
         }
-        let normal = read_normal(&file("normal"))?;
-        pictures.push(show(
-            &album.normals(&normal, window),
-            "normal",
-            "Normals",
-            "red: to the right, green: up, blue: to the camera",
-            Markup::default(),
-        ));
-        pictures.push(show(
-            &album.depth(&depth, window),
-            "depth",
-            "Depth",
-            "along the optical axis",
-            depth_legend(&depth, unit),
-        ));
+        let picture = album.normals(&read_normal(&file("normal"))?, window);
+        let legend = "red: to the right, green: up, blue: to the camera";
+        pictures.push(show(&picture, "normal", "Normals", legend, nothing()));
+        let picture = album.depth(&depth, window);
+        let (legend, scale) = ("along the optical axis", depth_legend(&depth, unit));
+        pictures.push(show(&picture, "depth", "Depth", legend, scale));
         if file("albedo").exists() {
             let albedo = shown_albedo(&read_linear(&file("albedo"))?);
-            pictures.push(show(
-                &album.photo(&albedo, window, 1.0),
-                "albedo",
-                "Albedo",
-                "relative to the mean, which is a middle grey",
-                Markup::default(),
-            ));
+            let picture = album.photo(&albedo, window, 1.0);
+            let legend = "relative to the mean, which is a middle grey";
+            pictures.push(show(&picture, "albedo", "Albedo", legend, nothing()));
         }
         if file("confidence").exists() {
             let confidence = read_channel(&file("confidence"), "C")?;
-            pictures.push(show(
-                &album.scalar(&confidence, window, 1.0),
-                "confidence",
-                "Confidence",
-                "how well the photos determine a pixel",
-                bar("inferno", "0", "1: well"),
-            ));
+            let picture = album.scalar(&confidence, window, 1.0);
+            let legend = "how well the photos determine a pixel";
+            let scale = bar("inferno", "0", "1: well");
+            pictures.push(show(&picture, "confidence", "Confidence", legend, scale));
         }
         Ok(html! { (comparison) div.pictures { @for picture in pictures { (picture) } } })
     }
@@ -230,7 +199,7 @@ impl Page<'_> {
             figure.overlay {
                 svg viewBox=(format!("0 0 {width} {height}")) role="img"
                     aria-label=(format!("Photo {}", view.name)) {
-                    image id=(picture_id(index)) href=(picture) width=(width) height=(height) {}
+                    image href=(picture) width=(width) height=(height) {}
                     path.anchors d=(anchors) {}
                     path.points d=(points) {}
                     @for outline in &outlines { polygon points=(outline) {} }
@@ -264,7 +233,8 @@ impl Page<'_> {
         }
     }
 
-    /// The number of places, and a path of dots at so many of them as the page bears: a tenth of the size of circles.
+    /// The number of places, and a path of dots at so many of them as the page bears: a tenth of
+    /// the size of circles.
     fn dots(&self, places: Vec<[f64; 2]>, at: &impl Fn(f64) -> String) -> (usize, String) {
         let every = places.len().div_ceil(self.max_dots.max(1)).max(1);
         let drawn = places.iter().step_by(every);
@@ -336,20 +306,36 @@ fn relative_difference(
     })
 }
 
+/// The entry of a view among those of a stage.
+fn of_view<'a, R, T>(
+    stage: Option<&'a Stage<R>>,
+    entries: fn(&R) -> &[T],
+    is_it: impl Fn(&T) -> bool,
+) -> Option<&'a T> {
+    entries(&stage?.report).iter().find(|entry| is_it(entry))
+}
+
 /// What the stages found of a view.
 fn numbers(stages: &Stages, view: &PosedView) -> Markup {
     let (name, file_name) = (&view.name, &view.file_name);
-    let photos = stages.photos.iter().flat_map(|s| &s.report.photos);
-    let photo = photos.clone().find(|p| p.file_name == *file_name);
-    let features = stages.features.iter().flat_map(|s| &s.report.photos);
-    let features = features.clone().find(|p| p.file_name == *file_name);
-    let poses = stages.poses.iter().flat_map(|s| &s.report.views);
-    let pose = poses.clone().find(|v| v.file_name == *file_name);
-    let lights = stages.lighting.iter().flat_map(|s| &s.report.views);
-    let light = lights.clone().find(|v| v.name == *name);
-    let fused = stages.fusion.iter().flat_map(|s| &s.report.views);
-    let fused = fused.clone().find(|v| v.name == *name);
-    let count = |n: Option<usize>| number(n.map(|n| n as f64), 0);
+    let photo = of_view(
+        stages.photos.as_ref(),
+        |r| &r.photos,
+        |p| p.file_name == *file_name,
+    );
+    let features = of_view(
+        stages.features.as_ref(),
+        |r| &r.photos,
+        |p| p.file_name == *file_name,
+    );
+    let pose = of_view(
+        stages.poses.as_ref(),
+        |r| &r.views,
+        |v| v.file_name == *file_name,
+    );
+    let light = of_view(stages.lighting.as_ref(), |r| &r.views, |v| v.name == *name);
+    let fused = of_view(stages.fusion.as_ref(), |r| &r.views, |v| v.name == *name);
+    let error_px = number(pose.map(|v| v.mean_error_px), 2);
     let rows = [
         ("mask", percent(photo.and_then(|p| p.mask_coverage), 1)),
         (
@@ -362,20 +348,17 @@ fn numbers(stages: &Stages, view: &PosedView) -> Markup {
         ),
         (
             "keypoints on the object",
-            count(features.map(|p| p.num_on_object)),
+            text(features.map(|p| p.num_on_object)),
         ),
-        ("points seen", count(pose.map(|v| v.num_points))),
-        (
-            "reprojection error",
-            format!("{} px", number(pose.map(|v| v.mean_error_px), 2)),
-        ),
+        ("points seen", text(pose.map(|v| v.num_points))),
+        ("reprojection error", format!("{error_px} px")),
         (
             "light residual",
             percent(light.and_then(|v| v.relative_rms), 1),
         ),
         (
             "points given to the cloud",
-            count(fused.map(|v| v.num_points)),
+            text(fused.map(|v| v.num_points)),
         ),
     ];
     html! {

@@ -24,6 +24,7 @@ mod edges;
 mod encoding;
 mod error;
 mod exposure;
+mod findings;
 mod focal;
 mod mask;
 mod measures;

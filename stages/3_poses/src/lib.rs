@@ -9,6 +9,7 @@ mod adjustment;
 pub mod anchors;
 mod consistency;
 mod error;
+mod findings;
 mod given;
 mod incremental;
 mod initial_pair;
@@ -132,7 +133,7 @@ pub fn run(
             report
                 .contradicted_focal
                 .iter()
-                .map(ContradictedFocal::advice),
+                .map(|focal| focal.finding().sentence()),
         )
         .chain(contradicted_exif(&matched, &reconstruction))
         .chain(own_focal::warnings(&matched, &reconstruction.model))

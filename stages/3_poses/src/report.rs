@@ -74,20 +74,6 @@ pub struct ContradictedFocal {
     pub found_px: f64,
 }
 
-impl ContradictedFocal {
-    /// What the user should know of it.
-    pub fn advice(&self) -> String {
-        format!(
-            "a focal length of {1:.0} px was given for {0}, the photos say {2:.0} px ({3:+.0} %): that of another lens, zoom \
-             or size of photo? Depth and normals err by per cents; correct it, or give none (--cameras, photos.focal_35mm)",
-            self.file_name,
-            self.given_px,
-            self.found_px,
-            100.0 * (self.found_px / self.given_px - 1.0)
-        )
-    }
-}
-
 /// Facts about a run of stage 3.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PosesReport {

@@ -34,6 +34,7 @@ mod calibration;
 mod cells;
 mod environment;
 mod error;
+mod findings;
 mod gains;
 mod kind;
 mod light_samples;

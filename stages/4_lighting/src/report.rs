@@ -139,7 +139,7 @@ pub struct ObjectReport {
 }
 
 /// Facts of a run of stage 4.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LightingReport {
     /// Where the light came from.
     pub source: LightSource,
@@ -162,21 +162,4 @@ pub struct LightingReport {
     pub gains_applied: bool,
     /// Whether the light is uncalibrated: only known up to the ambiguities that a warning names.
     pub uncalibrated: bool,
-}
-
-impl Default for LightingReport {
-    fn default() -> Self {
-        Self {
-            source: LightSource::Given,
-            kind: LightKind::World,
-            channels: Vec::new(),
-            dominant_direction: None,
-            views: Vec::new(),
-            spheres: Vec::new(),
-            kind_check: None,
-            object: None,
-            gains_applied: false,
-            uncalibrated: false,
-        }
-    }
 }

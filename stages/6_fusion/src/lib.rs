@@ -27,6 +27,7 @@ mod color;
 mod correction;
 mod dress;
 mod error;
+mod findings;
 mod holes;
 mod judge;
 mod manifold;

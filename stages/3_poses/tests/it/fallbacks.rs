@@ -283,7 +283,7 @@ fn a_given_focal_length_that_the_photos_contradict_is_told() {
         let (posed, report, warnings) = solve_and_tell(&set, &options());
         let focal = report.contradicted_focal.unwrap();
         assert!((focal.found_px / 1300.0 - 1.0).abs() < 0.01, "{focal:?}");
-        assert!(warnings.contains(&focal.advice()));
+        assert!(warnings.contains(&focal.finding().sentence()));
         assert!(report.lens.is_none(), "{:?}", report.lens);
         // It stays as given, to the bit.
         let given = &set.photos.photos[0].intrinsics;

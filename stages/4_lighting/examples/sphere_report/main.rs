@@ -15,7 +15,7 @@ use rilievo_lighting::{LightingOptions, LightingRequest, overlays, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_photometry::surface_check::check;
 use rilievo_scene::{
-    LightKind, MarkedSphere, Recorder, Scale, ScaleSource, Silent, SphereRequest, Unit,
+    Finding, LightKind, MarkedSphere, Recorder, Scale, ScaleSource, Silent, SphereRequest, Unit,
 };
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -194,7 +194,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for view in &surface.views {
         println!("  {view:?}");
     }
-    for line in told.warnings().iter().chain(&surface.advice) {
+    let findings = surface.findings();
+    let found = findings.iter().map(Finding::sentence);
+    for line in told.warnings().into_iter().chain(found) {
         println!("  ! {line}");
     }
     Ok(())

@@ -298,18 +298,18 @@ fn a_sphere_in_another_light_is_overruled_by_the_object_and_reported() {
     };
     let bad = check_of(&plain, &shaded);
     assert!(
-        bad.views.iter().any(|v| v.suffers) && !bad.advice.is_empty(),
+        bad.views.iter().any(|v| v.suffers) && !bad.findings().is_empty(),
         "{bad:?}"
     );
     let good = check_of(&corrected, &shaded);
-    assert!(good.advice.is_empty(), "{:?}", good.advice);
+    assert!(good.findings().is_empty(), "{:?}", good.findings());
     // A model that allows for what the sphere did not see explains the photos, and is not hurt.
     let mut explained = shaded;
     for (view, photo) in explained.views.iter_mut().zip(&made.photos.photos) {
         view.rendered = Some((*photo.linear().unwrap()).clone());
     }
     let unhurt = check_of(&plain, &explained);
-    assert!(unhurt.advice.is_empty(), "{:?}", unhurt.advice);
+    assert!(unhurt.findings().is_empty(), "{:?}", unhurt.findings());
 }
 
 #[test]

@@ -160,7 +160,7 @@ fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_
     let mean = side.iter().sum::<f64>() / side.len() as f64;
     // What a plain robust fit on the true sphere gives is 20.0 % on average.
     assert!(mean < 0.2005, "{side:?}");
-    assert!(!surface.advice.is_empty());
+    assert!(!surface.findings().is_empty());
     // Normals as wrong as those of a reconstruction still tell how wrong the light is.
     let (_, surface) = judge(&request, &roughened(&shape, 0.12));
     for (view, truth) in surface.views.iter().zip(&side) {
@@ -176,5 +176,5 @@ fn a_calibration_photo_gives_the_objects_light_and_a_sphere_beside_it_is_warned_
     for residual in &placed {
         assert!(*residual <= 0.125, "{placed:?}");
     }
-    assert!(surface.advice.is_empty(), "{:?}", surface.advice);
+    assert!(surface.findings().is_empty(), "{:?}", surface.findings());
 }

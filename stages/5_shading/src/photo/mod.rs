@@ -32,6 +32,7 @@ mod course;
 #[cfg(test)]
 mod derivative_tests;
 mod distant;
+mod findings;
 mod hidden_light;
 mod iteration;
 mod known_light;

@@ -6,7 +6,7 @@ use crate::sphere::LightKind;
 use serde::{Deserialize, Serialize};
 
 /// Where the lighting came from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LightSource {
     /// The reference sphere in the photos.
@@ -16,6 +16,7 @@ pub enum LightSource {
     /// Fitted on a given shape.
     Shape,
     /// Given by the user.
+    #[default]
     Given,
     /// Estimated on the program's own rough shape: uncalibrated.
     OwnShape,

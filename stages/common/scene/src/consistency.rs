@@ -1,7 +1,9 @@
-//! Whether what stages hand to each other is sound: sizes, indices and numbers that any consumer relies on.
+//! Whether what stages hand to each other is sound: sizes, indices and numbers that any consumer
+//! relies on.
 //!
-//! A stage's results may come from a file that was damaged, or that another program wrote. Each stage
-//! checks what it is given before it works with it, so that a wrong index is told and ends nothing else.
+//! A stage's results may come from a file that was damaged, or that another program wrote. Each
+//! stage checks what it is given before it works with it, so that a wrong index is an error and no
+//! panic.
 
 use crate::calibration::{LightSample, LightingCalibration};
 use crate::camera::Intrinsics;
@@ -128,8 +130,8 @@ impl PhotoSet {
     }
 }
 
-/// How far outside the frame a place may lie, as a share of the side: one found between the pixels of a
-/// much reduced photo may lie half of such a pixel beyond.
+/// How far outside the frame a place may lie, as a share of the side: one found between the pixels
+/// of a much reduced photo may lie half of such a pixel beyond.
 const SLACK: f64 = 0.05;
 
 /// Whether a place lies within the frame, but for the slack.
@@ -254,7 +256,8 @@ impl PosedViews {
             .try_for_each(|(k, anchor)| self.check_anchor(&check, k, anchor))
     }
 
-    /// The same, and that every view is of a photo of its own in the set, with a camera of its size.
+    /// The same, and that every view is of a photo of its own in the set, with a camera of its
+    /// size.
     ///
     /// # Errors
     /// The first contradiction.

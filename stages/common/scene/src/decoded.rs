@@ -1,4 +1,4 @@
-//! A photo as its file holds it: samples as stored, with the facts that the file tells of them.
+//! A photo as its file holds it: samples as stored, with what the file states of them.
 
 use crate::raster::Mask;
 use serde::{Deserialize, Serialize};
@@ -97,7 +97,7 @@ pub struct DecodedPhoto {
     pub samples: Samples,
     /// Whether the file's format and metadata say that samples are proportional to light.
     pub linear_by_metadata: bool,
-    /// Whether white is where the sensor or the file saturates, so that such samples tell nothing;
+    /// Whether white is where the sensor or the file saturates, so that such samples mean nothing;
     /// floating-point pictures have no such limit, camera RAW has.
     pub saturates_at_white: bool,
     /// Why, in words ("OpenEXR", "8 bit", "16 bit without colour metadata", "gAMA 1.0").

@@ -1,4 +1,4 @@
-//! A step of a stage whose items are divided among processes, told of to the observer.
+//! A step of a stage whose items are divided among processes, with its progress for the observer.
 
 use crate::events::{Flow, Observer, StageId};
 use crate::team::{TeamError, divided};
@@ -6,7 +6,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A step that is told of item by item.
+/// A step whose progress is reported item by item.
 #[derive(Clone, Copy)]
 pub struct DividedStep<'a> {
     observer: &'a dyn Observer,
@@ -44,8 +44,8 @@ impl<'a> DividedStep<'a> {
         }
     }
 
-    /// Works on the items as [`divided`] does, until the observer asks to stop. What is told of the progress is this
-    /// process's, taken for that of all.
+    /// Works on the items as [`divided`] does, until the observer asks to stop. The progress that
+    /// is reported is this process's, taken for that of all.
     ///
     /// # Errors
     /// As of [`divided`]; `interrupted` when the observer asked to stop.
@@ -68,17 +68,18 @@ impl<'a> DividedStep<'a> {
             }
             let result = work(item)?;
             let done = (num_done.fetch_add(1, Ordering::Relaxed) + 1) * team.size();
-            let flow = self.tell(done.min(num_items), num_items);
-            flow.ok_or_else(&interrupted)?;
-            Ok(result)
+            match self.report(done.min(num_items), num_items) {
+                Flow::Continue => Ok(result),
+                Flow::Stop => Err(interrupted()),
+            }
         };
         divided(team, num_items, at_once, one)
     }
 
-    fn tell(self, done: usize, num_items: usize) -> Flow {
+    fn report(self, done: usize, num_items: usize) -> Flow {
         let num_in_all = self.num_in_all.unwrap_or(self.num_before + num_items);
-        let told = (self.num_before + done, num_in_all);
-        self.observer.progress(self.stage, self.step, told)
+        let done = (self.num_before + done, num_in_all);
+        self.observer.progress(self.stage, self.step, done)
     }
 }
 

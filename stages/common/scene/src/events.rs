@@ -57,7 +57,7 @@ impl std::fmt::Display for StageId {
     }
 }
 
-/// What a stage tells while it works.
+/// What a stage reports while it works.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
@@ -119,20 +119,10 @@ impl Flow {
             Self::Stop => Err(interrupted),
         }
     }
-
-    /// The same with an error that is made only then.
-    ///
-    /// # Errors
-    /// What `interrupted` gives, for [`Flow::Stop`].
-    pub fn ok_or_else<E>(self, interrupted: impl FnOnce() -> E) -> Result<(), E> {
-        match self {
-            Self::Continue => Ok(()),
-            Self::Stop => Err(interrupted()),
-        }
-    }
 }
 
-/// Who a stage works for: receives events, from any thread, and tells whether to go on and who shares the work.
+/// Who a stage works for: receives events, from any thread, and knows whether to go on and who
+/// shares the work.
 pub trait Observer: Sync {
     /// Takes one event; [`Flow::Stop`] asks the stage to end with its `Interrupted` error.
     fn event(&self, event: Event) -> Flow;
@@ -147,7 +137,7 @@ pub trait Observer: Sync {
         })
     }
 
-    /// Whether the stage should stop, without telling anything.
+    /// Whether the stage should stop, without an event.
     fn flow(&self) -> Flow {
         Flow::Continue
     }
@@ -157,7 +147,7 @@ pub trait Observer: Sync {
         &Alone
     }
 
-    /// Tells the user of something; the only way that a warning takes. Each is told once, in an order
+    /// Warns the user; the only way that a warning takes. Each comes once, in an order
     /// that does not depend on threads.
     fn warn(&self, stage: StageId, message: String) -> Flow {
         self.event(Event::Warning { stage, message })

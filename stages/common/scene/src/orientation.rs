@@ -1,8 +1,8 @@
 //! How a stored picture is turned to stand upright.
 //!
-//! Everything in this program is in the frame of the pixels as stored: photos, masks, marks, cameras,
-//! maps and exports. What people draw on top of a photo is often upright, because the programs that show
-//! photos turn them; it is brought back to the stored frame where it is read.
+//! Everything in this program is in the frame of the pixels as stored: photos, masks, marks,
+//! cameras, maps and exports. What people draw on top of a photo is often upright, because the
+//! programs that show photos turn them; it is brought back to the stored frame where it is read.
 //!
 //! Source: EXIF 2.32 (CIPA DC-008), tag Orientation.
 
@@ -30,7 +30,7 @@ impl Orientation {
     }
 
     /// Whether the upright picture is as wide as the stored one is high.
-    pub fn swaps_sides(self) -> bool {
+    fn swaps_sides(self) -> bool {
         self.0 >= 5
     }
 
@@ -58,8 +58,8 @@ impl Orientation {
         }
     }
 
-    /// Place in the stored picture, of `stored` columns and rows, of a place in the upright one. Centres of
-    /// pixels have whole coordinates.
+    /// Place in the stored picture, of `stored` columns and rows, of a place in the upright one.
+    /// Centres of pixels have whole coordinates.
     pub fn to_stored(self, [x, y]: [f64; 2], stored: (usize, usize)) -> [f64; 2] {
         let (right, bottom) = (stored.0 as f64 - 1.0, stored.1 as f64 - 1.0);
         match self.0 {
@@ -90,8 +90,8 @@ impl Orientation {
         })
     }
 
-    /// A mask in the stored frame, of `stored` columns and rows, and whether its size told that it was drawn
-    /// over the upright picture.
+    /// A mask in the stored frame, of `stored` columns and rows, and whether its size shows that it
+    /// was drawn over the upright picture.
     pub fn mask_by_size(self, mask: Mask, stored: (usize, usize)) -> (Mask, bool) {
         let given = (mask.width, mask.height);
         if given != stored && given == self.upright_size(stored) {
@@ -101,7 +101,8 @@ impl Orientation {
         }
     }
 
-    /// A mark drawn over the upright picture, in the frame of the stored one, of `stored` columns and rows.
+    /// A mark drawn over the upright picture, in the frame of the stored one, of `stored` columns
+    /// and rows.
     pub fn mark_to_stored(self, upright: &SphereMark, stored: (usize, usize)) -> SphereMark {
         let place = |at: [f64; 2]| self.to_stored(at, stored);
         match upright {
@@ -158,7 +159,8 @@ impl From<Orientation> for u8 {
 mod tests {
     use super::*;
 
-    /// EXIF's definition: where the stored picture's first row and first column lie in the upright one.
+    /// EXIF's definition: where the stored picture's first row and first column lie in the upright
+    /// one.
     const FIRST_ROW_AND_COLUMN: [(&str, &str); 8] = [
         ("top", "left"),
         ("top", "right"),

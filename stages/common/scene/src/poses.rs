@@ -49,7 +49,7 @@ pub struct Scale {
     pub unit: Unit,
     /// Where it comes from.
     pub source: ScaleSource,
-    /// Relative standard deviation of the scale, where it can be told.
+    /// Relative standard deviation of the scale, where it is known.
     pub relative_sigma: Option<f64>,
 }
 
@@ -62,8 +62,8 @@ pub enum WorldFrame {
     FirstCamera,
     /// Those of the poses that were given.
     Given,
-    /// z upwards from the ground that the object stands on, the origin on it under the object's middle, the
-    /// cameras or the first of them on the side of -y.
+    /// z upwards from the ground that the object stands on, the origin on it under the object's
+    /// middle, the cameras or the first of them on the side of -y.
     Level,
 }
 
@@ -73,7 +73,7 @@ impl WorldFrame {
         format!("world of cameras.json, {}", self.words())
     }
 
-    /// What to tell who opens a file in this frame.
+    /// In words, for who opens a file in this frame.
     pub fn words(self) -> &'static str {
         match self {
             Self::FirstCamera => "first camera: x right, y down, z forward",

@@ -80,8 +80,8 @@ impl<T> Raster<T> {
             .then(|| &self.data[y as usize * self.width + x as usize])
     }
 
-    /// First and last column, then first and last row, of the values that fulfil a condition; `None` where
-    /// none does.
+    /// First and last column, then first and last row, of the values that fulfil a condition;
+    /// `None` where none does.
     pub fn bounds(&self, fulfils: impl Fn(&T) -> bool) -> Option<[[usize; 2]; 2]> {
         let mut rows = self.data.chunks(self.width.max(1)).enumerate();
         let within = |(y, row): (usize, &[T])| {
@@ -245,8 +245,8 @@ impl LinearImage {
     }
 }
 
-/// Bilinear interpolation at a sub-pixel position between pixels whose values `value` tells by their
-/// index, row by row; `None` where one of the four neighbours lies outside.
+/// Bilinear interpolation at a sub-pixel position between pixels whose values `value` returns by
+/// their index, row by row; `None` where one of the four neighbours lies outside.
 #[inline]
 pub fn bilinear(
     (width, height): (usize, usize),

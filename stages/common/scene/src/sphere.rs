@@ -92,8 +92,8 @@ pub struct SphereRequest {
     pub spheres: Vec<MarkedSphere>,
     /// Search the photos for all matte spheres of this radius, metres.
     pub search_radius: Option<f64>,
-    /// What the light is fixed to, where it is stated; else the spheres tell, and where they cannot the
-    /// light is taken to rest.
+    /// What the light is fixed to, where it is stated; else the spheres show it, and where they
+    /// cannot the light is taken to rest.
     pub light: Option<LightKind>,
     /// Photos of a sphere in the object's place.
     pub calibration: Vec<SphereCalibration>,

@@ -5,73 +5,66 @@ use crate::ids::ViewIdx;
 use crate::poses::PosedViews;
 
 /// New numbers of the views that are kept, by their old ones.
-fn renumbered(num_views: usize, kept: &[ViewIdx]) -> Vec<Option<ViewIdx>> {
-    let mut new = vec![None; num_views];
-    for (k, &ViewIdx(old)) in kept.iter().enumerate() {
-        if let Some(place) = new.get_mut(old) {
-            *place = Some(ViewIdx(k));
+struct Renumbered(Vec<Option<ViewIdx>>);
+
+impl Renumbered {
+    fn new(num_views: usize, kept: &[ViewIdx]) -> Self {
+        let mut new = vec![None; num_views];
+        for (k, &ViewIdx(old)) in kept.iter().enumerate() {
+            if let Some(place) = new.get_mut(old) {
+                *place = Some(ViewIdx(k));
+            }
         }
+        Self(new)
     }
-    new
+
+    /// Gives a view its new number; whether it is kept.
+    fn keeps(&self, view: &mut ViewIdx) -> bool {
+        let new = self.0.get(view.0).copied().flatten();
+        *view = new.unwrap_or(*view);
+        new.is_some()
+    }
 }
 
 impl PosedViews {
-    /// The views `kept`, in this order, numbered anew; numbers that no view has are passed over. Points and anchors
-    /// keep their places, and of their sightings those in the views that are kept; those that none of them sees go.
+    /// The views `kept`, in this order, numbered anew; numbers that no view has are passed over.
+    /// Points and anchors keep their places, and of their sightings those in the views that are
+    /// kept; those that none of them sees go.
     pub fn of_views(&self, kept: &[ViewIdx]) -> Self {
-        let new = renumbered(self.views.len(), kept);
+        let new = Renumbered::new(self.views.len(), kept);
+        let views = kept
+            .iter()
+            .filter_map(|view| self.views.get(view.0).cloned());
         let mut out = Self {
-            views: kept
-                .iter()
-                .filter_map(|&ViewIdx(old)| self.views.get(old).cloned())
-                .collect(),
+            views: views.collect(),
             ..self.clone()
         };
-        let number = |view: &mut ViewIdx| match new.get(view.0).copied().flatten() {
-            Some(found) => {
-                *view = found;
-                true
-            }
-            None => false,
-        };
-        for point in &mut out.points {
-            point.track.retain_mut(|seen| number(&mut seen.view));
-        }
-        out.points.retain(|point| !point.track.is_empty());
-        for anchor in &mut out.anchors {
-            anchor
-                .observations
-                .retain_mut(|seen| number(&mut seen.view));
-        }
-        out.anchors.retain(|anchor| !anchor.observations.is_empty());
+        out.points.retain_mut(|point| {
+            point.track.retain_mut(|seen| new.keeps(&mut seen.view));
+            !point.track.is_empty()
+        });
+        out.anchors.retain_mut(|anchor| {
+            let observations = &mut anchor.observations;
+            observations.retain_mut(|seen| new.keeps(&mut seen.view));
+            !observations.is_empty()
+        });
         out
     }
 }
 
 impl LightingCalibration {
-    /// The light of the views `kept` of `num_views`, numbered as [`PosedViews::of_views`] numbers them. Samples of
-    /// other views go with them.
+    /// The light of the views `kept` of `num_views`, numbered as [`PosedViews::of_views`] numbers
+    /// them. Samples of other views go with them.
     pub fn of_views(&self, num_views: usize, kept: &[ViewIdx]) -> Self {
-        let new = renumbered(num_views, kept);
-        let number = |ViewIdx(old): ViewIdx| new.get(old).copied().flatten();
-        let mut out = self.clone();
-        out.views = kept
-            .iter()
-            .filter_map(|old| self.views.iter().find(|light| light.view == *old))
-            .filter_map(|light| Some((number(light.view)?, light)))
-            .map(|(view, light)| {
-                let mut light = light.clone();
-                light.view = view;
-                light
-            })
-            .collect();
-        out.samples.retain_mut(|sample| match number(sample.view) {
-            Some(view) => {
-                sample.view = view;
-                true
-            }
-            None => false,
-        });
+        let new = Renumbered::new(num_views, kept);
+        let lights = kept.iter();
+        let lights = lights.filter_map(|old| self.views.iter().find(|light| light.view == *old));
+        let mut out = Self {
+            views: lights.cloned().collect(),
+            ..self.clone()
+        };
+        out.views.retain_mut(|light| new.keeps(&mut light.view));
+        out.samples.retain_mut(|sample| new.keeps(&mut sample.view));
         out
     }
 }

@@ -1,12 +1,13 @@
 //! Processes that share the work of one run, and work that is divided among them.
 //!
-//! All processes of a team run the same program on the same input and hold the same state; only work on many items
-//! (photos, pairs, views, tiles) is divided, and everyone gets all its results. So what is found does not depend on
-//! their number, and what is not divided is merely done by each of them.
+//! All processes of a team run the same program on the same input and hold the same state; only
+//! work on many items (photos, pairs, views, tiles) is divided, and everyone gets all its results.
+//! So what is found does not depend on their number, and what is not divided is merely done by each
+//! of them.
 //!
-//! Who fails returns its error and comes to no further [`gather`](Team::gather); whoever runs the processes tells the
-//! others, whose gathering then ends with a [`TeamError`]. An error of divided work therefore ends the run: what a
-//! stage can go on without is no error, but a result.
+//! Who fails returns its error and comes to no further [`gather`](Team::gather); whoever runs the
+//! processes lets the others know, whose gathering then ends with a [`TeamError`]. An error of
+//! divided work therefore ends the run: what a stage can go on without is no error, but a result.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -34,15 +35,15 @@ pub trait Team: Sync + Debug {
     /// How many there are.
     fn size(&self) -> usize;
 
-    /// Waits for all, and hands everyone's bytes to everyone, in the order of ranks. All of the team call it equally
-    /// often, each from one thread at a time.
+    /// Waits for all, and hands everyone's bytes to everyone, in the order of ranks. All of the
+    /// team call it equally often, each from one thread at a time.
     ///
     /// # Errors
     /// When one of them failed.
     fn gather(&self, own: Vec<u8>) -> Result<Vec<Vec<u8>>, TeamError>;
 
-    /// Notes which item of divided work failed here: where several processes fail, the lowest item decides which error
-    /// the run ends with.
+    /// Notes which item of divided work failed here: where several processes fail, the lowest item
+    /// decides which error the run ends with.
     fn failed_at(&self, _item: usize) {}
 
     /// Whether this process owns the results: the only one of a run that is not divided.
@@ -70,14 +71,15 @@ impl Team for Alone {
 }
 
 /// The items of this process's share: every `size`-th, since neighbours cost about the same.
-pub fn share(team: &dyn Team, num_items: usize) -> impl Iterator<Item = usize> + use<> {
+fn share(team: &dyn Team, num_items: usize) -> impl Iterator<Item = usize> + use<> {
     (team.rank()..num_items).step_by(team.size().max(1))
 }
 
-/// Works on the items `0..num_items`, each in one process of the team and at most `at_once` in each at a time, and
-/// gives all results to all processes, in the items' order. `work` gives the same wherever it runs, and warns of
-/// nothing: what an item deserves a warning for is part of its result. It may be called inside no parallel work, since
-/// all processes have to come to the same calls in the same order.
+/// Works on the items `0..num_items`, each in one process of the team and at most `at_once` in each
+/// at a time, and gives all results to all processes, in the items' order. `work` gives the same
+/// wherever it runs, and warns of nothing: what an item deserves a warning for is part of its
+/// result. It may be called inside no parallel work, since all processes have to come to the same
+/// calls in the same order.
 ///
 /// # Errors
 /// That of the lowest item that fails; in the other processes a [`TeamError`] with its text.
@@ -91,27 +93,23 @@ where
     T: Serialize + DeserializeOwned + Send,
     E: From<TeamError> + Send,
 {
-    if team.size() <= 1 {
-        let items: Vec<usize> = (0..num_items).collect();
-        return in_parallel(&items, at_once, work).map_err(|(_, error)| error);
-    }
     let items: Vec<usize> = share(team, num_items).collect();
     let own = in_parallel(&items, at_once, work).map_err(|(item, error)| {
         team.failed_at(item);
         error
     })?;
-    let mut parts = Vec::with_capacity(team.size());
-    for part in gathered(team, &own)? {
-        parts.push(part.into_iter());
+    if team.size() <= 1 {
+        return Ok(own);
     }
+    let parts = gathered(team, &own)?.into_iter();
     drop(own);
-    let mut all = Vec::with_capacity(num_items);
-    for item in 0..num_items {
+    let mut parts: Vec<_> = parts.map(Vec::into_iter).collect();
+    let in_order = (0..num_items).map(|item| {
         let rank = item % team.size();
         let next = parts.get_mut(rank).and_then(Iterator::next);
-        all.push(next.ok_or_else(|| unreadable(rank, &"too few results"))?);
-    }
-    Ok(all)
+        next.ok_or_else(|| unreadable(rank, &"too few results").into())
+    });
+    in_order.collect()
 }
 
 /// A value of each process, in the order of ranks.
@@ -123,14 +121,14 @@ pub fn gathered<T: Serialize + DeserializeOwned>(
     own: &T,
 ) -> Result<Vec<T>, TeamError> {
     let bytes = postcard::to_stdvec(own).map_err(|error| unreadable(team.rank(), &error))?;
-    let mut values = Vec::with_capacity(team.size());
-    for (rank, bytes) in team.gather(bytes)?.into_iter().enumerate() {
-        values.push(postcard::from_bytes(&bytes).map_err(|error| unreadable(rank, &error))?);
-    }
-    Ok(values)
+    let values = team.gather(bytes)?.into_iter().enumerate();
+    let read = |bytes: Vec<u8>| postcard::from_bytes(&bytes);
+    values
+        .map(|(rank, bytes)| read(bytes).map_err(|error| unreadable(rank, &error)))
+        .collect()
 }
 
-/// What the first process alone finds out, told to all.
+/// What the first process alone finds out, handed to all.
 ///
 /// # Errors
 /// Its error there, and a [`TeamError`] in the others.
@@ -169,8 +167,8 @@ fn unreadable(rank: usize, why: &dyn std::fmt::Display) -> TeamError {
     }
 }
 
-/// Results in the order of `items`, or the lowest item that fails with its error. After a failure only items below it
-/// are still worked on, which may fail too.
+/// Results in the order of `items`, or the lowest item that fails with its error. After a failure
+/// only items below it are still worked on, which may fail too.
 fn in_parallel<T: Send, E: Send>(
     items: &[usize],
     at_once: usize,
@@ -195,7 +193,8 @@ fn in_parallel<T: Send, E: Send>(
     let mut results = Vec::with_capacity(items.len());
     for some in items.chunks(at_once) {
         let done: Vec<Option<Result<T, E>>> = some.par_iter().map(one).collect();
-        // In order, so that the first error is that of the lowest item; nothing before it was left out.
+        // In order, so that the first error is that of the lowest item; nothing before it was left
+        // out.
         for (result, &item) in done.into_iter().zip(some) {
             if let Some(result) = result {
                 results.push(result.map_err(|error| (item, error))?);
@@ -320,7 +319,8 @@ mod tests {
         }
     }
 
-    /// Runs the same program in several threads; what each ends with. One that fails tells the others.
+    /// Runs the same program in several threads; what each ends with. One that fails tells the
+    /// others.
     fn ranks<R: Send>(
         size: usize,
         program: impl Fn(&dyn Team) -> Result<R, Error> + Sync,
