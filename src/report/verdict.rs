@@ -179,7 +179,7 @@ impl Judgement {
             (None, None) => {}
         }
         if let Some(fusion) = &stages.fusion {
-            self.judge_layering(&fusion.report.layering_after);
+            self.judge_layering(&fusion.report.layering);
         }
     }
 

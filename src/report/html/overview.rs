@@ -98,7 +98,7 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
         ("size", stages.size().unwrap_or_else(|| ABSENT.to_owned())),
         (
             "a pixel covers",
-            length(fusion.map(|fusion| fusion.layering_after.footprint)),
+            length(fusion.map(|fusion| fusion.layering.footprint)),
         ),
         (
             "mean reprojection error",
@@ -119,7 +119,7 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
         ("surface that several photos confirm", confirmed(stages)),
         (
             "median distance between overlapping views",
-            length(fusion.map(|fusion| fusion.layering_after.median)),
+            length(fusion.map(|fusion| fusion.layering.median)),
         ),
         (
             "points of the cloud",
@@ -212,7 +212,7 @@ fn anchor_sigma(stages: &Stages, posed: Option<&PosedViews>) -> String {
     match (fusion, posed) {
         (Some(fusion), Some(posed)) if posed.scale.unit == Unit::Metre => {
             let focal_px = posed.views.first().map_or(0.0, |v| v.intrinsics.focal_px());
-            let depth = fusion.report.layering_after.footprint * focal_px;
+            let depth = fusion.report.layering.footprint * focal_px;
             format!("{:.2} mm, {share}", 1e3 * relative * depth)
         }
         _ => share,

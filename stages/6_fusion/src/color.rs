@@ -7,12 +7,13 @@
 
 use crate::error::FusionError;
 use crate::options::ColorMode;
-use crate::reader::Reader;
-use crate::shelf::Pixel;
-use crate::view::{Pixels, View, bilinear_weights};
+use crate::pixel::Pixel;
+use crate::view::{View, bilinear_weights};
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{BaseColor, Intrinsics, LinearImage, MapSource, Photo, ShadedImages, srgb};
+use rilievo_scene::{
+    BaseColor, Intrinsics, LinearImage, MapSource, PageCache, Photo, ShadedImages, srgb,
+};
 use std::sync::Arc;
 
 /// Grey where there is no photo.
@@ -86,7 +87,7 @@ impl Palette {
     /// `tolerance` of it along their rays.
     pub fn color(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         views: &[&View],
         own: usize,
         point: &Point3<f64>,
@@ -107,7 +108,7 @@ impl Palette {
                 if !is_inside {
                     continue;
                 }
-                let seen = f64::from(pixels.pixel(view, x as usize, y as usize).depth);
+                let seen = f64::from(view.pixel(pixels, x as usize, y as usize).depth);
                 let agrees = (seen - in_cam.z).abs() <= 2.0 * tolerance;
                 if !agrees {
                     continue;
@@ -119,7 +120,13 @@ impl Palette {
     }
 
     /// Adds a view's bilinear linear colour at a camera's pixel.
-    pub fn add(&self, pixels: &mut Reader<'_>, view: &View, [x, y]: [f64; 2], blend: &mut Blend) {
+    pub fn add(
+        &self,
+        pixels: &mut PageCache<'_>,
+        view: &View,
+        [x, y]: [f64; 2],
+        blend: &mut Blend,
+    ) {
         let Some((corners, [fx, fy])) = around(pixels, view, [x, y]) else {
             return;
         };
@@ -139,7 +146,7 @@ impl Palette {
     /// without depth are left out of the interpolation.
     pub fn add_albedo(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         view: &View,
         [x, y]: [f64; 2],
         (weight, blend): (f64, &mut Blend),
@@ -170,7 +177,7 @@ impl Palette {
 
 /// The four pixels around a camera's pixel, and where it lies between them; `None` at the map's border.
 fn around(
-    pixels: &mut Reader<'_>,
+    pixels: &mut PageCache<'_>,
     view: &View,
     [x, y]: [f64; 2],
 ) -> Option<([Pixel; 4], [f64; 2])> {
@@ -179,7 +186,7 @@ fn around(
     // Beside the last column and row there is a neighbour, if only of no weight.
     let is_inside = x0 >= 0.0 && y0 >= 0.0 && x0 + 1.0 < width && y0 + 1.0 < height;
     is_inside.then(|| {
-        let corners = pixels.square(view, x0 as usize, y0 as usize);
+        let corners = view.square(pixels, x0 as usize, y0 as usize);
         (corners, [x - x0, y - y0])
     })
 }

@@ -6,7 +6,7 @@
 
 use crate::error::FusionError;
 use crate::options::FusionOptions;
-use crate::shelf::PAGE_BYTES;
+use crate::pixel::PAGE_BYTES;
 use rilievo_scene::PosedViews;
 
 /// Bytes of a photo's pixel while its view is loaded, the rest of the process with it: a map's file, its channels and its values,

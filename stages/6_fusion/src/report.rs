@@ -1,4 +1,4 @@
-//! What stage 6 tells of its work.
+//! The facts that stage 6 reports.
 
 use rilievo_scene::BaseColor;
 use serde::{Deserialize, Serialize};
@@ -16,13 +16,13 @@ pub struct Layering {
     pub median: f64,
     /// 90 % quantile of the absolute distance, world's unit.
     pub p90: f64,
-    /// Root mean square distance of the smooth part (the mean over windows of the correction
-    /// grid's size), world's unit: what an offset between maps causes, and noise does not.
+    /// Root mean square distance of the smooth part (the mean over windows of 48 pixels), world's
+    /// unit: what an offset between maps causes, and noise does not.
     pub smooth_rms: f64,
     /// Mean pixel footprint, world's unit, for comparison.
     pub footprint: f64,
     /// Distance up to which two pixels count as one surface, world's unit: four standard deviations
-    /// of the distances, between one footprint and the option `depth_tolerance_px`.
+    /// of the distances, between one footprint and four.
     pub tolerance: f64,
 }
 
@@ -43,8 +43,6 @@ pub struct ViewFusion {
     pub num_inconsistent: usize,
     /// Points of the cloud that come from this view.
     pub num_points: usize,
-    /// Root mean square of the correction that reconciled this view, world's unit.
-    pub correction_rms: f64,
 }
 
 /// The mesh in numbers.
@@ -138,12 +136,8 @@ pub struct FusionReport {
     /// little, for relief may hide a point from it. `None` where no point is covered.
     #[serde(default)]
     pub share_apart: Option<f64>,
-    /// Distance between views as they came.
-    pub layering_before: Layering,
-    /// Distance between views after the adjustment.
-    pub layering_after: Layering,
-    /// Iterations of the adjustment; 0 when it was switched off or had nothing to do.
-    pub reconcile_iterations: usize,
+    /// Distance between views.
+    pub layering: Layering,
     /// Every view.
     pub views: Vec<ViewFusion>,
     /// The mesh, where one was made.

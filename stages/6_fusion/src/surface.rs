@@ -10,17 +10,16 @@
 use crate::dress::{Dressed, Dresser};
 use crate::error::FusionError;
 use crate::options::FusionOptions;
-use crate::reader::Readers;
 use crate::report::MeshReport;
 use crate::tsdf::{BLOCKS_AT_ONCE, Key, SIDE, UNKNOWN, VOLUME, Volume};
-use crate::views::Stock;
+use crate::views::LoadedViews;
 use crate::{holes, manifold, pieces, rim, simplify};
 use fast_surface_nets::ndshape::{ConstShape, ConstShape3u32};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_scene::team::divided;
-use rilievo_scene::{Mesh, Observer, Room, Scratch, ScratchError, StageId};
+use rilievo_scene::{Mesh, Observer, PageCaches, Room, Scratch, ScratchError, StageId};
 use serde::{Deserialize, Serialize};
 
 /// A block with one layer of neighbours on either side.
@@ -63,8 +62,8 @@ struct Pieces {
 /// Extracts the mesh of a volume with normals and colours of the views.
 pub(crate) fn extract(
     volume: Volume,
-    stock: &Stock,
-    readers: Readers<'_>,
+    loaded: &LoadedViews,
+    caches: PageCaches<'_>,
     scratch: &dyn Scratch,
     options: &FusionOptions,
     observer: &dyn Observer,
@@ -80,7 +79,7 @@ pub(crate) fn extract(
         cells: Vec::new(),
         distances: (0.0, 0),
     };
-    let dresser = Dresser::new(&stock.views, &volume, options);
+    let dresser = Dresser::new(&loaded.views, &volume, options);
     let mut place = 0;
     for first in (0..volume.num_blocks()).step_by(BLOCKS_AT_ONCE) {
         step("extracting the surface", first, volume.num_blocks())?;
@@ -90,12 +89,12 @@ pub(crate) fn extract(
             let begin = first + row * BLOCKS_IN_ROW;
             let mut buffer = SurfaceNetsBuffer::default();
             (begin..end.min(begin + BLOCKS_IN_ROW))
-                .map(|idx| extract_block(&volume, &dresser, &readers, idx, &mut buffer))
+                .map(|idx| extract_block(&volume, &dresser, &caches, idx, &mut buffer))
                 .collect::<Result<Vec<Piece>, FusionError>>()
         })?;
         place += pieces.put_aside(made.into_iter().flatten().collect(), place)?;
     }
-    drop(readers);
+    drop(caches);
     step("joining the surface", 0, 1)?;
     let mut mesh = pieces.join(&volume)?;
     let (sum, count) = pieces.distances;
@@ -148,7 +147,7 @@ pub(crate) fn extract(
 fn extract_block(
     volume: &Volume,
     dresser: &Dresser<'_>,
-    readers: &Readers<'_>,
+    caches: &PageCaches<'_>,
     idx: usize,
     buffer: &mut SurfaceNetsBuffer,
 ) -> Result<Piece, FusionError> {
@@ -188,7 +187,7 @@ fn extract_block(
         .collect();
     let mut piece = Piece::default();
     let corner = volume.corner(idx);
-    readers.with(|pixels| {
+    caches.with(|pixels| {
         let near = dresser.near(pixels, idx);
         for (i, cell) in buffer.surface_points.iter().enumerate() {
             if !is_known[i] || cell.iter().any(|&c| c as usize >= SIDE) {

@@ -8,13 +8,12 @@ use super::unwrap::Unwrapped;
 use crate::color::Palette;
 use crate::dress::mean_sight;
 use crate::error::FusionError;
-use crate::pairs::Candidate;
 use crate::reach::Patch;
-use crate::reader::{Reader, Readers};
+use crate::sight::Candidate;
 use crate::view::View;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{Observer, StageId};
+use rilievo_scene::{Observer, PageCache, PageCaches, StageId};
 
 /// Triangles of a group.
 const GROUP: usize = 32;
@@ -39,7 +38,7 @@ impl Baker<'_> {
     /// Fills the textures.
     pub fn bake(
         &self,
-        readers: &Readers<'_>,
+        caches: &PageCaches<'_>,
         textures: &mut Textures,
         observer: &dyn Observer,
     ) -> Result<(), FusionError> {
@@ -59,12 +58,9 @@ impl Baker<'_> {
             }
             let baked = groups
                 .into_par_iter()
-                .map(|group| readers.with(|pixels| self.group(pixels, group, &palette)));
-            let baked: Result<Vec<Vec<Texel>>, FusionError> = baked.collect();
-            baked?
-                .iter()
-                .flatten()
-                .for_each(|texel| textures.put(texel));
+                .map(|group| caches.with(|pixels| self.group(pixels, group, &palette)))
+                .collect::<Result<Vec<Vec<Texel>>, _>>()?;
+            baked.iter().flatten().for_each(|texel| textures.put(texel));
         }
         Ok(())
     }
@@ -86,7 +82,7 @@ impl Baker<'_> {
 
     fn group(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         group: std::ops::Range<usize>,
         palette: &Palette,
     ) -> Vec<Texel> {
@@ -124,7 +120,7 @@ impl Baker<'_> {
 
     fn triangle(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         near: &[&View],
         triangle: usize,
         palette: &Palette,
@@ -170,7 +166,7 @@ impl Baker<'_> {
     /// The surface's normal and albedo at a place near it, as the views see them.
     fn look(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         near: &[&View],
         place: Point3<f64>,
         normal: &Vector3<f64>,
@@ -185,7 +181,7 @@ impl Baker<'_> {
             normal: normal.try_normalize(1e-12)?,
             footprint,
         };
-        let look = |pixels: &mut Reader<'_>, candidate: &Candidate| {
+        let look = |pixels: &mut PageCache<'_>, candidate: &Candidate| {
             mean_sight(
                 pixels,
                 near,
