@@ -1,7 +1,8 @@
 //! Which views shape a block of the volume where many see it.
 //!
-//! Beyond a dozen views of one wall another one adds cost and next to no accuracy. A view gives way where
-//! [`ENOUGH`] others see the same wall better, judged where its rays through the block's middle and corners meet it.
+//! Beyond a dozen views of one wall another one adds cost and next to no accuracy. A view is left
+//! out where [`ENOUGH`] others see the same wall better, judged where its rays through the block's
+//! middle and corners meet it.
 
 use crate::judge::weight;
 use crate::sight::Candidate;
@@ -21,10 +22,10 @@ struct Sighting {
     normal: Vector3<f64>,
 }
 
-/// Those of the views near the block with its first corner there that shape it, in their order: all but those that give
-/// way at the block's middle and at all of its corners where they have surface that is not more oblique than
-/// `min_cosine`. Views whose surfaces lie within `truncation` of each other (world's unit) along the normal see the same
-/// wall.
+/// Those of the views near the block with its first corner there that shape it, in their order: all
+/// but those that are left out at the block's middle and at all of its corners where they have
+/// surface that is not more oblique than `min_cosine`. Views whose surfaces lie within `truncation`
+/// of each other (world's unit) along the normal see the same wall.
 pub(crate) fn best<'a>(
     pixels: &mut PageCache<'_>,
     near: Vec<&'a View>,

@@ -2,8 +2,8 @@
 //!
 //! A point's colour is the mean of the linear photos that see it: a matte surface looks the same
 //! from everywhere, and the mean evens out noise and the photos' small differences. In albedo mode
-//! the albedo of stage 5 takes the photo's place; without one the photo is divided by the image that
-//! stage 5 explains it with. Light and shadow leave, the surface's own tone stays.
+//! the albedo of stage 5 takes the photo's place; without one the photo is divided by the image
+//! that stage 5 explains it with. Light and shadow leave, the surface's own tone stays.
 
 use crate::error::FusionError;
 use crate::options::ColorMode;
@@ -20,7 +20,8 @@ use std::sync::Arc;
 pub(crate) const GREY: [u8; 3] = [180; 3];
 /// Display level of a surface of mean albedo in albedo mode, linear.
 const MEAN_ALBEDO_LEVEL: f32 = 0.5;
-/// Share of the interpolation's weight that pixels with a surface must have, so that an albedo is read between them.
+/// Share of the interpolation's weight that pixels with a surface must have, so that an albedo is
+/// read between them.
 const MIN_ALBEDO_WEIGHT: f64 = 0.25;
 /// Rendered intensities below this are too dark to divide by.
 const MIN_RENDERED: f32 = 0.01;
@@ -83,8 +84,8 @@ impl Palette {
         }
     }
 
-    /// Colour of a world point that view `own` sees, with those of `views` whose surface lies within
-    /// `tolerance` of it along their rays.
+    /// Colour of a world point that view `own` sees, with those of `views` whose surface lies
+    /// within `tolerance` of it along their rays.
     pub fn color(
         &self,
         pixels: &mut PageCache<'_>,
@@ -142,8 +143,8 @@ impl Palette {
         blend.count += 1.0;
     }
 
-    /// Adds a view's linear albedo at a camera's pixel, of a weight. Beside the surface there is none, so that pixels
-    /// without depth are left out of the interpolation.
+    /// Adds a view's linear albedo at a camera's pixel, of a weight. Beside the surface there is
+    /// none, so that pixels without depth are left out of the interpolation.
     pub fn add_albedo(
         &self,
         pixels: &mut PageCache<'_>,
@@ -175,7 +176,8 @@ impl Palette {
     }
 }
 
-/// The four pixels around a camera's pixel, and where it lies between them; `None` at the map's border.
+/// The four pixels around a camera's pixel, and where it lies between them; `None` at the map's
+/// border.
 fn around(
     pixels: &mut PageCache<'_>,
     view: &View,

@@ -1,8 +1,8 @@
 //! Normals and colours of the mesh's vertices from the views.
 //!
-//! A vertex takes the mean normal of the views that see its surface, with the weights of the cloud's points,
-//! and the mean of their colours. It stays where it is: the zero of the distances is nearer to the surface than
-//! the mean of a few planes, which curvature bends outwards.
+//! A vertex takes the mean normal of the views that see its surface, with the weights of the
+//! cloud's points, and the mean of their colours. It stays where it is: the zero of the distances
+//! is nearer to the surface than the mean of a few planes, which curvature bends outwards.
 
 use crate::color::{Blend, Palette};
 use crate::judge::weight;
@@ -29,8 +29,8 @@ pub(crate) struct Dresser<'a> {
     views: &'a [View],
     volume: &'a Volume,
     palette: Palette,
-    /// Tolerance along the normal, world's unit, and the least cosine between normals: of views that agree, and
-    /// where none does of those that made the vertex.
+    /// Tolerance along the normal, world's unit, and the least cosine between normals: of views
+    /// that agree, and where none does of those that made the vertex.
     limits: [(f64, f64); 2],
 }
 
@@ -82,7 +82,8 @@ impl<'a> Dresser<'a> {
         let distance = seen.as_ref().map(|seen| seen.distance.abs());
         let (mut normal, mut colors) = seen.map_or_else(Default::default, |s| (s.normal, s.colors));
         if distance.is_none() {
-            // Turned away from all, as at the end of what was seen: the nearest surface on any view's ray made it.
+            // Turned away from all, as at the end of what was seen: the nearest surface on any
+            // view's ray made it.
             let gap = |view: &&View, pixels: &mut PageCache<'_>| {
                 let in_cam = view.pose.apply(position);
                 let seen = (in_cam.z > 0.0).then(|| view.along(pixels, &in_cam))??;
@@ -135,8 +136,8 @@ pub(crate) struct MeanSight {
     pub colors: Blend,
 }
 
-/// What the views see that have one surface with a candidate, by tolerance (world's unit) and least cosine between
-/// normals; `None` where none has. `paint` adds the colour of a view of a weight.
+/// What the views see that have one surface with a candidate, by tolerance (world's unit) and least
+/// cosine between normals; `None` where none has. `paint` adds the colour of a view of a weight.
 pub(crate) fn mean_sight(
     pixels: &mut PageCache<'_>,
     near: &[&View],

@@ -1,11 +1,13 @@
 //! Closes a mesh where nothing was seen.
 //!
-//! A loop of boundary edges is filled with rings of vertices that become fewer towards its middle, and these are moved
-//! to where the surface bends least: with `L x_v = x_v − Σ w_vu x_u / Σ w_vu` over the neighbours `u`,
-//! `w_vu = 1 / |x_v − x_u|` and `h_v` the mean of these lengths, the curvature is `4 L x_v / h_v²`, and the sum of its square
-//! times the area `h_v²` over the new vertices and the loop is least, so that the surface goes on as it ends at the loop (the thin plate of Kobbelt and others, "Interactive multi-resolution
-//! modeling on arbitrary meshes", SIGGRAPH 1998, with the scale-dependent umbrella of Desbrun and others, 1999).
-//! The filling says nothing about the object.
+//! A loop of boundary edges is filled with rings of vertices that become fewer towards its middle,
+//! and these are moved to where the surface bends least: with `L x_v = x_v − Σ w_vu x_u / Σ w_vu`
+//! over the neighbours `u`, `w_vu = 1 / |x_v − x_u|` and `h_v` the mean of these lengths, the
+//! curvature is `4 L x_v / h_v²`, and the sum of its square times the area `h_v²` over the new
+//! vertices and the loop is least, so that the surface goes on as it ends at the loop (the thin
+//! plate of Kobbelt and others, "Interactive multi-resolution modeling on arbitrary meshes",
+//! SIGGRAPH 1998, with the scale-dependent umbrella of Desbrun and others, 1999). The filling says
+//! nothing about the object.
 
 use crate::rim::at;
 use nalgebra::Vector3;
@@ -118,7 +120,8 @@ impl Filling {
         filling
     }
 
-    /// A vertex at a place along the loop, in vertices, at a share of the way from the center to it.
+    /// A vertex at a place along the loop, in vertices, at a share of the way from the center to
+    /// it.
     fn add(&self, mesh: &mut Mesh, place: f64, share: f64) -> u32 {
         let number = self.ring.len();
         let (k, part) = (place as usize % number, place.fract());

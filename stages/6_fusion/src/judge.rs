@@ -19,9 +19,9 @@ use nalgebra::{Point2, Point3, Vector3};
 use rilievo_scene::{CloudPoint, PageCache};
 use serde::{Deserialize, Serialize};
 
-/// Points per squared footprint that the better views must give together before the others leave
-/// a place to them. At 2 nearly no place is farther than a footprint from a point; every pixel of every
-/// view would give twice as many points and no more detail.
+/// Points per squared footprint that the better views must give together before the others leave a
+/// place to them. At 2 nearly no place is farther than a footprint from a point; every pixel of
+/// every view would give twice as many points and no more detail.
 const ENOUGH: f64 = 2.0;
 
 /// Parts along each side into which an oblique pixel is split at most: at 82 degrees of incidence
@@ -29,8 +29,8 @@ const ENOUGH: f64 = 2.0;
 const MAX_SPLIT: usize = 4;
 
 /// Points between pixels are made where depths and normals agree on the surface there to this many
-/// footprints; elsewhere the pixel's own point is all that is known. Less leaves gaps of a footprint on
-/// oblique slopes that bend.
+/// footprints; elsewhere the pixel's own point is all that is known. Less leaves gaps of a
+/// footprint on oblique slopes that bend.
 const MAX_STRAIN_PX: f64 = 0.25;
 /// The same at the rim, where the surface turns away within a pixel.
 const MAX_STRAIN_AT_RIM_PX: f64 = 0.15;
@@ -49,7 +49,8 @@ enum Verdict {
         point: CloudPoint,
         /// Points per squared footprint that all views together give here.
         coverage: f64,
-        /// Whether most views that cover the point have their surfaces apart from it; `None` where no view does.
+        /// Whether most views that cover the point have their surfaces apart from it; `None` where
+        /// no view does.
         is_apart: Option<bool>,
     },
 }
@@ -95,7 +96,7 @@ impl Judge {
         let Some(patch) = self.patch(pixels, view, page) else {
             return share;
         };
-        // Those that resolve the patch best come first: they soonest tell that a place is theirs.
+        // Those that resolve the patch best come first: they soonest show that a place is theirs.
         let mut near: Vec<&View> = views
             .iter()
             .filter(|other| other.idx == view.idx || patch.may_be_seen_by(other))
@@ -139,7 +140,8 @@ impl Judge {
         share
     }
 
-    /// The surface of a page and around it, grown by what its points may be moved; `None` where no pixel makes points.
+    /// The surface of a page and around it, grown by what its points may be moved; `None` where no
+    /// pixel makes points.
     fn patch(&self, pixels: &mut PageCache<'_>, view: &View, page: usize) -> Option<Patch> {
         let [across, down] = view
             .pages
@@ -200,8 +202,9 @@ impl Judge {
         }
     }
 
-    /// Judges the surface of a view along a ray of its camera by the views near it, itself among them. `walls` is left
-    /// holding where those that cover the point have their surfaces, along the normal.
+    /// Judges the surface of a view along a ray of its camera by the views near it, itself among
+    /// them. `walls` is left holding where those that cover the point have their surfaces, along
+    /// the normal.
     fn pixel(
         &self,
         pixels: &mut PageCache<'_>,

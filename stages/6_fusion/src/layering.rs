@@ -66,7 +66,8 @@ fn neighbours(views: &[View]) -> Vec<Vec<usize>> {
 }
 
 /// Pairs of pixels on a grid of `stride` pixels, in the order of views, rows and columns. Only what
-/// makes points counts: a distance at the border or at grazing incidence says nothing of either view.
+/// makes points counts: a distance at the border or at grazing incidence says nothing of either
+/// view.
 fn find_pairs(
     loaded: &LoadedViews,
     caches: &PageCaches<'_>,
@@ -168,7 +169,8 @@ mod tests {
     use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, ShadedViews};
     use rilievo_synthetic::testing::{Maps, posed_view};
 
-    /// Distances between two views of the plane `n·X = -2`, the depths of the second multiplied by `factor`.
+    /// Distances between two views of the plane `n·X = -2`, the depths of the second multiplied by
+    /// `factor`.
     fn distances(factor: f64) -> Layering {
         let camera = Intrinsics::pinhole(64, 48, 90.0, 31.5, 23.5);
         let normal = Vector3::new(0.2, -0.1, -1.0).normalize();

@@ -1,21 +1,21 @@
 //! Stage 6: depth and normal maps of all views to one oriented point cloud and a mesh.
 //!
-//! In: posed views, their depth and normal maps, the photos (for colour). Out: the points of a cloud, part by
-//! part, a [`Mesh`] and a [`FusionReport`].
+//! In: posed views, their depth and normal maps, the photos (for colour). Out: the points of a
+//! cloud, part by part, a [`Mesh`] and a [`FusionReport`].
 //!
-//! 1. `views`: maps are loaded one by one, checked, cut to the object and stored in pages (`pixel`); borders,
-//!    depth edges and grazing surface are left out. All later steps read the pages that they need (`view`), of the
-//!    views that may see the place (`reach`).
+//! 1. `views`: maps are loaded one by one, checked, cut to the object and stored in pages
+//!    (`pixel`); borders, depth edges and grazing surface are left out. All later steps read the
+//!    pages that they need (`view`), of the views that may see the place (`reach`).
 //! 2. `layering`: how far the views lie apart where they see one surface (`sight`).
-//! 3. `points`, `judge`, `color`, `thin`: every piece of surface once, from the view that resolves it best, at
-//!    the mean of the views that agree.
-//! 4. `tsdf`, `surface`, `dress`: signed distances of all views, their zero set as a mesh; `manifold`, `rim`, `pieces`,
-//!    `holes`: what is made of its edges and loose ends.
+//! 3. `points`, `judge`, `color`, `thin`: every piece of surface once, from the view that resolves
+//!    it best, at the mean of the views that agree.
+//! 4. `tsdf`, `surface`, `dress`: signed distances of all views, their zero set as a mesh;
+//!    `manifold`, `rim`, `pieces`, `holes`: what is made of its edges and loose ends.
 //! 5. [`asset`](rilievo_scene::Asset): a light mesh with textures, baked from the views.
 //!
-//! In memory are one view while it is loaded, then the pages that the threads work on (`memory`), and in the
-//! end the mesh. The cloud is the same for any memory that suffices; mesh and asset are coarser, and say so, where they would
-//! not fit.
+//! In memory are one view while it is loaded, then the pages that the threads work on (`memory`),
+//! and in the end the mesh. The cloud is the same for any memory that suffices; mesh and asset are
+//! coarser, and say so, where they would not fit.
 //!
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
 //! a statue.
@@ -75,7 +75,8 @@ pub struct Inputs<'a> {
     pub posed: &'a PosedViews,
     /// Maps, loaded one view at a time; [`rilievo_scene::ShadedViews`] are such maps.
     pub maps: &'a dyn MapSource,
-    /// Room for the maps and for what is made of them; [`rilievo_scene::MemoryScratch`] for small sets.
+    /// Room for the maps and for what is made of them; [`rilievo_scene::MemoryScratch`] for small
+    /// sets.
     pub scratch: &'a dyn Scratch,
 }
 
@@ -90,8 +91,8 @@ pub struct Fused {
     pub report: FusionReport,
 }
 
-/// Fuses the views: hands the cloud's points to `cloud`, and returns mesh and asset. After an error the cloud is not
-/// complete.
+/// Fuses the views: hands the cloud's points to `cloud`, and returns mesh and asset. After an error
+/// the cloud is not complete.
 ///
 /// # Errors
 /// See [`FusionError`].

@@ -29,7 +29,8 @@ pub enum MeshFormat {
     Asset,
 }
 
-/// Keys that the table `[fusion]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
+/// Keys that the table `[fusion]` had once, with what to do instead: see
+/// [`rilievo_scene::RetiredKey`].
 pub const RETIRED_KEYS: &[RetiredKey] = &[
     fixed(&["depth_tolerance_px"], "it is fixed at 4 pixel footprints"),
     fixed(&["normal_tolerance_deg"], "it is fixed at 40 degrees"),
@@ -55,7 +56,8 @@ const fn fixed(path: &'static [&'static str], instead: &'static str) -> RetiredK
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FusionOptions {
-    /// Views that must agree on a point, its own included; 1 keeps everything. With fewer views than this all must.
+    /// Views that must agree on a point, its own included; 1 keeps everything. With fewer views
+    /// than this all must.
     pub min_num_views: usize,
     /// Distance between the points of the cloud, world's unit; 0 keeps about a point per squared
     /// pixel footprint of the views that see the surface best.
@@ -65,8 +67,8 @@ pub struct FusionOptions {
     /// Edge of the mesh's cells, pixel footprints. Smaller keeps more of the maps' detail and
     /// costs memory with its square.
     pub voxel_px: f64,
-    /// Triangles that about are left of the mesh, more where its pieces and holes need them; vertices keep their normals.
-    /// 0 keeps all.
+    /// Triangles that about are left of the mesh, more where its pieces and holes need them;
+    /// vertices keep their normals. 0 keeps all.
     pub max_num_triangles: usize,
     /// Whether the mesh is closed where no view saw anything.
     pub watertight: bool,
@@ -76,10 +78,12 @@ pub struct FusionOptions {
     pub formats: Vec<MeshFormat>,
     /// Triangles that about are left of the asset's mesh.
     pub asset_faces: usize,
-    /// Largest side of the asset's textures, texels. They are smaller where the views tell no more.
+    /// Largest side of the asset's textures, texels. They are smaller where the views resolve no
+    /// more.
     pub asset_texture: usize,
-    /// Memory that fusion may take, MiB; the mesh's cells are made larger where it would need more, and the
-    /// report says so. Less than one view needs to be loaded is an error. `--memory` sets it.
+    /// Memory that fusion may take, MiB; the mesh's cells are made larger where it would need more,
+    /// and the report says so. Less than one view needs to be loaded is an error. `--memory` sets
+    /// it.
     pub memory_mib: usize,
 }
 

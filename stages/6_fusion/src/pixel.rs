@@ -1,10 +1,11 @@
-//! A pixel of a view's cleaned map, as it lies in the [`rilievo_scene::PageStore`]: depth, normal, confidence, colour and
-//! marks side by side, where asked for the albedo, and for a lens that distorts the pixel's ray.
+//! A pixel of a view's cleaned map, as it lies in the [`rilievo_scene::PageStore`]: depth, normal,
+//! confidence, colour and marks side by side, where asked for the albedo, and for a lens that
+//! distorts the pixel's ray.
 
 use rilievo_scene::PAGE_SIDE;
 
-/// Bytes of a pixel: depth, normal, confidence, colour, marks; of an albedo, with one to spare; and of a ray. A record's
-/// length says which of them it has.
+/// Bytes of a pixel: depth, normal, confidence, colour, marks; of an albedo, with one to spare; and
+/// of a ray. A record's length says which of them it has.
 const RECORD: usize = 24;
 const ALBEDO: usize = 4;
 const RAY: usize = 8;

@@ -1,7 +1,7 @@
 //! The cloud: every piece of surface once, from the view that resolves it best ([`Judge`]).
 //!
-//! The work goes page by page of each view, against the views that may see the page's surface; points
-//! are handed on in the order of views, pages and pixels.
+//! The work goes page by page of each view, against the views that may see the page's surface;
+//! points are handed on in the order of views, pages and pixels.
 
 use crate::color::Palette;
 use crate::error::FusionError;
@@ -16,8 +16,8 @@ use crate::views::LoadedViews;
 use rilievo_scene::team::divided;
 use rilievo_scene::{CloudPoint, CloudSink, Observer, PageCaches, Scratch, StageId};
 
-/// Pages whose points are gathered between two words to the observer: few enough that their points are small against all
-/// memory.
+/// Pages whose points are gathered between two words to the observer: few enough that their points
+/// are small against all memory.
 const PAGES_AT_ONCE: usize = 256;
 
 /// The cloud in numbers.

@@ -1,4 +1,5 @@
-//! Which views can say something about a piece of space, so that nothing is compared with the others.
+//! Which views can say something about a piece of space, so that nothing is compared with the
+//! others.
 
 use crate::sight::MIN_FACING;
 use crate::view::{BlockMaxDepth, View};
@@ -27,7 +28,8 @@ impl Ball {
         }
     }
 
-    /// Whether a view may have surface on its rays through the ball, and no more than `behind` before it.
+    /// Whether a view may have surface on its rays through the ball, and no more than `behind`
+    /// before it.
     pub fn is_reached_by(&self, view: &View, behind: f64) -> bool {
         let in_cam = view.pose.apply(&self.center);
         let near = in_cam.z - self.radius;

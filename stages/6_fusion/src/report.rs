@@ -90,8 +90,8 @@ pub struct MeshReport {
     /// By how much that moved the surface, as the quadrics estimate it, world's unit.
     #[serde(default)]
     pub simplified_by: f64,
-    /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points are, world's
-    /// unit.
+    /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points
+    /// are, world's unit.
     pub mean_distance_to_cloud: Option<f64>,
 }
 
@@ -110,11 +110,13 @@ pub struct AssetReport {
     pub texture_size: [usize; 2],
     /// Edge of a texel on the surface, world's unit.
     pub texel: f64,
-    /// Whether the texels are larger than the views' pixels, so that the textures are no larger than allowed.
+    /// Whether the texels are larger than the views' pixels, so that the textures are no larger
+    /// than allowed.
     pub is_bounded: bool,
     /// Share of the textures that surface covers.
     pub used_share: f64,
-    /// Share of that which no view sees: there the colours repeat what lies around, and the normals are the light mesh's.
+    /// Share of that which no view sees: there the colours repeat what lies around, and the normals
+    /// are the light mesh's.
     pub unseen_share: f64,
     /// By how much the light mesh moved the surface, as the quadrics estimate it, world's unit.
     pub simplified_by: f64,
@@ -127,13 +129,15 @@ pub struct FusionReport {
     pub num_points: usize,
     /// Mean number of views that agree on a point.
     pub mean_num_views: f64,
-    /// Points that another view covers: it sees surface there that faces the same way, within 30 pixel footprints of
-    /// the point along the normal. All points count, also those that a spacing thins out.
+    /// Points that another view covers: it sees surface there that faces the same way, within 30
+    /// pixel footprints of the point along the normal. All points count, also those that a spacing
+    /// thins out.
     #[serde(default)]
     pub num_covered: usize,
-    /// Share of those points from which most views that cover them have their surfaces farther than three pixel
-    /// footprints: where it is large, the views' surfaces are two walls and not one. A single view counts
-    /// little, for relief may hide a point from it. `None` where no point is covered.
+    /// Share of those points from which most views that cover them have their surfaces farther than
+    /// three pixel footprints: where it is large, the views' surfaces are two walls and not one. A
+    /// single view counts little, for relief may hide a point from it. `None` where no point is
+    /// covered.
     #[serde(default)]
     pub share_apart: Option<f64>,
     /// Distance between views.

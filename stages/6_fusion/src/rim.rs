@@ -32,8 +32,9 @@ fn edges_of(t: [u32; 3]) -> [(u32, u32); 3] {
     [0, 1, 2].map(|k| key(t[k], t[(k + 1) % 3]))
 }
 
-/// Whether the triangles around a vertex leave a gap: around a closed fan every neighbour comes once before and once after
-/// its successor, so that a sum over mixed indices with both signs is zero.
+/// Whether the triangles around a vertex leave a gap: around a closed fan every neighbour comes
+/// once before and once after its successor, so that a sum over mixed indices with both signs is
+/// zero.
 fn on_rim(mesh: &Mesh) -> Vec<bool> {
     let mixed = |v: u32| {
         let v = (u64::from(v) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -63,8 +64,8 @@ fn rim_edges(mesh: &Mesh, triangles: &[usize], on_rim: &[bool]) -> Edges {
 
 /// Cuts teeth off and smooths the boundary. Vertices may remain without a triangle.
 pub(crate) fn smooth(mesh: &mut Mesh) {
-    // A tooth has all its vertices on the rim, so that cutting it opens edges between them only: what is not on the
-    // rim now never is, and these triangles are all that matter.
+    // A tooth has all its vertices on the rim, so that cutting it opens edges between them only:
+    // what is not on the rim now never is, and these triangles are all that matter.
     let on_rim = on_rim(mesh);
     let mut near: Vec<usize> = (0..mesh.triangles.len())
         .into_par_iter()
@@ -132,12 +133,12 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
     }
 }
 
-/// Loops of boundary edges, against the direction in which their triangles run along them. A loop that meets a vertex
-/// twice is two.
+/// Loops of boundary edges, against the direction in which their triangles run along them. A loop
+/// that meets a vertex twice is two.
 pub(crate) fn boundary_loops(mesh: &Mesh) -> Vec<Vec<u32>> {
     let on_rim = on_rim(mesh);
-    // A directed edge that is run through more often than its opposite is a boundary. As a boundary the edges are
-    // balanced in every vertex, so that a walk along them always closes.
+    // A directed edge that is run through more often than its opposite is a boundary. As a boundary
+    // the edges are balanced in every vertex, so that a walk along them always closes.
     let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
     for t in &mesh.triangles {
         for k in 0..3 {

@@ -8,17 +8,18 @@ use crate::view::{Surface, View};
 use nalgebra::{Point3, Vector3};
 use rilievo_scene::PageCache;
 
-/// Depths of two views of one point differ by no more than this, pixel footprints. With less, views that lie on
-/// each other only to a few footprints lose points; with more, false surface near edges survives.
+/// Depths of two views of one point differ by no more than this, pixel footprints. With less, views
+/// that lie on each other only to a few footprints lose points; with more, false surface near edges
+/// survives.
 pub(crate) const DEPTH_TOLERANCE_PX: f64 = 4.0;
-/// Normals of two views of one point differ by no more than this angle, degrees: what the smoothest and the most detailed
-/// map of one relief differ by.
+/// Normals of two views of one point differ by no more than this angle, degrees: what the smoothest
+/// and the most detailed map of one relief differ by.
 const NORMAL_TOLERANCE_DEG: f64 = 40.0;
 /// Cosine of incidence up to which a surface counts as turned away from a view: noise of the
 /// normals at the rim must not turn it back.
 pub(crate) const MIN_FACING: f64 = 0.05;
-/// Distance within which surface that faces the same way counts as the same wall, doubled or not, pixel
-/// footprints: what is farther apart are different parts of the object.
+/// Distance within which surface that faces the same way counts as the same wall, doubled or not,
+/// pixel footprints: what is farther apart are different parts of the object.
 const WALL_PX: f64 = 30.0;
 
 /// Least cosine between normals of two views of one point.
@@ -71,9 +72,9 @@ impl Candidate {
     }
 }
 
-/// Compares a point with the surface of a view, within `tolerance` (world's unit) along the normal. Also returns how
-/// far the view's surface lies from the point, along the mean normal, where it covers the point: where it
-/// sees surface that faces the same way within [`WALL_PX`].
+/// Compares a point with the surface of a view, within `tolerance` (world's unit) along the normal.
+/// Also returns how far the view's surface lies from the point, along the mean normal, where it
+/// covers the point: where it sees surface that faces the same way within [`WALL_PX`].
 #[inline]
 pub(crate) fn look(
     pixels: &mut PageCache<'_>,

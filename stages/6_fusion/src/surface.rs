@@ -1,11 +1,12 @@
 //! The surface `D = 0` as triangles.
 //!
-//! Surface nets block by block (each block with one layer of its neighbours); a vertex belongs to the block of
-//! its cell, which gives it its normal and colour ([`dress`]), and triangles name vertices by their cells. The
-//! pieces are put aside until the number of vertices is known, then joined. Triangles with a corner in a cell
-//! that touches an unknown voxel are no surface but the end of what was seen, and are dropped. Sheets that share an
-//! edge are separated ([`manifold`]), the end is smoothed ([`rim`]), small loose pieces are dropped ([`pieces`]) and
-//! small holes closed ([`holes`]).
+//! Surface nets block by block (each block with one layer of its neighbours); a vertex belongs to
+//! the block of its cell, which determines its normal and colour ([`dress`]), and triangles name
+//! vertices by their cells. The pieces are stored until the number of vertices is known, then
+//! joined. Triangles with a corner in a cell that touches an unknown voxel are no surface but the
+//! end of what was seen, and are dropped. Sheets that share an edge are separated ([`manifold`]),
+//! the end is smoothed ([`rim`]), small loose pieces are dropped ([`pieces`]) and small holes
+//! closed ([`holes`]).
 
 use crate::dress::{Dressed, Dresser};
 use crate::error::FusionError;
@@ -26,18 +27,19 @@ use serde::{Deserialize, Serialize};
 const PADDED: u32 = SIDE as u32 + 2;
 type PaddedShape = ConstShape3u32<PADDED, PADDED, PADDED>;
 
-/// Holes with a shorter edge than this many cells are closed: they are three times as wide as the views are averaged.
+/// Holes with a shorter edge than this many cells are closed: they are three times as wide as the
+/// views are averaged.
 const MAX_HOLE_CELLS: f64 = 40.0;
 /// Cells along the edge of a block with those of the next blocks that its triangles touch.
 const CELLS: u32 = SIDE as u32 + 1;
-/// Bytes of a vertex and of a triangle that are put aside.
+/// Bytes of a stored vertex and triangle.
 const VERTEX_BYTES: usize = 12 + 12 + 3;
 const TRIANGLE_BYTES: usize = 3 * 2;
 
 /// Blocks that are worked on one after the other.
 const BLOCKS_IN_ROW: usize = 32;
 
-/// What one block gives.
+/// The surface in one block.
 #[derive(Default, Serialize, Deserialize)]
 struct Piece {
     /// Number of each vertex's cell in the block, ascending.
@@ -47,7 +49,7 @@ struct Piece {
     triangles: Vec<[u16; 3]>,
 }
 
-/// The pieces of all blocks, put aside.
+/// The pieces of all blocks, out of core.
 struct Pieces {
     room: Box<dyn Room>,
     /// Number of the first vertex of every block, and of the end.
@@ -92,7 +94,7 @@ pub(crate) fn extract(
                 .map(|idx| extract_block(&volume, &dresser, &caches, idx, &mut buffer))
                 .collect::<Result<Vec<Piece>, FusionError>>()
         })?;
-        place += pieces.put_aside(made.into_iter().flatten().collect(), place)?;
+        place += pieces.store(made.into_iter().flatten().collect(), place)?;
     }
     drop(caches);
     step("joining the surface", 0, 1)?;
@@ -115,8 +117,8 @@ pub(crate) fn extract(
     let longest = if options.watertight {
         f64::INFINITY
     } else {
-        // The outline of a piece that is just large enough to stay is no hole: N triangles of half a cell's area are a
-        // disc of 2 π N cells² around.
+        // The outline of a piece that is just large enough to stay is no hole: N triangles of half
+        // a cell's area are a disc of 2 π N cells² around.
         let smallest = pieces::MIN_PIECE * mesh.triangles.len() as f64;
         MAX_HOLE_CELLS.min((std::f64::consts::TAU * smallest).sqrt()) * report.voxel
     };
@@ -169,7 +171,7 @@ fn extract_block(
         .map(|i| value(PaddedShape::delinearize(i).map(|c| c as usize)))
         .collect();
     // Unknown voxels are larger than any truncated distance, hence outside: the nets end there in
-    // false walls, which `is_known` tells apart.
+    // false walls, which `is_known` marks.
     surface_nets(&values, &PaddedShape {}, [0; 3], [PADDED - 1; 3], buffer);
     let is_known: Vec<bool> = buffer
         .surface_points
@@ -226,8 +228,8 @@ fn number_in_block([x, y, z]: [u32; 3]) -> u16 {
 }
 
 impl Pieces {
-    /// Puts the pieces of the next blocks at a place; returns their bytes.
-    fn put_aside(&mut self, pieces: Vec<Piece>, place: u64) -> Result<u64, FusionError> {
+    /// Stores the pieces of the next blocks at a place; returns their bytes.
+    fn store(&mut self, pieces: Vec<Piece>, place: u64) -> Result<u64, FusionError> {
         let mut bytes = Vec::new();
         for piece in pieces {
             for vertex in &piece.vertices {

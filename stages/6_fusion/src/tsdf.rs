@@ -3,11 +3,13 @@
 //! At a voxel centre `v` each view contributes the distance of its surface from `v` along the
 //! normal, `d = n·(v − Y)` with `Y` where the view's ray through `v` meets its surface, clamped to
 //! the truncation `T`; nothing where `d < −T`, or where `v` lies more than `2 T` behind `Y` along
-//! the ray (what lies behind the surface is unknown). The voxel keeps `D = Σ w d / Σ w`, `w = c cos²θ / a²`.
+//! the ray (what lies behind the surface is unknown). The voxel keeps `D = Σ w d / Σ w`, `w = c
+//! cos²θ / a²`.
 //!
 //! Voxels come in blocks of 8³ that exist only near the surface; their number is known before they
-//! are made, and the voxels are enlarged where the mesh would exceed the memory allowed. The blocks are
-//! put aside as they are filled, in Morton order, so that neighbours in the order see the same pages.
+//! are made, and the voxels are enlarged where the mesh would exceed the memory allowed. The blocks
+//! are stored as they are filled, in Morton order, so that neighbours in the order see the same
+//! pages.
 //!
 //! Source: Curless and Levoy, "A volumetric method for building complex models from range images",
 //! SIGGRAPH 1996, eqs. 1 and 2. Departure: distances along the normal instead of the ray, so that
@@ -36,27 +38,28 @@ pub(crate) const UNKNOWN: f32 = f32::MAX;
 const BLOCK_BYTES: usize = VOLUME * 4;
 /// Blocks that are worked on between two words to the observer.
 pub(crate) const BLOCKS_AT_ONCE: usize = 4096;
-/// Distance from the surface over which views are averaged, voxels. It exceeds the noise of the depths; larger values
-/// close narrow grooves.
+/// Distance from the surface over which views are averaged, voxels. It exceeds the noise of the
+/// depths; larger values close narrow grooves.
 const TRUNCATION_VOXELS: f64 = 4.0;
 /// Pages whose blocks are found before they are put among the others.
 const PAGES_AT_ONCE: usize = 4096;
 /// Growth of the voxels when the memory does not suffice.
 const COARSEN: f64 = 1.189_207_115_002_721;
-/// A view tells how far the surface is up to this many truncations behind it along its ray. At
-/// grazing incidence the distance along the normal stays small all the way out of the body's far
+/// A view measures the distance of the surface up to this many truncations behind it along its ray.
+/// At grazing incidence the distance along the normal stays small all the way out of the body's far
 /// side, where its sign would be wrong and fold the mesh at the rim; at 1 cells at 75 degrees of
 /// incidence and more miss a corner.
 const MAX_BEHIND: f64 = 2.0;
 /// Coordinates are kept to 21 bits each.
 const KEY_OFFSET: i64 = 1 << 20;
-/// Blocks are counted up to this multiple of what is allowed, to tell how much larger voxels must be.
+/// Blocks are counted up to this multiple of what is allowed, to estimate how much larger voxels
+/// must be.
 const MAX_EXCESS: usize = 8;
 
 /// Position of a block, in blocks.
 pub(crate) type Key = [i32; 3];
 
-/// Distances in blocks, put aside.
+/// Distances in blocks, out of core.
 pub(crate) struct Volume {
     pub voxel: f64,
     /// Distance over which views are averaged, world's unit.
@@ -126,14 +129,14 @@ impl Volume {
         self.room.write_at(&bytes, (idx * BLOCK_BYTES) as u64)
     }
 
-    /// Memory of what is put aside, MiB.
+    /// Memory of the stored distances, MiB.
     pub fn memory_mib(&self) -> f64 {
         (self.codes.len() * BLOCK_BYTES) as f64 / 1_048_576.0
     }
 }
 
-/// Fuses the depth maps at voxels of the median footprint times `voxel_px` or larger; `None` when no block is near any
-/// surface.
+/// Fuses the depth maps at voxels of the median footprint times `voxel_px` or larger; `None` when
+/// no block is near any surface.
 pub(crate) fn integrate(
     loaded: &LoadedViews,
     caches: &PageCaches<'_>,
@@ -221,7 +224,8 @@ fn gather(code: u64) -> u64 {
     (0..21).fold(0, |c, bit| c | (code >> (3 * bit) & 1) << bit)
 }
 
-/// Morton code of a block: the bits of its coordinates in turn, so that neighbours have codes near each other.
+/// Morton code of a block: the bits of its coordinates in turn, so that neighbours have codes near
+/// each other.
 fn encode(key: [i64; 3]) -> u64 {
     let [x, y, z] = key.map(|k| spread((k + KEY_OFFSET) as u64 & 0x1f_ffff));
     x | y << 1 | z << 2
@@ -231,8 +235,8 @@ fn decode(code: u64) -> Key {
     [0, 1, 2].map(|axis| (gather(code >> axis) as i64 - KEY_OFFSET) as i32)
 }
 
-/// Codes of the blocks within the truncation of any surface, in order; where there are more than `most`, some of them
-/// and more than `most`.
+/// Codes of the blocks within the truncation of any surface, in order; where there are more than
+/// `most`, some of them and more than `most`.
 fn block_codes(
     views: &[View],
     caches: &PageCaches<'_>,

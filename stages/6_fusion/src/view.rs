@@ -30,8 +30,8 @@ pub(crate) struct View {
     pub max_depth: BlockMaxDepth,
 }
 
-/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the view says
-/// nothing about.
+/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the
+/// view says nothing about.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct BlockMaxDepth {
     pub columns: usize,

@@ -1,4 +1,4 @@
-//! The views' maps, loaded one by one, checked, cleaned and put aside: no depth edges, no borders.
+//! The views' maps, loaded one by one, checked, cleaned and stored: no depth edges, no borders.
 
 use crate::color;
 use crate::error::FusionError;
@@ -15,8 +15,8 @@ use rilievo_scene::{
 };
 use std::ops::Range;
 
-/// Surface seen under a larger angle than this to its normal makes no points, degrees: there a pixel covers several
-/// footprints and its depth is a guess.
+/// Surface seen under a larger angle than this to its normal makes no points, degrees: there a
+/// pixel covers several footprints and its depth is a guess.
 const MAX_GRAZING_DEG: f64 = 82.0;
 /// Slope of an edge against the steepest surface that is kept: noise must not cut slopes.
 const EDGE_FACTOR: f64 = 1.5;
@@ -25,12 +25,14 @@ const MAX_SURPRISE: f64 = 0.5;
 /// Pixels around the depths that are kept, so that interpolation meets the border of the depths
 /// before the border of the map.
 const MARGIN: usize = 2;
-/// Pixels over which a view's confidence grows from its border on, so that no seam shows where it ends among others.
+/// Pixels over which a view's confidence grows from its border on, so that no seam shows where it
+/// ends among others.
 const BLEND_PX: f32 = 8.0;
 
 /// Pages up to so many pixels from a depth are kept, for their colours.
 const COLOR_MARGIN: usize = 4;
-/// Every seventh pixel counts in the median footprint, or fewer where there would be more than this many.
+/// Every seventh pixel counts in the median footprint, or fewer where there would be more than this
+/// many.
 const SAMPLE_STEP: usize = 7;
 const MAX_NUM_SAMPLES: usize = 4 << 20;
 
@@ -64,7 +66,7 @@ struct Maps {
     makes_points: Mask,
 }
 
-/// Loads, checks and cleans the maps of all views, and puts them aside with their colours.
+/// Loads, checks and cleans the maps of all views, and stores them with their colours.
 pub(crate) fn prepare(
     photos: &PhotoSet,
     posed: &PosedViews,
@@ -112,7 +114,7 @@ pub(crate) fn prepare(
             (BaseColor::Albedo, BaseColor::Albedo) => BaseColor::Albedo,
             _ => BaseColor::Photographed,
         };
-        let view = put_aside(
+        let view = store_view(
             views.len(),
             camera_of,
             &cleaned,
@@ -142,7 +144,7 @@ pub(crate) fn prepare(
     Ok((all, reports))
 }
 
-fn put_aside(
+fn store_view(
     idx: usize,
     camera_of: &PosedView,
     maps: &Maps,
@@ -332,7 +334,8 @@ fn drop_edges(maps: &mut Maps, report: &mut ViewFusion) {
         let (ray, next) = (maps.ray(x, y), maps.ray(u, v));
         let on_plane = |n: &Vector3<f64>| (n.dot(&ray) / n.dot(&next)).ln();
         let foretold = 0.5 * (on_plane(&normal) + on_plane(&next_normal));
-        // Written so that a plane seen from behind, whose logarithm is no number, foretells nothing.
+        // Written so that a plane seen from behind, whose logarithm is no number, foretells
+        // nothing.
         !(step - foretold).abs().lt(&(MAX_SURPRISE * step.abs()))
     };
     let edges: Vec<usize> = (0..width * height)
@@ -348,8 +351,9 @@ fn drop_edges(maps: &mut Maps, report: &mut ViewFusion) {
     }
 }
 
-/// Weight of a pixel by its distance from where the map ends, 0 there and 1 from [`BLEND_PX`] on. Distances are those of
-/// steps to the eight neighbours. Single pixels without a depth are no end: their eight neighbours are without one there.
+/// Weight of a pixel by its distance from where the map ends, 0 there and 1 from [`BLEND_PX`] on.
+/// Distances are those of steps to the eight neighbours. Single pixels without a depth are no end:
+/// their eight neighbours are without one there.
 fn border_blend(depth: &DepthMap) -> Raster<f32> {
     let (width, height) = (depth.width, depth.height);
     let is_end = |x: usize, y: usize| {
@@ -395,7 +399,8 @@ fn border_blend(depth: &DepthMap) -> Raster<f32> {
     distance
 }
 
-/// Marks the pixels that make points: not at the map's border, where depth is extrapolated, and not grazing.
+/// Marks the pixels that make points: not at the map's border, where depth is extrapolated, and not
+/// grazing.
 fn mark_points(maps: &mut Maps, report: &mut ViewFusion) {
     let (width, height) = (maps.depth.width, maps.depth.height);
     let has_depth = |x: usize, y: usize, [dx, dy]: [isize; 2]| {

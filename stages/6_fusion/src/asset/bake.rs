@@ -1,7 +1,7 @@
 //! What the views see at the places of the texels.
 //!
-//! Triangles are worked on in groups that lie close together, each against the views that may see it; their texels are
-//! then put into the textures in the order of the triangles.
+//! Triangles are worked on in groups that lie close together, each against the views that may see
+//! it; their texels are then put into the textures in the order of the triangles.
 
 use super::texture::{Texel, Textures};
 use super::unwrap::Unwrapped;
@@ -21,7 +21,8 @@ const GROUP: usize = 32;
 const TEXELS_AT_ONCE: f64 = 500_000.0;
 /// Views that are looked at: more only repeat what these say.
 const MAX_NUM_VIEWS: usize = 12;
-/// Distance of a texel's place from the views' surface from which it is looked at again there, pixel footprints.
+/// Distance of a texel's place from the views' surface from which it is looked at again there,
+/// pixel footprints.
 const OFF_PX: f64 = 0.25;
 
 pub(super) struct Baker<'a> {
@@ -30,7 +31,8 @@ pub(super) struct Baker<'a> {
     /// Share of the sky, of the vertices.
     pub occlusion: &'a [f32],
     pub views: &'a [View],
-    /// Tolerance along the normal (world's unit), and the least cosine between normals, of views that see one surface.
+    /// Tolerance along the normal (world's unit), and the least cosine between normals, of views
+    /// that see one surface.
     pub limits: (f64, f64),
 }
 
@@ -46,8 +48,8 @@ impl Baker<'_> {
         let palette = Palette::new();
         let mut next = 0;
         while next < num_triangles {
-            let told = (next, num_triangles);
-            let flow = observer.progress(StageId::Fusion, "baking textures", told);
+            let done = (next, num_triangles);
+            let flow = observer.progress(StageId::Fusion, "baking textures", done);
             flow.ok_or(FusionError::Interrupted)?;
             let (mut groups, mut num_texels) = (Vec::new(), 0.0);
             while next < num_triangles && num_texels < TEXELS_AT_ONCE {

@@ -3,9 +3,11 @@
 //! 1. The clean mesh is made light ([`lightened`]) and gets smooth normals (`normals`).
 //! 2. `unwrap`: it is cut into charts, which are laid out flat side by side.
 //! 3. `tangents`: frames for the normal map, by the rule that all renderers share.
-//! 4. `bake`: what the views see at each texel's place: the mean of their normals and albedos, by the weights of the
-//!    cloud's points. `occlusion`: how much of the sky each vertex sees past the mesh.
-//! 5. `texture`: texels beside the charts repeat the nearest one, so that no seam shows when a renderer filters.
+//! 4. `bake`: what the views see at each texel's place: the mean of their normals and albedos, by
+//!    the weights of the cloud's points. `occlusion`: how much of the sky each vertex sees past the
+//!    mesh.
+//! 5. `texture`: texels beside the charts repeat the nearest one, so that no seam shows when a
+//!    renderer filters.
 
 mod bake;
 mod normals;
@@ -26,7 +28,7 @@ use rilievo_scene::{Asset, Mesh, Observer, PageCaches, StageId};
 use texture::Textures;
 use unwrap::Unwrapped;
 
-/// Edge of a texel, pixel footprints: what a view tells between its pixels is still there.
+/// Edge of a texel, pixel footprints: what a view resolves between its pixels is still there.
 const TEXEL_PX: f64 = 0.5;
 
 /// Share of the surface that no view sees from which on a warning names it.

@@ -1,7 +1,8 @@
 //! Rasters out of core: records of pixels in square pages, kept in a [`Room`].
 //!
-//! A raster is cut into pages of [`PAGE_SIDE`]² pixels, row by row. A page holds the records of its pixels, row by row, each
-//! of the same number of bytes. Pages that are left out take no room and read as zeros.
+//! A raster is cut into pages of [`PAGE_SIDE`]² pixels, row by row. A page holds the records of its
+//! pixels, row by row, each of the same number of bytes. Pages that are left out take no room and
+//! read as zeros.
 
 use crate::scratch::{Room, Scratch, ScratchError};
 use std::ops::Range;
@@ -96,8 +97,9 @@ impl PageStore {
         })
     }
 
-    /// Makes place for a raster of a size (columns, rows) with `record` bytes a pixel: for the pages whose columns and rows
-    /// `keeps` wants. Their content is undefined until [`Self::write`].
+    /// Makes place for a raster of a size (columns, rows) with `record` bytes a pixel: for the
+    /// pages whose columns and rows `keeps` wants. Their content is undefined until
+    /// [`Self::write`].
     pub fn allocate(
         &mut self,
         size: [usize; 2],
@@ -127,7 +129,8 @@ impl PageStore {
         pages
     }
 
-    /// Writes a page, whose records `record` fills by column and row in the raster. Nothing where it is left out.
+    /// Writes a page, whose records `record` fills by column and row in the raster. Nothing where
+    /// it is left out.
     ///
     /// # Errors
     /// When there is no space left.
@@ -224,7 +227,8 @@ impl<'a> PageCache<'a> {
         }
     }
 
-    /// Bytes of a page, `None` where it is left out. Zeros where it cannot be read; [`PageCaches::with`] returns the error.
+    /// Bytes of a page, `None` where it is left out. Zeros where it cannot be read;
+    /// [`PageCaches::with`] returns the error.
     #[inline]
     pub fn page(&mut self, pages: &Pages, page: usize) -> Option<&[u8]> {
         let frame = self.frame_of[pages.first + page];

@@ -1,11 +1,13 @@
 //! Views and surfaces out of core: kept in a [`PageStore`], read back whole or window by window.
 //!
-//! The fine levels of a large set's photos are many times what memory holds. What is done there is local, so a tile reads
-//! the windows that it needs (`tile`), and what needs a whole view reads one view at a time.
+//! The fine levels of a large set's photos are many times what memory holds. What is done there is
+//! local, so a tile reads the windows that it needs (`tile`), and what needs a whole view reads one
+//! view at a time.
 //!
-//! A view's store holds for every level, from the finest on, one byte a pixel of the crop (bit 0: masked, bit 1: unclipped)
-//! and three 32-bit floats a pixel. A surface's store holds one 64-bit log depth a pixel of the crop, 0 outside the mask,
-//! and one byte a pixel: whether the depth is known. Numbers are little endian.
+//! A view's store holds for every level, from the finest on, one byte a pixel of the crop (bit 0:
+//! masked, bit 1: unclipped) and three 32-bit floats a pixel. A surface's store holds one 64-bit
+//! log depth a pixel of the crop, 0 outside the mask, and one byte a pixel: whether the depth is
+//! known. Numbers are little endian.
 
 use crate::camera::Camera;
 use crate::level::{LevelView, ViewGrid, dark_intensity};
@@ -75,7 +77,8 @@ struct StoredDepth {
 }
 
 impl StoredView {
-    /// Stores a view and its halvings, down to the last of at least `min_pixels` masked pixels; the first in any case.
+    /// Stores a view and its halvings, down to the last of at least `min_pixels` masked pixels; the
+    /// first in any case.
     ///
     /// # Errors
     /// When there is no space left.
@@ -141,7 +144,8 @@ impl StoredView {
         self.cut(at, &whole(&self.levels[at].marks))
     }
 
-    /// The part of the view inside a window, which must lie in it; the whole view decides what is dark.
+    /// The part of the view inside a window, which must lie in it; the whole view decides what is
+    /// dark.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -241,7 +245,8 @@ fn whole(pages: &Pages) -> Window {
 }
 
 impl StoredSurface {
-    /// A surface whose views are of the sizes that `views` have at level `at`; depths are put in view by view.
+    /// A surface whose views are of the sizes that `views` have at level `at`; depths are put in
+    /// view by view.
     ///
     /// # Errors
     /// When there is no room.
@@ -268,7 +273,8 @@ impl StoredSurface {
         self.maps.len()
     }
 
-    /// Stores the log depths of a view's masked pixels, and where they are known if that has changed.
+    /// Stores the log depths of a view's masked pixels, and where they are known if that has
+    /// changed.
     ///
     /// # Errors
     /// When there is no space left.
@@ -329,7 +335,8 @@ impl StoredSurface {
         masked(&map.store, &map.depth, window, pixels, value)
     }
 
-    /// Writes all that is stored of a view, for [`Self::restore`]: depths, then where they are known, row by row.
+    /// Writes all that is stored of a view, for [`Self::restore`]: depths, then where they are
+    /// known, row by row.
     ///
     /// # Errors
     /// When it cannot be read or written.
@@ -412,104 +419,5 @@ impl StoredLevel<'_> {
             sharpness: self.sharpness[index],
             ..self.views[index].cut(self.at, window)?
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::level::flat_view;
-    use rilievo_scene::MemoryScratch;
-
-    fn speckled() -> LevelView {
-        let mut view = flat_view(61, 43, 100.0);
-        for (k, value) in view.image.data.iter_mut().enumerate() {
-            *value = 0.2 + 0.1 * (k as f32 * 0.7).sin();
-        }
-        let mask = Mask::from_fn(61, 43, |x, y| (x + 2 * y) % 17 != 0 && x > 3);
-        let usable = Raster::from_fn(61, 43, |x, _| f32::from(u8::from(x < 50)));
-        let grid = ViewGrid::new(view.camera.clone(), mask, true);
-        LevelView {
-            grid,
-            usable,
-            grey: view.image.to_grey(),
-            ..view
-        }
-    }
-
-    #[test]
-    fn a_view_comes_back_at_every_level_and_by_windows() -> Result<(), ScratchError> {
-        let view = speckled();
-        let stored = StoredView::put(view.clone(), 50, &MemoryScratch)?;
-        assert!(stored.num_levels() > 1, "{}", stored.num_levels());
-        let mut expected = view;
-        for at in 0..stored.num_levels() {
-            let found = stored.view(at)?;
-            assert_eq!(found.image, expected.image);
-            assert_eq!(found.usable, expected.usable);
-            assert_eq!(found.mask, expected.mask);
-            assert_eq!(stored.grid(at)?.pixels.xs, expected.pixels.xs);
-            assert_eq!(stored.num_masked(at), expected.pixels.len());
-            assert!(found.cut_by_frame);
-            expected = expected.halved();
-        }
-        let whole = stored.view(0)?;
-        let window = Window {
-            x0: 7,
-            y0: 5,
-            width: 31,
-            height: 20,
-        };
-        let part = stored.cut(0, &window)?;
-        assert_eq!(part.mask, window.cut(&whole.mask));
-        assert_eq!(part.image.pixel(3, 4), whole.image.pixel(10, 9));
-        assert_eq!(part.dark, whole.dark);
-        Ok(())
-    }
-
-    #[test]
-    fn images_are_divided_by_the_gain() -> Result<(), ScratchError> {
-        let mut view = speckled();
-        let mut stored = StoredView::put(view.clone(), 50, &MemoryScratch)?;
-        stored.gain = [0.5, 1.0, 2.0];
-        view.divide_by_gain(stored.gain);
-        let found = stored.view(0)?;
-        assert_eq!(found.image, view.image);
-        assert!((found.dark / view.dark - 1.0).abs() < 1e-5);
-        Ok(())
-    }
-
-    #[test]
-    fn depths_come_back_whole_by_windows_and_from_a_file() -> Result<(), ScratchError> {
-        let views = [StoredView::put(speckled(), 50, &MemoryScratch)?];
-        let surface = StoredSurface::new(&views, 0, &MemoryScratch)?;
-        let pixels = views[0].grid(0)?.pixels;
-        let depth: Vec<f64> = (0..pixels.len()).map(|p| 0.1 + p as f64).collect();
-        let known: Vec<bool> = (0..pixels.len()).map(|p| p % 3 != 0).collect();
-        surface.put(0, &pixels, &depth, Some(&known))?;
-        assert_eq!(surface.get(0, &pixels)?, depth);
-        assert_eq!(surface.known(0, &pixels)?, known);
-        let window = Window {
-            x0: 7,
-            y0: 5,
-            width: 31,
-            height: 20,
-        };
-        let part = views[0].cut(0, &window)?;
-        for (p, value) in surface.cut(0, &window, &part.pixels)?.iter().enumerate() {
-            let (x, y) = (
-                part.pixels.xs[p] as usize + 7,
-                part.pixels.ys[p] as usize + 5,
-            );
-            assert_eq!(*value, depth[pixels.number[y * 61 + x] as usize]);
-        }
-        let mut file = Vec::new();
-        let copy = StoredSurface::new(&views, 0, &MemoryScratch)?;
-        assert!(surface.save(0, &mut file).is_ok());
-        assert!(copy.restore(0, &mut &file[..file.len() - 1]).is_err());
-        assert!(copy.restore(0, &mut &file[..]).is_ok());
-        assert_eq!(copy.get(0, &pixels)?, depth);
-        assert_eq!(copy.known(0, &pixels)?, known);
-        Ok(())
     }
 }
