@@ -140,7 +140,8 @@ pub struct FusionReport {
     /// covered.
     #[serde(default)]
     pub share_apart: Option<f64>,
-    /// Distance between views.
+    /// Distance between views; reports up to version 9 have it after a correction.
+    #[serde(default, alias = "layering_after")]
     pub layering: Layering,
     /// Every view.
     pub views: Vec<ViewFusion>,
