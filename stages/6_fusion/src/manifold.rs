@@ -6,7 +6,7 @@
 //! while the others get copies. An edge that is the only one between its two sheets is divided in
 //! one of them.
 
-use crate::rim::{at, key};
+use crate::rim::key;
 use nalgebra::Vector3;
 use rilievo_scene::Mesh;
 use std::collections::{BTreeMap, BTreeSet};
@@ -74,7 +74,7 @@ fn pairs(mesh: &Mesh, edges: &BTreeMap<Edge, Vec<u32>>) -> Pairs {
 /// A triangle `(a, b, c)` has the solid on the side from which its angle around the edge falls, one
 /// of `(b, a, c)` on the other; the two around one solid are a pair.
 fn pairs_of(mesh: &Mesh, (a, b): Edge, triangles: &[u32]) -> Vec<[u32; 2]> {
-    let Some(axis) = (at(mesh, b) - at(mesh, a)).try_normalize(0.0) else {
+    let Some(axis) = (mesh.vertex(b) - mesh.vertex(a)).try_normalize(0.0) else {
         return Vec::new();
     };
     let side = axis.cross(&if axis.x.abs() < 0.5 {
@@ -89,7 +89,7 @@ fn pairs_of(mesh: &Mesh, (a, b): Edge, triangles: &[u32]) -> Vec<[u32; 2]> {
         let Some(k) = (0..3).find(|&k| key(corners[k], corners[(k + 1) % 3]) == (a, b)) else {
             continue;
         };
-        let third = at(mesh, corners[(k + 2) % 3]) - at(mesh, a);
+        let third = mesh.vertex(corners[(k + 2) % 3]) - mesh.vertex(a);
         let angle = third.dot(&up).atan2(third.dot(&side));
         if corners[k] == a {
             forward.push((angle, t));

@@ -47,13 +47,13 @@ pub struct ViewFusion {
 
 /// The mesh in numbers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct MeshReport {
     /// Vertices.
     pub num_vertices: usize,
     /// Triangles.
     pub num_triangles: usize,
     /// Smallest and largest coordinates of the vertices.
-    #[serde(default)]
     pub bounds: Option<[[f32; 3]; 2]>,
     /// Edge of a cell, world's unit.
     pub voxel: f64,
@@ -62,33 +62,25 @@ pub struct MeshReport {
     /// What the cells take, beside the memory, MiB.
     pub memory_mib: f64,
     /// Pieces that hang together.
-    #[serde(default)]
     pub num_pieces: usize,
     /// Pieces that were too small to be surface and were dropped.
     pub num_dropped_pieces: usize,
     /// Share of the triangles that were dropped with them.
-    #[serde(default)]
     pub dropped_share: f64,
     /// Edges that more than two triangles shared, before their sheets were separated.
-    #[serde(default)]
     pub num_separated_edges: usize,
     /// Holes that were closed by a smooth surface.
-    #[serde(default)]
     pub num_closed_holes: usize,
     /// Area of what closes them, world's unit squared.
-    #[serde(default)]
     pub closed_area: f64,
     /// Loops in which the surface ends.
-    #[serde(default)]
     pub num_open_loops: usize,
     /// Length of these together, world's unit.
-    #[serde(default)]
     pub boundary_length: f64,
     /// Triangles before it was made lighter, where it was.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub num_triangles_before: Option<usize>,
     /// By how much that moved the surface, as the quadrics estimate it, world's unit.
-    #[serde(default)]
     pub simplified_by: f64,
     /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points
     /// are, world's unit.
@@ -124,6 +116,7 @@ pub struct AssetReport {
 
 /// Report of [`crate::run`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct FusionReport {
     /// Points of the cloud.
     pub num_points: usize,
@@ -132,22 +125,19 @@ pub struct FusionReport {
     /// Points that another view covers: it sees surface there that faces the same way, within 30
     /// pixel footprints of the point along the normal. All points count, also those that a spacing
     /// thins out.
-    #[serde(default)]
     pub num_covered: usize,
     /// Share of those points from which most views that cover them have their surfaces farther than
     /// three pixel footprints: where it is large, the views' surfaces are two walls and not one. A
     /// single view counts little, for relief may hide a point from it. `None` where no point is
     /// covered.
-    #[serde(default)]
     pub share_apart: Option<f64>,
     /// Distance between views; reports up to version 9 have it after a correction.
-    #[serde(default, alias = "layering_after")]
+    #[serde(alias = "layering_after")]
     pub layering: Layering,
     /// Every view.
     pub views: Vec<ViewFusion>,
     /// The mesh, where one was made.
     pub mesh: Option<MeshReport>,
     /// The asset, where one was made.
-    #[serde(default)]
     pub asset: Option<AssetReport>,
 }

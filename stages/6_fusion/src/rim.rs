@@ -22,11 +22,6 @@ pub(crate) fn key(a: u32, b: u32) -> (u32, u32) {
     (a.min(b), a.max(b))
 }
 
-/// Place of a vertex.
-pub(crate) fn at(mesh: &Mesh, v: u32) -> Vector3<f64> {
-    Vector3::from(mesh.vertices[v as usize].map(f64::from))
-}
-
 /// Edges of a triangle, by their vertices in ascending order.
 fn edges_of(t: [u32; 3]) -> [(u32, u32); 3] {
     [0, 1, 2].map(|k| key(t[k], t[(k + 1) % 3]))
@@ -105,7 +100,7 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
         if !t.iter().any(|v| normals.contains_key(v)) {
             continue;
         }
-        let [a, b, c] = t.map(|v| at(mesh, v));
+        let [a, b, c] = t.map(|v| mesh.vertex(v));
         let normal = (b - a).cross(&(c - a));
         for v in t {
             if let Some(sum) = normals.get_mut(v) {
@@ -122,8 +117,8 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
                     return None;
                 };
                 let normal = normals[&v].try_normalize(0.0)?;
-                let here = at(mesh, v);
-                let step = 0.5 * (0.5 * (at(mesh, a) + at(mesh, b)) - here);
+                let here = mesh.vertex(v);
+                let step = 0.5 * (0.5 * (mesh.vertex(a) + mesh.vertex(b)) - here);
                 Some((v, here + step - normal * normal.dot(&step)))
             })
             .collect();
@@ -191,7 +186,7 @@ mod tests {
         rim_edges(mesh, &all, &vec![true; mesh.vertices.len()])
             .iter()
             .filter(|(_, count)| **count == 1)
-            .map(|((a, b), _)| (at(mesh, *a) - at(mesh, *b)).norm())
+            .map(|((a, b), _)| (mesh.vertex(*a) - mesh.vertex(*b)).norm())
             .sum()
     }
 

@@ -91,9 +91,8 @@ pub(super) fn unwrap(
 }
 
 fn area(mesh: &Mesh) -> f64 {
-    let corner = |v: u32| nalgebra::Vector3::from(mesh.vertices[v as usize].map(f64::from));
     let areas = mesh.triangles.iter().map(|&[a, b, c]| {
-        let [a, b, c] = [a, b, c].map(corner);
+        let [a, b, c] = [a, b, c].map(|v| mesh.vertex(v));
         0.5 * (b - a).cross(&(c - a)).norm()
     });
     areas.sum()

@@ -17,10 +17,7 @@ pub(super) struct Samples {
 }
 
 pub(super) fn corners(mesh: &Mesh, triangle: usize) -> [Point3<f64>; 3] {
-    mesh.triangles[triangle].map(|v| {
-        let [x, y, z] = mesh.vertices[v as usize];
-        Point3::new(x.into(), y.into(), z.into())
-    })
+    mesh.triangles[triangle].map(|v| mesh.vertex(v).into())
 }
 
 /// Points on the triangles, at most `spacing` apart.
