@@ -100,7 +100,7 @@ pub fn synth_to(args: &SynthArgs, console: &Console) -> anyhow::Result<()> {
 fn options(args: &SynthArgs) -> anyhow::Result<SynthOptions> {
     let mut options = match &args.config {
         None => SynthOptions::default(),
-        Some(path) => read_toml(path, &[])?,
+        Some(path) => read_toml(path, &rilievo_synthetic::RETIRED_KEYS)?,
     };
     let photographs = &mut options.photographs;
     take_over(&mut options.scene.seed, args.seed);

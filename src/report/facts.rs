@@ -74,7 +74,7 @@ impl Stages {
         let scale = &self.poses.as_ref()?.report.scale;
         let [low, high] = fusion.mesh.as_ref()?.bounds?;
         let lengths = [0, 1, 2].map(|k| f64::from(high[k] - low[k]));
-        let footprint = fusion.layering_after.footprint;
+        let footprint = fusion.layering.footprint;
         if scale.unit == Unit::Arbitrary {
             let [x, y, z] = lengths.map(|length| format!("{length:.3}"));
             return Some(format!(

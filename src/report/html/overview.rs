@@ -139,7 +139,7 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
             100.0 * asset.unseen_share
         )
     });
-    let layering = fusion.map(|fusion| fusion.layering_after);
+    let layering = fusion.map(|fusion| fusion.layering);
     [
         ("asked for", asked(&facts.request)),
         ("photos posed", format!("{num_posed} of {num_photos}")),
@@ -215,7 +215,7 @@ fn anchor_sigma(stages: &Stages, posed: Option<&PosedViews>) -> Option<String> {
     Some(match (fusion, posed) {
         (Some(fusion), Some(posed)) if posed.scale.unit == Unit::Metre => {
             let focal_px = posed.views.first().map_or(0.0, |v| v.intrinsics.focal_px());
-            let depth = fusion.report.layering_after.footprint * focal_px;
+            let depth = fusion.report.layering.footprint * focal_px;
             format!("{:.2} mm, {share}", 1e3 * relative * depth)
         }
         _ => share,

@@ -350,9 +350,8 @@ fn fusion(facts: &FusionReport) -> Markup {
         (table("Fusion", &facts.views, columns))
         p {
             "distance between overlapping views (RMS, world's unit): "
-            (number(facts.layering_before.rms, 6)) " before reconciling, "
-            (number(facts.layering_after.rms, 6)) " after; a pixel covers "
-            (number(facts.layering_after.footprint, 6))
+            (number(facts.layering.rms, 6)) "; a pixel covers "
+            (number(facts.layering.footprint, 6))
         }
         @if let Some(share) = facts.share_apart {
             p {

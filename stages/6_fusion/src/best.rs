@@ -1,13 +1,14 @@
 //! Which views shape a block of the volume where many see it.
 //!
-//! Beyond a dozen views of one wall another one adds cost and next to no accuracy. A view gives way where
-//! [`ENOUGH`] others see the same wall better, judged where its rays through the block's middle and corners meet it.
+//! Beyond a dozen views of one wall another one adds cost and next to no accuracy. A view is left
+//! out where [`ENOUGH`] others see the same wall better, judged where its rays through the block's
+//! middle and corners meet it.
 
 use crate::judge::weight;
-use crate::pairs::Candidate;
-use crate::reader::Reader;
+use crate::sight::Candidate;
 use crate::view::View;
 use nalgebra::{Point3, Vector3};
+use rilievo_scene::PageCache;
 
 /// Views of one wall that are enough.
 const ENOUGH: usize = 12;
@@ -21,12 +22,12 @@ struct Sighting {
     normal: Vector3<f64>,
 }
 
-/// Those of the views near the block with its first corner there that shape it, in their order: all but those that give
-/// way at the block's middle and at all of its corners where they have surface that is not more oblique than
-/// `min_cosine`. Views whose surfaces lie within `truncation` of each other (world's unit) along the normal see the same
-/// wall.
+/// Those of the views near the block with its first corner there that shape it, in their order: all
+/// but those that are left out at the block's middle and at all of its corners where they have
+/// surface that is not more oblique than `min_cosine`. Views whose surfaces lie within `truncation`
+/// of each other (world's unit) along the normal see the same wall.
 pub(crate) fn best<'a>(
-    pixels: &mut Reader<'_>,
+    pixels: &mut PageCache<'_>,
     near: Vec<&'a View>,
     (corner, edge): (&Point3<f64>, f64),
     (truncation, min_cosine): (f64, f64),
@@ -71,18 +72,16 @@ pub(crate) fn best<'a>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reader::Readers;
-    use crate::settle::settle;
-    use crate::views::Stock;
-    use crate::views::testing::stock;
+    use crate::views::LoadedViews;
+    use crate::views::testing::load;
     use nalgebra::Point2;
-    use rilievo_scene::{Intrinsics, PosedViews, ShadedViews};
+    use rilievo_scene::{Intrinsics, PageCaches, PosedViews, ShadedViews};
     use rilievo_synthetic::testing::{Maps, look_at, posed_view};
 
     const THICKNESS: f64 = 0.02;
 
     /// A plate across the z axis, seen from `num` places on an arc before it and as many behind it.
-    fn plate(num: usize) -> Stock {
+    fn plate(num: usize) -> LoadedViews {
         let camera = Intrinsics::pinhole(64, 48, 90.0, 31.5, 23.5);
         let (mut posed, mut shaded) = (PosedViews::default(), ShadedViews::default());
         for v in 0..2 * num {
@@ -100,16 +99,14 @@ mod tests {
             posed.views.push(posed_view(v, &name, camera, pose));
             shaded.views.push(maps.shaded(v, &name));
         }
-        let mut stock = stock(&posed, &shaded);
-        settle(&mut stock, None).expect("room in memory");
-        stock
+        load(&posed, &shaded)
     }
 
     /// Indices of the views that shape the middle.
-    fn chosen(stock: &Stock) -> Vec<usize> {
-        let readers = Readers::new(&stock.shelf, 64);
-        let found = readers.with(|pixels| {
-            let near = stock.views.iter().collect();
+    fn chosen(loaded: &LoadedViews) -> Vec<usize> {
+        let caches = PageCaches::new(&loaded.store, 64);
+        let found = caches.with(|pixels| {
+            let near = loaded.views.iter().collect();
             let corner = Point3::new(-0.01, -0.01, -0.01);
             let chosen = best(pixels, near, (&corner, 0.02), (0.1, 0.1));
             chosen.iter().map(|view| view.idx).collect()
@@ -119,8 +116,8 @@ mod tests {
 
     #[test]
     fn few_views_all_shape() {
-        let stock = plate(ENOUGH / 2);
-        assert_eq!(chosen(&stock), (0..ENOUGH).collect::<Vec<_>>());
+        let loaded = plate(ENOUGH / 2);
+        assert_eq!(chosen(&loaded), (0..ENOUGH).collect::<Vec<_>>());
     }
 
     #[test]

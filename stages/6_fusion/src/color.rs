@@ -2,24 +2,26 @@
 //!
 //! A point's colour is the mean of the linear photos that see it: a matte surface looks the same
 //! from everywhere, and the mean evens out noise and the photos' small differences. In albedo mode
-//! the albedo of stage 5 takes the photo's place; without one the photo is divided by the image that
-//! stage 5 explains it with. Light and shadow leave, the surface's own tone stays.
+//! the albedo of stage 5 takes the photo's place; without one the photo is divided by the image
+//! that stage 5 explains it with. Light and shadow leave, the surface's own tone stays.
 
 use crate::error::FusionError;
 use crate::options::ColorMode;
-use crate::reader::Reader;
-use crate::shelf::Pixel;
-use crate::view::{Pixels, View, bilinear_weights};
+use crate::pixel::Pixel;
+use crate::view::{View, bilinear_weights};
 use nalgebra::Point3;
 use rayon::prelude::*;
-use rilievo_scene::{BaseColor, Intrinsics, LinearImage, MapSource, Photo, ShadedImages, srgb};
+use rilievo_scene::{
+    BaseColor, Intrinsics, LinearImage, MapSource, PageCache, Photo, ShadedImages, srgb,
+};
 use std::sync::Arc;
 
 /// Grey where there is no photo.
 pub(crate) const GREY: [u8; 3] = [180; 3];
 /// Display level of a surface of mean albedo in albedo mode, linear.
 const MEAN_ALBEDO_LEVEL: f32 = 0.5;
-/// Share of the interpolation's weight that pixels with a surface must have, so that an albedo is read between them.
+/// Share of the interpolation's weight that pixels with a surface must have, so that an albedo is
+/// read between them.
 const MIN_ALBEDO_WEIGHT: f64 = 0.25;
 /// Rendered intensities below this are too dark to divide by.
 const MIN_RENDERED: f32 = 0.01;
@@ -82,11 +84,11 @@ impl Palette {
         }
     }
 
-    /// Colour of a world point that view `own` sees, with those of `views` whose surface lies within
-    /// `tolerance` of it along their rays.
+    /// Colour of a world point that view `own` sees, with those of `views` whose surface lies
+    /// within `tolerance` of it along their rays.
     pub fn color(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         views: &[&View],
         own: usize,
         point: &Point3<f64>,
@@ -107,7 +109,7 @@ impl Palette {
                 if !is_inside {
                     continue;
                 }
-                let seen = f64::from(pixels.pixel(view, x as usize, y as usize).depth);
+                let seen = f64::from(view.pixel(pixels, x as usize, y as usize).depth);
                 let agrees = (seen - in_cam.z).abs() <= 2.0 * tolerance;
                 if !agrees {
                     continue;
@@ -119,7 +121,13 @@ impl Palette {
     }
 
     /// Adds a view's bilinear linear colour at a camera's pixel.
-    pub fn add(&self, pixels: &mut Reader<'_>, view: &View, [x, y]: [f64; 2], blend: &mut Blend) {
+    pub fn add(
+        &self,
+        pixels: &mut PageCache<'_>,
+        view: &View,
+        [x, y]: [f64; 2],
+        blend: &mut Blend,
+    ) {
         let Some((corners, [fx, fy])) = around(pixels, view, [x, y]) else {
             return;
         };
@@ -135,11 +143,11 @@ impl Palette {
         blend.count += 1.0;
     }
 
-    /// Adds a view's linear albedo at a camera's pixel, of a weight. Beside the surface there is none, so that pixels
-    /// without depth are left out of the interpolation.
+    /// Adds a view's linear albedo at a camera's pixel, of a weight. Beside the surface there is
+    /// none, so that pixels without depth are left out of the interpolation.
     pub fn add_albedo(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         view: &View,
         [x, y]: [f64; 2],
         (weight, blend): (f64, &mut Blend),
@@ -168,9 +176,10 @@ impl Palette {
     }
 }
 
-/// The four pixels around a camera's pixel, and where it lies between them; `None` at the map's border.
+/// The four pixels around a camera's pixel, and where it lies between them; `None` at the map's
+/// border.
 fn around(
-    pixels: &mut Reader<'_>,
+    pixels: &mut PageCache<'_>,
     view: &View,
     [x, y]: [f64; 2],
 ) -> Option<([Pixel; 4], [f64; 2])> {
@@ -179,7 +188,7 @@ fn around(
     // Beside the last column and row there is a neighbour, if only of no weight.
     let is_inside = x0 >= 0.0 && y0 >= 0.0 && x0 + 1.0 < width && y0 + 1.0 < height;
     is_inside.then(|| {
-        let corners = pixels.square(view, x0 as usize, y0 as usize);
+        let corners = view.square(pixels, x0 as usize, y0 as usize);
         (corners, [x - x0, y - y0])
     })
 }

@@ -1,17 +1,17 @@
 //! Normals and colours of the mesh's vertices from the views.
 //!
-//! A vertex takes the mean normal of the views that see its surface, with the weights of the cloud's points,
-//! and the mean of their colours. It stays where it is: the zero of the distances is nearer to the surface than
-//! the mean of a few planes, which curvature bends outwards.
+//! A vertex takes the mean normal of the views that see its surface, with the weights of the
+//! cloud's points, and the mean of their colours. It stays where it is: the zero of the distances
+//! is nearer to the surface than the mean of a few planes, which curvature bends outwards.
 
 use crate::color::{Blend, Palette};
 use crate::judge::weight;
 use crate::options::FusionOptions;
-use crate::pairs::{Candidate, Sight, look};
-use crate::reader::Reader;
+use crate::sight::{Candidate, DEPTH_TOLERANCE_PX, Sight, look, min_normal_cosine};
 use crate::tsdf::Volume;
 use crate::view::View;
 use nalgebra::{Point3, Vector3};
+use rilievo_scene::PageCache;
 use serde::{Deserialize, Serialize};
 
 /// A vertex with what the views give it.
@@ -29,33 +29,35 @@ pub(crate) struct Dresser<'a> {
     views: &'a [View],
     volume: &'a Volume,
     palette: Palette,
-    /// Tolerance along the normal, world's unit, and the least cosine between normals: of views that agree, and
-    /// where none does of those that made the vertex.
+    /// Tolerance along the normal, world's unit, and the least cosine between normals: of views
+    /// that agree, and where none does of those that made the vertex.
     limits: [(f64, f64); 2],
 }
 
 impl<'a> Dresser<'a> {
     pub fn new(views: &'a [View], volume: &'a Volume, options: &FusionOptions) -> Self {
         let footprint = volume.voxel / (options.voxel_px * volume.coarsened_by);
-        let tolerance = volume.voxel.max(options.depth_tolerance_px * footprint);
-        let min_cosine = options.normal_tolerance_deg.to_radians().cos();
+        let tolerance = volume.voxel.max(DEPTH_TOLERANCE_PX * footprint);
         Self {
             views,
             volume,
             palette: Palette::new(),
-            limits: [(tolerance, min_cosine), (2.0 * volume.truncation, -1.0)],
+            limits: [
+                (tolerance, min_normal_cosine()),
+                (2.0 * volume.truncation, -1.0),
+            ],
         }
     }
 
     /// Views that shape a block.
-    pub fn near(&self, pixels: &mut Reader<'_>, block: usize) -> Vec<&'a View> {
+    pub fn near(&self, pixels: &mut PageCache<'_>, block: usize) -> Vec<&'a View> {
         self.volume.best(pixels, self.views, block)
     }
 
     /// Dresses a vertex where the distances grow along `gradient`.
     pub fn dress(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         near: &[&View],
         position: &Point3<f64>,
         gradient: &Vector3<f64>,
@@ -80,8 +82,9 @@ impl<'a> Dresser<'a> {
         let distance = seen.as_ref().map(|seen| seen.distance.abs());
         let (mut normal, mut colors) = seen.map_or_else(Default::default, |s| (s.normal, s.colors));
         if distance.is_none() {
-            // Turned away from all, as at the end of what was seen: the nearest surface on any view's ray made it.
-            let gap = |view: &&View, pixels: &mut Reader<'_>| {
+            // Turned away from all, as at the end of what was seen: the nearest surface on any
+            // view's ray made it.
+            let gap = |view: &&View, pixels: &mut PageCache<'_>| {
                 let in_cam = view.pose.apply(position);
                 let seen = (in_cam.z > 0.0).then(|| view.along(pixels, &in_cam))??;
                 Some(((seen.depth - in_cam.z).abs(), view.to_world(&seen.normal)))
@@ -110,7 +113,13 @@ impl<'a> Dresser<'a> {
     }
 
     /// Adds a view's colour of a place.
-    fn paint(&self, pixels: &mut Reader<'_>, view: &View, place: &Point3<f64>, colors: &mut Blend) {
+    fn paint(
+        &self,
+        pixels: &mut PageCache<'_>,
+        view: &View,
+        place: &Point3<f64>,
+        colors: &mut Blend,
+    ) {
         let pixel = view.camera.project(&view.pose.apply(place));
         if let Some(pixel) = pixel.filter(|_| view.has_photo) {
             self.palette.add(pixels, view, [pixel.x, pixel.y], colors);
@@ -127,33 +136,25 @@ pub(crate) struct MeanSight {
     pub colors: Blend,
 }
 
-/// What the views see that have one surface with a candidate, by tolerance (world's unit) and least cosine between
-/// normals; `None` where none has. `paint` adds the colour of a view of a weight.
+/// What the views see that have one surface with a candidate, by tolerance (world's unit) and least
+/// cosine between normals; `None` where none has. `paint` adds the colour of a view of a weight.
 pub(crate) fn mean_sight(
-    pixels: &mut Reader<'_>,
+    pixels: &mut PageCache<'_>,
     near: &[&View],
     candidate: &Candidate,
     (tolerance, min_cosine): (f64, f64),
-    paint: impl Fn(&mut Reader<'_>, &View, f64, &mut Blend),
+    paint: impl Fn(&mut PageCache<'_>, &View, f64, &mut Blend),
 ) -> Option<MeanSight> {
     let (mut normal, mut offset, mut weights) = (Vector3::zeros(), 0.0, 0.0);
     let mut colors = Blend::default();
     for view in near {
         let (sight, _) = look(pixels, view, candidate, tolerance, min_cosine);
-        let Sight::Same {
-            distance,
-            normal: seen,
-            cosine,
-            footprint,
-            confidence,
-            ..
-        } = sight
-        else {
+        let Sight::Same(seen) = sight else {
             continue;
         };
-        let weight = weight(confidence, cosine, footprint);
-        normal += seen * weight;
-        offset += distance * weight;
+        let weight = weight(seen.confidence, seen.cosine, seen.footprint);
+        normal += seen.normal * weight;
+        offset += seen.distance * weight;
         weights += weight;
         paint(pixels, view, weight, &mut colors);
     }

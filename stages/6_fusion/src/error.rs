@@ -1,6 +1,8 @@
 //! Errors of stage 6.
 
-use rilievo_scene::{CloudError, Inconsistent, OptionError, PixelError, ScratchError, TeamError};
+use rilievo_scene::{
+    CloudError, Inconsistent, Observer, OptionError, PixelError, ScratchError, StageId, TeamError,
+};
 
 /// Why the views could not be fused.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -81,4 +83,10 @@ pub enum FusionError {
     /// The observer asked to stop.
     #[error("interrupted")]
     Interrupted,
+}
+
+/// Hands a warning to the observer, who may end the stage.
+pub(crate) fn warn(observer: &dyn Observer, message: String) -> Result<(), FusionError> {
+    let flow = observer.warn(StageId::Fusion, message);
+    flow.ok_or(FusionError::Interrupted)
 }

@@ -11,7 +11,7 @@ impl FusionReport {
     pub fn findings(&self) -> Vec<Finding> {
         let Layering {
             median, footprint, ..
-        } = self.layering_after;
+        } = self.layering;
         let apart_px = median / footprint;
         let is_layered = footprint > 0.0 && apart_px > DOUBTFUL_LAYERING_PX;
         let layers = is_layered.then(|| FindingCode::SurfacesInLayers { apart_px }.into());
@@ -28,7 +28,7 @@ mod tests {
     fn surfaces_two_footprints_apart_are_layers() {
         let verdict = |median| {
             let report = FusionReport {
-                layering_after: Layering {
+                layering: Layering {
                     median,
                     footprint: 2e-4,
                     ..Layering::default()

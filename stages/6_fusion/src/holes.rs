@@ -1,13 +1,14 @@
 //! Closes a mesh where nothing was seen.
 //!
-//! A loop of boundary edges is filled with rings of vertices that become fewer towards its middle, and these are moved
-//! to where the surface bends least: with `L x_v = x_v − Σ w_vu x_u / Σ w_vu` over the neighbours `u`,
-//! `w_vu = 1 / |x_v − x_u|` and `h_v` the mean of these lengths, the curvature is `4 L x_v / h_v²`, and the sum of its square
-//! times the area `h_v²` over the new vertices and the loop is least, so that the surface goes on as it ends at the loop (the thin plate of Kobbelt and others, "Interactive multi-resolution
-//! modeling on arbitrary meshes", SIGGRAPH 1998, with the scale-dependent umbrella of Desbrun and others, 1999).
-//! The filling says nothing about the object.
+//! A loop of boundary edges is filled with rings of vertices that become fewer towards its middle,
+//! and these are moved to where the surface bends least: with `L x_v = x_v − Σ w_vu x_u / Σ w_vu`
+//! over the neighbours `u`, `w_vu = 1 / |x_v − x_u|` and `h_v` the mean of these lengths, the
+//! curvature is `4 L x_v / h_v²`, and the sum of its square times the area `h_v²` over the new
+//! vertices and the loop is least, so that the surface goes on as it ends at the loop (the thin
+//! plate of Kobbelt and others, "Interactive multi-resolution modeling on arbitrary meshes",
+//! SIGGRAPH 1998, with the scale-dependent umbrella of Desbrun and others, 1999). The filling says
+//! nothing about the object.
 
-use crate::rim::at;
 use nalgebra::Vector3;
 use rilievo_numerics::sparse_cholesky;
 use rilievo_scene::Mesh;
@@ -28,7 +29,9 @@ pub(crate) struct Closed {
 /// Length of a loop.
 pub(crate) fn length(mesh: &Mesh, ring: &[u32]) -> f64 {
     let edges = (0..ring.len()).map(|k| [ring[k], ring[(k + 1) % ring.len()]]);
-    edges.map(|[a, b]| (at(mesh, a) - at(mesh, b)).norm()).sum()
+    edges
+        .map(|[a, b]| (mesh.vertex(a) - mesh.vertex(b)).norm())
+        .sum()
 }
 
 /// Colour of a vertex, black in a mesh without.
@@ -80,7 +83,7 @@ impl Filling {
         };
         let mut filling = Self {
             ring: ring.to_vec(),
-            center: mean(&|v| at(mesh, v)),
+            center: mean(&|v| mesh.vertex(v)),
             mean_color: mean(&|v| color(mesh, v)),
             first: mesh.vertices.len() as u32,
             triangles: Vec::new(),
@@ -118,12 +121,13 @@ impl Filling {
         filling
     }
 
-    /// A vertex at a place along the loop, in vertices, at a share of the way from the center to it.
+    /// A vertex at a place along the loop, in vertices, at a share of the way from the center to
+    /// it.
     fn add(&self, mesh: &mut Mesh, place: f64, share: f64) -> u32 {
         let number = self.ring.len();
         let (k, part) = (place as usize % number, place.fract());
         let ends = [self.ring[k], self.ring[(k + 1) % number]];
-        let rim = at(mesh, ends[0]).lerp(&at(mesh, ends[1]), part);
+        let rim = mesh.vertex(ends[0]).lerp(&mesh.vertex(ends[1]), part);
         let position = self.center.lerp(&rim, share);
         mesh.vertices.push(position.map(|c| c as f32).into());
         if !mesh.colors.is_empty() {
@@ -200,7 +204,7 @@ impl Filling {
         let mut area = 0.0;
         let mut sums = vec![Vector3::zeros(); mesh.vertices.len() - self.first as usize];
         for triangle in &self.triangles {
-            let [a, b, c] = triangle.map(|v| at(mesh, v));
+            let [a, b, c] = triangle.map(|v| mesh.vertex(v));
             let normal = (b - a).cross(&(c - a));
             area += 0.5 * normal.norm();
             for v in triangle {
@@ -228,8 +232,11 @@ struct Row {
 
 impl Row {
     fn new(mesh: &Mesh, v: u32, near: &[u32], first: u32) -> Self {
-        let here = at(mesh, v);
-        let lengths: Vec<f64> = near.iter().map(|&u| (at(mesh, u) - here).norm()).collect();
+        let here = mesh.vertex(v);
+        let lengths: Vec<f64> = near
+            .iter()
+            .map(|&u| (mesh.vertex(u) - here).norm())
+            .collect();
         let mean = lengths.iter().sum::<f64>() / lengths.len().max(1) as f64;
         // Copies of a vertex lie on each other.
         let weights = lengths
@@ -250,7 +257,7 @@ impl Row {
             let weight = scale * weight;
             match u.checked_sub(first) {
                 Some(k) => row.unknown.push((k as usize, weight)),
-                None => row.known += weight * at(mesh, u),
+                None => row.known += weight * mesh.vertex(u),
             }
         }
         row

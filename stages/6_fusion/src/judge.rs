@@ -1,6 +1,6 @@
-//! Whether a pixel gives a point, and which.
+//! Whether a pixel makes a point, and which.
 //!
-//! A pixel's point `X` with normal `n` is compared with every other view ([`crate::pairs`]). It is
+//! A pixel's point `X` with normal `n` is compared with every other view ([`crate::sight`]). It is
 //! kept when enough views see the same surface and no more look through it than agree; its
 //! position is the mean of the agreeing surfaces along the normal,
 //! `X + n Σ w_j d_j / Σ w_j` with `w = c cos²θ / a²` (confidence, angle of incidence, pixel
@@ -9,21 +9,19 @@
 //! together give fewer, for the surface is oblique to all, pixels are split.
 //!
 //! The tolerance follows the data: four robust standard deviations of the distances between the
-//! views, widened where confidence is low, between one footprint and `depth_tolerance_px`.
+//! views, widened where confidence is low, between one footprint and [`DEPTH_TOLERANCE_PX`].
 
 use crate::color::Palette;
-use crate::options::FusionOptions;
-use crate::pairs::{Candidate, Sight, look};
 use crate::reach::Patch;
-use crate::reader::Reader;
-use crate::view::{Pixels, Surface, View};
+use crate::sight::{Candidate, DEPTH_TOLERANCE_PX, SameSurface, Sight, look};
+use crate::view::{Surface, View};
 use nalgebra::{Point2, Point3, Vector3};
-use rilievo_scene::CloudPoint;
+use rilievo_scene::{CloudPoint, PageCache};
 use serde::{Deserialize, Serialize};
 
-/// Points per squared footprint that the better views must give together before the others leave
-/// a place to them. At 2 nearly no place is farther than a footprint from a point; every pixel of every
-/// view would give twice as many points and no more detail.
+/// Points per squared footprint that the better views must give together before the others leave a
+/// place to them. At 2 nearly no place is farther than a footprint from a point; every pixel of
+/// every view would give twice as many points and no more detail.
 const ENOUGH: f64 = 2.0;
 
 /// Parts along each side into which an oblique pixel is split at most: at 82 degrees of incidence
@@ -31,8 +29,8 @@ const ENOUGH: f64 = 2.0;
 const MAX_SPLIT: usize = 4;
 
 /// Points between pixels are made where depths and normals agree on the surface there to this many
-/// footprints; elsewhere the pixel's own point is all that is known. Less leaves gaps of a footprint on
-/// oblique slopes that bend.
+/// footprints; elsewhere the pixel's own point is all that is known. Less leaves gaps of a
+/// footprint on oblique slopes that bend.
 const MAX_STRAIN_PX: f64 = 0.25;
 /// The same at the rim, where the surface turns away within a pixel.
 const MAX_STRAIN_AT_RIM_PX: f64 = 0.15;
@@ -51,7 +49,8 @@ enum Verdict {
         point: CloudPoint,
         /// Points per squared footprint that all views together give here.
         coverage: f64,
-        /// Whether most views that cover the point have their surfaces apart from it; `None` where no view does.
+        /// Whether most views that cover the point have their surfaces apart from it; `None` where
+        /// no view does.
         is_apart: Option<bool>,
     },
 }
@@ -63,7 +62,7 @@ struct Near<'a> {
     finest: f64,
 }
 
-/// What one page gives.
+/// The points of one page, and counts.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct PageShare {
     pub points: Vec<CloudPoint>,
@@ -76,19 +75,19 @@ pub(crate) struct PageShare {
 }
 
 /// What all pixels are judged by.
-pub(crate) struct Judge<'a> {
+pub(crate) struct Judge {
     pub palette: Palette,
     /// Distance up to which confident views agree, pixel footprints.
     pub tolerance_px: f64,
     pub min_num_views: usize,
-    pub options: &'a FusionOptions,
+    pub min_normal_cosine: f64,
 }
 
-impl Judge<'_> {
+impl Judge {
     /// Points of a page of a view.
     pub fn page(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         views: &[View],
         view: &View,
         page: usize,
@@ -97,7 +96,7 @@ impl Judge<'_> {
         let Some(patch) = self.patch(pixels, view, page) else {
             return share;
         };
-        // Those that resolve the patch best come first: they soonest tell that a place is theirs.
+        // Those that resolve the patch best come first: they soonest show that a place is theirs.
         let mut near: Vec<&View> = views
             .iter()
             .filter(|other| other.idx == view.idx || patch.may_be_seen_by(other))
@@ -111,8 +110,8 @@ impl Judge<'_> {
         let [across, down] = view.pages.extent(page);
         for y in down {
             for x in across.clone() {
-                let pixel = pixels.pixel(view, x, y);
-                let Some(surface) = pixel.surface().filter(|s| s.gives) else {
+                let pixel = view.pixel(pixels, x, y);
+                let Some(surface) = pixel.surface().filter(|s| s.makes_points) else {
                     continue;
                 };
                 share.num_tried += 1;
@@ -141,35 +140,36 @@ impl Judge<'_> {
         share
     }
 
-    /// The surface of a page and around it, grown by what its points may be moved; `None` where no pixel gives points.
-    fn patch(&self, pixels: &mut Reader<'_>, view: &View, page: usize) -> Option<Patch> {
+    /// The surface of a page and around it, grown by what its points may be moved; `None` where no
+    /// pixel makes points.
+    fn patch(&self, pixels: &mut PageCache<'_>, view: &View, page: usize) -> Option<Patch> {
         let [across, down] = view
             .pages
             .extent(page)
             .map(|range| range.start.saturating_sub(1)..range.end + 1);
         let mut surfaces = Vec::new();
-        let (mut gives, mut widest) = (false, 0.0_f64);
+        let (mut makes_points, mut widest) = (false, 0.0_f64);
         for y in down.start..down.end.min(view.camera.height) {
             for x in across.start..across.end.min(view.camera.width) {
-                let pixel = pixels.pixel(view, x, y);
+                let pixel = view.pixel(pixels, x, y);
                 let Some(surface) = pixel.surface() else {
                     continue;
                 };
                 let candidate = Candidate::of(view, &view.ray(x, y, &pixel), &surface);
-                gives |= surface.gives;
+                makes_points |= surface.makes_points;
                 widest = widest.max(candidate.footprint);
                 surfaces.push((candidate.point, candidate.normal));
             }
         }
         // Between pixels the surface bulges by less than a footprint.
-        let margin = (self.options.depth_tolerance_px + 1.0) * widest;
-        Patch::around(&surfaces, margin).filter(|_| gives)
+        let margin = (DEPTH_TOLERANCE_PX + 1.0) * widest;
+        Patch::around(&surfaces, margin).filter(|_| makes_points)
     }
 
     /// Adds `n × n` points of a pixel that all views see too obliquely for a point each.
     fn split(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         near: &Near<'_>,
         view: &View,
         [x, y]: [usize; 2],
@@ -202,90 +202,56 @@ impl Judge<'_> {
         }
     }
 
-    /// Judges the surface of a view along a ray of its camera by the views near it, itself among them. `walls` is left
-    /// holding where those that cover the point have their surfaces, along the normal.
+    /// Judges the surface of a view along a ray of its camera by the views near it, itself among
+    /// them. `walls` is left holding where those that cover the point have their surfaces, along
+    /// the normal.
     fn pixel(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         near: &Near<'_>,
         view: &View,
         ray: &Vector3<f64>,
         surface: &Surface,
         walls: &mut Vec<f64>,
     ) -> Verdict {
-        let options = self.options;
         let candidate = Candidate::of(view, ray, surface);
-        let min_normal_cosine = options.normal_tolerance_deg.to_radians().cos();
         let widened = self.tolerance_px / surface.confidence.sqrt();
-        let tolerance = widened.min(options.depth_tolerance_px) * candidate.footprint;
+        let tolerance = widened.min(DEPTH_TOLERANCE_PX) * candidate.footprint;
 
         let own_cosine = -surface.normal.dot(ray) / ray.norm();
-        let own_weight = weight(surface.confidence, own_cosine, candidate.footprint);
-        let own_density = own_cosine / (candidate.footprint * candidate.footprint);
-        let (mut num_agree, mut num_through) = (1_usize, 0_usize);
-        let (mut offset, mut weights) = (0.0, own_weight);
-        let (mut square, mut confidence) = (0.0, own_weight * surface.confidence);
-        let mut normal = candidate.normal * own_weight;
-        let (mut better, mut all) = (0.0, own_density);
-        let mut finest = candidate.footprint;
+        let mut all = Agreement::of(&candidate, surface, own_cosine);
+        let own_density = all.density;
         walls.clear();
         for other in near.views.iter().filter(|other| other.idx != view.idx) {
-            let (sight, covers) = look(pixels, other, &candidate, tolerance, min_normal_cosine);
+            let (sight, covers) =
+                look(pixels, other, &candidate, tolerance, self.min_normal_cosine);
             walls.extend(covers);
             match sight {
-                Sight::Same {
-                    distance,
-                    normal: other_normal,
-                    cosine,
-                    footprint,
-                    confidence: c,
-                    gives,
-                } => {
-                    let weight = weight(c, cosine, footprint);
-                    num_agree += 1;
-                    offset += weight * distance;
-                    square += weight * distance * distance;
-                    weights += weight;
-                    confidence += weight * c;
-                    normal += other_normal * weight;
-                    let density = cosine / (footprint * footprint);
-                    finest = finest.min(footprint);
+                Sight::Same(seen) => {
+                    let density = all.add(&seen);
                     // Ties go to the first view, so that the order is one for all.
                     let is_better =
                         density > own_density || (density == own_density && other.idx < view.idx);
-                    if gives {
-                        all += density;
-                    }
-                    if gives && is_better {
-                        better += density;
+                    if seen.makes_points && is_better {
+                        all.better += density;
                     }
                 }
-                Sight::SeenThrough => num_through += 1,
+                Sight::SeenThrough => all.num_through += 1,
                 Sight::Nothing | Sight::Hidden => {}
             }
-            let is_enough = better * near.finest * near.finest >= ENOUGH;
-            if is_enough && num_agree >= self.min_num_views && num_through < num_agree {
+            let is_enough = all.better * near.finest * near.finest >= ENOUGH;
+            if is_enough && all.is_kept(self.min_num_views) {
                 return Verdict::Elsewhere;
             }
         }
-        if num_agree < self.min_num_views || num_through >= num_agree {
+        if !all.is_kept(self.min_num_views) {
             return Verdict::Inconsistent;
         }
-        if better * finest * finest >= ENOUGH {
+        if all.better * all.finest * all.finest >= ENOUGH {
             return Verdict::Elsewhere;
         }
-        let normal = normal.normalize();
-        let mean_offset = offset / weights;
-        let position = candidate.point + candidate.normal * mean_offset;
-        // How likely the point is right: confidence of its pixels, number of independent sightings,
-        // and how well they agree.
-        let spread = (square / weights - mean_offset * mean_offset)
-            .max(0.0)
-            .sqrt()
-            / tolerance;
-        let confidence = confidence / weights
-            * (1.0 - 0.5_f64.powi(num_agree as i32))
-            * (-0.5 * spread * spread).exp();
+        let offset = all.offset / all.weights;
+        let position = candidate.point + candidate.normal * offset;
         let color = self.palette.color(
             pixels,
             &near.views,
@@ -295,18 +261,89 @@ impl Judge<'_> {
         );
         let point = CloudPoint {
             position: position.coords.map(|c| c as f32).into(),
-            normal: normal.map(|c| c as f32).into(),
+            normal: all.normal.normalize().map(|c| c as f32).into(),
             color,
-            confidence: confidence as f32,
-            num_views: num_agree.min(255) as u8,
+            confidence: all.confidence(tolerance) as f32,
+            num_views: all.num_agree.min(255) as u8,
         };
-        let is_far = |wall: &&f64| (**wall - mean_offset).abs() > APART_PX * candidate.footprint;
+        let is_far = |wall: &&f64| (**wall - offset).abs() > APART_PX * candidate.footprint;
         let is_apart = 2 * walls.iter().filter(is_far).count() > walls.len();
         Verdict::Keep {
             point,
-            coverage: all * finest * finest,
+            coverage: all.density * all.finest * all.finest,
             is_apart: (!walls.is_empty()).then_some(is_apart),
         }
+    }
+}
+
+/// Sums over the views that see a pixel's surface, the pixel's own among them.
+struct Agreement {
+    num_agree: usize,
+    /// Views that look through the point.
+    num_through: usize,
+    /// Weights; distances along the normal, their squares and confidences with these weights.
+    weights: f64,
+    offset: f64,
+    square: f64,
+    weighted_confidence: f64,
+    normal: Vector3<f64>,
+    /// Pixels per area of all views, and of those that resolve the place better.
+    density: f64,
+    better: f64,
+    /// Smallest pixel footprint, world's unit.
+    finest: f64,
+}
+
+impl Agreement {
+    /// The pixel's own view alone.
+    fn of(candidate: &Candidate, surface: &Surface, cosine: f64) -> Self {
+        let footprint = candidate.footprint;
+        let weight = weight(surface.confidence, cosine, footprint);
+        Self {
+            num_agree: 1,
+            num_through: 0,
+            weights: weight,
+            offset: 0.0,
+            square: 0.0,
+            weighted_confidence: weight * surface.confidence,
+            normal: candidate.normal * weight,
+            density: cosine / (footprint * footprint),
+            better: 0.0,
+            finest: footprint,
+        }
+    }
+
+    /// Adds a view that sees the same surface; returns its pixels per area.
+    fn add(&mut self, seen: &SameSurface) -> f64 {
+        let weight = weight(seen.confidence, seen.cosine, seen.footprint);
+        self.num_agree += 1;
+        self.offset += weight * seen.distance;
+        self.square += weight * seen.distance * seen.distance;
+        self.weights += weight;
+        self.weighted_confidence += weight * seen.confidence;
+        self.normal += seen.normal * weight;
+        let density = seen.cosine / (seen.footprint * seen.footprint);
+        self.finest = self.finest.min(seen.footprint);
+        if seen.makes_points {
+            self.density += density;
+        }
+        density
+    }
+
+    /// Whether enough views agree, and more than look through.
+    fn is_kept(&self, min_num_views: usize) -> bool {
+        self.num_agree >= min_num_views && self.num_through < self.num_agree
+    }
+
+    /// How likely the point is right: confidence of its pixels, number of independent sightings,
+    /// and how well they agree.
+    fn confidence(&self, tolerance: f64) -> f64 {
+        let offset = self.offset / self.weights;
+        let variance = self.square / self.weights - offset * offset;
+        let spread = variance.max(0.0).sqrt() / tolerance;
+        self.weighted_confidence / self.weights
+            * (1.0 - 0.5_f64.powi(self.num_agree as i32))
+            * (-0.5 * spread * spread).exp()
     }
 }
 

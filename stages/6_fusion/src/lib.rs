@@ -1,22 +1,21 @@
 //! Stage 6: depth and normal maps of all views to one oriented point cloud and a mesh.
 //!
-//! In: posed views, their depth and normal maps, the photos (for colour). Out: the points of a cloud, part by
-//! part, a [`Mesh`] and a [`FusionReport`].
+//! In: posed views, their depth and normal maps, the photos (for colour). Out: the points of a
+//! cloud, part by part, a [`Mesh`] and a [`FusionReport`].
 //!
-//! 1. `views`, `shelf`: maps are loaded one by one, checked, cut to the object and put aside in pages; borders,
-//!    depth edges and grazing surface are left out. All later steps read the pages that they need (`view`,
-//!    `reader`), of the views that may see the place (`reach`).
-//! 2. `pairs`, `reconcile`, `correction`, `settle`: how far the views lie apart, and a joint robust adjustment of the
-//!    smooth part of it.
-//! 3. `points`, `judge`, `color`, `thin`: every piece of surface once, from the view that resolves it best, at
-//!    the mean of the views that agree.
-//! 4. `tsdf`, `surface`, `dress`: signed distances of all views, their zero set as a mesh; `manifold`, `rim`, `pieces`,
-//!    `holes`: what is made of its edges and loose ends.
+//! 1. `views`: maps are loaded one by one, checked, cut to the object and stored in pages
+//!    (`pixel`); borders, depth edges and grazing surface are left out. All later steps read the
+//!    pages that they need (`view`), of the views that may see the place (`reach`).
+//! 2. `layering`: how far the views lie apart where they see one surface (`sight`).
+//! 3. `points`, `judge`, `color`, `thin`: every piece of surface once, from the view that resolves
+//!    it best, at the mean of the views that agree.
+//! 4. `tsdf`, `surface`, `dress`: signed distances of all views, their zero set as a mesh;
+//!    `manifold`, `rim`, `pieces`, `holes`: what is made of its edges and loose ends.
 //! 5. [`asset`](rilievo_scene::Asset): a light mesh with textures, baked from the views.
 //!
-//! In memory are one view while it is loaded, then the pages that the threads work on (`memory`), and in the
-//! end the mesh. The cloud is the same for any memory that suffices; mesh and asset are coarser, and say so, where they would
-//! not fit.
+//! In memory are one view while it is loaded, then the pages that the threads work on (`memory`),
+//! and in the end the mesh. The cloud is the same for any memory that suffices; mesh and asset are
+//! coarser, and say so, where they would not fit.
 //!
 //! Lengths are measured in pixel footprints `z / f` throughout: the same options serve a coin and
 //! a statue.
@@ -24,25 +23,22 @@
 mod asset;
 mod best;
 mod color;
-mod correction;
 mod dress;
 mod error;
 mod findings;
 mod holes;
 mod judge;
+mod layering;
 mod manifold;
 mod memory;
 mod options;
-mod pairs;
 mod pieces;
+mod pixel;
 mod points;
 mod reach;
-mod reader;
-mod reconcile;
 mod report;
 mod rim;
-mod settle;
-mod shelf;
+mod sight;
 mod simplify;
 mod surface;
 mod thin;
@@ -54,22 +50,21 @@ pub use error::FusionError;
 pub use options::{ColorMode, FusionOptions, MeshFormat, RETIRED_KEYS};
 pub use report::{AssetReport, FusionReport, Layering, MeshReport, ViewFusion};
 
+use error::warn;
 use points::CloudFacts;
-use reader::Readers;
 use rilievo_scene::{
-    Asset, CloudSink, MapSource, Mesh, Observer, PhotoSet, PosedViews, Scratch, StageId, Unit,
+    Asset, CloudSink, MapSource, Mesh, Observer, PageCaches, PhotoSet, PosedViews, Scratch,
+    StageId, Unit,
 };
-use views::Stock;
+use views::LoadedViews;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 9;
+pub const VERSION: u32 = 10;
 
-/// Views that each view is compared with for offsets: more only repeat what these say.
-const NUM_NEIGHBOURS: usize = 4;
 /// Smooth distance between views, in footprints, from which the layers show.
 const VISIBLE_LAYERING_PX: f64 = 1.0;
 
-/// How many times as many triangles as asked for are told.
+/// Excess over the triangles asked for from which a warning says so.
 const MISSED_TRIANGLES: f64 = 1.2;
 
 /// What is fused.
@@ -81,7 +76,8 @@ pub struct Inputs<'a> {
     pub posed: &'a PosedViews,
     /// Maps, loaded one view at a time; [`rilievo_scene::ShadedViews`] are such maps.
     pub maps: &'a dyn MapSource,
-    /// Room for the maps and for what is made of them; [`rilievo_scene::MemoryScratch`] for small sets.
+    /// Room for the maps and for what is made of them; [`rilievo_scene::MemoryScratch`] for small
+    /// sets.
     pub scratch: &'a dyn Scratch,
 }
 
@@ -96,8 +92,8 @@ pub struct Fused {
     pub report: FusionReport,
 }
 
-/// Fuses the views: hands the cloud's points to `cloud`, and returns mesh and asset. After an error the cloud is not
-/// complete.
+/// Fuses the views: hands the cloud's points to `cloud`, and returns mesh and asset. After an error
+/// the cloud is not complete.
 ///
 /// # Errors
 /// See [`FusionError`].
@@ -117,108 +113,57 @@ pub fn run(
     photos.check()?;
     posed.check()?;
     memory::refuse_too_little(posed, options)?;
-    let mut report = FusionReport::default();
-    let warn = |message: String| {
-        let flow = observer.warn(StageId::Fusion, message);
-        flow.ok_or(FusionError::Interrupted)
-    };
-
     let next = |idx: usize| {
-        let told = (idx, maps.num_views());
-        let flow = observer.progress(StageId::Fusion, "loading maps", told);
+        let done = (idx, maps.num_views());
+        let flow = observer.progress(StageId::Fusion, "loading maps", done);
         flow.ok_or(FusionError::Interrupted)
     };
-    let (mut stock, mut view_reports) =
-        views::prepare(photos, posed, maps, scratch, options, next)?;
-    let num_views = stock.views.len();
-    if num_views < options.min_num_views {
-        let message = format!("only {num_views} view has depth: nothing confirms its points");
-        warn(message)?;
-    }
-
-    let neighbours = pairs::neighbours(&stock.views, NUM_NEIGHBOURS);
-    let outcome = reconcile::reconcile(&stock, &neighbours, options, observer)?;
-    let settled = settle::settle(&mut stock, outcome.corrections.as_ref())?;
-    report.layering_before = outcome.before;
-    report.layering_after = outcome.after;
-    report.reconcile_iterations = outcome.num_iterations;
-    for (view, rms) in view_reports.iter_mut().zip(settled.correction_rms) {
-        view.correction_rms = rms;
-    }
-    if outcome.after.smooth_rms > VISIBLE_LAYERING_PX * outcome.after.footprint {
-        let message = format!(
-            "the views' surfaces lie {:.2} pixel footprints apart on average, more than fusion \
-             can mend: look at the poses",
-            outcome.after.smooth_rms / outcome.after.footprint
-        );
-        warn(message)?;
-    }
-
-    let num_missing = stock.views.iter().filter(|v| !v.has_photo).count();
-    if num_missing > 0 {
-        let message = format!(
-            "{num_missing} of {num_views} views have no photo: their share of the colours is missing"
-        );
-        warn(message)?;
-    }
+    let (loaded, mut views) = views::prepare(photos, posed, maps, scratch, options, next)?;
+    let caches = PageCaches::new(&loaded.store, memory::num_pages(options));
+    let layering = layering::measure(&loaded, &caches)?;
+    drop(caches);
+    warn_of_views(&loaded, &layering, options, observer)?;
     let facts = points::gather(
-        &stock,
-        &outcome.after,
+        &loaded,
+        &layering,
         options,
-        &mut view_reports,
+        &mut views,
         (scratch, cloud),
         observer,
     )?;
     if let Some(message) = coarse(&facts, posed.scale.unit, options) {
-        warn(message)?;
+        warn(observer, message)?;
     }
-    report.num_points = facts.num_points;
-    report.mean_num_views = facts.num_views as f64 / facts.num_points as f64;
-    report.num_covered = facts.num_covered;
-    report.share_apart =
-        (facts.num_covered > 0).then(|| facts.num_apart as f64 / facts.num_covered as f64);
-    report.views = view_reports;
-
-    let mut mesh = Mesh::default();
-    if options.mesh {
-        let footprint = settled.median_footprint;
-        if let Some((made, mesh_report)) = shape(&stock, footprint, scratch, options, observer)? {
-            mesh = made;
-            if mesh_report.coarsened_by > 1.0 {
-                let message = format!(
-                    "the mesh's cells are {:.2} times larger than asked for, to stay within {} MiB; \
-                     raise the memory for more detail",
-                    mesh_report.coarsened_by, options.memory_mib
-                );
-                warn(message)?;
-            }
-            let asked = options.max_num_triangles;
-            if asked > 0 && mesh_report.num_triangles as f64 > MISSED_TRIANGLES * asked as f64 {
-                let message = format!(
-                    "the mesh has {} triangles where about {asked} were asked for: its pieces and holes need them",
-                    mesh_report.num_triangles
-                );
-                warn(message)?;
-            }
-            report.mesh = Some(mesh_report);
-        }
-    }
-    let mut asset = None;
-    if let Some(mesh_report) = (report.mesh.as_ref()).filter(|mesh| {
-        options.makes_asset() && mesh.num_triangles > 0 && observer.team().is_first()
-    }) {
-        let footprint = settled.median_footprint;
-        match asset::make((&mesh, mesh_report), &stock, footprint, options, observer)? {
-            Some((made, asset_report)) => {
-                asset = Some(made);
-                report.asset = Some(asset_report);
-            }
-            None => {
+    let (mesh, mesh_report) = if options.mesh {
+        shape(&loaded, scratch, options, observer)?.unzip()
+    } else {
+        (None, None)
+    };
+    let mesh = mesh.unwrap_or_default();
+    let (asset, asset_report) = match &mesh_report {
+        Some(of_mesh)
+            if options.makes_asset() && of_mesh.num_triangles > 0 && observer.team().is_first() =>
+        {
+            let made = asset::make((&mesh, of_mesh), &loaded, options, observer)?;
+            if made.is_none() {
                 let message = "no asset: the mesh cannot be laid out on its textures; try a larger --texture or fewer --faces";
-                warn(message.to_owned())?;
+                warn(observer, message.to_owned())?;
             }
+            made.unzip()
         }
-    }
+        _ => (None, None),
+    };
+    let report = FusionReport {
+        num_points: facts.num_points,
+        mean_num_views: facts.num_views as f64 / facts.num_points as f64,
+        num_covered: facts.num_covered,
+        share_apart: (facts.num_covered > 0)
+            .then(|| facts.num_apart as f64 / facts.num_covered as f64),
+        layering,
+        views,
+        mesh: mesh_report,
+        asset: asset_report,
+    };
     Ok(Fused {
         mesh,
         asset,
@@ -226,26 +171,72 @@ pub fn run(
     })
 }
 
+/// Warns of views that are too few, that lie apart, or that have no photo.
+fn warn_of_views(
+    loaded: &LoadedViews,
+    layering: &Layering,
+    options: &FusionOptions,
+    observer: &dyn Observer,
+) -> Result<(), FusionError> {
+    let num_views = loaded.views.len();
+    if num_views < options.min_num_views {
+        let message = format!("only {num_views} view has depth: nothing confirms its points");
+        warn(observer, message)?;
+    }
+    if layering.smooth_rms > VISIBLE_LAYERING_PX * layering.footprint {
+        let message = format!(
+            "the views' surfaces lie {:.2} pixel footprints apart on average, more than fusion \
+             can mend: look at the poses",
+            layering.smooth_rms / layering.footprint
+        );
+        warn(observer, message)?;
+    }
+    let num_missing = loaded.views.iter().filter(|v| !v.has_photo).count();
+    if num_missing > 0 {
+        let message = format!(
+            "{num_missing} of {num_views} views have no photo: their share of the colours is missing"
+        );
+        warn(observer, message)?;
+    }
+    Ok(())
+}
+
 /// The mesh, unless no surface is near any cell.
 fn shape(
-    stock: &Stock,
-    footprint: f64,
+    loaded: &LoadedViews,
     scratch: &dyn Scratch,
     options: &FusionOptions,
     observer: &dyn Observer,
 ) -> Result<Option<(Mesh, MeshReport)>, FusionError> {
-    let readers = Readers::new(&stock.shelf, memory::num_pages(options));
-    let volume = tsdf::integrate(stock, &readers, footprint, scratch, options, observer)?;
-    volume
-        .map(|volume| surface::extract(volume, stock, readers, scratch, options, observer))
-        .transpose()
+    let caches = PageCaches::new(&loaded.store, memory::num_pages(options));
+    let Some(volume) = tsdf::integrate(loaded, &caches, scratch, options, observer)? else {
+        return Ok(None);
+    };
+    let (mesh, report) = surface::extract(volume, loaded, caches, scratch, options, observer)?;
+    if report.coarsened_by > 1.0 {
+        let message = format!(
+            "the mesh's cells are {:.2} times larger than asked for, to stay within {} MiB; \
+             raise the memory for more detail",
+            report.coarsened_by, options.memory_mib
+        );
+        warn(observer, message)?;
+    }
+    let asked = options.max_num_triangles;
+    if asked > 0 && report.num_triangles as f64 > MISSED_TRIANGLES * asked as f64 {
+        let message = format!(
+            "the mesh has {} triangles where about {asked} were asked for: its pieces and holes need them",
+            report.num_triangles
+        );
+        warn(observer, message)?;
+    }
+    Ok(Some((mesh, report)))
 }
 
 /// Share of the cloud's extent from which the asked spacing is likely in another unit: some hundred
 /// points are left then.
 const COARSE_SPACING_SHARE: f64 = 0.1;
 
-/// What to say of a spacing that leaves next to nothing of the surface.
+/// The warning of a spacing that leaves next to nothing of the surface.
 fn coarse(facts: &CloudFacts, unit: Unit, options: &FusionOptions) -> Option<String> {
     let sides = [0, 1, 2].map(|k| (f64::from(facts.high[k]) - f64::from(facts.low[k])).max(0.0));
     let extent = sides[0].hypot(sides[1]).hypot(sides[2]);

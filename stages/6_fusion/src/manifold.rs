@@ -1,11 +1,12 @@
 //! A mesh in which at most two triangles share an edge.
 //!
-//! Where two pieces of surface pass through one cell of the net, or through neighbouring ones, more triangles meet in
-//! an edge. They are told apart: each that runs along the edge belongs with the one that bounds the same solid beside
-//! it, and what belongs together keeps the edge's vertices, while the others get copies. An edge that is the only one
-//! between its two sheets is divided in one of them.
+//! Where two pieces of surface pass through one cell of the net, or through neighbouring ones, more
+//! triangles meet in an edge. They are separated: each that runs along the edge belongs with the
+//! one that bounds the same solid beside it, and what belongs together keeps the edge's vertices,
+//! while the others get copies. An edge that is the only one between its two sheets is divided in
+//! one of them.
 
-use crate::rim::{at, key};
+use crate::rim::key;
 use nalgebra::Vector3;
 use rilievo_scene::Mesh;
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,8 +21,8 @@ pub(crate) fn separate(mesh: &mut Mesh) -> usize {
     if num_edges > 0 {
         let pairs = pairs(mesh, &edges);
         split_vertices(mesh, &edges, &pairs);
-        // Sheets that are joined beyond both ends of an edge still share it. An edge beside one that was divided waits
-        // for the next round.
+        // Sheets that are joined beyond both ends of an edge still share it. An edge beside one
+        // that was divided waits for the next round.
         let mut rest = shared_edges(mesh);
         while !rest.is_empty() {
             divide(mesh, &rest);
@@ -70,10 +71,10 @@ fn pairs(mesh: &Mesh, edges: &BTreeMap<Edge, Vec<u32>>) -> Pairs {
     edges.iter().map(pair).collect()
 }
 
-/// A triangle `(a, b, c)` has the solid on the side from which its angle around the edge falls, one of `(b, a, c)` on
-/// the other; the two around one solid are a pair.
+/// A triangle `(a, b, c)` has the solid on the side from which its angle around the edge falls, one
+/// of `(b, a, c)` on the other; the two around one solid are a pair.
 fn pairs_of(mesh: &Mesh, (a, b): Edge, triangles: &[u32]) -> Vec<[u32; 2]> {
-    let Some(axis) = (at(mesh, b) - at(mesh, a)).try_normalize(0.0) else {
+    let Some(axis) = (mesh.vertex(b) - mesh.vertex(a)).try_normalize(0.0) else {
         return Vec::new();
     };
     let side = axis.cross(&if axis.x.abs() < 0.5 {
@@ -88,7 +89,7 @@ fn pairs_of(mesh: &Mesh, (a, b): Edge, triangles: &[u32]) -> Vec<[u32; 2]> {
         let Some(k) = (0..3).find(|&k| key(corners[k], corners[(k + 1) % 3]) == (a, b)) else {
             continue;
         };
-        let third = at(mesh, corners[(k + 2) % 3]) - at(mesh, a);
+        let third = mesh.vertex(corners[(k + 2) % 3]) - mesh.vertex(a);
         let angle = third.dot(&up).atan2(third.dot(&side));
         if corners[k] == a {
             forward.push((angle, t));
@@ -176,7 +177,8 @@ fn fans(mesh: &Mesh, v: u32, triangles: &[u32], pairs: &Pairs) -> Vec<Vec<u32>> 
     fans.into_values().collect()
 }
 
-/// Gives all pairs but the first, and triangles without a partner, a vertex in the middle of the edge which only they have.
+/// Gives all pairs but the first, and triangles without a partner, a vertex in the middle of the
+/// edge which only they have.
 fn divide(mesh: &mut Mesh, edges: &BTreeMap<Edge, Vec<u32>>) {
     let pairs = pairs(mesh, edges);
     let mut touched = BTreeSet::new();

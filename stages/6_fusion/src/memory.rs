@@ -1,19 +1,21 @@
 //! How the memory allowed is spent.
 //!
-//! Of `M` bytes the mesh has at most [`MESH_SHARE`], and the pages that threads hold [`PAGES_SHARE`]; the rest is
-//! for what is small against them. One view is loaded before all that, for which `M` must suffice; nothing
-//! else grows with the number or the size of the views but by a hundredth of a byte a pixel.
+//! Of `M` bytes the mesh has at most [`MESH_SHARE`], and the pages that threads hold
+//! [`PAGES_SHARE`]; the rest is for what is small against them. One view is loaded before all that,
+//! for which `M` must suffice; nothing else grows with the number or the size of the views but by a
+//! hundredth of a byte a pixel.
 
 use crate::error::FusionError;
 use crate::options::FusionOptions;
-use crate::shelf::PAGE_BYTES;
+use crate::pixel::PAGE_BYTES;
 use rilievo_scene::PosedViews;
 
-/// Bytes of a photo's pixel while its view is loaded, the rest of the process with it: a map's file, its channels and its values,
-/// or what is left of the maps and the photo. Measured are 57 at 4 megapixels, and 41 without exposure and confidence.
+/// Bytes of a photo's pixel while its view is loaded, the rest of the process with it: a map's
+/// file, its channels and its values, or what is left of the maps and the photo. Measured are 57 at
+/// 4 megapixels, and 41 without exposure and confidence.
 const LOAD_BYTES: usize = 56;
-/// Bytes of a block of the volume with the surface in it: on average 30 vertices and 60 triangles of 54 bytes a vertex,
-/// and half as much again while loose pieces are dropped.
+/// Bytes of a block of the volume with the surface in it: on average 30 vertices and 60 triangles
+/// of 54 bytes a vertex, and half as much again while loose pieces are dropped.
 const BLOCK_BYTES: usize = 2_400;
 /// Further bytes while a mesh is made lighter: about 100 a triangle.
 const SIMPLIFY_BYTES: usize = 6_000;
@@ -21,7 +23,8 @@ const SIMPLIFY_BYTES: usize = 6_000;
 const TEXEL_BYTES: usize = 64;
 /// Bytes of a triangle of the asset while it is laid out. Measured are 900.
 const FACE_BYTES: usize = 1500;
-/// Bytes of a triangle while a mesh is made light: its corners, vertex and normal, and what the quadrics take.
+/// Bytes of a triangle while a mesh is made light: its corners, vertex and normal, and what the
+/// quadrics take.
 const LIGHTENED_BYTES: usize = 160;
 /// Share of the memory that the mesh has.
 const MESH_SHARE: f64 = 0.6;
@@ -67,7 +70,8 @@ pub(crate) fn max_num_blocks(options: &FusionOptions) -> usize {
     (share(options, MESH_SHARE) / (BLOCK_BYTES + simplify)).max(1)
 }
 
-/// Triangles that the asset has at most, and from which on a mesh is thinned before it is made light.
+/// Triangles that the asset has at most, and from which on a mesh is thinned before it is made
+/// light.
 pub(crate) fn asset_triangles(options: &FusionOptions) -> (usize, usize) {
     let faces = share(options, MESH_SHARE) / FACE_BYTES;
     let lightened = share(options, MESH_SHARE) / LIGHTENED_BYTES;

@@ -54,8 +54,8 @@ pub(crate) fn drop_small(mesh: &mut Mesh) -> Pieces {
     }
 }
 
-/// Drops vertices that no triangle uses; the others keep their order. `index` is memory for a number a vertex, of any
-/// content.
+/// Drops vertices that no triangle uses; the others keep their order. `index` is memory for a
+/// number a vertex, of any content.
 pub(crate) fn drop_unused(mesh: &mut Mesh, mut index: Vec<u32>) {
     index.fill(u32::MAX);
     for v in mesh.triangles.iter().flatten() {

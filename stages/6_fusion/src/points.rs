@@ -1,23 +1,23 @@
 //! The cloud: every piece of surface once, from the view that resolves it best ([`Judge`]).
 //!
-//! The work goes page by page of each view, against the views that may see the page's surface; points
-//! are handed on in the order of views, pages and pixels.
+//! The work goes page by page of each view, against the views that may see the page's surface;
+//! points are handed on in the order of views, pages and pixels.
 
 use crate::color::Palette;
 use crate::error::FusionError;
 use crate::judge::{Judge, PageShare};
+use crate::layering::tolerance_px;
 use crate::memory;
 use crate::options::FusionOptions;
-use crate::pairs::tolerance_px;
-use crate::reader::Readers;
 use crate::report::{Layering, ViewFusion};
+use crate::sight::min_normal_cosine;
 use crate::thin::Thinner;
-use crate::views::Stock;
+use crate::views::LoadedViews;
 use rilievo_scene::team::divided;
-use rilievo_scene::{CloudPoint, CloudSink, Observer, Scratch, StageId};
+use rilievo_scene::{CloudPoint, CloudSink, Observer, PageCaches, Scratch, StageId};
 
-/// Pages whose points are gathered between two words to the observer: few enough that their points are small against all
-/// memory.
+/// Pages whose points are gathered between two words to the observer: few enough that their points
+/// are small against all memory.
 const PAGES_AT_ONCE: usize = 256;
 
 /// The cloud in numbers.
@@ -58,20 +58,20 @@ impl Counted<'_> {
 
 /// Gathers the points of all views, in the order of views, pages and pixels.
 pub(crate) fn gather(
-    stock: &Stock,
+    loaded: &LoadedViews,
     layering: &Layering,
     options: &FusionOptions,
     reports: &mut [ViewFusion],
     (scratch, sink): (&dyn Scratch, &mut dyn CloudSink),
     observer: &dyn Observer,
 ) -> Result<CloudFacts, FusionError> {
-    let views = &stock.views;
+    let views = &loaded.views;
     let judge = Judge {
         palette: Palette::new(),
-        tolerance_px: tolerance_px(layering.median, layering.footprint, options),
+        tolerance_px: tolerance_px(layering.median, layering.footprint),
         // A single view has nobody to agree with.
         min_num_views: options.min_num_views.min(views.len()),
-        options,
+        min_normal_cosine: min_normal_cosine(),
     };
     let mut counted = Counted {
         sink,
@@ -84,7 +84,7 @@ pub(crate) fn gather(
     let mut thinner = (options.spacing > 0.0)
         .then(|| Thinner::new(scratch, options))
         .transpose()?;
-    let readers = Readers::new(&stock.shelf, memory::num_pages(options));
+    let caches = PageCaches::new(&loaded.store, memory::num_pages(options));
     let (team, mut num_candidates) = (observer.team(), 0);
     for (view, report) in views.iter().zip(reports) {
         for pages in view.pages.kept().chunks(PAGES_AT_ONCE) {
@@ -92,7 +92,9 @@ pub(crate) fn gather(
                 observer.progress(StageId::Fusion, "gathering points", (view.idx, views.len()));
             flow.ok_or(FusionError::Interrupted)?;
             let shares: Vec<PageShare> = divided(team, pages.len(), usize::MAX, |k| {
-                readers.with(|pixels| judge.page(pixels, views, view, pages[k]))
+                Ok::<_, FusionError>(
+                    caches.with(|pixels| judge.page(pixels, views, view, pages[k]))?,
+                )
             })?;
             for share in shares {
                 num_candidates += share.num_tried;
@@ -107,7 +109,7 @@ pub(crate) fn gather(
             }
         }
     }
-    drop(readers);
+    drop(caches);
     if let Some(thinner) = thinner {
         thinner.finish(&mut |points| counted.add(points))?;
     }

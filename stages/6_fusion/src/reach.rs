@@ -1,7 +1,8 @@
-//! Which views can say something about a piece of space, so that nothing is compared with the others.
+//! Which views can say something about a piece of space, so that nothing is compared with the
+//! others.
 
-use crate::pairs::MIN_FACING;
-use crate::view::{Farthest, View};
+use crate::sight::MIN_FACING;
+use crate::view::{BlockMaxDepth, View};
 use nalgebra::{Point3, Vector3};
 
 /// A lens that distorts enlarges a piece of space by less than this.
@@ -27,7 +28,8 @@ impl Ball {
         }
     }
 
-    /// Whether a view may have surface on its rays through the ball, and no more than `behind` before it.
+    /// Whether a view may have surface on its rays through the ball, and no more than `behind`
+    /// before it.
     pub fn is_reached_by(&self, view: &View, behind: f64) -> bool {
         let in_cam = view.pose.apply(&self.center);
         let near = in_cam.z - self.radius;
@@ -39,9 +41,9 @@ impl Ball {
         };
         let slope = (in_cam.coords / in_cam.z).norm_squared();
         let reach = ENLARGED * slope * view.camera.focal_px() * self.radius / near + MARGIN_PX;
-        let Farthest { columns, depths } = &view.farthest;
+        let BlockMaxDepth { columns, depths } = &view.max_depth;
         let squares = |at: f64, count: usize| {
-            let square = |at: f64| (at / Farthest::SIDE as f64).floor();
+            let square = |at: f64| (at / BlockMaxDepth::SIDE as f64).floor();
             let [low, end] =
                 [square(at - reach), square(at + reach) + 1.0].map(|k| k.clamp(0.0, count as f64));
             low as usize..end as usize

@@ -1,4 +1,4 @@
-//! What stage 6 tells of its work.
+//! The facts that stage 6 reports.
 
 use rilievo_scene::BaseColor;
 use serde::{Deserialize, Serialize};
@@ -16,13 +16,13 @@ pub struct Layering {
     pub median: f64,
     /// 90 % quantile of the absolute distance, world's unit.
     pub p90: f64,
-    /// Root mean square distance of the smooth part (the mean over windows of the correction
-    /// grid's size), world's unit: what an offset between maps causes, and noise does not.
+    /// Root mean square distance of the smooth part (the mean over windows of 48 pixels), world's
+    /// unit: what an offset between maps causes, and noise does not.
     pub smooth_rms: f64,
     /// Mean pixel footprint, world's unit, for comparison.
     pub footprint: f64,
     /// Distance up to which two pixels count as one surface, world's unit: four standard deviations
-    /// of the distances, between one footprint and the option `depth_tolerance_px`.
+    /// of the distances, between one footprint and four.
     pub tolerance: f64,
 }
 
@@ -43,19 +43,17 @@ pub struct ViewFusion {
     pub num_inconsistent: usize,
     /// Points of the cloud that come from this view.
     pub num_points: usize,
-    /// Root mean square of the correction that reconciled this view, world's unit.
-    pub correction_rms: f64,
 }
 
 /// The mesh in numbers.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct MeshReport {
     /// Vertices.
     pub num_vertices: usize,
     /// Triangles.
     pub num_triangles: usize,
     /// Smallest and largest coordinates of the vertices.
-    #[serde(default)]
     pub bounds: Option<[[f32; 3]; 2]>,
     /// Edge of a cell, world's unit.
     pub voxel: f64,
@@ -64,36 +62,28 @@ pub struct MeshReport {
     /// What the cells take, beside the memory, MiB.
     pub memory_mib: f64,
     /// Pieces that hang together.
-    #[serde(default)]
     pub num_pieces: usize,
     /// Pieces that were too small to be surface and were dropped.
     pub num_dropped_pieces: usize,
     /// Share of the triangles that were dropped with them.
-    #[serde(default)]
     pub dropped_share: f64,
     /// Edges that more than two triangles shared, before their sheets were separated.
-    #[serde(default)]
     pub num_separated_edges: usize,
     /// Holes that were closed by a smooth surface.
-    #[serde(default)]
     pub num_closed_holes: usize,
     /// Area of what closes them, world's unit squared.
-    #[serde(default)]
     pub closed_area: f64,
     /// Loops in which the surface ends.
-    #[serde(default)]
     pub num_open_loops: usize,
     /// Length of these together, world's unit.
-    #[serde(default)]
     pub boundary_length: f64,
     /// Triangles before it was made lighter, where it was.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub num_triangles_before: Option<usize>,
     /// By how much that moved the surface, as the quadrics estimate it, world's unit.
-    #[serde(default)]
     pub simplified_by: f64,
-    /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points are, world's
-    /// unit.
+    /// Mean distance of the vertices from the mean of the views' surfaces, as the cloud's points
+    /// are, world's unit.
     pub mean_distance_to_cloud: Option<f64>,
 }
 
@@ -112,11 +102,13 @@ pub struct AssetReport {
     pub texture_size: [usize; 2],
     /// Edge of a texel on the surface, world's unit.
     pub texel: f64,
-    /// Whether the texels are larger than the views' pixels, so that the textures are no larger than allowed.
+    /// Whether the texels are larger than the views' pixels, so that the textures are no larger
+    /// than allowed.
     pub is_bounded: bool,
     /// Share of the textures that surface covers.
     pub used_share: f64,
-    /// Share of that which no view sees: there the colours repeat what lies around, and the normals are the light mesh's.
+    /// Share of that which no view sees: there the colours repeat what lies around, and the normals
+    /// are the light mesh's.
     pub unseen_share: f64,
     /// By how much the light mesh moved the surface, as the quadrics estimate it, world's unit.
     pub simplified_by: f64,
@@ -124,31 +116,28 @@ pub struct AssetReport {
 
 /// Report of [`crate::run`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct FusionReport {
     /// Points of the cloud.
     pub num_points: usize,
     /// Mean number of views that agree on a point.
     pub mean_num_views: f64,
-    /// Points that another view covers: it sees surface there that faces the same way, within 30 pixel footprints of
-    /// the point along the normal. All points count, also those that a spacing thins out.
-    #[serde(default)]
+    /// Points that another view covers: it sees surface there that faces the same way, within 30
+    /// pixel footprints of the point along the normal. All points count, also those that a spacing
+    /// thins out.
     pub num_covered: usize,
-    /// Share of those points from which most views that cover them have their surfaces farther than three pixel
-    /// footprints: where it is large, the views' surfaces are two walls and not one. A single view counts
-    /// little, for relief may hide a point from it. `None` where no point is covered.
-    #[serde(default)]
+    /// Share of those points from which most views that cover them have their surfaces farther than
+    /// three pixel footprints: where it is large, the views' surfaces are two walls and not one. A
+    /// single view counts little, for relief may hide a point from it. `None` where no point is
+    /// covered.
     pub share_apart: Option<f64>,
-    /// Distance between views as they came.
-    pub layering_before: Layering,
-    /// Distance between views after the adjustment.
-    pub layering_after: Layering,
-    /// Iterations of the adjustment; 0 when it was switched off or had nothing to do.
-    pub reconcile_iterations: usize,
+    /// Distance between views; reports up to version 9 have it after a correction.
+    #[serde(alias = "layering_after")]
+    pub layering: Layering,
     /// Every view.
     pub views: Vec<ViewFusion>,
     /// The mesh, where one was made.
     pub mesh: Option<MeshReport>,
     /// The asset, where one was made.
-    #[serde(default)]
     pub asset: Option<AssetReport>,
 }

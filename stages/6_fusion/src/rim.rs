@@ -22,18 +22,14 @@ pub(crate) fn key(a: u32, b: u32) -> (u32, u32) {
     (a.min(b), a.max(b))
 }
 
-/// Place of a vertex.
-pub(crate) fn at(mesh: &Mesh, v: u32) -> Vector3<f64> {
-    Vector3::from(mesh.vertices[v as usize].map(f64::from))
-}
-
 /// Edges of a triangle, by their vertices in ascending order.
 fn edges_of(t: [u32; 3]) -> [(u32, u32); 3] {
     [0, 1, 2].map(|k| key(t[k], t[(k + 1) % 3]))
 }
 
-/// Whether the triangles around a vertex leave a gap: around a closed fan every neighbour comes once before and once after
-/// its successor, so that a sum over mixed indices with both signs is zero.
+/// Whether the triangles around a vertex leave a gap: around a closed fan every neighbour comes
+/// once before and once after its successor, so that a sum over mixed indices with both signs is
+/// zero.
 fn on_rim(mesh: &Mesh) -> Vec<bool> {
     let mixed = |v: u32| {
         let v = (u64::from(v) + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
@@ -63,8 +59,8 @@ fn rim_edges(mesh: &Mesh, triangles: &[usize], on_rim: &[bool]) -> Edges {
 
 /// Cuts teeth off and smooths the boundary. Vertices may remain without a triangle.
 pub(crate) fn smooth(mesh: &mut Mesh) {
-    // A tooth has all its vertices on the rim, so that cutting it opens edges between them only: what is not on the
-    // rim now never is, and these triangles are all that matter.
+    // A tooth has all its vertices on the rim, so that cutting it opens edges between them only:
+    // what is not on the rim now never is, and these triangles are all that matter.
     let on_rim = on_rim(mesh);
     let mut near: Vec<usize> = (0..mesh.triangles.len())
         .into_par_iter()
@@ -104,7 +100,7 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
         if !t.iter().any(|v| normals.contains_key(v)) {
             continue;
         }
-        let [a, b, c] = t.map(|v| at(mesh, v));
+        let [a, b, c] = t.map(|v| mesh.vertex(v));
         let normal = (b - a).cross(&(c - a));
         for v in t {
             if let Some(sum) = normals.get_mut(v) {
@@ -121,8 +117,8 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
                     return None;
                 };
                 let normal = normals[&v].try_normalize(0.0)?;
-                let here = at(mesh, v);
-                let step = 0.5 * (0.5 * (at(mesh, a) + at(mesh, b)) - here);
+                let here = mesh.vertex(v);
+                let step = 0.5 * (0.5 * (mesh.vertex(a) + mesh.vertex(b)) - here);
                 Some((v, here + step - normal * normal.dot(&step)))
             })
             .collect();
@@ -132,12 +128,12 @@ pub(crate) fn smooth(mesh: &mut Mesh) {
     }
 }
 
-/// Loops of boundary edges, against the direction in which their triangles run along them. A loop that meets a vertex
-/// twice is two.
+/// Loops of boundary edges, against the direction in which their triangles run along them. A loop
+/// that meets a vertex twice is two.
 pub(crate) fn boundary_loops(mesh: &Mesh) -> Vec<Vec<u32>> {
     let on_rim = on_rim(mesh);
-    // A directed edge that is run through more often than its opposite is a boundary. As a boundary the edges are
-    // balanced in every vertex, so that a walk along them always closes.
+    // A directed edge that is run through more often than its opposite is a boundary. As a boundary
+    // the edges are balanced in every vertex, so that a walk along them always closes.
     let mut edges: BTreeMap<(u32, u32), i32> = BTreeMap::new();
     for t in &mesh.triangles {
         for k in 0..3 {
@@ -190,7 +186,7 @@ mod tests {
         rim_edges(mesh, &all, &vec![true; mesh.vertices.len()])
             .iter()
             .filter(|(_, count)| **count == 1)
-            .map(|((a, b), _)| (at(mesh, *a) - at(mesh, *b)).norm())
+            .map(|((a, b), _)| (mesh.vertex(*a) - mesh.vertex(*b)).norm())
             .sum()
     }
 

@@ -1,16 +1,17 @@
-//! A mesh of fewer triangles: edges are collapsed where that changes the surface least, by quadric error metrics.
+//! A mesh of fewer triangles: edges are collapsed where that changes the surface least, by quadric
+//! error metrics.
 //!
-//! Source: Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH 1997; as the library
-//! meshoptimizer does it. Vertices that stay keep their places, normals and colours, so that a light mesh is still
-//! lit as the dense one.
+//! Source: Garland and Heckbert, "Surface simplification using quadric error metrics", SIGGRAPH
+//! 1997; as the library meshoptimizer does it. Vertices that stay keep their places, normals and
+//! colours, so that a light mesh is still lit as the dense one.
 
 use crate::pieces::drop_unused;
 use meshopt::{SimplifyOptions, simplify_decoder, simplify_scale_decoder, simplify_sloppy_decoder};
 use rilievo_scene::Mesh;
 use rilievo_scene::cloud::renumber;
 
-/// Leaves about `max_num_triangles`, more where the surface's pieces and holes need them; returns by how much the surface
-/// moved, as the quadrics estimate it, world's unit.
+/// Leaves about `max_num_triangles`, more where the surface's pieces and holes need them; returns
+/// by how much the surface moved, as the quadrics estimate it, world's unit.
 pub(crate) fn simplify(mesh: &mut Mesh, max_num_triangles: usize) -> f64 {
     if mesh.triangles.len() <= max_num_triangles {
         return 0.0;
@@ -30,8 +31,8 @@ pub(crate) fn simplify(mesh: &mut Mesh, max_num_triangles: usize) -> f64 {
     f64::from(error)
 }
 
-/// The same as a mesh of its own, without colours. A mesh of more than `max_num_dense` triangles is thinned on a grid first,
-/// which takes little memory.
+/// The same as a mesh of its own, without colours. A mesh of more than `max_num_dense` triangles is
+/// thinned on a grid first, which takes little memory.
 pub(crate) fn lightened(
     mesh: &Mesh,
     max_num_triangles: usize,
@@ -43,7 +44,7 @@ pub(crate) fn lightened(
         let num = max_num_dense.saturating_mul(3);
         corners =
             simplify_sloppy_decoder(&corners, &mesh.vertices, num, f32::MAX, Some(&mut thinned));
-        // It tells its error as a share of the extent.
+        // Its error is a share of the extent.
         thinned *= simplify_scale_decoder(&mesh.vertices);
     }
     if corners.len() > max_num_triangles.saturating_mul(3) {

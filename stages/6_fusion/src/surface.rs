@@ -1,44 +1,45 @@
 //! The surface `D = 0` as triangles.
 //!
-//! Surface nets block by block (each block with one layer of its neighbours); a vertex belongs to the block of
-//! its cell, which gives it its normal and colour ([`dress`]), and triangles name vertices by their cells. The
-//! pieces are put aside until the number of vertices is known, then joined. Triangles with a corner in a cell
-//! that touches an unknown voxel are no surface but the end of what was seen, and are dropped. Sheets that share an
-//! edge are separated ([`manifold`]), the end is smoothed ([`rim`]), small loose pieces are dropped ([`pieces`]) and
-//! small holes closed ([`holes`]).
+//! Surface nets block by block (each block with one layer of its neighbours); a vertex belongs to
+//! the block of its cell, which determines its normal and colour ([`dress`]), and triangles name
+//! vertices by their cells. The pieces are stored until the number of vertices is known, then
+//! joined. Triangles with a corner in a cell that touches an unknown voxel are no surface but the
+//! end of what was seen, and are dropped. Sheets that share an edge are separated ([`manifold`]),
+//! the end is smoothed ([`rim`]), small loose pieces are dropped ([`pieces`]) and small holes
+//! closed ([`holes`]).
 
 use crate::dress::{Dressed, Dresser};
 use crate::error::FusionError;
 use crate::options::FusionOptions;
-use crate::reader::Readers;
 use crate::report::MeshReport;
 use crate::tsdf::{BLOCKS_AT_ONCE, Key, SIDE, UNKNOWN, VOLUME, Volume};
-use crate::views::Stock;
+use crate::views::LoadedViews;
 use crate::{holes, manifold, pieces, rim, simplify};
 use fast_surface_nets::ndshape::{ConstShape, ConstShape3u32};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_scene::team::divided;
-use rilievo_scene::{Mesh, Observer, Room, Scratch, ScratchError, StageId};
+use rilievo_scene::{Mesh, Observer, PageCaches, Room, Scratch, ScratchError, StageId};
 use serde::{Deserialize, Serialize};
 
 /// A block with one layer of neighbours on either side.
 const PADDED: u32 = SIDE as u32 + 2;
 type PaddedShape = ConstShape3u32<PADDED, PADDED, PADDED>;
 
-/// Holes with a shorter edge than this many cells are closed: they are three times as wide as the views are averaged.
+/// Holes with a shorter edge than this many cells are closed: they are three times as wide as the
+/// views are averaged.
 const MAX_HOLE_CELLS: f64 = 40.0;
 /// Cells along the edge of a block with those of the next blocks that its triangles touch.
 const CELLS: u32 = SIDE as u32 + 1;
-/// Bytes of a vertex and of a triangle that are put aside.
+/// Bytes of a stored vertex and triangle.
 const VERTEX_BYTES: usize = 12 + 12 + 3;
 const TRIANGLE_BYTES: usize = 3 * 2;
 
 /// Blocks that are worked on one after the other.
 const BLOCKS_IN_ROW: usize = 32;
 
-/// What one block gives.
+/// The surface in one block.
 #[derive(Default, Serialize, Deserialize)]
 struct Piece {
     /// Number of each vertex's cell in the block, ascending.
@@ -48,7 +49,7 @@ struct Piece {
     triangles: Vec<[u16; 3]>,
 }
 
-/// The pieces of all blocks, put aside.
+/// The pieces of all blocks, out of core.
 struct Pieces {
     room: Box<dyn Room>,
     /// Number of the first vertex of every block, and of the end.
@@ -63,8 +64,8 @@ struct Pieces {
 /// Extracts the mesh of a volume with normals and colours of the views.
 pub(crate) fn extract(
     volume: Volume,
-    stock: &Stock,
-    readers: Readers<'_>,
+    loaded: &LoadedViews,
+    caches: PageCaches<'_>,
     scratch: &dyn Scratch,
     options: &FusionOptions,
     observer: &dyn Observer,
@@ -80,7 +81,7 @@ pub(crate) fn extract(
         cells: Vec::new(),
         distances: (0.0, 0),
     };
-    let dresser = Dresser::new(&stock.views, &volume, options);
+    let dresser = Dresser::new(&loaded.views, &volume, options);
     let mut place = 0;
     for first in (0..volume.num_blocks()).step_by(BLOCKS_AT_ONCE) {
         step("extracting the surface", first, volume.num_blocks())?;
@@ -90,12 +91,12 @@ pub(crate) fn extract(
             let begin = first + row * BLOCKS_IN_ROW;
             let mut buffer = SurfaceNetsBuffer::default();
             (begin..end.min(begin + BLOCKS_IN_ROW))
-                .map(|idx| extract_block(&volume, &dresser, &readers, idx, &mut buffer))
+                .map(|idx| extract_block(&volume, &dresser, &caches, idx, &mut buffer))
                 .collect::<Result<Vec<Piece>, FusionError>>()
         })?;
-        place += pieces.put_aside(made.into_iter().flatten().collect(), place)?;
+        place += pieces.store(made.into_iter().flatten().collect(), place)?;
     }
-    drop(readers);
+    drop(caches);
     step("joining the surface", 0, 1)?;
     let mut mesh = pieces.join(&volume)?;
     let (sum, count) = pieces.distances;
@@ -116,8 +117,8 @@ pub(crate) fn extract(
     let longest = if options.watertight {
         f64::INFINITY
     } else {
-        // The outline of a piece that is just large enough to stay is no hole: N triangles of half a cell's area are a
-        // disc of 2 π N cells² around.
+        // The outline of a piece that is just large enough to stay is no hole: N triangles of half
+        // a cell's area are a disc of 2 π N cells² around.
         let smallest = pieces::MIN_PIECE * mesh.triangles.len() as f64;
         MAX_HOLE_CELLS.min((std::f64::consts::TAU * smallest).sqrt()) * report.voxel
     };
@@ -148,7 +149,7 @@ pub(crate) fn extract(
 fn extract_block(
     volume: &Volume,
     dresser: &Dresser<'_>,
-    readers: &Readers<'_>,
+    caches: &PageCaches<'_>,
     idx: usize,
     buffer: &mut SurfaceNetsBuffer,
 ) -> Result<Piece, FusionError> {
@@ -170,7 +171,7 @@ fn extract_block(
         .map(|i| value(PaddedShape::delinearize(i).map(|c| c as usize)))
         .collect();
     // Unknown voxels are larger than any truncated distance, hence outside: the nets end there in
-    // false walls, which `is_known` tells apart.
+    // false walls, which `is_known` marks.
     surface_nets(&values, &PaddedShape {}, [0; 3], [PADDED - 1; 3], buffer);
     let is_known: Vec<bool> = buffer
         .surface_points
@@ -188,7 +189,7 @@ fn extract_block(
         .collect();
     let mut piece = Piece::default();
     let corner = volume.corner(idx);
-    readers.with(|pixels| {
+    caches.with(|pixels| {
         let near = dresser.near(pixels, idx);
         for (i, cell) in buffer.surface_points.iter().enumerate() {
             if !is_known[i] || cell.iter().any(|&c| c as usize >= SIDE) {
@@ -227,8 +228,8 @@ fn number_in_block([x, y, z]: [u32; 3]) -> u16 {
 }
 
 impl Pieces {
-    /// Puts the pieces of the next blocks at a place; returns their bytes.
-    fn put_aside(&mut self, pieces: Vec<Piece>, place: u64) -> Result<u64, FusionError> {
+    /// Stores the pieces of the next blocks at a place; returns their bytes.
+    fn store(&mut self, pieces: Vec<Piece>, place: u64) -> Result<u64, FusionError> {
         let mut bytes = Vec::new();
         for piece in pieces {
             for vertex in &piece.vertices {

@@ -1,8 +1,8 @@
 //! One point, the most confident, in every cube of edge `spacing`.
 //!
-//! All points are put aside. The cubes are dealt out to as many passes as the memory asks for; each goes
-//! through all points and sorts those of its cubes by cube, confidence and order. What is first in its cube
-//! is marked, and in the end handed on in the order of all points.
+//! All points are stored out of core. The cubes are dealt out to as many passes as the memory asks
+//! for; each goes through all points and sorts those of its cubes by cube, confidence and order.
+//! What is first in its cube is marked, and in the end handed on in the order of all points.
 
 use crate::error::FusionError;
 use crate::memory;
@@ -21,10 +21,10 @@ struct Entry {
     idx: u64,
 }
 
-/// Takes all points, and gives those that are kept.
+/// Takes all points, and hands on those that are kept.
 pub(crate) struct Thinner {
     room: Box<dyn Room>,
-    /// Points that are not put aside yet.
+    /// Points that are not stored yet.
     waiting: Vec<u8>,
     num_points: u64,
     spacing: f64,
@@ -52,13 +52,13 @@ impl Thinner {
             self.waiting.push(point.num_views);
             self.num_points += 1;
             if self.waiting.len() == NUM_AT_ONCE * RECORD {
-                self.put_aside()?;
+                self.store()?;
             }
         }
         Ok(())
     }
 
-    fn put_aside(&mut self) -> Result<(), ScratchError> {
+    fn store(&mut self) -> Result<(), ScratchError> {
         let end = self.num_points * RECORD as u64;
         self.room
             .write_at(&self.waiting, end - self.waiting.len() as u64)?;
@@ -88,7 +88,7 @@ impl Thinner {
         mut self,
         take: &mut dyn FnMut(&[CloudPoint]) -> Result<(), FusionError>,
     ) -> Result<(), FusionError> {
-        self.put_aside()?;
+        self.store()?;
         let mut is_kept = vec![0_u8; self.num_points.div_ceil(8) as usize];
         let num_passes = self.num_points.div_ceil(self.max_num_sorted);
         let mut entries = Vec::new();

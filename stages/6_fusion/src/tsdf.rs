@@ -3,11 +3,13 @@
 //! At a voxel centre `v` each view contributes the distance of its surface from `v` along the
 //! normal, `d = n·(v − Y)` with `Y` where the view's ray through `v` meets its surface, clamped to
 //! the truncation `T`; nothing where `d < −T`, or where `v` lies more than `2 T` behind `Y` along
-//! the ray (what lies behind the surface is unknown). The voxel keeps `D = Σ w d / Σ w`, `w = c cos²θ / a²`.
+//! the ray (what lies behind the surface is unknown). The voxel keeps `D = Σ w d / Σ w`, `w = c
+//! cos²θ / a²`.
 //!
 //! Voxels come in blocks of 8³ that exist only near the surface; their number is known before they
-//! are made, and the voxels are enlarged where the mesh would exceed the memory allowed. The blocks are
-//! put aside as they are filled, in Morton order, so that neighbours in the order see the same pages.
+//! are made, and the voxels are enlarged where the mesh would exceed the memory allowed. The blocks
+//! are stored as they are filled, in Morton order, so that neighbours in the order see the same
+//! pages.
 //!
 //! Source: Curless and Levoy, "A volumetric method for building complex models from range images",
 //! SIGGRAPH 1996, eqs. 1 and 2. Departure: distances along the normal instead of the ray, so that
@@ -19,13 +21,12 @@ use crate::judge::weight;
 use crate::memory;
 use crate::options::FusionOptions;
 use crate::reach::Ball;
-use crate::reader::{Reader, Readers};
-use crate::view::{Pixels, View};
-use crate::views::Stock;
+use crate::view::View;
+use crate::views::{LoadedViews, min_grazing_cosine};
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_scene::team::divided;
-use rilievo_scene::{Observer, Room, Scratch, ScratchError, StageId};
+use rilievo_scene::{Observer, PageCache, PageCaches, Room, Scratch, ScratchError, StageId};
 
 /// Voxels along the edge of a block.
 pub(crate) const SIDE: usize = 8;
@@ -37,24 +38,28 @@ pub(crate) const UNKNOWN: f32 = f32::MAX;
 const BLOCK_BYTES: usize = VOLUME * 4;
 /// Blocks that are worked on between two words to the observer.
 pub(crate) const BLOCKS_AT_ONCE: usize = 4096;
+/// Distance from the surface over which views are averaged, voxels. It exceeds the noise of the
+/// depths; larger values close narrow grooves.
+const TRUNCATION_VOXELS: f64 = 4.0;
 /// Pages whose blocks are found before they are put among the others.
 const PAGES_AT_ONCE: usize = 4096;
 /// Growth of the voxels when the memory does not suffice.
 const COARSEN: f64 = 1.189_207_115_002_721;
-/// A view tells how far the surface is up to this many truncations behind it along its ray. At
-/// grazing incidence the distance along the normal stays small all the way out of the body's far
+/// A view measures the distance of the surface up to this many truncations behind it along its ray.
+/// At grazing incidence the distance along the normal stays small all the way out of the body's far
 /// side, where its sign would be wrong and fold the mesh at the rim; at 1 cells at 75 degrees of
 /// incidence and more miss a corner.
 const MAX_BEHIND: f64 = 2.0;
 /// Coordinates are kept to 21 bits each.
 const KEY_OFFSET: i64 = 1 << 20;
-/// Blocks are counted up to this multiple of what is allowed, to tell how much larger voxels must be.
+/// Blocks are counted up to this multiple of what is allowed, to estimate how much larger voxels
+/// must be.
 const MAX_EXCESS: usize = 8;
 
 /// Position of a block, in blocks.
 pub(crate) type Key = [i32; 3];
 
-/// Distances in blocks, put aside.
+/// Distances in blocks, out of core.
 pub(crate) struct Volume {
     pub voxel: f64,
     /// Distance over which views are averaged, world's unit.
@@ -93,7 +98,7 @@ impl Volume {
     /// Views that shape a block, of those that may say something about it.
     pub fn best<'a>(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         views: &'a [View],
         idx: usize,
     ) -> Vec<&'a View> {
@@ -124,32 +129,32 @@ impl Volume {
         self.room.write_at(&bytes, (idx * BLOCK_BYTES) as u64)
     }
 
-    /// Memory of what is put aside, MiB.
+    /// Memory of the stored distances, MiB.
     pub fn memory_mib(&self) -> f64 {
         (self.codes.len() * BLOCK_BYTES) as f64 / 1_048_576.0
     }
 }
 
-/// Fuses the depth maps at voxels of `footprint` (world's unit) or larger; `None` when no block is near any surface.
+/// Fuses the depth maps at voxels of the median footprint times `voxel_px` or larger; `None` when
+/// no block is near any surface.
 pub(crate) fn integrate(
-    stock: &Stock,
-    readers: &Readers<'_>,
-    footprint: f64,
+    loaded: &LoadedViews,
+    caches: &PageCaches<'_>,
     scratch: &dyn Scratch,
     options: &FusionOptions,
     observer: &dyn Observer,
 ) -> Result<Option<Volume>, FusionError> {
-    let wanted = options.voxel_px * footprint;
+    let wanted = options.voxel_px * loaded.median_footprint;
     if wanted.is_nan() || wanted <= 0.0 {
         return Ok(None);
     }
-    let views = &stock.views;
+    let views = &loaded.views;
     let first = views.iter().find_map(|view| Some((view, view.first_px?)));
     let Some((view, [x, y])) = first else {
         return Ok(None);
     };
-    let origin = readers.with(|pixels| {
-        let pixel = pixels.pixel(view, x, y);
+    let origin = caches.with(|pixels| {
+        let pixel = view.pixel(pixels, x, y);
         view.point_to_world(&(view.ray(x, y, &pixel) * f64::from(pixel.depth)))
     })?;
     let max_num_blocks = memory::max_num_blocks(options);
@@ -157,7 +162,7 @@ pub(crate) fn integrate(
     let codes = loop {
         let voxel = wanted * coarsened_by;
         let most = MAX_EXCESS.saturating_mul(max_num_blocks);
-        let codes = block_codes(views, readers, voxel, &origin, options, most)?;
+        let codes = block_codes(views, caches, voxel, &origin, most)?;
         if codes.len() <= max_num_blocks {
             break codes;
         }
@@ -172,8 +177,8 @@ pub(crate) fn integrate(
     let voxel = wanted * coarsened_by;
     let volume = Volume {
         voxel,
-        truncation: options.truncation_voxels * voxel,
-        min_cosine: options.max_grazing_deg.to_radians().cos(),
+        truncation: TRUNCATION_VOXELS * voxel,
+        min_cosine: min_grazing_cosine(),
         origin,
         codes,
         room: scratch.room()?,
@@ -189,7 +194,7 @@ pub(crate) fn integrate(
         flow.ok_or(FusionError::Interrupted)?;
         let count = BLOCKS_AT_ONCE.min(num_blocks - first);
         let filled = divided(observer.team(), count, usize::MAX, |k| {
-            let distances = readers.with(|pixels| {
+            let distances = caches.with(|pixels| {
                 let best = volume.best(pixels, views, first + k);
                 let corner = volume.corner(first + k);
                 fill(
@@ -219,7 +224,8 @@ fn gather(code: u64) -> u64 {
     (0..21).fold(0, |c, bit| c | (code >> (3 * bit) & 1) << bit)
 }
 
-/// Morton code of a block: the bits of its coordinates in turn, so that neighbours have codes near each other.
+/// Morton code of a block: the bits of its coordinates in turn, so that neighbours have codes near
+/// each other.
 fn encode(key: [i64; 3]) -> u64 {
     let [x, y, z] = key.map(|k| spread((k + KEY_OFFSET) as u64 & 0x1f_ffff));
     x | y << 1 | z << 2
@@ -229,25 +235,24 @@ fn decode(code: u64) -> Key {
     [0, 1, 2].map(|axis| (gather(code >> axis) as i64 - KEY_OFFSET) as i32)
 }
 
-/// Codes of the blocks within the truncation of any surface, in order; where there are more than `most`, some of them
-/// and more than `most`.
+/// Codes of the blocks within the truncation of any surface, in order; where there are more than
+/// `most`, some of them and more than `most`.
 fn block_codes(
     views: &[View],
-    readers: &Readers<'_>,
+    caches: &PageCaches<'_>,
     voxel: f64,
     origin: &Point3<f64>,
-    options: &FusionOptions,
     most: usize,
 ) -> Result<Vec<u64>, FusionError> {
     let edge = voxel * SIDE as f64;
-    let reach = options.truncation_voxels * voxel;
-    let of_page = |pixels: &mut Reader<'_>, view: &View, page: usize| {
+    let reach = TRUNCATION_VOXELS * voxel;
+    let of_page = |pixels: &mut PageCache<'_>, view: &View, page: usize| {
         let mut found: Vec<[i64; 3]> = Vec::new();
         let [across, down] = view.pages.extent(page);
         for y in down {
             for x in across.clone() {
-                let pixel = pixels.pixel(view, x, y);
-                let Some(surface) = pixel.surface().filter(|s| s.gives) else {
+                let pixel = view.pixel(pixels, x, y);
+                let Some(surface) = pixel.surface().filter(|s| s.makes_points) else {
                     continue;
                 };
                 let at = view.point_to_world(&(view.ray(x, y, &pixel) * surface.depth)) - origin;
@@ -277,7 +282,7 @@ fn block_codes(
         for pages in view.pages.kept().chunks(PAGES_AT_ONCE) {
             let found: Vec<Vec<u64>> = pages
                 .par_iter()
-                .map(|&page| readers.with(|pixels| of_page(pixels, view, page)))
+                .map(|&page| caches.with(|pixels| of_page(pixels, view, page)))
                 .collect::<Result<_, _>>()?;
             all.extend(found.into_iter().flatten());
             all.par_sort_unstable();
@@ -292,7 +297,7 @@ fn block_codes(
 
 /// Distances of the block with its first corner there, of the views that shape it.
 fn fill(
-    pixels: &mut Reader<'_>,
+    pixels: &mut PageCache<'_>,
     views: &[&View],
     corner: &Point3<f64>,
     voxel: f64,
@@ -342,23 +347,20 @@ fn fill(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::settle::settle;
-    use crate::views::testing::stock;
+    use crate::views::testing::load;
     use rilievo_synthetic::testing::sphere_world;
 
     #[test]
     fn views_that_do_not_reach_a_block_have_nothing_to_say_of_it() {
         let world = sphere_world();
-        let options = FusionOptions::default();
-        let mut stock = stock(&world.posed, &world.shaded);
-        let settled = settle(&mut stock, None).expect("room in memory");
-        let readers = Readers::new(&stock.shelf, 64);
-        let voxel = 0.2 * settled.median_footprint;
-        let (edge, truncation) = (SIDE as f64 * voxel, options.truncation_voxels * voxel);
-        let min_cosine = options.max_grazing_deg.to_radians().cos();
+        let loaded = load(&world.posed, &world.shaded);
+        let caches = PageCaches::new(&loaded.store, 64);
+        let voxel = 0.2 * loaded.median_footprint;
+        let (edge, truncation) = (SIDE as f64 * voxel, TRUNCATION_VOXELS * voxel);
+        let min_cosine = min_grazing_cosine();
         // The sphere and what lies around and behind it.
         let origin = Point3::origin();
-        let near = block_codes(&stock.views, &readers, voxel, &origin, &options, usize::MAX);
+        let near = block_codes(&loaded.views, &caches, voxel, &origin, usize::MAX);
         let near: Vec<Key> = near
             .expect("room in memory")
             .into_iter()
@@ -374,7 +376,7 @@ mod tests {
             .flat_map(|x| range(1).flat_map(move |y| range(2).map(move |z| [x, y, z])))
             .collect();
         let (mut num_left_out, mut num_seen) = (0, 0);
-        for view in &stock.views {
+        for view in &loaded.views {
             for key in &keys {
                 let corner = Point3::from(key.map(|k| f64::from(k) * edge));
                 if Ball::of_cube(&corner, edge).is_reached_by(view, MAX_BEHIND * truncation) {
@@ -382,7 +384,7 @@ mod tests {
                     continue;
                 }
                 num_left_out += 1;
-                let said = readers
+                let said = caches
                     .with(|pixels| fill(pixels, &[view], &corner, voxel, truncation, min_cosine));
                 let said = said.expect("room in memory");
                 assert!(said.iter().all(|&d| d == UNKNOWN), "{} {key:?}", view.idx);

@@ -6,11 +6,11 @@
 //! tangent planes. On a curve their errors are `±κ t(1−t)/2`, so that the mean is the cubic
 //! Hermite interpolant, exact to third order. Planes are exact in both.
 
-use crate::shelf::{Pages, Pixel};
+use crate::pixel::Pixel;
 use nalgebra::{Matrix3, Point3, Vector3};
-use rilievo_scene::{Intrinsics, RigidTransform};
+use rilievo_scene::{DepthMap, Intrinsics, PAGE_SIDE, PageCache, Pages, RigidTransform};
 
-/// A view; its pixels lie on the [`crate::shelf::Shelf`].
+/// A view; its pixels lie in the [`rilievo_scene::PageStore`].
 #[derive(Clone, Debug)]
 pub(crate) struct View {
     /// Index among the fused views.
@@ -27,29 +27,31 @@ pub(crate) struct View {
     /// The first of them, where there is one.
     pub first_px: Option<[usize; 2]>,
     pub pages: Pages,
-    pub farthest: Farthest,
+    pub max_depth: BlockMaxDepth,
 }
 
-/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the view says
-/// nothing about.
+/// Largest depths in squares of a view's map, 0 where there is none: what lies well behind them the
+/// view says nothing about.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Farthest {
+pub(crate) struct BlockMaxDepth {
     pub columns: usize,
     pub depths: Vec<f32>,
 }
 
-impl Farthest {
+impl BlockMaxDepth {
     /// Side of the squares, pixels: about what a block covers.
     pub const SIDE: usize = 8;
-}
 
-/// Pixels of views, by whatever way they are read.
-pub(crate) trait Pixels {
-    /// A pixel inside the map.
-    fn pixel(&mut self, view: &View, x: usize, y: usize) -> Pixel;
-
-    /// A pixel, its right neighbour, and the two below, all inside the map.
-    fn square(&mut self, view: &View, x: usize, y: usize) -> [Pixel; 4];
+    pub fn of(depth: &DepthMap) -> Self {
+        let columns = depth.width.div_ceil(Self::SIDE);
+        let mut depths = vec![0.0; columns * depth.height.div_ceil(Self::SIDE)];
+        for (i, &z) in depth.data.iter().enumerate() {
+            let [x, y] = [i % depth.width, i / depth.width].map(|at| at / Self::SIDE);
+            let max = &mut depths[y * columns + x];
+            *max = f32::max(*max, z);
+        }
+        Self { columns, depths }
+    }
 }
 
 /// A point of a view's surface.
@@ -59,8 +61,8 @@ pub(crate) struct Surface {
     /// Unit normal, camera frame.
     pub normal: Vector3<f64>,
     pub confidence: f64,
-    /// Whether the nearest pixel gives points.
-    pub gives: bool,
+    /// Whether the nearest pixel makes points.
+    pub makes_points: bool,
     /// Whether a corner was missing, and the tangent planes of the others carried on.
     pub is_extrapolated: bool,
     /// How far the two interpolants lie apart along the normal, pixel footprints.
@@ -77,6 +79,31 @@ const EXTRAPOLATED: f64 = 0.01;
 const MIN_CONFIDENCE: f64 = 0.05;
 
 impl View {
+    /// A pixel inside the map.
+    #[inline]
+    pub fn pixel(&self, pixels: &mut PageCache<'_>, x: usize, y: usize) -> Pixel {
+        let (page, at) = self.pages.locate(x, y);
+        let bytes = pixels.page(&self.pages, page);
+        bytes.map_or_else(Pixel::default, |bytes| Pixel::read(&bytes[at]))
+    }
+
+    /// A pixel, its right neighbour, and the two below, all inside the map.
+    #[inline]
+    pub fn square(&self, pixels: &mut PageCache<'_>, x: usize, y: usize) -> [Pixel; 4] {
+        if x % PAGE_SIDE + 1 == PAGE_SIDE || y % PAGE_SIDE + 1 == PAGE_SIDE {
+            return [(0, 0), (1, 0), (0, 1), (1, 1)]
+                .map(|(dx, dy)| self.pixel(pixels, x + dx, y + dy));
+        }
+        let (page, at) = self.pages.locate(x, y);
+        let Some(bytes) = pixels.page(&self.pages, page) else {
+            return [Pixel::default(); 4];
+        };
+        let record = at.len();
+        // Written out: a map over an array copies every pixel once more, a sixth of all time.
+        let next = |k: usize| Pixel::read(&bytes[at.start + k * record..][..record]);
+        [next(0), next(1), next(PAGE_SIDE), next(PAGE_SIDE + 1)]
+    }
+
     /// Ray of an integer pixel, `z = 1`.
     #[inline]
     pub fn ray(&self, x: usize, y: usize, pixel: &Pixel) -> Vector3<f64> {
@@ -108,7 +135,7 @@ impl View {
 
     /// The surface along the ray through a point in the camera frame; `None` outside the map.
     #[inline]
-    pub fn along(&self, pixels: &mut impl Pixels, in_cam: &Point3<f64>) -> Option<Surface> {
+    pub fn along(&self, pixels: &mut PageCache<'_>, in_cam: &Point3<f64>) -> Option<Surface> {
         let place = self.camera.project(in_cam)?;
         if !(place.x >= 0.0 && place.y >= 0.0) {
             return None;
@@ -122,7 +149,7 @@ impl View {
         let ray = in_cam.coords / in_cam.z;
         let (mut chord, mut planes, mut confidence) = (0.0, 0.0, 0.0);
         let (mut normal, mut total) = (Vector3::zeros(), 0.0);
-        let corners = pixels.square(self, x, y);
+        let corners = self.square(pixels, x, y);
         for (k, weight) in bilinear_weights(fx, fy).into_iter().enumerate() {
             let pixel = &corners[k];
             let Some(corner) = pixel.surface() else {
@@ -156,7 +183,7 @@ impl View {
             depth: 1.0 / inverse,
             normal,
             confidence: trust * confidence / total,
-            gives: corners[nearest].gives,
+            makes_points: corners[nearest].makes_points,
             is_extrapolated,
             strain_px: apart_px * normal.dot(&ray).abs(),
         })
@@ -171,14 +198,14 @@ impl Pixel {
             depth: self.depth.into(),
             normal: Vector3::from(self.normal.map(f64::from)),
             confidence: f64::from(self.confidence).clamp(MIN_CONFIDENCE, 1.0),
-            gives: self.gives,
+            makes_points: self.makes_points,
             is_extrapolated: false,
             strain_px: 0.0,
         })
     }
 }
 
-/// Weights of the four pixels around a place, in the order of [`Pixels::square`].
+/// Weights of the four pixels around a place, in the order of [`View::square`].
 #[inline]
 pub(crate) fn bilinear_weights(fx: f64, fy: f64) -> [f64; 4] {
     [

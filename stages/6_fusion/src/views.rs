@@ -1,18 +1,23 @@
-//! The views' maps, loaded one by one, checked, cleaned and put aside: no depth edges, no borders.
+//! The views' maps, loaded one by one, checked, cleaned and stored: no depth edges, no borders.
 
 use crate::color;
 use crate::error::FusionError;
 use crate::options::{ColorMode, FusionOptions};
+use crate::pixel::Pixel;
 use crate::report::ViewFusion;
-use crate::shelf::{Pixel, Shelf};
-use crate::view::{Farthest, View, pinhole_ray};
+use crate::view::{BlockMaxDepth, View, pinhole_ray};
 use nalgebra::{Point2, Vector3};
 use rayon::prelude::*;
+use rilievo_numerics::robust::median;
 use rilievo_scene::{
-    BaseColor, ConfidenceMap, DepthMap, Intrinsics, MapSource, Mask, NormalMap, PhotoSet,
-    PosedView, PosedViews, Raster, Scratch, ShadedView,
+    BaseColor, ConfidenceMap, DepthMap, Intrinsics, MapSource, Mask, NormalMap, PageStore,
+    PhotoSet, PosedView, PosedViews, Raster, Scratch, ShadedView,
 };
+use std::ops::Range;
 
+/// Surface seen under a larger angle than this to its normal makes no points, degrees: there a
+/// pixel covers several footprints and its depth is a guess.
+const MAX_GRAZING_DEG: f64 = 82.0;
 /// Slope of an edge against the steepest surface that is kept: noise must not cut slopes.
 const EDGE_FACTOR: f64 = 1.5;
 /// Share of a step in depth that the normals may leave unexplained where it is no edge.
@@ -20,14 +25,29 @@ const MAX_SURPRISE: f64 = 0.5;
 /// Pixels around the depths that are kept, so that interpolation meets the border of the depths
 /// before the border of the map.
 const MARGIN: usize = 2;
-/// Pixels over which a view's confidence grows from its border on, so that no seam shows where it ends among others.
+/// Pixels over which a view's confidence grows from its border on, so that no seam shows where it
+/// ends among others.
 const BLEND_PX: f32 = 8.0;
+
+/// Pages up to so many pixels from a depth are kept, for their colours.
+const COLOR_MARGIN: usize = 4;
+/// Every seventh pixel counts in the median footprint, or fewer where there would be more than this
+/// many.
+const SAMPLE_STEP: usize = 7;
+const MAX_NUM_SAMPLES: usize = 4 << 20;
+
+/// Least cosine of incidence of surface that makes points and shapes the mesh.
+pub(crate) fn min_grazing_cosine() -> f64 {
+    MAX_GRAZING_DEG.to_radians().cos()
+}
 
 /// All views, and where their pixels lie.
 #[derive(Debug)]
-pub(crate) struct Stock {
+pub(crate) struct LoadedViews {
     pub views: Vec<View>,
-    pub shelf: Shelf,
+    pub store: PageStore,
+    /// Median pixel footprint of the surface in all views, world's unit.
+    pub median_footprint: f64,
     /// What the albedos are, which an asset takes for its base colour.
     pub asset_shows: BaseColor,
 }
@@ -42,11 +62,11 @@ struct Maps {
     confidence: Option<ConfidenceMap>,
     /// Normalised coordinates of the pixels of a lens that distorts.
     rays: Option<Raster<[f32; 2]>>,
-    /// Pixels that give points.
-    gives: Mask,
+    /// Pixels that make points.
+    makes_points: Mask,
 }
 
-/// Loads, checks and cleans the maps of all views, and puts them aside with their colours.
+/// Loads, checks and cleans the maps of all views, and stores them with their colours.
 pub(crate) fn prepare(
     photos: &PhotoSet,
     posed: &PosedViews,
@@ -54,8 +74,13 @@ pub(crate) fn prepare(
     scratch: &dyn Scratch,
     options: &FusionOptions,
     mut next: impl FnMut(usize) -> Result<(), FusionError>,
-) -> Result<(Stock, Vec<ViewFusion>), FusionError> {
-    let mut shelf = Shelf::new(scratch)?;
+) -> Result<(LoadedViews, Vec<ViewFusion>), FusionError> {
+    let mut store = PageStore::new(scratch)?;
+    let num_pixels: usize = (posed.views.iter())
+        .map(|v| v.intrinsics.width.saturating_mul(v.intrinsics.height))
+        .fold(0, usize::saturating_add);
+    let step = SAMPLE_STEP * num_pixels.div_ceil(SAMPLE_STEP * MAX_NUM_SAMPLES).max(1);
+    let mut footprints = Vec::new();
     let mut views: Vec<View> = Vec::new();
     let mut reports: Vec<ViewFusion> = Vec::new();
     let mut asset_shows = BaseColor::Grey;
@@ -63,7 +88,7 @@ pub(crate) fn prepare(
         next(maps_idx)?;
         let loaded = maps.load(maps_idx)?;
         let camera_of = camera_of(posed, &loaded)?;
-        let (cleaned, report) = clean(camera_of, loaded, options);
+        let (cleaned, report) = clean(camera_of, loaded);
         let photo = photos.photos.get(camera_of.photo.0);
         let mut shows = BaseColor::Grey;
         let mut painted = |mode: ColorMode| -> Result<Option<Vec<[u8; 3]>>, FusionError> {
@@ -89,13 +114,20 @@ pub(crate) fn prepare(
             (BaseColor::Albedo, BaseColor::Albedo) => BaseColor::Albedo,
             _ => BaseColor::Photographed,
         };
-        views.push(put_aside(
+        let view = store_view(
             views.len(),
             camera_of,
             &cleaned,
             [colors.as_deref(), albedo.as_deref()],
-            &mut shelf,
-        )?);
+            &mut store,
+        )?;
+        let sampled = cleaned.depth.data.iter().step_by(step);
+        footprints.extend(
+            sampled
+                .filter(|z| **z > 0.0)
+                .map(|&z| view.footprint(z.into())),
+        );
+        views.push(view);
         reports.push(report);
     }
     if reports.iter().all(|r| r.num_depths == 0) {
@@ -103,20 +135,21 @@ pub(crate) fn prepare(
             num_views: views.len(),
         });
     }
-    let stock = Stock {
+    let all = LoadedViews {
         views,
-        shelf,
+        store,
+        median_footprint: median(&mut footprints).unwrap_or(0.0),
         asset_shows,
     };
-    Ok((stock, reports))
+    Ok((all, reports))
 }
 
-fn put_aside(
+fn store_view(
     idx: usize,
     camera_of: &PosedView,
     maps: &Maps,
     [colors, albedo]: [Option<&[[u8; 3]]>; 2],
-    shelf: &mut Shelf,
+    store: &mut PageStore,
 ) -> Result<View, FusionError> {
     let size = [maps.camera.width, maps.camera.height];
     let blend = border_blend(&maps.depth);
@@ -128,13 +161,22 @@ fn put_aside(
             confidence: blend.data[i] * maps.confidence.as_ref().map_or(1.0, |c| c.data[i]),
             color: colors.map_or([0; 3], |colors| colors[i]),
             albedo: albedo.map_or([0; 3], |albedo| albedo[i]),
-            gives: maps.gives.data[i],
+            makes_points: maps.makes_points.data[i],
             is_kept: true,
             ray: maps.rays.as_ref().map_or([0.0; 2], |rays| rays.data[i]),
         }
     };
-    let extras = (albedo.is_some(), maps.rays.is_some());
-    let pages = shelf.put(size, extras, &pixel)?;
+    let record = Pixel::record(albedo.is_some(), maps.rays.is_some());
+    let pages = store.allocate(size, record, |[across, down]| {
+        let grown = |range: Range<usize>, end: usize| {
+            range.start.saturating_sub(COLOR_MARGIN)..(range.end + COLOR_MARGIN).min(end)
+        };
+        let (across, mut down) = (grown(across, size[0]), grown(down, size[1]));
+        down.any(|y| across.clone().any(|x| *maps.depth.at(x, y) > 0.0))
+    });
+    let kept = pages.kept();
+    kept.par_iter()
+        .try_for_each(|&page| store.write(&pages, page, |x, y, out| pixel(x, y).write(out)))?;
     let first = maps.depth.data.iter().position(|&z| z > 0.0);
     let pose = camera_of.cam_from_world;
     Ok(View {
@@ -147,7 +189,7 @@ fn put_aside(
         num_depths: maps.depth.data.iter().filter(|&&z| z > 0.0).count(),
         first_px: first.map(|i| [i % size[0], i / size[0]]),
         pages,
-        farthest: Farthest::default(),
+        max_depth: BlockMaxDepth::of(&maps.depth),
     })
 }
 
@@ -183,7 +225,7 @@ fn camera_of<'a>(posed: &'a PosedViews, maps: &ShadedView) -> Result<&'a PosedVi
     Ok(camera_of)
 }
 
-fn clean(camera_of: &PosedView, maps: ShadedView, options: &FusionOptions) -> (Maps, ViewFusion) {
+fn clean(camera_of: &PosedView, maps: ShadedView) -> (Maps, ViewFusion) {
     let mut report = ViewFusion {
         name: maps.name,
         ..ViewFusion::default()
@@ -200,8 +242,8 @@ fn clean(camera_of: &PosedView, maps: ShadedView, options: &FusionOptions) -> (M
         }
     }
     let mut maps = crop(&camera_of.intrinsics, depth, maps.normal, maps.confidence);
-    drop_edges(&mut maps, options, &mut report);
-    mark_givers(&mut maps, options, &mut report);
+    drop_edges(&mut maps, &mut report);
+    mark_points(&mut maps, &mut report);
     (maps, report)
 }
 
@@ -225,7 +267,7 @@ fn crop(
         normal: normal.cropped(x0, y0, width, height),
         confidence: confidence.map(|c| c.cropped(x0, y0, width, height)),
         rays: (!camera.distortion.is_none()).then(|| rays(&camera)),
-        gives: Mask::filled(width, height, false),
+        makes_points: Mask::filled(width, height, false),
         camera,
     }
 }
@@ -264,15 +306,15 @@ impl Maps {
     }
 }
 
-const AROUND: [(isize, isize); 4] = [(-1, 0), (1, 0), (0, -1), (0, 1)];
+/// Steps to the four neighbours.
+const AROUND: [[isize; 2]; 4] = [[-1, 0], [1, 0], [0, -1], [0, 1]];
 
 /// Clears pixels on both sides of depth edges: no surface runs from one side to the other. A step
 /// that the tangent planes of both sides foretell is no edge but oblique surface.
-fn drop_edges(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion) {
+fn drop_edges(maps: &mut Maps, report: &mut ViewFusion) {
     let (width, height) = (maps.depth.width, maps.depth.height);
     // The steepest surface that is kept rises by this share of its depth from pixel to pixel.
-    let steepest =
-        EDGE_FACTOR * options.max_grazing_deg.min(89.0).to_radians().tan() / maps.camera.focal_px();
+    let steepest = EDGE_FACTOR * MAX_GRAZING_DEG.to_radians().tan() / maps.camera.focal_px();
     let is_edge_to = |x: usize, y: usize, dx: isize, dy: isize| {
         let (Some((depth, normal)), Some(u), Some(v)) = (
             maps.at(x, y),
@@ -292,14 +334,15 @@ fn drop_edges(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion)
         let (ray, next) = (maps.ray(x, y), maps.ray(u, v));
         let on_plane = |n: &Vector3<f64>| (n.dot(&ray) / n.dot(&next)).ln();
         let foretold = 0.5 * (on_plane(&normal) + on_plane(&next_normal));
-        // Written so that a plane seen from behind, whose logarithm is no number, foretells nothing.
+        // Written so that a plane seen from behind, whose logarithm is no number, foretells
+        // nothing.
         !(step - foretold).abs().lt(&(MAX_SURPRISE * step.abs()))
     };
     let edges: Vec<usize> = (0..width * height)
         .into_par_iter()
         .filter(|i| {
             let (x, y) = (i % width, i / width);
-            AROUND.iter().any(|&(dx, dy)| is_edge_to(x, y, dx, dy))
+            AROUND.iter().any(|&[dx, dy]| is_edge_to(x, y, dx, dy))
         })
         .collect();
     report.num_border += edges.len();
@@ -308,8 +351,9 @@ fn drop_edges(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion)
     }
 }
 
-/// Weight of a pixel by its distance from where the map ends, 0 there and 1 from [`BLEND_PX`] on. Distances are those of
-/// steps to the eight neighbours. Single pixels without a depth are no end: their eight neighbours are without one there.
+/// Weight of a pixel by its distance from where the map ends, 0 there and 1 from [`BLEND_PX`] on.
+/// Distances are those of steps to the eight neighbours. Single pixels without a depth are no end:
+/// their eight neighbours are without one there.
 fn border_blend(depth: &DepthMap) -> Raster<f32> {
     let (width, height) = (depth.width, depth.height);
     let is_end = |x: usize, y: usize| {
@@ -355,29 +399,21 @@ fn border_blend(depth: &DepthMap) -> Raster<f32> {
     distance
 }
 
-/// Marks the pixels that give points: `border_px` from the map's border, and not grazing.
-fn mark_givers(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion) {
+/// Marks the pixels that make points: not at the map's border, where depth is extrapolated, and not
+/// grazing.
+fn mark_points(maps: &mut Maps, report: &mut ViewFusion) {
     let (width, height) = (maps.depth.width, maps.depth.height);
-    let mut inside: Mask = Raster {
-        width,
-        height,
-        data: maps.depth.data.iter().map(|&z| z > 0.0).collect(),
+    let has_depth = |x: usize, y: usize, [dx, dy]: [isize; 2]| {
+        let depth = maps.depth.get(x as isize + dx, y as isize + dy);
+        depth.is_some_and(|&z| z > 0.0)
     };
-    for _ in 0..options.border_px {
-        let before = inside.clone();
-        for y in 0..height {
-            for x in 0..width {
-                let at_border = AROUND
-                    .iter()
-                    .any(|(dx, dy)| !before.contains(x as isize + dx, y as isize + dy));
-                if *before.at(x, y) && at_border {
-                    *inside.at_mut(x, y) = false;
-                    report.num_border += 1;
-                }
-            }
-        }
-    }
-    let min_cosine = options.max_grazing_deg.to_radians().cos();
+    let mut inside = Mask::from_fn(width, height, |x, y| {
+        let is_inside = AROUND.iter().all(|&step| has_depth(x, y, step));
+        let is_there = has_depth(x, y, [0, 0]);
+        report.num_border += usize::from(is_there && !is_inside);
+        is_there && is_inside
+    });
+    let min_cosine = min_grazing_cosine();
     let is_grazing = |i: usize| {
         let (x, y) = (i % width, i / width);
         let surface = maps.at(x, y).filter(|_| inside.data[i]);
@@ -394,7 +430,7 @@ fn mark_givers(maps: &mut Maps, options: &FusionOptions, report: &mut ViewFusion
     for i in grazing {
         inside.data[i] = false;
     }
-    maps.gives = inside;
+    maps.makes_points = inside;
 }
 
 #[cfg(test)]
@@ -431,7 +467,7 @@ pub(crate) mod testing {
     use rilievo_scene::{MemoryScratch, ShadedViews};
 
     /// Views of a set without photos, in memory.
-    pub fn stock(posed: &PosedViews, shaded: &ShadedViews) -> Stock {
+    pub fn load(posed: &PosedViews, shaded: &ShadedViews) -> LoadedViews {
         let (photos, options) = (PhotoSet::default(), FusionOptions::default());
         prepare(&photos, posed, shaded, &MemoryScratch, &options, |_| Ok(()))
             .expect("sound maps")

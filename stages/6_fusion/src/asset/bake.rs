@@ -1,20 +1,19 @@
 //! What the views see at the places of the texels.
 //!
-//! Triangles are worked on in groups that lie close together, each against the views that may see it; their texels are
-//! then put into the textures in the order of the triangles.
+//! Triangles are worked on in groups that lie close together, each against the views that may see
+//! it; their texels are then put into the textures in the order of the triangles.
 
 use super::texture::{Texel, Textures};
 use super::unwrap::Unwrapped;
 use crate::color::Palette;
 use crate::dress::mean_sight;
 use crate::error::FusionError;
-use crate::pairs::Candidate;
 use crate::reach::Patch;
-use crate::reader::{Reader, Readers};
+use crate::sight::Candidate;
 use crate::view::View;
 use nalgebra::{Matrix3, Point3, Vector3};
 use rayon::prelude::*;
-use rilievo_scene::{Observer, StageId};
+use rilievo_scene::{Observer, PageCache, PageCaches, StageId};
 
 /// Triangles of a group.
 const GROUP: usize = 32;
@@ -22,7 +21,8 @@ const GROUP: usize = 32;
 const TEXELS_AT_ONCE: f64 = 500_000.0;
 /// Views that are looked at: more only repeat what these say.
 const MAX_NUM_VIEWS: usize = 12;
-/// Distance of a texel's place from the views' surface from which it is looked at again there, pixel footprints.
+/// Distance of a texel's place from the views' surface from which it is looked at again there,
+/// pixel footprints.
 const OFF_PX: f64 = 0.25;
 
 pub(super) struct Baker<'a> {
@@ -31,7 +31,8 @@ pub(super) struct Baker<'a> {
     /// Share of the sky, of the vertices.
     pub occlusion: &'a [f32],
     pub views: &'a [View],
-    /// Tolerance along the normal (world's unit), and the least cosine between normals, of views that see one surface.
+    /// Tolerance along the normal (world's unit), and the least cosine between normals, of views
+    /// that see one surface.
     pub limits: (f64, f64),
 }
 
@@ -39,7 +40,7 @@ impl Baker<'_> {
     /// Fills the textures.
     pub fn bake(
         &self,
-        readers: &Readers<'_>,
+        caches: &PageCaches<'_>,
         textures: &mut Textures,
         observer: &dyn Observer,
     ) -> Result<(), FusionError> {
@@ -47,8 +48,8 @@ impl Baker<'_> {
         let palette = Palette::new();
         let mut next = 0;
         while next < num_triangles {
-            let told = (next, num_triangles);
-            let flow = observer.progress(StageId::Fusion, "baking textures", told);
+            let done = (next, num_triangles);
+            let flow = observer.progress(StageId::Fusion, "baking textures", done);
             flow.ok_or(FusionError::Interrupted)?;
             let (mut groups, mut num_texels) = (Vec::new(), 0.0);
             while next < num_triangles && num_texels < TEXELS_AT_ONCE {
@@ -59,12 +60,9 @@ impl Baker<'_> {
             }
             let baked = groups
                 .into_par_iter()
-                .map(|group| readers.with(|pixels| self.group(pixels, group, &palette)));
-            let baked: Result<Vec<Vec<Texel>>, FusionError> = baked.collect();
-            baked?
-                .iter()
-                .flatten()
-                .for_each(|texel| textures.put(texel));
+                .map(|group| caches.with(|pixels| self.group(pixels, group, &palette)))
+                .collect::<Result<Vec<Vec<Texel>>, _>>()?;
+            baked.iter().flatten().for_each(|texel| textures.put(texel));
         }
         Ok(())
     }
@@ -86,7 +84,7 @@ impl Baker<'_> {
 
     fn group(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         group: std::ops::Range<usize>,
         palette: &Palette,
     ) -> Vec<Texel> {
@@ -124,7 +122,7 @@ impl Baker<'_> {
 
     fn triangle(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         near: &[&View],
         triangle: usize,
         palette: &Palette,
@@ -170,7 +168,7 @@ impl Baker<'_> {
     /// The surface's normal and albedo at a place near it, as the views see them.
     fn look(
         &self,
-        pixels: &mut Reader<'_>,
+        pixels: &mut PageCache<'_>,
         near: &[&View],
         place: Point3<f64>,
         normal: &Vector3<f64>,
@@ -185,7 +183,7 @@ impl Baker<'_> {
             normal: normal.try_normalize(1e-12)?,
             footprint,
         };
-        let look = |pixels: &mut Reader<'_>, candidate: &Candidate| {
+        let look = |pixels: &mut PageCache<'_>, candidate: &Candidate| {
             mean_sight(
                 pixels,
                 near,

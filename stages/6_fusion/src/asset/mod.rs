@@ -3,9 +3,11 @@
 //! 1. The clean mesh is made light ([`lightened`]) and gets smooth normals (`normals`).
 //! 2. `unwrap`: it is cut into charts, which are laid out flat side by side.
 //! 3. `tangents`: frames for the normal map, by the rule that all renderers share.
-//! 4. `bake`: what the views see at each texel's place: the mean of their normals and albedos, by the weights of the
-//!    cloud's points. `occlusion`: how much of the sky each vertex sees past the mesh.
-//! 5. `texture`: texels beside the charts repeat the nearest one, so that no seam shows when a renderer filters.
+//! 4. `bake`: what the views see at each texel's place: the mean of their normals and albedos, by
+//!    the weights of the cloud's points. `occlusion`: how much of the sky each vertex sees past the
+//!    mesh.
+//! 5. `texture`: texels beside the charts repeat the nearest one, so that no seam shows when a
+//!    renderer filters.
 
 mod bake;
 mod normals;
@@ -14,30 +16,28 @@ mod tangents;
 mod texture;
 mod unwrap;
 
-use crate::error::FusionError;
+use crate::error::{FusionError, warn};
 use crate::memory;
 use crate::options::FusionOptions;
-use crate::reader::Readers;
 use crate::report::{AssetReport, MeshReport};
+use crate::sight::{DEPTH_TOLERANCE_PX, min_normal_cosine};
 use crate::simplify::lightened;
-use crate::views::Stock;
+use crate::views::LoadedViews;
 use bake::Baker;
-use rilievo_scene::{Asset, Mesh, Observer, StageId};
+use rilievo_scene::{Asset, Mesh, Observer, PageCaches, StageId};
 use texture::Textures;
 use unwrap::Unwrapped;
 
-/// Edge of a texel, pixel footprints: what a view tells between its pixels is still there.
+/// Edge of a texel, pixel footprints: what a view resolves between its pixels is still there.
 const TEXEL_PX: f64 = 0.5;
 
-/// Share of the surface that no view sees from which on it is told.
+/// Share of the surface that no view sees from which on a warning names it.
 const MAX_UNSEEN: f64 = 0.1;
 
-/// Makes the asset of a mesh; `None` where it has no triangles that could be laid out. `footprint`: of the views' pixels
-/// on the surface (world's unit).
+/// Makes the asset of a mesh; `None` where it has no triangles that could be laid out.
 pub(crate) fn make(
     (mesh, mesh_report): (&Mesh, &MeshReport),
-    stock: &Stock,
-    footprint: f64,
+    loaded: &LoadedViews,
     options: &FusionOptions,
     observer: &dyn Observer,
 ) -> Result<Option<(Asset, AssetReport)>, FusionError> {
@@ -45,10 +45,7 @@ pub(crate) fn make(
         let flow = observer.progress(StageId::Fusion, step, (0, 1));
         flow.ok_or(FusionError::Interrupted)
     };
-    let warn = |message: String| {
-        let flow = observer.warn(StageId::Fusion, message);
-        flow.ok_or(FusionError::Interrupted)
-    };
+    let footprint = loaded.median_footprint;
     step("making a light mesh")?;
     let (faces, dense) = memory::asset_triangles(options);
     if faces < options.asset_faces.min(mesh.triangles.len()) {
@@ -56,7 +53,7 @@ pub(crate) fn make(
             "the asset has no more than {faces} triangles, to stay within {} MiB; raise the memory for more",
             options.memory_mib
         );
-        warn(message)?;
+        warn(observer, message)?;
     }
     let (mut light, moved) = lightened(mesh, faces, dense);
     let simplified_by = mesh_report.simplified_by + moved;
@@ -81,7 +78,7 @@ pub(crate) fn make(
              more detail",
             options.memory_mib
         );
-        warn(message)?;
+        warn(observer, message)?;
     }
     let tangents = tangents::tangents(mesh, texture_coords);
     step("finding what the sky reaches")?;
@@ -90,19 +87,16 @@ pub(crate) fn make(
         unwrapped: &unwrapped,
         tangents: &tangents,
         occlusion: &occlusion,
-        views: &stock.views,
+        views: &loaded.views,
         limits: (
-            mesh_report
-                .voxel
-                .max(options.depth_tolerance_px * footprint)
-                + simplified_by,
-            options.normal_tolerance_deg.to_radians().cos(),
+            mesh_report.voxel.max(DEPTH_TOLERANCE_PX * footprint) + simplified_by,
+            min_normal_cosine(),
         ),
     };
-    let readers = Readers::new(&stock.shelf, memory::num_pages(options));
+    let caches = PageCaches::new(&loaded.store, memory::num_pages(options));
     let mut textures = Textures::new(*size);
-    baker.bake(&readers, &mut textures, observer)?;
-    drop(readers);
+    baker.bake(&caches, &mut textures, observer)?;
+    drop(caches);
     step("filling the textures' gaps")?;
     let covered = textures.num_covered();
     let unseen_share = 1.0 - textures.num_seen() as f64 / covered.max(1) as f64;
@@ -111,10 +105,10 @@ pub(crate) fn make(
             "no photo sees {:.0} % of the asset's surface: its textures are made up there from what lies around",
             100.0 * unseen_share
         );
-        warn(message)?;
+        warn(observer, message)?;
     }
     let report = AssetReport {
-        shows: stock.asset_shows,
+        shows: loaded.asset_shows,
         num_triangles: mesh.triangles.len(),
         num_vertices: mesh.vertices.len(),
         num_charts: unwrapped.num_charts,
@@ -130,7 +124,7 @@ pub(crate) fn make(
         mesh: unwrapped.mesh,
         texture_coords: unwrapped.texture_coords,
         tangents,
-        shows: stock.asset_shows,
+        shows: loaded.asset_shows,
         base_color,
         normal,
         occlusion,

@@ -3,12 +3,13 @@
 use nalgebra::Vector3;
 use rilievo_scene::Mesh;
 
-/// Gives every vertex the mean normal of its triangles, weighted by their angles there (Thürmer and Wüthrich, "Computing
-/// vertex normals from polygonal facets", 1998). A vertex of triangles without area keeps its own.
+/// Gives every vertex the mean normal of its triangles, weighted by their angles there (Thürmer and
+/// Wüthrich, "Computing vertex normals from polygonal facets", 1998). A vertex of triangles without
+/// area keeps its own.
 pub(super) fn smooth(mesh: &mut Mesh) {
     let mut sums = vec![Vector3::<f64>::zeros(); mesh.vertices.len()];
     for t in &mesh.triangles {
-        let corner = t.map(|v| Vector3::from(mesh.vertices[v as usize].map(f64::from)));
+        let corner = t.map(|v| mesh.vertex(v));
         let face = (corner[1] - corner[0]).cross(&(corner[2] - corner[0]));
         let Some(face) = face.try_normalize(0.0) else {
             continue;

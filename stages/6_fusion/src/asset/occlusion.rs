@@ -8,8 +8,8 @@ use rilievo_scene::Mesh;
 /// Rays of each vertex.
 const NUM_RAYS: usize = 96;
 
-/// Share, weighted by the cosine, of the rays from each vertex that leave the mesh, which begin `lift` (world's unit)
-/// before it.
+/// Share, weighted by the cosine, of the rays from each vertex that leave the mesh, which begin
+/// `lift` (world's unit) before it.
 pub(super) fn open_sky(mesh: &Mesh, lift: f64) -> Vec<f32> {
     let bvh = Bvh::new(mesh);
     let rays = rays();
@@ -32,7 +32,8 @@ pub(super) fn open_sky(mesh: &Mesh, lift: f64) -> Vec<f32> {
         .collect()
 }
 
-/// Directions around the z axis, spread by the golden angle, as many towards each place as its cosine.
+/// Directions around the z axis, spread by the golden angle, as many towards each place as its
+/// cosine.
 fn rays() -> Vec<Vector3<f64>> {
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let ray = |k: usize| {

@@ -1,7 +1,8 @@
 //! Tangents for the normal map, by the rule that renderers and bakers share.
 //!
-//! Source: Mikkelsen, "Simulation of wrinkled surfaces revisited", 2008, and his program MikkTSpace, which glTF 2.0
-//! (3.7.2.1) names. The second texture coordinate is turned up for it, as in the programs that write glTF.
+//! Source: Mikkelsen, "Simulation of wrinkled surfaces revisited", 2008, and his program
+//! MikkTSpace, which glTF 2.0 (3.7.2.1) names. The second texture coordinate is turned up for it,
+//! as in the programs that write glTF.
 
 use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
 use nalgebra::Vector3;
@@ -49,8 +50,8 @@ impl Geometry for Surface<'_> {
     }
 }
 
-/// Unit tangents of the vertices and the sign of their bitangents. Where triangles have no area on the texture, any
-/// direction along the surface.
+/// Unit tangents of the vertices and the sign of their bitangents. Where triangles have no area on
+/// the texture, any direction along the surface.
 pub(super) fn tangents(mesh: &Mesh, texture_coords: &[[f32; 2]]) -> Vec<[f32; 4]> {
     let mut surface = Surface {
         mesh,

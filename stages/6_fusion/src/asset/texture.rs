@@ -16,7 +16,7 @@ pub(super) struct Texel {
     pub at: u32,
     /// Along tangent, bitangent and normal; flat where no view sees the place.
     pub normal: Option<[f32; 3]>,
-    /// Linear albedo, where a view tells it.
+    /// Linear albedo, where a view shows it.
     pub albedo: Option<[f32; 3]>,
     /// Share of the sky.
     pub open: f32,

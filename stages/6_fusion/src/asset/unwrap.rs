@@ -23,8 +23,8 @@ pub(super) struct Unwrapped {
     pub texel: f64,
 }
 
-/// Lays a mesh out on a texture of about `texel` (world's unit) a texel, or of more where it would be larger than
-/// `max_side` texels. `None` where no triangle can be laid out.
+/// Lays a mesh out on a texture of about `texel` (world's unit) a texel, or of more where it would
+/// be larger than `max_side` texels. `None` where no triangle can be laid out.
 pub(super) fn unwrap(
     mesh: &Mesh,
     texel: f64,
@@ -39,11 +39,11 @@ pub(super) fn unwrap(
     let mut side = (num_texels.sqrt().ceil() as usize).clamp(MIN_SIDE, max_side);
     let input = MeshInput::new(&mesh.vertices, mesh.triangles.as_flattened());
     let go_on = |progress: uvunwrap::Progress| {
-        let told = (
+        let done = (
             progress.done,
             progress.total.unwrap_or(0).max(progress.done),
         );
-        let flow = observer.progress(StageId::Fusion, "laying the surface out", told);
+        let flow = observer.progress(StageId::Fusion, "laying the surface out", done);
         flow.ok_or(()).is_ok()
     };
     let atlas = loop {
@@ -91,9 +91,8 @@ pub(super) fn unwrap(
 }
 
 fn area(mesh: &Mesh) -> f64 {
-    let corner = |v: u32| nalgebra::Vector3::from(mesh.vertices[v as usize].map(f64::from));
     let areas = mesh.triangles.iter().map(|&[a, b, c]| {
-        let [a, b, c] = [a, b, c].map(corner);
+        let [a, b, c] = [a, b, c].map(|v| mesh.vertex(v));
         0.5 * (b - a).cross(&(c - a)).norm()
     });
     areas.sum()

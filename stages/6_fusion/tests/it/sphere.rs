@@ -126,7 +126,7 @@ fn exact_maps_give_the_sphere_without_layers() {
             "{p:?}"
         );
     }
-    let rms = report.layering_after.rms / footprint();
+    let rms = report.layering.rms / footprint();
     assert!(rms < 0.02, "{rms} footprints between views");
 
     let mesh = report.mesh.expect("a mesh was asked for");
@@ -163,7 +163,7 @@ fn the_mesh_ends_in_one_clean_rim() {
 }
 
 #[test]
-fn smooth_offsets_are_cut_threefold_below_noise() {
+fn smooth_offsets_between_views_show_below_noise() {
     for noise_px in [0.0, 0.1] {
         let (posed, mut shaded) = views(&ARC, 1.0);
         for (v, view) in shaded.views.iter_mut().enumerate() {
@@ -176,17 +176,15 @@ fn smooth_offsets_are_cut_threefold_below_noise() {
             }
         }
         let options = FusionOptions {
-            reconcile_grid_px: 16.0,
             mesh: false,
             ..FusionOptions::default()
         };
         let (_, report) = fuse(&posed, &shaded, &options).expect("fused");
-        let (before, after) = (report.layering_before, report.layering_after);
+        let layering = report.layering;
         assert!(
-            after.smooth_rms < before.smooth_rms / 3.0 && before.smooth_rms > 0.2 * footprint(),
-            "noise {noise_px}: {before:?} {after:?}"
+            layering.smooth_rms > 0.2 * footprint(),
+            "noise {noise_px}: {layering:?}"
         );
-        assert!(report.reconcile_iterations > 0);
     }
 }
 
@@ -334,7 +332,6 @@ fn a_double_wall_shows_in_the_share_of_points_apart() {
             depths.for_each(|z| *z += offset);
         }
         let options = FusionOptions {
-            reconcile: false,
             mesh: false,
             ..FusionOptions::default()
         };

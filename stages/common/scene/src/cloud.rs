@@ -1,5 +1,6 @@
 //! Output of stage 6: an oriented, coloured point cloud and a mesh.
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 /// One oriented, coloured point in the world frame.
@@ -62,6 +63,15 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// Place of a vertex.
+    ///
+    /// # Panics
+    /// Where there is no such vertex.
+    #[inline]
+    pub fn vertex(&self, v: u32) -> Vector3<f64> {
+        Vector3::from(self.vertices[v as usize].map(f64::from))
+    }
+
     /// Smallest and largest coordinates of the vertices; `None` without any.
     pub fn bounds(&self) -> Option<[[f32; 3]; 2]> {
         let grow = |[low, high]: [[f32; 3]; 2], v: &[f32; 3]| {

@@ -30,6 +30,7 @@ pub mod naming;
 pub mod options;
 pub mod orientation;
 mod packed_mask;
+pub mod page_store;
 pub mod photos;
 pub mod poses;
 pub mod raster;
@@ -59,6 +60,7 @@ pub use naming::first_and_more;
 pub use options::{InTable, OptionError, RetiredKey, fulfils, in_range};
 pub use orientation::Orientation;
 pub use packed_mask::PackedMask;
+pub use page_store::{PAGE_SIDE, PageCache, PageCaches, PageStore, Pages};
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
 pub use poses::{
     Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,

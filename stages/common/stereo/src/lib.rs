@@ -33,6 +33,8 @@ pub mod specks;
 pub mod spread;
 pub mod start;
 pub mod stored;
+#[cfg(test)]
+mod stored_tests;
 pub mod surfaces;
 pub mod tile;
 pub mod window;

@@ -1,17 +1,21 @@
-//! Views and surfaces out of core: kept in a [`Scratch`], read back whole or window by window.
+//! Views and surfaces out of core: kept in a [`PageStore`], read back whole or window by window.
 //!
-//! The fine levels of a large set's photos are many times what memory holds. What is done there is local, so a tile reads
-//! the windows that it needs (`tile`), and what needs a whole view reads one view at a time.
+//! The fine levels of a large set's photos are many times what memory holds. What is done there is
+//! local, so a tile reads the windows that it needs (`tile`), and what needs a whole view reads one
+//! view at a time.
 //!
-//! A view's room holds, level after level from the finest on, one byte a pixel of the crop (bit 0: masked, bit 1:
-//! unclipped) and then three 32-bit floats a pixel. A surface's room holds one 64-bit log depth a pixel of the crop, 0
-//! outside the mask, and then one byte a pixel: whether the depth is known. Numbers are little endian.
+//! A view's store holds for every level, from the finest on, one byte a pixel of the crop (bit 0:
+//! masked, bit 1: unclipped) and three 32-bit floats a pixel. A surface's store holds one 64-bit
+//! log depth a pixel of the crop, 0 outside the mask, and one byte a pixel: whether the depth is
+//! known. Numbers are little endian.
 
 use crate::camera::Camera;
 use crate::level::{LevelView, ViewGrid, dark_intensity};
 use crate::window::Window;
 use rilievo_numerics::plate_system::PixelNumbering;
-use rilievo_scene::{LinearImage, Mask, Raster, Room, Scratch, ScratchError};
+use rilievo_scene::{
+    LinearImage, Mask, PAGE_SIDE, PageStore, Pages, Raster, Scratch, ScratchError,
+};
 use std::io::{self, Read, Write};
 
 const MASKED: u8 = 1;
@@ -20,31 +24,26 @@ const UNCLIPPED: u8 = 2;
 const IMAGE_BYTES: usize = 12;
 /// Bytes of a log depth.
 const DEPTH_BYTES: usize = 8;
-/// Pixels that are read or written at once.
-const CHUNK: usize = 1 << 16;
 
 /// One view at all levels, out of core.
 #[derive(Debug)]
 pub struct StoredView {
-    levels: Vec<Plane>,
-    room: Box<dyn Room>,
+    levels: Vec<StoredImage>,
+    store: PageStore,
     /// Exposure gain that images are divided by when they are read.
     pub gain: [f64; 3],
 }
 
-/// What is known of a view at one level without reading it.
+/// A view at one level, and what is known of it without reading it.
 #[derive(Clone, Debug)]
-struct Plane {
+struct StoredImage {
     camera: Camera,
     cut_by_frame: bool,
-    width: usize,
-    height: usize,
     num_masked: usize,
     /// Mean intensities of the masked pixels, gain not divided out.
     mean: [f64; 3],
-    /// Where the marks and the image begin in the room.
-    marks_at: u64,
-    image_at: u64,
+    marks: Pages,
+    channels: Pages,
 }
 
 /// One level of all views, out of core, and the surface there.
@@ -72,13 +71,14 @@ pub struct StoredSurface {
 /// Log depths of one view.
 #[derive(Debug)]
 struct StoredDepth {
-    width: usize,
-    height: usize,
-    room: Box<dyn Room>,
+    store: PageStore,
+    depth: Pages,
+    known: Pages,
 }
 
 impl StoredView {
-    /// Stores a view and its halvings, down to the last of at least `min_pixels` masked pixels; the first in any case.
+    /// Stores a view and its halvings, down to the last of at least `min_pixels` masked pixels; the
+    /// first in any case.
     ///
     /// # Errors
     /// When there is no space left.
@@ -87,22 +87,19 @@ impl StoredView {
         min_pixels: usize,
         scratch: &dyn Scratch,
     ) -> Result<Self, ScratchError> {
-        let room = scratch.room()?;
-        let (mut levels, mut end) = (Vec::new(), 0);
+        let mut stored = Self {
+            levels: Vec::new(),
+            store: PageStore::new(scratch)?,
+            gain: [1.0; 3],
+        };
         loop {
-            let plane = Plane::put(&view, room.as_ref(), end)?;
-            end = plane.image_at + (plane.width * plane.height * IMAGE_BYTES) as u64;
-            levels.push(plane);
+            let image = StoredImage::put(&view, &mut stored.store)?;
+            stored.levels.push(image);
             view = view.halved();
             if view.pixels.len() < min_pixels {
-                break;
+                return Ok(stored);
             }
         }
-        Ok(Self {
-            levels,
-            room,
-            gain: [1.0; 3],
-        })
     }
 
     /// Number of levels.
@@ -117,7 +114,7 @@ impl StoredView {
 
     /// Columns and rows of the crop at a level.
     pub fn size(&self, at: usize) -> (usize, usize) {
-        (self.levels[at].width, self.levels[at].height)
+        self.levels[at].marks.size().into()
     }
 
     /// Camera of the crop at a level.
@@ -130,12 +127,12 @@ impl StoredView {
     /// # Errors
     /// When they cannot be read.
     pub fn grid(&self, at: usize) -> Result<ViewGrid, ScratchError> {
-        let plane = &self.levels[at];
-        let (mask, _) = self.marks(plane, &plane.all())?;
+        let image = &self.levels[at];
+        let (mask, _) = self.marks(image, &whole(&image.marks))?;
         Ok(ViewGrid::new(
-            plane.camera.clone(),
+            image.camera.clone(),
             mask,
-            plane.cut_by_frame,
+            image.cut_by_frame,
         ))
     }
 
@@ -144,46 +141,41 @@ impl StoredView {
     /// # Errors
     /// When it cannot be read.
     pub fn view(&self, at: usize) -> Result<LevelView, ScratchError> {
-        self.cut(at, &self.levels[at].all())
+        self.cut(at, &whole(&self.levels[at].marks))
     }
 
-    /// The part of the view inside a window, which must lie in it; what is dark is told by the whole view.
+    /// The part of the view inside a window, which must lie in it; the whole view decides what is
+    /// dark.
     ///
     /// # Errors
     /// When it cannot be read.
     pub fn cut(&self, at: usize, window: &Window) -> Result<LevelView, ScratchError> {
-        let plane = &self.levels[at];
+        let stored = &self.levels[at];
         let &Window {
             x0,
             y0,
             width,
             height,
         } = window;
-        let (mask, usable) = self.marks(plane, window)?;
+        let (mask, usable) = self.marks(stored, window)?;
         let mut data = Vec::with_capacity(3 * width * height);
         let gain = self.gain.map(|g| g as f32);
-        let image_at = plane.image_at;
-        plane.rows(
-            self.room.as_ref(),
-            (image_at, IMAGE_BYTES),
-            window,
-            |bytes| {
-                for pixel in bytes.chunks_exact(IMAGE_BYTES) {
-                    for (c, channel) in pixel.chunks_exact(4).enumerate() {
-                        data.push(f32::from_le_bytes(array(channel)) / gain[c]);
-                    }
+        self.store.read(&stored.channels, window.ranges(), |row| {
+            for pixel in row.chunks_exact(IMAGE_BYTES) {
+                for (c, channel) in pixel.as_chunks().0.iter().enumerate() {
+                    data.push(f32::from_le_bytes(*channel) / gain[c]);
                 }
-            },
-        )?;
+            }
+        })?;
         let image = LinearImage {
             width,
             height,
             channels: 3,
             data,
         };
-        let camera = plane.camera.cropped(x0, y0, width, height);
-        let grid = ViewGrid::new(camera, mask, plane.cut_by_frame);
-        let mean = std::array::from_fn(|c| plane.mean[c] / self.gain[c]);
+        let camera = stored.camera.cropped(x0, y0, width, height);
+        let grid = ViewGrid::new(camera, mask, stored.cut_by_frame);
+        let mean = std::array::from_fn(|c| stored.mean[c] / self.gain[c]);
         Ok(LevelView {
             dark: dark_intensity(mean),
             ..LevelView::assemble(grid, image, usable)
@@ -191,119 +183,70 @@ impl StoredView {
     }
 
     /// The mask and where no channel is clipped, inside a window.
-    fn marks(&self, plane: &Plane, window: &Window) -> Result<(Mask, Raster<f32>), ScratchError> {
+    fn marks(
+        &self,
+        image: &StoredImage,
+        window: &Window,
+    ) -> Result<(Mask, Raster<f32>), ScratchError> {
         let (width, height) = (window.width, window.height);
-        let mut mask = Vec::with_capacity(width * height);
-        let mut usable = Vec::with_capacity(width * height);
-        plane.rows(self.room.as_ref(), (plane.marks_at, 1), window, |bytes| {
-            mask.extend(bytes.iter().map(|&b| b & MASKED != 0));
-            usable.extend(
-                bytes
-                    .iter()
-                    .map(|&b| f32::from(u8::from(b & UNCLIPPED != 0))),
-            );
+        let mut marks = Vec::with_capacity(width * height);
+        self.store.read(&image.marks, window.ranges(), |row| {
+            marks.extend_from_slice(row);
         })?;
+        let has = |mark: u8| marks.iter().map(move |byte| byte & mark != 0);
         let mask = Mask {
             width,
             height,
-            data: mask,
+            data: has(MASKED).collect(),
         };
         let usable = Raster {
             width,
             height,
-            data: usable,
+            data: has(UNCLIPPED).map(|is| f32::from(u8::from(is))).collect(),
         };
         Ok((mask, usable))
     }
 }
 
-impl Plane {
-    /// Writes a view from byte `marks_at` on.
-    fn put(view: &LevelView, room: &dyn Room, marks_at: u64) -> Result<Self, ScratchError> {
-        let (width, height) = (view.mask.width, view.mask.height);
-        let image_at = marks_at + (width * height) as u64;
-        let marks: Vec<u8> = view
-            .mask
-            .data
-            .iter()
-            .zip(&view.usable.data)
-            .map(|(&is, &usable)| {
-                (if is { MASKED } else { 0 }) | (if usable > 0.5 { UNCLIPPED } else { 0 })
-            })
-            .collect();
-        room.write_at(&marks, marks_at)?;
-        let mut bytes = Vec::with_capacity(CHUNK * IMAGE_BYTES);
-        let mut place = image_at;
-        for chunk in view.image.data.chunks(3 * CHUNK) {
-            bytes.clear();
-            bytes.extend(chunk.iter().flat_map(|v| v.to_le_bytes()));
-            room.write_at(&bytes, place)?;
-            place += bytes.len() as u64;
-        }
-        Ok(Self {
+impl StoredImage {
+    fn put(view: &LevelView, store: &mut PageStore) -> Result<Self, ScratchError> {
+        let size = [view.mask.width, view.mask.height];
+        let image = Self {
             camera: view.camera.clone(),
             cut_by_frame: view.cut_by_frame,
-            width,
-            height,
             num_masked: view.pixels.len(),
             mean: view.mean_intensity(),
-            marks_at,
-            image_at,
-        })
-    }
-
-    fn all(&self) -> Window {
-        Window {
-            x0: 0,
-            y0: 0,
-            width: self.width,
-            height: self.height,
+            marks: store.allocate(size, 1, |_| true),
+            channels: store.allocate(size, IMAGE_BYTES, |_| true),
+        };
+        for page in image.marks.kept() {
+            store.write(&image.marks, page, |x, y, out| {
+                let unclipped = *view.usable.at(x, y) > 0.5;
+                out[0] = u8::from(*view.mask.at(x, y)) * MASKED + u8::from(unclipped) * UNCLIPPED;
+            })?;
+            store.write(&image.channels, page, |x, y, out| {
+                for (bytes, value) in out.as_chunks_mut().0.iter_mut().zip(view.image.pixel(x, y)) {
+                    *bytes = value.to_le_bytes();
+                }
+            })?;
         }
-    }
-
-    /// Reads the rows of a window, `bytes_each` a pixel, from a raster that begins at byte `begin`.
-    fn rows(
-        &self,
-        room: &dyn Room,
-        raster: (u64, usize),
-        window: &Window,
-        take: impl FnMut(&[u8]),
-    ) -> Result<(), ScratchError> {
-        rows(room, raster, self.width, window, take)
+        Ok(image)
     }
 }
 
-/// Reads the rows of a window of a raster that begins at byte `begin` and has `stride` pixels a row, `bytes_each` a
-/// pixel.
-fn rows(
-    room: &dyn Room,
-    (begin, bytes_each): (u64, usize),
-    stride: usize,
-    window: &Window,
-    mut take: impl FnMut(&[u8]),
-) -> Result<(), ScratchError> {
-    // Rows that follow each other without a gap are read together.
-    let at_once = if window.width == stride {
-        (CHUNK / stride.max(1)).max(1)
-    } else {
-        1
-    };
-    let mut bytes = vec![0; window.width * at_once * bytes_each];
-    for y in (window.y0..window.y0 + window.height).step_by(at_once) {
-        let count = at_once.min(window.y0 + window.height - y);
-        let part = &mut bytes[..window.width * count * bytes_each];
-        room.read_at(part, begin + ((y * stride + window.x0) * bytes_each) as u64)?;
-        take(part);
+fn whole(pages: &Pages) -> Window {
+    let [width, height] = pages.size();
+    Window {
+        x0: 0,
+        y0: 0,
+        width,
+        height,
     }
-    Ok(())
-}
-
-fn array<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    std::array::from_fn(|k| bytes[k])
 }
 
 impl StoredSurface {
-    /// A surface whose views are of the sizes that `views` have at level `at`; depths are put in view by view.
+    /// A surface whose views are of the sizes that `views` have at level `at`; depths are put in
+    /// view by view.
     ///
     /// # Errors
     /// When there is no room.
@@ -312,17 +255,16 @@ impl StoredSurface {
         at: usize,
         scratch: &dyn Scratch,
     ) -> Result<Self, ScratchError> {
-        let maps = views
-            .iter()
-            .map(|view| {
-                let (width, height) = view.size(at);
-                Ok(StoredDepth {
-                    width,
-                    height,
-                    room: scratch.room()?,
-                })
+        let map = |view: &StoredView| {
+            let mut store = PageStore::new(scratch)?;
+            let size = view.size(at).into();
+            Ok(StoredDepth {
+                depth: store.allocate(size, DEPTH_BYTES, |_| true),
+                known: store.allocate(size, 1, |_| true),
+                store,
             })
-            .collect::<Result<_, ScratchError>>()?;
+        };
+        let maps = views.iter().map(map).collect::<Result<_, ScratchError>>()?;
         Ok(Self { maps })
     }
 
@@ -331,7 +273,8 @@ impl StoredSurface {
         self.maps.len()
     }
 
-    /// Stores the log depths of a view's masked pixels, and where they are known if that has changed.
+    /// Stores the log depths of a view's masked pixels, and where they are known if that has
+    /// changed.
     ///
     /// # Errors
     /// When there is no space left.
@@ -343,19 +286,18 @@ impl StoredSurface {
         known: Option<&[bool]>,
     ) -> Result<(), ScratchError> {
         let map = &self.maps[index];
-        let value = |&number: &u32| depth.get(number as usize).copied().unwrap_or(0.0);
-        write(
-            map.room.as_ref(),
-            0,
-            pixels.number.iter().map(|n| value(n).to_le_bytes()),
-        )?;
-        if let Some(known) = known {
-            let mark = |&number: &u32| [u8::from(known.get(number as usize) == Some(&true))];
-            write(
-                map.room.as_ref(),
-                map.known_at(),
-                pixels.number.iter().map(mark),
-            )?;
+        let width = map.depth.size()[0];
+        let number = |x: usize, y: usize| pixels.number[y * width + x] as usize;
+        for page in map.depth.kept() {
+            map.store.write(&map.depth, page, |x, y, out| {
+                let value = depth.get(number(x, y)).copied().unwrap_or(0.0);
+                out.copy_from_slice(&value.to_le_bytes());
+            })?;
+            if let Some(known) = known {
+                map.store.write(&map.known, page, |x, y, out| {
+                    out[0] = u8::from(known.get(number(x, y)) == Some(&true));
+                })?;
+            }
         }
         Ok(())
     }
@@ -365,14 +307,7 @@ impl StoredSurface {
     /// # Errors
     /// When they cannot be read.
     pub fn get(&self, index: usize, pixels: &PixelNumbering) -> Result<Vec<f64>, ScratchError> {
-        let map = &self.maps[index];
-        let all = Window {
-            x0: 0,
-            y0: 0,
-            width: map.width,
-            height: map.height,
-        };
-        self.cut(index, &all, pixels)
+        self.cut(index, &whole(&self.maps[index].depth), pixels)
     }
 
     /// Where the log depths of a view's masked pixels are known.
@@ -381,12 +316,8 @@ impl StoredSurface {
     /// When that cannot be read.
     pub fn known(&self, index: usize, pixels: &PixelNumbering) -> Result<Vec<bool>, ScratchError> {
         let map = &self.maps[index];
-        let mut marks = vec![0; map.width * map.height];
-        map.room.read_at(&mut marks, map.known_at())?;
-        let places = pixels.xs.iter().zip(&pixels.ys);
-        Ok(places
-            .map(|(&x, &y)| marks[y as usize * map.width + x as usize] != 0)
-            .collect())
+        let window = whole(&map.known);
+        masked(&map.store, &map.known, &window, pixels, |&[mark]| mark != 0)
     }
 
     /// Log depths of the masked pixels of a window of a view; `pixels` are the window's own.
@@ -400,40 +331,26 @@ impl StoredSurface {
         pixels: &PixelNumbering,
     ) -> Result<Vec<f64>, ScratchError> {
         let map = &self.maps[index];
-        let mut depth = Vec::with_capacity(pixels.len());
-        let mut numbers = pixels.number.iter();
-        rows(
-            map.room.as_ref(),
-            (0, DEPTH_BYTES),
-            map.width,
-            window,
-            |bytes| {
-                for value in bytes.chunks_exact(DEPTH_BYTES) {
-                    // Masked pixels are numbered row by row.
-                    if numbers.next().is_some_and(|&n| n as usize == depth.len()) {
-                        depth.push(f64::from_le_bytes(array(value)));
-                    }
-                }
-            },
-        )?;
-        Ok(depth)
+        let value = |bytes: &[u8; DEPTH_BYTES]| f64::from_le_bytes(*bytes);
+        masked(&map.store, &map.depth, window, pixels, value)
     }
 
-    /// Writes all that is stored of a view, for [`Self::restore`].
+    /// Writes all that is stored of a view, for [`Self::restore`]: depths, then where they are
+    /// known, row by row.
     ///
     /// # Errors
     /// When it cannot be read or written.
     pub fn save(&self, index: usize, to: &mut dyn Write) -> io::Result<()> {
         let map = &self.maps[index];
-        let mut bytes = vec![0; CHUNK * DEPTH_BYTES];
-        let mut place = 0;
-        while place < map.len() {
-            let count = bytes.len().min((map.len() - place) as usize);
-            map.room
-                .read_at(&mut bytes[..count], place)
-                .map_err(io::Error::other)?;
-            to.write_all(&bytes[..count])?;
-            place += count as u64;
+        for pages in [&map.depth, &map.known] {
+            let mut written = Ok(());
+            let read = map.store.read(pages, whole(pages).ranges(), |row| {
+                if written.is_ok() {
+                    written = to.write_all(row);
+                }
+            });
+            read.map_err(io::Error::other)?;
+            written?;
         }
         Ok(())
     }
@@ -444,50 +361,45 @@ impl StoredSurface {
     /// When it is too short, or cannot be stored.
     pub fn restore(&self, index: usize, from: &mut dyn Read) -> io::Result<()> {
         let map = &self.maps[index];
-        let mut bytes = vec![0; CHUNK * DEPTH_BYTES];
-        let mut place = 0;
-        while place < map.len() {
-            let count = bytes.len().min((map.len() - place) as usize);
-            from.read_exact(&mut bytes[..count])?;
-            map.room
-                .write_at(&bytes[..count], place)
-                .map_err(io::Error::other)?;
-            place += count as u64;
+        for (pages, record) in [(&map.depth, DEPTH_BYTES), (&map.known, 1)] {
+            let [width, height] = pages.size();
+            let columns = pages.grid()[0];
+            for first in (0..height).step_by(PAGE_SIDE) {
+                let num_rows = PAGE_SIDE.min(height - first);
+                let mut bytes = vec![0; num_rows * width * record];
+                from.read_exact(&mut bytes)?;
+                for page in first / PAGE_SIDE * columns..(first / PAGE_SIDE + 1) * columns {
+                    let written = map.store.write(pages, page, |x, y, out| {
+                        let at = ((y - first) * width + x) * record;
+                        out.copy_from_slice(&bytes[at..at + record]);
+                    });
+                    written.map_err(io::Error::other)?;
+                }
+            }
         }
         Ok(())
     }
 }
 
-impl StoredDepth {
-    fn known_at(&self) -> u64 {
-        (self.width * self.height * DEPTH_BYTES) as u64
-    }
-
-    fn len(&self) -> u64 {
-        self.known_at() + (self.width * self.height) as u64
-    }
-}
-
-/// Writes values one after the other from byte `place` on.
-fn write<const N: usize>(
-    room: &dyn Room,
-    mut place: u64,
-    values: impl Iterator<Item = [u8; N]>,
-) -> Result<(), ScratchError> {
-    let mut bytes = Vec::with_capacity(CHUNK * N);
-    let mut flush = |bytes: &mut Vec<u8>| {
-        let written = room.write_at(bytes, place);
-        place += bytes.len() as u64;
-        bytes.clear();
-        written
-    };
-    for value in values {
-        bytes.extend_from_slice(&value);
-        if bytes.len() >= CHUNK * N {
-            flush(&mut bytes)?;
+/// The values of the masked pixels of a window, each of its `N` bytes.
+fn masked<const N: usize, T>(
+    store: &PageStore,
+    pages: &Pages,
+    window: &Window,
+    pixels: &PixelNumbering,
+    value: impl Fn(&[u8; N]) -> T,
+) -> Result<Vec<T>, ScratchError> {
+    let mut values = Vec::with_capacity(pixels.len());
+    let mut numbers = pixels.number.iter();
+    store.read(pages, window.ranges(), |row| {
+        for bytes in row.as_chunks().0 {
+            // Masked pixels are numbered row by row.
+            if numbers.next().is_some_and(|&n| n as usize == values.len()) {
+                values.push(value(bytes));
+            }
         }
-    }
-    flush(&mut bytes)
+    })?;
+    Ok(values)
 }
 
 impl StoredLevel<'_> {
@@ -507,104 +419,5 @@ impl StoredLevel<'_> {
             sharpness: self.sharpness[index],
             ..self.views[index].cut(self.at, window)?
         })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::level::flat_view;
-    use rilievo_scene::MemoryScratch;
-
-    fn speckled() -> LevelView {
-        let mut view = flat_view(61, 43, 100.0);
-        for (k, value) in view.image.data.iter_mut().enumerate() {
-            *value = 0.2 + 0.1 * (k as f32 * 0.7).sin();
-        }
-        let mask = Mask::from_fn(61, 43, |x, y| (x + 2 * y) % 17 != 0 && x > 3);
-        let usable = Raster::from_fn(61, 43, |x, _| f32::from(u8::from(x < 50)));
-        let grid = ViewGrid::new(view.camera.clone(), mask, true);
-        LevelView {
-            grid,
-            usable,
-            grey: view.image.to_grey(),
-            ..view
-        }
-    }
-
-    #[test]
-    fn a_view_comes_back_at_every_level_and_by_windows() -> Result<(), ScratchError> {
-        let view = speckled();
-        let stored = StoredView::put(view.clone(), 50, &MemoryScratch)?;
-        assert!(stored.num_levels() > 1, "{}", stored.num_levels());
-        let mut expected = view;
-        for at in 0..stored.num_levels() {
-            let found = stored.view(at)?;
-            assert_eq!(found.image, expected.image);
-            assert_eq!(found.usable, expected.usable);
-            assert_eq!(found.mask, expected.mask);
-            assert_eq!(stored.grid(at)?.pixels.xs, expected.pixels.xs);
-            assert_eq!(stored.num_masked(at), expected.pixels.len());
-            assert!(found.cut_by_frame);
-            expected = expected.halved();
-        }
-        let whole = stored.view(0)?;
-        let window = Window {
-            x0: 7,
-            y0: 5,
-            width: 31,
-            height: 20,
-        };
-        let part = stored.cut(0, &window)?;
-        assert_eq!(part.mask, window.cut(&whole.mask));
-        assert_eq!(part.image.pixel(3, 4), whole.image.pixel(10, 9));
-        assert_eq!(part.dark, whole.dark);
-        Ok(())
-    }
-
-    #[test]
-    fn images_are_divided_by_the_gain() -> Result<(), ScratchError> {
-        let mut view = speckled();
-        let mut stored = StoredView::put(view.clone(), 50, &MemoryScratch)?;
-        stored.gain = [0.5, 1.0, 2.0];
-        view.divide_by_gain(stored.gain);
-        let found = stored.view(0)?;
-        assert_eq!(found.image, view.image);
-        assert!((found.dark / view.dark - 1.0).abs() < 1e-5);
-        Ok(())
-    }
-
-    #[test]
-    fn depths_come_back_whole_by_windows_and_from_a_file() -> Result<(), ScratchError> {
-        let views = [StoredView::put(speckled(), 50, &MemoryScratch)?];
-        let surface = StoredSurface::new(&views, 0, &MemoryScratch)?;
-        let pixels = views[0].grid(0)?.pixels;
-        let depth: Vec<f64> = (0..pixels.len()).map(|p| 0.1 + p as f64).collect();
-        let known: Vec<bool> = (0..pixels.len()).map(|p| p % 3 != 0).collect();
-        surface.put(0, &pixels, &depth, Some(&known))?;
-        assert_eq!(surface.get(0, &pixels)?, depth);
-        assert_eq!(surface.known(0, &pixels)?, known);
-        let window = Window {
-            x0: 7,
-            y0: 5,
-            width: 31,
-            height: 20,
-        };
-        let part = views[0].cut(0, &window)?;
-        for (p, value) in surface.cut(0, &window, &part.pixels)?.iter().enumerate() {
-            let (x, y) = (
-                part.pixels.xs[p] as usize + 7,
-                part.pixels.ys[p] as usize + 5,
-            );
-            assert_eq!(*value, depth[pixels.number[y * 61 + x] as usize]);
-        }
-        let mut file = Vec::new();
-        let copy = StoredSurface::new(&views, 0, &MemoryScratch)?;
-        assert!(surface.save(0, &mut file).is_ok());
-        assert!(copy.restore(0, &mut &file[..file.len() - 1]).is_err());
-        assert!(copy.restore(0, &mut &file[..]).is_ok());
-        assert_eq!(copy.get(0, &pixels)?, depth);
-        assert_eq!(copy.known(0, &pixels)?, known);
-        Ok(())
     }
 }

@@ -29,6 +29,14 @@ impl Window {
         })
     }
 
+    /// Its columns and rows.
+    pub fn ranges(&self) -> [std::ops::Range<usize>; 2] {
+        [
+            self.x0..self.x0 + self.width,
+            self.y0..self.y0 + self.height,
+        ]
+    }
+
     /// The part of a raster inside the window, which must lie in the raster.
     pub fn cut<T: Copy>(&self, raster: &Raster<T>) -> Raster<T> {
         raster.cropped(self.x0, self.y0, self.width, self.height)

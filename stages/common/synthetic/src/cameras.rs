@@ -6,6 +6,12 @@ use crate::scene::Scene;
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, RigidTransform};
 
+/// Focal length in widths of the image: that of a standard lens.
+const FOCAL_IN_WIDTHS: f64 = 1.35;
+/// Mean height of the cameras over the horizon, degrees: front and top of the object are seen, and
+/// the mat.
+const ELEVATION_DEG: f64 = 24.0;
+
 /// Pose of a camera at `center` that looks at `target`, the horizon turned by `roll`.
 pub(crate) fn look_at(center: &Point3<f64>, target: &Point3<f64>, roll: f64) -> RigidTransform {
     let forward = (target - center).normalize();
@@ -26,7 +32,7 @@ pub(crate) fn intrinsics(options: &RenderOptions) -> Intrinsics {
         ..Intrinsics::pinhole(
             options.width,
             options.height,
-            options.focal_in_widths * options.width as f64,
+            FOCAL_IN_WIDTHS * options.width as f64,
             0.5 * (options.width as f64 - 1.0),
             0.5 * (options.height as f64 - 1.0),
         )
@@ -53,7 +59,7 @@ pub(crate) fn place(scene: &Scene, options: &RenderOptions) -> Vec<RigidTransfor
                 };
                 let first = -0.5 * step * (options.num_views - 1) as f64;
                 let azimuth = (first + step * i as f64 + 0.12 * step * jitter(0)).to_radians();
-                let elevation = (options.elevation_deg + 4.0 * jitter(1)).to_radians();
+                let elevation = (ELEVATION_DEG + 4.0 * jitter(1)).to_radians();
                 let direction = Vector3::new(
                     azimuth.sin() * elevation.cos(),
                     -azimuth.cos() * elevation.cos(),

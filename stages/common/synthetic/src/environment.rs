@@ -1,9 +1,9 @@
 //! The light: a soft environment, its irradiance, and its nine harmonics.
 //!
-//! Radiance `L(ω) = g(ω_z) + Σ_k c_k exp(κ_k (ω·d_k − 1))` per channel from above (a room or sky `g`
-//! that brightens towards the zenith, windows and lamps as lobes), and from below the radiance of the mat,
-//! `L = ρ_mat E(ẑ)`. Irradiance over π on an unshadowed surface, `E(n) = 1/π ∫ L(ω) max(0, n·ω) dω`,
-//! is tabulated; a surface of albedo ρ then shines with `ρ E(n)`.
+//! Radiance `L(ω) = g(ω_z) + Σ_k c_k exp(κ_k (ω·d_k − 1))` per channel from above (a room or sky
+//! `g` that brightens towards the zenith, windows and lamps as lobes), and from below the radiance
+//! of the mat, `L = ρ_mat E(ẑ)`. Irradiance over π on an unshadowed surface, `E(n) = 1/π ∫ L(ω)
+//! max(0, n·ω) dω`, is tabulated; a surface of albedo ρ then shines with `ρ E(n)`.
 //!
 //! The nine harmonics are the least-squares fit of eq. 1 to `E` over all normals; Basri and Jacobs
 //! (PAMI 2003) bound what it leaves at 2 % for distant light.

@@ -8,8 +8,8 @@ const MIN_EXTENT: f64 = 1e-3;
 /// Area of all triangles over the squared largest extent below which a mesh is a line or less.
 const MIN_AREA: f64 = 1e-6;
 
-/// Moves a mesh onto the middle of `z = 0`, scales it to a height, and makes normals where there are
-/// none: the mean of the faces around a vertex, weighted by their areas.
+/// Moves a mesh onto the middle of `z = 0`, scales it to a height, and makes normals where there
+/// are none: the mean of the faces around a vertex, weighted by their areas.
 pub(crate) fn standing(mut mesh: Mesh, height: f64) -> Result<Mesh, String> {
     let num = mesh.vertices.len();
     if mesh.triangles.is_empty() {
@@ -28,13 +28,10 @@ pub(crate) fn standing(mut mesh: Mesh, height: f64) -> Result<Mesh, String> {
     if numbers.flatten().any(|c| !c.is_finite()) {
         return Err("a vertex or normal is not a finite number".to_owned());
     }
-    let start = (
-        Vector3::repeat(f64::INFINITY),
-        Vector3::repeat(f64::NEG_INFINITY),
-    );
-    let (low, high) = mesh.vertices.iter().fold(start, |(low, high), v| {
-        (low.inf(&to_vector(v)), high.sup(&to_vector(v)))
-    });
+    let [low, high] = mesh
+        .bounds()
+        .unwrap_or_default()
+        .map(|corner| to_vector(&corner));
     let extent = high - low;
     if extent.min() <= MIN_EXTENT * extent.max() {
         return Err(format!(

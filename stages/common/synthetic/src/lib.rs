@@ -28,7 +28,9 @@ pub mod compare;
 pub mod testing;
 
 pub use error::SyntheticError;
-pub use options::{BallOptions, Illumination, LightModel, RenderOptions, SceneOptions, Subject};
+pub use options::{
+    BallOptions, Illumination, LightModel, RETIRED_KEYS, RenderOptions, SceneOptions, Subject,
+};
 pub use render::{Renderer, render};
 pub use scene::{ReferenceSphere, Scene};
 pub use sensor::to_srgb8;

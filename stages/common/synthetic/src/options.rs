@@ -1,7 +1,31 @@
 //! Options of the synthetic scene and of its photographs.
 
-use rilievo_scene::{Mesh, OptionError, fulfils, in_range};
+use rilievo_scene::{Mesh, OptionError, RetiredKey, check_ranges, fulfils, in_range};
 use serde::{Deserialize, Serialize};
+
+/// Keys that the tables of `synth --config` had once, with what to do instead.
+pub const RETIRED_KEYS: [(&str, &[RetiredKey]); 2] = [
+    (
+        "scene",
+        &[
+            fixed(&["height_m"], "it is fixed at .24 m"),
+            fixed(&["albedo"], "it is fixed at .56, .53, .48"),
+            fixed(&["mesh_spacing_m"], "it is fixed at 1.5 mm"),
+        ],
+    ),
+    (
+        "photographs",
+        &[
+            fixed(&["focal_in_widths"], "it is fixed at 1.35"),
+            fixed(&["elevation_deg"], "it is fixed at 24 degrees"),
+            fixed(&["edge_samples"], "it is fixed at 3"),
+        ],
+    ),
+];
+
+const fn fixed(path: &'static [&'static str], instead: &'static str) -> RetiredKey {
+    RetiredKey { path, instead }
+}
 
 /// What stands on the mat.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -82,12 +106,14 @@ pub struct SceneOptions {
     pub subject: Subject,
     /// What shines on it.
     pub illumination: Illumination,
-    /// Height of the object, metres.
+    /// Height of the object, metres. Not a key, as all that is skipped here.
+    #[serde(skip)]
     pub height_m: f64,
     /// Amplitude of the carved relief relative to the shape's own design, 0 for none. Above 2 the
     /// grooves shadow themselves.
     pub relief: f64,
     /// Albedo of object and sphere, red, green, blue.
+    #[serde(skip)]
     pub albedo: [f64; 3],
     /// Relative standard deviation of the object's albedo, a fine speckle. It gives keypoints
     /// something to hold on to; shading takes it for shape.
@@ -101,8 +127,9 @@ pub struct SceneOptions {
     pub sphere_radius_m: f64,
     /// Further matte spheres on the mat.
     pub more_spheres: Vec<BallOptions>,
-    /// Edge of the surface mesh, metres. Finer costs time with its third power, coarser loses relief
-    /// in `mesh` (depth and normals are exact either way).
+    /// Edge of the surface mesh, metres. Finer costs time with its third power, coarser loses
+    /// relief in `mesh` (depth and normals are exact either way).
+    #[serde(skip)]
     pub mesh_spacing_m: f64,
 }
 
@@ -148,13 +175,9 @@ pub struct RenderOptions {
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Focal length in widths of the image.
-    pub focal_in_widths: f64,
     /// Angle between the first and the last camera, seen from the object, degrees; 360 closes the
     /// ring.
     pub arc_deg: f64,
-    /// Mean height of the cameras over the horizon, degrees.
-    pub elevation_deg: f64,
     /// Share of the frame, from its centre, that object and spheres fill in every view; above 1 the
     /// frame cuts them.
     pub fill: f64,
@@ -171,6 +194,7 @@ pub struct RenderOptions {
     /// Standard deviation of the exposure from photo to photo, in stops.
     pub exposure_drift_ev: f64,
     /// Rays per side of a pixel on edges, against staircases; 1 leaves the centre ray.
+    #[serde(skip)]
     pub edge_samples: usize,
     /// Rays per surface point for shadows and bounce.
     pub shadow_rays: usize,
@@ -182,9 +206,7 @@ impl Default for RenderOptions {
             num_views: 6,
             width: 640,
             height: 480,
-            focal_in_widths: 1.35,
             arc_deg: 75.0,
-            elevation_deg: 24.0,
             fill: 0.9,
             turntable: false,
             distortion: [0.0; 5],
@@ -258,19 +280,20 @@ impl RenderOptions {
     /// # Errors
     /// Names the first one that is out of its range.
     pub fn validate(&self) -> Result<(), OptionError> {
-        in_range("num_views", self.num_views, 1..=1000)?;
-        in_range("width", self.width, 16..=20_000)?;
-        in_range("height", self.height, 16..=20_000)?;
-        in_range("focal_in_widths", self.focal_in_widths, 0.3..=20.0)?;
-        in_range("arc_deg", self.arc_deg, 0.0..=360.0)?;
-        in_range("elevation_deg", self.elevation_deg, 5.0..=80.0)?;
-        in_range("fill", self.fill, 0.1..=4.0)?;
         for coefficient in self.distortion {
             in_range("distortion", coefficient, -0.5..=0.5)?;
         }
-        in_range("noise", self.noise, 0.0..=0.2)?;
-        in_range("exposure_drift_ev", self.exposure_drift_ev, 0.0..=3.0)?;
-        in_range("edge_samples", self.edge_samples, 1..=8)?;
-        in_range("shadow_rays", self.shadow_rays, 16..=4096)
+        check_ranges!(
+            self;
+            num_views in 1..=1000,
+            width in 16..=20_000,
+            height in 16..=20_000,
+            arc_deg in 0.0..=360.0,
+            fill in 0.1..=4.0,
+            noise in 0.0..=0.2,
+            exposure_drift_ev in 0.0..=3.0,
+            edge_samples in 1..=8,
+            shadow_rays in 16..=4096,
+        )
     }
 }

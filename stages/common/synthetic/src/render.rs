@@ -6,7 +6,8 @@
 //!
 //! Steps: a ray per pixel centre against mesh, sphere and mat; on the object Newton's method along
 //! the ray from the mesh onto the implicit surface, whose gradient is the normal (depth and normal
-//! are exact, not those of the mesh; a given mesh is the surface itself); pixels on edges again with several rays; exposure and noise.
+//! are exact, not those of the mesh; a given mesh is the surface itself); pixels on edges again
+//! with several rays; exposure and noise.
 
 use crate::bake::{Bake, Deficit, Surroundings};
 use crate::cameras::{intrinsics, place};

@@ -158,7 +158,8 @@ impl Scene {
         let p = point_in_world.coords / self.options.height_m;
         let seed = self.options.seed as u32;
         if self.options.speckle > 0.0 {
-            // Two octaves of unit variance together: gradient noise has a standard deviation of 0.28.
+            // Two octaves of unit variance together: gradient noise has a standard deviation of
+            // 0.28.
             let speckle = gradient_noise(&(p / 0.010), seed ^ 0x91)
                 + 0.7 * gradient_noise(&(p / 0.026), seed ^ 0x92);
             albedo *= 1.0 + self.options.speckle * speckle / 0.34;

@@ -101,20 +101,12 @@ impl Shape {
 
     /// Corners of a box around the surface, in heights.
     pub(crate) fn bounds(&self) -> (Vector3<f64>, Vector3<f64>) {
-        match self.subject {
-            Subject::Bust => (
-                Vector3::new(-0.43, -0.31, -0.01),
-                Vector3::new(0.43, 0.31, 1.06),
-            ),
-            Subject::Stone => (
-                Vector3::new(-0.48, -0.48, -0.01),
-                Vector3::new(0.48, 0.48, 1.04),
-            ),
-            Subject::Ellipsoid => (
-                Vector3::new(-0.40, -0.40, -0.01),
-                Vector3::new(0.40, 0.40, 1.01),
-            ),
-        }
+        let [x, y, low, high] = match self.subject {
+            Subject::Bust => [0.43, 0.31, -0.01, 1.06],
+            Subject::Stone => [0.48, 0.48, -0.01, 1.04],
+            Subject::Ellipsoid => [0.40, 0.40, -0.01, 1.01],
+        };
+        (Vector3::new(-x, -y, low), Vector3::new(x, y, high))
     }
 
     /// Negative inside, positive outside; about a distance near the surface, in heights.
@@ -196,68 +188,23 @@ impl Shape {
         // The face is symmetric: one side is evaluated.
         let m = Vector3::new(p.x.abs(), p.y, p.z);
         let mut f = ellipsoid(p, [0.0, 0.01, 0.775], [0.148 * s[4], 0.185, 0.20]);
-        f = union(
-            f,
-            ellipsoid(p, [0.0, -0.085, 0.645], [0.085, 0.085, 0.09]),
-            0.09,
-        );
-        f = union(
-            f,
-            ellipsoid(&m, [0.072, -0.105, 0.705], [0.055, 0.06, 0.06]),
-            0.05,
-        );
-        f = union(
-            f,
-            capsule(
-                p,
-                [0.0, -0.170, 0.815],
-                [0.0, -0.218 * s[5], 0.715],
-                0.016,
-                0.026,
-            ),
-            0.035,
-        );
-        f = union(
-            f,
-            ellipsoid(&m, [0.022, -0.192, 0.708], [0.018, 0.022, 0.016]),
-            0.015,
-        );
-        f = union(
-            f,
-            capsule(
-                &m,
-                [0.022, -0.172, 0.826],
-                [0.096, -0.132, 0.82],
-                0.016,
-                0.012,
-            ),
-            0.03,
-        );
-        f = intersection(
-            f,
-            -ellipsoid(&m, [0.06, -0.187, 0.787], [0.036, 0.034, 0.026]),
-            0.03,
-        );
-        f = union(
-            f,
-            ellipsoid(&m, [0.058, -0.143, 0.785], [0.030, 0.028, 0.022]),
-            0.006,
-        );
-        f = union(
-            f,
-            ellipsoid(p, [0.0, -0.165, 0.662], [0.046, 0.022, 0.010]),
-            0.010,
-        );
-        f = union(
-            f,
-            ellipsoid(p, [0.0, -0.163, 0.640], [0.038, 0.022, 0.011]),
-            0.010,
-        );
-        f = union(
-            f,
-            ellipsoid(&m, [0.150, 0.02, 0.755], [0.022, 0.036, 0.058]),
-            0.015,
-        );
+        let join = |f, q, center, radii, fillet| union(f, ellipsoid(q, center, radii), fillet);
+        f = join(f, p, [0.0, -0.085, 0.645], [0.085, 0.085, 0.09], 0.09);
+        f = join(f, &m, [0.072, -0.105, 0.705], [0.055, 0.06, 0.06], 0.05);
+        let tip = [0.0, -0.218 * s[5], 0.715];
+        let nose = capsule(p, [0.0, -0.170, 0.815], tip, 0.016, 0.026);
+        f = union(f, nose, 0.035);
+        f = join(f, &m, [0.022, -0.192, 0.708], [0.018, 0.022, 0.016], 0.015);
+        let ends = ([0.022, -0.172, 0.826], [0.096, -0.132, 0.82]);
+        let brow = capsule(&m, ends.0, ends.1, 0.016, 0.012);
+        f = union(f, brow, 0.03);
+        let socket = ellipsoid(&m, [0.06, -0.187, 0.787], [0.036, 0.034, 0.026]);
+        f = intersection(f, -socket, 0.03);
+        // Eye, lips, ear.
+        f = join(f, &m, [0.058, -0.143, 0.785], [0.030, 0.028, 0.022], 0.006);
+        f = join(f, p, [0.0, -0.165, 0.662], [0.046, 0.022, 0.010], 0.010);
+        f = join(f, p, [0.0, -0.163, 0.640], [0.038, 0.022, 0.011], 0.010);
+        f = join(f, &m, [0.150, 0.02, 0.755], [0.022, 0.036, 0.058], 0.015);
 
         // Hair: a shell behind the hairline, carved in strands that run down from the crown.
         let shell = ellipsoid(p, [0.0, 0.03, 0.80], [0.172, 0.192, 0.195]);

@@ -20,8 +20,8 @@ use serde::Serialize;
 /// How the estimate may be moved before it is compared.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum AlignmentRequest {
-    /// Not at all where the estimate already lives in the truth's frame (its cameras stand within
-    /// 5 % of the rig's extent and 5 degrees of the true ones), a similarity otherwise; the scale is
+    /// Not at all where the estimate already lives in the truth's frame (its cameras stand within 5
+    /// % of the rig's extent and 5 degrees of the true ones), a similarity otherwise; the scale is
     /// reported, so a metric estimate shows its scale error there.
     #[default]
     Auto,
@@ -239,14 +239,7 @@ fn rotation_of(m: &Matrix3<f64>) -> Option<(UnitQuaternion<f64>, [f64; 3])> {
     let r = u * s * v_t;
     let rotation =
         UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(r));
-    Some((
-        rotation,
-        [
-            svd.singular_values[0],
-            svd.singular_values[1],
-            svd.singular_values[2],
-        ],
-    ))
+    Some((rotation, svd.singular_values.into()))
 }
 
 /// Differences of the poses after `similarity`; `None` without a camera in common.

@@ -7,14 +7,16 @@
 //!   least two views see counts.
 //! * `F = 2 P C / (P + C)`.
 //!
-//! A cloud in another scale or frame than the surface's has no accuracy worth the name, and every search for
-//! the nearest has to look far. Where most points lie farther than a quarter of the surface's diagonal from
-//! it, or are a tenth of its size, some stand for all, and the comparison says so.
+//! A cloud in another scale or frame than the surface's has no accuracy worth the name, and every
+//! search for the nearest has to look far. Where most points lie farther than a quarter of the
+//! surface's diagonal from it, or are a tenth of its size, some stand for all, and the comparison
+//! says so.
 //!
 //! Steps: samples on the triangles no farther apart than τ/3; the nearest samples; the
 //! exact distance to the triangles of the nearest eight samples.
 
 use super::align::Similarity;
+use super::distance::{MeshDistance, Samples, corners};
 use super::nearest::PointTree;
 use super::truth::TruthView;
 use nalgebra::{Point2, Point3, Vector3};
@@ -26,19 +28,16 @@ use serde::Serialize;
 /// Threshold as a share of the surface's bounding-box diagonal: half a millimetre for an object a
 /// hand wide.
 const THRESHOLD_SHARE: f64 = 1.0 / 500.0;
-/// Triangles that compete for being nearest: a point above an edge finds both sides among them.
-const NUM_CANDIDATES: usize = 8;
-/// At most this many samples on the surface, which bounds memory at about 100 MB.
-const MAX_NUM_SAMPLES: f64 = 1.5e6;
-/// Points that are tried first, to see whether the two sides lie near each other at all, and that stand for
-/// all where they do not.
+/// Points that are tried first, to see whether the two sides lie near each other at all, and that
+/// stand for all where they do not.
 const NUM_PROBES: usize = 1000;
-/// Points of the other side that these are tried against: as fine as the question, and few enough to look
-/// at all of them, as a search from the middle of a ball does.
+/// Points of the other side that these are tried against: as fine as the question, and few enough
+/// to look at all of them, as a search from the middle of a ball does.
 const NUM_COARSE: usize = 20_000;
 /// Share of the surface's diagonal from which the two sides do not lie near each other.
 const FAR_SHARE: f64 = 0.25;
-/// Size of a cloud over the surface's below which it is no part of it, but the whole at another scale.
+/// Size of a cloud over the surface's below which it is no part of it, but the whole at another
+/// scale.
 const SMALL_SHARE: f64 = 0.1;
 /// A surface point counts as seen where the depth map agrees within a pixel footprint along the
 /// normal, and within this share of the depth: at grazing incidence the normal alone lets pass what
@@ -58,8 +57,8 @@ pub struct CloudComparison {
     pub accuracy_mean: f64,
     /// Share of the points within the threshold.
     pub precision: f64,
-    /// Share of the surface (that two views see, where depth maps tell) within the threshold of a
-    /// point.
+    /// Share of the surface (that two views see, where depth maps are given) within the threshold
+    /// of a point.
     pub completeness: f64,
     /// Harmonic mean of precision and completeness.
     pub f_score: f64,
@@ -77,7 +76,8 @@ pub struct CloudComparison {
     pub hausdorff_95: f64,
     /// The same shares at other thresholds.
     pub at: Vec<ThresholdShares>,
-    /// Where both sides lie so far apart that these numbers mean little, and are of some points only.
+    /// Where both sides lie so far apart that these numbers mean little, and are of some points
+    /// only.
     pub apart: Option<Apart>,
 }
 
@@ -105,7 +105,7 @@ pub struct ThresholdShares {
     pub f_score: f64,
 }
 
-/// Other thresholds that are told, as multiples of the threshold.
+/// Other thresholds that are reported, as multiples of the threshold.
 const OTHER_THRESHOLDS: [f64; 4] = [0.25, 0.5, 2.0, 4.0];
 
 fn harmonic_mean(a: f64, b: f64) -> f64 {
@@ -126,115 +126,6 @@ pub struct TrueSurface<'a> {
     /// Distance that still counts as found, truth's unit; `None` takes a five-hundredth of the
     /// surface's diagonal.
     pub threshold: Option<f64>,
-}
-
-/// Samples on a mesh, with the triangle of each.
-pub(crate) struct Samples {
-    pub points: Vec<[f64; 3]>,
-    pub triangles: Vec<u32>,
-    pub areas: Vec<f64>,
-}
-
-fn corners(mesh: &Mesh, triangle: usize) -> [Point3<f64>; 3] {
-    mesh.triangles[triangle].map(|v| {
-        let [x, y, z] = mesh.vertices[v as usize];
-        Point3::new(x.into(), y.into(), z.into())
-    })
-}
-
-/// Points on the triangles, at most `spacing` apart.
-pub(crate) fn sample(mesh: &Mesh, spacing: f64) -> Samples {
-    let mut samples = Samples {
-        points: Vec::new(),
-        triangles: Vec::new(),
-        areas: Vec::new(),
-    };
-    for triangle in 0..mesh.triangles.len() {
-        let [a, b, c] = corners(mesh, triangle);
-        let (ab, ac) = (b - a, c - a);
-        let area = 0.5 * ab.cross(&ac).norm();
-        if area.is_nan() || area <= 0.0 {
-            continue;
-        }
-        let longest = ab.norm().max(ac.norm()).max((c - b).norm());
-        let n = (longest / spacing).ceil().clamp(1.0, 200.0) as usize;
-        // The centroids of the n² similar triangles.
-        for i in 0..n {
-            for j in 0..n - i {
-                let mut add = |s: f64, t: f64| {
-                    let p = a + ab * (s / n as f64) + ac * (t / n as f64);
-                    samples.points.push([p.x, p.y, p.z]);
-                    samples.triangles.push(triangle as u32);
-                    samples.areas.push(area / (n * n) as f64);
-                };
-                add(i as f64 + 1.0 / 3.0, j as f64 + 1.0 / 3.0);
-                if i + j + 1 < n {
-                    add(i as f64 + 2.0 / 3.0, j as f64 + 2.0 / 3.0);
-                }
-            }
-        }
-    }
-    samples
-}
-
-/// Distance of a point from a triangle.
-pub(crate) fn distance_to_triangle(p: &Point3<f64>, [a, b, c]: &[Point3<f64>; 3]) -> f64 {
-    let segment = |a: &Point3<f64>, b: &Point3<f64>| {
-        let ab = b - a;
-        let t = ((p - a).dot(&ab) / ab.norm_squared()).clamp(0.0, 1.0);
-        (p - (a + ab * t)).norm()
-    };
-    let normal: Vector3<f64> = (b - a).cross(&(c - a));
-    let inside = [(a, b), (b, c), (c, a)]
-        .iter()
-        .all(|(u, v)| (*v - *u).cross(&(p - *u)).dot(&normal) >= 0.0);
-    if inside {
-        return ((p - a).dot(&normal) / normal.norm()).abs();
-    }
-    segment(a, b).min(segment(b, c)).min(segment(c, a))
-}
-
-/// A mesh that answers how far points lie from it.
-pub struct MeshDistance<'a> {
-    mesh: &'a Mesh,
-    samples: Samples,
-    tree: PointTree,
-}
-
-impl<'a> MeshDistance<'a> {
-    /// Indexes the surface with samples at most `spacing` apart; `None` for an empty one.
-    pub fn new(mesh: &'a Mesh, spacing: f64) -> Option<Self> {
-        let area: f64 = (0..mesh.triangles.len())
-            .map(|t| {
-                let [a, b, c] = corners(mesh, t);
-                0.5 * (b - a).cross(&(c - a)).norm()
-            })
-            .sum();
-        // Two samples per square of the spacing.
-        let samples = sample(mesh, spacing.max((2.0 * area / MAX_NUM_SAMPLES).sqrt()));
-        (!samples.points.is_empty()).then(|| Self {
-            mesh,
-            tree: PointTree::new(&samples.points),
-            samples,
-        })
-    }
-
-    /// Distance of a finite point from the surface, and the nearest triangle.
-    pub fn nearest(&self, p: &Point3<f64>) -> (f64, usize) {
-        self.tree
-            .nearest::<NUM_CANDIDATES>(&[p.x, p.y, p.z])
-            .into_iter()
-            .filter(|(distance, _)| distance.is_finite())
-            .map(|(_, sample)| {
-                let triangle = self.samples.triangles[sample as usize] as usize;
-                (
-                    distance_to_triangle(p, &corners(self.mesh, triangle)),
-                    triangle,
-                )
-            })
-            .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))
-            .unwrap_or((f64::INFINITY, 0))
-    }
 }
 
 /// Extent and middle of points: the diagonal of the box from the 5 % to the 95 % quantile of each
@@ -284,13 +175,8 @@ fn apart(points: &[[f64; 3]], samples: &Samples, diagonal: f64) -> Option<(Apart
 
 /// Length of the diagonal of a mesh's bounding box.
 fn diagonal(mesh: &Mesh) -> f64 {
-    let mut low = Vector3::repeat(f64::INFINITY);
-    let mut high = Vector3::repeat(f64::NEG_INFINITY);
-    for v in &mesh.vertices {
-        let v = Vector3::new(v[0].into(), v[1].into(), v[2].into());
-        low = low.inf(&v);
-        high = high.sup(&v);
-    }
+    let corners = mesh.bounds().unwrap_or_default();
+    let [low, high] = corners.map(|corner| Vector3::from(corner.map(f64::from)));
     (high - low).norm()
 }
 
@@ -334,7 +220,7 @@ pub fn compare_cloud(
     if points.is_empty() {
         return None;
     }
-    let samples = &surface.samples;
+    let samples = surface.samples();
     let (apart, mut distances, chosen, tree) = match apart(&points, samples, diagonal) {
         Some((apart, probed)) => {
             let chosen = thinned(samples.points.len(), NUM_PROBES).collect();
@@ -487,20 +373,6 @@ mod tests {
             .windows(2)
             .all(|w| w[0].completeness < w[1].completeness);
         assert!(growing && whole.at.len() == 4, "{whole:?}");
-    }
-
-    #[test]
-    fn the_distance_is_exact_over_faces_edges_and_corners() {
-        let mesh = square();
-        let surface = MeshDistance::new(&mesh, 0.05).expect("a surface");
-        for (p, expected) in [
-            (Point3::new(0.31, 0.77, 0.2), 0.2),
-            (Point3::new(-0.3, 0.5, 0.4), 0.5),
-            (Point3::new(1.2, 1.1, -0.2), 0.3),
-        ] {
-            let (d, _) = surface.nearest(&p);
-            assert!((d - expected).abs() < 1e-12, "{p:?}: {d} {expected}");
-        }
     }
 
     #[test]

@@ -63,26 +63,26 @@ fn mismatches(
             "try --align sim3, which finds frame and scale from the cameras, and check the unit of both"
         }
     };
-    let mut told = Vec::new();
+    let mut found = Vec::new();
     let depths = errors.iter().flat_map(|(_, view)| &view.depths);
     let mut factors: Vec<f64> = depths.map(|[z, t]| f64::from(*z) / f64::from(*t)).collect();
     if let Some(factor) = median(&mut factors)
         && !(1.0 / MAX_DEPTH_FACTOR..=MAX_DEPTH_FACTOR).contains(&factor)
     {
         let factor = length(factor);
-        told.push(format!(
+        found.push(format!(
             "the depths are {factor} times the true ones: they do not match in scale; {remedy}"
         ));
     }
     if let Some(apart) = cloud.and_then(|cloud| cloud.apart) {
         let [cloud, surface, offset] =
             [apart.cloud_size, apart.surface_size, apart.offset].map(length);
-        told.push(format!(
+        found.push(format!(
             "the cloud is {cloud} across, the true surface {surface}, and their middles lie {offset} apart: \
              they do not match in scale or frame; {remedy}"
         ));
     }
-    told
+    found
 }
 
 /// Gathers an evaluation from poses, per-view errors (of [`super::compare_maps`] after

@@ -1,9 +1,10 @@
 //! What relief is resolved where there is no truth: two halves of the photos, each shaped alone.
 //!
-//! What both halves find alike is the surface, as far as they share no error; what they find differently is noise. The
-//! wavelength at which the correlation of their normals falls to one half is called resolved (van Heel and Schatz 2005).
-//! Errors that both share, of the light or of pigment that is taken for relief, count as relief: the correlation with the
-//! truth is lower. So no estimate of that is made of it, as for halves with independent errors alone.
+//! What both halves find alike is the surface, as far as they share no error; what they find
+//! differently is noise. The wavelength at which the correlation of their normals falls to one half
+//! is called resolved (van Heel and Schatz 2005). Errors that both share, of the light or of
+//! pigment that is taken for relief, count as relief: the correlation with the truth is lower. So
+//! no estimate of that is made of it, as for halves with independent errors alone.
 
 use super::relief::{BandSums, relief_bands, relief_sums};
 use nalgebra::{Point2, Vector3};
@@ -13,9 +14,11 @@ use serde::Serialize;
 
 /// Correlation of the halves at which relief counts as resolved.
 pub const RESOLVED_CORRELATION: f64 = 0.5;
-/// Distance of both halves' surfaces along the line of sight, pixel footprints, up to which they show the same place.
+/// Distance of both halves' surfaces along the line of sight, pixel footprints, up to which they
+/// show the same place.
 const MAX_APART_PX: f64 = 8.0;
-/// Difference of depth between neighbours, pixel footprints, beyond which they belong to different surfaces.
+/// Difference of depth between neighbours, pixel footprints, beyond which they belong to different
+/// surfaces.
 const MAX_STEP_PX: f64 = 8.0;
 
 /// One half: its views, and what was found of them.
@@ -87,7 +90,8 @@ pub fn compare_halves(first: &Half<'_>, second: &Half<'_>) -> HalvesComparison {
         for (view, maps) in own.views() {
             let seen = seen_from(view, maps, other);
             let focal_px = view.intrinsics.focal_px();
-            // Both fields know the same pixels, so that means beside a border are over the same ones.
+            // Both fields know the same pixels, so that means beside a border are over the same
+            // ones.
             let own = Raster::from_fn(seen.width, seen.height, |x, y| {
                 let is_seen = *seen.at(x, y) != [0.0; 3];
                 if is_seen {
@@ -120,8 +124,8 @@ pub fn compare_halves(first: &Half<'_>, second: &Half<'_>) -> HalvesComparison {
     }
 }
 
-/// From long to short wavelengths, where the correlation first falls to [`RESOLVED_CORRELATION`]: linear in the
-/// logarithm of the wavelength.
+/// From long to short wavelengths, where the correlation first falls to [`RESOLVED_CORRELATION`]:
+/// linear in the logarithm of the wavelength.
 fn resolved(bands: &[HalvesBand]) -> Resolved {
     let mut longer: Option<(&HalvesBand, f64)> = None;
     for band in bands.iter().rev() {
@@ -149,8 +153,9 @@ fn resolved(bands: &[HalvesBand]) -> Resolved {
     })
 }
 
-/// The other half's normals in the frame and at the pixels of a view: the mean over those of its views that show the same
-/// place, each weighed with the squared cosine at which it sees it. Zero where none does.
+/// The other half's normals in the frame and at the pixels of a view: the mean over those of its
+/// views that show the same place, each weighed with the squared cosine at which it sees it. Zero
+/// where none does.
 fn seen_from(view: &PosedView, maps: &ShadedView, other: &Half<'_>) -> NormalMap {
     let (width, height) = (maps.depth.width, maps.depth.height);
     let world_from_cam = view.cam_from_world.inverse();

@@ -3,27 +3,21 @@
 //! * Depth: `|s z_e − z_t| / z_t` wherever both have a value, `s` the one scale of the scene.
 //! * Normals: the angle between estimate and truth in the camera frame. A truth without normals
 //!   (a fused stereo surface) is too coarse for single pixels; there both sides are replaced by
-//!   planes fitted to 21×21 pixels: on a plane `a X + b Y + c Z = 1`, the inverse depth
-//!   `1/z = a u + b v + c` is linear in the normalised pixel `(u, v)`, so that each window is a
-//!   3×3 normal system, and `n ∝ −(a, b, c)`.
+//!   planes fitted to 21×21 pixels (`planes`).
 //! * Completeness: the share of the truth's pixels that have a depth; pixels without one enter
-//!   nothing else. The truth's pixels are those with a depth, or with a normal where it tells no depth.
+//!   nothing else. The truth's pixels are those with a depth, or with a normal where no depth is
+//!   known.
 
+use super::planes::{PLANE_HALF_WINDOW_PX, plane_normals};
 use super::regions::{Region, RegionError, RegionSums, region_errors, regions};
 use super::relief::{BandSums, ReliefBand, relief_bands, relief_sums};
 use super::truth::{TruthMaps, TruthView, is_depth};
 use crate::error::SyntheticError;
-use nalgebra::{Matrix3, Point2, Vector3};
+use nalgebra::Vector3;
 use rilievo_numerics::robust::quantile;
-use rilievo_scene::{DepthMap, Intrinsics, NormalMap, Raster};
+use rilievo_scene::{DepthMap, NormalMap, Raster};
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-/// Half the side of the windows of planes, pixels: 21×21, about the detail that a stereo surface
-/// of a hand-sized object resolves.
-pub const PLANE_HALF_WINDOW_PX: usize = 10;
-/// Share of a window that must be filled for its plane to count.
-const MIN_WINDOW_SHARE: f64 = 0.3;
 
 /// Where compared normals come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -75,7 +69,7 @@ pub struct MapComparison {
     pub depth_mae: Option<f64>,
     /// Root mean square error of depth, truth's unit.
     pub depth_rmse: Option<f64>,
-    /// The same after the scale and offset of depth that fit best, which are told beside it: what
+    /// The same after the scale and offset of depth that fit best, which stand beside it: what
     /// is left of a shape whose distance and size are free.
     pub depth_rmse_scale_offset: Option<[f64; 3]>,
     /// Share of compared normals within 11.25, 22.5 and 30 degrees.
@@ -91,6 +85,21 @@ pub struct MapComparison {
     /// Key of a null value: why it could not be computed.
     pub reasons: BTreeMap<String, String>,
 }
+
+/// Values that need depths of both sides, and those that need normals.
+const DEPTH_KEYS: [&str; 6] = [
+    "depth_median_rel",
+    "depth_p90_rel",
+    "depth_rms_rel",
+    "depth_mae",
+    "depth_rmse",
+    "depth_rmse_scale_offset",
+];
+const NORMAL_KEYS: [&str; 3] = [
+    "normal_mae_deg",
+    "normal_median_deg",
+    "normal_within_11_22_30_deg",
+];
 
 impl PixelErrors {
     fn depth_errors(&self, of: impl Fn(f64) -> f64) -> Vec<f64> {
@@ -129,51 +138,38 @@ impl PixelErrors {
 
     /// Means and quantiles.
     pub fn summary(&self) -> MapComparison {
-        let mut reasons = BTreeMap::new();
-        if self.num_truth == 0 {
-            reasons.insert("complete".into(), "the truth knows no pixel here".into());
-        }
-        if self.depth_rel.is_empty() {
-            for key in [
-                "depth_median_rel",
-                "depth_p90_rel",
-                "depth_rms_rel",
-                "depth_mae",
-                "depth_rmse",
-                "depth_rmse_scale_offset",
-            ] {
-                reasons.insert(
-                    key.into(),
-                    "no pixel has both an estimated and a true depth".into(),
-                );
-            }
-        }
-        if self.normal_deg.is_empty() {
-            for key in [
-                "normal_mae_deg",
-                "normal_median_deg",
-                "normal_within_11_22_30_deg",
-            ] {
-                reasons.insert(
-                    key.into(),
-                    "no pixel has both an estimated and a true normal".into(),
-                );
-            }
-        }
-        let regions = region_errors(&self.regions);
-        if regions.is_empty() {
-            reasons.insert(
-                "regions".into(),
-                "result and truth do not both have normal maps".into(),
-            );
-        }
-        let relief = relief_bands(&self.relief);
-        if relief.is_empty() {
-            reasons.insert(
-                "relief".into(),
-                "result and truth do not both have normals of enough pixels away from edges".into(),
-            );
-        }
+        let (regions, relief) = (region_errors(&self.regions), relief_bands(&self.relief));
+        let absent: [(bool, &[&str], &str); 5] = [
+            (
+                self.num_truth == 0,
+                &["complete"],
+                "the truth knows no pixel here",
+            ),
+            (
+                self.depth_rel.is_empty(),
+                &DEPTH_KEYS,
+                "no pixel has both an estimated and a true depth",
+            ),
+            (
+                self.normal_deg.is_empty(),
+                &NORMAL_KEYS,
+                "no pixel has both an estimated and a true normal",
+            ),
+            (
+                regions.is_empty(),
+                &["regions"],
+                "result and truth do not both have normal maps",
+            ),
+            (
+                relief.is_empty(),
+                &["relief"],
+                "result and truth do not both have normals of enough pixels away from edges",
+            ),
+        ];
+        let reasons = (absent.into_iter().filter(|(is_absent, ..)| *is_absent))
+            .flat_map(|(_, keys, reason)| keys.iter().map(move |key| (*key, reason)))
+            .map(|(key, reason)| (key.to_owned(), reason.to_owned()))
+            .collect();
         let mean = |values: &[f64]| {
             (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
@@ -340,104 +336,11 @@ pub(crate) fn angle_deg(a: &Vector3<f64>, b: &Vector3<f64>) -> f64 {
     a.cross(b).norm().atan2(a.dot(b)).to_degrees()
 }
 
-/// Normals of planes fitted to the depths inside `mask` over windows of `2 half + 1` pixels.
-pub fn plane_normals(
-    depth: &DepthMap,
-    mask: &Raster<bool>,
-    intrinsics: &Intrinsics,
-    half: usize,
-) -> NormalMap {
-    let (width, height) = (depth.width, depth.height);
-    // Moments of each pixel: uu, uv, vv, u, v, 1, u/z, v/z, 1/z.
-    let moments = |x: usize, y: usize| -> [f64; 9] {
-        if !*mask.at(x, y) {
-            return [0.0; 9];
-        }
-        let n = intrinsics.normalized(&Point2::new(x as f64, y as f64));
-        let w = 1.0 / f64::from(*depth.at(x, y));
-        [
-            n.x * n.x,
-            n.x * n.y,
-            n.y * n.y,
-            n.x,
-            n.y,
-            1.0,
-            n.x * w,
-            n.y * w,
-            w,
-        ]
-    };
-    // Sums over the window's rows, per column; then a sliding sum over its columns.
-    let mut columns = vec![[0.0; 9]; width];
-    let add_row = |columns: &mut [[f64; 9]], y: usize, sign: f64| {
-        for (x, column) in columns.iter_mut().enumerate() {
-            for (sum, m) in column.iter_mut().zip(moments(x, y)) {
-                *sum += sign * m;
-            }
-        }
-    };
-    for y in 0..half.min(height) {
-        add_row(&mut columns, y, 1.0);
-    }
-    let mut normals = NormalMap::filled(width, height, [0.0; 3]);
-    let full = ((2 * half + 1) * (2 * half + 1)) as f64;
-    for y in 0..height {
-        if y + half < height {
-            add_row(&mut columns, y + half, 1.0);
-        }
-        if y > half {
-            add_row(&mut columns, y - half - 1, -1.0);
-        }
-        let mut window = [0.0; 9];
-        let slide = |window: &mut [f64; 9], x: usize, sign: f64| {
-            for (sum, c) in window.iter_mut().zip(columns[x]) {
-                *sum += sign * c;
-            }
-        };
-        for x in 0..half.min(width) {
-            slide(&mut window, x, 1.0);
-        }
-        for x in 0..width {
-            if x + half < width {
-                slide(&mut window, x + half, 1.0);
-            }
-            if x > half {
-                slide(&mut window, x - half - 1, -1.0);
-            }
-            let plane = (*mask.at(x, y) && window[5] > MIN_WINDOW_SHARE * full)
-                .then(|| plane_of(&window))
-                .flatten();
-            if let Some(n) = plane {
-                *normals.at_mut(x, y) = [n.x as f32, n.y as f32, n.z as f32];
-            }
-        }
-    }
-    normals
-}
-
-/// Normal of the plane whose inverse depth fits the window's moments, towards the camera.
-fn plane_of(m: &[f64; 9]) -> Option<Vector3<f64>> {
-    // About the window's centroid the system is well scaled however far off the axis it lies.
-    let (u, v, w) = (m[3] / m[5], m[4] / m[5], m[8] / m[5]);
-    let uu = m[0] / m[5] - u * u;
-    let uv = m[1] / m[5] - u * v;
-    let vv = m[2] / m[5] - v * v;
-    let uw = m[6] / m[5] - u * w;
-    let vw = m[7] / m[5] - v * w;
-    let system = Matrix3::new(uu, uv, 0.0, uv, vv, 0.0, 0.0, 0.0, 1.0);
-    let determinant = uu * vv - uv * uv;
-    // A window filled along a line only has no plane.
-    if determinant.is_nan() || determinant <= 1e-3 * uu * vv {
-        return None;
-    }
-    let slopes = system.try_inverse()? * Vector3::new(uw, vw, 0.0);
-    let normal = -Vector3::new(slopes.x, slopes.y, w - slopes.x * u - slopes.y * v);
-    normal.try_normalize(0.0)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Point2;
+    use rilievo_scene::Intrinsics;
 
     fn camera() -> Intrinsics {
         Intrinsics::pinhole(60, 50, 80.0, 29.5, 24.5)

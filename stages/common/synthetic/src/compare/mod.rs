@@ -7,10 +7,13 @@
 mod align;
 mod appearance;
 mod cloud;
+mod distance;
+mod edges;
 mod evaluation;
 mod halves;
 mod maps;
 mod nearest;
+mod planes;
 mod regions;
 mod relief;
 mod truth;
@@ -19,12 +22,14 @@ pub use align::{
     Alignment, AlignmentRequest, NamedPose, PoseComparison, Similarity, align, compare_poses,
 };
 pub use appearance::{AppearanceComparison, ImageErrors, LightComparison, compare_light};
-pub use cloud::{CloudComparison, MeshDistance, ThresholdShares, TrueSurface, compare_cloud};
+pub use cloud::{CloudComparison, ThresholdShares, TrueSurface, compare_cloud};
+pub use distance::MeshDistance;
 pub use evaluation::{Evaluation, evaluate};
 pub use halves::{
     Half, HalvesBand, HalvesComparison, RESOLVED_CORRELATION, Resolved, compare_halves,
 };
-pub use maps::{MapComparison, NormalSource, PixelErrors, aggregate, compare_maps, plane_normals};
-pub use regions::{Region, RegionError, RegionSums, region_errors};
-pub use relief::{BandSums, ReliefBand, relief_bands, relief_sums};
+pub use maps::{MapComparison, NormalSource, PixelErrors, aggregate, compare_maps};
+pub use planes::plane_normals;
+pub use regions::{Region, RegionError, RegionSums};
+pub use relief::{BandSums, ReliefBand};
 pub use truth::{TruthMaps, TruthView};

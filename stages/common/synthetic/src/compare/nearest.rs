@@ -1,7 +1,7 @@
 //! Nearest neighbours among points, with work that is bounded for queries from anywhere.
 //!
-//! A tree whose nodes know the boxes around their points. A tree of splitting planes alone does not know
-//! where its outermost cells end: from a query far outside it has to look into all of them.
+//! A tree whose nodes know the boxes around their points. A tree of splitting planes alone does not
+//! know where its outermost cells end: from a query far outside it has to look into all of them.
 
 /// Points in a leaf: fewer makes the tree deeper than it pays for.
 const LEAF: usize = 8;

@@ -1,9 +1,10 @@
 //! Where errors of normals lie: rings inside the outline, depth edges, steep places, and the rest.
 //!
-//! Errors at an outline (photo pixels that mix object and background, a mask that is off by a pixel, a surface
-//! that turns away) have other causes than those inside, and a mean over all pixels hides both.
+//! Errors at an outline (photo pixels that mix object and background, a mask that is off by a
+//! pixel, a surface that turns away) have other causes than those inside, and a mean over all
+//! pixels hides both.
 
-use super::relief::{depth_edges, widened};
+use super::edges::{depth_edges, widened};
 use super::truth::TruthView;
 use nalgebra::Point2;
 use rilievo_scene::Raster;
@@ -94,7 +95,8 @@ pub struct RegionError {
     pub adds_deg: f64,
 }
 
-/// Errors by region from their sums, in the order of [`Region::ALL`]; empty where nothing was compared.
+/// Errors by region from their sums, in the order of [`Region::ALL`]; empty where nothing was
+/// compared.
 pub fn region_errors(sums: &[RegionSums; Region::ALL.len()]) -> Vec<RegionError> {
     let num: usize = sums.iter().map(|sums| sums.num_px).sum();
     if num == 0 {
@@ -160,7 +162,8 @@ mod tests {
 
     const SIZE: usize = 60;
 
-    /// A square that fills the frame but for a margin of ten pixels, its right part behind a step of depth.
+    /// A square that fills the frame but for a margin of ten pixels, its right part behind a step
+    /// of depth.
     fn truth() -> TruthView {
         let known = |x: usize, y: usize| (10..50).contains(&x) && (10..50).contains(&y);
         let depth = DepthMap::from_fn(SIZE, SIZE, |x, y| match (known(x, y), x < 30) {

@@ -8,12 +8,12 @@
 //!
 //! of the true band `t` and the found one `e`. An estimate that is best in the mean square has
 //! `gain = corr²`: with less it is smoother than its data allow, with more it carries noise.
-//! Between two independent estimates instead of truth and estimate, the correlation tells what both
+//! Between two independent estimates instead of truth and estimate, the correlation shows what both
 //! resolve (van Heel and Schatz 2005).
 
+use super::edges::{depth_edges, widened};
 use super::truth::is_depth;
 use rayon::prelude::*;
-use rilievo_numerics::robust::median;
 use rilievo_scene::{DepthMap, NormalMap, Raster};
 use serde::Serialize;
 
@@ -22,10 +22,6 @@ const NUM_BANDS: usize = 6;
 const FIRST_SIGMA_PX: f64 = 0.75;
 /// Bands that are taken at full resolution; for each further one the fields are halved.
 const NUM_FULL: usize = 3;
-/// A step of log depth that is so many times the median one is an edge.
-const EDGE_FACTOR: f32 = 8.0;
-/// A step of log depth that is none: what single precision leaves.
-const MIN_EDGE: f32 = 1e-6;
 /// Pixels under which a band says nothing.
 const MIN_PIXELS: usize = 100;
 
@@ -100,8 +96,9 @@ pub fn relief_bands(sums: &[BandSums]) -> Vec<ReliefBand> {
 
 /// Sums of all bands of one view.
 ///
-/// `depth` (the reference's, any unit; 0 is unknown) tells edges and, with `focal_px`, the size of a
-/// pixel; without it only the border of the known normals is kept away from. All maps have one size.
+/// `depth` (the reference's, any unit; 0 is unknown) determines edges and, with `focal_px`, the
+/// size of a pixel; without it only the border of the known normals is kept away from. All maps
+/// have one size.
 pub fn relief_sums(
     found: &NormalMap,
     reference: &NormalMap,
@@ -216,40 +213,6 @@ impl Window {
     }
 }
 
-/// Pixels on both sides of every depth edge: where log depth steps by much more than it usually does.
-pub(super) fn depth_edges(depth: &DepthMap) -> Raster<bool> {
-    let (width, height) = (depth.width, depth.height);
-    let log = |x: usize, y: usize| {
-        let z = *depth.at(x, y);
-        is_depth(z).then(|| z.ln())
-    };
-    let mut edges = Raster::filled(width, height, false);
-    for (dx, dy) in [(1, 0), (0, 1)] {
-        let step = |x: usize, y: usize| {
-            if x + dx >= width || y + dy >= height {
-                return None;
-            }
-            Some((log(x + dx, y + dy)? - log(x, y)?).abs())
-        };
-        let positions = || (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-        let mut steps: Vec<f64> = positions()
-            .filter_map(|(x, y)| step(x, y).map(f64::from))
-            .collect();
-        let Some(typical) = median(&mut steps) else {
-            continue;
-        };
-        // On a plane that faces the camera every step is rounding.
-        let limit = (EDGE_FACTOR * typical as f32).max(MIN_EDGE);
-        for (x, y) in positions() {
-            if step(x, y).is_some_and(|s| s > limit) {
-                *edges.at_mut(x, y) = true;
-                *edges.at_mut(x + dx, y + dy) = true;
-            }
-        }
-    }
-    edges
-}
-
 fn is_known(n: &[f32; 3]) -> bool {
     n.iter().all(|v| v.is_finite()) && n.iter().any(|&v| v != 0.0)
 }
@@ -258,7 +221,8 @@ fn is_known(n: &[f32; 3]) -> bool {
 struct Field(Raster<[f32; 4]>);
 
 impl Field {
-    /// Mean over a Gaussian less that over one of twice its width; zero where there is no weight near.
+    /// Mean over a Gaussian less that over one of twice its width; zero where there is no weight
+    /// near.
     fn band(&self, sigma: f32) -> Vec<[f32; 3]> {
         let (narrow, wide) = (self.mean(sigma), self.mean(2.0 * sigma));
         narrow
@@ -345,49 +309,6 @@ fn halved(blocked: &Raster<bool>) -> Raster<bool> {
         blocked.height.div_ceil(2),
         |x, y| block(blocked, x, y).any(|&b| b) || block(blocked, x, y).count() < 4,
     )
-}
-
-/// Pixels whose disc of `radius` touches a blocked one; what lies beyond the raster counts as `beyond` says.
-pub(super) fn widened(blocked: &Raster<bool>, radius: f32, beyond: bool) -> Raster<bool> {
-    let (width, height) = (blocked.width, blocked.height);
-    let (square, radius) = ((radius * radius) as usize, radius as usize);
-    // Distance along the row to the nearest blocked pixel or the end, up to the radius and one.
-    let mut along = vec![0_usize; width * height];
-    for y in 0..height {
-        let row = &mut along[y * width..(y + 1) * width];
-        for direction in [false, true] {
-            let mut distance = if beyond { 0 } else { radius + 1 };
-            for k in 0..width {
-                let x = if direction { width - 1 - k } else { k };
-                distance = if *blocked.at(x, y) {
-                    0
-                } else {
-                    (distance + 1).min(radius + 1)
-                };
-                row[x] = if direction {
-                    row[x].min(distance)
-                } else {
-                    distance
-                };
-            }
-        }
-    }
-    let mut off = Raster::filled(width, height, false);
-    off.data
-        .par_chunks_mut(width)
-        .enumerate()
-        .for_each(|(y, row)| {
-            for (x, off) in row.iter_mut().enumerate() {
-                let touches = |dy: usize| {
-                    let is_near = |y: usize| along[y * width + x].pow(2) + dy * dy <= square;
-                    let above = y.checked_sub(dy);
-                    let below = Some(y + dy).filter(|&y| y < height);
-                    above.map_or(beyond, is_near) || below.map_or(beyond, is_near)
-                };
-                *off = (0..=radius).any(touches);
-            }
-        });
-    off
 }
 
 #[cfg(test)]
@@ -491,7 +412,7 @@ mod tests {
                 *found.at_mut(x, y) = [0.2, 0.0, -0.98];
             }
         }
-        // A slope tells what a usual step of depth is.
+        // A slope sets what a usual step of depth is.
         for (i, z) in depth.data.iter_mut().enumerate() {
             *z += 1e-5 * ((i % SIZE) + (i / SIZE)) as f32;
         }

@@ -13,14 +13,14 @@ pub struct TruthView {
     pub maps: TruthMaps,
 }
 
-/// What a truth knows of a view's surface; it is told where the map is not zero.
+/// What a truth knows of a view's surface; it is known where the map is not zero.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TruthMaps {
     /// Depth, truth's unit.
     Depth(DepthMap),
     /// Normals, camera frame (photometric data sets).
     Normal(NormalMap),
-    /// Depth and normals; the depth tells where.
+    /// Depth and normals; known where there is a depth.
     Both(DepthMap, NormalMap),
 }
 
