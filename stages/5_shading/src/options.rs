@@ -20,7 +20,33 @@ pub enum ShadingModel {
 }
 
 /// Keys that the table `[shading]` had once, with what to do instead: see [`rilievo_scene::RetiredKey`].
-pub const RETIRED_KEYS: &[RetiredKey] = &[];
+pub const RETIRED_KEYS: &[RetiredKey] = &[
+    fixed(&["photo", "coarse_pixels"], "it is fixed at 90000"),
+    fixed(&["photo", "num_sweeps"], "it is fixed at 4"),
+    fixed(&["photo", "round_move_px"], "it is fixed at 0.1 px"),
+    fixed(&["photo", "round_turn_deg"], "it is fixed at 0.4°"),
+    fixed(&["photo", "max_num_rounds"], "it is fixed at 10"),
+    fixed(
+        &["photo", "num_laps"],
+        "use `shading.photo.num_outer_iterations`",
+    ),
+    fixed(&["photo", "outer_turn_deg"], "it is fixed at 2°"),
+    fixed(&["photo", "lap_turn_deg"], "it is fixed at 2°"),
+    fixed(&["photo", "max_more_iterations"], "it is fixed at 3"),
+    fixed(&["photo", "max_more_laps"], "it is fixed at 3"),
+    fixed(&["photo", "num_half_iterations"], "it is fixed at 3"),
+    fixed(&["photo", "num_half_laps"], "it is fixed at 3"),
+    fixed(&["photo", "noisy_search_px"], "it is fixed at 0.65 px"),
+    fixed(
+        &["photo", "finer_search"],
+        "photos that disagree are always searched at finer levels",
+    ),
+    fixed(&["photo", "num_rays"], "it is fixed at 256"),
+];
+
+const fn fixed(path: &'static [&'static str], instead: &'static str) -> RetiredKey {
+    RetiredKey { path, instead }
+}
 
 /// Options of [`crate::run`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

@@ -102,7 +102,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         println!(
             "  level {} {:28} rounds {} moved {:.3} px, turned {:.2} deg, in all {:.2}, sigma_s {:.4} match {:.4}  {:.1} s",
             iteration.level,
-            iteration.kind,
+            iteration.step.message(),
             iteration.num_rounds,
             iteration.moved_px,
             iteration.turned_deg,

@@ -252,7 +252,7 @@ fn rays_leave_less_than_nine_harmonics() {
             continue;
         };
         let truth = load(&folder, names);
-        let [nine, rays] = residuals(&truth, PhotoOptions::default().num_rays);
+        let [nine, rays] = residuals(&truth, PhotoOptions::default().effort.num_rays);
         println!("{set}: nine harmonics {nine:.4?}, rays {rays:.4?}, at most {limit:?}");
         assert!(
             rays[0] < limit[0] && rays[1] < limit[1] && rays[0] < 0.8 * nine[0],

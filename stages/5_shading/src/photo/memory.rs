@@ -1,4 +1,4 @@
-//! Memory that a run needs, told before it begins.
+//! Memory that a run needs, checked before it begins.
 //!
 //! Bytes per pixel were measured as the largest resident memory of runs on 4 photos of 4 and of 18 megapixels.
 
@@ -71,12 +71,12 @@ impl Sizes {
 
     /// Share of the pixels that the finest level has which is solved as a whole.
     pub fn whole_share(&self, options: &PhotoOptions) -> f64 {
-        self.share_within(options.max_fine_pixels.max(options.coarse_pixels))
+        self.share_within(options.max_fine_pixels.max(options.effort.coarse_pixels))
     }
 
     /// Share of the pixels that the finest level has at which the surface is found.
     pub fn coarse_share(&self, options: &PhotoOptions) -> f64 {
-        self.share_within(options.coarse_pixels)
+        self.share_within(options.effort.coarse_pixels)
     }
 
     /// Share of the finest level's pixels that the first level of at most so many pixels a view has.

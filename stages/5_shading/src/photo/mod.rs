@@ -7,7 +7,7 @@
 //! `min Σ_j ρ((I_j(x'(ζ)) − I_i(x))/σ_m) + Σ ρ((l·h(n(∇ζ)) − Ĩ(1+e))/σ_s)
 //!  + Σ_j w_ij ρ(r_ij/σ_c) + α Σ ρ(D²ζ)`:
 //! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
-//! views' surfaces (`consensus` tells `w`), a weak robust thin plate; and outermost pixels that turn away (`rim`).
+//! views' surfaces (`w` in `consensus`), a weak robust thin plate; and outermost pixels that turn away (`rim`).
 //!
 //! What needs no light stands in `rilievo_stereo`.
 //!
@@ -17,7 +17,7 @@
 //! `rim` and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
 //! shape (`light`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
 //! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
-//! searched once more where photos disagree (`searched`, fused before it is solved) and fused at the
+//! searched once more where photos disagree (fused before they are solved) and fused at the
 //! end (`consensus`); relief at the photos' own pixels, tile by tile (`relief`); and what shape, light and pigment
 //! explain of the photos (`appearance`, `confidence`).
 
@@ -28,12 +28,10 @@ mod confidence;
 #[cfg(test)]
 mod consensus_tests;
 mod contradiction;
-mod course;
 #[cfg(test)]
 mod derivative_tests;
 mod distant;
 mod hidden_light;
-mod iteration;
 mod known_light;
 mod light;
 #[cfg(test)]
@@ -46,6 +44,7 @@ mod progress;
 mod relief;
 #[cfg(test)]
 mod relief_tests;
+mod relief_tiles;
 mod relight;
 #[cfg(test)]
 mod rendered_tests;
@@ -53,25 +52,29 @@ mod report;
 mod rim;
 #[cfg(test)]
 mod rim_tests;
+mod rounds;
+mod schedule;
 mod search;
-mod searched;
 mod shading;
 mod shape;
 mod solve;
+mod solver;
 #[cfg(test)]
 mod solvers_tests;
 #[cfg(test)]
 mod sphere_tests;
 mod step;
+mod steps;
 mod surround;
 mod validation;
 mod views;
 
-pub use course::Probe;
 pub use memory::Sizes;
-pub use options::PhotoOptions;
+pub use options::{Effort, PhotoOptions};
 pub use output::ShapedViews;
-pub use report::{PhotoReport, PhotoViewReport, StepReport};
+pub use report::{LightFacts, PhotoReport, PhotoViewReport, StepReport};
+pub use solver::Probe;
+pub use steps::{ExpectedStep, PhotoStep, forecast};
 pub use validation::ValidationReport;
 
 use crate::error::ShadingError;

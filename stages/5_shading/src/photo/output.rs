@@ -3,7 +3,7 @@
 use super::appearance::{self, Appearance};
 use super::confidence;
 use super::light::Light;
-use super::shape::FoundShape;
+use super::shape::Surface;
 use super::views::Scene;
 use crate::error::ShadingError;
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use rilievo_stereo::{plate, spread};
 #[derive(Debug)]
 pub struct ShapedViews {
     scene: Scene,
-    shape: FoundShape,
+    surface: Box<dyn Surface>,
     /// Log depths at the finest level that was solved as a whole, at which light and pigment are known.
     depths: Vec<Vec<f64>>,
     /// The same as rasters.
@@ -30,14 +30,14 @@ pub struct ShapedViews {
 impl ShapedViews {
     pub(crate) fn new(
         scene: Scene,
-        shape: FoundShape,
+        surface: Box<dyn Surface>,
         depths: Vec<Vec<f64>>,
         light: Option<Light>,
     ) -> Self {
         let rasters = depth_rasters(&scene.pyramid[0], &depths);
         Self {
             scene,
-            shape,
+            surface,
             depths,
             rasters,
             light,
@@ -67,7 +67,7 @@ impl ShapedViews {
     /// [`ShadingError::Scratch`] when they cannot be read back.
     pub fn view(&self, index: usize) -> Result<ShadedView, ShadingError> {
         let appearance = self.appearance(index);
-        Ok(maps(&self.scene, &self.shape, index, Some(&appearance))?)
+        Ok(maps(&self.scene, &*self.surface, index, Some(&appearance))?)
     }
 
     /// All maps of all views.
@@ -87,15 +87,15 @@ impl ShapedViews {
 /// one; coarser levels are interpolated, and the rim that has no parents continues its neighbours.
 pub(crate) fn maps(
     scene: &Scene,
-    shape: &FoundShape,
+    surface: &dyn Surface,
     i: usize,
     appearance: Option<&Appearance>,
 ) -> Result<ShadedView, ScratchError> {
     let (frame, stored) = (&scene.frames[i], &scene.stored[i]);
-    let mut grid = stored.grid(shape.at())?;
-    let (mut values, mut known) = shape.of_view(i, &grid)?;
+    let mut grid = stored.grid(surface.level())?;
+    let (mut values, mut known) = surface.of_view(i, &grid)?;
     let mut normals = plate::normals(&grid, &values);
-    for finer in (0..shape.at()).rev() {
+    for finer in (0..surface.level()).rev() {
         let child = stored.grid(finer)?;
         normals = spread_normals(&grid, &child, &normals);
         (values, known) = between_levels::continued(&grid, &child, (&values, &known));

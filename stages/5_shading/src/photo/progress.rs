@@ -1,15 +1,15 @@
-//! How far a run is: all that the next outer iteration or round of relief reads, kept after each of them, so that a
-//! stopped run goes on there and ends with the bytes of an undisturbed one.
+//! The state between two phases, kept after each of them, so that a stopped run resumes there and ends with the
+//! bytes of an undisturbed one.
 //!
 //! The views' images are not kept: they are loaded again and divided by the gains that the kept report holds. A surface
 //! out of core is a part of the state for each view.
 
 use super::chroma::ChromaNoise;
-use super::course::Course;
-use super::iteration::IterationWeights;
 use super::light::Light;
 use super::report::{PhotoReport, StepReport};
+use super::schedule::IterationWeights;
 use super::shape::{FineShape, Shape};
+use super::solver::Solver;
 use crate::error::ShadingError;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::StatePart;
@@ -21,18 +21,18 @@ use std::io::{self, BufWriter, Read, Write};
 /// Part of the kept state that holds the light; it changes seldom.
 const LIGHT: &str = "light";
 /// Part that holds everything else.
-const COURSE: &str = "course";
+const STATE: &str = "state";
 
-/// The surface so far, and what comes next.
+/// The surface so far, and the next phase.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Progress {
     pub shape: Shape,
-    pub next: Next,
+    pub phase: Phase,
 }
 
-/// What comes next.
+/// A phase of a run.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) enum Next {
+pub(crate) enum Phase {
     /// An outer iteration of light and shape.
     Outer(OuterIterations),
     /// The next finer level that is solved as a whole, under the kept light, with the weights of the last outer
@@ -42,12 +42,12 @@ pub(crate) enum Next {
     Relief(ReliefRounds),
 }
 
-/// What a step leaves beside the surface.
-pub(crate) struct After {
+/// What a phase leaves beside the surface.
+pub(crate) struct Outcome {
     /// Light to go on with, where it is a new one.
     pub light: Option<Light>,
-    /// What comes next; nothing when the surface is found.
-    pub next: Option<Next>,
+    /// The next phase; none when the surface is found.
+    pub next: Option<Phase>,
 }
 
 /// Where the outer iterations are.
@@ -108,7 +108,7 @@ fn part_of_view(index: usize) -> String {
     format!("view{index}")
 }
 
-impl Course<'_> {
+impl Solver<'_> {
     /// Keeps the state; the light is written only when it is a new one.
     pub(crate) fn keep(
         &self,
@@ -116,17 +116,17 @@ impl Course<'_> {
         light: Option<&Light>,
         is_new: bool,
     ) -> Result<(), ShadingError> {
-        let course = Written {
+        let state = Written {
             has_light: light.is_some(),
             warnings: &self.warnings,
             report: &self.report,
             progress,
         };
-        let write_course = |to: &mut dyn Write| write(&course, to);
+        let write_state = |to: &mut dyn Write| write(&state, to);
         let write_light = |to: &mut dyn Write| write(&light, to);
         let mut parts = vec![StatePart {
-            name: COURSE,
-            write: &write_course,
+            name: STATE,
+            write: &write_state,
         }];
         let fine: Vec<(String, WriteView<'_>)> = match &self.fine {
             Some(fine) => (0..self.scene.frames.len())
@@ -145,11 +145,11 @@ impl Course<'_> {
                 write: &write_light,
             });
         }
-        Ok(self.checkpoint.keep(&parts)?)
+        Ok(self.around.checkpoint.keep(&parts)?)
     }
 
-    /// The kept state with its light, where there is one and it belongs to the loaded views; the course is then where
-    /// it was, and what it has warned of is told again.
+    /// The kept state with its light, where there is one and it belongs to the loaded views; its warnings are
+    /// repeated.
     pub(crate) fn resume(&mut self) -> Result<Option<(Progress, Option<Light>)>, ShadingError> {
         let Some((found, light)) = self.kept() else {
             return Ok(None);
@@ -164,16 +164,16 @@ impl Course<'_> {
     }
 
     fn kept(&mut self) -> Option<(Found, Option<Light>)> {
-        let found: Found = read(self.checkpoint.read(COURSE)?)?;
+        let found: Found = read(self.around.checkpoint.read(STATE)?)?;
         if !self.fits(&found) {
             return None;
         }
         let light: Option<Light> = if found.has_light {
-            self.checkpoint.read(LIGHT).and_then(read)?
+            self.around.checkpoint.read(LIGHT).and_then(read)?
         } else {
             None
         };
-        if let Next::Relief(rounds) = &found.progress.next {
+        if let Phase::Relief(rounds) = &found.progress.phase {
             self.fine = Some(self.restored(rounds.record.level)?);
         }
         Some((found, light))
@@ -184,9 +184,9 @@ impl Course<'_> {
         if at >= self.scene.finest {
             return None;
         }
-        let surface = StoredSurface::new(&self.scene.stored, at, self.scratch).ok()?;
+        let surface = StoredSurface::new(&self.scene.stored, at, self.around.scratch).ok()?;
         for i in 0..self.scene.frames.len() {
-            let mut from = self.checkpoint.read(&part_of_view(i))?;
+            let mut from = self.around.checkpoint.read(&part_of_view(i))?;
             surface.restore(i, &mut from).ok()?;
         }
         Some(FineShape { at, surface })

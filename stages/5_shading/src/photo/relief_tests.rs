@@ -2,17 +2,17 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::iteration::{iteration_weights, step_weights};
 use super::light::{self, LightScene};
-use super::options::PhotoOptions;
-use super::relief::{CoarseLight, ViewAtLevel, sample_cores};
+use super::options::{Effort, PhotoOptions};
+use super::relief_tiles::{CoarseLight, ViewAtLevel, sample_cores};
 use super::rendered_tests::{
     World, depths, known_light, loaded, of_spheres, options, photographed,
 };
 use super::report::PhotoReport;
+use super::schedule::IterationWeights;
 use super::shading::{PixelLight, ShadingTerm};
 use super::shape::FineShape;
-use super::solve::finer_weights;
+use super::steps::PhotoStep;
 use super::{run, step};
 use crate::error::ShadingError;
 use crate::surroundings::Surroundings;
@@ -73,8 +73,8 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
             between_levels::continued(coarse, fine, (&reduced[i], &known)).0
         })
         .collect();
-    let weights = finer_weights(&iteration_weights(2, light.residual()), false, true, 1.0);
-    let options = step_weights(fine.focal(), 0.02, &weights);
+    let weights = IterationWeights::with_shading(2, light.residual()).finer(false, true, 1.0);
+    let options = weights.of_step(fine.focal(), 0.02);
     let i = 1;
     let view = &fine.views[i];
 
@@ -164,10 +164,13 @@ fn errors(world: &World) -> [[f64; 2]; 2] {
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     [0, PhotoOptions::default().num_relief_rounds].map(|num_relief_rounds| {
         let options = PhotoOptions {
-            coarse_pixels: 8000,
             max_fine_pixels: 8000,
-            num_rays: 64,
             num_relief_rounds,
+            effort: Effort {
+                coarse_pixels: 8000,
+                num_rays: 64,
+                ..Effort::default()
+            },
             ..PhotoOptions::default()
         };
         let (shaded, report) = run(
@@ -178,7 +181,10 @@ fn errors(world: &World) -> [[f64; 2]; 2] {
             Surroundings::in_memory(&Silent),
         )
         .unwrap();
-        let is_shaped = report.steps.iter().any(|step| step.kind == "relief");
+        let is_shaped = report
+            .steps
+            .iter()
+            .any(|step| step.step == PhotoStep::Relief);
         assert_eq!(is_shaped, num_relief_rounds > 0);
         let (mut angles, mut rough) = (Vec::new(), Vec::new());
         for (view, truth) in shaded.views().unwrap().views.iter().zip(&world.views) {
@@ -258,10 +264,13 @@ fn neither_threads_nor_memory_change_the_relief() {
     let world = photographed(scene, &photographs, None);
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     let mut options = PhotoOptions {
-        coarse_pixels: 3000,
         max_fine_pixels: 3000,
         num_outer_iterations: 1,
-        num_rays: 32,
+        effort: Effort {
+            coarse_pixels: 3000,
+            num_rays: 32,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     };
     let solve = |options: &PhotoOptions| {
@@ -281,7 +290,11 @@ fn neither_threads_nor_memory_change_the_relief() {
         };
         pool.build().unwrap().install(|| solve(&options).unwrap())
     });
-    let levels = one.1.steps.iter().filter(|step| step.kind == "relief");
+    let levels = one
+        .1
+        .steps
+        .iter()
+        .filter(|step| step.step == PhotoStep::Relief);
     assert!(levels.count() > 0, "no relief");
     assert!(
         one.0.views().unwrap() == two.0.views().unwrap(),
@@ -326,14 +339,17 @@ fn a_stopped_run_goes_on_to_the_same_bytes() {
     let world = photographed(scene, &photographs, None);
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     let options = PhotoOptions {
-        coarse_pixels: 1000,
         max_fine_pixels: 3000,
-        // Half the resolution first.
-        noisy_search_px: 0.0,
-        num_half_iterations: 1,
         num_outer_iterations: 2,
-        max_more_iterations: 0,
-        num_rays: 32,
+        effort: Effort {
+            coarse_pixels: 1000,
+            // Half the resolution first.
+            noisy_search_px: 0.0,
+            num_half_iterations: 1,
+            max_more_iterations: 0,
+            num_rays: 32,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     };
     let solve = |memory: &Memory, num_writes: usize| {
@@ -346,16 +362,20 @@ fn a_stopped_run_goes_on_to_the_same_bytes() {
         let solved = run(photos, posed, &lighting, &options, around);
         solved.map(|(shaped, report)| (shaped.views().unwrap(), report))
     };
-    let kinds = |report: &PhotoReport| -> Vec<(usize, String)> {
+    let kinds = |report: &PhotoReport| -> Vec<(usize, PhotoStep)> {
         let steps = report.steps.iter();
-        steps.map(|s| (s.level, s.kind.clone())).collect()
+        steps.map(|s| (s.level, s.step)).collect()
     };
     let memory = Memory::default();
     let (whole, report) = solve(&memory, 1000).unwrap();
     let num_states = 1000 - memory.num_left.load(Relaxed);
     assert!(num_states >= 6, "{num_states} states");
-    for of in ["light and shape", "finer", "relief"] {
-        assert!(kinds(&report).iter().any(|(_, kind)| kind == of), "{of}");
+    for of in [
+        PhotoStep::LightAndShape,
+        PhotoStep::Finer,
+        PhotoStep::Relief,
+    ] {
+        assert!(kinds(&report).iter().any(|(_, step)| *step == of), "{of:?}");
     }
     for num_writes in 1..num_states {
         let memory = Memory::default();
@@ -400,12 +420,15 @@ fn what_a_stopped_run_warned_of_is_told_again() {
         ..of_spheres(&world.photos, &world.posed, LightKind::World)
     };
     let options = PhotoOptions {
-        coarse_pixels: 3000,
         num_outer_iterations: 1,
-        max_more_iterations: 0,
         num_relief_rounds: 0,
-        num_rays: 32,
         trust_lighting: true,
+        effort: Effort {
+            coarse_pixels: 3000,
+            max_more_iterations: 0,
+            num_rays: 32,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     };
     let memory = Memory::default();

@@ -1,12 +1,13 @@
 //! The light on the current shape, and the ground that it shines on.
 
-use super::course::Course;
 use super::distant;
-use super::iteration::IterationWeights;
 use super::known_light::KnownLight;
 use super::light::{self, Light, LightScene};
 use super::memory;
-use super::report::StepReport;
+use super::report::LightFacts;
+use super::schedule::IterationWeights;
+use super::solver::Solver;
+use super::steps::PhotoStep;
 use super::surround;
 use super::views::SolvedFrame;
 use super::{albedo, hidden_light, validation};
@@ -19,7 +20,7 @@ use rilievo_stereo::spread;
 use std::borrow::Cow;
 use std::time::Instant;
 
-impl Course<'_> {
+impl Solver<'_> {
     /// The ground under the object, where sparse points show one.
     pub(crate) fn ground(
         &self,
@@ -53,7 +54,7 @@ impl Course<'_> {
         ground: Option<&Ground>,
     ) -> Result<Option<Light>, ShadingError> {
         let began = Instant::now();
-        self.tell("fitting light", 0, 1)?;
+        self.progress(PhotoStep::Light, 0, 1)?;
         let level = self.scene.level(at);
         let rays_at = self.scene.coarser(at);
         let kind = lighting.kind;
@@ -62,8 +63,8 @@ impl Course<'_> {
         let scene = LightScene {
             known: &known,
             ground,
-            num_rays: self.options.num_rays,
-            team: self.observer.team(),
+            num_rays: self.options.effort.num_rays,
+            team: self.observer().team(),
         };
         let seen = if self.options.visibility {
             light::visible(level, depths, rays_at, &scene)?
@@ -100,21 +101,11 @@ impl Course<'_> {
         for note in notes {
             self.note(note);
         }
-        self.report.steps.push(StepReport {
-            level: at,
-            kind: format!(
-                "light, residual {:.4}{}{}",
-                light.as_ref().map_or(f64::NAN, Light::residual),
-                light
-                    .as_ref()
-                    .and_then(|light| light.openness_exponent)
-                    .map_or_else(String::new, |exponent| format!(
-                        ", openness to the power {exponent:.2}"
-                    )),
-                if ground.is_some() { ", ground" } else { "" }
-            ),
-            seconds: began.elapsed().as_secs_f64(),
-            ..StepReport::default()
+        let step = self.report.add_step(PhotoStep::Light, at, began);
+        step.light = light.as_ref().map(|light| LightFacts {
+            residual: light.residual(),
+            openness_exponent: light.openness_exponent,
+            has_ground: ground.is_some(),
         });
         Ok(light)
     }
@@ -132,7 +123,7 @@ impl Course<'_> {
             return Ok(());
         };
         let began = Instant::now();
-        self.tell("leaving photos out", 0, 1)?;
+        self.progress(PhotoStep::Validation, 0, 1)?;
         let options = self.step_options(at, weights);
         let level = self.scene.level(at);
         let bytes = memory::solve_bytes(level);
@@ -143,7 +134,7 @@ impl Course<'_> {
             depths,
             light,
             (&shading, &options),
-            (self.observer.team(), at_once),
+            (self.observer().team(), at_once),
             |i, error| self.failed(i, error),
         )?;
         let Some(judged) = judged else {
@@ -159,12 +150,7 @@ impl Course<'_> {
         }
         light.trust = judged.trust;
         self.report.validation = Some(judged.report);
-        self.report.steps.push(StepReport {
-            level: at,
-            kind: "cross-validation".to_owned(),
-            seconds: began.elapsed().as_secs_f64(),
-            ..StepReport::default()
-        });
+        self.report.add_step(PhotoStep::Validation, at, began);
         Ok(())
     }
 

@@ -1,8 +1,10 @@
 //! Facts on a run of the photo model.
 
+use super::steps::PhotoStep;
 use super::validation::ValidationReport;
 use rilievo_scene::ViewLighting;
 use serde::{Deserialize, Serialize};
+use std::time::Instant;
 
 /// Facts on one view.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -41,13 +43,13 @@ fn sharp() -> f64 {
     1.0
 }
 
-/// One step of the course: a search, a fit of the light, or an outer iteration.
+/// One step of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepReport {
     /// Pyramid level, 0 is full resolution.
     pub level: usize,
-    /// What took part.
-    pub kind: String,
+    /// Which.
+    pub step: PhotoStep,
     /// Mean change of depth in the last round, pixel footprints.
     pub moved_px: f64,
     /// Mean turn of the normals in the last round, degrees.
@@ -66,8 +68,22 @@ pub struct StepReport {
     /// pixel of the level.
     #[serde(default)]
     pub match_correlation: Option<f64>,
+    /// Of a fit of the light: what it found, if anything.
+    #[serde(default)]
+    pub light: Option<LightFacts>,
     /// Seconds.
     pub seconds: f64,
+}
+
+/// A fitted light.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightFacts {
+    /// Median relative residual over the views.
+    pub residual: f64,
+    /// Exponent of openness, where it was measured.
+    pub openness_exponent: Option<f32>,
+    /// Whether a ground lay under the object.
+    pub has_ground: bool,
 }
 
 /// Facts on a run.
@@ -101,6 +117,21 @@ pub struct PhotoReport {
 }
 
 impl PhotoReport {
+    /// Adds a step that ends now.
+    pub(crate) fn add_step(
+        &mut self,
+        step: PhotoStep,
+        level: usize,
+        began: Instant,
+    ) -> &mut StepReport {
+        self.steps.push_mut(StepReport {
+            level,
+            step,
+            seconds: began.elapsed().as_secs_f64(),
+            ..StepReport::default()
+        })
+    }
+
     /// Sharpness of every view.
     pub(crate) fn sharpness(&self) -> Vec<f64> {
         self.views.iter().map(|view| view.sharpness).collect()

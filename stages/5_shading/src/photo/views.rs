@@ -182,7 +182,7 @@ pub(crate) fn load(
     }
     // One level more than the coarse one serves the first search and the first outer iterations with shading.
     let most = stored.iter().map(StoredView::num_levels).min().unwrap_or(1);
-    let is_coarse = |at: &usize| mean_pixels(&stored, *at) <= options.coarse_pixels;
+    let is_coarse = |at: &usize| mean_pixels(&stored, *at) <= options.effort.coarse_pixels;
     let num_levels = (0..most)
         .filter(is_coarse)
         .nth(1)
