@@ -22,7 +22,8 @@ use nalgebra::Point3;
 use rilievo_numerics::solver_set::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
-use rilievo_stereo::patchmatch::{self, PatchCost, Planes};
+use rilievo_stereo::patch_cost::{PatchCost, Plane};
+use rilievo_stereo::patchmatch;
 use rilievo_stereo::search::{self, Search, SearchOptions};
 use rilievo_stereo::start::{self, Agreement};
 use serde::Serialize;
@@ -56,8 +57,8 @@ impl Solver<'_> {
         at: usize,
         posed: &PosedViews,
         cost: PatchCost,
-        start: Option<&(dyn Fn(usize) -> Planes + Sync)>,
-        keep: impl Fn(Planes) -> T + Sync,
+        start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
+        keep: impl Fn(Vec<Plane>) -> T + Sync,
     ) -> Result<Vec<T>, ShadingError> {
         let points: Vec<Point3<f64>> = posed
             .points
@@ -77,7 +78,7 @@ impl Solver<'_> {
         })?;
         self.divided(memory::search_bytes(level), |i| {
             let start = start.map(|of_view| of_view(i));
-            Ok(keep(search.view(i, start.as_ref())))
+            Ok(keep(search.view(i, start.as_deref())))
         })
     }
 
@@ -90,13 +91,13 @@ impl Solver<'_> {
         &mut self,
         posed: &PosedViews,
         kind: LightKind,
-    ) -> Result<Vec<Planes>, ShadingError> {
+    ) -> Result<Vec<Vec<Plane>>, ShadingError> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
         self.progress(PhotoStep::Exposure, 0, 1)?;
         let planes = self.dense_search(at, posed, PatchCost::Correlation, None, |planes| planes)?;
         let level = self.scene.level(at);
-        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let depths: Vec<Vec<f64>> = planes.iter().map(|of_view| log_depths(of_view)).collect();
         let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
         let mut exposure = gains::estimate(level, &depths, &agreement);
         if kind == LightKind::Camera {
@@ -134,7 +135,7 @@ impl Solver<'_> {
     pub fn find_surface(
         &mut self,
         posed: &PosedViews,
-        planes: &[Planes],
+        planes: &[Vec<Plane>],
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let began = Instant::now();
         let at = self.scene.coarse;
@@ -150,10 +151,9 @@ impl Solver<'_> {
         let coarser = self.scene.coarser(at);
         let start =
             |i: usize| patchmatch::refine_start(&coarser.views[i], &level.views[i], &planes[i]);
-        let start: Option<&(dyn Fn(usize) -> Planes + Sync)> =
+        let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
-        let depths =
-            self.dense_search(at, posed, cost, start, |planes| start::log_depths(&planes))?;
+        let depths = self.dense_search(at, posed, cost, start, |planes| log_depths(&planes))?;
         let found = self.found(at, &self.exact_solvers(at), &depths)?;
         self.report.search_scatter_px = found.scatter_px;
         for (i, agreement) in found.agreement.iter().enumerate() {
@@ -175,10 +175,10 @@ impl Solver<'_> {
         let began = Instant::now();
         self.progress(PhotoStep::FinerSearch, 0, 1)?;
         let level = self.scene.level(at);
-        let tangent = |i: usize| Planes::tangent(&level.views[i], &depths[i]);
+        let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
         let cost = PatchCost::Correlation;
         let searched = self.dense_search(at, posed, cost, Some(&tangent), |planes| {
-            start::log_depths(&planes)
+            log_depths(&planes)
         })?;
         let found = self.found(at, solvers, &searched)?;
         self.show(at, "searched", &found.surface)?;
@@ -202,9 +202,10 @@ impl Solver<'_> {
         let level = self.scene.level(at);
         let agreement = start::agreement(level, depths, search::agreement_tolerance(level));
         let surface = self.divided(memory::solve_bytes(level), |i| {
-            let solver = solvers.of(i, &level.views[i].pixels);
+            let (view, weights) = (&level.views[i], agreement[i].weights());
+            let solver = solvers.of(i, &view.pixels);
             solver
-                .and_then(|solver| search::continued(level, i, &solver, &depths[i], &agreement[i]))
+                .and_then(|s| start::continued(view, &s, &depths[i], &weights, 1.0 / level.focal()))
                 .map_err(|e| self.failed(i, &e))
         })?;
         Ok(Found {
@@ -213,6 +214,10 @@ impl Solver<'_> {
             agreement,
         })
     }
+}
+
+fn log_depths(planes: &[Plane]) -> Vec<f64> {
+    planes.iter().map(Plane::log_depth).collect()
 }
 
 /// What a search found.

@@ -16,6 +16,7 @@ use super::chroma::{self, ChromaNoise, Whitening};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::PlateSystem;
+use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{Raster, SphericalHarmonics};
 use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::openness::openness;
@@ -27,7 +28,7 @@ use std::borrow::Cow;
 /// Nine coefficients for each of three channels, camera frame.
 pub(crate) type PixelHarmonics = [[f32; 9]; 3];
 
-/// Gives the coefficients of a view's pixels.
+/// Returns the coefficients of a view's pixels.
 pub(crate) type HarmonicsOf<'a> = dyn Fn(usize) -> Cow<'a, [PixelHarmonics]> + Sync + 'a;
 
 /// The basis of eq. 1.
@@ -100,8 +101,8 @@ pub(crate) struct ShadingWeights {
 /// Residual, in σ, at which a clipped pixel's weight has fallen to a half.
 const CLIPPED_SCALE: f64 = 6.0;
 
-/// Bell over chroma where there is no correction, pixels.
-const CHROMA_BELL_PX: f64 = 8.0;
+/// Standard deviation of the Gaussian over chroma where there is no correction, pixels.
+const CHROMA_SIGMA_PX: f64 = 8.0;
 
 /// The term of one view, ready to be linearised at any depth near the one it was built at.
 #[derive(Clone, Debug)]
@@ -159,12 +160,12 @@ impl<'a> ShadingTerm<'a> {
             .iter()
             .map(|u| u.map(|v| v.clamp(-limit, limit)))
             .collect();
-        let bell_px = if weights.correction_px > 0.0 {
+        let sigma_px = if weights.correction_px > 0.0 {
             weights.correction_px
         } else {
-            CHROMA_BELL_PX
+            CHROMA_SIGMA_PX
         };
-        let smooth = sampling::smooth(&view.pixels, &clipped, &usable, bell_px);
+        let smooth = sampling::smooth(&view.pixels, &clipped, &usable, sigma_px);
         let chroma_noise = weights.chroma_noise.unwrap_or_else(|| {
             let local: Vec<[f32; 2]> = relative
                 .iter()
@@ -235,10 +236,8 @@ impl<'a> ShadingTerm<'a> {
                 let w = if is_clipped {
                     // What no diffuse surface under this light reaches is gloss.
                     1.0 / (1.0 + (norm / CLIPPED_SCALE).powi(2))
-                } else if norm < self.threshold {
-                    1.0
                 } else {
-                    self.threshold / norm
+                    RobustLoss::Huber(self.threshold).weight(norm)
                 };
                 system.add_pair(
                     &view.pixels,
@@ -282,6 +281,7 @@ pub(crate) fn mean_intensities(
     tolerance: f64,
 ) -> Vec<[f32; 3]> {
     let view = &level.views[index];
+    let is_compared = tolerance > 0.0;
     (0..view.pixels.len())
         .into_par_iter()
         .with_min_len(1024)
@@ -291,29 +291,19 @@ pub(crate) fn mean_intensities(
             // A photo out of focus has lost detail that the others show.
             let own_weight = view.sharpness.powi(2) as f32;
             let (mut sum, mut total) = (own.map(|v| v * own_weight), own_weight);
-            let (x, y) = view.xy(p);
-            for (j, warp) in &level.sources[index] {
-                if tolerance <= 0.0 {
-                    break;
-                }
-                let other = &level.views[*j];
-                let Some(l) = warp.land(x, y, depth[p]) else {
-                    continue;
-                };
-                let Some(zeta) = other.unclipped_depth_at(&rasters[*j], l.u, l.v) else {
-                    continue;
-                };
-                let miss = (l.zeta - zeta) / tolerance;
-                if miss.abs() > 4.0 {
+            let sightings = is_compared.then(|| level.sightings(rasters, index, (p, depth[p])));
+            for seen in sightings.into_iter().flatten() {
+                let miss = seen.behind / tolerance;
+                if miss.abs() > 4.0 || !seen.is_unclipped() {
                     continue;
                 }
-                let (value, _, _) = sampling::bicubic(&other.image, l.u, l.v);
+                let (value, _, _) = sampling::bicubic(&seen.view.image, seen.at.u, seen.at.v);
                 let unlike = (0..3)
                     .map(|c| (value[c] - own[c]).abs())
                     .fold(0.0_f32, f32::max)
                     / mean
                     / 0.1;
-                let weight = (other.sharpness.powi(2) as f32)
+                let weight = (seen.view.sharpness.powi(2) as f32)
                     * (-0.5 * (miss * miss) as f32 - 0.5 * unlike * unlike).exp();
                 for c in 0..3 {
                     sum[c] += weight * value[c];

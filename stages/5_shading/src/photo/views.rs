@@ -13,8 +13,9 @@ use nalgebra::Point3;
 use rayon::prelude::*;
 use rilievo_scene::{Mask, PackedMask, PhotoSet, PosedViews, Scratch, ScratchError, ViewIdx};
 use rilievo_stereo::camera::Camera;
-use rilievo_stereo::level::{self, Level, LevelView};
+use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::rectify::Rectification;
+use rilievo_stereo::sightings::choose_sources;
 use rilievo_stereo::stored::{StoredLevel, StoredView};
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -197,7 +198,7 @@ pub(crate) fn load(
     };
     let views = at_level(finest)?;
     let target = object_center(&views, posed);
-    let sources = level::choose_sources(&views, &target, options.max_num_sources);
+    let sources = choose_sources(&views, &target, options.max_num_sources);
     let mut pyramid = vec![Level::new(views, &sources)];
     for at in finest + 1..num_levels {
         pyramid.push(Level::new(at_level(at)?, &sources));

@@ -1,6 +1,6 @@
 //! One surface for all views: nearness of a view's depth to the others', and their fusion.
 //!
-//! Views see a point at different angles; the one that faces it tells its depth best. With `c` the cos² of
+//! Views see a point at different angles; the one that faces it knows its depth best. With `c` the cos² of
 //! the angle between a view's ray and its surface, a tenth of it at the mask's rim, times the photo's squared sharpness
 //! (`surfaces::incidence_weights`), nearness of view i to view j weighs `w_ij = min(c_j / c_i, 2)`, the
 //! fusion `c_j`: a rim follows the views that look into it, and they hardly follow it. In the fusion,
@@ -10,6 +10,7 @@
 use crate::level::Level;
 use crate::surfaces::{Proposal, Reading, Surfaces};
 use rayon::prelude::*;
+use rilievo_numerics::robust::log_weight;
 
 /// Largest weight of another view's surface against a pixel's own: at a grazing angle the ratio would
 /// give all to the other view, whose depth errs as well.
@@ -38,12 +39,7 @@ pub fn add_terms(
                 if let Some(proposal) = surfaces.propose(index, k, p, depth[p], reach) {
                     let Proposal { r, slope, weight } = proposal;
                     let relative = (weight / own).min(MAX_RELATIVE_WEIGHT);
-                    let ratio = (r / sigma).abs();
-                    let robust = if ratio < 1.0 {
-                        1.0
-                    } else {
-                        1.0 / (ratio * ratio)
-                    };
+                    let robust = log_weight(r / sigma);
                     let weight = inverse * relative * robust;
                     *h += weight * slope * slope;
                     *b -= weight * slope * r;

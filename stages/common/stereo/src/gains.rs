@@ -120,23 +120,18 @@ fn compare(
     i: usize,
     k: usize,
 ) -> Option<Pair> {
-    let (j, warp) = &level.sources[i][k];
-    let (view, other) = (&level.views[i], &level.views[*j]);
+    let j = level.sources[i][k].0;
+    let (view, other) = (&level.views[i], &level.views[j]);
     let mut ratios: [Vec<f64>; 3] = Default::default();
     let mut grey = Vec::new();
     for (p, &depth) in depths[i].iter().enumerate() {
         if agreement.which[p] & (1 << k) == 0 || !view.is_usable(p) {
             continue;
         }
-        let (x, y) = view.xy(p);
-        let Some(landing) = warp.land(x, y, depth) else {
-            continue;
-        };
-        if !sampling::inside(&other.mask, landing.u, landing.v)
-            || sampling::bilinear(&other.usable, landing.u, landing.v) < 0.999
-        {
-            continue;
-        }
+        let landing = level.landing(i, k, p, depth).filter(|at| {
+            sampling::inside(&other.mask, at.u, at.v) && other.is_unclipped_at(at.u, at.v)
+        });
+        let Some(landing) = landing else { continue };
         let here = view.intensity(p);
         let (there, _, _) = sampling::bicubic(&other.image, landing.u, landing.v);
         for c in 0..3 {
@@ -157,7 +152,7 @@ fn compare(
     }
     Some(Pair {
         from: i,
-        to: *j,
+        to: j,
         log_ratio,
         spread,
         count: grey.len(),

@@ -4,7 +4,8 @@ use crate::camera::{Camera, Warp};
 use crate::hull::Outline;
 use crate::sampling;
 use crate::window::{Window, block_mean, blocks_where};
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
+use rayon::prelude::*;
 use rilievo_numerics::plate_system::PixelNumbering;
 #[cfg(test)]
 use rilievo_scene::{Intrinsics, RigidTransform};
@@ -294,13 +295,6 @@ impl LevelView {
         self.is_usable(index) && !self.is_on_outline(index)
     }
 
-    /// [`ViewGrid::depth_at`] where the photo is unclipped too: its intensities may be compared.
-    #[inline]
-    pub fn unclipped_depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
-        self.depth_at(raster, x, y)
-            .filter(|_| self.is_unclipped_at(x, y))
-    }
-
     /// Whether the four pixels around a position, which must be [`sampling::inside`], are unclipped.
     #[inline]
     pub fn is_unclipped_at(&self, x: f64, y: f64) -> bool {
@@ -362,50 +356,8 @@ impl Level {
     }
 }
 
-/// Most views that one is compared with: which of them agree is told in the bits of a byte.
-pub const MAX_SOURCES: usize = 8;
-
-/// For every view the others whose line of sight to a point `target` in the world differs by about 20°,
-/// best first.
-///
-/// A narrow angle says little about depth, a wide one sees another side. At most [`MAX_SOURCES`] are chosen.
-pub fn choose_sources(
-    views: &[LevelView],
-    target: &Point3<f64>,
-    max_num_sources: usize,
-) -> Vec<Vec<usize>> {
-    let directions: Vec<_> = views
-        .iter()
-        .map(|v| (v.camera.center - target).normalize())
-        .collect();
-    (0..views.len())
-        .map(|i| {
-            let mut ranked: Vec<(f64, usize)> = (0..views.len())
-                .filter(|&j| j != i)
-                .map(|j| {
-                    let angle = directions[i].dot(&directions[j]).clamp(-1.0, 1.0).acos();
-                    let degrees = angle.to_degrees();
-                    let misfit = if degrees < 20.0 {
-                        (20.0 - degrees) / 10.0
-                    } else {
-                        (degrees - 20.0) / 25.0
-                    };
-                    (misfit, j)
-                })
-                .collect();
-            ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            ranked
-                .into_iter()
-                .take(max_num_sources.min(MAX_SOURCES))
-                .map(|(_, j)| j)
-                .collect()
-        })
-        .collect()
-}
-
 /// Log depth of every view's raster (0 outside), for sampling by other views.
 pub fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
-    use rayon::prelude::*;
     level
         .views
         .par_iter()

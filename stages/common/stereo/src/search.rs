@@ -2,11 +2,9 @@
 
 use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
-use crate::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
-use crate::start::{self, Agreement};
+use crate::patch_cost::{PatchCost, Plane};
+use crate::patchmatch::{self, PatchMatchOptions};
 use nalgebra::Point3;
-use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::Mask;
 
 /// Size of a search over all views.
@@ -30,8 +28,7 @@ impl SearchOptions {
             } else {
                 self.num_sweeps
             },
-            num_trials: 6,
-            // Beside an edge some sources see another surface: the better half tells depth (Kang, Szeliski,
+            // Beside an edge some sources see another surface: the better half shows depth (Kang, Szeliski,
             // Chai, CVPR 2001). Differences need more, and so does a search without a start.
             num_best: if is_started && self.cost == PatchCost::Correlation {
                 num_sources.div_ceil(2)
@@ -55,10 +52,10 @@ pub struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    /// Views are compared with their sources; `is_started` tells whether there are earlier planes to start from.
+    /// Views are compared with their sources; `is_started`: there are earlier planes to start from.
     ///
     /// The object lies where the masks meet if all views are `masked`, else about `points` in the world. `None`
-    /// where neither tells.
+    /// where neither is known.
     pub fn new(
         level: &'a Level,
         masked: bool,
@@ -86,7 +83,7 @@ impl<'a> Search<'a> {
     }
 
     /// Planes of view `index`, from earlier ones where there are any.
-    pub fn view(&self, index: usize, start: Option<&Planes>) -> Planes {
+    pub fn view(&self, index: usize, start: Option<&[Plane]>) -> Vec<Plane> {
         let view = &self.level.views[index];
         let positions: Vec<_> = (0..view.pixels.len()).map(|p| view.xy(p)).collect();
         let outlines = self.outlines.iter().zip(&self.masks);
@@ -108,23 +105,6 @@ impl<'a> Search<'a> {
             &self.options,
         )
     }
-}
-
-/// The surface of view `index` through those of its searched log depths that other views confirm, continued over its
-/// mask; `solver` is the view's own.
-///
-/// # Errors
-/// Why its plate has no solution.
-pub fn continued(
-    level: &Level,
-    index: usize,
-    solver: &PlateSolver,
-    depth: &[f64],
-    agreement: &Agreement,
-) -> Result<Vec<f64>, PlateError> {
-    let footprint = 1.0 / level.focal();
-    let view = &level.views[index];
-    start::continued(view, solver, depth, &agreement.weights(), footprint)
 }
 
 /// Relative depth within which two views' dense depths agree: a few pixels of the level.

@@ -89,10 +89,9 @@ impl<'a> Surfaces<'a> {
         zeta: f64,
         reach: f64,
     ) -> Option<Proposal> {
-        let (j, warp) = &self.level.sources[index][k];
-        let (x, y) = self.level.views[index].xy(pixel);
-        let landing = warp.land(x, y, zeta)?;
-        let (other, gx, gy) = self.depth_with_slope(*j, landing.u, landing.v)?;
+        let j = self.level.sources[index][k].0;
+        let landing = self.level.landing(index, k, pixel, zeta)?;
+        let (other, gx, gy) = self.depth_with_slope(j, landing.u, landing.v)?;
         let r = landing.zeta - other;
         if r.abs() > reach {
             return None;
@@ -101,7 +100,7 @@ impl<'a> Surfaces<'a> {
         Some(Proposal {
             r,
             slope,
-            weight: f64::from(sampling::bilinear(&self.weights[*j], landing.u, landing.v)),
+            weight: f64::from(sampling::bilinear(&self.weights[j], landing.u, landing.v)),
         })
     }
 }
