@@ -15,7 +15,7 @@
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
 //! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`,
 //! `rim` and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
-//! shape (`light`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
+//! shape (`environment`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
 //! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
 //! searched once more where photos disagree (fused before they are solved) and fused at the
 //! end (`consensus`); relief at the photos' own pixels, tile by tile (`relief`); and what shape, light and pigment
@@ -31,6 +31,7 @@ mod contradiction;
 #[cfg(test)]
 mod derivative_tests;
 mod distant;
+mod environment;
 mod hidden_light;
 mod known_light;
 mod light;

@@ -2,7 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::light::{self, LightScene};
+use super::environment::{self, LightScene};
+use super::light;
 use super::options::{Effort, PhotoOptions};
 use super::relief_tiles::{CoarseLight, ViewAtLevel, sample_cores};
 use super::rendered_tests::{
@@ -63,7 +64,7 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
         num_rays: 64,
         team: &Alone,
     };
-    let light = light::visible(coarse, &reduced, coarse, &light_scene)
+    let light = environment::visible(coarse, &reduced, coarse, &light_scene)
         .unwrap()
         .unwrap();
     let start: Vec<Vec<f64>> = (0..fine.views.len())

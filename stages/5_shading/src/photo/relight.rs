@@ -1,8 +1,9 @@
 //! The light on the current shape, and the ground that it shines on.
 
 use super::distant;
+use super::environment::{self, LightScene};
 use super::known_light::KnownLight;
-use super::light::{self, Light, LightScene};
+use super::light::Light;
 use super::memory;
 use super::report::LightFacts;
 use super::schedule::IterationWeights;
@@ -67,7 +68,7 @@ impl Solver<'_> {
             team: self.observer().team(),
         };
         let seen = if self.options.visibility {
-            light::visible(level, depths, rays_at, &scene)?
+            environment::visible(level, depths, rays_at, &scene)?
         } else {
             None
         };

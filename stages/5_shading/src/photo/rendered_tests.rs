@@ -2,8 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use super::environment::{self, LightScene};
 use super::known_light::KnownLight;
-use super::light::{self, Light, LightScene};
+use super::light::Light;
 use super::options::{Effort, PhotoOptions};
 use super::report::PhotoReport;
 use super::validation::validate;
@@ -235,7 +236,7 @@ fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
         num_rays: 128,
         team: &Alone,
     };
-    light::visible(level, depths, rays_at, &light_scene)
+    environment::visible(level, depths, rays_at, &light_scene)
         .unwrap()
         .unwrap()
 }
