@@ -80,7 +80,7 @@ pub use validation::ValidationReport;
 
 use crate::error::ShadingError;
 use crate::surroundings::Surroundings;
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
+use rilievo_scene::{LightingCalibration, PhotoSet, PosedViews};
 
 /// Dense shape of all posed views, at least two.
 ///
@@ -98,7 +98,7 @@ pub fn run(
     options: &PhotoOptions,
     surroundings: Surroundings<'_>,
 ) -> Result<(ShapedViews, PhotoReport), ShadingError> {
-    solved(photos, posed, lighting, options, surroundings, None)
+    run_probed(photos, posed, lighting, options, surroundings, None)
 }
 
 /// [`run`], with the shape after every step handed to `probe`: for measuring which step does what.
@@ -106,18 +106,6 @@ pub fn run(
 /// # Errors
 /// See [`ShadingError`].
 pub fn run_probed(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    lighting: &LightingCalibration,
-    options: &PhotoOptions,
-    observer: &dyn Observer,
-    probe: &Probe,
-) -> Result<(ShapedViews, PhotoReport), ShadingError> {
-    let surroundings = Surroundings::in_memory(observer);
-    solved(photos, posed, lighting, options, surroundings, Some(probe))
-}
-
-fn solved(
     photos: &PhotoSet,
     posed: &PosedViews,
     lighting: &LightingCalibration,

@@ -83,22 +83,9 @@ pub(crate) struct ReliefRounds {
     pub record: StepReport,
 }
 
-/// Everything but the light; borrowed when it is written.
-#[derive(Serialize)]
-struct Written<'a> {
-    has_light: bool,
-    warnings: &'a [String],
-    report: &'a PhotoReport,
-    progress: &'a Progress,
-}
-
-#[derive(Deserialize)]
-struct Found {
-    has_light: bool,
-    warnings: Vec<String>,
-    report: PhotoReport,
-    progress: Progress,
-}
+/// Everything but the light: whether there is one, warnings, report and progress. It is written from references
+/// in the same order.
+type State = (bool, Vec<String>, PhotoReport, Progress);
 
 /// Writes the surface of a view.
 type WriteView<'a> = Box<dyn Fn(&mut dyn Write) -> io::Result<()> + Sync + 'a>;
@@ -116,12 +103,7 @@ impl Solver<'_> {
         light: Option<&Light>,
         is_new: bool,
     ) -> Result<(), ShadingError> {
-        let state = Written {
-            has_light: light.is_some(),
-            warnings: &self.warnings,
-            report: &self.report,
-            progress,
-        };
+        let state = (light.is_some(), &self.warnings, &self.report, progress);
         let write_state = |to: &mut dyn Write| write(&state, to);
         let write_light = |to: &mut dyn Write| write(&light, to);
         let mut parts = vec![StatePart {
@@ -151,32 +133,33 @@ impl Solver<'_> {
     /// The kept state with its light, where there is one and it belongs to the loaded views; its warnings are
     /// repeated.
     pub(crate) fn resume(&mut self) -> Result<Option<(Progress, Option<Light>)>, ShadingError> {
-        let Some((found, light)) = self.kept() else {
+        let Some(((_, warnings, report, progress), light)) = self.kept() else {
             return Ok(None);
         };
-        let gains: Vec<_> = found.report.views.iter().map(|view| view.gain).collect();
+        let gains: Vec<_> = report.views.iter().map(|view| view.gain).collect();
         self.scene.divide_by_gains(&gains);
-        self.report = found.report;
-        for message in found.warnings {
+        self.report = report;
+        for message in warnings {
             self.warn(message)?;
         }
-        Ok(Some((found.progress, light)))
+        Ok(Some((progress, light)))
     }
 
-    fn kept(&mut self) -> Option<(Found, Option<Light>)> {
-        let found: Found = read(self.around.checkpoint.read(STATE)?)?;
-        if !self.fits(&found) {
+    fn kept(&mut self) -> Option<(State, Option<Light>)> {
+        let state: State = read(self.around.checkpoint.read(STATE)?)?;
+        let (has_light, _, report, progress) = &state;
+        if !self.fits(report, &progress.shape) {
             return None;
         }
-        let light: Option<Light> = if found.has_light {
+        let light: Option<Light> = if *has_light {
             self.around.checkpoint.read(LIGHT).and_then(read)?
         } else {
             None
         };
-        if let Phase::Relief(rounds) = &found.progress.phase {
+        if let Phase::Relief(rounds) = &progress.phase {
             self.fine = Some(self.restored(rounds.record.level)?);
         }
-        Some((found, light))
+        Some((state, light))
     }
 
     /// The kept surface at a level out of core.
@@ -192,19 +175,14 @@ impl Solver<'_> {
         Some(FineShape { at, surface })
     }
 
-    fn fits(&self, found: &Found) -> bool {
-        let shape = &found.progress.shape;
+    /// Whether a kept state is of the loaded views.
+    fn fits(&self, report: &PhotoReport, shape: &Shape) -> bool {
         if !(self.scene.finest..self.scene.num_levels()).contains(&shape.at) {
             return false;
         }
-        let level = self.scene.level(shape.at);
-        found.report.views.len() == level.views.len()
-            && shape.depths.len() == level.views.len()
-            && level
-                .views
-                .iter()
-                .zip(&shape.depths)
-                .all(|(view, depth)| view.pixels.len() == depth.len())
+        let views = &self.scene.level(shape.at).views;
+        let num_pixels = views.iter().map(|view| view.pixels.len());
+        report.views.len() == views.len() && num_pixels.eq(shape.depths.iter().map(Vec::len))
     }
 }
 

@@ -23,8 +23,8 @@ use rilievo_numerics::solver_set::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
 use rilievo_stereo::patch_cost::{PatchCost, Plane};
-use rilievo_stereo::patchmatch;
-use rilievo_stereo::search::{self, Search, SearchOptions};
+use rilievo_stereo::patchmatch::{self, SearchOptions};
+use rilievo_stereo::search::{self, Search};
 use rilievo_stereo::start::{self, Agreement};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -39,6 +39,8 @@ const LARGE_DISAGREEMENT: f64 = 0.055;
 /// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
+/// Sources that count in a search without a start: the best ones.
+const NUM_BEST: usize = 3;
 /// Fusions of the surfaces searched at a finer level: every view's search errs by itself, their mean errs less.
 /// The second takes in what the first brought near.
 const NUM_FUSIONS: usize = 2;
@@ -69,6 +71,7 @@ impl Solver<'_> {
         let options = SearchOptions {
             cost,
             num_sweeps: self.options.effort.num_sweeps,
+            num_best: NUM_BEST,
             seed: self.options.seed,
         };
         let (level, masked) = (self.scene.level(at), self.scene.masked);

@@ -93,10 +93,15 @@ impl ViewGrid {
     /// Column and row of a masked pixel.
     #[inline]
     pub fn xy(&self, index: usize) -> (f64, f64) {
-        (
-            f64::from(self.pixels.xs[index]),
-            f64::from(self.pixels.ys[index]),
-        )
+        let (xs, ys) = (&self.pixels.xs, &self.pixels.ys);
+        (f64::from(xs[index]), f64::from(ys[index]))
+    }
+
+    /// The same, to index rasters with.
+    #[inline]
+    pub fn place(&self, index: usize) -> (usize, usize) {
+        let (xs, ys) = (&self.pixels.xs, &self.pixels.ys);
+        (xs[index] as usize, ys[index] as usize)
     }
 
     /// Whether the photo shows something else than the object there. What lies beyond the photo or the raster, which may be
@@ -152,7 +157,8 @@ impl ViewGrid {
     pub fn spread(&self, values: &[f64], outside: f32) -> Raster<f32> {
         let mut raster = Raster::filled(self.mask.width, self.mask.height, outside);
         for (i, &value) in values.iter().enumerate() {
-            *raster.at_mut(self.pixels.xs[i] as usize, self.pixels.ys[i] as usize) = value as f32;
+            let (x, y) = self.place(i);
+            *raster.at_mut(x, y) = value as f32;
         }
         raster
     }
@@ -169,44 +175,25 @@ impl LevelView {
         clip_level: f32,
     ) -> (Self, (usize, usize)) {
         let window = Window::around(mask, MARGIN_PX).unwrap_or_default();
-        let Window {
-            x0,
-            y0,
-            width,
-            height,
-        } = window;
-        let mut data = Vec::with_capacity(width * height * 3);
-        let mut usable = Vec::with_capacity(width * height);
-        for y in y0..y0 + height {
-            for x in x0..x0 + width {
-                let pixel = image.pixel(x, y);
-                let clipped = pixel.iter().any(|&v| !v.is_finite() || v >= clip_level);
-                usable.push(if clipped { 0.0 } else { 1.0 });
-                for c in 0..3 {
-                    let value = pixel[c.min(image.channels - 1)];
-                    data.push(if value.is_finite() {
-                        value.max(0.0)
-                    } else {
-                        0.0
-                    });
-                }
+        let (x0, y0, width, height) = (window.x0, window.y0, window.width, window.height);
+        let mut cropped = LinearImage::filled(width, height, 3, 0.0);
+        let usable = Raster::from_fn(width, height, |x, y| {
+            let pixel = image.pixel(x0 + x, y0 + y);
+            for (c, out) in cropped.pixel_mut(x, y).iter_mut().enumerate() {
+                let value = pixel[c.min(image.channels - 1)];
+                *out = if value.is_finite() {
+                    value.max(0.0)
+                } else {
+                    0.0
+                };
             }
-        }
-        let image = LinearImage {
-            width,
-            height,
-            channels: 3,
-            data,
-        };
-        let usable = Raster {
-            width,
-            height,
-            data: usable,
-        };
+            let is_clipped = pixel.iter().any(|&v| !v.is_finite() || v >= clip_level);
+            f32::from(u8::from(!is_clipped))
+        });
         let (camera, mask) = (camera.cropped(x0, y0, width, height), window.cut(mask));
         let cut_by_frame = is_cut_by_frame(&camera, &mask);
         let grid = ViewGrid::new(camera, mask, cut_by_frame);
-        let view = Self::assemble(grid, image, usable).with_own_dark();
+        let view = Self::assemble(grid, cropped, usable).with_own_dark();
         (view, (x0, y0))
     }
 
@@ -244,15 +231,9 @@ impl LevelView {
     /// The view at half resolution; a pixel is masked where all four of its parents are.
     pub fn halved(&self) -> Self {
         let is_usable = blocks_where(&self.usable, 2, |&v| v > 0.5);
-        let usable = Raster {
-            width: is_usable.width,
-            height: is_usable.height,
-            data: is_usable
-                .data
-                .into_iter()
-                .map(|v| f32::from(u8::from(v)))
-                .collect(),
-        };
+        let usable = Raster::from_fn(is_usable.width, is_usable.height, |x, y| {
+            f32::from(u8::from(*is_usable.at(x, y)))
+        });
         let (camera, image) = (self.camera.reduced(2), block_mean(&self.image, 2));
         let mask = blocks_where(&self.mask, 2, |&v| v);
         let grid = ViewGrid::new(camera, mask, self.cut_by_frame);
@@ -273,20 +254,16 @@ impl LevelView {
     /// Intensities of a masked pixel.
     #[inline]
     pub fn intensity(&self, index: usize) -> [f32; 3] {
-        let p = self.image.pixel(
-            self.pixels.xs[index] as usize,
-            self.pixels.ys[index] as usize,
-        );
+        let (x, y) = self.place(index);
+        let p = self.image.pixel(x, y);
         [p[0], p[1], p[2]]
     }
 
     /// Whether a masked pixel is unclipped.
     #[inline]
     pub fn is_usable(&self, index: usize) -> bool {
-        *self.usable.at(
-            self.pixels.xs[index] as usize,
-            self.pixels.ys[index] as usize,
-        ) > 0.5
+        let (x, y) = self.place(index);
+        *self.usable.at(x, y) > 0.5
     }
 
     /// Whether a masked pixel's intensity is that of the surface: unclipped, and not partly the background's.

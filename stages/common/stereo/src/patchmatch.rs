@@ -13,9 +13,9 @@ use rilievo_numerics::plate_system::OUTSIDE;
 use rilievo_numerics::robust::median;
 use rilievo_scene::Mask;
 
-/// Size of the search.
+/// Size of a search.
 #[derive(Clone, Copy, Debug)]
-pub struct PatchMatchOptions {
+pub struct SearchOptions {
     /// How patches are compared.
     pub cost: PatchCost,
     /// Raster sweeps, to and fro in turn.
@@ -89,7 +89,7 @@ pub fn search(
     masks: &[Mask],
     ranges: &[InverseDepthRange],
     start: Option<&[Plane]>,
-    options: &PatchMatchOptions,
+    options: &SearchOptions,
 ) -> Vec<Plane> {
     let view = &level.views[index];
     let pixels = &view.pixels;
@@ -325,7 +325,7 @@ mod tests {
             low: 0.7,
             high: 1.1,
         };
-        let options = PatchMatchOptions {
+        let options = SearchOptions {
             cost: PatchCost::Correlation,
             num_sweeps: 4,
             num_best: 1,

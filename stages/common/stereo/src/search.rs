@@ -3,42 +3,9 @@
 use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
 use crate::patch_cost::{PatchCost, Plane};
-use crate::patchmatch::{self, PatchMatchOptions};
+use crate::patchmatch::{self, SearchOptions};
 use nalgebra::Point3;
 use rilievo_scene::Mask;
-
-/// Size of a search over all views.
-#[derive(Clone, Copy, Debug)]
-pub struct SearchOptions {
-    /// How patches are compared.
-    pub cost: PatchCost,
-    /// Sweeps of a search without a start.
-    pub num_sweeps: usize,
-    /// Seed of the random trials.
-    pub seed: u64,
-}
-
-impl SearchOptions {
-    /// Size of a view's search; one with a start needs its planes spread and polished only.
-    fn of_view(&self, num_sources: usize, is_started: bool) -> PatchMatchOptions {
-        PatchMatchOptions {
-            cost: self.cost,
-            num_sweeps: if is_started {
-                self.num_sweeps.div_ceil(2)
-            } else {
-                self.num_sweeps
-            },
-            // Beside an edge some sources see another surface: the better half shows depth (Kang, Szeliski,
-            // Chai, CVPR 2001). Differences need more, and so does a search without a start.
-            num_best: if is_started && self.cost == PatchCost::Correlation {
-                num_sources.div_ceil(2)
-            } else {
-                3
-            },
-            seed: self.seed,
-        }
-    }
-}
 
 /// A search of the views of a level, which work it out one by one.
 pub struct Search<'a> {
@@ -48,7 +15,7 @@ pub struct Search<'a> {
     masks: Vec<Mask>,
     /// Where each view may find the object.
     ranges: Vec<InverseDepthRange>,
-    options: PatchMatchOptions,
+    options: SearchOptions,
 }
 
 impl<'a> Search<'a> {
@@ -73,12 +40,22 @@ impl<'a> Search<'a> {
             .map(|v| hull::dilate(&v.mask, 1))
             .collect();
         let num_sources = level.sources.iter().map(Vec::len).max().unwrap_or(1);
+        let mut options = *options;
+        if is_started {
+            // Planes need to be spread and polished only.
+            options.num_sweeps = options.num_sweeps.div_ceil(2);
+            // Beside an edge some sources see another surface: the better half shows depth (Kang, Szeliski,
+            // Chai, CVPR 2001). Differences need more, and so does a search without a start.
+            if options.cost == PatchCost::Correlation {
+                options.num_best = num_sources.div_ceil(2);
+            }
+        }
         Some(Self {
             level,
             outlines,
             masks,
             ranges,
-            options: options.of_view(num_sources, is_started),
+            options,
         })
     }
 

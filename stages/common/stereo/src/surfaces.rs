@@ -74,8 +74,8 @@ impl<'a> Surfaces<'a> {
     /// The [`incidence_weights`] of a pixel of view `index`.
     #[inline]
     pub fn weight(&self, index: usize, pixel: usize) -> f64 {
-        let pixels = &self.level.views[index].pixels;
-        f64::from(*self.weights[index].at(pixels.xs[pixel] as usize, pixels.ys[pixel] as usize))
+        let (x, y) = self.level.views[index].place(pixel);
+        f64::from(*self.weights[index].at(x, y))
     }
 
     /// What source `k` of view `index` says about a pixel at log depth `zeta`, when `|r|` is within
