@@ -93,7 +93,7 @@ pub(crate) fn visible(
 ) -> Result<Option<Light>, TeamError> {
     let coarse: Vec<Vec<f64>> = (0..level.views.len())
         .into_par_iter()
-        .map(|i| reduce_depth(&level.views[i], &rays_at.views[i], &depths[i]))
+        .map(|i| between_levels::reduce(&level.views[i], &rays_at.views[i], &depths[i]))
         .collect();
     let (fine, rough) = (
         light::normals(level, depths),
@@ -420,12 +420,4 @@ fn reduce<const N: usize>(
             sum
         })
         .collect()
-}
-
-/// Log depth at the coarser level, or at the same.
-fn reduce_depth(fine: &LevelView, coarse: &LevelView, depth: &[f64]) -> Vec<f64> {
-    if fine.mask.width == coarse.mask.width {
-        return depth.to_vec();
-    }
-    between_levels::reduce(fine, coarse, depth)
 }

@@ -104,11 +104,11 @@ impl Light {
     }
 
     /// The light of a view's pixels, whose `harmonics` are of the same level as everything else.
-    pub fn of<'a>(&'a self, view: usize, harmonics: &'a [PixelHarmonics]) -> PixelLight<'a> {
+    pub fn of<'a>(&'a self, view: usize, harmonics: Cow<'a, [PixelHarmonics]>) -> PixelLight<'a> {
         PixelLight {
             harmonics,
-            pigment: self.pigment_of(view),
-            trust: self.trust.get(view).map(Vec::as_slice),
+            pigment: self.pigment_of(view).map(Cow::Borrowed),
+            trust: self.trust.get(view).map(Cow::from),
             mean_tolerance: self.mean_tolerance,
             openness_exponent: self.openness_exponent.unwrap_or(0.0),
         }
@@ -159,12 +159,15 @@ pub(crate) fn finer(
     fine: &LevelView,
     values: &[PixelHarmonics],
 ) -> Vec<PixelHarmonics> {
-    let flat: Vec<[f32; 27]> = values
-        .iter()
+    let flat = values.iter();
+    let flat: Vec<[f32; 27]> = flat
         .map(|l| std::array::from_fn(|k| l[k / 9][k % 9]))
         .collect();
-    spread::spread(coarse, fine, &flat)
-        .iter()
-        .map(|l| std::array::from_fn(|c| std::array::from_fn(|k| l[9 * c + k])))
-        .collect()
+    let finer = spread::spread(coarse, fine, &flat);
+    finer.iter().map(|l| pixel_harmonics(l)).collect()
+}
+
+/// Coefficients from a row of them, channel by channel.
+pub(crate) fn pixel_harmonics(row: &[f32]) -> PixelHarmonics {
+    std::array::from_fn(|c| std::array::from_fn(|k| row[9 * c + k]))
 }

@@ -84,8 +84,8 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
     let pigment = light.pigment_of(i);
     let pigment = pigment.map(|values| spread::spread(&coarse.views[i], view, values));
     let of_pixels = PixelLight {
-        harmonics: &harmonics,
-        pigment: pigment.as_deref(),
+        harmonics: harmonics.into(),
+        pigment: pigment.map(Into::into),
         trust: None,
         mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
         openness_exponent: light.openness_exponent.unwrap_or(0.0),

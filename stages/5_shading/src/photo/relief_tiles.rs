@@ -1,7 +1,7 @@
 //! A Gauss-Newton step of one tile of a view, under the light of a coarser level.
 
 use super::chroma::ChromaNoise;
-use super::light::Light;
+use super::light::{self, Light};
 use super::matching::Likeness;
 use super::shading::{PixelHarmonics, PixelLight, ShadingTerm, ShadingWeights};
 use super::step::{self, StepOptions};
@@ -30,15 +30,6 @@ pub(crate) struct CoarseLight<'a> {
     focal: f64,
     harmonics: Cow<'a, [PixelHarmonics]>,
     parents: Parents<'a>,
-}
-
-/// The light of a tile's pixels.
-struct TileLight {
-    harmonics: Vec<PixelHarmonics>,
-    pigment: Option<Vec<[f32; 3]>>,
-    trust: Option<Vec<f32>>,
-    mean_tolerance: f64,
-    openness_exponent: f32,
 }
 
 /// Why a tile's step failed.
@@ -95,7 +86,7 @@ impl<'a> CoarseLight<'a> {
     }
 
     /// The light of a tile of the view, cut at level `at` of focal length `focal`.
-    fn of(&self, tile: &Tile, at: usize, focal: f64) -> TileLight {
+    fn of(&self, tile: &Tile, at: usize, focal: f64) -> PixelLight<'static> {
         let light = self.light;
         let (pigment, trust) = (light.pigment_of(self.index), light.trust.get(self.index));
         let scale = f64::from(1_u32 << (self.at - at)).recip();
@@ -122,27 +113,12 @@ impl<'a> CoarseLight<'a> {
                 })
             })
             .collect();
-        TileLight {
-            harmonics: rows
-                .iter()
-                .map(|r| std::array::from_fn(|c| std::array::from_fn(|k| r[9 * c + k])))
-                .collect(),
+        PixelLight {
+            harmonics: rows.iter().map(|r| light::pixel_harmonics(r)).collect(),
             pigment: pigment.map(|_| rows.iter().map(|r| [r[27], r[28], r[29]]).collect()),
             trust: trust.map(|_| rows.iter().map(|r| r[30]).collect()),
             mean_tolerance: light.mean_tolerance * self.focal / focal,
             openness_exponent: light.openness_exponent.unwrap_or(0.0),
-        }
-    }
-}
-
-impl TileLight {
-    fn of_pixels(&self) -> PixelLight<'_> {
-        PixelLight {
-            harmonics: &self.harmonics,
-            pigment: self.pigment.as_deref(),
-            trust: self.trust.as_deref(),
-            mean_tolerance: self.mean_tolerance,
-            openness_exponent: self.openness_exponent,
         }
     }
 }
@@ -163,8 +139,8 @@ impl ViewAtLevel<'_> {
         let tile = Tile::cut(self.level, self.index, core)?;
         let surfaces = Surfaces::new(&tile.level, &tile.depths, self.reading);
         let (light, depth) = (self.light_of(&tile), &tile.depths[0]);
-        let (of_pixels, rasters) = (light.of_pixels(), &surfaces.rasters);
-        let term = ShadingTerm::new(&tile.level, 0, depth, rasters, &of_pixels, &self.shading);
+        let rasters = &surfaces.rasters;
+        let term = ShadingTerm::new(&tile.level, 0, depth, rasters, &light, &self.shading);
         let solver = PlateSolver::iterative(&tile.level.views[0].pixels);
         let outcome = step::improve(&surfaces, 0, &solver, depth, Some(&term), self.options)?;
         let increment = outcome.depth.iter().zip(depth);
@@ -179,7 +155,7 @@ impl ViewAtLevel<'_> {
         })
     }
 
-    fn light_of(&self, tile: &Tile) -> TileLight {
+    fn light_of(&self, tile: &Tile) -> PixelLight<'static> {
         let focal = self.level.focal();
         self.light.of(tile, self.level.at, focal)
     }
@@ -195,8 +171,7 @@ impl ViewAtLevel<'_> {
                 let tile = Tile::cut(self.level, self.index, core)?;
                 let rasters = depth_rasters(&tile.level, &tile.depths);
                 let (light, depth) = (self.light_of(&tile), &tile.depths[0]);
-                let (of_pixels, shading) = (light.of_pixels(), &self.shading);
-                let term = ShadingTerm::new(&tile.level, 0, depth, &rasters, &of_pixels, shading);
+                let term = ShadingTerm::new(&tile.level, 0, depth, &rasters, &light, &self.shading);
                 Ok(term.chroma_noise)
             })
             .collect::<Result<Vec<ChromaNoise>, ScratchError>>()?;

@@ -123,12 +123,13 @@ impl Solver<'_> {
                 let views: Vec<usize> = (parity..level.views.len()).step_by(2).collect();
                 let improved = self.divided_among(&views, memory::solve_bytes(level), |i| {
                     let (view, depth) = (&level.views[i], &depths[i]);
-                    let harmonics = light.map(|light| scene.harmonics(light, i, at));
-                    let shading = light.zip(harmonics.as_ref()).zip(weights.shading);
-                    let term = shading.map(|((light, harmonics), weights)| {
-                        let of_view = light.of(i, harmonics);
-                        ShadingTerm::new(level, i, depth, &surfaces.rasters, &of_view, &weights)
-                    });
+                    let of_view = light.map(|light| light.of(i, scene.harmonics(light, i, at)));
+                    let term = of_view
+                        .as_ref()
+                        .zip(weights.shading)
+                        .map(|(light, weights)| {
+                            ShadingTerm::new(level, i, depth, &surfaces.rasters, light, &weights)
+                        });
                     let solver = solvers.of(i, &view.pixels);
                     let outcome = solver.and_then(|solver| {
                         step::improve(&surfaces, i, &solver, depth, term.as_ref(), &options)

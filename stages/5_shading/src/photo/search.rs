@@ -25,7 +25,7 @@ use rilievo_stereo::gains;
 use rilievo_stereo::patch_cost::{PatchCost, Plane};
 use rilievo_stereo::patchmatch::{self, SearchOptions};
 use rilievo_stereo::search::{self, Search};
-use rilievo_stereo::start::{self, Agreement};
+use rilievo_stereo::start;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Instant;
@@ -160,8 +160,8 @@ impl Solver<'_> {
         let found = self.found(at, &self.exact_solvers(at), &depths)?;
         self.report.search_scatter_px = found.scatter_px;
         for (i, agreement) in found.agreement.iter().enumerate() {
-            let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
-            self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
+            let confirmed = agreement.iter().filter(|&&bits| bits != 0).count();
+            self.report.views[i].confirmed = confirmed as f64 / agreement.len().max(1) as f64;
         }
         self.report.add_step(PhotoStep::Search, at, began);
         Ok(found.surface)
@@ -205,7 +205,11 @@ impl Solver<'_> {
         let level = self.scene.level(at);
         let agreement = start::agreement(level, depths, search::agreement_tolerance(level));
         let surface = self.divided(memory::solve_bytes(level), |i| {
-            let (view, weights) = (&level.views[i], agreement[i].weights());
+            let view = &level.views[i];
+            let weights = agreement[i]
+                .iter()
+                .map(|&bits| start::confirmed_weight(bits));
+            let weights: Vec<f64> = weights.collect();
             let solver = solvers.of(i, &view.pixels);
             solver
                 .and_then(|s| start::continued(view, &s, &depths[i], &weights, 1.0 / level.focal()))
@@ -227,8 +231,8 @@ fn log_depths(planes: &[Plane]) -> Vec<f64> {
 struct Found {
     /// Log depths of every view, continued over its mask.
     surface: Vec<Vec<f64>>,
-    /// Which depths the views confirmed.
-    agreement: Vec<Agreement>,
+    /// Which sources confirm each depth ([`start::agreement`]).
+    agreement: Vec<Vec<u8>>,
     /// Distance between the views' searched depths, pixel footprints.
     scatter_px: f64,
 }

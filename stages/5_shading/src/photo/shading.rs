@@ -66,14 +66,14 @@ pub(crate) fn render(light: &PixelHarmonics, n: [f64; 3]) -> [f64; 3] {
 }
 
 /// The light of one view's pixels.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct PixelLight<'a> {
     /// Coefficients.
-    pub harmonics: &'a [PixelHarmonics],
+    pub harmonics: Cow<'a, [PixelHarmonics]>,
     /// Albedo that is divided out of the photos.
-    pub pigment: Option<&'a [[f32; 3]]>,
+    pub pigment: Option<Cow<'a, [[f32; 3]]>>,
     /// Scales each pixel's weight, 0 to 1.
-    pub trust: Option<&'a [f32]>,
+    pub trust: Option<Cow<'a, [f32]>>,
     /// Log depth difference at which another view's intensity no longer counts; 0: never counts.
     pub mean_tolerance: f64,
     /// Exponent of openness; 0: relief hides nothing of the light.
@@ -127,14 +127,14 @@ impl<'a> ShadingTerm<'a> {
         index: usize,
         depth: &[f64],
         rasters: &[Raster<f32>],
-        light: &PixelLight<'a>,
+        light: &'a PixelLight<'_>,
         weights: &ShadingWeights,
     ) -> Self {
         let view = &level.views[index];
         let n = view.pixels.len();
         let mut target = mean_intensities(level, index, depth, rasters, light.mean_tolerance);
-        if let Some(albedo) = light.pigment {
-            for (t, a) in target.iter_mut().zip(albedo) {
+        if let Some(albedo) = &light.pigment {
+            for (t, a) in target.iter_mut().zip(albedo.iter()) {
                 for c in 0..3 {
                     t[c] /= a[c].max(0.1);
                 }
@@ -190,12 +190,12 @@ impl<'a> ShadingTerm<'a> {
                 if view.is_on_outline(i) {
                     0.0
                 } else {
-                    light.trust.map_or(1.0, |t| t[i].max(0.0).sqrt())
+                    light.trust.as_ref().map_or(1.0, |t| t[i].max(0.0).sqrt())
                 }
             })
             .collect();
         Self {
-            light: light.harmonics,
+            light: &light.harmonics,
             target,
             scale,
             whitening,

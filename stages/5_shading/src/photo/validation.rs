@@ -84,7 +84,7 @@ pub(crate) fn validate(
             }
             let (left_out, _) = level.sources[i][i % count];
             let solver = solvers.of(i, &level.views[i].pixels)?;
-            let of_view = light.of(i, &light.harmonics[i]);
+            let of_view = light.of(i, light.own(i));
             let solve = |shaded: bool| -> Result<Vec<f64>, PlateError> {
                 let mut trial = depths[i].clone();
                 let mut options = *options;

@@ -6,8 +6,11 @@ use crate::sampling;
 use crate::surfaces::CUBIC_RANGE_PX;
 use rilievo_numerics::plate_system::Functional;
 
-/// Log depth at the next coarser level: mean of the four children (all are masked).
+/// Log depth at the next coarser level, or the same: mean of the four children (all are masked).
 pub fn reduce(fine: &ViewGrid, coarse: &ViewGrid, depth: &[f64]) -> Vec<f64> {
+    if fine.mask.width == coarse.mask.width {
+        return depth.to_vec();
+    }
     (0..coarse.pixels.len())
         .map(|p| {
             let children = children(fine, coarse, p);

@@ -7,7 +7,6 @@
 
 use crate::level::Level;
 use crate::sampling;
-use crate::start::Agreement;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
@@ -35,7 +34,7 @@ struct Pair {
 }
 
 /// Compares all pairs of views at the points on which they agree.
-pub fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Agreement]) -> Exposure {
+pub fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Vec<u8>]) -> Exposure {
     let num_views = level.views.len();
     let pairs: Vec<Pair> = (0..num_views)
         .into_par_iter()
@@ -116,7 +115,7 @@ pub(crate) fn joined(num_views: usize, ratios: impl Iterator<Item = LogRatio>) -
 fn compare(
     level: &Level,
     depths: &[Vec<f64>],
-    agreement: &Agreement,
+    agreement: &[u8],
     i: usize,
     k: usize,
 ) -> Option<Pair> {
@@ -125,7 +124,7 @@ fn compare(
     let mut ratios: [Vec<f64>; 3] = Default::default();
     let mut grey = Vec::new();
     for (p, &depth) in depths[i].iter().enumerate() {
-        if agreement.which[p] & (1 << k) == 0 || !view.is_usable(p) {
+        if agreement[p] & (1 << k) == 0 || !view.is_usable(p) {
             continue;
         }
         let landing = level.landing(i, k, p, depth).filter(|at| {

@@ -11,48 +11,29 @@ use rilievo_numerics::robust::{log_weight, median};
 /// Difference beyond which two views' depths belong to different surfaces, pixel footprints.
 const MAX_SCATTER_PX: f64 = 10.0;
 
-/// Agreement of every masked pixel of every view with its sources.
-#[derive(Clone, Debug)]
-pub struct Agreement {
-    /// Number of sources whose depth agrees.
-    pub count: Vec<u8>,
-    /// Bit `k` is set where the `k`-th source agrees.
-    pub which: Vec<u8>,
-}
-
-impl Agreement {
-    /// Weight of every pixel's depth: 1 where two sources agree, ½ where one does, else 0.
-    pub fn weights(&self) -> Vec<f64> {
-        self.count
-            .iter()
-            .map(|&count| match count {
-                0 => 0.0,
-                1 => 0.5,
-                _ => 1.0,
-            })
-            .collect()
+/// Weight of a depth that the sources in the bits `agreeing` confirm: 1 for two of them, ½ for one, else 0.
+pub fn confirmed_weight(agreeing: u8) -> f64 {
+    match agreeing.count_ones() {
+        0 => 0.0,
+        1 => 0.5,
+        _ => 1.0,
     }
 }
 
-/// Compares log depths between the views; `tolerance` is relative depth.
-pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Agreement> {
+/// Compares log depths between the views: per view and masked pixel, bit `k` is set where the `k`-th source agrees
+/// within `tolerance`, relative depth.
+pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Vec<u8>> {
     (0..level.views.len())
         .into_par_iter()
         .map(|i| {
-            let n = depths[i].len();
-            let mut out = Agreement {
-                count: vec![0; n],
-                which: vec![0; n],
+            let agrees = |p: usize, k: usize| {
+                difference(level, depths, i, k, p).is_some_and(|apart| apart < tolerance)
             };
-            for p in 0..n {
-                for k in 0..level.sources[i].len() {
-                    if difference(level, depths, i, k, p).is_some_and(|apart| apart < tolerance) {
-                        out.count[p] += 1;
-                        out.which[p] |= 1 << k;
-                    }
-                }
-            }
-            out
+            let of_pixel = |p: usize| {
+                let sources = 0..level.sources[i].len();
+                sources.fold(0, |bits, k| bits | u8::from(agrees(p, k)) << k)
+            };
+            (0..depths[i].len()).map(of_pixel).collect()
         })
         .collect()
 }
