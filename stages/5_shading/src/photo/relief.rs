@@ -118,7 +118,7 @@ impl Solver<'_> {
         let level = scene.stored_level(fine, &sharpness);
         let truncation = FUSION_PX / level.focal();
         let reading = self.reading();
-        let at_once = memory::tiles_at_once(self.options, scene.bytes());
+        let at_once = self.budget().tiles();
         let team = self.observer().team();
         let fused = StoredSurface::new(&scene.stored, at, self.around.scratch)?;
         for i in 0..scene.frames.len() {
@@ -235,7 +235,7 @@ impl Solver<'_> {
         let num_views = level.views.len();
         let num_rounds = self.options.num_relief_rounds;
         let team = self.observer().team();
-        let at_once = memory::tiles_at_once(self.options, scene.bytes());
+        let at_once = self.budget().tiles();
         let (mut moved, mut turned, mut residuals) = (0.0, 0.0, Vec::new());
         let mut likeness = Likeness::default();
         // Even views first, as in the outer iterations.

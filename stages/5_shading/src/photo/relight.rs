@@ -127,8 +127,7 @@ impl Solver<'_> {
         self.progress(PhotoStep::Validation, 0, 1)?;
         let options = self.step_options(at, weights);
         let level = self.scene.level(at);
-        let bytes = memory::solve_bytes(level);
-        let at_once = memory::at_once(self.options, self.scene.bytes(), bytes);
+        let at_once = self.budget().at_once(memory::solve_bytes(level));
         let judged = validation::validate(
             level,
             solvers,

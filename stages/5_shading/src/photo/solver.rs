@@ -4,7 +4,7 @@
 //! `rounds`, the light in `relight`, levels out of core in `relief`, their order in `solve`, and the state that
 //! a stopped run resumes from in `progress`.
 
-use super::memory;
+use super::memory::{self, Budget};
 use super::options::PhotoOptions;
 use super::output;
 use super::report::PhotoReport;
@@ -74,6 +74,13 @@ impl Solver<'_> {
         }
     }
 
+    pub fn budget(&self) -> Budget {
+        Budget {
+            given: self.options.memory,
+            in_use: self.scene.bytes(),
+        }
+    }
+
     /// Works on all views, divided among the processes of the run, as many at once as the memory allows when
     /// each takes `bytes_each`.
     pub fn divided<T: Serialize + DeserializeOwned + Send>(
@@ -92,7 +99,7 @@ impl Solver<'_> {
         bytes_each: f64,
         work: impl Fn(usize) -> Result<T, ShadingError> + Sync,
     ) -> Result<Vec<T>, ShadingError> {
-        let at_once = memory::at_once(self.options, self.scene.bytes(), bytes_each);
+        let at_once = self.budget().at_once(bytes_each);
         divided(self.observer().team(), views.len(), at_once, |k| {
             work(views[k])
         })
@@ -106,7 +113,7 @@ impl Solver<'_> {
         work: impl Fn(usize) -> Result<T, ScratchError> + Sync,
     ) -> Result<Vec<T>, ScratchError> {
         let scene = &self.scene;
-        let at_once = memory::views_at_once(&scene.stored, at, self.options, scene.bytes());
+        let at_once = self.budget().views(&scene.stored, at);
         let views: Vec<usize> = (0..scene.frames.len()).collect();
         let mut all = Vec::with_capacity(views.len());
         for some in views.chunks(at_once) {
@@ -120,7 +127,10 @@ impl Solver<'_> {
 
     /// Exact solvers of a level: where values have to reach across what no view knows.
     pub fn exact_solvers(&self, at: usize) -> SolverSet {
-        SolverSet::direct(self.scene.frames.len(), self.keeps_solvers(at))
+        SolverSet::direct(
+            self.scene.frames.len(),
+            self.budget().keeps_solvers(self.scene.level(at)),
+        )
     }
 
     /// [`Self::exact_solvers`], analysed once for all outer iterations at a level.
@@ -139,11 +149,10 @@ impl Solver<'_> {
 
     /// Solvers of a finer level: its surface is about right from the start.
     pub fn iterative_solvers(&self, at: usize) -> SolverSet {
-        SolverSet::iterative(self.scene.frames.len(), self.keeps_solvers(at))
-    }
-
-    fn keeps_solvers(&self, at: usize) -> bool {
-        memory::keeps_solvers(self.scene.level(at), self.options, self.scene.bytes())
+        SolverSet::iterative(
+            self.scene.frames.len(),
+            self.budget().keeps_solvers(self.scene.level(at)),
+        )
     }
 
     /// How the views' surfaces are read: where photos disagree depth is noisy down to single pixels.

@@ -2,7 +2,7 @@
 //! pyramid, and the choice of the views with which each is compared.
 
 use super::light::{self, Light};
-use super::memory;
+use super::memory::{self, Budget};
 use super::options::PhotoOptions;
 use super::shading::PixelHarmonics;
 use super::shape::FineShape;
@@ -165,7 +165,11 @@ pub(crate) fn load(
     if posed.views.is_empty() {
         return Err(ShadingError::NoViews);
     }
-    let at_once = memory::photos_at_once(posed, options);
+    let budget = Budget {
+        given: options.memory,
+        in_use: 0.0,
+    };
+    let at_once = budget.photos(posed);
     let (mut frames, mut small, mut stored) = (Vec::new(), Vec::new(), Vec::new());
     let indices: Vec<usize> = (0..posed.views.len()).collect();
     for some in indices.chunks(at_once) {
