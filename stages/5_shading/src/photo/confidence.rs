@@ -11,8 +11,8 @@
 //!
 //! Exponents and factors were fitted to the errors of rendered and real objects of known shape,
 //! each judged by the fit to the others: RMS errors in the quintiles of `e` are 0.7 to 1.6 times `e`.
-//! What the normal equations themselves say of a normal's error ranks it no better than chance
-//! there: the light's error is systematic, and the equations do not know it.
+//! The variance that follows from the normal equations ranks those errors no better than chance: the light's
+//! error is systematic, and the equations do not contain it.
 
 use super::appearance::Appearance;
 use rayon::prelude::*;

@@ -29,8 +29,8 @@ use std::ops::Range;
 
 /// Voxels along the object's longest side.
 const MAX_VOXELS: usize = 224;
-/// Object pixels of all views together on which the environment is fitted: the light is the same for all, so that
-/// many views tell no more of it.
+/// Object pixels of all views together on which the environment is fitted: the light is the same for all, so
+/// that many views add nothing.
 const MAX_FIT_PIXELS: usize = 96_000;
 /// Smoothness of the environment, relative.
 const SMOOTHNESS: f64 = 1e-3;
@@ -187,7 +187,7 @@ impl Cast<'_> {
         let fit_of =
             |samples: &[EnvironmentSample]| fit_environment(samples, self.rays.of(0), SMOOTHNESS);
         let mut samples = self.samples(known, surroundings);
-        // What comes from elsewhere may be of another strength, which object and spheres tell.
+        // A light from elsewhere may be of another strength: object and spheres scale it.
         let is_open = known.groups.iter().position(|group| group.sphere.is_none());
         if let Some(range) = is_open.map(|k| samples.groups[k].clone()) {
             let of_scene = fit_of(&samples.all[..range.start])?;
@@ -349,7 +349,7 @@ fn open_harmonics(fit: &EnvironmentFit, num_rays: usize) -> Lighting {
 }
 
 /// A sphere's albedo over the object's, or a given light's over that of the photos: median ratio between
-/// what its points show and what the fitted light gives.
+/// the points' intensities and those of the fitted light.
 fn known_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] {
     std::array::from_fn(|c| {
         let mut ratios: Vec<f64> = samples

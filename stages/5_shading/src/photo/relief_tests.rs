@@ -24,8 +24,10 @@ use rilievo_scene::{
     LightingCalibration, LinearImage, MemoryScratch, NormalMap, Recorder, Silent,
     SphericalHarmonics, StatePart, ViewIdx, ViewLighting,
 };
+use rilievo_stereo::level::ViewGrid;
 use rilievo_stereo::stored::StoredSurface;
 use rilievo_stereo::surfaces::{Reading, Surfaces};
+use rilievo_stereo::window::Window;
 use rilievo_stereo::{between_levels, spread, tile};
 use rilievo_synthetic::{LightModel, Subject};
 use std::collections::BTreeMap;
@@ -44,6 +46,16 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 
 /// Columns and rows of the photos.
 const SIZE: (usize, usize) = (400, 300);
+
+/// Distance of a pixel to the nearest border between two cores, pixels.
+fn from_seam(view: &ViewGrid, cores: &[Window], p: usize) -> usize {
+    let (x, y) = view.place(p);
+    let near = |v: usize, from: usize| v.abs_diff(from).min((v + 1).abs_diff(from));
+    let distances = cores
+        .iter()
+        .flat_map(|core| [near(x, core.x0), near(y, core.y0)]);
+    distances.min().unwrap_or(usize::MAX)
+}
 
 /// A round over tiles moves the surface as a step over the whole level does, and no seam shows.
 #[test]
@@ -117,11 +129,8 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
     };
     let noise = of_view.chroma_noise(&sample_cores(view)).unwrap().unwrap();
     for (sampled, all) in noise.sigma.iter().zip(term.chroma_noise.sigma) {
-        assert!(
-            (sampled / all - 1.0).abs() < 0.15,
-            "{noise:?} {:?}",
-            term.chroma_noise
-        );
+        let expected = term.chroma_noise;
+        assert!((sampled / all - 1.0).abs() < 0.15, "{noise:?} {expected:?}");
     }
     of_view.shading.chroma_noise = Some(term.chroma_noise);
     let cores = tile::cores(view, CORE_PX);
@@ -134,21 +143,11 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
             tiled[number as usize] += f64::from(step.shares[p]) * step.increment[p];
         }
     }
-    // Distance to the nearest border between two cores, pixels.
-    let from_seam = |p: usize| {
-        let (x, y) = (view.pixels.xs[p] as usize, view.pixels.ys[p] as usize);
-        let near = |v: usize, from: usize| v.abs_diff(from).min((v + 1).abs_diff(from));
-        cores
-            .iter()
-            .flat_map(|core| [near(x, core.x0), near(y, core.y0)])
-            .min()
-            .unwrap_or(usize::MAX)
-    };
     let inner = |p: &usize| !rilievo_stereo::surfaces::is_rim(view, *p);
     let miss = |p: usize| tiled[p] - whole[p];
     let (beside, away): (Vec<usize>, Vec<usize>) = (0..whole.len())
         .filter(inner)
-        .partition(|&p| from_seam(p) < 4);
+        .partition(|&p| from_seam(view, &cores, p) < 4);
     let size = rms(whole.iter().copied());
     let [at_seams, elsewhere] = [&beside, &away].map(|list| rms(list.iter().map(|&p| miss(p))));
     println!("increments {size:.2e}, missed by {at_seams:.2e} at seams, {elsewhere:.2e} elsewhere");

@@ -51,7 +51,7 @@ pub(crate) struct ViewAtLevel<'a> {
     pub shading: ShadingWeights,
 }
 
-/// What a tile's step gave.
+/// The result of a tile's step.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct TileStep {
     /// Places of its pixels in the whole view's raster.

@@ -20,7 +20,7 @@ pub struct PhotoViewReport {
     /// Standard deviation of the log ratio to other views at the same point, after the gains.
     pub disagreement: f64,
     /// Strength of the photo's finest detail at the last level that was solved as a whole, against that of the sharpest
-    /// photo: what its surface says of the others' counts by the square.
+    /// photo: its surface counts by the square against the others'.
     #[serde(default = "sharp")]
     pub sharpness: f64,
     /// Share of the pixels whose dense depth another view confirms.
@@ -105,14 +105,14 @@ pub struct PhotoReport {
     pub shading: String,
     /// Whether its light allows for shadow and bounce light.
     pub light_sees_shadows: bool,
-    /// What photos that were left out said of shading.
+    /// The verdict of photos that were left out on shading.
     pub validation: Option<ValidationReport>,
     /// Share of the small-scale brightness, beyond what the light explains, that colour predicts:
     /// pigment.
     pub pigment: Option<f64>,
     /// The light that was used, of every view.
     pub light: Vec<ViewLighting>,
-    /// What the data could not tell.
+    /// What the data could not determine.
     pub notes: Vec<String>,
 }
 

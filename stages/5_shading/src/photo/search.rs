@@ -89,7 +89,7 @@ impl Solver<'_> {
     /// planes of the first search.
     ///
     /// Under a light fixed to the camera a point's brightness differs between the views for the light's
-    /// sake, and says nothing of exposures: they are taken as they stand.
+    /// sake, and exposures cannot be measured: they are taken as they stand.
     pub fn find_exposure(
         &mut self,
         posed: &PosedViews,

@@ -30,7 +30,7 @@ pub fn children(fine: &ViewGrid, coarse: &ViewGrid, pixel: usize) -> [usize; 4] 
 }
 
 /// Log depth of a finer level from a coarser one: cubic, so that slopes have no steps, bilinear beside borders and
-/// breaks, where not all of the sixteen parents tell of one surface, and known where all four are masked; between
+/// breaks, where the sixteen parents are not all of one surface, and known where all four are masked; between
 /// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
 /// Returns the values and where they are known.
 pub fn upsample(coarse: &ViewGrid, fine: &ViewGrid, values: &[f64]) -> (Vec<f64>, Vec<bool>) {
@@ -75,7 +75,7 @@ pub fn continued(
     (values, is_known)
 }
 
-/// Gives pixels without a value the mean of their known neighbours, ring by ring.
+/// Fills pixels without a value with the mean of their known neighbours, ring by ring.
 fn extend(view: &ViewGrid, values: &mut [f64], known: &mut [bool]) {
     // The rim is two pixels wide; specks without any parent take a few rings more.
     const NUM_RINGS: usize = 12;

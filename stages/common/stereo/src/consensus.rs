@@ -12,8 +12,8 @@ use crate::surfaces::{Proposal, Reading, Surfaces};
 use rayon::prelude::*;
 use rilievo_numerics::robust::log_weight;
 
-/// Largest weight of another view's surface against a pixel's own: at a grazing angle the ratio would
-/// give all to the other view, whose depth errs as well.
+/// Largest weight of another view's surface against a pixel's own: at a grazing angle the other view
+/// would count alone, whose depth errs as well.
 pub const MAX_RELATIVE_WEIGHT: f64 = 2.0;
 
 /// Adds nearness to the sources' surfaces: residual `r / σ`, redescending beyond σ, weighed with how

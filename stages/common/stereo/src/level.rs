@@ -80,7 +80,7 @@ impl ViewGrid {
         }
     }
 
-    /// What the view says of where the object is; without masks every pixel may show it.
+    /// Where the view shows the object; without masks any pixel may.
     pub fn outline(&self, is_masked: bool) -> Outline<'_> {
         Outline {
             camera: &self.camera,
@@ -209,7 +209,7 @@ impl LevelView {
         }
     }
 
-    /// With what its own pixels tell is dark.
+    /// With [`Self::dark`] from its own pixels.
     fn with_own_dark(self) -> Self {
         Self {
             dark: dark_intensity(self.mean_intensity()),
@@ -344,7 +344,7 @@ pub fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
 }
 
 /// Difference of log depth between neighbours beyond which they belong to different surfaces, pixel
-/// footprints: no view tells much of a surface that it sees at 80° and more.
+/// footprints: a surface seen at 80° and more is hardly measured.
 pub const MAX_STEP_PX: f64 = 8.0;
 
 /// A wholly masked grey view at the origin that looks along +z, for tests.

@@ -10,7 +10,7 @@
 //! * [`openness`]: the share of its light that the relief around a pixel leaves it.
 //! * [`specks`]: pixels whose normals stand out from all around them.
 //! * [`gains`]: exposure of the photos, and how far they disagree.
-//! * [`surfaces`], [`consensus`]: what the views' surfaces say of each other, and their fusion.
+//! * [`surfaces`], [`consensus`]: the views' surfaces compared with each other, and their fusion.
 //!
 //! Depth `z` is along the optical axis, `ζ = ln z`; per-pixel lists hold a value for every masked pixel of a
 //! view, in the order of its [`PixelNumbering`](rilievo_numerics::plate_system::PixelNumbering). A pixel's

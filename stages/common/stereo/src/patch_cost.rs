@@ -205,7 +205,7 @@ impl<'a> Matcher<'a> {
         }
     }
 
-    /// Cost of a hypothesis; gives up once it exceeds `limit`.
+    /// Cost of a plane; infinite as soon as it exceeds `limit`.
     pub fn cost_of(&self, patch: &Patch, plane: Plane, limit: f32) -> f32 {
         let num_sources = self.sources.len();
         let num_best = self.num_best.min(num_sources);

@@ -79,7 +79,7 @@ pub const MAX_SOURCES: usize = 8;
 /// For every view the others whose line of sight to a point `target` in the world differs by about 20°,
 /// best first.
 ///
-/// A narrow angle says little about depth, a wide one sees another side. At most [`MAX_SOURCES`] are chosen.
+/// A narrow angle measures depth badly, a wide one sees another side. At most [`MAX_SOURCES`] are chosen.
 pub fn choose_sources(
     views: &[LevelView],
     target: &Point3<f64>,

@@ -104,7 +104,7 @@ pub fn continued(
             is_cut,
         )
     };
-    // A plate without breaks tells on which side unconfirmed pixels outside gaps lie.
+    // A plate without breaks decides on which side unconfirmed pixels outside gaps lie.
     let mut surface = plate(&|_| false)?;
     for p in 0..surface.len() {
         if weight[p] > 0.0 {

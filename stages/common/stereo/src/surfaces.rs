@@ -1,8 +1,8 @@
-//! The surfaces of all views, and what each says about another's pixels.
+//! The surfaces of all views, and the depths that each proposes for another's pixels.
 //!
 //! Seen along the ray of pixel `x`, view j's surface is where `r(ζ) = ln z_j(ζ) − ζ_j(x'(ζ))`
 //! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1 for a
-//! surface that both face. One Newton step gives the depth that view j proposes, `ζ − r / (∂r/∂ζ)`.
+//! surface that both face. One Newton step leads to the depth that view j proposes, `ζ − r / (∂r/∂ζ)`.
 
 use crate::level::{self, Level, ViewGrid};
 use crate::{plate, sampling};
@@ -33,7 +33,7 @@ pub struct Surfaces<'a> {
     reading: Reading,
 }
 
-/// What a source's surface says about a pixel of another view.
+/// A source's surface where a pixel of another view lands.
 pub struct Proposal {
     /// `r`, how much farther than the source's surface the pixel's point lies, log depth.
     pub r: f64,
@@ -78,7 +78,7 @@ impl<'a> Surfaces<'a> {
         f64::from(*self.weights[index].at(x, y))
     }
 
-    /// What source `k` of view `index` says about a pixel at log depth `zeta`, when `|r|` is within
+    /// The proposal of source `k` of view `index` for a pixel at log depth `zeta`, when `|r|` is within
     /// `reach`.
     #[inline]
     pub fn propose(
