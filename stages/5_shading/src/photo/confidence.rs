@@ -10,9 +10,9 @@
 //! units of its median `r̃` over the view. Confidence is `1 / (1 + e²/E²)` with `E` five degrees.
 //!
 //! Exponents and factors were fitted to the errors of rendered and real objects of known shape,
-//! each judged by the fit to the others: RMS errors in the quintiles of `e` are 0.7 to 1.6 times `e`.
-//! The variance that follows from the normal equations ranks those errors no better than chance: the light's
-//! error is systematic, and the equations do not contain it.
+//! each judged by the fit to the others: RMS errors in the quintiles of `e` are 0.7 to 1.6 times
+//! `e`. The variance that follows from the normal equations ranks those errors no better than
+//! chance: the light's error is systematic, and the equations do not contain it.
 
 use super::appearance::Appearance;
 use rayon::prelude::*;

@@ -1,10 +1,11 @@
 //! The environment and its light on the current shape, with shadow and bounce.
 //!
-//! Rays from the pixels of the next coarser level against the solid that the depth maps carve, the spheres and
-//! the ground; the environment fitted on object pixels and the known light's samples (`known_light`) together, still
-//! in the world or, for a light fixed to the camera, still in the camera's frame, where every view casts the same
-//! rays in directions of its own; coefficients interpolated to the level. Pigment, and an albedo of the sphere that
-//! differs from the object's, are divided out of the samples before a second fit. `distant` does without rays.
+//! Rays from the pixels of the next coarser level against the solid that the depth maps carve, the
+//! spheres and the ground; the environment fitted on object pixels and the known light's samples
+//! (`known_light`) together, still in the world or, for a light fixed to the camera, still in the
+//! camera's frame, where every view casts the same rays in directions of its own; coefficients
+//! interpolated to the level. Pigment, and an albedo of the sphere that differs from the object's,
+//! are divided out of the samples before a second fit. `distant` does without rays.
 
 use super::hidden_light;
 use super::known_light::KnownLight;
@@ -29,12 +30,13 @@ use std::ops::Range;
 
 /// Voxels along the object's longest side.
 const MAX_VOXELS: usize = 224;
-/// Object pixels of all views together on which the environment is fitted: the light is the same for all, so
-/// that many views add nothing.
+/// Object pixels of all views together on which the environment is fitted: the light is the same
+/// for all, so that many views add nothing.
 const MAX_FIT_PIXELS: usize = 96_000;
 /// Smoothness of the environment, relative.
 const SMOOTHNESS: f64 = 1e-3;
-/// Belief in pigment, and departure of the sphere's albedo, below which a second fit changes nothing.
+/// Belief in pigment, and departure of the sphere's albedo, below which a second fit changes
+/// nothing.
 const MIN_BELIEF: f64 = 0.05;
 const MIN_RATIO: f32 = 0.03;
 /// Influence of all points of the known light against all object pixels of one view.
@@ -51,8 +53,8 @@ pub(crate) struct LightScene<'a> {
     pub team: &'a dyn Team,
 }
 
-/// The environment's directions in the world: the same for all views where the light is fixed in the
-/// world, turned with each view where it is fixed to the camera.
+/// The environment's directions in the world: the same for all views where the light is fixed in
+/// the world, turned with each view where it is fixed to the camera.
 struct Rays {
     by_frame: Vec<Vec<Vector3<f32>>>,
 }
@@ -83,8 +85,8 @@ impl Rays {
 /// Depths and normals of all views.
 type Shape<'a> = (&'a [Vec<f64>], &'a [Vec<[f64; 3]>]);
 
-/// Per-pixel light with visibility at `level`, rays cast from the pixels of `rays_at`, the next coarser
-/// level (or the same). `None` where no environment can be fitted.
+/// Per-pixel light with visibility at `level`, rays cast from the pixels of `rays_at`, the next
+/// coarser level (or the same). `None` where no environment can be fitted.
 pub(crate) fn visible(
     level: &Level,
     depths: &[Vec<f64>],
@@ -348,8 +350,8 @@ fn open_harmonics(fit: &EnvironmentFit, num_rays: usize) -> Lighting {
     }
 }
 
-/// A sphere's albedo over the object's, or a given light's over that of the photos: median ratio between
-/// the points' intensities and those of the fitted light.
+/// A sphere's albedo over the object's, or a given light's over that of the photos: median ratio
+/// between the points' intensities and those of the fitted light.
 fn known_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] {
     std::array::from_fn(|c| {
         let mut ratios: Vec<f64> = samples
@@ -364,8 +366,8 @@ fn known_ratio(samples: &[EnvironmentSample], fit: &EnvironmentFit) -> [f32; 3] 
     })
 }
 
-/// The views' depths and photos, of which the solid is carved. Beyond the frame that cuts the object nothing is
-/// known.
+/// The views' depths and photos, of which the solid is carved. Beyond the frame that cuts the
+/// object nothing is known.
 fn depth_views(level: &Level, depths: &[Vec<f64>]) -> Vec<DepthView> {
     let views = level.views.iter().zip(depths);
     views

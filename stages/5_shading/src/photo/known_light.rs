@@ -34,7 +34,8 @@ pub(crate) struct KnownLight {
 
 impl KnownLight {
     /// From stage 4's samples; `gains` are the exposures of the views. A sphere of which nothing is
-    /// known is left out, and hides nothing; one that sees another light than the object gives no samples.
+    /// known is left out, and hides nothing; one that sees another light than the object gives no
+    /// samples.
     pub fn new(
         lighting: &LightingCalibration,
         spheres: &[LocatedSphere],

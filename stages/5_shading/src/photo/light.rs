@@ -36,8 +36,8 @@ pub(crate) struct Light {
 const MEAN_TOLERANCE_PX: f64 = 1.8;
 
 impl Light {
-    /// The light of a level, without pigment. Where it is fixed to the camera, the views see a point under
-    /// different light, and their mean intensity is that of none.
+    /// The light of a level, without pigment. Where it is fixed to the camera, the views see a
+    /// point under different light, and their mean intensity is that of none.
     pub fn new(
         (level, normals): (&Level, &[Vec<[f64; 3]>]),
         harmonics: Vec<Vec<PixelHarmonics>>,

@@ -89,7 +89,8 @@ impl Sizes {
         share
     }
 
-    /// Memory that a run takes which solves so many views at once, bytes; with one it is the smallest that will do.
+    /// Memory that a run takes which solves so many views at once, bytes; with one it is the
+    /// smallest that will do.
     pub fn taken(&self, options: &PhotoOptions, at_once: usize) -> f64 {
         let share = self.whole_share(options);
         let solved = share * self.masked * at_once as f64 / self.num_views.max(1) as f64;
@@ -157,7 +158,8 @@ pub(crate) struct Budget {
 }
 
 impl Budget {
-    /// Items of `bytes_each` that may be worked on at once, at least one; any number where no memory was given.
+    /// Items of `bytes_each` that may be worked on at once, at least one; any number where no
+    /// memory was given.
     pub fn at_once(self, bytes_each: f64) -> usize {
         self.given.map_or(usize::MAX, |given| {
             ((given as f64 - self.in_use) / bytes_each).max(1.0) as usize

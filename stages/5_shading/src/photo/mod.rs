@@ -6,20 +6,23 @@
 //!
 //! `min Σ_j ρ((I_j(x'(ζ)) − I_i(x))/σ_m) + Σ ρ((l·h(n(∇ζ)) − Ĩ(1+e))/σ_s)
 //!  + Σ_j w_ij ρ(r_ij/σ_c) + α Σ ρ(D²ζ)`:
-//! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
-//! views' surfaces (`w` in `consensus`), a weak robust thin plate; and outermost pixels that turn away (`rim`).
+//!
+//! agreement with the source views (`matching`), shading with nine coefficients a pixel (`shading`),
+//! nearness to the other views' surfaces (`consensus`), a weak robust thin plate (`plate`); and
+//! outermost pixels that turn away (`rim`).
 //!
 //! What needs no light stands in `rilievo_stereo`.
 //!
 //! Steps: dense search inside the visual hull (`search`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
-//! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`,
-//! `rim` and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
-//! shape (`environment`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
-//! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
-//! searched once more where photos disagree (fused before they are solved) and fused at the
-//! end (`consensus`); relief at the photos' own pixels, tile by tile (`relief`); and what shape, light and pigment
-//! explain of the photos (`appearance`, `confidence`).
+//! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`, `rim`
+//! and `shading` against the other views' `surfaces`, first without shading, then in outer
+//! iterations of light and shape (`environment`, `distant`) at half the coarse resolution and at
+//! the coarse one, with the pigment divided out (`albedo`) and shading judged by photos that are
+//! left out (`validation`); finer levels, searched once more where photos disagree (fused before
+//! they are solved) and fused at the end (`consensus`); relief at the photos' own pixels, tile by
+//! tile (`relief`); and what shape, light and pigment explain of the photos (`appearance`,
+//! `confidence`).
 
 mod albedo;
 mod appearance;

@@ -3,8 +3,8 @@
 use rilievo_scene::{OptionError, in_range};
 use serde::{Deserialize, Serialize};
 
-/// Options of [`super::run`]. Weights follow from the photos themselves; these options bound effort and choose
-/// which parts are used.
+/// Options of [`super::run`]. Weights follow from the photos themselves; these options bound effort
+/// and choose which parts are used.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PhotoOptions {
@@ -35,8 +35,8 @@ pub struct PhotoOptions {
     pub effort: Effort,
 }
 
-/// Effort that is no user's to choose: where it was varied, less was worse and more changed nothing. Tests on
-/// small photos take less.
+/// Effort that is no user's to choose: where it was varied, less was worse and more changed
+/// nothing. Tests on small photos take less.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Effort {
     /// Masked pixels of a view at the coarse level, where the surface is found. Too few lose fine
@@ -46,16 +46,18 @@ pub struct Effort {
     pub num_sweeps: usize,
     /// Largest number of Gauss-Newton rounds of an outer iteration.
     pub max_num_rounds: usize,
-    /// Largest number of further outer iterations at full weight; they end earlier where they do not settle.
+    /// Largest number of further outer iterations at full weight; they end earlier where they do
+    /// not settle.
     pub max_more_iterations: usize,
-    /// Outer iterations in place of the first one, at half the coarse level's resolution, where the searched depths
-    /// are noisy: small false minima of shading are overlooked there. Too many lose the photos' hold on
-    /// fine structure.
+    /// Outer iterations in place of the first one, at half the coarse level's resolution, where the
+    /// searched depths are noisy: small false minima of shading are overlooked there. Too many lose
+    /// the photos' hold on fine structure.
     pub num_half_iterations: usize,
-    /// Distance between the views' searched depths, in pixel footprints, from which they count as noisy.
+    /// Distance between the views' searched depths, in pixel footprints, from which they count as
+    /// noisy.
     pub noisy_search_px: f64,
-    /// Search depth again at each finer level where the photos' brightness disagrees. Without it the
-    /// surface of such photos keeps no more than the coarse level resolves.
+    /// Search depth again at each finer level where the photos' brightness disagrees. Without it
+    /// the surface of such photos keeps no more than the coarse level resolves.
     pub finer_search: bool,
     /// Rays per pixel of the visibility light.
     pub num_rays: usize,

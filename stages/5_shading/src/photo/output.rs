@@ -44,7 +44,8 @@ impl ShapedViews {
         }
     }
 
-    /// Confidence, rendered image and albedo of a view's pixels at the finest level that was solved as a whole.
+    /// Confidence, rendered image and albedo of a view's pixels at the finest level that was solved
+    /// as a whole.
     fn rows(&self, i: usize) -> Rows {
         let scene = &self.scene;
         let (level, depth) = (&scene.pyramid[0], &self.depths[i]);
@@ -95,14 +96,15 @@ impl ShapedViews {
     }
 }
 
-/// Confidence, rendered image and albedo of a view's masked pixels at the finest level that is solved as a whole.
+/// Confidence, rendered image and albedo of a view's masked pixels at the finest level that is
+/// solved as a whole.
 pub(crate) struct Rows {
     values: Vec<[f32; 7]>,
     has_image: bool,
 }
 
-/// Maps of a view from its surface, and from `rows` where there are any; coarser levels are interpolated, and the rim
-/// that has no parents continues its neighbours.
+/// Maps of a view from its surface, and from `rows` where there are any; coarser levels are
+/// interpolated, and the rim that has no parents continues its neighbours.
 pub(crate) fn maps(
     scene: &Scene,
     surface: &dyn Surface,

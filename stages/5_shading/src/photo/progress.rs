@@ -1,5 +1,5 @@
-//! The state between two phases, kept after each of them, so that a stopped run resumes there and ends with the
-//! bytes of an undisturbed one.
+//! The state between two phases, kept after each of them, so that a stopped run resumes there and
+//! ends with the bytes of an undisturbed one.
 //!
 //! The views' images are not kept: they are loaded again and divided by the gains that the kept report holds. A surface
 //! out of core is a part of the state for each view.
@@ -83,8 +83,8 @@ pub(crate) struct ReliefRounds {
     pub record: StepReport,
 }
 
-/// Everything but the light: whether there is one, warnings, report and progress. It is written from references
-/// in the same order.
+/// Everything but the light: whether there is one, warnings, report and progress. It is written
+/// from references in the same order.
 type State = (bool, Vec<String>, PhotoReport, Progress);
 
 /// Writes the surface of a view.
@@ -130,8 +130,8 @@ impl Solver<'_> {
         Ok(self.around.checkpoint.keep(&parts)?)
     }
 
-    /// The kept state with its light, where there is one and it belongs to the loaded views; its warnings are
-    /// repeated.
+    /// The kept state with its light, where there is one and it belongs to the loaded views; its
+    /// warnings are repeated.
     pub(crate) fn resume(&mut self) -> Result<Option<(Progress, Option<Light>)>, ShadingError> {
         let Some(((_, warnings, report, progress), light)) = self.kept() else {
             return Ok(None);

@@ -1,10 +1,11 @@
 //! Relief of a few pixels: the levels between the finest that is solved as a whole and the photos' own pixels.
 //!
-//! Shape and light stand when these levels begin. What they add is local, so each view is improved tile by tile
-//! (`relief_tiles`) under the light of the coarser level, interpolated: time is proportional to the pixels, and the
-//! memory in work is that of the tiles. All tiles of a view start from the same surfaces, and their increments are
-//! blended, so that neither tiles nor threads show in the result; the views take turns. How much relief is to be
-//! expected follows from the surface that the coarser level hands down (`turn_scale`).
+//! Shape and light stand when these levels begin. What they add is local, so each view is improved
+//! tile by tile (`relief_tiles`) under the light of the coarser level, interpolated: time is
+//! proportional to the pixels, and the memory in work is that of the tiles. All tiles of a view
+//! start from the same surfaces, and their increments are blended, so that neither tiles nor
+//! threads show in the result; the views take turns. How much relief is to be expected follows from
+//! the surface that the coarser level hands down (`turn_scale`).
 
 use super::light::Light;
 use super::matching::{self, Likeness};
@@ -29,8 +30,8 @@ use rilievo_stereo::tile::{self, Tile};
 use rilievo_stereo::{between_levels, plate, specks};
 use std::time::Instant;
 
-/// Tiles whose increments are in memory together; the same in all processes of a run, whatever memory and threads
-/// they have.
+/// Tiles whose increments are in memory together; the same in all processes of a run, whatever
+/// memory and threads they have.
 const TILES_AT_A_TIME: usize = 8;
 /// Factor of the increments: each round goes part of the way to where the views agree, since the others' surfaces
 /// are held fixed meanwhile. Views take their turns one by one, so that less than 2 is stable.
@@ -207,7 +208,8 @@ impl Solver<'_> {
         Ok(())
     }
 
-    /// A round over all views of the surface out of core; returns whether it was the last one at its level.
+    /// A round over all views of the surface out of core; returns whether it was the last one at
+    /// its level.
     fn relief_round(
         &self,
         fine: &FineShape,
@@ -305,9 +307,9 @@ impl Solver<'_> {
     }
 }
 
-/// Typical turn of the normals from a pixel to the next, radians, from that of every view: the scale of their
-/// Laplace distribution. So much relief is expected at the next level: noise makes none on a plain object, and
-/// none is smoothed away on a carved one.
+/// Typical turn of the normals from a pixel to the next, radians, from that of every view: the
+/// scale of their Laplace distribution. So much relief is expected at the next level: noise makes
+/// none on a plain object, and none is smoothed away on a carved one.
 fn turn_scale(mut turns: Vec<f64>) -> Option<f64> {
     // Finer than this, a twentieth of a degree, depth itself is rounded.
     const LEAST: f64 = 1e-3;

@@ -19,11 +19,11 @@ use rilievo_stereo::surfaces::Surfaces;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
-/// Mean change of depth in a round, pixel footprints, below which an outer iteration may end. Smaller costs
-/// rounds that change nothing that the photos show.
+/// Mean change of depth in a round, pixel footprints, below which an outer iteration may end.
+/// Smaller costs rounds that change nothing that the photos show.
 const STILL_PX: f64 = 0.1;
-/// Mean turn of the normals in a round, degrees, below which an outer iteration with shading may end: a tenth
-/// of what normals err in the end.
+/// Mean turn of the normals in a round, degrees, below which an outer iteration with shading may
+/// end: a tenth of what normals err in the end.
 const STILL_DEG: f64 = 0.4;
 
 /// Mean angle between the normals of two surfaces over all views of a level, degrees.
@@ -75,8 +75,8 @@ impl Solver<'_> {
         weights.of_step(self.scene.level(at).focal(), sigma_match)
     }
 
-    /// The residual between photos that agree in the last step. Photos that disagree have none: on a surface that
-    /// the patch search made rough, it measures the roughness too.
+    /// The residual between photos that agree in the last step. Photos that disagree have none: on
+    /// a surface that the patch search made rough, it measures the roughness too.
     pub fn last_match(&self) -> Option<MatchLeft> {
         let mut steps = self.report.steps.iter().rev();
         steps
@@ -84,9 +84,10 @@ impl Solver<'_> {
             .filter(|_| !self.photos_disagree())
     }
 
-    /// Gauss-Newton rounds over all views, until one hardly changes depth, and where shading takes part normals
-    /// (without it they follow the photos' noise for ever). Views of even and odd number take turns, so that
-    /// two views never swap their surfaces. Returns the mean turn of the normals in all rounds, degrees.
+    /// Gauss-Newton rounds over all views, until one hardly changes depth, and where shading takes
+    /// part normals (without it they follow the photos' noise for ever). Views of even and odd
+    /// number take turns, so that two views never swap their surfaces. Returns the mean turn of the
+    /// normals in all rounds, degrees.
     pub fn rounds(
         &mut self,
         at: usize,

@@ -6,8 +6,8 @@ use super::shading::ShadingWeights;
 use super::step::StepOptions;
 use serde::{Deserialize, Serialize};
 
-/// The match term's σ_m over the median residual between the photos: the ratio that photos keep whose
-/// disagreement is nothing but noise and the search's scatter.
+/// The match term's σ_m over the median residual between the photos: the ratio that photos keep
+/// whose disagreement is nothing but noise and the search's scatter.
 const SIGMA_SHARE_OF_RESIDUAL: f64 = 0.47;
 /// Side of the area of alike residuals up to which that share holds, pixels: JPEG's and
 /// interpolation's in sharp photos.
@@ -16,8 +16,8 @@ const USUAL_SIDE: f64 = 5.0;
 const MAX_CORRELATION: f64 = 0.95;
 /// Least σ_m: a seventeenth of a step of an 8-bit photo at mid grey.
 const MIN_SIGMA_MATCH: f64 = 0.001;
-/// Largest factor of σ_s for errors that the photos share: σ_s is then 1.4 standard deviations of the
-/// light's residual.
+/// Largest factor of σ_s for errors that the photos share: σ_s is then 1.4 standard deviations of
+/// the light's residual.
 const MAX_SHARED_ERROR: f64 = 3.0;
 
 /// Depth difference within which a view sees a point, pixel footprints.
@@ -25,11 +25,11 @@ const VISIBLE_PX: f64 = 3.5;
 /// σ_c at the finest level of all, footprints: only noise separates the views there, and averaging
 /// removes it. Less flattens fine detail.
 const FINEST_CONSENSUS_PX: f64 = 0.3;
-/// Factor of σ_m around a searched surface: the patch search has fixed the depth, and residuals of single
-/// pixels are noisy.
+/// Factor of σ_m around a searched surface: the patch search has fixed the depth, and residuals of
+/// single pixels are noisy.
 const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
-/// Factor of every other increment at finer levels: without it they end half-way to where the views agree.
-/// A surface that was searched again is rough, and longer steps would follow its noise.
+/// Factor of every other increment at finer levels: without it they end half-way to where the views
+/// agree. A surface that was searched again is rough, and longer steps would follow its noise.
 const LONG_STEP: f64 = 2.0;
 /// Factor of shading's standard deviations at finer levels, whose single pixels are noisier.
 const FINER_NOISE: f64 = 1.4;
@@ -38,7 +38,8 @@ const FINER_CORRECTION_PX: f64 = 12.0;
 /// Light residual at which the model's error outweighs relief.
 const LARGEST_RESIDUAL: f64 = 0.08;
 
-/// An outer iteration with shading. Shading starts weak, on a light fitted to a rough shape, and grows.
+/// An outer iteration with shading. Shading starts weak, on a light fitted to a rough shape, and
+/// grows.
 struct ScheduleStep {
     /// σ_s over the light's median residual, where that is small.
     shading_share: f64,
@@ -82,9 +83,10 @@ pub(crate) struct IterationWeights {
     /// Standard deviation of the depth against another view that faces the surface as well, pixel
     /// footprints.
     pub consensus_px: f64,
-    /// Factor of the increments in the first and every other round: each view goes part of the way to where
-    /// the views agree, since the others' surfaces are held fixed meanwhile. Half of the views move at once,
-    /// and would swing against each other by long steps alone: the rounds between damp what swings.
+    /// Factor of the increments in the first and every other round: each view goes part of the way
+    /// to where the views agree, since the others' surfaces are held fixed meanwhile. Half of the
+    /// views move at once, and would swing against each other by long steps alone: the rounds
+    /// between damp what swings.
     pub long_step: f64,
     /// Weight of squared turns of the normal from a pixel to the next.
     pub plate: f64,
@@ -107,10 +109,10 @@ pub(crate) const PHOTOS_ONLY: IterationWeights = IterationWeights {
 impl IterationWeights {
     /// Weights of an outer iteration with shading.
     ///
-    /// `σ_s = share · r (1 + (r/r₀)²)` of the light's median residual `r`: where the light explains the photos
-    /// as well as it can (2 to 3 %), shading weighs fully; at a residual of 20 % it is down-weighted to
-    /// nothing: the misfit is pigment, dirt or gloss, not shape. Chroma is held to its own noise by the same
-    /// factor `σ_s / r`.
+    /// `σ_s = share · r (1 + (r/r₀)²)` of the light's median residual `r`: where the light explains
+    /// the photos as well as it can (2 to 3 %), shading weighs fully; at a residual of 20 % it is
+    /// down-weighted to nothing: the misfit is pigment, dirt or gloss, not shape. Chroma is held to
+    /// its own noise by the same factor `σ_s / r`.
     pub fn with_shading(iteration: usize, residual: f64) -> Self {
         let step = &SCHEDULE[iteration.min(SCHEDULE.len() - 1)];
         let share = step.shading_share * (1.0 + (residual / LARGEST_RESIDUAL).powi(2));
@@ -167,7 +169,8 @@ impl IterationWeights {
         }
     }
 
-    /// With the plate for a surface whose normals typically turn by `scale` radians from a pixel to the next.
+    /// With the plate for a surface whose normals typically turn by `scale` radians from a pixel to
+    /// the next.
     pub fn with_turns(self, scale: Option<f64>) -> Self {
         scale.map_or(self, |scale| Self {
             plate: 0.5 / (scale * scale),
@@ -213,9 +216,10 @@ impl MatchLeft {
         })
     }
 
-    /// The match term's σ_m once shading has shaped the surface. Disagreement, from which σ_m follows at first,
-    /// also counts what varies slowly over the photos, which the gain fields take up. Where neighbouring
-    /// residuals are alike, as in blurred photos, an area of `((1 + ρ) / (1 - ρ))²` pixels counts as one.
+    /// The match term's σ_m once shading has shaped the surface. Disagreement, from which σ_m
+    /// follows at first, also counts what varies slowly over the photos, which the gain fields take
+    /// up. Where neighbouring residuals are alike, as in blurred photos, an area of `((1 + ρ) / (1
+    /// - ρ))²` pixels counts as one.
     pub fn sigma(self) -> f64 {
         let rho = self.correlation.min(MAX_CORRELATION);
         let side = (1.0 + rho) / (1.0 - rho);
@@ -225,11 +229,11 @@ impl MatchLeft {
 
     /// Factor of shading's σ_s at the finer levels, 1 to 3.
     ///
-    /// The light's residual is partly noise, which differs between the photos and which their mean reduces,
-    /// and partly shared: fine pigment, light that the model lacks. The more it outweighs the residual between
-    /// the photos, the less of it is noise, and neither a mean nor a neighbouring pixel reduces the rest. The
-    /// light's residual is that of the coarse level, which has little noise; the one between photos is of
-    /// the level at hand or the one before.
+    /// The light's residual is partly noise, which differs between the photos and which their mean
+    /// reduces, and partly shared: fine pigment, light that the model lacks. The more it outweighs
+    /// the residual between the photos, the less of it is noise, and neither a mean nor a
+    /// neighbouring pixel reduces the rest. The light's residual is that of the coarse level, which
+    /// has little noise; the one between photos is of the level at hand or the one before.
     pub fn shared_error(self, light_residual: f64) -> f64 {
         (light_residual / self.residual.max(f64::MIN_POSITIVE)).clamp(1.0, MAX_SHARED_ERROR)
     }

@@ -5,12 +5,13 @@
 //! the gains divided out the coarse level is searched again, by squared differences where brightness
 //! is as good as constant.
 //!
-//! Finer levels are searched where photos disagree too much to be compared pixel by pixel. Gloss, bounce and dirt
-//! make two photos of one point differ; σ_m grows with that disagreement, and single pixels lose their hold on
-//! the surface. The correlation of patches cancels gain and offset, and still finds depth to a fraction of a pixel.
-//! So the tangent planes of the solved surface are searched around once more, and the surface starts again from
-//! the depths that another view confirms, fused over all views. The search knows no smoothness, and so finds the
-//! breaks that a plate bridges; gaps behind nearer surfaces are continued (`edges`).
+//! Finer levels are searched where photos disagree too much to be compared pixel by pixel. Gloss,
+//! bounce and dirt make two photos of one point differ; σ_m grows with that disagreement, and
+//! single pixels lose their hold on the surface. The correlation of patches cancels gain and
+//! offset, and still finds depth to a fraction of a pixel. So the tangent planes of the solved
+//! surface are searched around once more, and the surface starts again from the depths that another
+//! view confirms, fused over all views. The search knows no smoothness, and so finds the breaks
+//! that a plate bridges; gaps behind nearer surfaces are continued (`edges`).
 
 use super::memory;
 use super::report::PhotoViewReport;
@@ -41,8 +42,8 @@ const LARGE_DISAGREEMENT: f64 = 0.055;
 const SIGMA_SHARE: f64 = 0.4;
 /// Sources that count in a search without a start: the best ones.
 const NUM_BEST: usize = 3;
-/// Fusions of the surfaces searched at a finer level: every view's search errs by itself, their mean errs less.
-/// The second takes in what the first brought near.
+/// Fusions of the surfaces searched at a finer level: every view's search errs by itself, their
+/// mean errs less. The second takes in what the first brought near.
 const NUM_FUSIONS: usize = 2;
 /// Distance within which they are fused, footprints: searched depths scatter more than solved ones.
 const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
@@ -53,7 +54,8 @@ impl Solver<'_> {
         self.report.disagreement >= LARGE_DISAGREEMENT
     }
 
-    /// What `keep` takes of every view's planes at a level, searched from those that `start` returns.
+    /// What `keep` takes of every view's planes at a level, searched from those that `start`
+    /// returns.
     fn dense_search<T: Serialize + DeserializeOwned + Send>(
         &self,
         at: usize,

@@ -8,9 +8,10 @@
 //! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a Gaussian: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
 //!
-//! A clipped pixel is at least as bright as the photo shows: there brightness alone counts, only where the light makes
-//! the surface darker, and with a redescending weight, since gloss is brighter than any normal explains. Pixels on the
-//! outline, whose intensity is partly the background's, take no part.
+//! A clipped pixel is at least as bright as the photo shows: there brightness alone counts, only
+//! where the light makes the surface darker, and with a redescending weight, since gloss is
+//! brighter than any normal explains. Pixels on the outline, whose intensity is partly the
+//! background's, take no part.
 
 use super::chroma::{self, ChromaNoise, Whitening};
 use nalgebra::Vector3;

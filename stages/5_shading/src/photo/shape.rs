@@ -23,8 +23,8 @@ pub(crate) struct Shape {
     pub depths: Vec<Vec<f64>>,
 }
 
-/// The surface of all views at a finer level, out of core. Where no coarser level reaches, its depths are not
-/// known.
+/// The surface of all views at a finer level, out of core. Where no coarser level reaches, its
+/// depths are not known.
 #[derive(Debug)]
 pub(crate) struct FineShape {
     pub at: usize,

@@ -1,4 +1,5 @@
-//! The order of a run's phases: first surface, outer iterations at the coarse level, finer levels, relief, output.
+//! The order of a run's phases: first surface, outer iterations at the coarse level, finer levels,
+//! relief, output.
 
 use super::contradiction;
 use super::light::Light;
@@ -15,11 +16,11 @@ use crate::error::ShadingError;
 use crate::surroundings::Surroundings;
 use rilievo_scene::{LightSource, LightingCalibration, PosedViews};
 
-/// Outer iterations stop once one turns the normals by more than this share of the turn before it, under the
-/// same weights: they no longer converge.
+/// Outer iterations stop once one turns the normals by more than this share of the turn before it,
+/// under the same weights: they no longer converge.
 const SETTLING: f64 = 0.8;
-/// Mean turn of the normals in the last planned outer iteration, degrees, above which another one follows at
-/// full weight: light and shape still change each other.
+/// Mean turn of the normals in the last planned outer iteration, degrees, above which another one
+/// follows at full weight: light and shape still change each other.
 const OUTER_TURN_DEG: f64 = 2.0;
 
 /// Distance within which solved surfaces are fused, footprints: a few times what they lie apart.
@@ -27,12 +28,12 @@ pub(crate) const FUSION_PX: f64 = 4.0;
 
 /// Sharpness below which a photo is warned of.
 const BLURRED: f64 = 0.6;
-/// Ratio of a channel's gain against green's between photos above which it is warned of: a tenth is a
-/// visible tint.
+/// Ratio of a channel's gain against green's between photos above which it is warned of: a tenth is
+/// a visible tint.
 const DRIFTING_COLORS: f64 = 1.1;
 
-/// Cap of the shading correction, in median residuals of the light. Less bends the surface into what neither
-/// light nor pigment explains: stains, the light in a deep hole.
+/// Cap of the shading correction, in median residuals of the light. Less bends the surface into
+/// what neither light nor pigment explains: stains, the light in a deep hole.
 const MAX_CORRECTION: f64 = 7.0;
 
 /// Solves a loaded scene, from the kept state if there is one.
@@ -131,8 +132,8 @@ impl Solver<'_> {
         }
         self.refuse_contradicting_light(at, &depths, lighting)?;
         let ground = self.ground(at, &depths, posed);
-        // From a noisy start the first iterations run at half the resolution: shading's false minima are small
-        // dents then, and most are overlooked there.
+        // From a noisy start the first iterations run at half the resolution: shading's false
+        // minima are small dents then, and most are overlooked there.
         let effort = &self.options.effort;
         let is_noisy = self.report.search_scatter_px > effort.noisy_search_px;
         let num_half = if is_noisy && at + 1 < self.scene.num_levels() {
@@ -165,8 +166,8 @@ impl Solver<'_> {
         Ok(progress)
     }
 
-    /// Ends the run, or warns if the light is to be used all the same, where a light from elsewhere contradicts
-    /// the photos.
+    /// Ends the run, or warns if the light is to be used all the same, where a light from elsewhere
+    /// contradicts the photos.
     fn refuse_contradicting_light(
         &mut self,
         at: usize,
@@ -202,7 +203,8 @@ impl Solver<'_> {
     ) -> Result<Outcome, ShadingError> {
         let options = self.options;
         let number = outer.num_done;
-        // Those at half the resolution make up for the first one: the surface is no rough start any more.
+        // Those at half the resolution make up for the first one: the surface is no rough start any
+        // more.
         let num_skipped = usize::from(outer.num_half > 0 && options.num_outer_iterations > 1);
         let num_planned = outer.num_half + options.num_outer_iterations - num_skipped;
         if number == outer.num_half
@@ -302,8 +304,8 @@ impl Solver<'_> {
         at == self.scene.finest && (at == 0 || !self.shapes_relief(light))
     }
 
-    /// Whether the levels beyond are solved by tiles: under a light, where the photos agree on it. Where they do
-    /// not, single pixels show gloss and dirt more than relief.
+    /// Whether the levels beyond are solved by tiles: under a light, where the photos agree on it.
+    /// Where they do not, single pixels show gloss and dirt more than relief.
     fn shapes_relief(&self, light: Option<&Light>) -> bool {
         self.options.num_relief_rounds > 0 && light.is_some() && !self.photos_disagree()
     }
@@ -323,8 +325,8 @@ impl Solver<'_> {
         })
     }
 
-    /// The next finer level that is solved as a whole, with the light of the one before and the weights of the
-    /// last outer iteration.
+    /// The next finer level that is solved as a whole, with the light of the one before and the
+    /// weights of the last outer iteration.
     fn finer(
         &mut self,
         shape: &mut Shape,

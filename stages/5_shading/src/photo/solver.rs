@@ -1,8 +1,8 @@
 //! The state of a run, and what its phases share.
 //!
-//! The phases are methods of [`Solver`] in files of their own: the first surface in `search`, rounds of shape in
-//! `rounds`, the light in `relight`, levels out of core in `relief`, their order in `solve`, and the state that
-//! a stopped run resumes from in `progress`.
+//! The phases are methods of [`Solver`] in files of their own: the first surface in `search`,
+//! rounds of shape in `rounds`, the light in `relight`, levels out of core in `relief`, their order
+//! in `solve`, and the state that a stopped run resumes from in `progress`.
 
 use super::memory::{self, Budget};
 use super::options::PhotoOptions;
@@ -81,8 +81,8 @@ impl Solver<'_> {
         }
     }
 
-    /// Works on all views, divided among the processes of the run, as many at once as the memory allows when
-    /// each takes `bytes_each`.
+    /// Works on all views, divided among the processes of the run, as many at once as the memory
+    /// allows when each takes `bytes_each`.
     pub fn divided<T: Serialize + DeserializeOwned + Send>(
         &self,
         bytes_each: f64,
@@ -105,8 +105,8 @@ impl Solver<'_> {
         })
     }
 
-    /// Works on all views in this process, as many at once as fit into memory with all that they have at a
-    /// level.
+    /// Works on all views in this process, as many at once as fit into memory with all that they
+    /// have at a level.
     pub fn of_views<T: Send>(
         &self,
         at: usize,
@@ -155,7 +155,8 @@ impl Solver<'_> {
         )
     }
 
-    /// How the views' surfaces are read: where photos disagree depth is noisy down to single pixels.
+    /// How the views' surfaces are read: where photos disagree depth is noisy down to single
+    /// pixels.
     pub fn reading(&self) -> Reading {
         if self.photos_disagree() {
             Reading::Bilinear
@@ -239,8 +240,8 @@ impl Solver<'_> {
             .collect()
     }
 
-    /// The surface at level `at` moved by the change at the next coarser level, from `before` to `after`: what
-    /// only the finer level resolves stays.
+    /// The surface at level `at` moved by the change at the next coarser level, from `before` to
+    /// `after`: what only the finer level resolves stays.
     pub fn raised(
         &self,
         at: usize,

@@ -60,8 +60,8 @@ impl PhotoStep {
     }
 }
 
-/// The steps of a run that take time, in order. The factors were measured with `benches/scale` and on photos of 18
-/// megapixels (`benches/EXPERIMENTS.md`).
+/// The steps of a run that take time, in order. The factors were measured with `benches/scale` and
+/// on photos of 18 megapixels (`benches/EXPERIMENTS.md`).
 pub fn forecast(sizes: &Sizes, options: &PhotoOptions) -> Vec<ExpectedStep> {
     /// Outer iterations of light and shape that are mostly taken.
     const NUM_ITERATIONS: usize = 4;

@@ -84,7 +84,8 @@ impl SmallPhoto {
 
 /// The plane on which the object stands, from sparse points off the object, with its texture.
 ///
-/// The plane that most of them lie on, with the object on one side of it. `None` where there is none.
+/// The plane that most of them lie on, with the object on one side of it. `None` where there is
+/// none.
 pub(crate) fn find_ground(
     points: &[Point3<f64>],
     object: &[Point3<f64>],

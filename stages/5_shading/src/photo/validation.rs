@@ -6,10 +6,10 @@
 //!
 //! `z(x) = mean(r₀² − r₁²) / (sd(r₀² − r₁²)/√n)`
 //!
-//! over a wider Gaussian of `n` independent pixels measures how surely shading helps (`z > 0`) or harms there.
-//! Trust falls linearly from 1 at `z = −1` to 0 at `z = −3`; a mean over the whole object below −3
-//! ends shading altogether. Where the light misses the photo by several times its usual residual,
-//! trust falls as well: there it explains nothing.
+//! over a wider Gaussian of `n` independent pixels measures how surely shading helps (`z > 0`) or
+//! harms there. Trust falls linearly from 1 at `z = −1` to 0 at `z = −3`; a mean over the whole
+//! object below −3 ends shading altogether. Where the light misses the photo by several times its
+//! usual residual, trust falls as well: there it explains nothing.
 //!
 //! With two views nothing can be left out; the light's residual alone decides then.
 

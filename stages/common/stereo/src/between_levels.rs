@@ -29,10 +29,10 @@ pub fn children(fine: &ViewGrid, coarse: &ViewGrid, pixel: usize) -> [usize; 4] 
         .map(|(dx, dy)| fine.pixels.number[(y + dy) * fine.pixels.width + x + dx] as usize)
 }
 
-/// Log depth of a finer level from a coarser one: cubic, so that slopes have no steps, bilinear beside borders and
-/// breaks, where the sixteen parents are not all of one surface, and known where all four are masked; between
-/// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
-/// Returns the values and where they are known.
+/// Log depth of a finer level from a coarser one: cubic, so that slopes have no steps, bilinear
+/// beside borders and breaks, where the sixteen parents are not all of one surface, and known where
+/// all four are masked; between parents of different surfaces the nearest one's tangent plane, so
+/// that no pixel hangs between both. Returns the values and where they are known.
 pub fn upsample(coarse: &ViewGrid, fine: &ViewGrid, values: &[f64]) -> (Vec<f64>, Vec<bool>) {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();

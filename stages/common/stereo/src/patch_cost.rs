@@ -1,9 +1,10 @@
 //! What a plane about a pixel costs: its patch compared with the patch's image in each source.
 //!
-//! Bounded squared differences `2 s/(1+s)`, `s = mean (I_i − I_j)² / (σ Ī)²`, where brightness is constant, or
-//! `1 − correlation` where it is not; plus the share of the patch that leaves the source's mask. The patch is weighted
-//! by a Gaussian; samples that differ from the pixel in brightness may lie beyond an edge of the object, on another
-//! plane, and count less: `gaussian · exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
+//! Bounded squared differences `2 s/(1+s)`, `s = mean (I_i − I_j)² / (σ Ī)²`, where brightness is
+//! constant, or `1 − correlation` where it is not; plus the share of the patch that leaves the
+//! source's mask. The patch is weighted by a Gaussian; samples that differ from the pixel in
+//! brightness may lie beyond an edge of the object, on another plane, and count less: `gaussian ·
+//! exp(−|ln (I/I₀)| / γ)` (Yoon, Kweon, PAMI 28(4), 2006).
 
 use crate::camera::Warp;
 use crate::level::{Level, LevelView};
@@ -35,7 +36,8 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// The same plane about another pixel, where its inverse depth is `shrink` times that at its own.
+    /// The same plane about another pixel, where its inverse depth is `shrink` times that at its
+    /// own.
     #[inline]
     pub(crate) fn moved(self, shrink: f32) -> Self {
         Self {
@@ -51,8 +53,8 @@ impl Plane {
     }
 }
 
-/// Half-width of a patch, pixels. A wider one reaches over edges and rounds them off, a narrower one
-/// holds too little of a plain surface.
+/// Half-width of a patch, pixels. A wider one reaches over edges and rounds them off, a narrower
+/// one holds too little of a plain surface.
 const RADIUS_PX: i32 = 4;
 /// `γ` of the module's text.
 const CONTRAST: f32 = 0.15;
@@ -66,8 +68,8 @@ type Lanes = [f32; LANES];
 struct Source {
     width: usize,
     height: usize,
-    /// Intensities at `(x, y)`, `(x + 1, y)`, `(x, y + 1)`, `(x + 1, y + 1)` side by side, so that one
-    /// access serves an interpolation; not a number where one of them lies outside the mask.
+    /// Intensities at `(x, y)`, `(x + 1, y)`, `(x, y + 1)`, `(x + 1, y + 1)` side by side, so that
+    /// one access serves an interpolation; not a number where one of them lies outside the mask.
     quads: Vec<[f32; 4]>,
     a: [[f32; 3]; 3],
     b: [f32; 3],
@@ -290,8 +292,9 @@ impl Map {
             .all(|&(dx, dy)| Self::is_within(self.at(dx, dy), source))
     }
 
-    /// Sums of the weights, of both intensities, of their squares and of their product; `CHECKED` leaves
-    /// out what lies outside the source or its mask, else such samples make the sums not a number.
+    /// Sums of the weights, of both intensities, of their squares and of their product; `CHECKED`
+    /// leaves out what lies outside the source or its mask, else such samples make the sums not a
+    /// number.
     #[inline]
     fn sums<const CHECKED: bool>(&self, source: &Source, patch: &Patch) -> [f32; 6] {
         let mut sums = [[0.0_f32; LANES]; 6];

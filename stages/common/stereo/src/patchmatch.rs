@@ -1,9 +1,9 @@
 //! Dense depth by PatchMatch with slanted planes, one view against its sources.
 //!
-//! Around a pixel the surface is a plane, whose inverse depth is
-//! `w(dx, dy) = w₀ (1 − sx dx − sy dy)`: exact for a plane in space. Hypotheses `(w₀, sx, sy)` are compared by
-//! [`crate::patch_cost`], spread from neighbours in alternating raster sweeps, and are perturbed with shrinking normal
-//! steps (Bleyer, Rhemann, Rother, BMVC 2011).
+//! Around a pixel the surface is a plane, whose inverse depth is `w(dx, dy) = w₀ (1 − sx dx − sy
+//! dy)`: exact for a plane in space. Hypotheses `(w₀, sx, sy)` are compared by
+//! [`crate::patch_cost`], spread from neighbours in alternating raster sweeps, and are perturbed
+//! with shrinking normal steps (Bleyer, Rhemann, Rother, BMVC 2011).
 
 use crate::hull::InverseDepthRange;
 use crate::level::{Level, LevelView};
@@ -151,7 +151,8 @@ struct Steps {
 }
 
 impl Matcher<'_> {
-    /// Takes over a plane of pixels visited before, `back` along row and column, where it costs less.
+    /// Takes over a plane of pixels visited before, `back` along row and column, where it costs
+    /// less.
     #[inline]
     fn spread(
         &self,
@@ -182,7 +183,8 @@ impl Matcher<'_> {
         }
     }
 
-    /// Tries random planes near the best one, ever nearer: in depth and slope, in depth alone, in slope alone.
+    /// Tries random planes near the best one, ever nearer: in depth and slope, in depth alone, in
+    /// slope alone.
     #[inline]
     fn perturb(
         &self,

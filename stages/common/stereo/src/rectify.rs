@@ -69,8 +69,8 @@ impl Rectification {
         (k.fx * u + k.cx, k.fy * v + k.cy)
     }
 
-    /// Visits the pinhole image's pixels with a depth around the one that shows a pixel of the photo: column, row,
-    /// depth and weight.
+    /// Visits the pinhole image's pixels with a depth around the one that shows a pixel of the
+    /// photo: column, row, depth and weight.
     fn for_each_parent(
         &self,
         depth: &DepthMap,
@@ -122,8 +122,8 @@ impl Rectification {
         (out_depth, out_normal)
     }
 
-    /// Values on the photo's own pixels from those on the straightened ones, where `depth` has a value; zero
-    /// elsewhere.
+    /// Values on the photo's own pixels from those on the straightened ones, where `depth` has a
+    /// value; zero elsewhere.
     pub fn bend_values_back<const N: usize>(
         &self,
         mask: &Mask,

@@ -44,8 +44,9 @@ impl<'a> Search<'a> {
         if is_started {
             // Planes need to be spread and polished only.
             options.num_sweeps = options.num_sweeps.div_ceil(2);
-            // Beside an edge some sources see another surface: the better half shows depth (Kang, Szeliski,
-            // Chai, CVPR 2001). Differences need more, and so does a search without a start.
+            // Beside an edge some sources see another surface: the better half shows depth (Kang,
+            // Szeliski, Chai, CVPR 2001). Differences need more, and so does a search without a
+            // start.
             if options.cost == PatchCost::Correlation {
                 options.num_best = num_sources.div_ceil(2);
             }

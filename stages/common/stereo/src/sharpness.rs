@@ -1,4 +1,5 @@
-//! How sharp photos are against each other at one level: a photo out of focus shows less fine detail.
+//! How sharp photos are against each other at one level: a photo out of focus shows less fine
+//! detail.
 //!
 //! At points that two views see, `d = I − mean(I two pixels away)` over `I` is their finest detail. The medians of `|d|`
 //! over the same points stand for `s_i` and `s_j`; all pairs together determine the sharpness `s` of every view (least

@@ -19,7 +19,8 @@ pub struct Sighting<'a> {
 }
 
 impl Sighting<'_> {
-    /// Whether the point is on the view's surface, up to a difference of log depth: no nearer surface hides it.
+    /// Whether the point is on the view's surface, up to a difference of log depth: no nearer
+    /// surface hides it.
     #[inline]
     pub fn is_within(&self, tolerance: f64) -> bool {
         self.behind.abs() <= tolerance
@@ -33,15 +34,16 @@ impl Sighting<'_> {
 }
 
 impl Level {
-    /// Where source `k` of view `index` sees a pixel at log depth `zeta`, if it is before that camera.
+    /// Where source `k` of view `index` sees a pixel at log depth `zeta`, if it is before that
+    /// camera.
     #[inline]
     pub fn landing(&self, index: usize, k: usize, pixel: usize, zeta: f64) -> Option<Landing> {
         let (x, y) = self.views[index].xy(pixel);
         self.sources[index][k].1.land(x, y, zeta)
     }
 
-    /// What source `k` of view `index` has where a pixel at log depth `zeta` lands; `rasters` are the log depths
-    /// of all views ([`depth_rasters`](crate::level::depth_rasters)).
+    /// What source `k` of view `index` has where a pixel at log depth `zeta` lands; `rasters` are
+    /// the log depths of all views ([`depth_rasters`](crate::level::depth_rasters)).
     #[inline]
     pub fn sighting(
         &self,
@@ -76,10 +78,11 @@ impl Level {
 /// Most views that one is compared with: which of them agree is kept in the bits of a byte.
 pub const MAX_SOURCES: usize = 8;
 
-/// For every view the others whose line of sight to a point `target` in the world differs by about 20°,
-/// best first.
+/// For every view the others whose line of sight to a point `target` in the world differs by about
+/// 20°, best first.
 ///
-/// A narrow angle measures depth badly, a wide one sees another side. At most [`MAX_SOURCES`] are chosen.
+/// A narrow angle measures depth badly, a wide one sees another side. At most [`MAX_SOURCES`] are
+/// chosen.
 pub fn choose_sources(
     views: &[LevelView],
     target: &Point3<f64>,

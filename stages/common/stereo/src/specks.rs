@@ -60,8 +60,9 @@ pub struct Cleaned {
     pub shares: [f64; 2],
 }
 
-/// The surface with every speck, and the pixels that touch one and lie off by more than a footprint, moved onto the
-/// plane that the other pixels around it agree on (medians of depth and slope); what has no such neighbour stays.
+/// The surface with every speck, and the pixels that touch one and lie off by more than a
+/// footprint, moved onto the plane that the other pixels around it agree on (medians of depth and
+/// slope); what has no such neighbour stays.
 pub fn remove(view: &ViewGrid, depth: &[f64]) -> Cleaned {
     let footprint = 1.0 / view.camera.focal();
     let mut surface = depth.to_vec();

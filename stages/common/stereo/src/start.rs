@@ -11,7 +11,8 @@ use rilievo_numerics::robust::{log_weight, median};
 /// Difference beyond which two views' depths belong to different surfaces, pixel footprints.
 const MAX_SCATTER_PX: f64 = 10.0;
 
-/// Weight of a depth that the sources in the bits `agreeing` confirm: 1 for two of them, ½ for one, else 0.
+/// Weight of a depth that the sources in the bits `agreeing` confirm: 1 for two of them, ½ for one,
+/// else 0.
 pub fn confirmed_weight(agreeing: u8) -> f64 {
     match agreeing.count_ones() {
         0 => 0.0,
@@ -20,8 +21,8 @@ pub fn confirmed_weight(agreeing: u8) -> f64 {
     }
 }
 
-/// Compares log depths between the views: per view and masked pixel, bit `k` is set where the `k`-th source agrees
-/// within `tolerance`, relative depth.
+/// Compares log depths between the views: per view and masked pixel, bit `k` is set where the
+/// `k`-th source agrees within `tolerance`, relative depth.
 pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Vec<u8>> {
     (0..level.views.len())
         .into_par_iter()
@@ -38,8 +39,8 @@ pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Vec<
         .collect()
 }
 
-/// Difference of log depth between a pixel's point and the nearest pixel of source `k` where it lands. Searched
-/// depths are noisy: no mean over pixels is one of them.
+/// Difference of log depth between a pixel's point and the nearest pixel of source `k` where it
+/// lands. Searched depths are noisy: no mean over pixels is one of them.
 fn difference(level: &Level, depths: &[Vec<f64>], i: usize, k: usize, p: usize) -> Option<f64> {
     let at = level.landing(i, k, p, depths[i][p])?;
     let j = level.sources[i][k].0;

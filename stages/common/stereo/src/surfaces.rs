@@ -1,8 +1,9 @@
 //! The surfaces of all views, and the depths that each proposes for another's pixels.
 //!
 //! Seen along the ray of pixel `x`, view j's surface is where `r(ζ) = ln z_j(ζ) − ζ_j(x'(ζ))`
-//! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1 for a
-//! surface that both face. One Newton step leads to the depth that view j proposes, `ζ − r / (∂r/∂ζ)`.
+//! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1
+//! for a surface that both face. One Newton step leads to the depth that view j proposes, `ζ − r /
+//! (∂r/∂ζ)`.
 
 use crate::level::{self, Level, ViewGrid};
 use crate::{plate, sampling};
@@ -78,8 +79,8 @@ impl<'a> Surfaces<'a> {
         f64::from(*self.weights[index].at(x, y))
     }
 
-    /// The proposal of source `k` of view `index` for a pixel at log depth `zeta`, when `|r|` is within
-    /// `reach`.
+    /// The proposal of source `k` of view `index` for a pixel at log depth `zeta`, when `|r|` is
+    /// within `reach`.
     #[inline]
     pub fn propose(
         &self,
