@@ -192,21 +192,14 @@ pub fn ranges_inside(
 
 /// A mask grown by `radius` pixels (square neighbourhood).
 pub fn dilate(mask: &Mask, radius: usize) -> Mask {
-    let mut rows = mask.clone();
-    for y in 0..mask.height {
-        for x in 0..mask.width {
-            let range = x.saturating_sub(radius)..=(x + radius).min(mask.width - 1);
-            *rows.at_mut(x, y) = range.into_iter().any(|a| *mask.at(a, y));
-        }
-    }
-    let mut out = rows.clone();
-    for y in 0..mask.height {
-        let range = y.saturating_sub(radius)..=(y + radius).min(mask.height - 1);
-        for x in 0..mask.width {
-            *out.at_mut(x, y) = range.clone().any(|b| *rows.at(x, b));
-        }
-    }
-    out
+    let reach = radius as isize;
+    let grown = |mask: &Mask, dx: isize, dy: isize| {
+        Mask::from_fn(mask.width, mask.height, |x, y| {
+            let (x, y) = (x as isize, y as isize);
+            (-reach..=reach).any(|k| mask.contains(x + k * dx, y + k * dy))
+        })
+    };
+    grown(&grown(mask, 1, 0), 0, 1)
 }
 
 #[cfg(test)]
