@@ -136,7 +136,7 @@ impl ViewGrid {
     /// around it, of one surface. Between the two sides of an edge of depth there is none; a mean of both
     /// would confirm any surface that bridges the edge along a line of sight of this view.
     #[inline]
-    pub fn has_surface_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+    pub(crate) fn has_surface_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
         sampling::inside(&self.mask, x, y) && self.is_one_surface(raster, x, y)
     }
 
@@ -149,7 +149,7 @@ impl ViewGrid {
 
     /// Whether the four values around a position, which must be [`sampling::inside`], are of one surface.
     #[inline]
-    pub fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+    pub(crate) fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
         f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX
     }
 
@@ -274,7 +274,7 @@ impl LevelView {
 
     /// Whether the four pixels around a position, which must be [`sampling::inside`], are unclipped.
     #[inline]
-    pub fn is_unclipped_at(&self, x: f64, y: f64) -> bool {
+    pub(crate) fn is_unclipped_at(&self, x: f64, y: f64) -> bool {
         sampling::bilinear(&self.usable, x, y) > 0.999
     }
 }

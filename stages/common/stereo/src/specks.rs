@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use rilievo_numerics::robust::median;
 
 /// Angle to the median normal of the neighbourhood beyond which a pixel is a speck, degrees.
-pub const SPECK_DEG: f64 = 40.0;
+const SPECK_DEG: f64 = 40.0;
 
 /// Pixels from the middle of a neighbourhood to its side.
 const REACH: i32 = 2;
