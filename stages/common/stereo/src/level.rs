@@ -140,7 +140,7 @@ impl ViewGrid {
         sampling::inside(&self.mask, x, y) && self.is_one_surface(raster, x, y)
     }
 
-    /// Log depth of the surface `raster` at a position, where it [has one](Self::has_surface_at).
+    /// Log depth of the surface `raster` at a position, where it has one.
     #[inline]
     pub fn depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
         self.has_surface_at(raster, x, y)

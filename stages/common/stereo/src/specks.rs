@@ -17,7 +17,7 @@ const NUM_ROUNDS: usize = 6;
 /// Pixels of one side from which that side can be continued; a smaller patch joins what surrounds it.
 const FEWEST: usize = 8;
 
-/// Whether the normal of each masked pixel lies more than [`SPECK_DEG`] from the median (per component) of its
+/// Whether the normal of each masked pixel lies more than 40° from the median (per component) of its
 /// 5×5 neighbourhood on the same side of a depth edge. Unit `normals`, camera frame; log depths `depth`.
 pub fn find(view: &ViewGrid, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> {
     let (sine, least) = SPECK_DEG.to_radians().sin_cos();
