@@ -236,7 +236,7 @@ impl<'a> ShadingTerm<'a> {
                 let norm = rr.sqrt();
                 let w = if is_clipped {
                     // What no diffuse surface under this light reaches is gloss.
-                    RobustLoss::Cauchy(CLIPPED_SCALE).weight(norm)
+                    1.0 / (1.0 + (norm / CLIPPED_SCALE).powi(2))
                 } else {
                     RobustLoss::Huber(self.threshold).weight(norm)
                 };

@@ -2,7 +2,6 @@
 //! object with its texture.
 
 use nalgebra::{Point3, Vector3};
-use rilievo_numerics::plane::Plane;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LinearImage, Mask};
 use rilievo_stereo::camera::Camera;
@@ -83,12 +82,11 @@ pub(crate) fn find_ground(
     object: &[Point3<f64>],
     photos: &[SmallPhoto],
 ) -> Option<Ground> {
-    const NUM_TRIPLES: usize = 600;
+    const NUM_TRIALS: u64 = 600;
     const MIN_POINTS: usize = 30;
     let (center, radius) = ball(object)?;
-    let background: Vec<Point3<f64>> = points
+    let background: Vec<&Point3<f64>> = points
         .iter()
-        .copied()
         .filter(|p| {
             photos.iter().all(|photo| {
                 photo.camera.project(p).is_none_or(|(u, v, _)| {
@@ -96,26 +94,67 @@ pub(crate) fn find_ground(
                         .object
                         .contains(u.round() as isize, v.round() as isize)
                 })
-            }) && (p - center).norm() < 6.0 * radius
+            }) && (*p - center).norm() < 6.0 * radius
         })
         .collect();
     if background.len() < MIN_POINTS {
         return None;
     }
     // Half a per cent of the object's size: below it the ground's texture shifts by no more.
-    let plane = Plane::of_most(&background, 0.01 * radius, NUM_TRIPLES, |_, _| true)?;
-    if plane.num_points < MIN_POINTS || plane.num_points * 10 < background.len() * 3 {
+    let tolerance = 0.01 * radius;
+    let mut state = 0x9e37_79b9_7f4a_7c15_u64;
+    let mut pick = || {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % background.len()
+    };
+    let mut best: (usize, Vector3<f64>, f64) = (0, Vector3::zeros(), 0.0);
+    for _ in 0..NUM_TRIALS {
+        let (a, b, c) = (background[pick()], background[pick()], background[pick()]);
+        let normal = (b - a).cross(&(c - a));
+        if normal.norm() < 1e-9 * radius * radius {
+            continue;
+        }
+        let normal = normal.normalize();
+        let level = normal.dot(&a.coords);
+        let count = background
+            .iter()
+            .filter(|p| (normal.dot(&p.coords) - level).abs() < tolerance)
+            .count();
+        if count > best.0 {
+            best = (count, normal, level);
+        }
+    }
+    if best.0 < MIN_POINTS || best.0 * 10 < background.len() * 3 {
         return None;
     }
-    let Plane { normal, at, .. } = plane.facing(&[center]);
+    let inliers: Vec<&Point3<f64>> = background
+        .into_iter()
+        .filter(|p| (best.1.dot(&p.coords) - best.2).abs() < tolerance)
+        .collect();
+    let mean = inliers.iter().map(|p| p.coords).sum::<Vector3<f64>>() / inliers.len() as f64;
+    let mut spread = nalgebra::Matrix3::zeros();
+    for p in &inliers {
+        let d = p.coords - mean;
+        spread += d * d.transpose();
+    }
+    let eigen = spread.symmetric_eigen();
+    let mut normal: Vector3<f64> = eigen
+        .eigenvectors
+        .column(eigen.eigenvalues.imin())
+        .into_owned();
+    if normal.dot(&(center.coords - mean)) < 0.0 {
+        normal = -normal;
+    }
     let above = object
         .iter()
-        .filter(|&p| (p - at).dot(&normal) > -0.03 * radius)
+        .filter(|p| normal.dot(&(p.coords - mean)) > -0.03 * radius)
         .count();
     if above * 20 < object.len() * 19 {
         return None;
     }
-    Some(texture(center, radius, &at.coords, &normal, photos))
+    Some(texture(center, radius, &mean, &normal, photos))
 }
 
 fn ball(points: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {

@@ -6,7 +6,7 @@
 use crate::level::ViewGrid;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::{Functional, PlateSystem};
-use rilievo_numerics::robust::{RobustLoss, median};
+use rilievo_numerics::robust::median;
 
 /// Change of slope from a pixel to the next, from which the surface breaks between them; from half of
 /// it on a slope leans to one side.
@@ -137,12 +137,12 @@ pub fn add_robust_plate(
     robust: &RobustPlate,
 ) {
     let shares = turn_shares(view, robust.depth);
-    let loss = RobustLoss::Huber(robust.threshold);
     for_each_bend(view, |pixel, kind, f| {
         let share = f64::from(shares[pixel][kind as usize]);
         let bend = f.of(robust.depth);
         let torn = (1.0 / (1.0 + (bend / TEAR).powi(4))).max(HOLD);
-        let w = weight * share * share * torn * loss.weight(share * bend);
+        let linear = (share * bend.abs() / robust.threshold).max(1.0);
+        let w = weight * share * share * torn / linear;
         system.add_square(&view.pixels, f, w, -bend);
     });
 }
