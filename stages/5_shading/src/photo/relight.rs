@@ -23,12 +23,7 @@ use std::time::Instant;
 
 impl Solver<'_> {
     /// The ground under the object, where sparse points show one.
-    pub(crate) fn ground(
-        &self,
-        at: usize,
-        depths: &[Vec<f64>],
-        posed: &PosedViews,
-    ) -> Option<Ground> {
+    pub fn ground(&self, at: usize, depths: &[Vec<f64>], posed: &PosedViews) -> Option<Ground> {
         let level = self.scene.level(at);
         let points: Vec<Point3<f64>> = posed
             .points
@@ -46,7 +41,7 @@ impl Solver<'_> {
     }
 
     /// The light on the current shape: with visibility, or else distant.
-    pub(crate) fn light(
+    pub fn light(
         &mut self,
         at: usize,
         depths: &[Vec<f64>],
@@ -75,31 +70,32 @@ impl Solver<'_> {
         let sees_shadows = seen.is_some();
         self.report.light_sees_shadows = sees_shadows;
         let light = seen.or_else(|| distant::fit(level, depths, kind));
-        self.report.shading = match (sees_shadows, light.is_some()) {
-            (true, _) => "light with visibility".to_owned(),
-            (false, true) => "distant light".to_owned(),
-            (false, false) => "no light could be fitted".to_owned(),
+        let is_lit = light.is_some();
+        let shading = match (sees_shadows, is_lit) {
+            (true, _) => "light with visibility",
+            (false, true) => "distant light",
+            (false, false) => "no light could be fitted",
         };
-        let mut notes = Vec::new();
-        if kind == LightKind::Camera {
-            notes.push(
+        self.report.shading = shading.to_owned();
+        let is_known = !known.groups.is_empty();
+        let notes = [
+            (
+                kind == LightKind::Camera,
                 "the light moves with the camera: the photos show a point under different light, agree \
                  less, and tell nothing of their exposures, which are taken for equal",
-            );
-        }
-        if known.groups.is_empty() && light.is_some() {
-            notes.push(
+            ),
+            (
+                is_lit && !is_known,
                 "no sphere or given light could be used: the light is read from the object's own surface, so that a light over \
                  the whole object and its albedo cannot be told apart",
-            );
-        }
-        if !sees_shadows && !known.groups.is_empty() && light.is_some() {
-            notes.push(
+            ),
+            (
+                is_lit && is_known && !sees_shadows,
                 "the distant light is fitted on the object alone: spheres and a given light are not used \
                  by it",
-            );
-        }
-        for note in notes {
+            ),
+        ];
+        for (_, note) in notes.into_iter().filter(|(applies, _)| *applies) {
             self.note(note);
         }
         let step = self.report.add_step(PhotoStep::Light, at, began);
@@ -112,7 +108,7 @@ impl Solver<'_> {
     }
 
     /// Lets photos that are left out judge shading, and sets the light's trust.
-    pub(crate) fn validate(
+    pub fn validate(
         &mut self,
         at: usize,
         solvers: &SolverSet,
@@ -155,7 +151,7 @@ impl Solver<'_> {
     }
 
     /// The light at the next finer level.
-    pub(crate) fn finer_light(&self, at: usize, depths: &[Vec<f64>], mut light: Light) -> Light {
+    pub fn finer_light(&self, at: usize, depths: &[Vec<f64>], mut light: Light) -> Light {
         let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
         light.mean_tolerance *= coarse.focal() / fine.focal();
         for (i, trust) in light.trust.iter_mut().enumerate() {
@@ -180,7 +176,7 @@ impl Solver<'_> {
     }
 
     /// The facts on the light that was used.
-    pub(crate) fn report_light(&mut self, light: &Light) {
+    pub fn report_light(&mut self, light: &Light) {
         for (view, residual) in self.report.views.iter_mut().zip(&light.residuals) {
             view.light_residual = Some(*residual);
         }

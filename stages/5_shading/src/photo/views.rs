@@ -11,8 +11,10 @@ use crate::error::ShadingError;
 use crate::photo_of::photo_of;
 use nalgebra::Point3;
 use rayon::prelude::*;
+use rilievo_numerics::robust::median;
 use rilievo_scene::{Mask, PackedMask, PhotoSet, PosedViews, Scratch, ScratchError, ViewIdx};
 use rilievo_stereo::camera::Camera;
+use rilievo_stereo::hull::object_ball;
 use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::rectify::Rectification;
 use rilievo_stereo::sightings::choose_sources;
@@ -277,24 +279,15 @@ fn load_view(
 
 /// Middle of the known points, else of the optical axes' closest approach.
 fn object_center(views: &[LevelView], posed: &PosedViews) -> Point3<f64> {
-    let mut coordinates: [Vec<f64>; 3] = Default::default();
     let known: Vec<[f64; 3]> = if posed.anchors.is_empty() {
         posed.points.iter().map(|p| p.position).collect()
     } else {
         posed.anchors.iter().map(|a| a.position).collect()
     };
-    for point in &known {
-        for k in 0..3 {
-            coordinates[k].push(point[k]);
-        }
-    }
     if known.len() >= 10 {
-        let middle =
-            [0, 1, 2].map(|k| rilievo_numerics::robust::median(&mut coordinates[k]).unwrap_or(0.0));
-        return Point3::from(middle);
+        let middle = |k: usize| median(&mut known.iter().map(|p| p[k]).collect::<Vec<_>>());
+        return Point3::from([0, 1, 2].map(|k| middle(k).unwrap_or(0.0)));
     }
     let outlines: Vec<_> = views.iter().map(|view| view.outline(true)).collect();
-    rilievo_stereo::hull::object_ball(&outlines)
-        .map(|(center, _)| center)
-        .unwrap_or_else(Point3::origin)
+    object_ball(&outlines).map_or_else(Point3::origin, |(center, _)| center)
 }
