@@ -216,10 +216,11 @@ impl MatchLeft {
         })
     }
 
-    /// The match term's σ_m once shading has shaped the surface. Disagreement, from which σ_m
-    /// follows at first, also counts what varies slowly over the photos, which the gain fields take
-    /// up. Where neighbouring residuals are alike, as in blurred photos, an area of `((1 + ρ) / (1
-    /// - ρ))²` pixels counts as one.
+    /// The match term's σ_m once shading has shaped the surface. Disagreement, from which σ_m follows
+    /// at first, also counts what varies slowly over the photos, which the gain fields take up.
+    ///
+    /// Where neighbouring residuals correlate by `ρ`, as in blurred photos, a square of side
+    /// `(1 + ρ) / (1 - ρ)` pixels counts as one pixel.
     pub fn sigma(self) -> f64 {
         let rho = self.correlation.min(MAX_CORRELATION);
         let side = (1.0 + rho) / (1.0 - rho);
