@@ -15,15 +15,12 @@ use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
 use rilievo_scene::{Mask, StageId};
-use rilievo_shading::photo::Sizes;
+use rilievo_shading::photo::{self, PhotoStep, Sizes};
 
 /// Masks that are looked at for the object's share.
 const MAX_NUM_MASKS: usize = 4;
 /// Seconds that the calibration takes on the machine that the factors were measured on.
 const REFERENCE_SECONDS: f64 = 0.013;
-
-/// The step that photos whose brightness disagrees go without.
-const RELIEF: &str = "relief";
 
 /// What follows the stages, as its progress is told.
 pub const REPORT: &str = "report";
@@ -39,9 +36,6 @@ const ON_ONE_THREAD: [&str; 6] = [
     WRITING,
 ];
 
-/// Rounds of light and shape that are mostly taken.
-const NUM_ROUNDS: usize = 4;
-
 /// Share of the photos that the object takes where no mask tells it yet.
 const TYPICAL_SHARE: f64 = 0.25;
 
@@ -49,7 +43,7 @@ const TYPICAL_SHARE: f64 = 0.25;
 const CROP_SHARE: f64 = 1.5;
 
 /// What decides the cost.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Work {
     photos: f64,
     /// Pixels of all photos.
@@ -57,10 +51,8 @@ struct Work {
     sizes: Sizes,
     /// Pixels of the object in all photos.
     object_px: f64,
-    /// Pixels of the object in all photos at the finest level that is solved as a whole.
-    whole_px: f64,
-    /// The same at the level at which the surface is found.
-    coarse_px: f64,
+    /// The steps of stage 5's photo model.
+    shading: Vec<photo::ExpectedStep>,
     pairs: f64,
     /// Triangles of the asset, 0 where none is made.
     asset_faces: f64,
@@ -155,17 +147,13 @@ impl Work {
             masked: object_px,
             largest_frame: sizes.iter().copied().fold(0.0, f64::max),
         };
-        let options = &request.options.shading.photo;
-        let whole_px = sizes.whole_share(options) * object_px;
-        let coarse_px = sizes.coarse_share(options) * object_px;
         let all_pairs = 0.5 * photos * (photos - 1.0);
         Some(Self {
             photos,
             photo_px,
+            shading: photo::forecast(&sizes, &request.options.shading.photo),
             sizes,
             object_px,
-            whole_px,
-            coarse_px,
             pairs: if photos > 20.0 {
                 all_pairs.min(6.0 * photos * photos.log2())
             } else {
@@ -184,7 +172,7 @@ impl Work {
             slowness * steps.filter(is_counted).map(|p| p.seconds).sum::<f64>()
         };
         let with_relief = seconds(&|step| step.replaces.is_none());
-        let without = seconds(&|step| step.step != RELIEF);
+        let without = seconds(&|step| step.step != PhotoStep::Relief.message());
         let given = resources.given.map_or(f64::INFINITY, |given| given as f64);
         let threads = rayon::current_num_threads();
         let shading = self.sizes.taken(&request.options.shading.photo, threads);
@@ -204,18 +192,15 @@ impl Work {
         }
     }
 
-    /// The steps of a run, with CPU seconds of the reference machine. At the coarse level light and shape take turns; the
-    /// finer levels that are solved as a whole follow, then those of single photos, a third more than the last of them.
+    /// The steps of a run, with CPU seconds of the reference machine.
     fn steps(&self) -> Vec<ExpectedStep> {
         let (n, photo_px, object_px) = (self.photos, self.photo_px, self.object_px);
-        let coarse = 1e-5 * self.coarse_px;
         let of = |of: StageId, step, seconds| ExpectedStep {
             of: of.name(),
             step,
             seconds,
             replaces: None,
         };
-        let shading = |step, seconds| of(StageId::Shading, step, seconds);
         let mut steps = vec![
             of(StageId::Photos, "reading photos", 6.5e-8 * photo_px),
             of(
@@ -236,25 +221,18 @@ impl Work {
                 "reading brightness at the anchors",
                 0.05 * n + 3e-8 * photo_px,
             ),
-            shading("comparing exposures", 2.5 * coarse),
-            shading("searching depth", 7.0 * coarse),
-            shading("photos", 1.5 * coarse),
         ];
-        for _ in 0..NUM_ROUNDS {
-            steps.push(shading("fitting light", 3.7 * coarse));
-            steps.push(shading("light and shape", 3.0 * coarse));
-        }
+        steps.extend(self.shading.iter().map(|expected| ExpectedStep {
+            replaces: expected.replaces.map(PhotoStep::message),
+            ..of(
+                StageId::Shading,
+                expected.step.message(),
+                expected.cpu_seconds,
+            )
+        }));
         steps.extend([
-            ExpectedStep {
-                replaces: Some(RELIEF),
-                ..shading(
-                    "searching depth again",
-                    1e-4 * (self.whole_px - self.coarse_px),
-                )
-            },
-            shading("finer", 2.5e-5 * (self.whole_px - self.coarse_px)),
-            shading(RELIEF, 1.6e-5 * (object_px - self.whole_px).max(0.0)),
-            shading(
+            of(
+                StageId::Shading,
                 "writing maps, comparing them with the photos",
                 6e-7 * photo_px + 3e-6 * object_px,
             ),

@@ -1,4 +1,4 @@
-//! Why shading could not give a shape.
+//! Errors of the stage.
 
 use rilievo_scene::{Inconsistent, LightSource, Observer, OptionError, StageId};
 
@@ -41,7 +41,7 @@ fn remedy(source: LightSource) -> &'static str {
     }
 }
 
-/// Errors of stage 5; each carries the facts and says what to try.
+/// Errors of stage 5; each carries the facts and names what to try.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum ShadingError {
@@ -191,7 +191,7 @@ pub enum ShadingError {
     },
 }
 
-/// Tells the user of something; the stage goes on.
+/// Warns the user; the stage goes on.
 pub(crate) fn warn(observer: &dyn Observer, message: String) -> Result<(), ShadingError> {
     let flow = observer.warn(StageId::Shading, message);
     flow.ok_or(ShadingError::Interrupted)

@@ -33,8 +33,7 @@ pub const VERSION: u32 = 29;
 
 /// Dense shape of every posed view, from photos, poses with anchors, and lighting.
 ///
-/// One posed view alone is solved by the paper's model, whatever `options.model` says: agreement
-/// between photos needs two.
+/// One posed view alone is always solved by the paper's model: agreement between photos needs two.
 ///
 /// # Errors
 /// See [`ShadingError`].

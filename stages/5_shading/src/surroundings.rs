@@ -5,7 +5,7 @@ use rilievo_scene::{Checkpoint, MemoryScratch, NoCheckpoint, Observer, Scratch};
 /// What a run has around it.
 #[derive(Clone, Copy)]
 pub struct Surroundings<'a> {
-    /// Is told of progress and warnings, and may stop the run.
+    /// Receives progress and warnings, and may stop the run.
     pub observer: &'a dyn Observer,
     /// Keeps how far the photo model is; the paper's model begins anew.
     pub checkpoint: &'a dyn Checkpoint,

@@ -85,24 +85,16 @@ fn main() -> Result<(), Box<dyn Error>> {
         num_steps.fetch_add(1, Relaxed);
     };
     let (photos, posed, options) = (&input.photos, &input.posed, &arguments.options);
-    let (shaded, report) = if arguments.steps {
-        photo::run_probed(photos, posed, &lighting, options, &Silent, &probe)?
-    } else {
-        photo::run(
-            photos,
-            posed,
-            &lighting,
-            options,
-            Surroundings::in_memory(&Silent),
-        )?
-    };
+    let probe: Option<&photo::Probe> = arguments.steps.then_some(&probe);
+    let around = Surroundings::in_memory(&Silent);
+    let (shaded, report) = photo::run_probed(photos, posed, &lighting, options, around, probe)?;
     let shaded = shaded.views()?;
     let wall = began.elapsed().as_secs_f64();
     for iteration in &report.steps {
         println!(
             "  level {} {:28} rounds {} moved {:.3} px, turned {:.2} deg, in all {:.2}, sigma_s {:.4} match {:.4}  {:.1} s",
             iteration.level,
-            iteration.kind,
+            iteration.step.message(),
             iteration.num_rounds,
             iteration.moved_px,
             iteration.turned_deg,

@@ -1,4 +1,4 @@
-//! Pigment: what the surface's colour takes from the light, told from relief by its chroma.
+//! Pigment: what the surface's colour takes from the light, separated from relief by its chroma.
 //!
 //! Where light explains a pixel by `S = l·h(n)`, `u_c = ln Ĩ_c − ln S_c` holds albedo and the error of
 //! the normal alike. A wrong normal changes all channels together, as far as the light has one colour;
@@ -17,14 +17,14 @@ use super::shading::{self, HarmonicsOf};
 use nalgebra::{Matrix2, Vector2};
 use rayon::prelude::*;
 use rilievo_scene::Raster;
-use rilievo_stereo::level::{Level, LevelView};
+use rilievo_stereo::level::{Level, LevelView, depth_rasters};
 use rilievo_stereo::{plate, sampling};
 use serde::{Deserialize, Serialize};
 
 /// Standard deviation of the Gaussian that separates stains from slow changes, pixels.
-const BELL_PX: f64 = 16.0;
+const SLOW_SIGMA_PX: f64 = 16.0;
 /// Standard deviation of the Gaussian over chroma, pixels: photos hold it at half resolution, and noisy.
-const CHROMA_PX: f64 = 1.0;
+const CHROMA_SIGMA_PX: f64 = 1.0;
 /// Depth difference, in pixel footprints, at which another view's albedo no longer counts.
 const TOLERANCE_PX: f64 = 1.8;
 /// Largest `|u|` that counts as pigment: beyond it the light or the surface is wrong.
@@ -61,7 +61,7 @@ pub(crate) fn estimate(
     harmonics: &HarmonicsOf<'_>,
     mean_tolerance: f64,
 ) -> Albedo {
-    let rasters = rilievo_stereo::level::depth_rasters(level, depths);
+    let rasters = depth_rasters(level, depths);
     let ratios: Vec<Ratios> = (0..level.views.len())
         .into_par_iter()
         .with_max_len(1)
@@ -129,8 +129,8 @@ fn ratios(
             [m, u[0] - m, u[2] - m]
         })
         .collect();
-    let soft = sampling::smooth(&view.pixels, &values, &weight, CHROMA_PX);
-    let slow = sampling::smooth(&view.pixels, &values, &weight, BELL_PX);
+    let soft = sampling::smooth(&view.pixels, &values, &weight, CHROMA_SIGMA_PX);
+    let slow = sampling::smooth(&view.pixels, &values, &weight, SLOW_SIGMA_PX);
     let small = (0..values.len())
         .map(|i| {
             [
@@ -230,7 +230,6 @@ fn common(
     values: &[Vec<f32>],
 ) -> Vec<f32> {
     let tolerance = TOLERANCE_PX / level.focal();
-    let view = &level.views[index];
     let others: Vec<Raster<f32>> = level.sources[index]
         .iter()
         .map(|(j, _)| {
@@ -238,21 +237,16 @@ fn common(
             level.views[*j].spread(&spread, 0.0)
         })
         .collect();
-    (0..view.pixels.len())
+    (0..depth.len())
         .map(|p| {
-            let (x, y) = view.xy(p);
             let (mut sum, mut total) = (values[index][p], 1.0_f32);
-            for ((j, warp), raster) in level.sources[index].iter().zip(&others) {
-                let Some(l) = warp.land(x, y, depth[p]) else {
+            for seen in level.sightings(rasters, index, (p, depth[p])) {
+                if !seen.is_unclipped() {
                     continue;
-                };
-                let other = &level.views[*j];
-                let Some(zeta) = other.unclipped_depth_at(&rasters[*j], l.u, l.v) else {
-                    continue;
-                };
-                let miss = (l.zeta - zeta) / tolerance;
+                }
+                let miss = seen.behind / tolerance;
                 let weight = (-0.5 * (miss * miss).min(100.0) as f32).exp();
-                sum += weight * sampling::bilinear(raster, l.u, l.v);
+                sum += weight * sampling::bilinear(&others[seen.source], seen.at.u, seen.at.v);
                 total += weight;
             }
             sum / total

@@ -23,12 +23,10 @@ pub(crate) struct Appearance {
     pub rendered: Vec<[f32; 3]>,
     /// Relative to the mean albedo that the light contains.
     pub albedo: Vec<[f32; 3]>,
-    /// See `confidence`.
-    pub confidence: Vec<f32>,
 }
 
 /// Renders view `index` of a level at log depths `depth`, under the light whose coefficients at its pixels are
-/// `harmonics`; `confidence` is left empty.
+/// `harmonics`.
 pub(crate) fn render(
     level: &Level,
     index: usize,
@@ -73,9 +71,5 @@ pub(crate) fn render(
         .zip(&albedo)
         .map(|(s, a)| std::array::from_fn(|c| s[c] * a[c]))
         .collect();
-    Appearance {
-        rendered,
-        albedo,
-        confidence: Vec::new(),
-    }
+    Appearance { rendered, albedo }
 }

@@ -4,7 +4,7 @@
 //! what a light model misses: shadow, bounce and speckle of the albedo change all channels together.
 //! Chroma `d = (u_r − u_g, u_b − u_g)` is spared most of it and keeps little but the photos' own noise.
 //! Light whose colour varies with direction puts the normal into it all the same, above all the tilt
-//! across the gradient of brightness, of which brightness says nothing. So
+//! across the gradient of brightness, on which brightness does not depend. So
 //!
 //! `v = (m/σ_s, C^(−1/2) d / k)`
 //!
@@ -18,9 +18,9 @@ use serde::{Deserialize, Serialize};
 
 /// Chroma noise below which rounding to eight bits would be taken for a signal.
 const MIN_NOISE: f64 = 2e-3;
-/// Deviations, in standard deviations, beyond which a pixel says no more of the correlation.
+/// Deviations, in standard deviations, at which pixels are clipped for the correlation.
 const CLIP: f64 = 2.5;
-/// Correlation up to which both chroma components are told apart.
+/// Largest correlation of the two components: beyond it the covariance is nearly singular.
 const MAX_CORRELATION: f64 = 0.95;
 
 /// Red less green, and blue less green.

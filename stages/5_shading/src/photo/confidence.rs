@@ -10,9 +10,9 @@
 //! units of its median `r̃` over the view. Confidence is `1 / (1 + e²/E²)` with `E` five degrees.
 //!
 //! Exponents and factors were fitted to the errors of rendered and real objects of known shape,
-//! each judged by the fit to the others: RMS errors in the quintiles of `e` are 0.7 to 1.6 times `e`.
-//! What the normal equations themselves say of a normal's error ranks it no better than chance
-//! there: the light's error is systematic, and the equations do not know it.
+//! each judged by the fit to the others: RMS errors in the quintiles of `e` are 0.7 to 1.6 times
+//! `e`. The variance that follows from the normal equations ranks those errors no better than
+//! chance: the light's error is systematic, and the equations do not contain it.
 
 use super::appearance::Appearance;
 use rayon::prelude::*;
@@ -25,20 +25,20 @@ const FRONTAL_ERROR: f64 = 0.096;
 /// Angle at which the confidence is one half, radians: five degrees.
 const HALF_ANGLE: f64 = 0.0873;
 const TILT_EXPONENT: f64 = 0.4;
-/// Steeper says no more.
+/// Tangent beyond which a steeper tilt makes no difference.
 const MAX_TAN: f64 = 6.0;
 /// Factors for none, one, and more agreeing views.
 const ALONE: [f64; 3] = [2.5, 1.5, 1.0];
 /// Disparity within which another view has the same surface, pixels.
 const AGREE_PX: f64 = 1.0;
 const RESIDUAL_EXPONENT: f64 = 0.3;
-/// Bell over the photo's residual, pixels.
-const BELL_PX: f64 = 3.0;
+/// Standard deviation of the Gaussian over the photo's residual, pixels.
+const RESIDUAL_SIGMA_PX: f64 = 3.0;
 /// Residuals count between these multiples of the usual one.
 const RESIDUAL_RANGE: (f64, f64) = (0.3, 10.0);
 
-/// Confidence of all masked pixels of view `index`; `appearance` without an image says nothing of
-/// what the photo leaves.
+/// Confidence of all masked pixels of view `index`; `appearance` without an image leaves
+/// the photo's residual out.
 pub(crate) fn estimate(
     level: &Level,
     index: usize,
@@ -77,17 +77,9 @@ fn num_agreeing(
     zeta: f64,
     rasters: &[Raster<f32>],
 ) -> usize {
-    let (x, y) = level.views[index].xy(pixel);
-    level.sources[index]
-        .iter()
-        .filter(|(j, warp)| {
-            warp.land(x, y, zeta).is_some_and(|l| {
-                let px_per_log_depth = l.du.hypot(l.dv);
-                level.views[*j]
-                    .depth_at(&rasters[*j], l.u, l.v)
-                    .is_some_and(|other| (l.zeta - other).abs() * px_per_log_depth < AGREE_PX)
-            })
-        })
+    let sightings = level.sightings(rasters, index, (pixel, zeta));
+    sightings
+        .filter(|s| s.behind.abs() * s.at.du.hypot(s.at.dv) < AGREE_PX)
         .count()
 }
 
@@ -110,7 +102,7 @@ fn unexplained(level: &Level, index: usize, appearance: &Appearance) -> Option<V
     let usable: Vec<f32> = (0..n)
         .map(|p| if view.is_usable(p) { 1.0 } else { 0.0 })
         .collect();
-    let local = sampling::smooth(&view.pixels, &ratio, &usable, BELL_PX);
+    let local = sampling::smooth(&view.pixels, &ratio, &usable, RESIDUAL_SIGMA_PX);
     let mut all: Vec<f64> = local.iter().map(|r| f64::from(r[0])).collect();
     let usual = rilievo_numerics::robust::median(&mut all)?.max(1e-6);
     Some(

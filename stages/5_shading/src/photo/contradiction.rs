@@ -60,7 +60,7 @@ pub(crate) fn refuse(
     Ok(())
 }
 
-/// Residuals of the given and of the fitted light; `None` where too few pixels tell.
+/// Residuals of the given and of the fitted light; `None` where too few pixels are usable.
 fn residuals(level: &Level, idx: usize, depth: &[f64], given: &Lighting) -> Option<(f64, f64)> {
     let view = &level.views[idx];
     let normals = plate::normals(view, depth);

@@ -1,23 +1,15 @@
 //! Nine distant harmonics for all pixels, fitted robustly on the current normals: of all views
 //! together when the light is fixed in the world, of each view when it is fixed to the camera.
 
-use super::albedo;
-use super::light::{FIT_PIXELS, Light, rotation, with_residuals};
+use super::light::{self, FIT_PIXELS, Light, rotation};
 use nalgebra::Vector3;
-use rayon::prelude::*;
 use rilievo_photometry::harmonics::{fit_robust, rotate};
 use rilievo_scene::{LightKind, Lighting, SphericalHarmonics};
 use rilievo_stereo::level::Level;
-use rilievo_stereo::plate;
 
 /// Nine distant harmonics on the current shape.
 pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option<Light> {
-    let normals: Vec<Vec<[f64; 3]>> = level
-        .views
-        .par_iter()
-        .zip(depths)
-        .map(|(view, depth)| plate::normals(view, depth))
-        .collect();
+    let normals = light::normals(level, depths);
     let groups: Vec<Vec<usize>> = match kind {
         LightKind::World => vec![(0..level.views.len()).collect()],
         LightKind::Camera => (0..level.views.len()).map(|i| vec![i]).collect(),
@@ -35,8 +27,7 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
                     continue;
                 }
                 let rgb = view.intensity(p).map(f64::from);
-                let m = normals[i][p];
-                n.push(view.camera.rotation.tr_mul(&Vector3::new(m[0], m[1], m[2])));
+                n.push(view.camera.rotation.tr_mul(&Vector3::from(normals[i][p])));
                 let mean = ((rgb[0] + rgb[1] + rgb[2]) / 3.0).max(1e-4);
                 weights.push(1.0 / (mean * mean));
                 for c in 0..3 {
@@ -44,14 +35,9 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
                 }
             }
         }
-        let channels: Option<Vec<SphericalHarmonics>> = values
-            .iter()
-            .map(|v| {
-                fit_robust(&n, v, Some(&weights))
-                    .ok()
-                    .map(|fit| fit.coefficients)
-            })
-            .collect();
+        let fitted = values.iter().map(|v| fit_robust(&n, v, Some(&weights)));
+        let channels = fitted.map(|fit| Some(fit.ok()?.coefficients));
+        let channels: Option<Vec<SphericalHarmonics>> = channels.collect();
         let world = Lighting {
             channels: channels?,
         };
@@ -62,14 +48,6 @@ pub(crate) fn fit(level: &Level, depths: &[Vec<f64>], kind: LightKind) -> Option
             in_the_open[i] = own;
         }
     }
-    let light = with_residuals(level, &normals, harmonics, in_the_open, None, kind);
-    let pigment = albedo::estimate(level, depths, &|i| light.own(i), light.mean_tolerance);
-    Some(with_residuals(
-        level,
-        &normals,
-        light.harmonics,
-        light.in_the_open,
-        Some(pigment),
-        kind,
-    ))
+    let light = Light::new((level, &normals), harmonics, in_the_open, kind);
+    Some(light.with_pigment(level, depths, &normals))
 }

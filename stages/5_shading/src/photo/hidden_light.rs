@@ -14,7 +14,7 @@ use rilievo_stereo::sampling;
 
 /// Standard deviation of the Gaussian whose means are taken off, pixels: on a larger scale the light knows of
 /// hollows through its rays.
-const BELL_PX: f64 = 8.0;
+const WIDE_SIGMA_PX: f64 = 8.0;
 
 /// Largest misfit of log brightness that counts in full: cast shadows and gloss are neither pores nor tool marks.
 const LARGEST_MISFIT: f32 = 0.4;
@@ -51,7 +51,7 @@ pub(crate) fn exponent(
                     [misfit, open[p].ln()]
                 })
                 .collect();
-            let wide = sampling::smooth(&view.pixels, &rows, &usable, BELL_PX);
+            let wide = sampling::smooth(&view.pixels, &rows, &usable, WIDE_SIGMA_PX);
             let mut sums = (0.0, 0.0);
             for ((row, wide), usable) in rows.iter().zip(&wide).zip(&usable) {
                 let [y, x] = [0, 1].map(|k| f64::from(row[k] - wide[k]));

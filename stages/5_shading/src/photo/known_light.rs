@@ -23,7 +23,7 @@ pub(crate) struct KnownGroup {
     pub points: Vec<KnownPoint>,
 }
 
-/// The points that tell of the light, and the spheres, which hide and send light.
+/// The samples of the light, and the spheres, which hide and send light.
 #[derive(Clone, Debug)]
 pub(crate) struct KnownLight {
     pub kind: LightKind,
@@ -34,7 +34,8 @@ pub(crate) struct KnownLight {
 
 impl KnownLight {
     /// From stage 4's samples; `gains` are the exposures of the views. A sphere of which nothing is
-    /// known is left out, and hides nothing; one that sees another light than the object tells nothing of it.
+    /// known is left out, and hides nothing; one that sees another light than the object gives no
+    /// samples.
     pub fn new(
         lighting: &LightingCalibration,
         spheres: &[LocatedSphere],

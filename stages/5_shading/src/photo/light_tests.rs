@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::light::{self, LightScene};
+use super::environment::{self, LightScene};
 use super::options::PhotoOptions;
 use super::rendered_tests::known_light;
 use super::views::{self, Scene};
@@ -203,7 +203,7 @@ fn residuals(truth: &Truth, num_rays: usize) -> [[f64; 2]; 2] {
         team: &Alone,
     };
     let nine = distant::fit(level, &depths, LightKind::World).unwrap();
-    let rays = light::visible_on(
+    let rays = environment::visible_on(
         level,
         (&depths, &normals),
         rays_at,
@@ -252,7 +252,7 @@ fn rays_leave_less_than_nine_harmonics() {
             continue;
         };
         let truth = load(&folder, names);
-        let [nine, rays] = residuals(&truth, PhotoOptions::default().num_rays);
+        let [nine, rays] = residuals(&truth, PhotoOptions::default().effort.num_rays);
         println!("{set}: nine harmonics {nine:.4?}, rays {rays:.4?}, at most {limit:?}");
         assert!(
             rays[0] < limit[0] && rays[1] < limit[1] && rays[0] < 0.8 * nine[0],

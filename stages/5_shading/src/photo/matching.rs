@@ -9,9 +9,11 @@
 //! pixel is clipped.
 
 use rayon::prelude::*;
+use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::Raster;
-use rilievo_stereo::level::Level;
+use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::sampling;
+use rilievo_stereo::sightings::Sighting;
 use serde::{Deserialize, Serialize};
 
 /// How the photos are compared.
@@ -86,6 +88,28 @@ struct Sample {
     slope: [f32; 3],
 }
 
+impl Sample {
+    /// Of a source that sees the pixel.
+    #[inline]
+    fn new(seen: &Sighting, is_usable: bool) -> Self {
+        let compared = is_usable && seen.is_unclipped();
+        if !compared {
+            return Self {
+                visible: true,
+                ..Self::default()
+            };
+        }
+        let at = seen.at;
+        let (value, gx, gy) = sampling::bicubic(&seen.view.image, at.u, at.v);
+        Self {
+            visible: true,
+            compared,
+            value,
+            slope: [0, 1, 2].map(|c| gx[c] * at.du as f32 + gy[c] * at.dv as f32),
+        }
+    }
+}
+
 /// Residual, in σ, as which larger ones enter the likeness of neighbours.
 const LARGEST_LIKENED: f64 = 5.0;
 
@@ -108,37 +132,18 @@ pub(crate) fn terms(
         likeness: Likeness::default(),
     };
     let here: Vec<[f32; 3]> = (0..n).map(|p| view.intensity(p)).collect();
-    for (j, warp) in &level.sources[index] {
+    let loss = RobustLoss::Huber(options.threshold);
+    for (k, (j, _)) in level.sources[index].iter().enumerate() {
         if options.left_out == Some(*j) {
             continue;
         }
-        let other = &level.views[*j];
-        let raster = &rasters[*j];
         let samples: Vec<Sample> = (0..n)
             .into_par_iter()
             .with_min_len(1024)
             .map(|p| {
-                let (x, y) = view.xy(p);
-                let Some(l) = warp.land(x, y, depth[p]) else {
-                    return Sample::default();
-                };
-                let visible = other
-                    .depth_at(raster, l.u, l.v)
-                    .is_some_and(|zeta| (zeta - l.zeta).abs() <= options.visible_tolerance);
-                let compared = visible && view.is_usable(p) && other.is_unclipped_at(l.u, l.v);
-                if !compared {
-                    return Sample {
-                        visible,
-                        ..Sample::default()
-                    };
-                }
-                let (value, gx, gy) = sampling::bicubic(&other.image, l.u, l.v);
-                Sample {
-                    visible,
-                    compared,
-                    value,
-                    slope: [0, 1, 2].map(|c| gx[c] * l.du as f32 + gy[c] * l.dv as f32),
-                }
+                let seen = level.sighting(rasters, index, k, (p, depth[p]));
+                let seen = seen.filter(|s| s.is_within(options.visible_tolerance));
+                seen.map_or_else(Sample::default, |s| Sample::new(&s, view.is_usable(p)))
             })
             .collect();
         let gains = gain_field(view, &here, &samples, options.gain_field_px);
@@ -174,12 +179,7 @@ pub(crate) fn terms(
                 out.likeness.products += signed * value;
             }
             last = Some((p, signed));
-            let norm = rr.sqrt();
-            let weight = if norm < options.threshold {
-                1.0
-            } else {
-                options.threshold / norm
-            };
+            let weight = loss.weight(rr.sqrt());
             out.hessian[p] += weight * jj;
             out.rhs[p] -= weight * jr;
             out.num_compared[p] += 1;
@@ -193,7 +193,7 @@ pub(crate) fn terms(
 }
 
 fn gain_field(
-    view: &rilievo_stereo::level::LevelView,
+    view: &LevelView,
     here: &[[f32; 3]],
     samples: &[Sample],
     sigma_px: f64,

@@ -1,4 +1,4 @@
-//! Memory that a run needs, told before it begins.
+//! Memory that a run needs, checked before it begins.
 //!
 //! Bytes per pixel were measured as the largest resident memory of runs on 4 photos of 4 and of 18 megapixels.
 
@@ -71,12 +71,12 @@ impl Sizes {
 
     /// Share of the pixels that the finest level has which is solved as a whole.
     pub fn whole_share(&self, options: &PhotoOptions) -> f64 {
-        self.share_within(options.max_fine_pixels.max(options.coarse_pixels))
+        self.share_within(options.max_fine_pixels.max(options.effort.coarse_pixels))
     }
 
     /// Share of the pixels that the finest level has at which the surface is found.
     pub fn coarse_share(&self, options: &PhotoOptions) -> f64 {
-        self.share_within(options.coarse_pixels)
+        self.share_within(options.effort.coarse_pixels)
     }
 
     /// Share of the finest level's pixels that the first level of at most so many pixels a view has.
@@ -89,12 +89,8 @@ impl Sizes {
         share
     }
 
-    /// The smallest memory with which the run can go on to its end, bytes.
-    fn needed(&self, options: &PhotoOptions) -> f64 {
-        self.taken(options, 1)
-    }
-
-    /// Memory that a run takes which solves so many views at once, bytes.
+    /// Memory that a run takes which solves so many views at once, bytes; with one it is the
+    /// smallest that will do.
     pub fn taken(&self, options: &PhotoOptions, at_once: usize) -> f64 {
         let share = self.whole_share(options);
         let solved = share * self.masked * at_once as f64 / self.num_views.max(1) as f64;
@@ -128,7 +124,7 @@ pub(crate) fn refuse_too_little(
     options: &PhotoOptions,
 ) -> Result<(), ShadingError> {
     const MIB: f64 = (1_u64 << 20) as f64;
-    let needed = Sizes::of(photos, posed)?.needed(options);
+    let needed = Sizes::of(photos, posed)?.taken(options, 1);
     match options.memory {
         Some(given) if (given as f64) < needed => Err(ShadingError::OutOfMemory {
             given_mib: given >> 20,
@@ -136,14 +132,6 @@ pub(crate) fn refuse_too_little(
         }),
         _ => Ok(()),
     }
-}
-
-/// Items of `bytes_each` that may be worked on at once, at least one: the memory given, less what is `in_use`; any number
-/// where none is given.
-pub(crate) fn at_once(options: &PhotoOptions, in_use: f64, bytes_each: f64) -> usize {
-    options.memory.map_or(usize::MAX, |given| {
-        ((given as f64 - in_use) / bytes_each).max(1.0) as usize
-    })
 }
 
 /// Masked pixels of a level's largest view.
@@ -162,60 +150,70 @@ pub(crate) fn search_bytes(level: &Level) -> f64 {
     SEARCH_BYTES * largest(level)
 }
 
-/// Photos that may be loaded at once.
-pub(crate) fn photos_at_once(posed: &PosedViews, options: &PhotoOptions) -> usize {
-    let frame = |view: &PosedView| view.intrinsics.width * view.intrinsics.height;
-    let largest = posed.views.iter().map(frame).max().unwrap_or(1);
-    at_once(options, 0.0, FRAME_BYTES * largest as f64).min(rayon::current_num_threads())
+/// The memory that a run was given, and the part of it that is in use throughout, bytes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Budget {
+    pub given: Option<u64>,
+    pub in_use: f64,
 }
 
-/// Tiles that may be worked on at once.
-pub(crate) fn tiles_at_once(options: &PhotoOptions, in_use: f64) -> usize {
-    let most = 2 * rayon::current_num_threads();
-    at_once(options, in_use, tile_bytes()).min(most)
-}
+impl Budget {
+    /// Items of `bytes_each` that may be worked on at once, at least one; any number where no
+    /// memory was given.
+    pub fn at_once(self, bytes_each: f64) -> usize {
+        self.given.map_or(usize::MAX, |given| {
+            ((given as f64 - self.in_use) / bytes_each).max(1.0) as usize
+        })
+    }
 
-/// Whether exact solvers of all views at a level may be kept between the rounds.
-pub(crate) fn keeps_solvers(level: &Level, options: &PhotoOptions, in_use: f64) -> bool {
-    let masked: usize = level.views.iter().map(|v| v.pixels.len()).sum();
-    let in_work = solve_bytes(level) * rayon::current_num_threads() as f64;
-    let in_use = in_use + in_work + SOLVER_BYTES * masked as f64;
-    options.memory.is_none_or(|given| given as f64 > in_use)
-}
+    /// Photos that may be loaded at once.
+    pub fn photos(self, posed: &PosedViews) -> usize {
+        let frame = |view: &PosedView| view.intrinsics.width * view.intrinsics.height;
+        let largest = posed.views.iter().map(frame).max().unwrap_or(1);
+        let at_once = self.at_once(FRAME_BYTES * largest as f64);
+        at_once.min(rayon::current_num_threads())
+    }
 
-/// Views of which everything at level `at` may be in memory at once.
-pub(crate) fn views_at_once(
-    views: &[StoredView],
-    at: usize,
-    options: &PhotoOptions,
-    in_use: f64,
-) -> usize {
-    let crop = |view: &StoredView| view.size(at).0 * view.size(at).1;
-    let largest = views.iter().map(crop).max().unwrap_or(1);
-    at_once(options, in_use, VIEW_BYTES * largest as f64).min(rayon::current_num_threads())
+    /// Tiles that may be worked on at once.
+    pub fn tiles(self) -> usize {
+        self.at_once(tile_bytes())
+            .min(2 * rayon::current_num_threads())
+    }
+
+    /// Views of which everything at level `at` may be in memory at once.
+    pub fn views(self, views: &[StoredView], at: usize) -> usize {
+        let crop = |view: &StoredView| view.size(at).0 * view.size(at).1;
+        let largest = views.iter().map(crop).max().unwrap_or(1);
+        let at_once = self.at_once(VIEW_BYTES * largest as f64);
+        at_once.min(rayon::current_num_threads())
+    }
+
+    /// Whether exact solvers of all views at a level may be kept between the rounds.
+    pub fn keeps_solvers(self, level: &Level) -> bool {
+        let masked: usize = level.views.iter().map(|v| v.pixels.len()).sum();
+        let in_work = solve_bytes(level) * rayon::current_num_threads() as f64;
+        let in_use = self.in_use + in_work + SOLVER_BYTES * masked as f64;
+        self.given.is_none_or(|given| given as f64 > in_use)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn given(bytes: f64) -> PhotoOptions {
-        PhotoOptions {
-            memory: Some(bytes as u64),
-            ..PhotoOptions::default()
-        }
-    }
-
     #[test]
     fn tiles_are_as_many_as_fit_and_at_least_one() {
         let most = 2 * rayon::current_num_threads();
         let in_use = 1e9;
-        let tiles = |options: &PhotoOptions| at_once(options, in_use, tile_bytes()).min(most);
-        assert_eq!(tiles(&PhotoOptions::default()), most);
-        assert_eq!(tiles(&given(1e12)), most);
-        assert_eq!(tiles(&given(in_use)), 1);
-        assert_eq!(tiles(&given(in_use + 1.5 * tile_bytes())), 1);
-        let two = tiles(&given(in_use + 2.5 * tile_bytes()));
+        let tiles = |given: Option<f64>| {
+            let given = given.map(|bytes| bytes as u64);
+            Budget { given, in_use }.tiles()
+        };
+        assert_eq!(tiles(None), most);
+        assert_eq!(tiles(Some(1e12)), most);
+        assert_eq!(tiles(Some(in_use)), 1);
+        assert_eq!(tiles(Some(in_use + 1.5 * tile_bytes())), 1);
+        let two = tiles(Some(in_use + 2.5 * tile_bytes()));
         assert_eq!(two, 2.min(most));
     }
 
@@ -228,7 +226,7 @@ mod tests {
                 masked: masked * num_views as f64,
                 largest_frame: 3.0 * masked,
             };
-            sizes.needed(&PhotoOptions::default())
+            sizes.taken(&PhotoOptions::default(), 1)
         };
         assert!(needed(8, 6e6) > 1.1 * needed(4, 6e6));
         assert!(needed(40, 6e6) > 1.8 * needed(8, 6e6));

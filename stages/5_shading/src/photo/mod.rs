@@ -6,20 +6,23 @@
 //!
 //! `min Σ_j ρ((I_j(x'(ζ)) − I_i(x))/σ_m) + Σ ρ((l·h(n(∇ζ)) − Ĩ(1+e))/σ_s)
 //!  + Σ_j w_ij ρ(r_ij/σ_c) + α Σ ρ(D²ζ)`:
-//! agreement with the source views, shading with nine coefficients a pixel, nearness to the other
-//! views' surfaces (`consensus` tells `w`), a weak robust thin plate; and outermost pixels that turn away (`rim`).
+//!
+//! agreement with the source views (`matching`), shading with nine coefficients a pixel (`shading`),
+//! nearness to the other views' surfaces (`consensus`), a weak robust thin plate (`plate`); and
+//! outermost pixels that turn away (`rim`).
 //!
 //! What needs no light stands in `rilievo_stereo`.
 //!
 //! Steps: dense search inside the visual hull (`search`, `patchmatch`); exposure gains and the
 //! photos' disagreement (`gains`), from which the weights follow; a start that the views agree on
-//! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`,
-//! `rim` and `shading` against the other views' `surfaces`, first without shading, then in outer iterations of light and
-//! shape (`light`, `distant`) at half the coarse resolution and at the coarse one, with the pigment
-//! divided out (`albedo`) and shading judged by photos that are left out (`validation`); finer levels,
-//! searched once more where photos disagree (`searched`, fused before it is solved) and fused at the
-//! end (`consensus`); relief at the photos' own pixels, tile by tile (`relief`); and what shape, light and pigment
-//! explain of the photos (`appearance`, `confidence`).
+//! (`start`); Gauss-Newton rounds (`step`) over the terms `matching`, `consensus`, `plate`, `rim`
+//! and `shading` against the other views' `surfaces`, first without shading, then in outer
+//! iterations of light and shape (`environment`, `distant`) at half the coarse resolution and at
+//! the coarse one, with the pigment divided out (`albedo`) and shading judged by photos that are
+//! left out (`validation`); finer levels, searched once more where photos disagree (fused before
+//! they are solved) and fused at the end (`consensus`); relief at the photos' own pixels, tile by
+//! tile (`relief`); and what shape, light and pigment explain of the photos (`appearance`,
+//! `confidence`).
 
 mod albedo;
 mod appearance;
@@ -28,13 +31,12 @@ mod confidence;
 #[cfg(test)]
 mod consensus_tests;
 mod contradiction;
-mod course;
 #[cfg(test)]
 mod derivative_tests;
 mod distant;
+mod environment;
 mod findings;
 mod hidden_light;
-mod iteration;
 mod known_light;
 mod light;
 #[cfg(test)]
@@ -47,6 +49,7 @@ mod progress;
 mod relief;
 #[cfg(test)]
 mod relief_tests;
+mod relief_tiles;
 mod relight;
 #[cfg(test)]
 mod rendered_tests;
@@ -54,30 +57,34 @@ mod report;
 mod rim;
 #[cfg(test)]
 mod rim_tests;
+mod rounds;
+mod schedule;
 mod search;
-mod searched;
 mod shading;
 mod shape;
 mod solve;
+mod solver;
 #[cfg(test)]
 mod solvers_tests;
 #[cfg(test)]
 mod sphere_tests;
 mod step;
+mod steps;
 mod surround;
 mod validation;
 mod views;
 
-pub use course::Probe;
 pub use memory::Sizes;
-pub use options::PhotoOptions;
+pub use options::{Effort, PhotoOptions};
 pub use output::ShapedViews;
-pub use report::{PhotoReport, PhotoViewReport, StepReport};
+pub use report::{LightFacts, PhotoReport, PhotoViewReport, StepReport};
+pub use solver::Probe;
+pub use steps::{ExpectedStep, PhotoStep, forecast};
 pub use validation::ValidationReport;
 
 use crate::error::ShadingError;
 use crate::surroundings::Surroundings;
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
+use rilievo_scene::{LightingCalibration, PhotoSet, PosedViews};
 
 /// Dense shape of all posed views, at least two.
 ///
@@ -95,7 +102,7 @@ pub fn run(
     options: &PhotoOptions,
     surroundings: Surroundings<'_>,
 ) -> Result<(ShapedViews, PhotoReport), ShadingError> {
-    solved(photos, posed, lighting, options, surroundings, None)
+    run_probed(photos, posed, lighting, options, surroundings, None)
 }
 
 /// [`run`], with the shape after every step handed to `probe`: for measuring which step does what.
@@ -103,18 +110,6 @@ pub fn run(
 /// # Errors
 /// See [`ShadingError`].
 pub fn run_probed(
-    photos: &PhotoSet,
-    posed: &PosedViews,
-    lighting: &LightingCalibration,
-    options: &PhotoOptions,
-    observer: &dyn Observer,
-    probe: &Probe,
-) -> Result<(ShapedViews, PhotoReport), ShadingError> {
-    let surroundings = Surroundings::in_memory(observer);
-    solved(photos, posed, lighting, options, surroundings, Some(probe))
-}
-
-fn solved(
     photos: &PhotoSet,
     posed: &PosedViews,
     lighting: &LightingCalibration,

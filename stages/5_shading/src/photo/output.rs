@@ -1,9 +1,9 @@
 //! Maps on the photos' own pixels.
 
-use super::appearance::{self, Appearance};
+use super::appearance;
 use super::confidence;
 use super::light::Light;
-use super::shape::FoundShape;
+use super::shape::Surface;
 use super::views::Scene;
 use crate::error::ShadingError;
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use rilievo_stereo::{plate, spread};
 #[derive(Debug)]
 pub struct ShapedViews {
     scene: Scene,
-    shape: FoundShape,
+    surface: Box<dyn Surface>,
     /// Log depths at the finest level that was solved as a whole, at which light and pigment are known.
     depths: Vec<Vec<f64>>,
     /// The same as rasters.
@@ -30,30 +30,43 @@ pub struct ShapedViews {
 impl ShapedViews {
     pub(crate) fn new(
         scene: Scene,
-        shape: FoundShape,
+        surface: Box<dyn Surface>,
         depths: Vec<Vec<f64>>,
         light: Option<Light>,
     ) -> Self {
         let rasters = depth_rasters(&scene.pyramid[0], &depths);
         Self {
             scene,
-            shape,
+            surface,
             depths,
             rasters,
             light,
         }
     }
 
-    /// What shape, light and pigment make of a view at the finest level that was solved as a whole.
-    fn appearance(&self, i: usize) -> Appearance {
+    /// Confidence, rendered image and albedo of a view's pixels at the finest level that was solved
+    /// as a whole.
+    fn rows(&self, i: usize) -> Rows {
         let scene = &self.scene;
         let (level, depth) = (&scene.pyramid[0], &self.depths[i]);
-        let mut appearance = self.light.as_ref().map_or_else(Default::default, |light| {
+        let appearance = self.light.as_ref().map_or_else(Default::default, |light| {
             let harmonics = scene.harmonics(light, i, scene.finest);
             appearance::render(level, i, depth, &self.rasters, light, &harmonics)
         });
-        appearance.confidence = confidence::estimate(level, i, depth, &self.rasters, &appearance);
-        appearance
+        let confidence = confidence::estimate(level, i, depth, &self.rasters, &appearance);
+        let has_image = !appearance.rendered.is_empty();
+        let row = |(p, &c): (usize, &f32)| {
+            let mut row = [c, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+            if has_image {
+                row[1..4].copy_from_slice(&appearance.rendered[p]);
+                row[4..7].copy_from_slice(&appearance.albedo[p]);
+            }
+            row
+        };
+        Rows {
+            values: confidence.iter().enumerate().map(row).collect(),
+            has_image,
+        }
     }
 
     /// Number of views.
@@ -66,8 +79,8 @@ impl ShapedViews {
     /// # Errors
     /// [`ShadingError::Scratch`] when they cannot be read back.
     pub fn view(&self, index: usize) -> Result<ShadedView, ShadingError> {
-        let appearance = self.appearance(index);
-        Ok(maps(&self.scene, &self.shape, index, Some(&appearance))?)
+        let rows = self.rows(index);
+        Ok(maps(&self.scene, &*self.surface, index, Some(rows))?)
     }
 
     /// All maps of all views.
@@ -83,19 +96,26 @@ impl ShapedViews {
     }
 }
 
-/// Maps of a view from its surface, and from an appearance at the finest level that is solved as a whole where there is
-/// one; coarser levels are interpolated, and the rim that has no parents continues its neighbours.
+/// Confidence, rendered image and albedo of a view's masked pixels at the finest level that is
+/// solved as a whole.
+pub(crate) struct Rows {
+    values: Vec<[f32; 7]>,
+    has_image: bool,
+}
+
+/// Maps of a view from its surface, and from `rows` where there are any; coarser levels are
+/// interpolated, and the rim that has no parents continues its neighbours.
 pub(crate) fn maps(
     scene: &Scene,
-    shape: &FoundShape,
+    surface: &dyn Surface,
     i: usize,
-    appearance: Option<&Appearance>,
+    rows: Option<Rows>,
 ) -> Result<ShadedView, ScratchError> {
     let (frame, stored) = (&scene.frames[i], &scene.stored[i]);
-    let mut grid = stored.grid(shape.at())?;
-    let (mut values, mut known) = shape.of_view(i, &grid)?;
+    let mut grid = stored.grid(surface.level())?;
+    let (mut values, mut known) = surface.of_view(i, &grid)?;
     let mut normals = plate::normals(&grid, &values);
-    for finer in (0..shape.at()).rev() {
+    for finer in (0..surface.level()).rev() {
         let child = stored.grid(finer)?;
         normals = spread_normals(&grid, &child, &normals);
         (values, known) = between_levels::continued(&grid, &child, (&values, &known));
@@ -114,7 +134,7 @@ pub(crate) fn maps(
         *normal.at_mut(x, y) = n.map(|v| v as f32);
     }
     drop((values, known, normals));
-    let images = appearance.map(|of_view| images(scene, i, of_view, &grid, &depth));
+    let images = rows.map(|rows| images(scene, i, rows, &grid, &depth));
     drop(grid);
     if !frame.rectification.is_identity() {
         (depth, normal) = frame
@@ -139,25 +159,13 @@ pub(crate) fn maps(
 fn images(
     scene: &Scene,
     index: usize,
-    appearance: &Appearance,
+    Rows {
+        mut values,
+        has_image,
+    }: Rows,
     finest: &ViewGrid,
     depth: &DepthMap,
 ) -> Result<(ConfidenceMap, [Option<LinearImage>; 2]), ScratchError> {
-    let has_image = !appearance.rendered.is_empty();
-    let mut values: Vec<[f32; 7]> = appearance
-        .confidence
-        .iter()
-        .enumerate()
-        .map(|(p, &c)| {
-            let mut row = [0.0; 7];
-            row[0] = c;
-            if has_image {
-                row[1..4].copy_from_slice(&appearance.rendered[p]);
-                row[4..7].copy_from_slice(&appearance.albedo[p]);
-            }
-            row
-        })
-        .collect();
     let mut parent = scene.stored[index].grid(scene.finest)?;
     for finer in (0..scene.finest).rev() {
         let child = scene.stored[index].grid(finer)?;

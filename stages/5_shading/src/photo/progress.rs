@@ -1,15 +1,15 @@
-//! How far a run is: all that the next outer iteration or round of relief reads, kept after each of them, so that a
-//! stopped run goes on there and ends with the bytes of an undisturbed one.
+//! The state between two phases, kept after each of them, so that a stopped run resumes there and
+//! ends with the bytes of an undisturbed one.
 //!
 //! The views' images are not kept: they are loaded again and divided by the gains that the kept report holds. A surface
 //! out of core is a part of the state for each view.
 
 use super::chroma::ChromaNoise;
-use super::course::Course;
-use super::iteration::IterationWeights;
 use super::light::Light;
 use super::report::{PhotoReport, StepReport};
+use super::schedule::IterationWeights;
 use super::shape::{FineShape, Shape};
+use super::solver::Solver;
 use crate::error::ShadingError;
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::StatePart;
@@ -21,18 +21,18 @@ use std::io::{self, BufWriter, Read, Write};
 /// Part of the kept state that holds the light; it changes seldom.
 const LIGHT: &str = "light";
 /// Part that holds everything else.
-const COURSE: &str = "course";
+const STATE: &str = "state";
 
-/// The surface so far, and what comes next.
+/// The surface so far, and the next phase.
 #[derive(Debug, Serialize, Deserialize)]
 pub(crate) struct Progress {
     pub shape: Shape,
-    pub next: Next,
+    pub phase: Phase,
 }
 
-/// What comes next.
+/// A phase of a run.
 #[derive(Debug, Serialize, Deserialize)]
-pub(crate) enum Next {
+pub(crate) enum Phase {
     /// An outer iteration of light and shape.
     Outer(OuterIterations),
     /// The next finer level that is solved as a whole, under the kept light, with the weights of the last outer
@@ -42,12 +42,12 @@ pub(crate) enum Next {
     Relief(ReliefRounds),
 }
 
-/// What a step leaves beside the surface.
-pub(crate) struct After {
+/// What a phase leaves beside the surface.
+pub(crate) struct Outcome {
     /// Light to go on with, where it is a new one.
     pub light: Option<Light>,
-    /// What comes next; nothing when the surface is found.
-    pub next: Option<Next>,
+    /// The next phase; none when the surface is found.
+    pub next: Option<Phase>,
 }
 
 /// Where the outer iterations are.
@@ -83,22 +83,9 @@ pub(crate) struct ReliefRounds {
     pub record: StepReport,
 }
 
-/// Everything but the light; borrowed when it is written.
-#[derive(Serialize)]
-struct Written<'a> {
-    has_light: bool,
-    warnings: &'a [String],
-    report: &'a PhotoReport,
-    progress: &'a Progress,
-}
-
-#[derive(Deserialize)]
-struct Found {
-    has_light: bool,
-    warnings: Vec<String>,
-    report: PhotoReport,
-    progress: Progress,
-}
+/// Everything but the light: whether there is one, warnings, report and progress. It is written
+/// from references in the same order.
+type State = (bool, Vec<String>, PhotoReport, Progress);
 
 /// Writes the surface of a view.
 type WriteView<'a> = Box<dyn Fn(&mut dyn Write) -> io::Result<()> + Sync + 'a>;
@@ -108,7 +95,7 @@ fn part_of_view(index: usize) -> String {
     format!("view{index}")
 }
 
-impl Course<'_> {
+impl Solver<'_> {
     /// Keeps the state; the light is written only when it is a new one.
     pub(crate) fn keep(
         &self,
@@ -116,17 +103,12 @@ impl Course<'_> {
         light: Option<&Light>,
         is_new: bool,
     ) -> Result<(), ShadingError> {
-        let course = Written {
-            has_light: light.is_some(),
-            warnings: &self.warnings,
-            report: &self.report,
-            progress,
-        };
-        let write_course = |to: &mut dyn Write| write(&course, to);
+        let state = (light.is_some(), &self.warnings, &self.report, progress);
+        let write_state = |to: &mut dyn Write| write(&state, to);
         let write_light = |to: &mut dyn Write| write(&light, to);
         let mut parts = vec![StatePart {
-            name: COURSE,
-            write: &write_course,
+            name: STATE,
+            write: &write_state,
         }];
         let fine: Vec<(String, WriteView<'_>)> = match &self.fine {
             Some(fine) => (0..self.scene.frames.len())
@@ -145,38 +127,39 @@ impl Course<'_> {
                 write: &write_light,
             });
         }
-        Ok(self.checkpoint.keep(&parts)?)
+        Ok(self.around.checkpoint.keep(&parts)?)
     }
 
-    /// The kept state with its light, where there is one and it belongs to the loaded views; the course is then where
-    /// it was, and what it has warned of is told again.
+    /// The kept state with its light, where there is one and it belongs to the loaded views; its
+    /// warnings are repeated.
     pub(crate) fn resume(&mut self) -> Result<Option<(Progress, Option<Light>)>, ShadingError> {
-        let Some((found, light)) = self.kept() else {
+        let Some(((_, warnings, report, progress), light)) = self.kept() else {
             return Ok(None);
         };
-        let gains: Vec<_> = found.report.views.iter().map(|view| view.gain).collect();
+        let gains: Vec<_> = report.views.iter().map(|view| view.gain).collect();
         self.scene.divide_by_gains(&gains);
-        self.report = found.report;
-        for message in found.warnings {
+        self.report = report;
+        for message in warnings {
             self.warn(message)?;
         }
-        Ok(Some((found.progress, light)))
+        Ok(Some((progress, light)))
     }
 
-    fn kept(&mut self) -> Option<(Found, Option<Light>)> {
-        let found: Found = read(self.checkpoint.read(COURSE)?)?;
-        if !self.fits(&found) {
+    fn kept(&mut self) -> Option<(State, Option<Light>)> {
+        let state: State = read(self.around.checkpoint.read(STATE)?)?;
+        let (has_light, _, report, progress) = &state;
+        if !self.fits(report, &progress.shape) {
             return None;
         }
-        let light: Option<Light> = if found.has_light {
-            self.checkpoint.read(LIGHT).and_then(read)?
+        let light: Option<Light> = if *has_light {
+            self.around.checkpoint.read(LIGHT).and_then(read)?
         } else {
             None
         };
-        if let Next::Relief(rounds) = &found.progress.next {
+        if let Phase::Relief(rounds) = &progress.phase {
             self.fine = Some(self.restored(rounds.record.level)?);
         }
-        Some((found, light))
+        Some((state, light))
     }
 
     /// The kept surface at a level out of core.
@@ -184,27 +167,22 @@ impl Course<'_> {
         if at >= self.scene.finest {
             return None;
         }
-        let surface = StoredSurface::new(&self.scene.stored, at, self.scratch).ok()?;
+        let surface = StoredSurface::new(&self.scene.stored, at, self.around.scratch).ok()?;
         for i in 0..self.scene.frames.len() {
-            let mut from = self.checkpoint.read(&part_of_view(i))?;
+            let mut from = self.around.checkpoint.read(&part_of_view(i))?;
             surface.restore(i, &mut from).ok()?;
         }
         Some(FineShape { at, surface })
     }
 
-    fn fits(&self, found: &Found) -> bool {
-        let shape = &found.progress.shape;
+    /// Whether a kept state is of the loaded views.
+    fn fits(&self, report: &PhotoReport, shape: &Shape) -> bool {
         if !(self.scene.finest..self.scene.num_levels()).contains(&shape.at) {
             return false;
         }
-        let level = self.scene.level(shape.at);
-        found.report.views.len() == level.views.len()
-            && shape.depths.len() == level.views.len()
-            && level
-                .views
-                .iter()
-                .zip(&shape.depths)
-                .all(|(view, depth)| view.pixels.len() == depth.len())
+        let views = &self.scene.level(shape.at).views;
+        let num_pixels = views.iter().map(|view| view.pixels.len());
+        report.views.len() == views.len() && num_pixels.eq(shape.depths.iter().map(Vec::len))
     }
 }
 

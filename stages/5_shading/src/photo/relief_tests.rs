@@ -2,17 +2,18 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use super::iteration::{iteration_weights, step_weights};
-use super::light::{self, LightScene};
-use super::options::PhotoOptions;
-use super::relief::{CoarseLight, ViewAtLevel, sample_cores};
+use super::environment::{self, LightScene};
+use super::light;
+use super::options::{Effort, PhotoOptions};
+use super::relief_tiles::{CoarseLight, ViewAtLevel, sample_cores};
 use super::rendered_tests::{
     World, depths, known_light, loaded, of_spheres, options, photographed,
 };
 use super::report::PhotoReport;
+use super::schedule::IterationWeights;
 use super::shading::{PixelLight, ShadingTerm};
 use super::shape::FineShape;
-use super::solve::finer_weights;
+use super::steps::PhotoStep;
 use super::{run, step};
 use crate::error::ShadingError;
 use crate::surroundings::Surroundings;
@@ -23,8 +24,10 @@ use rilievo_scene::{
     LightingCalibration, LinearImage, MemoryScratch, NormalMap, Recorder, Silent,
     SphericalHarmonics, StatePart, ViewIdx, ViewLighting,
 };
+use rilievo_stereo::level::ViewGrid;
 use rilievo_stereo::stored::StoredSurface;
 use rilievo_stereo::surfaces::{Reading, Surfaces};
+use rilievo_stereo::window::Window;
 use rilievo_stereo::{between_levels, spread, tile};
 use rilievo_synthetic::{LightModel, Subject};
 use std::collections::BTreeMap;
@@ -43,6 +46,16 @@ fn rms(values: impl Iterator<Item = f64>) -> f64 {
 
 /// Columns and rows of the photos.
 const SIZE: (usize, usize) = (400, 300);
+
+/// Distance of a pixel to the nearest border between two cores, pixels.
+fn from_seam(view: &ViewGrid, cores: &[Window], p: usize) -> usize {
+    let (x, y) = view.place(p);
+    let near = |v: usize, from: usize| v.abs_diff(from).min((v + 1).abs_diff(from));
+    let distances = cores
+        .iter()
+        .flat_map(|core| [near(x, core.x0), near(y, core.y0)]);
+    distances.min().unwrap_or(usize::MAX)
+}
 
 /// A round over tiles moves the surface as a step over the whole level does, and no seam shows.
 #[test]
@@ -63,7 +76,7 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
         num_rays: 64,
         team: &Alone,
     };
-    let light = light::visible(coarse, &reduced, coarse, &light_scene)
+    let light = environment::visible(coarse, &reduced, coarse, &light_scene)
         .unwrap()
         .unwrap();
     let start: Vec<Vec<f64>> = (0..fine.views.len())
@@ -73,8 +86,8 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
             between_levels::continued(coarse, fine, (&reduced[i], &known)).0
         })
         .collect();
-    let weights = finer_weights(&iteration_weights(2, light.residual()), false, true, 1.0);
-    let options = step_weights(fine.focal(), 0.02, &weights);
+    let weights = IterationWeights::with_shading(2, light.residual()).finer(false, true, 1.0);
+    let options = weights.of_step(fine.focal(), 0.02);
     let i = 1;
     let view = &fine.views[i];
 
@@ -83,8 +96,8 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
     let pigment = light.pigment_of(i);
     let pigment = pigment.map(|values| spread::spread(&coarse.views[i], view, values));
     let of_pixels = PixelLight {
-        harmonics: &harmonics,
-        pigment: pigment.as_deref(),
+        harmonics: harmonics.into(),
+        pigment: pigment.map(Into::into),
         trust: None,
         mean_tolerance: light.mean_tolerance * coarse.focal() / fine.focal(),
         openness_exponent: light.openness_exponent.unwrap_or(0.0),
@@ -116,11 +129,8 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
     };
     let noise = of_view.chroma_noise(&sample_cores(view)).unwrap().unwrap();
     for (sampled, all) in noise.sigma.iter().zip(term.chroma_noise.sigma) {
-        assert!(
-            (sampled / all - 1.0).abs() < 0.15,
-            "{noise:?} {:?}",
-            term.chroma_noise
-        );
+        let expected = term.chroma_noise;
+        assert!((sampled / all - 1.0).abs() < 0.15, "{noise:?} {expected:?}");
     }
     of_view.shading.chroma_noise = Some(term.chroma_noise);
     let cores = tile::cores(view, CORE_PX);
@@ -133,21 +143,11 @@ fn tiles_move_the_surface_as_the_whole_level_does() {
             tiled[number as usize] += f64::from(step.shares[p]) * step.increment[p];
         }
     }
-    // Distance to the nearest border between two cores, pixels.
-    let from_seam = |p: usize| {
-        let (x, y) = (view.pixels.xs[p] as usize, view.pixels.ys[p] as usize);
-        let near = |v: usize, from: usize| v.abs_diff(from).min((v + 1).abs_diff(from));
-        cores
-            .iter()
-            .flat_map(|core| [near(x, core.x0), near(y, core.y0)])
-            .min()
-            .unwrap_or(usize::MAX)
-    };
     let inner = |p: &usize| !rilievo_stereo::surfaces::is_rim(view, *p);
     let miss = |p: usize| tiled[p] - whole[p];
     let (beside, away): (Vec<usize>, Vec<usize>) = (0..whole.len())
         .filter(inner)
-        .partition(|&p| from_seam(p) < 4);
+        .partition(|&p| from_seam(view, &cores, p) < 4);
     let size = rms(whole.iter().copied());
     let [at_seams, elsewhere] = [&beside, &away].map(|list| rms(list.iter().map(|&p| miss(p))));
     println!("increments {size:.2e}, missed by {at_seams:.2e} at seams, {elsewhere:.2e} elsewhere");
@@ -164,10 +164,13 @@ fn errors(world: &World) -> [[f64; 2]; 2] {
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     [0, PhotoOptions::default().num_relief_rounds].map(|num_relief_rounds| {
         let options = PhotoOptions {
-            coarse_pixels: 8000,
             max_fine_pixels: 8000,
-            num_rays: 64,
             num_relief_rounds,
+            effort: Effort {
+                coarse_pixels: 8000,
+                num_rays: 64,
+                ..Effort::default()
+            },
             ..PhotoOptions::default()
         };
         let (shaded, report) = run(
@@ -178,7 +181,10 @@ fn errors(world: &World) -> [[f64; 2]; 2] {
             Surroundings::in_memory(&Silent),
         )
         .unwrap();
-        let is_shaped = report.steps.iter().any(|step| step.kind == "relief");
+        let is_shaped = report
+            .steps
+            .iter()
+            .any(|step| step.step == PhotoStep::Relief);
         assert_eq!(is_shaped, num_relief_rounds > 0);
         let (mut angles, mut rough) = (Vec::new(), Vec::new());
         for (view, truth) in shaded.views().unwrap().views.iter().zip(&world.views) {
@@ -258,10 +264,13 @@ fn neither_threads_nor_memory_change_the_relief() {
     let world = photographed(scene, &photographs, None);
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     let mut options = PhotoOptions {
-        coarse_pixels: 3000,
         max_fine_pixels: 3000,
         num_outer_iterations: 1,
-        num_rays: 32,
+        effort: Effort {
+            coarse_pixels: 3000,
+            num_rays: 32,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     };
     let solve = |options: &PhotoOptions| {
@@ -281,7 +290,11 @@ fn neither_threads_nor_memory_change_the_relief() {
         };
         pool.build().unwrap().install(|| solve(&options).unwrap())
     });
-    let levels = one.1.steps.iter().filter(|step| step.kind == "relief");
+    let levels = one
+        .1
+        .steps
+        .iter()
+        .filter(|step| step.step == PhotoStep::Relief);
     assert!(levels.count() > 0, "no relief");
     assert!(
         one.0.views().unwrap() == two.0.views().unwrap(),
@@ -326,14 +339,17 @@ fn a_stopped_run_goes_on_to_the_same_bytes() {
     let world = photographed(scene, &photographs, None);
     let lighting = of_spheres(&world.photos, &world.posed, LightKind::World);
     let options = PhotoOptions {
-        coarse_pixels: 1000,
         max_fine_pixels: 3000,
-        // Half the resolution first.
-        noisy_search_px: 0.0,
-        num_half_iterations: 1,
         num_outer_iterations: 2,
-        max_more_iterations: 0,
-        num_rays: 32,
+        effort: Effort {
+            coarse_pixels: 1000,
+            // Half the resolution first.
+            noisy_search_px: 0.0,
+            num_half_iterations: 1,
+            max_more_iterations: 0,
+            num_rays: 32,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     };
     let solve = |memory: &Memory, num_writes: usize| {
@@ -346,16 +362,20 @@ fn a_stopped_run_goes_on_to_the_same_bytes() {
         let solved = run(photos, posed, &lighting, &options, around);
         solved.map(|(shaped, report)| (shaped.views().unwrap(), report))
     };
-    let kinds = |report: &PhotoReport| -> Vec<(usize, String)> {
+    let kinds = |report: &PhotoReport| -> Vec<(usize, PhotoStep)> {
         let steps = report.steps.iter();
-        steps.map(|s| (s.level, s.kind.clone())).collect()
+        steps.map(|s| (s.level, s.step)).collect()
     };
     let memory = Memory::default();
     let (whole, report) = solve(&memory, 1000).unwrap();
     let num_states = 1000 - memory.num_left.load(Relaxed);
     assert!(num_states >= 6, "{num_states} states");
-    for of in ["light and shape", "finer", "relief"] {
-        assert!(kinds(&report).iter().any(|(_, kind)| kind == of), "{of}");
+    for of in [
+        PhotoStep::LightAndShape,
+        PhotoStep::Finer,
+        PhotoStep::Relief,
+    ] {
+        assert!(kinds(&report).iter().any(|(_, step)| *step == of), "{of:?}");
     }
     for num_writes in 1..num_states {
         let memory = Memory::default();
@@ -400,12 +420,15 @@ fn what_a_stopped_run_warned_of_is_told_again() {
         ..of_spheres(&world.photos, &world.posed, LightKind::World)
     };
     let options = PhotoOptions {
-        coarse_pixels: 3000,
         num_outer_iterations: 1,
-        max_more_iterations: 0,
         num_relief_rounds: 0,
-        num_rays: 32,
         trust_lighting: true,
+        effort: Effort {
+            coarse_pixels: 3000,
+            max_more_iterations: 0,
+            num_rays: 32,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     };
     let memory = Memory::default();

@@ -1,12 +1,14 @@
 //! The light on the current shape, and the ground that it shines on.
 
-use super::course::Course;
 use super::distant;
-use super::iteration::IterationWeights;
+use super::environment::{self, LightScene};
 use super::known_light::KnownLight;
-use super::light::{self, Light, LightScene};
+use super::light::Light;
 use super::memory;
-use super::report::StepReport;
+use super::report::LightFacts;
+use super::schedule::IterationWeights;
+use super::solver::Solver;
+use super::steps::PhotoStep;
 use super::surround;
 use super::views::SolvedFrame;
 use super::{albedo, hidden_light, validation};
@@ -19,14 +21,9 @@ use rilievo_stereo::spread;
 use std::borrow::Cow;
 use std::time::Instant;
 
-impl Course<'_> {
+impl Solver<'_> {
     /// The ground under the object, where sparse points show one.
-    pub(crate) fn ground(
-        &self,
-        at: usize,
-        depths: &[Vec<f64>],
-        posed: &PosedViews,
-    ) -> Option<Ground> {
+    pub fn ground(&self, at: usize, depths: &[Vec<f64>], posed: &PosedViews) -> Option<Ground> {
         let level = self.scene.level(at);
         let points: Vec<Point3<f64>> = posed
             .points
@@ -44,7 +41,7 @@ impl Course<'_> {
     }
 
     /// The light on the current shape: with visibility, or else distant.
-    pub(crate) fn light(
+    pub fn light(
         &mut self,
         at: usize,
         depths: &[Vec<f64>],
@@ -53,7 +50,7 @@ impl Course<'_> {
         ground: Option<&Ground>,
     ) -> Result<Option<Light>, ShadingError> {
         let began = Instant::now();
-        self.tell("fitting light", 0, 1)?;
+        self.progress(PhotoStep::Light, 0, 1)?;
         let level = self.scene.level(at);
         let rays_at = self.scene.coarser(at);
         let kind = lighting.kind;
@@ -62,65 +59,56 @@ impl Course<'_> {
         let scene = LightScene {
             known: &known,
             ground,
-            num_rays: self.options.num_rays,
-            team: self.observer.team(),
+            num_rays: self.options.effort.num_rays,
+            team: self.observer().team(),
         };
         let seen = if self.options.visibility {
-            light::visible(level, depths, rays_at, &scene)?
+            environment::visible(level, depths, rays_at, &scene)?
         } else {
             None
         };
         let sees_shadows = seen.is_some();
         self.report.light_sees_shadows = sees_shadows;
         let light = seen.or_else(|| distant::fit(level, depths, kind));
-        self.report.shading = match (sees_shadows, light.is_some()) {
-            (true, _) => "light with visibility".to_owned(),
-            (false, true) => "distant light".to_owned(),
-            (false, false) => "no light could be fitted".to_owned(),
+        let is_lit = light.is_some();
+        let shading = match (sees_shadows, is_lit) {
+            (true, _) => "light with visibility",
+            (false, true) => "distant light",
+            (false, false) => "no light could be fitted",
         };
-        let mut notes = Vec::new();
-        if kind == LightKind::Camera {
-            notes.push(
+        self.report.shading = shading.to_owned();
+        let is_known = !known.groups.is_empty();
+        let notes = [
+            (
+                kind == LightKind::Camera,
                 "the light moves with the camera: the photos show a point under different light, agree \
                  less, and tell nothing of their exposures, which are taken for equal",
-            );
-        }
-        if known.groups.is_empty() && light.is_some() {
-            notes.push(
+            ),
+            (
+                is_lit && !is_known,
                 "no sphere or given light could be used: the light is read from the object's own surface, so that a light over \
                  the whole object and its albedo cannot be told apart",
-            );
-        }
-        if !sees_shadows && !known.groups.is_empty() && light.is_some() {
-            notes.push(
+            ),
+            (
+                is_lit && is_known && !sees_shadows,
                 "the distant light is fitted on the object alone: spheres and a given light are not used \
                  by it",
-            );
-        }
-        for note in notes {
+            ),
+        ];
+        for (_, note) in notes.into_iter().filter(|(applies, _)| *applies) {
             self.note(note);
         }
-        self.report.steps.push(StepReport {
-            level: at,
-            kind: format!(
-                "light, residual {:.4}{}{}",
-                light.as_ref().map_or(f64::NAN, Light::residual),
-                light
-                    .as_ref()
-                    .and_then(|light| light.openness_exponent)
-                    .map_or_else(String::new, |exponent| format!(
-                        ", openness to the power {exponent:.2}"
-                    )),
-                if ground.is_some() { ", ground" } else { "" }
-            ),
-            seconds: began.elapsed().as_secs_f64(),
-            ..StepReport::default()
+        let step = self.report.add_step(PhotoStep::Light, at, began);
+        step.light = light.as_ref().map(|light| LightFacts {
+            residual: light.residual(),
+            openness_exponent: light.openness_exponent,
+            has_ground: ground.is_some(),
         });
         Ok(light)
     }
 
     /// Lets photos that are left out judge shading, and sets the light's trust.
-    pub(crate) fn validate(
+    pub fn validate(
         &mut self,
         at: usize,
         solvers: &SolverSet,
@@ -132,18 +120,17 @@ impl Course<'_> {
             return Ok(());
         };
         let began = Instant::now();
-        self.tell("leaving photos out", 0, 1)?;
+        self.progress(PhotoStep::Validation, 0, 1)?;
         let options = self.step_options(at, weights);
         let level = self.scene.level(at);
-        let bytes = memory::solve_bytes(level);
-        let at_once = memory::at_once(self.options, self.scene.bytes(), bytes);
+        let at_once = self.budget().at_once(memory::solve_bytes(level));
         let judged = validation::validate(
             level,
             solvers,
             depths,
             light,
             (&shading, &options),
-            (self.observer.team(), at_once),
+            (self.observer().team(), at_once),
             |i, error| self.failed(i, error),
         )?;
         let Some(judged) = judged else {
@@ -159,17 +146,12 @@ impl Course<'_> {
         }
         light.trust = judged.trust;
         self.report.validation = Some(judged.report);
-        self.report.steps.push(StepReport {
-            level: at,
-            kind: "cross-validation".to_owned(),
-            seconds: began.elapsed().as_secs_f64(),
-            ..StepReport::default()
-        });
+        self.report.add_step(PhotoStep::Validation, at, began);
         Ok(())
     }
 
     /// The light at the next finer level.
-    pub(crate) fn finer_light(&self, at: usize, depths: &[Vec<f64>], mut light: Light) -> Light {
+    pub fn finer_light(&self, at: usize, depths: &[Vec<f64>], mut light: Light) -> Light {
         let (fine, coarse) = (self.scene.level(at), self.scene.level(at + 1));
         light.mean_tolerance *= coarse.focal() / fine.focal();
         for (i, trust) in light.trust.iter_mut().enumerate() {
@@ -194,7 +176,7 @@ impl Course<'_> {
     }
 
     /// The facts on the light that was used.
-    pub(crate) fn report_light(&mut self, light: &Light) {
+    pub fn report_light(&mut self, light: &Light) {
         for (view, residual) in self.report.views.iter_mut().zip(&light.residuals) {
             view.light_residual = Some(*residual);
         }

@@ -2,9 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use super::environment::{self, LightScene};
 use super::known_light::KnownLight;
-use super::light::{self, Light, LightScene};
-use super::options::PhotoOptions;
+use super::light::Light;
+use super::options::{Effort, PhotoOptions};
 use super::report::PhotoReport;
 use super::validation::validate;
 use super::views::{self, Scene};
@@ -235,7 +236,7 @@ fn by_rays(scene: &Scene, world: &World, depths: &[Vec<f64>]) -> Light {
         num_rays: 128,
         team: &Alone,
     };
-    light::visible(level, depths, rays_at, &light_scene)
+    environment::visible(level, depths, rays_at, &light_scene)
         .unwrap()
         .unwrap()
 }
@@ -301,8 +302,8 @@ fn photos_left_out_end_shading_under_a_wrong_light() {
         }
     }
     let solvers = SolverSet::direct(level.views.len(), true);
-    let weights = super::iteration::iteration_weights(2, 0.03);
-    let options = super::iteration::step_weights(level.focal(), 0.01, &weights);
+    let weights = super::schedule::IterationWeights::with_shading(2, 0.03);
+    let options = weights.of_step(level.focal(), 0.01);
     let trust = |light: &Light| {
         let judged = validate(
             level,
@@ -530,12 +531,18 @@ fn a_finer_search_holds_photos_that_disagree() {
         (240, 180),
     );
     let with = PhotoOptions {
-        coarse_pixels: 4000,
         num_outer_iterations: 0,
+        effort: Effort {
+            coarse_pixels: 4000,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     };
     let without = PhotoOptions {
-        finer_search: false,
+        effort: Effort {
+            finer_search: false,
+            ..with.effort.clone()
+        },
         ..with.clone()
     };
     let (_, report) = solved_by(&scene, &with);

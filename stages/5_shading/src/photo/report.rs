@@ -1,8 +1,10 @@
 //! Facts on a run of the photo model.
 
+use super::steps::PhotoStep;
 use super::validation::ValidationReport;
 use rilievo_scene::ViewLighting;
 use serde::{Deserialize, Serialize};
+use std::time::Instant;
 
 /// Facts on one view.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -18,7 +20,7 @@ pub struct PhotoViewReport {
     /// Standard deviation of the log ratio to other views at the same point, after the gains.
     pub disagreement: f64,
     /// Strength of the photo's finest detail at the last level that was solved as a whole, against that of the sharpest
-    /// photo: what its surface says of the others' counts by the square.
+    /// photo: its surface counts by the square against the others'.
     #[serde(default = "sharp")]
     pub sharpness: f64,
     /// Share of the pixels whose dense depth another view confirms.
@@ -41,13 +43,13 @@ fn sharp() -> f64 {
     1.0
 }
 
-/// One step of the course: a search, a fit of the light, or an outer iteration.
+/// One step of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct StepReport {
     /// Pyramid level, 0 is full resolution.
     pub level: usize,
-    /// What took part.
-    pub kind: String,
+    /// Which.
+    pub step: PhotoStep,
     /// Mean change of depth in the last round, pixel footprints.
     pub moved_px: f64,
     /// Mean turn of the normals in the last round, degrees.
@@ -66,8 +68,22 @@ pub struct StepReport {
     /// pixel of the level.
     #[serde(default)]
     pub match_correlation: Option<f64>,
+    /// Of a fit of the light: what it found, if anything.
+    #[serde(default)]
+    pub light: Option<LightFacts>,
     /// Seconds.
     pub seconds: f64,
+}
+
+/// A fitted light.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LightFacts {
+    /// Median relative residual over the views.
+    pub residual: f64,
+    /// Exponent of openness, where it was measured.
+    pub openness_exponent: Option<f32>,
+    /// Whether a ground lay under the object.
+    pub has_ground: bool,
 }
 
 /// Facts on a run.
@@ -89,18 +105,33 @@ pub struct PhotoReport {
     pub shading: String,
     /// Whether its light allows for shadow and bounce light.
     pub light_sees_shadows: bool,
-    /// What photos that were left out said of shading.
+    /// The verdict of photos that were left out on shading.
     pub validation: Option<ValidationReport>,
     /// Share of the small-scale brightness, beyond what the light explains, that colour predicts:
     /// pigment.
     pub pigment: Option<f64>,
     /// The light that was used, of every view.
     pub light: Vec<ViewLighting>,
-    /// What the data could not tell.
+    /// What the data could not determine.
     pub notes: Vec<String>,
 }
 
 impl PhotoReport {
+    /// Adds a step that ends now.
+    pub(crate) fn add_step(
+        &mut self,
+        step: PhotoStep,
+        level: usize,
+        began: Instant,
+    ) -> &mut StepReport {
+        self.steps.push_mut(StepReport {
+            level,
+            step,
+            seconds: began.elapsed().as_secs_f64(),
+            ..StepReport::default()
+        })
+    }
+
     /// Sharpness of every view.
     pub(crate) fn sharpness(&self) -> Vec<f64> {
         self.views.iter().map(|view| view.sharpness).collect()

@@ -1,14 +1,15 @@
 //! The outline as data: where the object ends in the photo, its surface turns away from the camera.
 //!
-//! At an occluding contour of a smooth surface the normal stands at right angles to the line of sight, and in the photo
-//! it points across the outline (Barrow, Tenenbaum, "Interpreting line drawings as three-dimensional surfaces", 1981;
-//! Ikeuchi, Horn, "Numerical shape from shading and occluding boundaries", 1981). With the slope `s` across the outline,
-//! away from the object, its outermost pixels have the residual `(τ₀ − atan s) / σ` as long as their surface has turned
-//! away by less than `τ₀`. A mask also ends at sharp edges, where the object stands on something, and where another thing
-//! hides it: the residual's weight is divided by `(1 + m)²`, `m` the other views that see the pixel,
-//! and is small against what these tell. It leads where nothing else tells the shape: in highlights that are clipped,
-//! and in what one photo alone sees. There, without it, the surface goes on as flat as it was where the photos last knew
-//! it.
+//! At an occluding contour of a smooth surface the normal stands at right angles to the line of
+//! sight, and in the photo it points across the outline (Barrow, Tenenbaum, "Interpreting line
+//! drawings as three-dimensional surfaces", 1981; Ikeuchi, Horn, "Numerical shape from shading and
+//! occluding boundaries", 1981). With the slope `s` across the outline, away from the object, its
+//! outermost pixels have the residual `(τ₀ − atan s) / σ` as long as their surface has turned away
+//! by less than `τ₀`. A mask also ends at sharp edges, where the object stands on something, and
+//! where another thing hides it: the residual's weight is divided by `(1 + m)²`, `m` the other
+//! views that see the pixel, and is small against theirs. It leads where no other term holds the
+//! shape: in highlights that are clipped, and in what one photo alone sees. Without it the surface
+//! would go on flat there.
 
 use rilievo_numerics::plate_system::PlateSystem;
 use rilievo_stereo::level::ViewGrid;
@@ -19,7 +20,7 @@ use rilievo_stereo::plate;
 const TILT_DEG: f64 = 75.0;
 /// Standard deviation of that tilt where no other view sees the pixel, radians.
 const SIGMA: f64 = 0.15;
-/// Radius of the disc whose part outside the mask tells which way is out, pixels.
+/// Radius of the disc whose part outside the mask points outward, pixels.
 const DISC_PX: i32 = 3;
 
 /// Adds the term for the increment of `depth`; `num_visible` counts the other views that see each pixel.

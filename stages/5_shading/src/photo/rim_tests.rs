@@ -41,6 +41,17 @@ struct Scene {
     normals: Vec<[f64; 3]>,
 }
 
+/// Light without pigment, trust and other views' intensities.
+fn alone(harmonics: &[PixelHarmonics]) -> PixelLight<'_> {
+    PixelLight {
+        harmonics: harmonics.into(),
+        pigment: None,
+        trust: None,
+        mean_tolerance: 0.0,
+        openness_exponent: 0.0,
+    }
+}
+
 impl Scene {
     /// The photo of a surface of `height` footprints behind [`NEAREST`], inside `is_object`, clipped from `clip_level` on;
     /// outermost pixels show half the background.
@@ -139,26 +150,15 @@ impl Scene {
         for _ in 0..num_rounds {
             let depths = vec![depth.clone()];
             let surfaces = Surfaces::new(&level, &depths, Reading::Cubic);
-            let term = self.term(&level, &depth, &lights);
+            let light = alone(&lights);
+            let term = self.term(&level, &depth, &light);
             let outcome = step::improve(&surfaces, 0, &solver, &depth, Some(&term), &options);
             depth = outcome.unwrap().depth;
         }
         depth
     }
 
-    fn term<'a>(
-        &self,
-        level: &Level,
-        depth: &[f64],
-        lights: &'a [PixelHarmonics],
-    ) -> ShadingTerm<'a> {
-        let light = PixelLight {
-            harmonics: lights,
-            pigment: None,
-            trust: None,
-            mean_tolerance: 0.0,
-            openness_exponent: 0.0,
-        };
+    fn term<'a>(&self, level: &Level, depth: &[f64], light: &'a PixelLight<'_>) -> ShadingTerm<'a> {
         let weights = ShadingWeights {
             sigma: 0.02,
             chroma_share: 1.0,
@@ -171,7 +171,7 @@ impl Scene {
             }),
         };
         let surfaces = Surfaces::new(level, &[depth.to_vec()], Reading::Cubic);
-        ShadingTerm::new(level, 0, depth, &surfaces.rasters, &light, &weights)
+        ShadingTerm::new(level, 0, depth, &surfaces.rasters, light, &weights)
     }
 
     /// Errors of the normals of `depth` in the pixels that `counts` tells, degrees.
@@ -313,7 +313,8 @@ fn a_clipped_pixel_asks_for_brightness_alone_and_only_where_it_lacks() {
     let level = Level::new(vec![scene.view.clone()], &[Vec::new()]);
     let lights = vec![LIGHT; scene.depth.len()];
     // The true surface is brighter than the clipped photo, and no clipped pixel asks for anything.
-    let term = scene.term(&level, &scene.depth, &lights);
+    let light = alone(&lights);
+    let term = scene.term(&level, &scene.depth, &light);
     let mut system = PlateSystem::new(scene.depth.len());
     term.add(&scene.view, &scene.depth, &mut system);
     let is_far_from = |p: usize, usable: bool| {
@@ -350,7 +351,8 @@ fn a_clipped_pixel_asks_for_brightness_alone_and_only_where_it_lacks() {
             scene.depth[p] + away * (x - camera.cx + y - camera.cy)
         })
         .collect();
-    let term = scene.term(&level, &dark, &lights);
+    let light = alone(&lights);
+    let term = scene.term(&level, &dark, &light);
     let mut system = PlateSystem::new(dark.len());
     term.add(&scene.view, &dark, &mut system);
     let num_asking = clipped
@@ -365,7 +367,8 @@ fn mixed_pixels_of_the_outline_move_nothing() {
     let ball = Scene::ball(f32::INFINITY);
     let level = Level::new(vec![ball.view.clone()], &[Vec::new()]);
     let lights = vec![LIGHT; ball.depth.len()];
-    let term = ball.term(&level, &ball.depth, &lights);
+    let light = alone(&lights);
+    let term = ball.term(&level, &ball.depth, &light);
     let mut num_mixed = 0;
     for p in 0..ball.depth.len() {
         let is_mixed = ball.radius_at(p) > RADIUS - 0.7;

@@ -1,21 +1,32 @@
-//! Before the first outer iteration: exposure of the photos, and the surface that dense search finds.
+//! Exposure of the photos, and the surface that dense search finds.
 //!
 //! Correlation needs no exposure, so it searches one level coarser; where views agree their intensities
 //! give the gains, and what the gains leave is the photos' disagreement, from which σ_m follows. With
 //! the gains divided out the coarse level is searched again, by squared differences where brightness
 //! is as good as constant.
+//!
+//! Finer levels are searched where photos disagree too much to be compared pixel by pixel. Gloss,
+//! bounce and dirt make two photos of one point differ; σ_m grows with that disagreement, and
+//! single pixels lose their hold on the surface. The correlation of patches cancels gain and
+//! offset, and still finds depth to a fraction of a pixel. So the tangent planes of the solved
+//! surface are searched around once more, and the surface starts again from the depths that another
+//! view confirms, fused over all views. The search knows no smoothness, and so finds the breaks
+//! that a plate bridges; gaps behind nearer surfaces are continued (`edges`).
 
-use super::course::Course;
 use super::memory;
-use super::report::{PhotoViewReport, StepReport};
+use super::report::PhotoViewReport;
+use super::solve::FUSION_PX;
+use super::solver::Solver;
+use super::steps::PhotoStep;
 use crate::error::ShadingError;
 use nalgebra::Point3;
 use rilievo_numerics::solver_set::SolverSet;
 use rilievo_scene::{LightKind, PosedViews};
 use rilievo_stereo::gains;
-use rilievo_stereo::patchmatch::{self, PatchCost, Planes};
-use rilievo_stereo::search::{self, Search, SearchOptions};
-use rilievo_stereo::start::{self, Agreement};
+use rilievo_stereo::patch_cost::{PatchCost, Plane};
+use rilievo_stereo::patchmatch::{self, SearchOptions};
+use rilievo_stereo::search::{self, Search};
+use rilievo_stereo::start;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Instant;
@@ -29,21 +40,29 @@ const LARGE_DISAGREEMENT: f64 = 0.055;
 /// The match term's σ as a share of the photos' disagreement: the rest varies slowly over the
 /// surface and moves nothing.
 const SIGMA_SHARE: f64 = 0.4;
+/// Sources that count in a search without a start: the best ones.
+const NUM_BEST: usize = 3;
+/// Fusions of the surfaces searched at a finer level: every view's search errs by itself, their
+/// mean errs less. The second takes in what the first brought near.
+const NUM_FUSIONS: usize = 2;
+/// Distance within which they are fused, footprints: searched depths scatter more than solved ones.
+const SEARCHED_FUSION_PX: f64 = 2.0 * FUSION_PX;
 
-impl Course<'_> {
-    /// Whether brightness is far enough from constant for correlation to tell more than differences.
-    pub(crate) fn photos_disagree(&self) -> bool {
+impl Solver<'_> {
+    /// Whether brightness is so far from constant that patches are compared by correlation.
+    pub fn photos_disagree(&self) -> bool {
         self.report.disagreement >= LARGE_DISAGREEMENT
     }
 
-    /// What `keep` takes of every view's planes at a level, compared with its sources; `start` gives earlier ones.
-    pub(crate) fn dense_search<T: Serialize + DeserializeOwned + Send>(
+    /// What `keep` takes of every view's planes at a level, searched from those that `start`
+    /// returns.
+    fn dense_search<T: Serialize + DeserializeOwned + Send>(
         &self,
         at: usize,
         posed: &PosedViews,
         cost: PatchCost,
-        start: Option<&(dyn Fn(usize) -> Planes + Sync)>,
-        keep: impl Fn(Planes) -> T + Sync,
+        start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)>,
+        keep: impl Fn(Vec<Plane>) -> T + Sync,
     ) -> Result<Vec<T>, ShadingError> {
         let points: Vec<Point3<f64>> = posed
             .points
@@ -53,7 +72,8 @@ impl Course<'_> {
             .collect();
         let options = SearchOptions {
             cost,
-            num_sweeps: self.options.num_sweeps,
+            num_sweeps: self.options.effort.num_sweeps,
+            num_best: NUM_BEST,
             seed: self.options.seed,
         };
         let (level, masked) = (self.scene.level(at), self.scene.masked);
@@ -63,7 +83,7 @@ impl Course<'_> {
         })?;
         self.divided(memory::search_bytes(level), |i| {
             let start = start.map(|of_view| of_view(i));
-            Ok(keep(search.view(i, start.as_ref())))
+            Ok(keep(search.view(i, start.as_deref())))
         })
     }
 
@@ -71,18 +91,18 @@ impl Course<'_> {
     /// planes of the first search.
     ///
     /// Under a light fixed to the camera a point's brightness differs between the views for the light's
-    /// sake, and says nothing of exposures: they are taken as they stand.
-    pub(crate) fn find_exposure(
+    /// sake, and exposures cannot be measured: they are taken as they stand.
+    pub fn find_exposure(
         &mut self,
         posed: &PosedViews,
         kind: LightKind,
-    ) -> Result<Vec<Planes>, ShadingError> {
+    ) -> Result<Vec<Vec<Plane>>, ShadingError> {
         let began = Instant::now();
         let at = (self.scene.coarse + 1).min(self.scene.num_levels() - 1);
-        self.tell("comparing exposures", 0, 1)?;
+        self.progress(PhotoStep::Exposure, 0, 1)?;
         let planes = self.dense_search(at, posed, PatchCost::Correlation, None, |planes| planes)?;
         let level = self.scene.level(at);
-        let depths: Vec<Vec<f64>> = planes.iter().map(start::log_depths).collect();
+        let depths: Vec<Vec<f64>> = planes.iter().map(|of_view| log_depths(of_view)).collect();
         let agreement = start::agreement(level, &depths, search::agreement_tolerance(level));
         let mut exposure = gains::estimate(level, &depths, &agreement);
         if kind == LightKind::Camera {
@@ -94,12 +114,7 @@ impl Course<'_> {
             .clamp(MIN_DISAGREEMENT, MAX_DISAGREEMENT);
         self.report.disagreement = exposure.disagreement;
         self.report.sigma_match = SIGMA_SHARE * disagreement;
-        self.report.steps.push(StepReport {
-            level: at,
-            kind: "exposure".to_owned(),
-            seconds: began.elapsed().as_secs_f64(),
-            ..StepReport::default()
-        });
+        self.report.add_step(PhotoStep::Exposure, at, began);
         self.report.views = self
             .scene
             .frames
@@ -122,14 +137,14 @@ impl Course<'_> {
     }
 
     /// The surface that the views agree on, continued over their masks.
-    pub(crate) fn find_surface(
+    pub fn find_surface(
         &mut self,
         posed: &PosedViews,
-        planes: &[Planes],
+        planes: &[Vec<Plane>],
     ) -> Result<Vec<Vec<f64>>, ShadingError> {
         let began = Instant::now();
         let at = self.scene.coarse;
-        self.tell("searching depth", 0, 1)?;
+        self.progress(PhotoStep::Search, 0, 1)?;
         let cost = if self.photos_disagree() {
             PatchCost::Correlation
         } else {
@@ -141,27 +156,49 @@ impl Course<'_> {
         let coarser = self.scene.coarser(at);
         let start =
             |i: usize| patchmatch::refine_start(&coarser.views[i], &level.views[i], &planes[i]);
-        let start: Option<&(dyn Fn(usize) -> Planes + Sync)> =
+        let start: Option<&(dyn Fn(usize) -> Vec<Plane> + Sync)> =
             (at + 1 < self.scene.num_levels()).then_some(&start);
-        let depths =
-            self.dense_search(at, posed, cost, start, |planes| start::log_depths(&planes))?;
-        let found = self.found(at, &self.solvers(at), &depths)?;
+        let depths = self.dense_search(at, posed, cost, start, |planes| log_depths(&planes))?;
+        let found = self.found(at, &self.exact_solvers(at), &depths)?;
         self.report.search_scatter_px = found.scatter_px;
         for (i, agreement) in found.agreement.iter().enumerate() {
-            let confirmed = agreement.count.iter().filter(|&&c| c > 0).count();
-            self.report.views[i].confirmed = confirmed as f64 / agreement.count.len().max(1) as f64;
+            let confirmed = agreement.iter().filter(|&&bits| bits != 0).count();
+            self.report.views[i].confirmed = confirmed as f64 / agreement.len().max(1) as f64;
         }
-        self.report.steps.push(StepReport {
-            level: at,
-            kind: "search".to_owned(),
-            seconds: began.elapsed().as_secs_f64(),
-            ..StepReport::default()
-        });
+        self.report.add_step(PhotoStep::Search, at, began);
         Ok(found.surface)
     }
 
+    /// The surface at level `at`, searched around `depths`.
+    pub fn search_again(
+        &mut self,
+        at: usize,
+        solvers: &SolverSet,
+        depths: &[Vec<f64>],
+        posed: &PosedViews,
+    ) -> Result<Vec<Vec<f64>>, ShadingError> {
+        let began = Instant::now();
+        self.progress(PhotoStep::FinerSearch, 0, 1)?;
+        let level = self.scene.level(at);
+        let tangent = |i: usize| patchmatch::tangent_planes(&level.views[i], &depths[i]);
+        let cost = PatchCost::Correlation;
+        let searched = self.dense_search(at, posed, cost, Some(&tangent), |planes| {
+            log_depths(&planes)
+        })?;
+        let found = self.found(at, solvers, &searched)?;
+        self.show(at, "searched", &found.surface)?;
+        let mut surface = found.surface;
+        for _ in 0..NUM_FUSIONS {
+            surface = self.fused(at, &surface, SEARCHED_FUSION_PX)?;
+        }
+        self.report.finer_search_scatter_px = Some(found.scatter_px);
+        self.report.add_step(PhotoStep::FinerSearch, at, began);
+        self.show(at, "searched, fused", &surface)?;
+        Ok(surface)
+    }
+
     /// The surface through those searched log depths that views confirm.
-    pub(crate) fn found(
+    fn found(
         &self,
         at: usize,
         solvers: &SolverSet,
@@ -170,9 +207,14 @@ impl Course<'_> {
         let level = self.scene.level(at);
         let agreement = start::agreement(level, depths, search::agreement_tolerance(level));
         let surface = self.divided(memory::solve_bytes(level), |i| {
-            let solver = solvers.of(i, &level.views[i].pixels);
+            let view = &level.views[i];
+            let weights = agreement[i]
+                .iter()
+                .map(|&bits| start::confirmed_weight(bits));
+            let weights: Vec<f64> = weights.collect();
+            let solver = solvers.of(i, &view.pixels);
             solver
-                .and_then(|solver| search::continued(level, i, &solver, &depths[i], &agreement[i]))
+                .and_then(|s| start::continued(view, &s, &depths[i], &weights, 1.0 / level.focal()))
                 .map_err(|e| self.failed(i, &e))
         })?;
         Ok(Found {
@@ -183,12 +225,16 @@ impl Course<'_> {
     }
 }
 
+fn log_depths(planes: &[Plane]) -> Vec<f64> {
+    planes.iter().map(Plane::log_depth).collect()
+}
+
 /// What a search found.
-pub(crate) struct Found {
+struct Found {
     /// Log depths of every view, continued over its mask.
-    pub surface: Vec<Vec<f64>>,
-    /// Which depths the views confirmed.
-    pub agreement: Vec<Agreement>,
+    surface: Vec<Vec<f64>>,
+    /// Which sources confirm each depth ([`start::agreement`]).
+    agreement: Vec<Vec<u8>>,
     /// Distance between the views' searched depths, pixel footprints.
-    pub scatter_px: f64,
+    scatter_px: f64,
 }

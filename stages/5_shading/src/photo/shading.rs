@@ -8,14 +8,16 @@
 //! `e` is a smooth multiplicative correction, the mean of `l·h(n)/Ĩ − 1` over a Gaussian: what the light
 //! model and a uniform albedo miss on a larger scale moves no surface.
 //!
-//! A clipped pixel is at least as bright as the photo says: there brightness alone counts, only where the light makes the
-//! surface darker, and with a redescending weight, since gloss is brighter than any normal explains. Pixels on the
-//! outline, whose intensity is partly the background's, take no part.
+//! A clipped pixel is at least as bright as the photo shows: there brightness alone counts, only
+//! where the light makes the surface darker, and with a redescending weight, since gloss is
+//! brighter than any normal explains. Pixels on the outline, whose intensity is partly the
+//! background's, take no part.
 
 use super::chroma::{self, ChromaNoise, Whitening};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use rilievo_numerics::plate_system::PlateSystem;
+use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::{Raster, SphericalHarmonics};
 use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::openness::openness;
@@ -27,7 +29,7 @@ use std::borrow::Cow;
 /// Nine coefficients for each of three channels, camera frame.
 pub(crate) type PixelHarmonics = [[f32; 9]; 3];
 
-/// Gives the coefficients of a view's pixels.
+/// Returns the coefficients of a view's pixels.
 pub(crate) type HarmonicsOf<'a> = dyn Fn(usize) -> Cow<'a, [PixelHarmonics]> + Sync + 'a;
 
 /// The basis of eq. 1.
@@ -65,14 +67,14 @@ pub(crate) fn render(light: &PixelHarmonics, n: [f64; 3]) -> [f64; 3] {
 }
 
 /// The light of one view's pixels.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct PixelLight<'a> {
     /// Coefficients.
-    pub harmonics: &'a [PixelHarmonics],
+    pub harmonics: Cow<'a, [PixelHarmonics]>,
     /// Albedo that is divided out of the photos.
-    pub pigment: Option<&'a [[f32; 3]]>,
+    pub pigment: Option<Cow<'a, [[f32; 3]]>>,
     /// Scales each pixel's weight, 0 to 1.
-    pub trust: Option<&'a [f32]>,
+    pub trust: Option<Cow<'a, [f32]>>,
     /// Log depth difference at which another view's intensity no longer counts; 0: never counts.
     pub mean_tolerance: f64,
     /// Exponent of openness; 0: relief hides nothing of the light.
@@ -100,8 +102,8 @@ pub(crate) struct ShadingWeights {
 /// Residual, in σ, at which a clipped pixel's weight has fallen to a half.
 const CLIPPED_SCALE: f64 = 6.0;
 
-/// Bell over chroma where there is no correction, pixels.
-const CHROMA_BELL_PX: f64 = 8.0;
+/// Standard deviation of the Gaussian over chroma where there is no correction, pixels.
+const CHROMA_SIGMA_PX: f64 = 8.0;
 
 /// The term of one view, ready to be linearised at any depth near the one it was built at.
 #[derive(Clone, Debug)]
@@ -126,14 +128,14 @@ impl<'a> ShadingTerm<'a> {
         index: usize,
         depth: &[f64],
         rasters: &[Raster<f32>],
-        light: &PixelLight<'a>,
+        light: &'a PixelLight<'_>,
         weights: &ShadingWeights,
     ) -> Self {
         let view = &level.views[index];
         let n = view.pixels.len();
         let mut target = mean_intensities(level, index, depth, rasters, light.mean_tolerance);
-        if let Some(albedo) = light.pigment {
-            for (t, a) in target.iter_mut().zip(albedo) {
+        if let Some(albedo) = &light.pigment {
+            for (t, a) in target.iter_mut().zip(albedo.iter()) {
                 for c in 0..3 {
                     t[c] /= a[c].max(0.1);
                 }
@@ -159,12 +161,12 @@ impl<'a> ShadingTerm<'a> {
             .iter()
             .map(|u| u.map(|v| v.clamp(-limit, limit)))
             .collect();
-        let bell_px = if weights.correction_px > 0.0 {
+        let sigma_px = if weights.correction_px > 0.0 {
             weights.correction_px
         } else {
-            CHROMA_BELL_PX
+            CHROMA_SIGMA_PX
         };
-        let smooth = sampling::smooth(&view.pixels, &clipped, &usable, bell_px);
+        let smooth = sampling::smooth(&view.pixels, &clipped, &usable, sigma_px);
         let chroma_noise = weights.chroma_noise.unwrap_or_else(|| {
             let local: Vec<[f32; 2]> = relative
                 .iter()
@@ -189,12 +191,12 @@ impl<'a> ShadingTerm<'a> {
                 if view.is_on_outline(i) {
                     0.0
                 } else {
-                    light.trust.map_or(1.0, |t| t[i].max(0.0).sqrt())
+                    light.trust.as_ref().map_or(1.0, |t| t[i].max(0.0).sqrt())
                 }
             })
             .collect();
         Self {
-            light: light.harmonics,
+            light: &light.harmonics,
             target,
             scale,
             whitening,
@@ -235,10 +237,8 @@ impl<'a> ShadingTerm<'a> {
                 let w = if is_clipped {
                     // What no diffuse surface under this light reaches is gloss.
                     1.0 / (1.0 + (norm / CLIPPED_SCALE).powi(2))
-                } else if norm < self.threshold {
-                    1.0
                 } else {
-                    self.threshold / norm
+                    RobustLoss::Huber(self.threshold).weight(norm)
                 };
                 system.add_pair(
                     &view.pixels,
@@ -282,6 +282,7 @@ pub(crate) fn mean_intensities(
     tolerance: f64,
 ) -> Vec<[f32; 3]> {
     let view = &level.views[index];
+    let is_compared = tolerance > 0.0;
     (0..view.pixels.len())
         .into_par_iter()
         .with_min_len(1024)
@@ -291,29 +292,19 @@ pub(crate) fn mean_intensities(
             // A photo out of focus has lost detail that the others show.
             let own_weight = view.sharpness.powi(2) as f32;
             let (mut sum, mut total) = (own.map(|v| v * own_weight), own_weight);
-            let (x, y) = view.xy(p);
-            for (j, warp) in &level.sources[index] {
-                if tolerance <= 0.0 {
-                    break;
-                }
-                let other = &level.views[*j];
-                let Some(l) = warp.land(x, y, depth[p]) else {
-                    continue;
-                };
-                let Some(zeta) = other.unclipped_depth_at(&rasters[*j], l.u, l.v) else {
-                    continue;
-                };
-                let miss = (l.zeta - zeta) / tolerance;
-                if miss.abs() > 4.0 {
+            let sightings = is_compared.then(|| level.sightings(rasters, index, (p, depth[p])));
+            for seen in sightings.into_iter().flatten() {
+                let miss = seen.behind / tolerance;
+                if miss.abs() > 4.0 || !seen.is_unclipped() {
                     continue;
                 }
-                let (value, _, _) = sampling::bicubic(&other.image, l.u, l.v);
+                let (value, _, _) = sampling::bicubic(&seen.view.image, seen.at.u, seen.at.v);
                 let unlike = (0..3)
                     .map(|c| (value[c] - own[c]).abs())
                     .fold(0.0_f32, f32::max)
                     / mean
                     / 0.1;
-                let weight = (other.sharpness.powi(2) as f32)
+                let weight = (seen.view.sharpness.powi(2) as f32)
                     * (-0.5 * (miss * miss) as f32 - 0.5 * unlike * unlike).exp();
                 for c in 0..3 {
                     sum[c] += weight * value[c];

@@ -1,9 +1,19 @@
-//! The surface at a level that is in memory, or out of core.
+//! The surface of all views at a level that is in memory, or out of core.
 
 use rilievo_scene::ScratchError;
 use rilievo_stereo::level::ViewGrid;
 use rilievo_stereo::stored::StoredSurface;
 use serde::{Deserialize, Serialize};
+use std::fmt::Debug;
+
+/// The surface of all views at one level.
+pub(crate) trait Surface: Debug + Send + Sync {
+    /// Number of the level.
+    fn level(&self) -> usize;
+
+    /// Log depths of a view with the pixels `grid`, and where they are known.
+    fn of_view(&self, i: usize, grid: &ViewGrid) -> Result<(Vec<f64>, Vec<bool>), ScratchError>;
+}
 
 /// The surface of all views at a level that is solved as a whole.
 #[derive(Debug, Serialize, Deserialize)]
@@ -13,57 +23,32 @@ pub(crate) struct Shape {
     pub depths: Vec<Vec<f64>>,
 }
 
-/// The surface of all views at a finer level, out of core. Where no coarser level reaches, its depths are not known.
+/// The surface of all views at a finer level, out of core. Where no coarser level reaches, its
+/// depths are not known.
 #[derive(Debug)]
 pub(crate) struct FineShape {
     pub at: usize,
     pub surface: StoredSurface,
 }
 
-/// The surface that was found.
-#[derive(Debug)]
-pub(crate) enum FoundShape {
-    Whole(Shape),
-    Fine(FineShape),
-}
-
-impl FoundShape {
-    /// Number of its level.
-    pub fn at(&self) -> usize {
-        match self {
-            Self::Whole(shape) => shape.at,
-            Self::Fine(shape) => shape.at,
-        }
+impl Surface for Shape {
+    fn level(&self) -> usize {
+        self.at
     }
 
-    pub fn of_view(
-        &self,
-        i: usize,
-        grid: &ViewGrid,
-    ) -> Result<(Vec<f64>, Vec<bool>), ScratchError> {
-        match self {
-            Self::Whole(shape) => Ok(shape.of_view(i)),
-            Self::Fine(shape) => shape.of_view(i, grid),
-        }
-    }
-}
-
-impl Shape {
-    /// Log depths of a view, all of them known.
-    pub fn of_view(&self, i: usize) -> (Vec<f64>, Vec<bool>) {
+    fn of_view(&self, i: usize, _: &ViewGrid) -> Result<(Vec<f64>, Vec<bool>), ScratchError> {
         let depth = self.depths[i].clone();
         let known = vec![true; depth.len()];
-        (depth, known)
+        Ok((depth, known))
     }
 }
 
-impl FineShape {
-    /// Log depths of a view, and where they are known.
-    pub fn of_view(
-        &self,
-        i: usize,
-        grid: &ViewGrid,
-    ) -> Result<(Vec<f64>, Vec<bool>), ScratchError> {
+impl Surface for FineShape {
+    fn level(&self) -> usize {
+        self.at
+    }
+
+    fn of_view(&self, i: usize, grid: &ViewGrid) -> Result<(Vec<f64>, Vec<bool>), ScratchError> {
         let depth = self.surface.get(i, &grid.pixels)?;
         Ok((depth, self.surface.known(i, &grid.pixels)?))
     }

@@ -1,47 +1,40 @@
-//! The course of a run through the pyramid: search, outer iterations at the coarse level, finer levels, output.
+//! The order of a run's phases: first surface, outer iterations at the coarse level, finer levels,
+//! relief, output.
 
 use super::contradiction;
-use super::course::{Course, Probe};
-use super::iteration::{IterationWeights, PHOTOS_ONLY, iteration_weights};
 use super::light::Light;
 use super::options::PhotoOptions;
 use super::output::ShapedViews;
-use super::progress::{After, Next, OuterIterations, Progress};
+use super::progress::{Outcome, OuterIterations, Phase, Progress};
 use super::report::PhotoReport;
-use super::shape::{FoundShape, Shape};
+use super::schedule::{IterationWeights, PHOTOS_ONLY};
+use super::shape::{Shape, Surface};
+use super::solver::{Probe, Solver};
+use super::steps::PhotoStep;
 use super::views::Scene;
 use crate::error::ShadingError;
 use crate::surroundings::Surroundings;
 use rilievo_scene::{LightSource, LightingCalibration, PosedViews};
 
-/// An outer iteration that turns normals by more than this share of what the outer iteration before it did under the same weights
-/// is the last: light and shape oscillate, or pixels beside edges change sides.
+/// Outer iterations stop once one turns the normals by more than this share of the turn before it,
+/// under the same weights: they no longer converge.
 const SETTLING: f64 = 0.8;
+/// Mean turn of the normals in the last planned outer iteration, degrees, above which another one
+/// follows at full weight: light and shape still change each other.
+const OUTER_TURN_DEG: f64 = 2.0;
 
 /// Distance within which solved surfaces are fused, footprints: a few times what they lie apart.
 pub(crate) const FUSION_PX: f64 = 4.0;
 
-/// σ_c of the last outer iterations at the finest level of all, footprints: tight, since
-/// only noise separates the views there, and averaging removes it. Less flattens fine detail.
-const FINEST_CONSENSUS_PX: f64 = 0.3;
-
-/// Factor of σ_m around a searched surface, a ninth of the weight of small residuals and a third of that of
-/// large ones: the patch search
-/// has fixed the depth, and residuals of single pixels are noisy.
-const SEARCHED_SIGMA_MATCH_FACTOR: f64 = 3.0;
-
-/// Factor of the increments in every other round at finer levels: without it they end half-way to where the views
-/// agree. A surface that was searched again is rough, and longer steps would follow its noise.
-const LONG_STEP: f64 = 2.0;
-
-/// Sharpness below which a photo is worth a word.
+/// Sharpness below which a photo is warned of.
 const BLURRED: f64 = 0.6;
-/// Ratio of a channel's gain against green's between photos from which it is told: a tenth is a visible tint.
+/// Ratio of a channel's gain against green's between photos above which it is warned of: a tenth is
+/// a visible tint.
 const DRIFTING_COLORS: f64 = 1.1;
 
-/// What the light misses of single places, in units of its median residual, that still counts as the light's or the
-/// pigment's. Less bends the surface into what neither explains: stains, the light in a deep hole.
-const LARGEST_MISS: f64 = 7.0;
+/// Cap of the shading correction, in median residuals of the light. Less bends the surface into
+/// what neither light nor pigment explains: stains, the light in a deep hole.
+const MAX_CORRECTION: f64 = 7.0;
 
 /// Solves a loaded scene, from the kept state if there is one.
 pub(crate) fn solve(
@@ -49,109 +42,102 @@ pub(crate) fn solve(
     posed: &PosedViews,
     lighting: &LightingCalibration,
     options: &PhotoOptions,
-    surroundings: Surroundings<'_>,
+    around: Surroundings<'_>,
     probe: Option<&Probe<'_>>,
 ) -> Result<(ShapedViews, PhotoReport), ShadingError> {
-    let mut course = Course {
+    let mut solver = Solver {
         scene,
         options,
-        observer: surroundings.observer,
-        checkpoint: surroundings.checkpoint,
-        scratch: surroundings.scratch,
+        around,
         report: PhotoReport::default(),
         probe,
         warnings: Vec::new(),
-        solvers: None,
+        exact: None,
         fine: None,
     };
-    if course.scene.frames.len() < 2 {
+    if solver.scene.frames.len() < 2 {
         return Err(ShadingError::NoDepth {
-            view: course.scene.frames[0].name.clone(),
+            view: solver.scene.frames[0].name.clone(),
         });
     }
-    let (mut progress, mut light) = match course.resume()? {
+    let (mut progress, mut light) = match solver.resume()? {
         Some(kept) => kept,
-        None => course.first_surface(posed, lighting)?,
+        None => (solver.first_surface(posed, lighting)?, None),
     };
     loop {
         let shape = &mut progress.shape;
-        let after = match progress.next {
-            Next::Outer(outer) => course.outer(shape, outer, posed, lighting)?,
-            Next::Finer(last) if shape.at == course.scene.finest => {
-                course.begin_relief(shape, light.as_ref(), last)?
+        let outcome = match progress.phase {
+            Phase::Outer(outer) => solver.outer(shape, outer, posed, lighting)?,
+            Phase::Finer(last) if shape.at == solver.scene.finest => {
+                solver.begin_relief(shape, light.as_ref(), last)?
             }
-            Next::Finer(last) => course.finer(shape, light.take(), last, posed)?,
-            Next::Relief(rounds) => course.relief(shape, light.as_ref(), rounds)?,
+            Phase::Finer(last) => solver.finer(shape, light.take(), last, posed)?,
+            Phase::Relief(rounds) => solver.relief(shape, light.as_ref(), rounds)?,
         };
-        let new_light = after.light.is_some();
+        let new_light = outcome.light.is_some();
         if new_light {
-            light = after.light;
+            light = outcome.light;
         }
-        let Some(next) = after.next else { break };
-        progress.next = next;
-        course.keep(&progress, light.as_ref(), new_light)?;
+        let Some(phase) = outcome.next else { break };
+        progress.phase = phase;
+        solver.keep(&progress, light.as_ref(), new_light)?;
     }
-    course.tell_of_blur()?;
-    course.tell_of_white_balance()?;
+    solver.warn_of_blur()?;
+    solver.warn_of_white_balance()?;
     // Light and pigment are known at the finest level that was solved as a whole.
-    let at = course.scene.finest;
-    let (shape, reduced) = match course.fine.take() {
+    let at = solver.scene.finest;
+    let (surface, reduced): (Box<dyn Surface>, _) = match solver.fine.take() {
         Some(fine) => {
-            course.clean_fine(&fine)?;
-            let reduced = course.reduced_fine(&fine, at)?;
-            (FoundShape::Fine(fine), reduced)
+            solver.clean_fine(&fine)?;
+            let reduced = solver.reduced_fine(&fine, at)?;
+            (Box::new(fine), reduced)
         }
         None => {
             let Shape { at, depths } = progress.shape;
-            let depths = course.without_specks(at, depths);
+            let depths = solver.without_specks(at, depths);
             let reduced = depths.clone();
-            (FoundShape::Whole(Shape { at, depths }), reduced)
+            (Box::new(Shape { at, depths }), reduced)
         }
     };
-    course.use_sharpness(at);
+    solver.use_sharpness(at);
     if let Some(light) = &light {
-        course.report_light(light);
+        solver.report_light(light);
     }
-    let shaped = ShapedViews::new(course.scene, shape, reduced, light);
-    Ok((shaped, course.report))
+    let shaped = ShapedViews::new(solver.scene, surface, reduced, light);
+    Ok((shaped, solver.report))
 }
 
-impl Course<'_> {
+impl Solver<'_> {
     /// The surface that the photos' agreement finds, fused, before any light.
     fn first_surface(
         &mut self,
         posed: &PosedViews,
         lighting: &LightingCalibration,
-    ) -> Result<(Progress, Option<Light>), ShadingError> {
+    ) -> Result<Progress, ShadingError> {
         let planes = self.find_exposure(posed, lighting.kind)?;
         let mut depths = self.find_surface(posed, &planes)?;
         let at = self.scene.coarse;
         self.show(at, "start", &depths)?;
         let solvers = self.shared_solvers(at);
-        self.outer_iteration(at, &solvers, &mut depths, &PHOTOS_ONLY, None, "photos")?;
+        let step = PhotoStep::Photos;
+        self.rounds(at, &solvers, &mut depths, &PHOTOS_ONLY, None, step)?;
         depths = self.fused(at, &depths, FUSION_PX)?;
         self.show(at, "fused", &depths)?;
-        let options = self.options;
-        if options.num_outer_iterations == 0 {
-            self.outer_iteration(
-                at,
-                &solvers,
-                &mut depths,
-                &PHOTOS_ONLY,
-                None,
-                "photos, fused",
-            )?;
-            let shape = Shape { at, depths };
-            let next = Next::Finer(PHOTOS_ONLY);
-            return Ok((Progress { shape, next }, None));
+        if self.options.num_outer_iterations == 0 {
+            self.rounds(at, &solvers, &mut depths, &PHOTOS_ONLY, None, step)?;
+            return Ok(Progress {
+                shape: Shape { at, depths },
+                phase: Phase::Finer(PHOTOS_ONLY),
+            });
         }
         self.refuse_contradicting_light(at, &depths, lighting)?;
         let ground = self.ground(at, &depths, posed);
-        // From a noisy start the first iterations run at half the resolution: shading's false minima are small dents
-        // then, and most are overlooked there.
-        let is_noisy = self.report.search_scatter_px > options.noisy_search_px;
+        // From a noisy start the first iterations run at half the resolution: shading's false
+        // minima are small dents then, and most are overlooked there.
+        let effort = &self.options.effort;
+        let is_noisy = self.report.search_scatter_px > effort.noisy_search_px;
         let num_half = if is_noisy && at + 1 < self.scene.num_levels() {
-            options.num_half_iterations
+            effort.num_half_iterations
         } else {
             0
         };
@@ -174,19 +160,14 @@ impl Course<'_> {
         }
         let progress = Progress {
             shape,
-            next: Next::Outer(outer),
+            phase: Phase::Outer(outer),
         };
         self.keep(&progress, None, false)?;
-        Ok((progress, None))
+        Ok(progress)
     }
 
-    /// Iterations at full resolution that those at half of it make up for: the surface is no rough start any more.
-    fn num_skipped(&self, outer: &OuterIterations) -> usize {
-        usize::from(outer.num_half > 0 && self.options.num_outer_iterations > 1)
-    }
-
-    /// Ends the run, or warns if the light is to be used all the same, where a light from elsewhere contradicts the
-    /// photos.
+    /// Ends the run, or warns if the light is to be used all the same, where a light from elsewhere
+    /// contradicts the photos.
     fn refuse_contradicting_light(
         &mut self,
         at: usize,
@@ -219,10 +200,13 @@ impl Course<'_> {
         mut outer: OuterIterations,
         posed: &PosedViews,
         lighting: &LightingCalibration,
-    ) -> Result<After, ShadingError> {
-        let (number, num_skipped) = (outer.num_done, self.num_skipped(&outer));
-        // Those that are done in any case.
-        let num_planned = outer.num_half + self.options.num_outer_iterations - num_skipped;
+    ) -> Result<Outcome, ShadingError> {
+        let options = self.options;
+        let number = outer.num_done;
+        // Those at half the resolution make up for the first one: the surface is no rough start any
+        // more.
+        let num_skipped = usize::from(outer.num_half > 0 && options.num_outer_iterations > 1);
+        let num_planned = outer.num_half + options.num_outer_iterations - num_skipped;
         if number == outer.num_half
             && let Some([fine, before]) = outer.kept.take()
         {
@@ -245,66 +229,58 @@ impl Course<'_> {
         } else {
             found
         };
-        let mut weights = if number < outer.num_half {
-            iteration_weights(number, outer.residual)
+        let place = if number < outer.num_half {
+            number
         } else {
-            iteration_weights(number - outer.num_half + num_skipped, outer.residual)
+            number - outer.num_half + num_skipped
         };
+        let mut weights = IterationWeights::with_shading(place, outer.residual);
         if number + 1 >= num_planned {
             if self.is_last(at, light.as_ref()) {
-                weights.consensus_px = FINEST_CONSENSUS_PX;
+                weights = weights.at_finest();
             }
             self.validate(at, &solvers, &shape.depths, light.as_mut(), &weights)?;
         }
-        let turned_deg = self.outer_iteration(
-            at,
-            &solvers,
-            &mut shape.depths,
-            &weights,
-            light.as_ref(),
-            "light and shape",
-        )?;
+        let step = PhotoStep::LightAndShape;
+        let depths = &mut shape.depths;
+        let turned_deg = self.rounds(at, &solvers, depths, &weights, light.as_ref(), step)?;
         outer.num_done += 1;
-        let options = self.options;
         if outer.num_done >= num_planned {
-            let is_still = turned_deg < options.outer_turn_deg;
+            let is_still = turned_deg < OUTER_TURN_DEG;
             let keeps_turning = turned_deg > SETTLING * outer.turned_deg;
-            if is_still
-                || keeps_turning
-                || outer.num_done >= num_planned + options.max_more_iterations
-            {
-                return Ok(After {
+            let most = num_planned + options.effort.max_more_iterations;
+            if is_still || keeps_turning || outer.num_done >= most {
+                return Ok(Outcome {
                     light,
-                    next: Some(Next::Finer(weights)),
+                    next: Some(Phase::Finer(weights)),
                 });
             }
             outer.turned_deg = turned_deg;
         }
-        Ok(After {
+        Ok(Outcome {
             light: None,
-            next: Some(Next::Outer(outer)),
+            next: Some(Phase::Outer(outer)),
         })
     }
 
     /// Warns of photos out of focus.
-    fn tell_of_blur(&mut self) -> Result<(), ShadingError> {
+    fn warn_of_blur(&mut self) -> Result<(), ShadingError> {
         let views = self.report.views.iter();
-        let told: Vec<String> = views
-            .filter(|view| view.sharpness < BLURRED)
-            .map(|view| {
-                let share = 100.0 * view.sharpness;
-                format!(
-                    "{} is blurred: its fine detail is {share:.0} % as strong as that of the sharpest photo, so that \
-                     it counts less; take it again in focus, or leave it out",
-                    view.name
-                )
-            })
-            .collect();
-        told.into_iter().try_for_each(|message| self.warn(message))
+        let blurred = views.filter(|view| view.sharpness < BLURRED).map(|view| {
+            let share = 100.0 * view.sharpness;
+            format!(
+                "{} is blurred: its fine detail is {share:.0} % as strong as that of the sharpest photo, so that \
+                 it counts less; take it again in focus, or leave it out",
+                view.name
+            )
+        });
+        let messages: Vec<String> = blurred.collect();
+        let mut messages = messages.into_iter();
+        messages.try_for_each(|message| self.warn(message))
     }
 
     /// Warns of colours that drift from photo to photo: one place of the surface is as red against green in all.
-    fn tell_of_white_balance(&mut self) -> Result<(), ShadingError> {
+    fn warn_of_white_balance(&mut self) -> Result<(), ShadingError> {
         let tints = |channel: usize| {
             let views = self.report.views.iter();
             let tints = views.map(|view| view.gain[channel] / view.gain[1]);
@@ -328,8 +304,8 @@ impl Course<'_> {
         at == self.scene.finest && (at == 0 || !self.shapes_relief(light))
     }
 
-    /// Whether the levels beyond are solved by tiles: under a light, where the photos agree on it. Where they do not,
-    /// single pixels tell more of gloss and dirt than of relief.
+    /// Whether the levels beyond are solved by tiles: under a light, where the photos agree on it.
+    /// Where they do not, single pixels show gloss and dirt more than relief.
     fn shapes_relief(&self, light: Option<&Light>) -> bool {
         self.options.num_relief_rounds > 0 && light.is_some() && !self.photos_disagree()
     }
@@ -340,33 +316,33 @@ impl Course<'_> {
         shape: &Shape,
         light: Option<&Light>,
         last: IterationWeights,
-    ) -> Result<After, ShadingError> {
+    ) -> Result<Outcome, ShadingError> {
         let is_shaped = shape.at > 0 && self.shapes_relief(light);
         let next = is_shaped.then(|| self.next_relief_level(shape, shape.at, last));
-        Ok(After {
+        Ok(Outcome {
             light: None,
-            next: next.transpose()?.map(Next::Relief),
+            next: next.transpose()?.map(Phase::Relief),
         })
     }
 
-    /// The next finer level that is solved as a whole, with the light of the one before and the weights of the last
-    /// outer iteration.
+    /// The next finer level that is solved as a whole, with the light of the one before and the
+    /// weights of the last outer iteration.
     fn finer(
         &mut self,
         shape: &mut Shape,
         light: Option<Light>,
         last: IterationWeights,
         posed: &PosedViews,
-    ) -> Result<After, ShadingError> {
+    ) -> Result<Outcome, ShadingError> {
         // Those of the coarse level have done their work.
-        self.solvers = None;
+        self.exact = None;
         let at = shape.at - 1;
-        let searches = self.options.finer_search && self.photos_disagree();
+        let searches = self.options.effort.finer_search && self.photos_disagree();
         // Photos that disagree hold the surface weakly: too stiff a system for conjugate gradients.
         let solvers = if searches {
-            self.solvers(at)
+            self.exact_solvers(at)
         } else {
-            self.finer_solvers(at)
+            self.iterative_solvers(at)
         };
         let mut depths = self.descend(at, &solvers, &shape.depths)?;
         self.measure_sharpness(at, &depths);
@@ -380,51 +356,19 @@ impl Course<'_> {
             _ => 1.0,
         };
         let is_finest = self.is_last(at, light.as_ref());
-        let mut weights = finer_weights(&last, searches, is_finest, shared_error);
+        let mut weights = last.finer(searches, is_finest, shared_error);
         if let (Some(shading), Some(light)) = (&mut weights.shading, &light) {
-            let miss = LARGEST_MISS * light.residual();
-            shading.max_correction = shading.max_correction.max(miss);
+            let cap = MAX_CORRECTION * light.residual();
+            shading.max_correction = shading.max_correction.max(cap);
         }
-        self.outer_iteration(at, &solvers, &mut depths, &weights, light.as_ref(), "finer")?;
+        let step = PhotoStep::Finer;
+        self.rounds(at, &solvers, &mut depths, &weights, light.as_ref(), step)?;
         depths = self.fused(at, &depths, FUSION_PX)?;
         self.show(at, "fused", &depths)?;
         *shape = Shape { at, depths };
-        Ok(After {
+        Ok(Outcome {
             light,
-            next: Some(Next::Finer(last)),
+            next: Some(Phase::Finer(last)),
         })
     }
-}
-
-/// Weights at a level finer than that of the outer iterations, from those of the `last` of them; `is_searched` tells
-/// whether depth was searched there again, `shared_error` is [`MatchLeft::shared_error`](super::iteration::MatchLeft::shared_error).
-pub(crate) fn finer_weights(
-    last: &IterationWeights,
-    is_searched: bool,
-    is_finest: bool,
-    shared_error: f64,
-) -> IterationWeights {
-    let mut weights = IterationWeights {
-        sigma_match_factor: if is_searched {
-            SEARCHED_SIGMA_MATCH_FACTOR
-        } else {
-            1.0
-        },
-        consensus_px: if is_finest {
-            FINEST_CONSENSUS_PX
-        } else {
-            PHOTOS_ONLY.consensus_px
-        },
-        visible_px: 3.5,
-        long_step: if is_searched { 1.0 } else { LONG_STEP },
-        plate_threshold: 0.05,
-        ..*last
-    };
-    if let Some(shading) = &mut weights.shading {
-        // Single pixels of the finer level are noisier. Chroma keeps to its own noise, which is measured per level.
-        shading.sigma *= 1.4 * shared_error;
-        shading.chroma_share *= 1.4;
-        shading.correction_px = 12.0;
-    }
-    weights
 }

@@ -3,8 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use super::distant;
+use super::environment::{self, LightScene};
 use super::known_light::KnownLight;
-use super::light::{self, Light, LightScene};
+use super::light::Light;
 use super::rendered_tests::{World, depths, known_light, loaded, miss, options, photographed};
 use super::views::Scene;
 use rilievo_scene::{Alone, LightKind};
@@ -19,7 +20,7 @@ fn light(scene: &Scene, truth: &[Vec<f64>], known: &KnownLight) -> Light {
         num_rays: 128,
         team: &Alone,
     };
-    light::visible(level, truth, &scene.pyramid[1], &light_scene)
+    environment::visible(level, truth, &scene.pyramid[1], &light_scene)
         .unwrap()
         .unwrap()
 }

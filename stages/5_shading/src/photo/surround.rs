@@ -5,6 +5,8 @@ use nalgebra::{Point3, Vector3};
 use rilievo_photometry::visibility::Ground;
 use rilievo_scene::{LinearImage, Mask};
 use rilievo_stereo::camera::Camera;
+use rilievo_stereo::hull::dilate;
+use rilievo_stereo::window::block_mean;
 
 /// Longest side of the small photos: the surroundings are needed at a few millimetres only.
 const MAX_SIDE: usize = 480;
@@ -24,36 +26,26 @@ impl SmallPhoto {
     /// not fill.
     pub fn new(camera: &Camera, image: &LinearImage, mask: &Mask, clip_level: f32) -> Self {
         let block = image.width.max(image.height).div_ceil(MAX_SIDE).max(1);
-        let (width, height) = (image.width / block, image.height / block);
-        let reduced = camera.reduced(block);
-        let mut small = LinearImage::filled(width, height, 3, 0.0);
-        let mut object = Mask::filled(width, height, false);
-        for y in 0..height {
-            for x in 0..width {
-                let mut unknown = !reduced.shows(x as i32, y as i32);
-                let (mut sum, mut inside) = ([0.0_f32; 3], false);
-                for by in y * block..(y + 1) * block {
-                    for bx in x * block..(x + 1) * block {
-                        let pixel = image.pixel(bx, by);
-                        inside |= *mask.at(bx, by);
-                        for (c, s) in sum.iter_mut().enumerate() {
-                            let value = pixel[c.min(image.channels - 1)];
-                            unknown |= !value.is_finite() || value >= clip_level;
-                            *s += value;
-                        }
-                    }
-                }
-                let scale = 1.0 / (block * block) as f32;
-                for (out, s) in small.pixel_mut(x, y).iter_mut().zip(sum) {
-                    *out = if unknown { -1.0 } else { s * scale };
-                }
-                *object.at_mut(x, y) = inside;
+        let (mean, reduced) = (block_mean(image, block), camera.reduced(block));
+        let is_valid = |&v: &f32| v.is_finite() && v < clip_level;
+        let mut small = LinearImage::filled(mean.width, mean.height, 3, 0.0);
+        let object = Mask::from_fn(mean.width, mean.height, |x, y| {
+            let place = |k: usize| (x * block + k % block, y * block + k / block);
+            let mut places = (0..block * block).map(place);
+            let is_known = reduced.shows(x as i32, y as i32)
+                && places
+                    .clone()
+                    .all(|(x, y)| image.pixel(x, y).iter().all(is_valid));
+            for (c, out) in small.pixel_mut(x, y).iter_mut().enumerate() {
+                let value = mean.pixel(x, y)[c.min(image.channels - 1)];
+                *out = if is_known { value } else { -1.0 };
             }
-        }
+            places.any(|(x, y)| *mask.at(x, y))
+        });
         Self {
             camera: reduced,
             image: small,
-            object: rilievo_stereo::hull::dilate(&object, 1),
+            object: dilate(&object, 1),
         }
     }
 
@@ -83,8 +75,8 @@ impl SmallPhoto {
 
 /// The plane on which the object stands, from sparse points off the object, with its texture.
 ///
-/// A plane through three points that holds most of the others (all triples of a fixed random choice),
-/// with the object on one side of it. `None` where there is none.
+/// The plane that most of them lie on, with the object on one side of it. `None` where there is
+/// none.
 pub(crate) fn find_ground(
     points: &[Point3<f64>],
     object: &[Point3<f64>],

@@ -6,10 +6,10 @@
 //!
 //! `z(x) = mean(r₀² − r₁²) / (sd(r₀² − r₁²)/√n)`
 //!
-//! over a wider Gaussian of `n` independent pixels says how surely shading helps (`z > 0`) or harms there.
-//! Trust falls linearly from 1 at `z = −1` to 0 at `z = −3`; a mean over the whole object below −3
-//! ends shading altogether. Where the light misses the photo by several times its usual residual,
-//! trust falls as well: there it explains nothing.
+//! over a wider Gaussian of `n` independent pixels measures how surely shading helps (`z > 0`) or
+//! harms there. Trust falls linearly from 1 at `z = −1` to 0 at `z = −3`; a mean over the whole
+//! object below −3 ends shading altogether. Where the light misses the photo by several times its
+//! usual residual, trust falls as well: there it explains nothing.
 //!
 //! With two views nothing can be left out; the light's residual alone decides then.
 
@@ -32,9 +32,9 @@ use serde::{Deserialize, Serialize};
 /// Steps of either kind: most of the way that an outer iteration goes.
 const NUM_STEPS: usize = 3;
 /// Gaussian of the brightness difference that counts as exposure, pixels.
-const GAIN_PX: f64 = 8.0;
+const GAIN_SIGMA_PX: f64 = 8.0;
 /// Gaussian of the judgement, pixels.
-const GAUSSIAN_PX: f64 = 10.0;
+const TRUST_SIGMA_PX: f64 = 10.0;
 /// Pixels over which residuals are correlated.
 const CORRELATED_PIXELS: f64 = 25.0;
 /// Largest log ratio that counts, in units of the median one: occluders are no evidence.
@@ -84,7 +84,7 @@ pub(crate) fn validate(
             }
             let (left_out, _) = level.sources[i][i % count];
             let solver = solvers.of(i, &level.views[i].pixels)?;
-            let of_view = light.of(i, &light.harmonics[i]);
+            let of_view = light.of(i, light.own(i));
             let solve = |shaded: bool| -> Result<Vec<f64>, PlateError> {
                 let mut trial = depths[i].clone();
                 let mut options = *options;
@@ -149,29 +149,25 @@ impl Evidence {
         let view = &level.views[index];
         let n = view.pixels.len();
         let mut out = Self::none(n);
-        let (Some((_, warp)), other) = (
-            level.sources[index].iter().find(|(j, _)| *j == left_out),
-            &level.views[left_out],
-        ) else {
+        let mut sources = level.sources[index].iter();
+        let Some(k) = sources.position(|(j, _)| *j == left_out) else {
             return out;
         };
         let ratios: Vec<Option<[f32; 2]>> = (0..n)
             .into_par_iter()
             .with_min_len(1024)
             .map(|p| {
-                let (x, y) = view.xy(p);
                 let own = view.intensity(p).iter().sum::<f32>();
                 if !view.is_usable(p) || own < 1e-4 {
                     return None;
                 }
                 let mut ratio = [0.0; 2];
                 for (r, depth) in ratio.iter_mut().zip(depths) {
-                    let l = warp.land(x, y, depth[p])?;
-                    let zeta = other.unclipped_depth_at(&rasters[left_out], l.u, l.v)?;
-                    if (zeta - l.zeta).abs() >= 2.0 * tolerance {
+                    let seen = level.sighting(rasters, index, k, (p, depth[p]))?;
+                    if !seen.is_within(2.0 * tolerance) || !seen.is_unclipped() {
                         return None;
                     }
-                    let (value, _, _) = sampling::bicubic(&other.image, l.u, l.v);
+                    let (value, _, _) = sampling::bicubic(&seen.view.image, seen.at.u, seen.at.v);
                     *r = (value.iter().sum::<f32>().max(1e-4) / own).ln();
                 }
                 Some(ratio)
@@ -182,7 +178,7 @@ impl Evidence {
             .map(|r| f32::from(u8::from(r.is_some())))
             .collect();
         let ratios: Vec<[f32; 2]> = ratios.into_iter().map(Option::unwrap_or_default).collect();
-        let slow = sampling::smooth(&view.pixels, &ratios, &out.seen, GAIN_PX);
+        let slow = sampling::smooth(&view.pixels, &ratios, &out.seen, GAIN_SIGMA_PX);
         let mut sizes: Vec<f64> = (0..n)
             .filter(|&p| out.seen[p] > 0.0)
             .map(|p| f64::from((ratios[p][0] - slow[p][0]).abs()))
@@ -243,9 +239,9 @@ fn trust(
         .iter()
         .map(|s| [s[0] - s[1], (s[0] - s[1]).powi(2)])
         .collect();
-    let mean = sampling::smooth(&view.pixels, &values, &evidence.seen, GAUSSIAN_PX);
+    let mean = sampling::smooth(&view.pixels, &values, &evidence.seen, TRUST_SIGMA_PX);
     let cover: Vec<[f32; 1]> = evidence.seen.iter().map(|&s| [s]).collect();
-    let cover = sampling::smooth(&view.pixels, &cover, &vec![1.0; n], GAUSSIAN_PX);
+    let cover = sampling::smooth(&view.pixels, &cover, &vec![1.0; n], TRUST_SIGMA_PX);
     let usable: Vec<f32> = (0..n)
         .map(|p| f32::from(u8::from(view.is_usable(p))))
         .collect();
@@ -265,11 +261,11 @@ fn trust(
             [(sum / 3.0) as f32]
         })
         .collect();
-    let missed = sampling::smooth(&view.pixels, &missed, &usable, GAUSSIAN_PX);
+    let missed = sampling::smooth(&view.pixels, &missed, &usable, TRUST_SIGMA_PX);
     let mut usual: Vec<f64> = missed.iter().map(|m| f64::from(m[0])).collect();
     let usual = median(&mut usual).unwrap_or(1.0).max(1e-8) as f32;
     let independent =
-        (4.0 * std::f64::consts::PI * GAUSSIAN_PX * GAUSSIAN_PX / CORRELATED_PIXELS) as f32;
+        (4.0 * std::f64::consts::PI * TRUST_SIGMA_PX * TRUST_SIGMA_PX / CORRELATED_PIXELS) as f32;
     (0..n)
         .map(|p| {
             let variance = (mean[p][1] - mean[p][0].powi(2)).max(0.0);

@@ -2,7 +2,7 @@
 //! pyramid, and the choice of the views with which each is compared.
 
 use super::light::{self, Light};
-use super::memory;
+use super::memory::{self, Budget};
 use super::options::PhotoOptions;
 use super::shading::PixelHarmonics;
 use super::shape::FineShape;
@@ -11,10 +11,13 @@ use crate::error::ShadingError;
 use crate::photo_of::photo_of;
 use nalgebra::Point3;
 use rayon::prelude::*;
+use rilievo_numerics::robust::median;
 use rilievo_scene::{Mask, PackedMask, PhotoSet, PosedViews, Scratch, ScratchError, ViewIdx};
 use rilievo_stereo::camera::Camera;
-use rilievo_stereo::level::{self, Level, LevelView};
+use rilievo_stereo::hull::object_ball;
+use rilievo_stereo::level::{Level, LevelView};
 use rilievo_stereo::rectify::Rectification;
+use rilievo_stereo::sightings::choose_sources;
 use rilievo_stereo::stored::{StoredLevel, StoredView};
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -164,7 +167,11 @@ pub(crate) fn load(
     if posed.views.is_empty() {
         return Err(ShadingError::NoViews);
     }
-    let at_once = memory::photos_at_once(posed, options);
+    let budget = Budget {
+        given: options.memory,
+        in_use: 0.0,
+    };
+    let at_once = budget.photos(posed);
     let (mut frames, mut small, mut stored) = (Vec::new(), Vec::new(), Vec::new());
     let indices: Vec<usize> = (0..posed.views.len()).collect();
     for some in indices.chunks(at_once) {
@@ -182,7 +189,7 @@ pub(crate) fn load(
     }
     // One level more than the coarse one serves the first search and the first outer iterations with shading.
     let most = stored.iter().map(StoredView::num_levels).min().unwrap_or(1);
-    let is_coarse = |at: &usize| mean_pixels(&stored, *at) <= options.coarse_pixels;
+    let is_coarse = |at: &usize| mean_pixels(&stored, *at) <= options.effort.coarse_pixels;
     let num_levels = (0..most)
         .filter(is_coarse)
         .nth(1)
@@ -197,7 +204,7 @@ pub(crate) fn load(
     };
     let views = at_level(finest)?;
     let target = object_center(&views, posed);
-    let sources = level::choose_sources(&views, &target, options.max_num_sources);
+    let sources = choose_sources(&views, &target, options.max_num_sources);
     let mut pyramid = vec![Level::new(views, &sources)];
     for at in finest + 1..num_levels {
         pyramid.push(Level::new(at_level(at)?, &sources));
@@ -272,24 +279,15 @@ fn load_view(
 
 /// Middle of the known points, else of the optical axes' closest approach.
 fn object_center(views: &[LevelView], posed: &PosedViews) -> Point3<f64> {
-    let mut coordinates: [Vec<f64>; 3] = Default::default();
     let known: Vec<[f64; 3]> = if posed.anchors.is_empty() {
         posed.points.iter().map(|p| p.position).collect()
     } else {
         posed.anchors.iter().map(|a| a.position).collect()
     };
-    for point in &known {
-        for k in 0..3 {
-            coordinates[k].push(point[k]);
-        }
-    }
     if known.len() >= 10 {
-        let middle =
-            [0, 1, 2].map(|k| rilievo_numerics::robust::median(&mut coordinates[k]).unwrap_or(0.0));
-        return Point3::from(middle);
+        let middle = |k: usize| median(&mut known.iter().map(|p| p[k]).collect::<Vec<_>>());
+        return Point3::from([0, 1, 2].map(|k| middle(k).unwrap_or(0.0)));
     }
     let outlines: Vec<_> = views.iter().map(|view| view.outline(true)).collect();
-    rilievo_stereo::hull::object_ball(&outlines)
-        .map(|(center, _)| center)
-        .unwrap_or_else(Point3::origin)
+    object_ball(&outlines).map_or_else(Point3::origin, |(center, _)| center)
 }

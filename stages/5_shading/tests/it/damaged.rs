@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use rilievo_scene::{Silent, StageId};
+use rilievo_shading::photo::Effort;
 use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, Surroundings, run};
 use rilievo_synthetic::testing::{Random, mutated, sphere_world};
 
@@ -14,12 +15,15 @@ fn models() -> [ShadingOptions; 2] {
             model,
             ..ShadingOptions::default()
         };
-        options.photo.num_sweeps = 1;
         options.photo.num_outer_iterations = 1;
-        options.photo.num_half_iterations = 0;
-        options.photo.max_more_iterations = 0;
-        options.photo.max_num_rounds = 1;
-        options.photo.num_rays = 16;
+        options.photo.effort = Effort {
+            num_sweeps: 1,
+            num_half_iterations: 0,
+            max_more_iterations: 0,
+            max_num_rounds: 1,
+            num_rays: 16,
+            ..Effort::default()
+        };
         options
     })
 }

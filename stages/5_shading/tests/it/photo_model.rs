@@ -5,7 +5,7 @@ use rilievo_scene::{
     Intrinsics, LightKind, LightSource, LightingCalibration, Photo, PhotoSet, PosedViews,
     RigidTransform, Silent,
 };
-use rilievo_shading::photo::{self, PhotoOptions};
+use rilievo_shading::photo::{self, Effort, PhotoOptions};
 use rilievo_shading::{ShadingError, Surroundings};
 use rilievo_synthetic::testing::{Maps, PosedPhotos, on_sphere, painted, photo};
 use std::sync::Arc;
@@ -75,9 +75,12 @@ fn median(mut values: Vec<f64>) -> f64 {
 
 fn small() -> PhotoOptions {
     PhotoOptions {
-        coarse_pixels: 4000,
         num_outer_iterations: 1,
-        num_rays: 32,
+        effort: Effort {
+            coarse_pixels: 4000,
+            num_rays: 32,
+            ..Effort::default()
+        },
         ..PhotoOptions::default()
     }
 }

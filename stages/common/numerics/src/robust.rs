@@ -59,6 +59,12 @@ pub fn tukey_weight(t: f64) -> f64 {
     }
 }
 
+/// Weight `ρ'(r) / r` of a loss that is quadratic up to 1 and `½ (1 + 2 ln |r|)` beyond: far values hardly pull.
+#[inline]
+pub fn log_weight(r: f64) -> f64 {
+    if r.abs() < 1.0 { 1.0 } else { 1.0 / (r * r) }
+}
+
 /// Median of finite values; `None` when there is none. Reorders the slice.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)

@@ -6,8 +6,11 @@ use crate::sampling;
 use crate::surfaces::CUBIC_RANGE_PX;
 use rilievo_numerics::plate_system::Functional;
 
-/// Log depth at the next coarser level: mean of the four children (all are masked).
+/// Log depth at the next coarser level, or the same: mean of the four children (all are masked).
 pub fn reduce(fine: &ViewGrid, coarse: &ViewGrid, depth: &[f64]) -> Vec<f64> {
+    if fine.mask.width == coarse.mask.width {
+        return depth.to_vec();
+    }
     (0..coarse.pixels.len())
         .map(|p| {
             let children = children(fine, coarse, p);
@@ -26,10 +29,10 @@ pub fn children(fine: &ViewGrid, coarse: &ViewGrid, pixel: usize) -> [usize; 4] 
         .map(|(dx, dy)| fine.pixels.number[(y + dy) * fine.pixels.width + x + dx] as usize)
 }
 
-/// Log depth of a finer level from a coarser one: cubic, so that slopes have no steps, bilinear beside borders and
-/// breaks, where not all of the sixteen parents tell of one surface, and known where all four are masked; between
-/// parents of different surfaces the nearest one's tangent plane, so that no pixel hangs between both.
-/// Returns the values and where they are known.
+/// Log depth of a finer level from a coarser one: cubic, so that slopes have no steps, bilinear
+/// beside borders and breaks, where the sixteen parents are not all of one surface, and known where
+/// all four are masked; between parents of different surfaces the nearest one's tangent plane, so
+/// that no pixel hangs between both. Returns the values and where they are known.
 pub fn upsample(coarse: &ViewGrid, fine: &ViewGrid, values: &[f64]) -> (Vec<f64>, Vec<bool>) {
     let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
     let centred: Vec<f64> = values.iter().map(|v| v - mean).collect();
@@ -72,7 +75,7 @@ pub fn continued(
     (values, is_known)
 }
 
-/// Gives pixels without a value the mean of their known neighbours, ring by ring.
+/// Fills pixels without a value with the mean of their known neighbours, ring by ring.
 fn extend(view: &ViewGrid, values: &mut [f64], known: &mut [bool]) {
     // The rim is two pixels wide; specks without any parent take a few rings more.
     const NUM_RINGS: usize = 12;

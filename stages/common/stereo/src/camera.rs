@@ -214,7 +214,7 @@ impl Warp {
 
     /// Lands pixel `(x, y)` with log depth `zeta`; `None` behind the other camera.
     #[inline]
-    pub fn land(&self, x: f64, y: f64, zeta: f64) -> Option<Landing> {
+    pub(crate) fn land(&self, x: f64, y: f64, zeta: f64) -> Option<Landing> {
         let w = (-zeta).exp();
         let p = self.at(x, y, w);
         if p.z.is_nan() || p.z <= 1e-9 {

@@ -1,18 +1,19 @@
 //! One surface for all views: nearness of a view's depth to the others', and their fusion.
 //!
-//! Views see a point at different angles; the one that faces it tells its depth best. With `c` the cos² of
-//! the angle between a view's ray and its surface, a tenth of it at the mask's rim, times the photo's squared sharpness
-//! (`surfaces::incidence_weights`), nearness of view i to view j weighs `w_ij = min(c_j / c_i, 2)`, the
-//! fusion `c_j`: a rim follows the views that look into it, and they hardly follow it. In the fusion,
-//! proposals within the truncation are averaged: the zero of the weighted signed distances (Curless,
-//! Levoy, SIGGRAPH 1996) without a volume.
+//! Views see a point at different angles; the one that faces it knows its depth best. With `c` the
+//! cos² of the angle between a view's ray and its surface, a tenth of it at the mask's rim, times
+//! the photo's squared sharpness (`surfaces::incidence_weights`), nearness of view i to view j
+//! weighs `w_ij = min(c_j / c_i, 2)`, the fusion `c_j`: a rim follows the views that look into it,
+//! and they hardly follow it. In the fusion, proposals within the truncation are averaged: the zero
+//! of the weighted signed distances (Curless, Levoy, SIGGRAPH 1996) without a volume.
 
 use crate::level::Level;
 use crate::surfaces::{Proposal, Reading, Surfaces};
 use rayon::prelude::*;
+use rilievo_numerics::robust::log_weight;
 
-/// Largest weight of another view's surface against a pixel's own: at a grazing angle the ratio would
-/// give all to the other view, whose depth errs as well.
+/// Largest weight of another view's surface against a pixel's own: at a grazing angle the other
+/// view would count alone, whose depth errs as well.
 pub const MAX_RELATIVE_WEIGHT: f64 = 2.0;
 
 /// Adds nearness to the sources' surfaces: residual `r / σ`, redescending beyond σ, weighed with how
@@ -38,12 +39,7 @@ pub fn add_terms(
                 if let Some(proposal) = surfaces.propose(index, k, p, depth[p], reach) {
                     let Proposal { r, slope, weight } = proposal;
                     let relative = (weight / own).min(MAX_RELATIVE_WEIGHT);
-                    let ratio = (r / sigma).abs();
-                    let robust = if ratio < 1.0 {
-                        1.0
-                    } else {
-                        1.0 / (ratio * ratio)
-                    };
+                    let robust = log_weight(r / sigma);
                     let weight = inverse * relative * robust;
                     *h += weight * slope * slope;
                     *b -= weight * slope * r;

@@ -7,7 +7,6 @@
 
 use crate::level::Level;
 use crate::sampling;
-use crate::start::Agreement;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use rilievo_numerics::robust::{SIGMA_FROM_MAD, median};
@@ -35,7 +34,7 @@ struct Pair {
 }
 
 /// Compares all pairs of views at the points on which they agree.
-pub fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Agreement]) -> Exposure {
+pub fn estimate(level: &Level, depths: &[Vec<f64>], agreement: &[Vec<u8>]) -> Exposure {
     let num_views = level.views.len();
     let pairs: Vec<Pair> = (0..num_views)
         .into_par_iter()
@@ -116,27 +115,22 @@ pub(crate) fn joined(num_views: usize, ratios: impl Iterator<Item = LogRatio>) -
 fn compare(
     level: &Level,
     depths: &[Vec<f64>],
-    agreement: &Agreement,
+    agreement: &[u8],
     i: usize,
     k: usize,
 ) -> Option<Pair> {
-    let (j, warp) = &level.sources[i][k];
-    let (view, other) = (&level.views[i], &level.views[*j]);
+    let j = level.sources[i][k].0;
+    let (view, other) = (&level.views[i], &level.views[j]);
     let mut ratios: [Vec<f64>; 3] = Default::default();
     let mut grey = Vec::new();
     for (p, &depth) in depths[i].iter().enumerate() {
-        if agreement.which[p] & (1 << k) == 0 || !view.is_usable(p) {
+        if agreement[p] & (1 << k) == 0 || !view.is_usable(p) {
             continue;
         }
-        let (x, y) = view.xy(p);
-        let Some(landing) = warp.land(x, y, depth) else {
-            continue;
-        };
-        if !sampling::inside(&other.mask, landing.u, landing.v)
-            || sampling::bilinear(&other.usable, landing.u, landing.v) < 0.999
-        {
-            continue;
-        }
+        let landing = level.landing(i, k, p, depth).filter(|at| {
+            sampling::inside(&other.mask, at.u, at.v) && other.is_unclipped_at(at.u, at.v)
+        });
+        let Some(landing) = landing else { continue };
         let here = view.intensity(p);
         let (there, _, _) = sampling::bicubic(&other.image, landing.u, landing.v);
         for c in 0..3 {
@@ -157,7 +151,7 @@ fn compare(
     }
     Some(Pair {
         from: i,
-        to: *j,
+        to: j,
         log_ratio,
         spread,
         count: grey.len(),

@@ -15,7 +15,7 @@ use rilievo_scene::Mask;
 /// Samples along a ray.
 const NUM_SAMPLES: usize = 256;
 
-/// What a view says of where the object is.
+/// Where a view shows the object.
 #[derive(Clone, Copy, Debug)]
 pub struct Outline<'a> {
     /// The view's camera, of the mask's size.
@@ -54,7 +54,7 @@ pub struct InverseDepthRange {
 const BEYOND_POINTS: f32 = 2.0;
 
 /// Range of each view, `None` where it is not known: from two masks and more, else from points in the world; from both
-/// where the frame cuts the object, since its masks may tell little of where it is and how large.
+/// where the frame cuts the object, since its masks may bound it badly.
 pub fn object_ranges(
     outlines: &[Outline],
     points: &[Point3<f64>],
@@ -120,7 +120,7 @@ pub fn object_ball(outlines: &[Outline]) -> Option<(Point3<f64>, f64)> {
     let center = nearest_point(axes)?;
     let mut radius = 0.0_f64;
     for (camera, farthest) in extents {
-        // A camera with the centre behind it is posed wrongly, and tells no size.
+        // A camera with the centre behind it is posed wrongly, and does not count.
         if let Some((_, _, depth)) = camera.project(&center) {
             radius = radius.max(farthest * depth);
         }
@@ -192,21 +192,14 @@ pub fn ranges_inside(
 
 /// A mask grown by `radius` pixels (square neighbourhood).
 pub fn dilate(mask: &Mask, radius: usize) -> Mask {
-    let mut rows = mask.clone();
-    for y in 0..mask.height {
-        for x in 0..mask.width {
-            let range = x.saturating_sub(radius)..=(x + radius).min(mask.width - 1);
-            *rows.at_mut(x, y) = range.into_iter().any(|a| *mask.at(a, y));
-        }
-    }
-    let mut out = rows.clone();
-    for y in 0..mask.height {
-        let range = y.saturating_sub(radius)..=(y + radius).min(mask.height - 1);
-        for x in 0..mask.width {
-            *out.at_mut(x, y) = range.clone().any(|b| *rows.at(x, b));
-        }
-    }
-    out
+    let reach = radius as isize;
+    let grown = |mask: &Mask, dx: isize, dy: isize| {
+        Mask::from_fn(mask.width, mask.height, |x, y| {
+            let (x, y) = (x as isize, y as isize);
+            (-reach..=reach).any(|k| mask.contains(x + k * dx, y + k * dy))
+        })
+    };
+    grown(&grown(mask, 1, 0), 0, 1)
 }
 
 #[cfg(test)]
@@ -281,7 +274,7 @@ mod tests {
             assert!(range.low < 0.485 && range.low > 0.2, "{range:?}");
             assert!(range.high > 0.5 && range.high < 1.1, "{range:?}");
         }
-        // Masks that turn about the object tell its size beyond that of the points.
+        // Masks that turn about the object bound it beyond the points.
         let turned = [-0.4_f64, 0.0, 0.4].map(|angle| {
             let about = nalgebra::UnitQuaternion::from_axis_angle(&Vector3::y_axis(), angle);
             let target = Vector3::new(0.1, 0.0, 2.0);

@@ -4,7 +4,8 @@ use crate::camera::{Camera, Warp};
 use crate::hull::Outline;
 use crate::sampling;
 use crate::window::{Window, block_mean, blocks_where};
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
+use rayon::prelude::*;
 use rilievo_numerics::plate_system::PixelNumbering;
 #[cfg(test)]
 use rilievo_scene::{Intrinsics, RigidTransform};
@@ -79,7 +80,7 @@ impl ViewGrid {
         }
     }
 
-    /// What the view says of where the object is; without masks every pixel may show it.
+    /// Where the view shows the object; without masks any pixel may.
     pub fn outline(&self, is_masked: bool) -> Outline<'_> {
         Outline {
             camera: &self.camera,
@@ -92,10 +93,15 @@ impl ViewGrid {
     /// Column and row of a masked pixel.
     #[inline]
     pub fn xy(&self, index: usize) -> (f64, f64) {
-        (
-            f64::from(self.pixels.xs[index]),
-            f64::from(self.pixels.ys[index]),
-        )
+        let (xs, ys) = (&self.pixels.xs, &self.pixels.ys);
+        (f64::from(xs[index]), f64::from(ys[index]))
+    }
+
+    /// The same, to index rasters with.
+    #[inline]
+    pub fn place(&self, index: usize) -> (usize, usize) {
+        let (xs, ys) = (&self.pixels.xs, &self.pixels.ys);
+        (xs[index] as usize, ys[index] as usize)
     }
 
     /// Whether the photo shows something else than the object there. What lies beyond the photo or the raster, which may be
@@ -130,11 +136,11 @@ impl ViewGrid {
     /// around it, of one surface. Between the two sides of an edge of depth there is none; a mean of both
     /// would confirm any surface that bridges the edge along a line of sight of this view.
     #[inline]
-    pub fn has_surface_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+    pub(crate) fn has_surface_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
         sampling::inside(&self.mask, x, y) && self.is_one_surface(raster, x, y)
     }
 
-    /// Log depth of the surface `raster` at a position, where it [has one](Self::has_surface_at).
+    /// Log depth of the surface `raster` at a position, where it has one.
     #[inline]
     pub fn depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
         self.has_surface_at(raster, x, y)
@@ -143,7 +149,7 @@ impl ViewGrid {
 
     /// Whether the four values around a position, which must be [`sampling::inside`], are of one surface.
     #[inline]
-    pub fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
+    pub(crate) fn is_one_surface(&self, raster: &Raster<f32>, x: f64, y: f64) -> bool {
         f64::from(sampling::range_around(raster, x, y)) * self.camera.focal() <= MAX_STEP_PX
     }
 
@@ -151,7 +157,8 @@ impl ViewGrid {
     pub fn spread(&self, values: &[f64], outside: f32) -> Raster<f32> {
         let mut raster = Raster::filled(self.mask.width, self.mask.height, outside);
         for (i, &value) in values.iter().enumerate() {
-            *raster.at_mut(self.pixels.xs[i] as usize, self.pixels.ys[i] as usize) = value as f32;
+            let (x, y) = self.place(i);
+            *raster.at_mut(x, y) = value as f32;
         }
         raster
     }
@@ -168,44 +175,25 @@ impl LevelView {
         clip_level: f32,
     ) -> (Self, (usize, usize)) {
         let window = Window::around(mask, MARGIN_PX).unwrap_or_default();
-        let Window {
-            x0,
-            y0,
-            width,
-            height,
-        } = window;
-        let mut data = Vec::with_capacity(width * height * 3);
-        let mut usable = Vec::with_capacity(width * height);
-        for y in y0..y0 + height {
-            for x in x0..x0 + width {
-                let pixel = image.pixel(x, y);
-                let clipped = pixel.iter().any(|&v| !v.is_finite() || v >= clip_level);
-                usable.push(if clipped { 0.0 } else { 1.0 });
-                for c in 0..3 {
-                    let value = pixel[c.min(image.channels - 1)];
-                    data.push(if value.is_finite() {
-                        value.max(0.0)
-                    } else {
-                        0.0
-                    });
-                }
+        let (x0, y0, width, height) = (window.x0, window.y0, window.width, window.height);
+        let mut cropped = LinearImage::filled(width, height, 3, 0.0);
+        let usable = Raster::from_fn(width, height, |x, y| {
+            let pixel = image.pixel(x0 + x, y0 + y);
+            for (c, out) in cropped.pixel_mut(x, y).iter_mut().enumerate() {
+                let value = pixel[c.min(image.channels - 1)];
+                *out = if value.is_finite() {
+                    value.max(0.0)
+                } else {
+                    0.0
+                };
             }
-        }
-        let image = LinearImage {
-            width,
-            height,
-            channels: 3,
-            data,
-        };
-        let usable = Raster {
-            width,
-            height,
-            data: usable,
-        };
+            let is_clipped = pixel.iter().any(|&v| !v.is_finite() || v >= clip_level);
+            f32::from(u8::from(!is_clipped))
+        });
         let (camera, mask) = (camera.cropped(x0, y0, width, height), window.cut(mask));
         let cut_by_frame = is_cut_by_frame(&camera, &mask);
         let grid = ViewGrid::new(camera, mask, cut_by_frame);
-        let view = Self::assemble(grid, image, usable).with_own_dark();
+        let view = Self::assemble(grid, cropped, usable).with_own_dark();
         (view, (x0, y0))
     }
 
@@ -221,7 +209,7 @@ impl LevelView {
         }
     }
 
-    /// With what its own pixels tell is dark.
+    /// With [`Self::dark`] from its own pixels.
     fn with_own_dark(self) -> Self {
         Self {
             dark: dark_intensity(self.mean_intensity()),
@@ -243,15 +231,9 @@ impl LevelView {
     /// The view at half resolution; a pixel is masked where all four of its parents are.
     pub fn halved(&self) -> Self {
         let is_usable = blocks_where(&self.usable, 2, |&v| v > 0.5);
-        let usable = Raster {
-            width: is_usable.width,
-            height: is_usable.height,
-            data: is_usable
-                .data
-                .into_iter()
-                .map(|v| f32::from(u8::from(v)))
-                .collect(),
-        };
+        let usable = Raster::from_fn(is_usable.width, is_usable.height, |x, y| {
+            f32::from(u8::from(*is_usable.at(x, y)))
+        });
         let (camera, image) = (self.camera.reduced(2), block_mean(&self.image, 2));
         let mask = blocks_where(&self.mask, 2, |&v| v);
         let grid = ViewGrid::new(camera, mask, self.cut_by_frame);
@@ -272,20 +254,16 @@ impl LevelView {
     /// Intensities of a masked pixel.
     #[inline]
     pub fn intensity(&self, index: usize) -> [f32; 3] {
-        let p = self.image.pixel(
-            self.pixels.xs[index] as usize,
-            self.pixels.ys[index] as usize,
-        );
+        let (x, y) = self.place(index);
+        let p = self.image.pixel(x, y);
         [p[0], p[1], p[2]]
     }
 
     /// Whether a masked pixel is unclipped.
     #[inline]
     pub fn is_usable(&self, index: usize) -> bool {
-        *self.usable.at(
-            self.pixels.xs[index] as usize,
-            self.pixels.ys[index] as usize,
-        ) > 0.5
+        let (x, y) = self.place(index);
+        *self.usable.at(x, y) > 0.5
     }
 
     /// Whether a masked pixel's intensity is that of the surface: unclipped, and not partly the background's.
@@ -294,16 +272,9 @@ impl LevelView {
         self.is_usable(index) && !self.is_on_outline(index)
     }
 
-    /// [`ViewGrid::depth_at`] where the photo is unclipped too: its intensities may be compared.
-    #[inline]
-    pub fn unclipped_depth_at(&self, raster: &Raster<f32>, x: f64, y: f64) -> Option<f64> {
-        self.depth_at(raster, x, y)
-            .filter(|_| self.is_unclipped_at(x, y))
-    }
-
     /// Whether the four pixels around a position, which must be [`sampling::inside`], are unclipped.
     #[inline]
-    pub fn is_unclipped_at(&self, x: f64, y: f64) -> bool {
+    pub(crate) fn is_unclipped_at(&self, x: f64, y: f64) -> bool {
         sampling::bilinear(&self.usable, x, y) > 0.999
     }
 }
@@ -362,50 +333,8 @@ impl Level {
     }
 }
 
-/// Most views that one is compared with: which of them agree is told in the bits of a byte.
-pub const MAX_SOURCES: usize = 8;
-
-/// For every view the others whose line of sight to a point `target` in the world differs by about 20°,
-/// best first.
-///
-/// A narrow angle says little about depth, a wide one sees another side. At most [`MAX_SOURCES`] are chosen.
-pub fn choose_sources(
-    views: &[LevelView],
-    target: &Point3<f64>,
-    max_num_sources: usize,
-) -> Vec<Vec<usize>> {
-    let directions: Vec<_> = views
-        .iter()
-        .map(|v| (v.camera.center - target).normalize())
-        .collect();
-    (0..views.len())
-        .map(|i| {
-            let mut ranked: Vec<(f64, usize)> = (0..views.len())
-                .filter(|&j| j != i)
-                .map(|j| {
-                    let angle = directions[i].dot(&directions[j]).clamp(-1.0, 1.0).acos();
-                    let degrees = angle.to_degrees();
-                    let misfit = if degrees < 20.0 {
-                        (20.0 - degrees) / 10.0
-                    } else {
-                        (degrees - 20.0) / 25.0
-                    };
-                    (misfit, j)
-                })
-                .collect();
-            ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            ranked
-                .into_iter()
-                .take(max_num_sources.min(MAX_SOURCES))
-                .map(|(_, j)| j)
-                .collect()
-        })
-        .collect()
-}
-
 /// Log depth of every view's raster (0 outside), for sampling by other views.
 pub fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
-    use rayon::prelude::*;
     level
         .views
         .par_iter()
@@ -415,7 +344,7 @@ pub fn depth_rasters(level: &Level, depths: &[Vec<f64>]) -> Vec<Raster<f32>> {
 }
 
 /// Difference of log depth between neighbours beyond which they belong to different surfaces, pixel
-/// footprints: no view tells much of a surface that it sees at 80° and more.
+/// footprints: a surface seen at 80° and more is hardly measured.
 pub const MAX_STEP_PX: f64 = 8.0;
 
 /// A wholly masked grey view at the origin that looks along +z, for tests.

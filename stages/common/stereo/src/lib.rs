@@ -1,15 +1,16 @@
-//! Multi-view stereo: what the photos of several cameras tell of depth before any light is known.
+//! Multi-view stereo: depth from the photos of several cameras, before any light is known.
 //!
 //! * [`camera`], [`rectify`]: pinholes, the warp between two of them, and lens distortion.
 //! * [`level`], [`between_levels`], [`spread`]: photos cropped to the object, at every resolution.
+//! * [`sightings`]: the other views that see a point.
 //! * [`sampling`], [`window`]: interpolation in rasters, smoothing inside a mask, crops and block means.
-//! * [`hull`], [`patchmatch`], [`search`]: dense search inside the visual hull.
+//! * [`hull`], [`patch_cost`], [`patchmatch`], [`search`]: dense search inside the visual hull.
 //! * [`start`], [`edges`], [`plate`]: what the views agree on, continued over their masks.
 //! * [`stored`], [`tile`]: fine levels out of core, and parts of them, for what is local there.
 //! * [`openness`]: the share of its light that the relief around a pixel leaves it.
 //! * [`specks`]: pixels whose normals stand out from all around them.
 //! * [`gains`]: exposure of the photos, and how far they disagree.
-//! * [`surfaces`], [`consensus`]: what the views' surfaces say of each other, and their fusion.
+//! * [`surfaces`], [`consensus`]: the views' surfaces compared with each other, and their fusion.
 //!
 //! Depth `z` is along the optical axis, `ζ = ln z`; per-pixel lists hold a value for every masked pixel of a
 //! view, in the order of its [`PixelNumbering`](rilievo_numerics::plate_system::PixelNumbering). A pixel's
@@ -23,12 +24,14 @@ pub mod gains;
 pub mod hull;
 pub mod level;
 pub mod openness;
+pub mod patch_cost;
 pub mod patchmatch;
 pub mod plate;
 pub mod rectify;
 pub mod sampling;
 pub mod search;
 pub mod sharpness;
+pub mod sightings;
 pub mod specks;
 pub mod spread;
 pub mod start;

@@ -66,8 +66,8 @@ pub(crate) enum Bend {
     Mixed,
 }
 
-/// Visits the second differences (times the focal length) that are complete inside the mask:
-/// xx and yy at every pixel, and the mixed one, times √2, of every 2×2 block, told with its first pixel.
+/// Visits the second differences (times the focal length) that are complete inside the mask: xx and
+/// yy at every pixel, and the mixed one, times √2, of every 2×2 block, under its first pixel.
 #[inline]
 pub(crate) fn for_each_bend(view: &ViewGrid, mut visit: impl FnMut(usize, Bend, &Functional)) {
     let focal = view.camera.focal();

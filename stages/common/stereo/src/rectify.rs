@@ -1,5 +1,6 @@
 //! Lens distortion: photos are straightened to a pinhole before, and results bent back after.
 
+use nalgebra::Point2;
 use rilievo_scene::{DepthMap, Distortion, Intrinsics, LinearImage, Mask, NormalMap, Raster};
 
 /// A photo's camera and the pinhole of the same matrix.
@@ -68,6 +69,28 @@ impl Rectification {
         (k.fx * u + k.cx, k.fy * v + k.cy)
     }
 
+    /// Visits the pinhole image's pixels with a depth around the one that shows a pixel of the
+    /// photo: column, row, depth and weight.
+    fn for_each_parent(
+        &self,
+        depth: &DepthMap,
+        (x, y): (usize, usize),
+        mut visit: impl FnMut(isize, isize, f32, f64),
+    ) {
+        let k = &self.original;
+        let ray = k.normalized(&Point2::new(x as f64, y as f64));
+        let (xs, ys) = (k.fx * ray.x + k.cx, k.fy * ray.y + k.cy);
+        let (x0, y0) = (xs.floor() as isize, ys.floor() as isize);
+        for (u, v) in [(x0, y0), (x0 + 1, y0), (x0, y0 + 1), (x0 + 1, y0 + 1)] {
+            if let Some(&z) = depth.get(u, v)
+                && z > 0.0
+            {
+                let weight = (1.0 - (xs - u as f64).abs()) * (1.0 - (ys - v as f64).abs()) + 1e-6;
+                visit(u, v, z, weight);
+            }
+        }
+    }
+
     /// Maps of the pinhole image on the photo's own pixels, inside the photo's mask.
     pub fn bend_back(
         &self,
@@ -75,49 +98,32 @@ impl Rectification {
         depth: &DepthMap,
         normal: &NormalMap,
     ) -> (DepthMap, NormalMap) {
-        let mut out_depth = Raster::filled(mask.width, mask.height, 0.0);
         let mut out_normal = Raster::filled(mask.width, mask.height, [0.0; 3]);
-        for y in 0..mask.height {
-            for x in 0..mask.width {
-                if !*mask.at(x, y) {
-                    continue;
-                }
-                let ray = self
-                    .original
-                    .normalized(&nalgebra::Point2::new(x as f64, y as f64));
-                let xs = self.original.fx * ray.x + self.original.cx;
-                let ys = self.original.fy * ray.y + self.original.cy;
-                let (x0, y0) = (xs.floor() as isize, ys.floor() as isize);
-                let (mut sum, mut total, mut n) = (0.0_f64, 0.0_f64, [0.0_f64; 3]);
-                for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                    let weight = (1.0 - (xs - (x0 + dx) as f64).abs())
-                        * (1.0 - (ys - (y0 + dy) as f64).abs())
-                        + 1e-6;
-                    match depth.get(x0 + dx, y0 + dy) {
-                        Some(&z) if z > 0.0 => {
-                            sum += weight * f64::from(z);
-                            total += weight;
-                            if let Some(m) = normal.get(x0 + dx, y0 + dy) {
-                                for k in 0..3 {
-                                    n[k] += weight * f64::from(m[k]);
-                                }
-                            }
-                        }
-                        _ => {}
-                    }
-                }
-                let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
-                if total > 0.0 && length > 0.0 {
-                    *out_depth.at_mut(x, y) = (sum / total) as f32;
-                    *out_normal.at_mut(x, y) = n.map(|v| (v / length) as f32);
-                }
+        let out_depth = Raster::from_fn(mask.width, mask.height, |x, y| {
+            if !*mask.at(x, y) {
+                return 0.0;
             }
-        }
+            let (mut sum, mut total, mut n) = (0.0_f64, 0.0_f64, [0.0_f64; 3]);
+            self.for_each_parent(depth, (x, y), |u, v, z, weight| {
+                sum += weight * f64::from(z);
+                total += weight;
+                for (n, m) in n.iter_mut().zip(normal.get(u, v).into_iter().flatten()) {
+                    *n += weight * f64::from(*m);
+                }
+            });
+            let length = (n[0] * n[0] + n[1] * n[1] + n[2] * n[2]).sqrt();
+            if total > 0.0 && length > 0.0 {
+                *out_normal.at_mut(x, y) = n.map(|v| (v / length) as f32);
+                (sum / total) as f32
+            } else {
+                0.0
+            }
+        });
         (out_depth, out_normal)
     }
 
-    /// Values on the photo's own pixels from those on the straightened ones, `depth` telling where
-    /// there are any; zero elsewhere.
+    /// Values on the photo's own pixels from those on the straightened ones, where `depth` has a
+    /// value; zero elsewhere.
     pub fn bend_values_back<const N: usize>(
         &self,
         mask: &Mask,
@@ -125,29 +131,15 @@ impl Rectification {
         values: &Raster<[f32; N]>,
     ) -> Raster<[f32; N]> {
         Raster::from_fn(mask.width, mask.height, |x, y| {
-            if !*mask.at(x, y) {
-                return [0.0; N];
-            }
-            let ray = self
-                .original
-                .normalized(&nalgebra::Point2::new(x as f64, y as f64));
-            let xs = self.original.fx * ray.x + self.original.cx;
-            let ys = self.original.fy * ray.y + self.original.cy;
-            let (x0, y0) = (xs.floor() as isize, ys.floor() as isize);
             let (mut sum, mut total) = ([0.0_f32; N], 0.0_f32);
-            for (dx, dy) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-                let (u, v) = (x0 + dx, y0 + dy);
-                if !depth.get(u, v).is_some_and(|&z| z > 0.0) {
-                    continue;
-                }
-                let weight =
-                    ((1.0 - (xs - u as f64).abs()) * (1.0 - (ys - v as f64).abs()) + 1e-6) as f32;
-                if let Some(value) = values.get(u, v) {
-                    for (s, v) in sum.iter_mut().zip(value) {
+            if *mask.at(x, y) {
+                self.for_each_parent(depth, (x, y), |u, v, _, weight| {
+                    let weight = weight as f32;
+                    for (s, v) in sum.iter_mut().zip(values.get(u, v).into_iter().flatten()) {
                         *s += weight * v;
                     }
                     total += weight;
-                }
+                });
             }
             if total > 0.0 {
                 sum.map(|s| s / total)

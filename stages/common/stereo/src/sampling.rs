@@ -80,7 +80,7 @@ fn catmull_rom(t: f32) -> ([f32; 4], [f32; 4]) {
 /// Catmull-Rom value and its derivatives along x and y, where all sixteen pixels are masked and their
 /// values span at most `max_range`.
 #[inline]
-pub fn cubic_with_slope(
+pub(crate) fn cubic_with_slope(
     raster: &Raster<f32>,
     mask: &Mask,
     x: f64,

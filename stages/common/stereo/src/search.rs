@@ -2,46 +2,10 @@
 
 use crate::hull::{self, InverseDepthRange, Outline};
 use crate::level::Level;
-use crate::patchmatch::{self, PatchCost, PatchMatchOptions, Planes};
-use crate::start::{self, Agreement};
+use crate::patch_cost::{PatchCost, Plane};
+use crate::patchmatch::{self, SearchOptions};
 use nalgebra::Point3;
-use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_numerics::plate_system::PlateError;
 use rilievo_scene::Mask;
-
-/// Size of a search over all views.
-#[derive(Clone, Copy, Debug)]
-pub struct SearchOptions {
-    /// How patches are compared.
-    pub cost: PatchCost,
-    /// Sweeps of a search without a start.
-    pub num_sweeps: usize,
-    /// Seed of the random trials.
-    pub seed: u64,
-}
-
-impl SearchOptions {
-    /// Size of a view's search; one with a start needs its planes spread and polished only.
-    fn of_view(&self, num_sources: usize, is_started: bool) -> PatchMatchOptions {
-        PatchMatchOptions {
-            cost: self.cost,
-            num_sweeps: if is_started {
-                self.num_sweeps.div_ceil(2)
-            } else {
-                self.num_sweeps
-            },
-            num_trials: 6,
-            // Beside an edge some sources see another surface: the better half tells depth (Kang, Szeliski,
-            // Chai, CVPR 2001). Differences need more, and so does a search without a start.
-            num_best: if is_started && self.cost == PatchCost::Correlation {
-                num_sources.div_ceil(2)
-            } else {
-                3
-            },
-            seed: self.seed,
-        }
-    }
-}
 
 /// A search of the views of a level, which work it out one by one.
 pub struct Search<'a> {
@@ -51,14 +15,14 @@ pub struct Search<'a> {
     masks: Vec<Mask>,
     /// Where each view may find the object.
     ranges: Vec<InverseDepthRange>,
-    options: PatchMatchOptions,
+    options: SearchOptions,
 }
 
 impl<'a> Search<'a> {
-    /// Views are compared with their sources; `is_started` tells whether there are earlier planes to start from.
+    /// Views are compared with their sources; `is_started`: there are earlier planes to start from.
     ///
     /// The object lies where the masks meet if all views are `masked`, else about `points` in the world. `None`
-    /// where neither tells.
+    /// where neither is known.
     pub fn new(
         level: &'a Level,
         masked: bool,
@@ -76,17 +40,28 @@ impl<'a> Search<'a> {
             .map(|v| hull::dilate(&v.mask, 1))
             .collect();
         let num_sources = level.sources.iter().map(Vec::len).max().unwrap_or(1);
+        let mut options = *options;
+        if is_started {
+            // Planes need to be spread and polished only.
+            options.num_sweeps = options.num_sweeps.div_ceil(2);
+            // Beside an edge some sources see another surface: the better half shows depth (Kang,
+            // Szeliski, Chai, CVPR 2001). Differences need more, and so does a search without a
+            // start.
+            if options.cost == PatchCost::Correlation {
+                options.num_best = num_sources.div_ceil(2);
+            }
+        }
         Some(Self {
             level,
             outlines,
             masks,
             ranges,
-            options: options.of_view(num_sources, is_started),
+            options,
         })
     }
 
     /// Planes of view `index`, from earlier ones where there are any.
-    pub fn view(&self, index: usize, start: Option<&Planes>) -> Planes {
+    pub fn view(&self, index: usize, start: Option<&[Plane]>) -> Vec<Plane> {
         let view = &self.level.views[index];
         let positions: Vec<_> = (0..view.pixels.len()).map(|p| view.xy(p)).collect();
         let outlines = self.outlines.iter().zip(&self.masks);
@@ -108,23 +83,6 @@ impl<'a> Search<'a> {
             &self.options,
         )
     }
-}
-
-/// The surface of view `index` through those of its searched log depths that other views confirm, continued over its
-/// mask; `solver` is the view's own.
-///
-/// # Errors
-/// Why its plate has no solution.
-pub fn continued(
-    level: &Level,
-    index: usize,
-    solver: &PlateSolver,
-    depth: &[f64],
-    agreement: &Agreement,
-) -> Result<Vec<f64>, PlateError> {
-    let footprint = 1.0 / level.focal();
-    let view = &level.views[index];
-    start::continued(view, solver, depth, &agreement.weights(), footprint)
 }
 
 /// Relative depth within which two views' dense depths agree: a few pixels of the level.

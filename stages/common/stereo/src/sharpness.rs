@@ -1,4 +1,5 @@
-//! How sharp photos are against each other at one level: a photo out of focus says less of fine detail.
+//! How sharp photos are against each other at one level: a photo out of focus shows less fine
+//! detail.
 //!
 //! At points that two views see, `d = I − mean(I two pixels away)` over `I` is their finest detail. The medians of `|d|`
 //! over the same points stand for `s_i` and `s_j`; all pairs together determine the sharpness `s` of every view (least
@@ -34,19 +35,18 @@ pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
         .into_par_iter()
         .flat_map_iter(|i| {
             let (view, rasters) = (&level.views[i], &rasters);
-            level.sources[i].iter().filter_map(move |(j, warp)| {
-                let other = &level.views[*j];
+            (0..level.sources[i].len()).filter_map(move |k| {
+                let j = level.sources[i][k].0;
+                let other = &level.views[j];
                 let (mut here, mut there) = (Vec::new(), Vec::new());
                 let mut pixels_of_other = Vec::new();
                 for p in (0..view.pixels.len()).step_by(STEP) {
-                    let (x, y) = view.xy(p);
-                    let Some(at) = warp.land(x, y, depths[i][p]) else {
+                    let seen = level.sighting(rasters, i, k, (p, depths[i][p]));
+                    let seen = seen.filter(|s| s.is_within(tolerance) && s.is_unclipped());
+                    let Some(at) = seen.map(|s| s.at) else {
                         continue;
                     };
-                    let seen = other.unclipped_depth_at(&rasters[*j], at.u, at.v);
-                    if seen.is_none_or(|zeta| (zeta - at.zeta).abs() > tolerance) {
-                        continue;
-                    }
+                    let (x, y) = view.xy(p);
                     here.push([x as usize, y as usize]);
                     // The nearest pixel: between pixels interpolation would blur.
                     there.push([at.u.round() as usize, at.v.round() as usize]);
@@ -57,7 +57,7 @@ pub fn measure(level: &Level, depths: &[Vec<f64>]) -> Vec<f64> {
                 let (a, b) = detail_of_pair([view, other], [&here, &there], ratio)?;
                 Some(LogRatio {
                     from: i,
-                    to: *j,
+                    to: j,
                     ratio: b - a,
                     weight: 1.0,
                 })

@@ -3,9 +3,10 @@
 use crate::level::{MAX_STEP_PX, NEIGHBOURS, ViewGrid};
 use crate::plate;
 use rayon::prelude::*;
+use rilievo_numerics::robust::median;
 
 /// Angle to the median normal of the neighbourhood beyond which a pixel is a speck, degrees.
-pub const SPECK_DEG: f64 = 40.0;
+const SPECK_DEG: f64 = 40.0;
 
 /// Pixels from the middle of a neighbourhood to its side.
 const REACH: i32 = 2;
@@ -16,7 +17,7 @@ const NUM_ROUNDS: usize = 6;
 /// Pixels of one side from which that side can be continued; a smaller patch joins what surrounds it.
 const FEWEST: usize = 8;
 
-/// Whether the normal of each masked pixel lies more than [`SPECK_DEG`] from the median (per component) of its
+/// Whether the normal of each masked pixel lies more than 40° from the median (per component) of its
 /// 5×5 neighbourhood on the same side of a depth edge. Unit `normals`, camera frame; log depths `depth`.
 pub fn find(view: &ViewGrid, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> {
     let (sine, least) = SPECK_DEG.to_radians().sin_cos();
@@ -42,7 +43,7 @@ pub fn find(view: &ViewGrid, depth: &[f64], normals: &[[f64; 3]]) -> Vec<bool> {
                 if largest < alike {
                     return false;
                 }
-                let middle = [0, 1, 2].map(|k| median(&mut columns[k]));
+                let middle = [0, 1, 2].map(|k| median(&mut columns[k]).unwrap_or(normals[p][k]));
                 let length = middle.iter().map(|v| v * v).sum::<f64>().sqrt();
                 let along: f64 = middle.iter().zip(normals[p]).map(|(a, b)| a * b).sum();
                 along < least * length
@@ -59,8 +60,9 @@ pub struct Cleaned {
     pub shares: [f64; 2],
 }
 
-/// The surface with every speck, and the pixels that touch one and lie off by more than a footprint, moved onto the
-/// plane that the other pixels around it agree on (medians of depth and slope); what no neighbour can tell stays.
+/// The surface with every speck, and the pixels that touch one and lie off by more than a
+/// footprint, moved onto the plane that the other pixels around it agree on (medians of depth and
+/// slope); what has no such neighbour stays.
 pub fn remove(view: &ViewGrid, depth: &[f64]) -> Cleaned {
     let footprint = 1.0 / view.camera.focal();
     let mut surface = depth.to_vec();
@@ -112,9 +114,6 @@ fn continued(view: &ViewGrid, depth: &[f64], moves: &[bool], pixel: usize) -> Op
     if around.len() < FEWEST {
         around = neighbourhood(view, pixel).filter(|&q| !moves[q]).collect();
     }
-    if around.is_empty() {
-        return None;
-    }
     let slopes: Vec<[f64; 2]> = around
         .iter()
         .map(|&q| {
@@ -122,7 +121,8 @@ fn continued(view: &ViewGrid, depth: &[f64], moves: &[bool], pixel: usize) -> Op
             [p.of(depth), q.of(depth)]
         })
         .collect();
-    let slope = [0, 1].map(|k| median(&mut slopes.iter().map(|s| s[k]).collect::<Vec<_>>()));
+    let slope = |k: usize| median(&mut slopes.iter().map(|s| s[k]).collect::<Vec<_>>());
+    let slope = [slope(0)?, slope(1)?];
     let (x, y) = view.xy(pixel);
     let mut depths: Vec<f64> = around
         .iter()
@@ -133,7 +133,7 @@ fn continued(view: &ViewGrid, depth: &[f64], moves: &[bool], pixel: usize) -> Op
                 + slope[1] * (y - from_y) / view.camera.fy
         })
         .collect();
-    Some(median(&mut depths))
+    median(&mut depths)
 }
 
 /// The masked pixels within [`REACH`] rows and columns, the pixel itself among them.
@@ -147,12 +147,6 @@ fn neighbourhood(view: &ViewGrid, pixel: usize) -> impl Iterator<Item = usize> {
 fn same_side(view: &ViewGrid, depth: &[f64], pixel: usize) -> impl Iterator<Item = usize> {
     let step = MAX_STEP_PX / view.camera.focal();
     neighbourhood(view, pixel).filter(move |&q| (depth[q] - depth[pixel]).abs() <= step)
-}
-
-/// Median, the upper of two; `values` is not empty.
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
 #[cfg(test)]

@@ -42,7 +42,7 @@ impl<'a> Parents<'a> {
         }
     }
 
-    /// What `value` gives for the pixels around a position of the view, interpolated.
+    /// The `value`s of the pixels around a position of the view, interpolated.
     #[inline]
     pub fn at<const N: usize>(
         &self,

@@ -2,81 +2,55 @@
 
 use crate::edges;
 use crate::level::{Level, LevelView};
-use crate::patchmatch::Planes;
 use crate::plate;
 use rayon::prelude::*;
 use rilievo_numerics::plate_solver::PlateSolver;
-use rilievo_numerics::plate_system::{
-    Functional, OUTSIDE, PixelNumbering, PlateError, PlateSystem,
-};
-use rilievo_numerics::robust::median;
+use rilievo_numerics::plate_system::{Functional, OUTSIDE, PlateError, PlateSystem};
+use rilievo_numerics::robust::{log_weight, median};
 
 /// Difference beyond which two views' depths belong to different surfaces, pixel footprints.
 const MAX_SCATTER_PX: f64 = 10.0;
 
-/// Agreement of every masked pixel of every view with its sources.
-#[derive(Clone, Debug)]
-pub struct Agreement {
-    /// Number of sources whose depth agrees.
-    pub count: Vec<u8>,
-    /// Bit `k` is set where the `k`-th source agrees.
-    pub which: Vec<u8>,
-}
-
-impl Agreement {
-    /// Weight of every pixel's depth: 1 where two sources agree, ½ where one does, else 0.
-    pub fn weights(&self) -> Vec<f64> {
-        self.count
-            .iter()
-            .map(|&count| match count {
-                0 => 0.0,
-                1 => 0.5,
-                _ => 1.0,
-            })
-            .collect()
+/// Weight of a depth that the sources in the bits `agreeing` confirm: 1 for two of them, ½ for one,
+/// else 0.
+pub fn confirmed_weight(agreeing: u8) -> f64 {
+    match agreeing.count_ones() {
+        0 => 0.0,
+        1 => 0.5,
+        _ => 1.0,
     }
 }
 
-/// Compares log depths between the views; `tolerance` is relative depth.
-pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Agreement> {
-    level
-        .views
-        .par_iter()
-        .enumerate()
-        .map(|(i, view)| {
-            let n = view.pixels.len();
-            let mut out = Agreement {
-                count: vec![0; n],
-                which: vec![0; n],
+/// Compares log depths between the views: per view and masked pixel, bit `k` is set where the
+/// `k`-th source agrees within `tolerance`, relative depth.
+pub fn agreement(level: &Level, depths: &[Vec<f64>], tolerance: f64) -> Vec<Vec<u8>> {
+    (0..level.views.len())
+        .into_par_iter()
+        .map(|i| {
+            let agrees = |p: usize, k: usize| {
+                difference(level, depths, i, k, p).is_some_and(|apart| apart < tolerance)
             };
-            for (p, &depth) in depths[i].iter().enumerate() {
-                let (x, y) = view.xy(p);
-                for (k, (j, warp)) in level.sources[i].iter().enumerate() {
-                    let Some(landing) = warp.land(x, y, depth) else {
-                        continue;
-                    };
-                    let Some(q) = nearest(&level.views[*j].pixels, landing.u, landing.v) else {
-                        continue;
-                    };
-                    if (landing.zeta - depths[*j][q]).abs() < tolerance {
-                        out.count[p] += 1;
-                        out.which[p] |= 1 << k;
-                    }
-                }
-            }
-            out
+            let of_pixel = |p: usize| {
+                let sources = 0..level.sources[i].len();
+                sources.fold(0, |bits, k| bits | u8::from(agrees(p, k)) << k)
+            };
+            (0..depths[i].len()).map(of_pixel).collect()
         })
         .collect()
 }
 
-/// The masked pixel nearest to a position.
-fn nearest(pixels: &PixelNumbering, u: f64, v: f64) -> Option<usize> {
-    let (u, v) = (u.round(), v.round());
+/// Difference of log depth between a pixel's point and the nearest pixel of source `k` where it
+/// lands. Searched depths are noisy: no mean over pixels is one of them.
+fn difference(level: &Level, depths: &[Vec<f64>], i: usize, k: usize, p: usize) -> Option<f64> {
+    let at = level.landing(i, k, p, depths[i][p])?;
+    let j = level.sources[i][k].0;
+    let pixels = &level.views[j].pixels;
+    let (u, v) = (at.u.round(), at.v.round());
     if u < 0.0 || v < 0.0 || u >= pixels.width as f64 || v >= pixels.height as f64 {
         return None;
     }
     let number = pixels.number[v as usize * pixels.width + u as usize];
-    (number != OUTSIDE).then_some(number as usize)
+    (number != OUTSIDE).then(|| (at.zeta - depths[j][number as usize]).abs())
 }
 
 /// How far the views' searched depths lie apart: the median difference of log depth times the focal
@@ -86,29 +60,15 @@ pub fn scatter(level: &Level, depths: &[Vec<f64>]) -> f64 {
     let mut all: Vec<f64> = (0..level.views.len())
         .into_par_iter()
         .flat_map_iter(|i| {
-            let view = &level.views[i];
-            level.sources[i].iter().flat_map(move |(j, warp)| {
-                let other = &level.views[*j].pixels;
-                (0..view.pixels.len()).filter_map(move |p| {
-                    let (x, y) = view.xy(p);
-                    let landing = warp.land(x, y, depths[i][p])?;
-                    let q = nearest(other, landing.u, landing.v)?;
-                    let apart = (landing.zeta - depths[*j][q]).abs() * focal;
-                    (apart < MAX_SCATTER_PX).then_some(apart)
-                })
+            let pairs = (0..level.sources[i].len())
+                .flat_map(move |k| (0..depths[i].len()).map(move |p| (k, p)));
+            pairs.filter_map(move |(k, p)| {
+                let apart = difference(level, depths, i, k, p)? * focal;
+                (apart < MAX_SCATTER_PX).then_some(apart)
             })
         })
         .collect();
     median(&mut all).unwrap_or(0.0)
-}
-
-/// Log depths of planes.
-pub fn log_depths(planes: &Planes) -> Vec<f64> {
-    planes
-        .inverse_depth
-        .iter()
-        .map(|&w| -f64::from(w.max(1e-9)).ln())
-        .collect()
 }
 
 /// The start surface of one view: a robust plate through the confirmed depths, which breaks where a
@@ -145,7 +105,7 @@ pub fn continued(
             is_cut,
         )
     };
-    // A plate without breaks tells on which side unconfirmed pixels outside gaps lie.
+    // A plate without breaks decides on which side unconfirmed pixels outside gaps lie.
     let mut surface = plate(&|_| false)?;
     for p in 0..surface.len() {
         if weight[p] > 0.0 {
@@ -194,8 +154,7 @@ pub fn fill(
         plate = solver.solve(&system)?;
         for i in 0..n {
             let r = (plate[i] + base - depth[i]).abs() * weight[i].sqrt() / sigma;
-            let robust = if r < 1.0 { 1.0 } else { 1.0 / (r * r) };
-            current[i] = weight[i] / (sigma * sigma) * robust;
+            current[i] = weight[i] / (sigma * sigma) * log_weight(r);
         }
     }
     for value in &mut plate {

@@ -1,8 +1,9 @@
-//! The surfaces of all views, and what each says about another's pixels.
+//! The surfaces of all views, and the depths that each proposes for another's pixels.
 //!
 //! Seen along the ray of pixel `x`, view j's surface is where `r(ζ) = ln z_j(ζ) − ζ_j(x'(ζ))`
-//! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1 for a
-//! surface that both face. One Newton step gives the depth that view j proposes, `ζ − r / (∂r/∂ζ)`.
+//! vanishes, `z_j` the point's depth in view j; `∂r/∂ζ = ∂ ln z_j/∂ζ − ∇ζ_j · ∂x'/∂ζ` is about 1
+//! for a surface that both face. One Newton step leads to the depth that view j proposes, `ζ − r /
+//! (∂r/∂ζ)`.
 
 use crate::level::{self, Level, ViewGrid};
 use crate::{plate, sampling};
@@ -33,7 +34,7 @@ pub struct Surfaces<'a> {
     reading: Reading,
 }
 
-/// What a source's surface says about a pixel of another view.
+/// A source's surface where a pixel of another view lands.
 pub struct Proposal {
     /// `r`, how much farther than the source's surface the pixel's point lies, log depth.
     pub r: f64,
@@ -74,12 +75,12 @@ impl<'a> Surfaces<'a> {
     /// The [`incidence_weights`] of a pixel of view `index`.
     #[inline]
     pub fn weight(&self, index: usize, pixel: usize) -> f64 {
-        let pixels = &self.level.views[index].pixels;
-        f64::from(*self.weights[index].at(pixels.xs[pixel] as usize, pixels.ys[pixel] as usize))
+        let (x, y) = self.level.views[index].place(pixel);
+        f64::from(*self.weights[index].at(x, y))
     }
 
-    /// What source `k` of view `index` says about a pixel at log depth `zeta`, when `|r|` is within
-    /// `reach`.
+    /// The proposal of source `k` of view `index` for a pixel at log depth `zeta`, when `|r|` is
+    /// within `reach`.
     #[inline]
     pub fn propose(
         &self,
@@ -89,10 +90,9 @@ impl<'a> Surfaces<'a> {
         zeta: f64,
         reach: f64,
     ) -> Option<Proposal> {
-        let (j, warp) = &self.level.sources[index][k];
-        let (x, y) = self.level.views[index].xy(pixel);
-        let landing = warp.land(x, y, zeta)?;
-        let (other, gx, gy) = self.depth_with_slope(*j, landing.u, landing.v)?;
+        let j = self.level.sources[index][k].0;
+        let landing = self.level.landing(index, k, pixel, zeta)?;
+        let (other, gx, gy) = self.depth_with_slope(j, landing.u, landing.v)?;
         let r = landing.zeta - other;
         if r.abs() > reach {
             return None;
@@ -101,7 +101,7 @@ impl<'a> Surfaces<'a> {
         Some(Proposal {
             r,
             slope,
-            weight: f64::from(sampling::bilinear(&self.weights[*j], landing.u, landing.v)),
+            weight: f64::from(sampling::bilinear(&self.weights[j], landing.u, landing.v)),
         })
     }
 }

@@ -152,7 +152,7 @@ fn widened(core: &Window, (width, height): (usize, usize)) -> Window {
     }
 }
 
-/// The share of place `at` of `count` along one axis; `goes_on` tells whether other tiles lie before and behind.
+/// The share of place `at` of `count` along one axis; `goes_on`: other tiles lie before and behind.
 fn share(at: usize, count: usize, goes_on: [bool; 2]) -> f32 {
     let ramp = (2 * (MARGIN_PX - GUARD_PX)) as f32;
     // Centres of pixels: a core's border lies between two of them, where both tiles have one half.
