@@ -11,7 +11,7 @@ mod robustness;
 mod shared_scene;
 mod special_cases;
 mod surface;
-#[path = "../../examples/table/mod.rs"]
+#[path = "../../../../benches/measure/table.rs"]
 mod table;
 
 use rilievo_scene::Silent;
