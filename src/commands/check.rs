@@ -39,14 +39,14 @@ struct Found {
 }
 
 fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Result<()> {
-    let mut options = StageOptions::read(args.config.as_deref())?;
-    take_over(&mut options.photos.encoding, args.encoding);
+    let mut options = StageOptions::read(args.config.config.as_deref())?;
+    take_over(&mut options.photos.encoding, args.input.encoding.encoding);
     options.validate()?;
     let request = Request {
         masks: args.masks.clone(),
-        cameras: args.cameras.clone(),
+        cameras: args.input.cameras.clone(),
         sphere: SphereInput::from_args(&args.sphere)?,
-        ..Request::of_photos(args.photos.clone(), options)
+        ..Request::of_photos(args.input.photos.clone(), options)
     };
     let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {

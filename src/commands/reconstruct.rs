@@ -1,7 +1,7 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
 use super::bring::{Allowed, bring_run_up_to_date};
-use super::mask::with_own_masks;
+use super::mask::{with_accepted_masks, with_proposed_masks};
 use super::reporting::reporting_judged_to;
 use crate::cli::ReconstructArgs;
 use crate::observe::Console;
@@ -28,19 +28,15 @@ pub fn reconstruct_to(args: &ReconstructArgs, console: &Console) -> anyhow::Resu
     };
     let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
     reporting_judged_to(console, args.strict, facts, |console| {
-        let mut request = Request::from_args(args)?;
+        let request = Request::from_args(args)?;
         let allowed = Allowed {
             overwrite: args.overwrite,
         };
         let (root, work) = (&args.output, &args.work);
-        request = with_own_masks(
-            request,
-            args.masks.is_none(),
-            root,
-            range,
-            (allowed, work),
-            console,
-        )?;
+        let request = match args.masks {
+            Some(_) => with_accepted_masks(request, root)?,
+            None => with_proposed_masks(request, root, range, (allowed, work), console)?,
+        };
         let brought = bring_run_up_to_date(&request, root, range, allowed, work, console)?;
         Ok(brought.tell(root, console))
     })

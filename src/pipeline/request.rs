@@ -174,10 +174,10 @@ impl Request {
     /// # Errors
     /// Contradictory or invalid options, and paths that do not exist.
     pub fn from_args(args: &ReconstructArgs) -> Result<Self, Failure> {
-        let mut options = StageOptions::read(args.config.as_deref())?;
+        let mut options = StageOptions::read(args.config.config.as_deref())?;
         take_over(&mut options.shading.model, args.model);
         take_over(&mut options.poses.anchors.mode, args.anchors);
-        take_over(&mut options.photos.encoding, args.encoding);
+        take_over(&mut options.photos.encoding, args.input.encoding.encoding);
         if let Some(pairs) = &args.pairs {
             options.features.pairs = pair_choice(pairs)?;
         }
@@ -203,6 +203,7 @@ impl Request {
         };
         Ok(Self {
             photos: args
+                .input
                 .photos
                 .iter()
                 .map(|path| existing(path, "photos"))
@@ -212,7 +213,7 @@ impl Request {
                 folder => optional(folder.as_deref(), "--masks")?,
             },
             masks_from: MaskOrigin::Given,
-            cameras: optional(args.cameras.as_deref(), "--cameras")?,
+            cameras: optional(args.input.cameras.as_deref(), "--cameras")?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,
             options,

@@ -37,7 +37,7 @@ pub fn fuse(args: &FuseArgs) -> anyhow::Result<()> {
 }
 
 fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
-    let mut options = StageOptions::read(args.config.as_deref())?;
+    let mut options = StageOptions::read(args.config.config.as_deref())?;
     args.surface.apply(&mut options.fusion);
     args.work.bound(&mut options.fusion);
     options.validate()?;

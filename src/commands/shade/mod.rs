@@ -111,8 +111,8 @@ pub fn solve(
 /// # Errors
 /// A config file that cannot be used, or a value out of its range.
 pub fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
-    let mut options = StageOptions::read(args.config.as_deref())?;
-    take_over(&mut options.photos.encoding, args.encoding);
+    let mut options = StageOptions::read(args.config.config.as_deref())?;
+    take_over(&mut options.photos.encoding, args.encoding.encoding);
     let paper = &mut options.shading.paper;
     take_over(&mut paper.splitting, args.splitting);
     take_over(&mut paper.projection, args.projection);
