@@ -9,6 +9,7 @@ use super::run_file::RunFile;
 use super::writer::StageWriter;
 use rilievo_scene::StageId;
 use serde::Serialize;
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::path::{Path, PathBuf};
 
 /// Folders beside those of the stages.
@@ -153,10 +154,8 @@ impl RunDir {
     pub fn mark(&self) -> Result<String, StoreError> {
         let path = self.root.join(MARKER);
         create_folder(&self.root.join(".work"))?;
-        let mut number = [0; 8];
-        getrandom::fill(&mut number)
-            .map_err(|error| StoreError::files("write", &path)(error.into()))?;
-        let marker = format!("{:016x}", u64::from_le_bytes(number));
+        // The keys of a new hasher are random: so is its hash of nothing.
+        let marker = format!("{:016x}", RandomState::new().build_hasher().finish());
         write_atomically(&path, marker.as_bytes())?;
         Ok(marker)
     }
