@@ -16,9 +16,6 @@ use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::Path;
 
 /// Runs the command.
-///
-/// # Errors
-/// When a stage fails, or the folder cannot be written.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output.display().to_string()});
     reporting_judged(args.work.json, false, facts, |console| run(args, console))

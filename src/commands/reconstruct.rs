@@ -17,9 +17,6 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
 }
 
 /// The same on a console that is there already.
-///
-/// # Errors
-/// As [`reconstruct`].
 pub fn reconstruct_to(args: &ReconstructArgs, console: &Console) -> anyhow::Result<()> {
     let range = Range {
         redo_from: args.from,

@@ -70,9 +70,6 @@ pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
 }
 
 /// The same on a console that is there already.
-///
-/// # Errors
-/// As [`synth`].
 pub fn synth_to(args: &SynthArgs, console: &Console) -> anyhow::Result<()> {
     let facts = json!({"folder": args.output.display().to_string()});
     reporting_to(console, facts, |console| {
@@ -123,9 +120,6 @@ pub fn is_set(folder: &Path) -> bool {
 }
 
 /// Whether a folder is absent or empty.
-///
-/// # Errors
-/// When it cannot be read.
 pub fn is_new(folder: &Path) -> Result<bool, StoreError> {
     match std::fs::read_dir(folder) {
         Ok(mut entries) => Ok(entries.next().is_none()),
@@ -143,9 +137,6 @@ pub fn not_ours(folder: &Path, command: &str) -> Failure {
 }
 
 /// Makes a scene, photographs it, and writes photos and truth.
-///
-/// # Errors
-/// As [`synth`].
 pub fn write_set(
     folder: &Path,
     options: &SynthOptions,

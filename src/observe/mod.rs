@@ -10,7 +10,6 @@ mod forecast;
 mod json;
 mod lines;
 mod pace;
-mod quiet;
 
 pub use display::StageNews;
 pub use forecast::ExpectedStep;
@@ -41,7 +40,7 @@ impl Console {
     pub fn new(json: bool) -> Self {
         let forecast = SharedForecast::default();
         let display: Box<dyn Display> = if !ranks::team().is_first() {
-            Box::new(quiet::Quiet)
+            Box::new(display::Quiet)
         } else if json {
             Box::new(JsonEvents(Stdout))
         } else if std::io::stderr().is_terminal() {

@@ -52,9 +52,6 @@ impl CloudSink for Nowhere {
 }
 
 /// Writes a mesh as PLY and in the other formats that are asked for, and the asset, to the paths of their names.
-///
-/// # Errors
-/// When a file cannot be written.
 pub fn write_surface(
     Fused { mesh, asset, .. }: &Fused,
     views: &PosedViews,

@@ -18,9 +18,6 @@ use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, StageId
 const CALIBRATION: &str = "calibration.json";
 
 /// Calibrates the lighting of every view.
-///
-/// # Errors
-/// When the lighting cannot be had, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     // Not divided: the others wait for the result.
     if !context.console.team().is_first() {
@@ -50,9 +47,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 }
 
 /// Lighting of a committed stage 4.
-///
-/// # Errors
-/// When it is missing or damaged.
 pub fn load(context: &Context<'_>) -> anyhow::Result<LightingCalibration> {
     read_json(context.run, StageId::Lighting, CALIBRATION)
 }

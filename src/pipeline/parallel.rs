@@ -47,9 +47,6 @@ impl Resources {
 
 /// Starts the threads of the whole program; without a number as many as there are cores, of which ranks on one host
 /// take a share each.
-///
-/// # Errors
-/// When the system refuses them.
 pub fn start_threads(number: Option<u16>) -> anyhow::Result<()> {
     let share = || ranks::threads().map_or(0, NonZeroUsize::get);
     let threads = number.map_or_else(share, usize::from);

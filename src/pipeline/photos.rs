@@ -193,17 +193,11 @@ pub fn linear_photo(request: &Request, photo: &PhotoInput) -> anyhow::Result<Arc
 }
 
 /// Photos of a committed stage 1.
-///
-/// # Errors
-/// When its files are missing or damaged.
 pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
     load_with(context, true)
 }
 
 /// The same without their masks, which all lie in memory.
-///
-/// # Errors
-/// As [`load`].
 pub fn load_without_masks(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
     load_with(context, false)
 }

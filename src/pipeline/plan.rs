@@ -103,9 +103,6 @@ impl Plan {
     }
 
     /// State of a stage's result, whose files are looked at as closely as asked.
-    ///
-    /// # Errors
-    /// When its manifest cannot be read, or is of another version.
     pub fn state(&self, run: &RunDir, stage: StageId, look: Look) -> Result<StageState, Failure> {
         let manifest = match run.manifest(stage) {
             Ok(Some(manifest)) => manifest,

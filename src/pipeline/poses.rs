@@ -87,9 +87,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 }
 
 /// Poses of a committed stage 3.
-///
-/// # Errors
-/// When they are missing or damaged.
 pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
     let views: PosedViews = read_json(run, StageId::Poses, POSED_VIEWS)?;
     let names = views.views.iter();

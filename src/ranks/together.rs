@@ -109,9 +109,6 @@ pub fn team() -> &'static dyn Team {
 }
 
 /// The outcome where no rank failed; else the failure of one, the same in all.
-///
-/// # Errors
-/// That failure.
 pub fn agree<T>(outcome: anyhow::Result<T>) -> anyhow::Result<T> {
     match GROUP.get() {
         Some(group) => group.agree(outcome),

@@ -53,9 +53,6 @@ pub fn own_folder(path: &Path) -> Result<(), StoreError> {
 }
 
 /// Makes a folder with all above it, where it is not there.
-///
-/// # Errors
-/// When it cannot be made.
 pub fn create_folder(path: &Path) -> Result<(), StoreError> {
     std::fs::create_dir_all(path).map_err(StoreError::files("create", path))
 }

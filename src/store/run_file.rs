@@ -57,9 +57,6 @@ impl RunFile {
     }
 
     /// Writes what is asked, the copy first; untouched where both say the same already.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn write(root: &Path, request: &impl Serialize) -> Result<(), StoreError> {
         let file = root.join(RUN_FILE);
         let place = absolute(root)?;

@@ -34,9 +34,6 @@ pub struct Comparison {
 
 impl Comparison {
     /// Reads what both hold.
-    ///
-    /// # Errors
-    /// When run or truth cannot be read.
     pub fn open(run: &Path, truth: &Path, request: AlignmentRequest) -> anyhow::Result<Self> {
         let estimate = Estimate::open(run)?;
         let truth = Truth::open(truth)?;
@@ -122,9 +119,6 @@ impl Comparison {
 
     /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`. Tells where
     /// they are by `note`.
-    ///
-    /// # Errors
-    /// When maps cannot be read, or the files cannot be written.
     pub fn show(&self, evaluation: &Evaluation, note: &dyn Fn(&str)) -> anyhow::Result<()> {
         drop_evaluation(&self.run)?;
         let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;

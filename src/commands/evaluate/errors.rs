@@ -15,9 +15,6 @@ use rilievo_synthetic::compare::{MeshDistance, Similarity, TruthView};
 use std::path::Path;
 
 /// Error maps of the views that have both maps and truth, "no value" being negative.
-///
-/// # Errors
-/// When a map cannot be read.
 pub(super) fn maps(
     estimate: &Estimate,
     views: &[TruthView],
@@ -89,9 +86,6 @@ pub(super) fn deviations(
 }
 
 /// Writes the cloud coloured from blue (inside by `max` or more) over white to red (outside).
-///
-/// # Errors
-/// When the file cannot be written.
 pub(super) fn write_deviations(
     path: &Path,
     cloud: &PointCloud,

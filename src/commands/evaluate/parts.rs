@@ -17,9 +17,6 @@ struct Part {
 impl Comparison {
     /// Why there is nothing to compare: the truth is not of this result, or the result lacks what the
     /// truth tells. `None` where some part is on both sides.
-    ///
-    /// # Errors
-    /// When a file of either side cannot be read.
     pub fn nothing_in_common(&self) -> Result<Option<Failure>, Failure> {
         let parts = self.parts()?;
         if parts.iter().any(|part| part.in_truth && part.in_result) {

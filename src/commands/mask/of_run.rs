@@ -52,9 +52,6 @@ struct Proposed {
 }
 
 /// The request whose masks are the run's own proposals where the user says so with `--masks RUN/masks`; else unchanged.
-///
-/// # Errors
-/// When the folder has no absolute path.
 pub fn with_accepted_masks(request: Request, root: &Path) -> anyhow::Result<Request> {
     let root = &absolute(root)?;
     let is_own = request.masks.as_ref() == Some(&root.join(FOLDER)) && is_used(root);

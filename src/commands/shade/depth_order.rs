@@ -23,9 +23,6 @@ const MIN_STRANGERS: f64 = 0.05;
 const MIN_RATIO: f64 = 4.0;
 
 /// Reads a depth map in the order that its values stand in, with a warning where that is column by column.
-///
-/// # Errors
-/// When the file cannot be read.
 pub fn read(path: &Path, console: &Console) -> Result<DepthMap, Failure> {
     let map = read_depth(path)?;
     let turned = by_columns(&map);
