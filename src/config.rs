@@ -42,7 +42,7 @@ impl StageOptions {
         )
     }
 
-    /// Checks the values of all stages, so that a wrong one is told before hours of work.
+    /// Checks the values of all stages, so that a wrong one is reported before hours of work.
     ///
     /// # Errors
     /// [`Failure::Usage`] with the first value that is out of range.

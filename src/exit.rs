@@ -1,4 +1,4 @@
-//! How a command can fail, and the exit code that tells scripts so.
+//! How a command can fail, and its exit codes.
 //!
 //! | code | meaning |
 //! |---|---|

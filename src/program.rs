@@ -7,7 +7,7 @@ use std::process::ExitCode;
 /// Exit code of a panic.
 const PANICKED: u8 = 101;
 
-/// Runs the command that this process was started with, and tells its exit code.
+/// Runs the command that this process was started with; returns its exit code.
 pub fn program() -> ExitCode {
     panics::install();
     let cli = cli::Cli::of(std::env::args_os()).unwrap_or_else(|error| error.exit());

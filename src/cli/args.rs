@@ -98,7 +98,7 @@ pub struct MaskArgs {
     /// Folder for the masks; pictures to look at go to DIR-overlays
     #[arg(short, long, value_name = "DIR", default_value = "masks")]
     pub output: PathBuf,
-    /// A run of these photos whose poses tell the object, at least until stage 3. Without it, masks are sought before a
+    /// A run of these photos whose poses show the object, at least until stage 3. Without it, masks are sought before a
     /// plain backdrop, and where there is none by poses found in DIR-run
     #[arg(long, value_name = "RUN", conflicts_with = "cameras")]
     pub run: Option<PathBuf>,
@@ -159,7 +159,7 @@ pub struct WorkArgs {
     pub threads: Option<u16>,
     /// Bounds how many photos are read or searched for keypoints at once (at least one; half of the
     /// free memory by default), how many images stage 3 holds for anchors, what stage 5 works on at once, and what
-    /// stage 6 takes for cloud and mesh (4G by default), as 4G or 800M. Stages 5 and 6 tell what they need where that
+    /// stage 6 takes for cloud and mesh (4G by default), as 4G or 800M. Stages 5 and 6 report what they need where that
     /// is more; stage 4 takes what a photo asks
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub memory: Option<u64>,
@@ -253,7 +253,7 @@ pub struct SurfaceArgs {
     /// Triangles of the asset, the light mesh with textures. [default: 100000]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(100..=10_000_000))]
     pub faces: Option<usize>,
-    /// Largest side of the asset's textures; they are smaller where the photos tell no more. [default: 4096]
+    /// Largest side of the asset's textures; they are smaller where the photos show no more. [default: 4096]
     #[arg(long, value_name = "TEXELS", value_parser = RangedU64ValueParser::<usize>::new().range(64..=16_384))]
     pub texture: Option<usize>,
     /// Formats of the mesh, separated by commas. [default: ply,obj,glb,asset]
@@ -400,7 +400,7 @@ pub struct EvaluateArgs {
     /// Folder with cameras.json, NAME_depth.exr, NAME_normal.exr, mesh.ply
     #[arg(long, value_name = "DIR", required_unless_present = "halves")]
     pub truth: Option<PathBuf>,
-    /// Without a truth: shapes two halves of the photos, each alone, and tells by wavelength what relief
+    /// Without a truth: shapes two halves of the photos, each alone, and reports by wavelength what relief
     /// both find; as long as stage 5
     #[arg(long, conflicts_with_all = ["truth", "align"])]
     pub halves: bool,

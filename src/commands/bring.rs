@@ -34,8 +34,8 @@ pub struct Brought {
 }
 
 impl Brought {
-    /// Tells where the results are.
-    pub fn tell(self, root: &Path, console: &Console) -> Option<Judgement> {
+    /// Reports where the results are.
+    pub fn report(self, root: &Path, console: &Console) -> Option<Judgement> {
         let root = root.display();
         if self.judgement.is_some() {
             console.note(&if self.redone {
@@ -97,18 +97,13 @@ pub fn bring_run_up_to_date(
         });
     }
     if outcome.is_ok() {
-        // A stop was told already.
+        // A stop was reported already.
         let _ = console
             .of_command(REPORT)
             .progress(StageId::Fusion, WRITING, (0, 1));
     }
-    let told = Outcome::of(outcome.as_ref().err());
-    let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
-        if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
-            report.write(&run)?;
-        }
-        Ok(report)
-    });
+    let is_same = matches!(&outcome, Ok(false));
+    let report = write_report(&run, request, plan.as_ref(), &outcome, is_same);
     // A report that cannot be written must not hide why the run failed.
     let (redone, report) = (outcome?, report?);
     Ok(Brought {
@@ -116,6 +111,22 @@ pub fn bring_run_up_to_date(
         size: report.size(),
         judgement: Some(report.into_judgement()),
     })
+}
+
+/// Reports on a run and how its work ended; what is written already stays where the run `is_same`.
+pub fn write_report<T>(
+    run: &RunDir,
+    request: &Request,
+    plan: Option<&Plan>,
+    outcome: &anyhow::Result<T>,
+    is_same: bool,
+) -> anyhow::Result<Report> {
+    let ended = Outcome::of(outcome.as_ref().err());
+    let report = Report::gather(run, request, &ended, plan)?;
+    if !is_same || !report.is_told_by(run) {
+        report.write(run)?;
+    }
+    Ok(report)
 }
 
 /// A finished run of other photos is somebody's work: it is not replaced by accident.
@@ -133,7 +144,7 @@ fn same_object(run: &RunDir, inputs: &Inputs) -> Result<(), Failure> {
     }
 }
 
-/// Brings stages up to date; tells whether anything had to be done.
+/// Brings stages up to date; returns whether anything had to be done.
 fn work_in(
     run: &RunDir,
     request: &Request,

@@ -74,7 +74,7 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         ExportFormat::Lights(format) => return export_lights(args, format, run.as_ref()),
         ExportFormat::Blender => {
             export_blender(args, run.as_ref())?;
-            return tell_of_turned_photos(run.as_ref());
+            return warn_of_turned_photos(run.as_ref());
         }
     };
     let (cameras, num_points, files) = match &run {
@@ -109,11 +109,11 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         args.output.display(),
         format.name()
     )?;
-    tell_of_turned_photos(run.as_ref())
+    warn_of_turned_photos(run.as_ref())
 }
 
-/// Tells of photos that the program which the cameras are for may turn.
-fn tell_of_turned_photos(run: Option<&RunDir>) -> anyhow::Result<()> {
+/// Warns of photos that the program which the cameras are for may turn.
+fn warn_of_turned_photos(run: Option<&RunDir>) -> anyhow::Result<()> {
     let manifest = run.map(|run| run.manifest(StageId::Photos)).transpose()?;
     let Some(manifest) = manifest.flatten() else {
         return Ok(());

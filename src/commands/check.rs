@@ -16,7 +16,7 @@ use rilievo_scene::StageId;
 /// # Errors
 /// [`Failure::Input`] with every file that cannot be used, after the good ones were reported on.
 pub fn check(args: &CheckArgs) -> anyhow::Result<()> {
-    reporting_found(args.work.json, |console| {
+    reporting_found(&Console::new(args.work.json), |console| {
         let mut found = Found::default();
         let outcome = look(args, console, &mut found);
         let Found {
@@ -79,7 +79,7 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     Err(Failure::Input(problems).into())
 }
 
-/// Tells in how many of the photos each sphere is marked; returns what is wrong with that.
+/// Reports in how many of the photos each sphere is marked; returns what is wrong with that.
 fn spheres(inputs: &Inputs, console: &Console) -> Vec<String> {
     let mut warnings = Vec::new();
     for sphere in inputs.sphere.iter().flat_map(|file| &file.spheres) {

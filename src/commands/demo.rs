@@ -18,7 +18,9 @@ use std::path::Path;
 /// Runs the command.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output.display().to_string()});
-    reporting_judged(args.work.json, false, facts, |console| run(args, console))
+    reporting_judged(&Console::new(args.work.json), false, facts, |console| {
+        run(args, console)
+    })
 }
 
 fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> {
@@ -46,7 +48,7 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
     };
     let allowed = Allowed { overwrite: true };
     let brought = bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
-    let judgement = brought.tell(&run, console);
+    let judgement = brought.report(&run, console);
     let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     let evaluation = comparison.measure()?;
     comparison.show(&evaluation, &|line| tell!("{line}"))?;

@@ -2,7 +2,7 @@
 
 use super::bring::{Allowed, bring_run_up_to_date};
 use super::mask::{with_accepted_masks, with_proposed_masks};
-use super::reporting::reporting_judged_to;
+use super::reporting::reporting_judged;
 use crate::cli::ReconstructArgs;
 use crate::observe::Console;
 use crate::pipeline::{Range, Request};
@@ -24,7 +24,7 @@ pub fn reconstruct_to(args: &ReconstructArgs, console: &Console) -> anyhow::Resu
         then_masked_until: None,
     };
     let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
-    reporting_judged_to(console, args.strict, facts, |console| {
+    reporting_judged(console, args.strict, facts, |console| {
         let request = Request::from_args(args)?;
         let allowed = Allowed {
             overwrite: args.overwrite,
@@ -35,6 +35,6 @@ pub fn reconstruct_to(args: &ReconstructArgs, console: &Console) -> anyhow::Resu
             None => with_proposed_masks(request, root, range, (allowed, work), console)?,
         };
         let brought = bring_run_up_to_date(&request, root, range, allowed, work, console)?;
-        Ok(brought.tell(root, console))
+        Ok(brought.report(root, console))
     })
 }

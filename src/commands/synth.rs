@@ -12,7 +12,7 @@
 //!                                 lighting.json, mesh.ply, matches/NAME1_NAME2.csv
 //! ```
 
-use super::reporting::reporting_to;
+use super::reporting::reporting;
 use crate::cli::{SynthArgs, SynthFormat};
 use crate::config::{read_toml, take_over};
 use crate::exit::Failure;
@@ -48,7 +48,7 @@ pub struct SynthOptions {
 }
 
 impl SynthOptions {
-    /// Checks every number, so that a wrong one is told before anything is made.
+    /// Checks every number, so that a wrong one is reported before anything is made.
     ///
     /// # Errors
     /// [`Failure::Usage`] with the first one that is out of its range.
@@ -72,7 +72,7 @@ pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
 /// The same on a console that is there already.
 pub fn synth_to(args: &SynthArgs, console: &Console) -> anyhow::Result<()> {
     let facts = json!({"folder": args.output.display().to_string()});
-    reporting_to(console, facts, |console| {
+    reporting(console, facts, |console| {
         let options = options(args)?;
         if !is_set(&args.output) && !is_new(&args.output)? {
             return Err(not_ours(&args.output, "synth").into());

@@ -24,7 +24,7 @@ pub struct Range {
     pub then_masked_until: Option<StageId>,
 }
 
-/// Brings stages up to date in order; tells which were redone.
+/// Brings stages up to date in order; returns those that were redone.
 ///
 /// # Errors
 /// The first failure; stages before it stay committed.

@@ -134,7 +134,7 @@ fn photo_inputs(
                 continue;
             }
         };
-        // The photo's own folder tells two masks of one name apart.
+        // The photo's own folder distinguishes two masks of one name.
         let with_folder = Path::new(&text_of(path.parent().and_then(Path::file_name)))
             .join(&file_name)
             .to_string_lossy()
@@ -194,7 +194,7 @@ fn without_camera(
     }))
 }
 
-/// Cameras of any format that can be told by its name and first words.
+/// Cameras of any format that its name and first words show.
 fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
     match CameraFormat::detect(path) {
         Some(format) => import_cameras(path, format),
@@ -311,7 +311,7 @@ impl MaskFolder {
     }
 }
 
-/// Photos of one content: they add nothing, and tell of a file that was copied by mistake.
+/// Photos of one content: they add nothing, and are likely copied by mistake.
 fn twins(photos: &[PhotoInput]) -> Vec<String> {
     let mut by_content = BTreeMap::<&str, &str>::new();
     let mut warnings = Vec::new();

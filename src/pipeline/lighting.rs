@@ -89,7 +89,7 @@ fn lighting_request(
             Ok(LightingRequest::Shape(shapes))
         }
         LightingInput::Found => {
-            // Photos that the sphere file names in vain were told by stage 3.
+            // Photos that the sphere file names in vain were reported by stage 3.
             let spheres = super::poses::sphere_request(context, photos)?;
             Ok(spheres.map_or(LightingRequest::OwnShape, |spheres| {
                 LightingRequest::Sphere(spheres.request)

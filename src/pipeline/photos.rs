@@ -171,11 +171,11 @@ pub fn check(
         return Err(Failure::Input(problems).into());
     }
     // The preflight's table has a place for them.
-    let told = Recorder::default();
+    let events = Recorder::default();
     let (_, mut report) =
-        rilievo_photos::assemble(usable, &request.options.photos, &told).map_err(from_photos)?;
+        rilievo_photos::assemble(usable, &request.options.photos, &events).map_err(from_photos)?;
     report.rejected = problems.iter().map(rejected_photo).collect();
-    Ok((report, told.warnings(), problems))
+    Ok((report, events.warnings(), problems))
 }
 
 /// A photo's linear pixels, without keeping anything.
@@ -226,7 +226,7 @@ fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
             usable.push(from_disk(&dir, *facts, mask && masks)?);
         }
     }
-    // Stage 1 has told the warnings.
+    // Stage 1 has issued the warnings.
     let options = &context.request.options.photos;
     let (set, _) = rilievo_photos::assemble(usable, options, &Silent).map_err(from_photos)?;
     Ok(set)
@@ -395,7 +395,7 @@ fn write(
     Ok((kept, files))
 }
 
-/// Pixels of the largest photo, by the files' headers; a file whose header does not tell (camera RAW) holds
+/// Pixels of the largest photo, by the files' headers; a file whose header lacks them (camera RAW) holds
 /// a byte a pixel and more.
 fn largest_photo_px(inputs: &Inputs) -> u64 {
     inputs

@@ -68,7 +68,7 @@ pub fn upstream(stage: StageId) -> &'static [StageId] {
 /// Ingredients of all stages, as of now.
 pub struct Plan {
     ingredients: BTreeMap<StageId, Ingredients>,
-    /// What a run of all stages is expected to cost, where that was told.
+    /// What a run of all stages is expected to cost, where that was estimated.
     pub expected: Option<Estimate>,
 }
 

@@ -125,7 +125,7 @@ pub fn sphere_request(
     Ok(Some(file.to_request(photos, images)?))
 }
 
-/// What to tell of the frame of marks.
+/// What to warn of about the frame of marks.
 fn of_marks(spheres: &SpheresInSet) -> Option<String> {
     if let Some(names) = first_and_more(spheres.upright.iter().map(String::as_str)) {
         return Some(format!(

@@ -1,5 +1,5 @@
-//! Stage 5: `lighting.json` (the light that was used), `depth/NAME.exr`, `normal/NAME.exr`, and `confidence`, `rendered`, `albedo` where the
-//! stage gives them; a picture in PNG beside each.
+//! Stage 5: `lighting.json` (the light that was used), `depth/NAME.exr`, `normal/NAME.exr`, and
+//! `confidence`, `rendered`, `albedo` where the stage has them; a picture in PNG beside each.
 
 use super::artifacts::{checked_names, read_json, write_text};
 use super::context::Context;
@@ -115,7 +115,7 @@ pub fn run(
     })?)
 }
 
-/// Writes the maps of a view, and a picture beside each that can be looked at; `path` gives the place
+/// Writes the maps of a view, and a picture beside each that can be looked at; `path` returns the place
 /// of `KIND/NAME.ENDING`, in a folder that exists.
 pub fn write_maps(
     path: &(dyn Fn(&str) -> Result<PathBuf, StoreError> + Sync),

@@ -135,7 +135,7 @@ pub fn name() -> Option<String> {
     Some(group.name(group.rank()))
 }
 
-/// Threads that this rank starts unless told otherwise, where several share a host.
+/// Threads that this rank starts by default, where several share a host.
 pub fn threads() -> Option<NonZeroUsize> {
     SHARE.get().map(|share| share.threads)
 }

@@ -90,7 +90,6 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(WRITING);
         // Temporary files are private by default; a result is as readable as the umask allows.
-        #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let mut file = builder.tempfile_in(folder)?;
         file.write_all(bytes)?;

@@ -24,7 +24,7 @@ const FOLDERS: [&str; 7] = [
     "masks.partial",
 ];
 
-/// File by which processes tell whether they see the same run directory.
+/// File by which processes check that they see the same run directory.
 const MARKER: &str = ".work/ranks";
 
 /// A run directory, locked when it was opened for work.
@@ -145,7 +145,7 @@ impl RunDir {
         RunFile::write(&self.root, request)
     }
 
-    /// Writes a marker that no other run directory has, so that other processes can tell whether they see this one.
+    /// Writes a marker that no other run directory has, so that other processes can check that they see this one.
     pub fn mark(&self) -> Result<String, StoreError> {
         let path = self.root.join(MARKER);
         create_folder(&self.root.join(".work"))?;

@@ -21,7 +21,7 @@ pub struct Comparison {
     pub(super) run: PathBuf,
     /// What it holds.
     pub(super) estimate: Estimate,
-    /// What the truth tells.
+    /// The truth.
     pub(super) truth: Truth,
     request: AlignmentRequest,
     /// Truth of the views that have any.
@@ -73,7 +73,7 @@ impl Comparison {
                 self.truth.surface_file().display()
             )),
         };
-        // Without any map, a row of nothing for every view would tell nothing.
+        // Without any map, a row of nothing for every view would say nothing.
         let has_maps = self.views.iter().any(|v| self.estimate.has_map(&v.name));
         let compared = if has_maps { &self.views[..] } else { &[] };
         // Reading errors inside the comparison are kept here, since it knows only its own.
@@ -117,8 +117,8 @@ impl Comparison {
         Ok(evaluation)
     }
 
-    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`. Tells where
-    /// they are by `note`.
+    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`. `note` gets
+    /// their places.
     pub fn show(&self, evaluation: &Evaluation, note: &dyn Fn(&str)) -> anyhow::Result<()> {
         drop_evaluation(&self.run)?;
         let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;

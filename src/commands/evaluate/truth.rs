@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct Truth {
     /// The folder.
     pub folder: PathBuf,
-    /// True cameras, none where the folder tells none.
+    /// True cameras, none where the folder has none.
     pub cameras: CameraFile,
 }
 

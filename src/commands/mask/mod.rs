@@ -34,10 +34,10 @@ const CLEAR: f64 = 0.6;
 /// [`Failure::Input`] with the photos that cannot be read; [`Failure::NoResult`] when no mask could
 /// be proposed for some photo. The others' masks are written first.
 pub fn mask(args: &MaskArgs) -> anyhow::Result<()> {
-    reporting_found(args.work.json, |console| {
-        let mut told = Vec::new();
-        let outcome = propose(args, console, &mut told);
-        (outcome, serde_json::json!({"masks": told}))
+    reporting_found(&Console::new(args.work.json), |console| {
+        let mut masks = Vec::new();
+        let outcome = propose(args, console, &mut masks);
+        (outcome, serde_json::json!({"masks": masks}))
     })
 }
 
@@ -53,7 +53,7 @@ enum Proposed {
 fn propose(
     args: &MaskArgs,
     console: &Console,
-    told: &mut Vec<serde_json::Value>,
+    masks: &mut Vec<serde_json::Value>,
 ) -> anyhow::Result<()> {
     let mut options = StageOptions::default();
     take_over(&mut options.photos.encoding, args.input.encoding.encoding);
@@ -81,7 +81,7 @@ fn propose(
         match found {
             Some(Proposed::Made(sentence, facts)) => {
                 console.note(&format!("  {name}: {sentence}"));
-                told.push(facts);
+                masks.push(facts);
             }
             Some(Proposed::Kept) => console.note(&format!(
                 "  {name}: has a mask already, left as it is (--overwrite makes it anew)"

@@ -7,7 +7,7 @@
 //! **Test.** Depth is smooth but for its edges, so that few neighbours in a column differ by more
 //! than a twentieth, or have a value where the other has none. Read in the wrong order, neighbours in a
 //! column are strangers. The order is taken to be wrong only on evidence that no depth map in the
-//! right order gives: many strangers read by rows, and several times fewer read by columns.
+//! right order has: many strangers read by rows, and several times fewer read by columns.
 
 use crate::exit::Failure;
 use crate::observe::Console;

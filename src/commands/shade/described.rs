@@ -63,8 +63,8 @@ impl Described {
     ) -> anyhow::Result<()> {
         let (view, source) = shading_view(parts, prior_weight, options)?;
         console.note(&format!("  {}: lighting {source}", view.name));
-        let told = serde_json::json!({"view": view.name, "lighting": source});
-        self.lighting.push(told);
+        let used = serde_json::json!({"view": view.name, "lighting": source});
+        self.lighting.push(used);
         self.problem.views.push(view);
         Ok(())
     }
