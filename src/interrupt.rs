@@ -56,8 +56,8 @@ fn stop() {
     tell!("stopping; once more aborts at once");
 }
 
-/// Says that the work from here on can be resumed wherever it ends. Where it stops with `others`, the processes inform each
-/// other first.
+/// Says that the work from here on can be resumed wherever it ends. Where it stops with `others`,
+/// the processes inform each other first.
 pub fn is_resumable(others: bool) {
     PATIENCE.store(if others { 8 } else { 4 }, Ordering::Relaxed);
 }

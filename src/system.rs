@@ -23,7 +23,8 @@ pub fn peak_memory() -> Option<u64> {
 pub fn give_back_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
-        // Blocks of this size and more are mapped one by one; smaller ones are reused faster than the system maps them.
+        // Blocks of this size and more are mapped one by one; smaller ones are reused faster than
+        // the system maps them.
         const LARGE_BLOCK: libc::c_int = 4 << 20;
         #[expect(unsafe_code, reason = "the allocator is set through the C library")]
         // SAFETY: both functions may be called at any time, from any thread (mallopt(3), malloc_trim(3)).

@@ -1,8 +1,8 @@
 //! Anchors against true depth.
 //!
-//! Printed: anchors a view, share of the mask within 20 px of one, outliers (more than 3 px in the nearest views or 1 % of
-//! depth), depth errors after one scale, and the ratio of the 68th percentile of |error| to the predicted deviation in
-//! quintiles of the prediction.
+//! Printed: anchors a view, share of the mask within 20 px of one, outliers (more than 3 px in the
+//! nearest views or 1 % of depth), depth errors after one scale, and the ratio of the 68th
+//! percentile of |error| to the predicted deviation in quintiles of the prediction.
 
 use crate::data_set::Set;
 use crate::growth::{mean, quantile};
@@ -73,7 +73,8 @@ fn true_depth(depth: &Raster<f32>, [x, y]: [f64; 2]) -> Option<f64> {
     Some(sum)
 }
 
-/// Median over the three nearest views of the distance between the pixels of an observation's true and found point.
+/// Median over the three nearest views of the distance between the pixels of an observation's true
+/// and found point.
 fn distance_px(views: &[PosedView], o: &AnchorObservation, true_depth: f64) -> f64 {
     let own = &views[o.view.0];
     let at = |depth: f64| {

@@ -1,6 +1,7 @@
 //! How a cost grows.
 
-/// Exponent `e` of `cost ~ number^e`: the slope of the logarithms, by least squares over the costs above zero.
+/// Exponent `e` of `cost ~ number^e`: the slope of the logarithms, by least squares over the costs
+/// above zero.
 pub fn exponent(points: impl IntoIterator<Item = (usize, f64)>) -> f64 {
     let points = points.into_iter().filter(|(_, cost)| *cost > 0.0);
     let points: Vec<[f64; 2]> = points

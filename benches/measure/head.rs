@@ -1,5 +1,5 @@
-//! Where the table's views come from: a folder laid out as `shading_table`, or two views of a bumpy head made here, 15
-//! degrees apart, for which the image model holds exactly.
+//! Where the table's views come from: a folder laid out as `shading_table`, or two views of a bumpy
+//! head made here, 15 degrees apart, for which the image model holds exactly.
 
 use crate::{Failure, table};
 use nalgebra::{Point2, Point3, Rotation3, Vector3};

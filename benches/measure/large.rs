@@ -1,5 +1,5 @@
-//! Large colour views: one starts from 400 anchors; several stand side by side before the same relief and are tied by 300
-//! matches between neighbours.
+//! Large colour views: one starts from 400 anchors; several stand side by side before the same
+//! relief and are tied by 300 matches between neighbours.
 
 use crate::{Failure, system};
 use nalgebra::{Point3, Rotation3, Vector3};

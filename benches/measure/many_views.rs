@@ -1,8 +1,9 @@
-//! Pose estimation on simulated tracks: rings of cameras around an object, every point seen by its neighbours only; no
-//! photo is rendered and no anchors are sought.
+//! Pose estimation on simulated tracks: rings of cameras around an object, every point seen by its
+//! neighbours only; no photo is rendered and no anchors are sought.
 //!
-//! Printed per number of views: registered views, CPU seconds, wall seconds, peak memory, mean reprojection error, and
-//! the largest errors of centres (share of the distance) and rotations against the truth.
+//! Printed per number of views: registered views, CPU seconds, wall seconds, peak memory, mean
+//! reprojection error, and the largest errors of centres (share of the distance) and rotations
+//! against the truth.
 
 use crate::growth::exponent;
 use crate::rings::{RingsOptions, options, pose_errors, rings};

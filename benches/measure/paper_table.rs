@@ -28,13 +28,14 @@ pub struct Arguments {
     /// Adds the paper's splitting and the fixed point
     #[arg(long)]
     methods: bool,
-    /// Writes image, normals, depth and error of each case, and the energy of the methods against the
-    /// iterations (`CASE_methods.svg`)
+    /// Writes image, normals, depth and error of each case, and the energy of the methods against
+    /// the iterations (`CASE_methods.svg`)
     #[arg(long)]
     pictures: Option<PathBuf>,
 }
 
-/// Mean and median angle in degrees, and median relative depth error in per cent, as it is and after one scale.
+/// Mean and median angle in degrees, and median relative depth error in per cent, as it is and
+/// after one scale.
 fn errors(source: &Source, solved: &SolvedView) -> Result<[f64; 4], Failure> {
     let (normals, depths) = source.truth(&solved.name)?;
     let found = table::angles(&normals, solved);

@@ -1,4 +1,5 @@
-//! The photo model on a folder with ground truth, cameras given: accuracy after every step and at the end.
+//! The photo model on a folder with ground truth, cameras given: accuracy after every step and at
+//! the end.
 
 use crate::Failure;
 use crate::data_set::Set;

@@ -1,5 +1,6 @@
-//! Whole runs of the program on one synthetic object that is photographed `N` times: CPU seconds, peak resident memory and
-//! disk space of every stage, and the exponents `e` of `cost ~ N^e` fitted through them.
+//! Whole runs of the program on one synthetic object that is photographed `N` times: CPU seconds,
+//! peak resident memory and disk space of every stage, and the exponents `e` of `cost ~ N^e` fitted
+//! through them.
 
 use crate::Failure;
 use crate::growth::exponent;
@@ -8,7 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_rilievo");
-/// Arc over which photos are taken, degrees a photo and at most: more photos go farther around, then closer together.
+/// Arc over which photos are taken, degrees a photo and at most: more photos go farther around,
+/// then closer together.
 const ARC_PER_PHOTO_DEG: f64 = 15.0;
 const MAX_ARC_DEG: f64 = 340.0;
 

@@ -1,7 +1,7 @@
 //! Sphere, scale and light on a photo set with known poses and truth.
 //!
-//! Printed per photo: outline overlap with `sphere_masks`, radius, gain, residual on the sphere, and the residual of the
-//! light applied to the true normals.
+//! Printed per photo: outline overlap with `sphere_masks`, radius, gain, residual on the sphere,
+//! and the residual of the light applied to the true normals.
 
 use crate::Failure;
 use crate::data_set::Set;

@@ -1,5 +1,5 @@
-//! Nanoseconds per pixel of a whole solve's θ- and z-steps, and the z-step's time over that of reading and writing its
-//! fields once per sweep at copy bandwidth.
+//! Nanoseconds per pixel of a whole solve's θ- and z-steps, and the z-step's time over that of
+//! reading and writing its fields once per sweep at copy bandwidth.
 
 use crate::Failure;
 use rilievo_numerics::corner_grid::CornerGrid;

@@ -1,5 +1,5 @@
-//! What fusion alone costs: the true depth and normal maps of a data set, each view with a smooth bias and white noise,
-//! fused, and cloud and mesh measured against the true surface.
+//! What fusion alone costs: the true depth and normal maps of a data set, each view with a smooth
+//! bias and white noise, fused, and cloud and mesh measured against the true surface.
 
 use crate::Failure;
 use crate::data_set::Set;

@@ -45,7 +45,8 @@ pub struct EncodingArgs {
 /// The configuration file.
 #[derive(Clone, Debug, Args)]
 pub struct ConfigArgs {
-    /// Options of the stages, as TOML: tables `photos`, `features`, `poses`, `lighting`, `shading` and `fusion`
+    /// Options of the stages, as TOML: tables `photos`, `features`, `poses`, `lighting`, `shading`
+    /// and `fusion`
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
 }
@@ -98,8 +99,8 @@ pub struct MaskArgs {
     /// Folder for the masks; pictures to look at go to DIR-overlays
     #[arg(short, long, value_name = "DIR", default_value = "masks")]
     pub output: PathBuf,
-    /// A run of these photos whose poses show the object, at least until stage 3. Without it, masks are sought before a
-    /// plain backdrop, and where there is none by poses found in DIR-run
+    /// A run of these photos whose poses show the object, at least until stage 3. Without it, masks
+    /// are sought before a plain backdrop, and where there is none by poses found in DIR-run
     #[arg(long, value_name = "RUN", conflicts_with = "cameras")]
     pub run: Option<PathBuf>,
     /// Writes over masks that are there already
@@ -121,8 +122,8 @@ pub struct ImportArgs {
     /// The file to write (cameras.json by default), for diligent the folder (diligent by default)
     #[arg(short, long, value_name = "PATH")]
     pub output: Option<PathBuf>,
-    /// Folder of the photos. bundler, mvsnet, middlebury, tum, npz and others leave out the photos' size,
-    /// which is read from the photos then: those in this folder, else those beside the source
+    /// Folder of the photos. bundler, mvsnet, middlebury, tum, npz and others leave out the photos'
+    /// size, which is read from the photos then: those in this folder, else those beside the source
     #[arg(long, value_name = "DIR")]
     pub photos: Option<PathBuf>,
     /// Replaces files that are there already
@@ -138,9 +139,9 @@ pub struct ImportArgs {
 pub struct ExportArgs {
     /// A run directory, or a camera file
     pub source: PathBuf,
-    /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras. npz
-    /// is that of IDR and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of AliceVision;
-    /// blender is a script that makes the cameras there
+    /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras.
+    /// npz is that of IDR and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of
+    /// AliceVision; blender is a script that makes the cameras there
     #[arg(long, value_name = "FORMAT", value_parser = export_formats())]
     pub format: ExportFormat,
     /// The file or folder to write
@@ -158,9 +159,9 @@ pub struct WorkArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
     /// Bounds how many photos are read or searched for keypoints at once (at least one; half of the
-    /// free memory by default), how many images stage 3 holds for anchors, what stage 5 works on at once, and what
-    /// stage 6 takes for cloud and mesh (4G by default), as 4G or 800M. Stages 5 and 6 report what they need where that
-    /// is more; stage 4 takes what a photo asks
+    /// free memory by default), how many images stage 3 holds for anchors, what stage 5 works on at
+    /// once, and what stage 6 takes for cloud and mesh (4G by default), as 4G or 800M. Stages 5 and
+    /// 6 report what they need where that is more; stage 4 takes what a photo asks
     #[arg(long, value_name = "SIZE", value_parser = parse_size)]
     pub memory: Option<u64>,
     /// One JSON object a line on stdout
@@ -185,8 +186,9 @@ pub struct ReconstructArgs {
     /// Run directory: results, and what is needed to go on from there
     #[arg(short, long, value_name = "RUN")]
     pub output: PathBuf,
-    /// Folder of object masks (white on black), named as the photos; `none` takes the whole frame. Without it, masks are
-    /// proposed after stage 3 and used where they are sure: RUN/masks, with pictures to look at in RUN/masks-overlays
+    /// Folder of object masks (white on black), named as the photos; `none` takes the whole frame.
+    /// Without it, masks are proposed after stage 3 and used where they are sure: RUN/masks, with
+    /// pictures to look at in RUN/masks-overlays
     #[arg(long, value_name = "DIR|none")]
     pub masks: Option<PathBuf>,
     #[command(flatten)]
@@ -207,9 +209,10 @@ pub struct ReconstructArgs {
     /// What explains the photos: photo (visibility and the photos' agreement) or paper
     #[arg(long, value_name = "MODEL", value_parser = words::<ShadingModel>(MODELS))]
     pub model: Option<ShadingModel>,
-    /// Which pairs of photos are matched: auto (all of up to 20 photos, else those that look alike and those that
-    /// follow from what matched), all, sequential (neighbours in the order of names), or a file of pairs: two file
-    /// names a line, separated by a comma or white space. [default: auto]
+    /// Which pairs of photos are matched: auto (all of up to 20 photos, else those that look alike
+    /// and those that follow from what matched), all, sequential (neighbours in the order of
+    /// names), or a file of pairs: two file names a line, separated by a comma or white space.
+    /// [default: auto]
     #[arg(long, value_name = "all|auto|sequential|FILE")]
     pub pairs: Option<PathBuf>,
     /// How depth anchors are found
@@ -243,8 +246,8 @@ pub struct SurfaceArgs {
     /// its resolution
     #[arg(long, value_name = "LENGTH")]
     pub spacing: Option<f64>,
-    /// Leaves about N triangles of the mesh, such as 200000 for the web and phones; its vertices keep the normals
-    /// of the dense mesh
+    /// Leaves about N triangles of the mesh, such as 200000 for the web and phones; its vertices
+    /// keep the normals of the dense mesh
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(100..))]
     pub triangles: Option<usize>,
     /// Closes the mesh where no view saw anything
@@ -253,7 +256,8 @@ pub struct SurfaceArgs {
     /// Triangles of the asset, the light mesh with textures. [default: 100000]
     #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(100..=10_000_000))]
     pub faces: Option<usize>,
-    /// Largest side of the asset's textures; they are smaller where the photos show no more. [default: 4096]
+    /// Largest side of the asset's textures; they are smaller where the photos show no more.
+    /// [default: 4096]
     #[arg(long, value_name = "TEXELS", value_parser = RangedU64ValueParser::<usize>::new().range(64..=16_384))]
     pub texture: Option<usize>,
     /// Formats of the mesh, separated by commas. [default: ply,obj,glb,asset]
@@ -280,8 +284,8 @@ impl SurfaceArgs {
 /// `rilievo fuse`
 #[derive(Debug, Args)]
 pub struct FuseArgs {
-    /// Folder of the maps: COLMAP's dense workspace, OpenMVS's *.dmap, or OpenEXR (depth/NAME.exr with
-    /// normal/NAME.exr, or NAME_depth.exr with NAME_normal.exr)
+    /// Folder of the maps: COLMAP's dense workspace, OpenMVS's *.dmap, or OpenEXR (depth/NAME.exr
+    /// with normal/NAME.exr, or NAME_depth.exr with NAME_normal.exr)
     #[arg(value_name = "MAPS")]
     pub maps: PathBuf,
     /// Cameras of the maps, where they do not lie beside them
@@ -400,8 +404,8 @@ pub struct EvaluateArgs {
     /// Folder with cameras.json, NAME_depth.exr, NAME_normal.exr, mesh.ply
     #[arg(long, value_name = "DIR", required_unless_present = "halves")]
     pub truth: Option<PathBuf>,
-    /// Without a truth: shapes two halves of the photos, each alone, and reports by wavelength what relief
-    /// both find; as long as stage 5
+    /// Without a truth: shapes two halves of the photos, each alone, and reports by wavelength what
+    /// relief both find; as long as stage 5
     #[arg(long, conflicts_with_all = ["truth", "align"])]
     pub halves: bool,
     /// How the frames are brought together before comparing
@@ -432,8 +436,8 @@ pub struct SynthArgs {
     /// A mesh to photograph instead of a made object: z up, front towards -y, of any size
     #[arg(long, value_name = "FILE.ply")]
     pub mesh: Option<PathBuf>,
-    /// Options of scene and photographs, as TOML: tables `scene` and `photographs`; options given here
-    /// go before it
+    /// Options of scene and photographs, as TOML: tables `scene` and `photographs`; options given
+    /// here go before it
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
     /// One JSON object a line on stdout

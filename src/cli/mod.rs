@@ -1,7 +1,6 @@
 //! The command line, as other tools call it.
 
 mod args;
-mod examples;
 mod formats;
 mod parse;
 mod words;
@@ -46,57 +45,89 @@ pub fn visible() -> clap::Command {
         .subcommands(shown.cloned())
 }
 
+/// The examples that the help of a command ends with.
+macro_rules! examples {
+    ($($line:literal),+) => { concat!("Examples:", $("\n  rilievo ", $line),+) };
+}
+
 /// The commands.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// A synthetic scene, photographed, reconstructed and measured: one to two minutes
-    #[command(after_help = examples::DEMO)]
+    #[command(after_help = examples!("demo", "demo -o another --seed 7"))]
     Demo(DemoArgs),
     /// Looks at photos and masks before anything is computed: what is good, what is not, what to do
-    #[command(after_help = examples::CHECK)]
+    #[command(after_help = examples!(
+        "check photos",
+        "check photos --masks masks --cameras intrinsics.json"
+    ))]
     Check(CheckArgs),
     /// Proposes masks of an object, by a plain backdrop or by the photos' poses, to be looked at and corrected
-    #[command(after_help = examples::MASK)]
+    #[command(after_help = examples!("mask photos -o masks", "mask photos -o masks --run run"))]
     Mask(MaskArgs),
     /// Photographs to depth maps, a point cloud and a mesh
-    #[command(after_help = examples::RECONSTRUCT)]
+    #[command(after_help = examples!(
+        "reconstruct photos --masks masks --sphere sphere.json -o run",
+        "reconstruct photos --sphere auto --sphere-radius 0.02 -o run",
+        "reconstruct photos --cameras colmap/sparse/0 --until 3_poses -o run"
+    ))]
     Reconstruct(Box<ReconstructArgs>),
     /// One stage of a run again, with what the run directory says
-    #[command(after_help = examples::RUN)]
+    #[command(after_help = examples!("run 6_fusion run"))]
     Run(RunArgs),
     /// Which stages of a run are valid, stale (and why) or missing
-    #[command(after_help = examples::STATUS)]
+    #[command(after_help = examples!("status run", "status run --verify"))]
     Status(StatusArgs),
     /// Why a stage would be redone or kept
-    #[command(after_help = examples::WHY)]
+    #[command(after_help = examples!("why run 5_shading"))]
     Why(StageArgs),
     /// Deletes the results of a stage
-    #[command(after_help = examples::CLEAN)]
+    #[command(after_help = examples!("clean run 6_fusion"))]
     Clean(StageArgs),
     /// Shape from shading alone: one view, or several coupled; refinement of a measured depth
-    #[command(after_help = examples::SHADE)]
+    #[command(after_help = examples!(
+        "shade --image photo.exr --mask mask.png --camera camera.json --lighting lighting.json -o shaded",
+        "shade --image photo.png --mask mask.png --camera camera.json --prior depth.exr -o refined",
+        "shade scene.json -o shaded"
+    ))]
     Shade(Box<ShadeArgs>),
     /// Depth and normal maps of other programs (COLMAP, OpenMVS, OpenEXR) to one cloud and one mesh
-    #[command(after_help = examples::FUSE)]
+    #[command(after_help = examples!(
+        "fuse colmap/dense/0 --photos photos -o fused",
+        "fuse run/5_shading --spacing 0.001 --watertight -o fused"
+    ))]
     Fuse(Box<FuseArgs>),
     /// Accuracy of a run against ground truth
-    #[command(after_help = examples::EVALUATE)]
+    #[command(after_help = examples!(
+        "evaluate run --truth truth",
+        "evaluate run --truth truth --align sim3 --json",
+        "evaluate run --halves"
+    ))]
     Evaluate(EvaluateArgs),
     /// A synthetic photo folder with ground truth
-    #[command(after_help = examples::SYNTH)]
+    #[command(after_help = examples!(
+        "synth set --views 8 --size 1280x960 --seed 3",
+        "synth set --mesh bust.ply --format tiff"
+    ))]
     Synth(SynthArgs),
     /// Cameras of another program to cameras.json; an object of DiLiGenT or DiLiGenT-MV to a folder of
     /// photos, masks and truth
-    #[command(after_help = examples::IMPORT)]
+    #[command(after_help = examples!(
+        "import transforms.json -o cameras.json",
+        "import bundle.out -o cameras.json"
+    ))]
     Import(ImportArgs),
     /// Cameras of a run, or of cameras.json, to another program's format
-    #[command(after_help = examples::EXPORT)]
+    #[command(after_help = examples!(
+        "export run --format colmap -o colmap",
+        "export run --format npz -o cameras.npz"
+    ))]
     Export(ExportArgs),
     /// The completion script of a shell, on stdout
-    #[command(after_help = examples::COMPLETIONS)]
+    #[command(after_help = examples!("completions bash", "completions zsh"))]
     Completions(CompletionsArgs),
     /// The man page of the program on stdout, or a page per command in a folder
-    #[command(after_help = examples::MAN)]
+    #[command(after_help = examples!("man", "man -o man1"))]
     Man(ManArgs),
     /// One camera RAW file, from stdin to stdout: how this program decodes them
     #[command(hide = true)]

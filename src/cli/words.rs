@@ -1,4 +1,5 @@
-//! Options whose values are words, with the help of each value. A word is the value's name in configuration files.
+//! Options whose values are words, with the help of each value. A word is the value's name in
+//! configuration files.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;

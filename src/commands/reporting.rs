@@ -5,7 +5,8 @@ use crate::observe::Console;
 use crate::ranks;
 use crate::report::{Judgement, Verdict};
 
-/// Runs a command, and reports to scripts how it ended: its exit code, its error, and what `facts` names of it.
+/// Runs a command, and reports to scripts how it ended: its exit code, its error, and what `facts`
+/// names of it.
 pub fn reporting(
     console: &Console,
     facts: serde_json::Value,
@@ -33,8 +34,9 @@ pub fn reporting_found(
     outcome
 }
 
-/// As [`reporting`], for a command that judges its result: the verdict goes to people and to scripts.
-/// Of several processes only the first one judges. With `strict`, a result that is not to be trusted is a failure.
+/// As [`reporting`], for a command that judges its result: the verdict goes to people and to
+/// scripts. Of several processes only the first one judges. With `strict`, a result that is not to
+/// be trusted is a failure.
 pub fn reporting_judged(
     console: &Console,
     strict: bool,

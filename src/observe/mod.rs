@@ -70,8 +70,8 @@ impl Console {
         }
     }
 
-    /// Takes what the run is expected to do from here on, and the seconds of what follows then, so that the
-    /// time it will take can be shown.
+    /// Takes what the run is expected to do from here on, and the seconds of what follows then, so
+    /// that the time it will take can be shown.
     pub fn expect(&self, steps: Vec<ExpectedStep>, later: f64) {
         match &mut *locked(&self.forecast) {
             Some(forecast) => forecast.replace(steps, later),

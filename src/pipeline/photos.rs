@@ -395,8 +395,8 @@ fn write(
     Ok((kept, files))
 }
 
-/// Pixels of the largest photo, by the files' headers; a file whose header lacks them (camera RAW) holds
-/// a byte a pixel and more.
+/// Pixels of the largest photo, by the files' headers; a file whose header lacks them (camera RAW)
+/// holds a byte a pixel and more.
 fn largest_photo_px(inputs: &Inputs) -> u64 {
     inputs
         .photos

@@ -115,8 +115,8 @@ pub fn run(
     })?)
 }
 
-/// Writes the maps of a view, and a picture beside each that can be looked at; `path` returns the place
-/// of `KIND/NAME.ENDING`, in a folder that exists.
+/// Writes the maps of a view, and a picture beside each that can be looked at; `path` returns the
+/// place of `KIND/NAME.ENDING`, in a folder that exists.
 pub fn write_maps(
     path: &(dyn Fn(&str) -> Result<PathBuf, StoreError> + Sync),
     view: &ShadedView,

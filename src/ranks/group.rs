@@ -192,7 +192,8 @@ impl Group {
         self.wire.abort(code)
     }
 
-    /// Waits for all ranks, so that none is missed before rank 0 has reported how the run ended, and ends the team.
+    /// Waits for all ranks, so that none is missed before rank 0 has reported how the run ended,
+    /// and ends the team.
     pub fn end(&self, code: u8) {
         let own = Frame {
             kind: DONE,

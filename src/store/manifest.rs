@@ -70,7 +70,8 @@ pub struct Manifest {
     pub expected: Option<Estimate>,
     /// Threads that worked on it.
     pub threads: usize,
-    /// Largest resident memory while the stage ran, bytes; `None` where the system does not report it.
+    /// Largest resident memory while the stage ran, bytes; `None` where the system does not report
+    /// it.
     pub peak_memory_bytes: Option<u64>,
     /// What the user should know.
     pub warnings: Vec<String>,

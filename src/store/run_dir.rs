@@ -145,7 +145,8 @@ impl RunDir {
         RunFile::write(&self.root, request)
     }
 
-    /// Writes a marker that no other run directory has, so that other processes can check that they see this one.
+    /// Writes a marker that no other run directory has, so that other processes can check that they
+    /// see this one.
     pub fn mark(&self) -> Result<String, StoreError> {
         let path = self.root.join(MARKER);
         create_folder(&self.root.join(".work"))?;

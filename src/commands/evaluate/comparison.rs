@@ -117,8 +117,8 @@ impl Comparison {
         Ok(evaluation)
     }
 
-    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`. `note` gets
-    /// their places.
+    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`.
+    /// `note` gets their places.
     pub fn show(&self, evaluation: &Evaluation, note: &dyn Fn(&str)) -> anyhow::Result<()> {
         drop_evaluation(&self.run)?;
         let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;

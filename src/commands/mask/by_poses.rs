@@ -20,8 +20,8 @@ use std::sync::Arc;
 /// Consistency below which the user is asked to look closely.
 const CLEAR: f64 = 0.9;
 
-/// How well a proposed mask agrees with the object's points and with the other photos. Errors that all photos share
-/// do not show.
+/// How well a proposed mask agrees with the object's points and with the other photos. Errors that
+/// all photos share do not show.
 #[derive(Clone)]
 pub struct PosedProposal {
     coverage: f64,
@@ -170,7 +170,8 @@ pub fn propose(
 /// What became of a photo that was without a mask.
 pub type Found = Option<Result<PosedProposal, String>>;
 
-/// Why photos are without a mask: for each the reason that it has already, and why their poses do not help.
+/// Why photos are without a mask: for each the reason that it has already, and why their poses do
+/// not help.
 pub fn without_poses(without: &[Option<String>], why: &str) -> Vec<Found> {
     let both = |reason: &String| match reason.is_empty() {
         true => why.to_owned(),
@@ -196,8 +197,9 @@ struct Cut<'a> {
 }
 
 impl Cut<'_> {
-    /// Works on the views for which `with` returns something: `work` takes the view's number, that, the photo and its
-    /// pixels. A view in which the object is not found has no result and a reason.
+    /// Works on the views for which `with` returns something: `work` takes the view's number, that,
+    /// the photo and its pixels. A view in which the object is not found has no result and a
+    /// reason.
     fn each<T, R: Send>(
         &mut self,
         step: &str,

@@ -109,8 +109,8 @@ fn propose(
     Ok(())
 }
 
-/// Proposals before a plain backdrop, photo by photo: none for a photo that cannot be read, which is among the problems.
-/// Where poses of a run are given, all photos are left to them.
+/// Proposals before a plain backdrop, photo by photo: none for a photo that cannot be read, which
+/// is among the problems. Where poses of a run are given, all photos are left to them.
 fn by_backdrops(
     args: &MaskArgs,
     request: &Request,
@@ -159,8 +159,8 @@ fn by_backdrops(
     Ok((proposed, unusable))
 }
 
-/// Puts proposals by poses in the place of missing ones, from the run that was given, else from one beside the masks;
-/// returns the photos that cannot be used.
+/// Puts proposals by poses in the place of missing ones, from the run that was given, else from one
+/// beside the masks; returns the photos that cannot be used.
 fn by_poses(
     args: &MaskArgs,
     request: &Request,

@@ -51,7 +51,8 @@ struct Proposed {
     consistency: Option<f64>,
 }
 
-/// The request whose masks are the run's own proposals where the user says so with `--masks RUN/masks`; else unchanged.
+/// The request whose masks are the run's own proposals where the user says so with `--masks
+/// RUN/masks`; else unchanged.
 pub fn with_accepted_masks(request: Request, root: &Path) -> anyhow::Result<Request> {
     let root = &absolute(root)?;
     let is_own = request.masks.as_ref() == Some(&root.join(FOLDER)) && is_used(root);
@@ -62,9 +63,10 @@ pub fn with_accepted_masks(request: Request, root: &Path) -> anyhow::Result<Requ
     })
 }
 
-/// The request with masks that the run proposes for itself, for a user who has none. They are proposed where a photo lacks
-/// one and a stage after the poses is asked for, from poses of the photos without masks. Unchanged, with a warning, where
-/// the proposals are not sure; unchanged where the photos carry masks themselves.
+/// The request with masks that the run proposes for itself, for a user who has none. They are
+/// proposed where a photo lacks one and a stage after the poses is asked for, from poses of the
+/// photos without masks. Unchanged, with a warning, where the proposals are not sure; unchanged
+/// where the photos carry masks themselves.
 ///
 /// # Errors
 /// When a photo cannot be read, there are no poses, or masks cannot be written.

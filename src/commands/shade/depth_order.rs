@@ -22,7 +22,8 @@ const MIN_STRANGERS: f64 = 0.05;
 /// How many times fewer there must be when it is read by columns.
 const MIN_RATIO: f64 = 4.0;
 
-/// Reads a depth map in the order that its values stand in, with a warning where that is column by column.
+/// Reads a depth map in the order that its values stand in, with a warning where that is column by
+/// column.
 pub fn read(path: &Path, console: &Console) -> Result<DepthMap, Failure> {
     let map = read_depth(path)?;
     let turned = by_columns(&map);
