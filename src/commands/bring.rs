@@ -13,15 +13,7 @@ use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
 use crate::store::{Look, RunDir};
 use rilievo_scene::{Observer, StageId};
-use serde::Serialize;
 use std::path::Path;
-
-/// What the user allows beyond what is safe.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Allowed {
-    /// Results of other photos may be replaced.
-    pub overwrite: bool,
-}
 
 /// What bringing a run up to date came to.
 pub struct Brought {
@@ -61,7 +53,6 @@ pub fn bring_run_up_to_date(
     request: &Request,
     root: &Path,
     range: Range,
-    allowed: Allowed,
     work: &WorkArgs,
     console: &Console,
 ) -> anyhow::Result<Brought> {
@@ -71,7 +62,7 @@ pub fn bring_run_up_to_date(
         return Err(Failure::Usage(format!("--from {from} comes after --until {until}")).into());
     }
     let resources = Resources::new(work);
-    check_options(&serde_json::json!({"request": request, "range": range, "allowed": allowed}))?;
+    check_options(&serde_json::json!({"request": request, "range": range}))?;
     let run = open_run(root, || {
         let run = RunDir::create_or_open(root)?;
         if run.is_new() {
@@ -87,7 +78,7 @@ pub fn bring_run_up_to_date(
     }
     interrupt::is_resumable(ranks::team().size() > 1);
     let mut plan = None;
-    let outcome = work_in(&run, request, range, allowed, resources, console, &mut plan);
+    let outcome = work_in(&run, request, range, resources, console, &mut plan);
     let outcome = ranks::agree(outcome);
     if !ranks::team().is_first() {
         return outcome.map(|redone| Brought {
@@ -149,7 +140,6 @@ fn work_in(
     run: &RunDir,
     request: &Request,
     range: Range,
-    allowed: Allowed,
     resources: Resources,
     console: &Console,
     planned: &mut Option<Plan>,
@@ -157,7 +147,7 @@ fn work_in(
     let inputs = Inputs::scan(request)?;
     let plan = planned.insert(Plan::new(request, &inputs));
     check_inputs(&inputs, plan)?;
-    if !allowed.overwrite {
+    if !range.overwrite {
         same_object(run, &inputs)?;
     }
     if ranks::team().is_first() {

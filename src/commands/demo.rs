@@ -1,7 +1,7 @@
 //! `rilievo demo`: a synthetic scene, photographed to JPEG files, reconstructed from those files
 //! alone through all six stages, and measured against the truth.
 
-use super::bring::{Allowed, bring_run_up_to_date};
+use super::bring::bring_run_up_to_date;
 use super::evaluate::{self, Comparison};
 use super::reporting::reporting_judged;
 use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
@@ -42,12 +42,10 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
         ..Request::of_photos(vec![set.join("photos")], StageOptions::default())
     };
     let range = Range {
-        redo_from: None,
-        until: StageId::Fusion,
-        then_masked_until: None,
+        overwrite: true,
+        ..Range::until(StageId::Fusion)
     };
-    let allowed = Allowed { overwrite: true };
-    let brought = bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
+    let brought = bring_run_up_to_date(&request, &run, range, &args.work, console)?;
     let judgement = brought.report(&run, console);
     let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     let evaluation = comparison.measure()?;

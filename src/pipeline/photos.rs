@@ -197,12 +197,8 @@ pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
     load_with(context, true)
 }
 
-/// The same without their masks, which all lie in memory.
-pub fn load_without_masks(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
-    load_with(context, false)
-}
-
-fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
+/// The same; without their masks, which all lie in memory, unless `masks`.
+pub fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
     let dir = context.run.stage_dir(StageId::Photos);
     let manifest = context
         .run
@@ -217,12 +213,8 @@ fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
             reason: error.to_string(),
         })?;
         if let Kept::Usable { facts, mask } = kept {
-            checked_names(
-                context.run,
-                StageId::Photos,
-                "manifest.json",
-                [&*facts.name],
-            )?;
+            let name = [&*facts.name];
+            checked_names(context.run, StageId::Photos, "manifest.json", name)?;
             usable.push(from_disk(&dir, *facts, mask && masks)?);
         }
     }
@@ -233,18 +225,13 @@ fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
 }
 
 fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto, Failure> {
-    let mask = if mask {
-        Some(Arc::new(
-            read_mask(&dir.join(mask_file(&facts.name)))?.packed(),
-        ))
-    } else {
-        None
-    };
+    let mask = mask.then(|| read_mask(&dir.join(mask_file(&facts.name))));
+    let mask = mask.transpose()?;
     Ok(PreparedPhoto {
         pixels: Arc::new(LinearFile {
             path: dir.join(linear_file(&facts.name)),
         }),
-        mask,
+        mask: mask.map(|mask| Arc::new(mask.packed())),
         facts,
     })
 }

@@ -2,7 +2,7 @@
 
 use super::target::{Target, beside};
 use crate::cli::MaskArgs;
-use crate::commands::bring::{Allowed, bring_run_up_to_date};
+use crate::commands::bring::bring_run_up_to_date;
 use crate::commands::stored::stored_request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
@@ -271,11 +271,6 @@ pub fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyh
         "  some photos have no plain backdrop: the object is told by the photos' poses, in {}",
         root.display()
     ));
-    let range = Range {
-        redo_from: None,
-        until: StageId::Poses,
-        then_masked_until: None,
-    };
     if is_of_somebody(&root)? {
         return Err(Failure::Usage(format!(
             "{root} holds a run with masks, a sphere, a light or shapes, which finding poses there would replace: say --run \
@@ -284,12 +279,12 @@ pub fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyh
         ))
         .into());
     }
-    let allowed = Allowed { overwrite: false };
     let request = Request {
         cameras: args.input.cameras.clone(),
         ..request.clone()
     };
-    bring_run_up_to_date(&request, &root, range, allowed, &args.work, console)?;
+    let range = Range::until(StageId::Poses);
+    bring_run_up_to_date(&request, &root, range, &args.work, console)?;
     Ok(RunDir::open_to_read(&root)?)
 }
 

@@ -10,7 +10,7 @@
 use super::by_poses::{PosedProposal, propose};
 use super::target::Target;
 use crate::cli::WorkArgs;
-use crate::commands::bring::{Allowed, bring_run_up_to_date};
+use crate::commands::bring::bring_run_up_to_date;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{
@@ -74,7 +74,7 @@ pub fn with_proposed_masks(
     request: Request,
     root: &Path,
     range: Range,
-    (allowed, work): (Allowed, &WorkArgs),
+    work: &WorkArgs,
     console: &Console,
 ) -> anyhow::Result<Request> {
     let root = &absolute(root)?;
@@ -99,11 +99,11 @@ pub fn with_proposed_masks(
         return Ok(for_poses);
     }
     let poses = Range {
-        redo_from: None,
-        until: StageId::Poses,
+        overwrite: range.overwrite,
         then_masked_until: Some(range.until),
+        ..Range::until(StageId::Poses)
     };
-    bring_run_up_to_date(&for_poses, root, poses, allowed, work, console)?;
+    bring_run_up_to_date(&for_poses, root, poses, work, console)?;
     let outcome = if ranks::team().is_first() {
         propose_into(root, &for_poses, work, console)
     } else {
