@@ -53,7 +53,7 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
         console.note(&format!("  {problem}"));
     }
     let mut of_files = inputs.warnings.clone();
-    of_files.extend(inputs.sphere_warnings.iter().cloned());
+    of_files.extend(inputs.spheres.warnings.iter().cloned());
     of_files.extend(spheres(&inputs, console));
     for warning in &of_files {
         console.note(&format!("  warning: {warning}"));
@@ -82,7 +82,7 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
 /// Reports in how many of the photos each sphere is marked; returns what is wrong with that.
 fn spheres(inputs: &Inputs, console: &Console) -> Vec<String> {
     let mut warnings = Vec::new();
-    for sphere in inputs.sphere.iter().flat_map(|file| &file.spheres) {
+    for sphere in inputs.spheres.file.iter().flat_map(|file| &file.spheres) {
         let is_there = |name: &&String| {
             let mut photos = inputs.photos.iter();
             photos.any(|photo| is_mark_of(name, &photo.file_name, &photo.name))

@@ -7,8 +7,8 @@ use crate::paths::text_of;
 use crate::store::{hash_file, hash_json};
 use rayon::prelude::*;
 use rilievo_io::{
-    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, SphereFile, import_cameras,
-    masks_among, read_cameras, read_lighting,
+    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, masks_among,
+    read_cameras, read_lighting,
 };
 use rilievo_scene::WorldFrame;
 use std::collections::BTreeMap;
@@ -45,12 +45,8 @@ pub struct Inputs {
     pub warnings: Vec<String>,
     /// Where the world's axes lie if the cameras' poses are given.
     pub frame: WorldFrame,
-    /// The sphere file.
-    pub sphere: Option<SphereFile>,
-    /// What is odd about what was said of the spheres.
-    pub sphere_warnings: Vec<String>,
-    /// Content hashes of the sphere's files, by role.
-    pub sphere_hashes: BTreeMap<String, String>,
+    /// What was said of the reference spheres.
+    pub spheres: SphereInputs,
     /// Content hashes of the lighting's files, by role.
     pub lighting_hashes: BTreeMap<String, String>,
 }
@@ -78,9 +74,7 @@ impl Inputs {
             skipped,
             warnings,
             frame: cameras.map_or(WorldFrame::Given, |cameras| cameras.frame()),
-            sphere: spheres.file,
-            sphere_warnings: spheres.warnings,
-            sphere_hashes: spheres.hashes,
+            spheres,
             lighting_hashes,
         })
     }

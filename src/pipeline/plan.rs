@@ -191,7 +191,7 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
             hashes
         }
         StageId::Poses => {
-            let mut hashes = inputs.sphere_hashes.clone();
+            let mut hashes = inputs.spheres.hashes.clone();
             let frame = inputs.frame.words().to_owned();
             hashes.insert("frame of given cameras".into(), frame);
             hashes
@@ -199,7 +199,7 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
         StageId::Lighting => {
             let mut hashes = inputs.lighting_hashes.clone();
             if request.sphere != SphereInput::None {
-                hashes.extend(inputs.sphere_hashes.clone());
+                hashes.extend(inputs.spheres.hashes.clone());
             }
             hashes
         }

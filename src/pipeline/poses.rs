@@ -29,7 +29,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     });
     let (sphere, unused) = spheres.unzip();
     let unused = unused.unwrap_or_default();
-    for warning in &context.inputs.sphere_warnings {
+    for warning in &context.inputs.spheres.warnings {
         context.console.warn(StageId::Poses, warning);
     }
     if !unused.is_empty() {
@@ -114,7 +114,7 @@ pub fn sphere_request(
             ..SpheresInSet::default()
         }));
     }
-    let Some(file) = &context.inputs.sphere else {
+    let Some(file) = &context.inputs.spheres.file else {
         return Ok(None);
     };
     let images = file

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// What was said of the reference spheres.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 pub struct SphereInputs {
     /// The sphere file, with the radius that is used.
     pub file: Option<SphereFile>,
