@@ -43,7 +43,6 @@ const NUM_TRACKS: usize = 1000;
 pub struct SynthOptions {
     /// The world in front of the camera.
     pub scene: SceneOptions,
-    /// The photographs.
     pub photographs: RenderOptions,
 }
 

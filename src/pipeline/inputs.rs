@@ -18,7 +18,6 @@ use std::path::{Path, PathBuf};
 /// One photo file with what belongs to it.
 #[derive(Clone, Debug)]
 pub struct PhotoInput {
-    /// The file.
     pub path: PathBuf,
     /// Its name with ending.
     pub file_name: String,

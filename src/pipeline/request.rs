@@ -14,7 +14,6 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SphereInput {
-    /// There is none.
     None,
     /// It is to be found in the photos.
     Auto {
@@ -119,9 +118,7 @@ pub struct Request {
     /// Camera file or COLMAP folder.
     #[serde(with = "paths::optional")]
     pub cameras: Option<PathBuf>,
-    /// The sphere.
     pub sphere: SphereInput,
-    /// The lighting.
     pub lighting: LightingInput,
     /// Options of the stages.
     pub options: StageOptions,

@@ -19,7 +19,6 @@ use std::time::{Duration, Instant};
 pub struct Frame {
     /// What the bytes are.
     pub kind: u64,
-    /// The bytes.
     pub bytes: Vec<u8>,
 }
 

@@ -16,7 +16,6 @@ const COPY: &str = ".run.json";
 /// What was asked for, as it was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunFile {
-    /// The request.
     pub request: Value,
     /// Where the run directory stood when it was written, absolute.
     pub root: Value,

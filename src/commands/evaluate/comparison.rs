@@ -21,7 +21,6 @@ pub struct Comparison {
     pub(super) run: PathBuf,
     /// What it holds.
     pub(super) estimate: Estimate,
-    /// The truth.
     pub(super) truth: Truth,
     request: AlignmentRequest,
     /// Truth of the views that have any.

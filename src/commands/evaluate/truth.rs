@@ -12,7 +12,6 @@ use std::path::{Path, PathBuf};
 
 /// Ground truth in a folder.
 pub(super) struct Truth {
-    /// The folder.
     pub folder: PathBuf,
     /// True cameras, none where the folder has none.
     pub cameras: CameraFile,

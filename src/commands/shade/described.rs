@@ -43,7 +43,6 @@ pub fn mask_misfit(mask: &Mask, (width, height): (usize, usize)) -> Option<Strin
 /// The problem, and where each view's lighting came from.
 #[derive(Default)]
 pub struct Described {
-    /// The problem.
     pub problem: ShadingProblem,
     /// One entry per view.
     pub lighting: Vec<serde_json::Value>,
