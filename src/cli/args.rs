@@ -5,13 +5,13 @@ use super::parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
 };
 use super::words::{
-    ALIGNMENTS, ANCHORS, COLORS, ENCODINGS, MESH_FORMATS, MODELS, PROJECTIONS, SPLITTINGS, words,
+    ALIGNMENTS, ANCHORS, ENCODINGS, MESH_FORMATS, MODELS, PROJECTIONS, SPLITTINGS, words,
 };
 use crate::config::take_over;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
 use clap_complete::Shell;
-use rilievo_fusion::{ColorMode, FusionOptions, MeshFormat};
+use rilievo_fusion::{FusionOptions, MeshFormat};
 use rilievo_photos::Encoding;
 use rilievo_poses::KnownDistance;
 use rilievo_poses::anchors::AnchorMode;
@@ -263,9 +263,6 @@ pub struct SurfaceArgs {
     /// Formats of the mesh, separated by commas. [default: ply,obj,glb,asset]
     #[arg(long, value_name = "FORMATS", value_delimiter = ',', value_parser = words::<MeshFormat>(MESH_FORMATS))]
     pub formats: Option<Vec<MeshFormat>>,
-    /// Colours as photographed, or with light and shadow taken out
-    #[arg(long, value_name = "COLOR", value_parser = words::<ColorMode>(COLORS))]
-    pub color: Option<ColorMode>,
 }
 
 impl SurfaceArgs {
@@ -274,7 +271,6 @@ impl SurfaceArgs {
         take_over(&mut options.spacing, self.spacing);
         options.watertight |= self.watertight;
         take_over(&mut options.max_num_triangles, self.triangles);
-        take_over(&mut options.color, self.color);
         take_over(&mut options.asset_faces, self.faces);
         take_over(&mut options.asset_texture, self.texture);
         take_over(&mut options.formats, self.formats.clone());

@@ -152,10 +152,16 @@ impl Command {
 }
 
 /// Flags that commands had once, with what replaces them.
-const RETIRED_FLAGS: [(&str, &str); 1] = [(
-    "--depth-order",
-    "depth files whose values stand column by column are recognised",
-)];
+const RETIRED_FLAGS: [(&str, &str); 2] = [
+    (
+        "--depth-order",
+        "depth files whose values stand column by column are recognised",
+    ),
+    (
+        "--color",
+        "give --config a file with the lines [fusion] and color = \"albedo\"",
+    ),
+];
 
 impl Cli {
     /// The command line of some words, the program's name first.

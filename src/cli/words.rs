@@ -34,12 +34,6 @@ pub(super) const MESH_FORMATS: Words = &[
     ("glb", "Binary glTF, for viewers and the web"),
 ];
 
-/// `--color`
-pub(super) const COLORS: Words = &[
-    ("photographed", "The mean of the photos"),
-    ("albedo", "The surface's own colour"),
-];
-
 /// `--encoding`
 pub(super) const ENCODINGS: Words = &[
     ("auto", "By format and metadata"),
