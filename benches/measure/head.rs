@@ -54,8 +54,8 @@ fn hit(
     let at = |z: f64| world_from_cam.apply(&camera.unproject(&pixel, z));
     // The head lies within 1.2 of its middle.
     let step = 0.01;
-    let steps = (0..240).map(|k| DISTANCE - 1.2 + step * f64::from(k));
-    let mut far = steps.skip_while(|&z| implicit(&at(z)) > 0.0).next()?;
+    let mut steps = (0..240).map(|k| DISTANCE - 1.2 + step * f64::from(k));
+    let mut far = steps.find(|&z| implicit(&at(z)) <= 0.0)?;
     let mut near = far - step;
     for _ in 0..40 {
         let middle = 0.5 * (near + far);
