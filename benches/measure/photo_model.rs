@@ -31,19 +31,23 @@ pub struct Arguments {
 pub fn measure(arguments: &Arguments) -> Result<(), Failure> {
     let mut set = Set::load(&arguments.set, arguments.linear, &arguments.views)?;
     set.clip(0.98);
-    let num_photos = set.photos.photos.len();
-    set.posed.spheres.push(LocatedSphere {
-        seen_in: (0..num_photos).map(|i| (PhotoIdx(i), 0.5)).collect(),
-        ..true_sphere(set.center, set.radius)
-    });
-    // The mat under the object, as sparse points of a pose run would show it.
-    let on_grid = |i: usize| i as f64 / 19.0 - 0.5;
-    set.posed.points.extend((0..400).map(|i| SparsePoint {
-        position: [on_grid(i % 20), 0.0, on_grid(i / 20)],
-        color: [128; 3],
-        error_px: 0.3,
-        track: Vec::new(),
-    }));
+    // Of a set without one, the centre is no number.
+    if set.center.iter().all(|x| x.is_finite()) {
+        set.posed.spheres.push(LocatedSphere {
+            seen_in: (0..set.photos.photos.len())
+                .map(|i| (PhotoIdx(i), 0.5))
+                .collect(),
+            ..true_sphere(set.center, set.radius)
+        });
+        // The mat under the object, as sparse points of a pose run would show it.
+        let on_grid = |i: usize| i as f64 / 19.0 - 0.5;
+        set.posed.points.extend((0..400).map(|i| SparsePoint {
+            position: [on_grid(i % 20), 0.0, on_grid(i / 20)],
+            color: [128; 3],
+            error_px: 0.3,
+            track: Vec::new(),
+        }));
+    }
     let (photos, posed) = (&set.photos, &set.posed);
     let mut truth = Vec::new();
     for (i, view) in posed.views.iter().enumerate() {
