@@ -75,7 +75,7 @@ def timed(work):
 
 def rilievo(program, photos, folder, threads, work):
     command = [program, "reconstruct", *map(str, photos), "--cameras", str(folder / "intrinsics.json")]
-    command += ["-o", str(work), "--until", "3_poses", "--anchors", "sift", "--threads", str(threads)]
+    command += ["-o", str(work), "--until", "3_poses", "--threads", str(threads)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return cameras(work / "3_poses" / "cameras.json")
 

@@ -86,12 +86,7 @@ fn a_known_distance_that_names_no_photo_is_refused() {
     let (code, stderr) = until_lighting(
         folder.path(),
         false,
-        &[
-            "--known-distance",
-            "IMG_0001.jpg,IMG_0099.jpg,0.5",
-            "--anchors",
-            "sift",
-        ],
+        &["--known-distance", "IMG_0001.jpg,IMG_0099.jpg,0.5"],
     );
     assert_eq!(code, 4, "{stderr}");
     assert!(stderr.contains("IMG_0099.jpg"), "{stderr}");

@@ -55,8 +55,6 @@ impl Set {
                 arg(&self.path(cameras)),
                 "--sphere",
                 arg(&file),
-                "--anchors",
-                "sift",
             ],
         );
         (code, stderr)
@@ -478,8 +476,6 @@ fn a_radius_that_is_likely_in_another_unit_and_one_that_is_not_used_are_told() {
             arg(&file),
             "--sphere-radius",
             "30",
-            "--anchors",
-            "sift",
         ],
     );
     told(&stderr, &["the sphere is stated as 30 m", "in metres?"]);

@@ -4,9 +4,7 @@ use super::formats::{ExportFormat, ImportFormat};
 use super::parse::{
     export_formats, import_formats, parse_dimensions, parse_known_distance, parse_size, parse_stage,
 };
-use super::words::{
-    ALIGNMENTS, ANCHORS, ENCODINGS, MESH_FORMATS, MODELS, PROJECTIONS, SPLITTINGS, words,
-};
+use super::words::{ALIGNMENTS, ENCODINGS, MESH_FORMATS, MODELS, PROJECTIONS, SPLITTINGS, words};
 use crate::config::take_over;
 use clap::builder::RangedU64ValueParser;
 use clap::{Args, ValueEnum};
@@ -14,7 +12,6 @@ use clap_complete::Shell;
 use rilievo_fusion::{FusionOptions, MeshFormat};
 use rilievo_photos::Encoding;
 use rilievo_poses::KnownDistance;
-use rilievo_poses::anchors::AnchorMode;
 use rilievo_scene::StageId;
 use rilievo_shading::ShadingModel;
 use rilievo_shading::paper::{Projection, Splitting};
@@ -122,8 +119,8 @@ pub struct ImportArgs {
     /// The file to write (cameras.json by default), for diligent the folder (diligent by default)
     #[arg(short, long, value_name = "PATH")]
     pub output: Option<PathBuf>,
-    /// Folder of the photos. bundler, mvsnet, middlebury, tum, npz and others leave out the photos'
-    /// size, which is read from the photos then: those in this folder, else those beside the source
+    /// Folder of the photos. middlebury, npz and others leave out the photos' size, which is read from the
+    /// photos then: those in this folder, else those beside the source
     #[arg(long, value_name = "DIR")]
     pub photos: Option<PathBuf>,
     /// Replaces files that are there already
@@ -139,9 +136,9 @@ pub struct ImportArgs {
 pub struct ExportArgs {
     /// A run directory, or a camera file
     pub source: PathBuf,
-    /// The format to write; lp and alicevision-lights write a run's lighting, the others cameras.
-    /// npz is that of IDR and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of
-    /// AliceVision; blender is a script that makes the cameras there
+    /// The format to write; lp writes a run's lighting, the others cameras. npz is that of IDR
+    /// and NeuS, transforms of nerfstudio and instant-ngp, sfmdata of AliceVision; blender is a
+    /// script that makes the cameras there
     #[arg(long, value_name = "FORMAT", value_parser = export_formats())]
     pub format: ExportFormat,
     /// The file or folder to write
@@ -215,9 +212,6 @@ pub struct ReconstructArgs {
     /// [default: auto]
     #[arg(long, value_name = "all|auto|sequential|FILE")]
     pub pairs: Option<PathBuf>,
-    /// How depth anchors are found
-    #[arg(long, value_name = "MODE", value_parser = words::<AnchorMode>(ANCHORS))]
-    pub anchors: Option<AnchorMode>,
     #[command(flatten)]
     pub surface: SurfaceArgs,
     #[command(flatten)]

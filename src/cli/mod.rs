@@ -152,7 +152,11 @@ impl Command {
 }
 
 /// Flags that commands had once, with what replaces them.
-const RETIRED_FLAGS: [(&str, &str); 2] = [
+const RETIRED_FLAGS: [(&str, &str); 3] = [
+    (
+        "--anchors",
+        "depth anchors are grown over the surface, the one way that is left",
+    ),
     (
         "--depth-order",
         "depth files whose values stand column by column are recognised",

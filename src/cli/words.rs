@@ -16,13 +16,6 @@ pub(super) const MODELS: Words = &[
     ("paper", "Distant harmonics and depth anchors only"),
 ];
 
-/// `--anchors`
-pub(super) const ANCHORS: Words = &[
-    ("grown", "Grown over the surface from refined matches"),
-    ("guided", "Matched along epipolar lines and refined"),
-    ("sift", "Keypoint tracks alone"),
-];
-
 /// `--formats`
 pub(super) const MESH_FORMATS: Words = &[
     ("ply", "Stanford's PLY, which is always written"),

@@ -173,7 +173,6 @@ impl Request {
     pub fn from_args(args: &ReconstructArgs) -> Result<Self, Failure> {
         let mut options = StageOptions::read(args.config.config.as_deref())?;
         take_over(&mut options.shading.model, args.model);
-        take_over(&mut options.poses.anchors.mode, args.anchors);
         take_over(&mut options.photos.encoding, args.input.encoding.encoding);
         if let Some(pairs) = &args.pairs {
             options.features.pairs = pair_choice(pairs)?;
