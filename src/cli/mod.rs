@@ -114,7 +114,7 @@ pub enum Command {
     /// photos, masks and truth
     #[command(after_help = examples!(
         "import transforms.json -o cameras.json",
-        "import bundle.out -o cameras.json"
+        "import cameras.sfm -o cameras.json"
     ))]
     Import(ImportArgs),
     /// Cameras of a run, or of cameras.json, to another program's format
