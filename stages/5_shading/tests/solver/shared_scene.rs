@@ -3,19 +3,8 @@
 use crate::solved;
 use crate::table;
 use rilievo_scene::Silent;
-use rilievo_shading::paper::{Coupling, PaperOptions, SolvedView, solve};
+use rilievo_shading::paper::{Coupling, PaperOptions, solve};
 use rilievo_synthetic::testing::shared_data;
-use std::path::Path;
-
-fn angles(data: &Path, solved: &SolvedView) -> Vec<(usize, usize, f64)> {
-    let truth = table::true_normals(data, &solved.name).expect("readable truth");
-    table::angles(&truth, solved)
-}
-
-fn mean_angle(data: &Path, solved: &SolvedView) -> f64 {
-    let angles = angles(data, solved);
-    angles.iter().map(|a| a.2).sum::<f64>() / angles.len() as f64
-}
 
 #[test]
 fn the_literal_coupling_of_two_views_agrees_with_anchors() {
@@ -23,7 +12,7 @@ fn the_literal_coupling_of_two_views_agrees_with_anchors() {
     let Some(data) = shared_data("shading_table") else {
         return;
     };
-    let problem = table::two_views(&data, "L3").expect("readable data");
+    let problem = table::two_views(&data, "L3");
     for coupling in [Coupling::Anchors, Coupling::Literal] {
         let options = PaperOptions {
             coupling,
@@ -31,7 +20,7 @@ fn the_literal_coupling_of_two_views_agrees_with_anchors() {
         };
         let solution = solve(&problem, &options, &Silent).expect("a valid problem");
         for view in &solution.views {
-            let angle = mean_angle(&data, view);
+            let angle = table::mean_angle(&data, view);
             println!("{coupling:?} {}: {angle}", view.name);
             assert!(angle < 2.2, "{coupling:?} {}: {angle}", view.name);
         }
@@ -50,9 +39,9 @@ fn the_papers_cells_are_reached_on_the_shared_scene() {
         ("L3", "flat", 1.1),
         ("L1", "flat", 29.5),
     ] {
-        let view = table::view(&data, "view1", light, start).expect("readable data");
+        let view = table::view(&data, "view1", light, start);
         let solution = solved(view, &PaperOptions::default());
-        let angle = mean_angle(&data, &solution.views[0]);
+        let angle = table::mean_angle(&data, &solution.views[0]);
         assert!(angle < limit, "{light} {start}: {angle} over {limit}");
     }
 }
@@ -63,11 +52,11 @@ fn confidence_ranks_the_true_errors() {
         return;
     };
     for light in ["L3", "L1", "L2"] {
-        let view = table::view(&data, "view1", light, "rough").expect("readable data");
+        let view = table::view(&data, "view1", light, "rough");
         let solution = solved(view, &PaperOptions::default());
         let solved = &solution.views[0];
         let confidence = solved.confidence.as_ref().expect("asked for");
-        let mut pairs: Vec<(f32, f64)> = angles(&data, solved)
+        let mut pairs: Vec<(f32, f64)> = table::angles(&data, solved)
             .into_iter()
             .map(|(x, y, angle)| (*confidence.at(x, y), angle))
             .collect();
