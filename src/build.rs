@@ -1,4 +1,4 @@
-//! Tells the program which commit it is built from, where it is built from a repository, and with which features.
+//! Names the commit it is built from, where it is built from a repository, and with which features.
 
 use std::process::Command;
 
@@ -24,7 +24,7 @@ fn main() {
     println!("cargo::rustc-env=RILIEVO_LONG_VERSION={long}");
 }
 
-/// The optional features of this build, as cargo tells them.
+/// The optional features of this build, as cargo names them.
 fn features() -> String {
     let mut names: Vec<String> = std::env::vars_os()
         .filter_map(|(name, _)| name.into_string().ok())

@@ -42,7 +42,7 @@ impl StageOptions {
         )
     }
 
-    /// Checks the values of all stages, so that a wrong one is told before hours of work.
+    /// Checks the values of all stages, so that a wrong one is reported before hours of work.
     ///
     /// # Errors
     /// [`Failure::Usage`] with the first value that is out of range.
@@ -90,7 +90,7 @@ pub fn read_toml<T: serde::de::DeserializeOwned>(
 ) -> Result<T, Failure> {
     let text = read_regular_text(path)?;
     toml::from_str(&text).map_err(|error| {
-        let reason = retired_keys(&text, retired).unwrap_or_else(|| told(&error, &text));
+        let reason = retired_keys(&text, retired).unwrap_or_else(|| reason_of(&error, &text));
         Failure::Usage(format!("config file {}: {reason}", path.display()))
     })
 }
@@ -98,19 +98,14 @@ pub fn read_toml<T: serde::de::DeserializeOwned>(
 /// The retired keys that a file has, a line each with what replaces them; `None` without any.
 fn retired_keys(text: &str, retired: &[(&str, &[RetiredKey])]) -> Option<String> {
     let file: toml::Table = toml::from_str(text).ok()?;
-    let used = retired.iter().flat_map(|(table, keys)| {
-        let table_of_file = file.get(*table);
-        keys.iter().filter_map(move |key| {
-            let first = table_of_file?;
-            key.path
-                .iter()
-                .try_fold(first, |value, part| value.get(part))?;
-            Some(format!(
-                "{table}.{} is no option any more: {}",
-                key.path.join("."),
-                key.instead
-            ))
-        })
+    let all = retired
+        .iter()
+        .flat_map(|(table, keys)| keys.iter().map(move |key| (table, key)));
+    let used = all.filter_map(|(table, RetiredKey { path, instead })| {
+        let mut path_in_table = path.iter();
+        path_in_table.try_fold(file.get(*table)?, |value, part| value.get(part))?;
+        let path = path.join(".");
+        Some(format!("{table}.{path} is no option any more: {instead}"))
     });
     let lines: Vec<String> = used.collect();
     (!lines.is_empty()).then(|| lines.join("\n"))
@@ -118,7 +113,7 @@ fn retired_keys(text: &str, retired: &[(&str, &[RetiredKey])]) -> Option<String>
 
 /// The error as its library shows it, with the line of the file and a mark below; of endless lines the number
 /// and the beginning of the message.
-fn told(error: &toml::de::Error, text: &str) -> String {
+fn reason_of(error: &toml::de::Error, text: &str) -> String {
     const MAX_CHARS: usize = 1500;
     let whole = error.to_string();
     if whole.len() <= MAX_CHARS {
@@ -162,6 +157,37 @@ mod tests {
             "{message}"
         );
         assert!(read("[shadin]\n").is_err());
+    }
+
+    #[test]
+    fn a_retired_key_is_named_with_what_replaces_it() {
+        const OLD: &[RetiredKey] = &[RetiredKey {
+            path: &["old", "key"],
+            instead: "it is fixed",
+        }];
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[poses.old]\nkey = 3\n").unwrap();
+        let error = read_toml::<StageOptions>(file.path(), &[("poses", OLD)]).unwrap_err();
+        assert_eq!(error.code(), 2);
+        let message = error.to_string();
+        assert!(
+            message.contains("poses.old.key is no option any more: it is fixed"),
+            "{message}"
+        );
+    }
+
+    #[test]
+    fn every_retired_key_is_one_that_no_file_may_have() {
+        for (table, keys) in RETIRED_KEYS {
+            for key in keys {
+                let dotted = format!("{table}.{}", key.path.join("."));
+                let error = read(&format!("{dotted} = 1\n")).expect_err(&dotted);
+                assert_eq!(error.code(), 2);
+                let message = error.to_string();
+                let named = message.contains(&dotted) && message.contains(key.instead);
+                assert!(named, "{dotted}: {message}");
+            }
+        }
     }
 
     #[test]

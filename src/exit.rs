@@ -1,4 +1,4 @@
-//! How a command can fail, and the exit code that tells scripts so.
+//! How a command can fail, and its exit codes.
 //!
 //! | code | meaning |
 //! |---|---|
@@ -130,13 +130,9 @@ pub fn code_of(error: &anyhow::Error) -> u8 {
         if let Some(failure) = cause.downcast_ref::<Failure>() {
             return failure.code();
         }
-        if let Some(StoreError::Files { .. } | StoreError::Io(_)) =
-            cause.downcast_ref::<StoreError>()
-        {
-            return 6;
-        }
-        if cause.is::<StoreError>() {
-            return 5;
+        if let Some(error) = cause.downcast_ref::<StoreError>() {
+            let is_disk = matches!(error, StoreError::Files { .. } | StoreError::Io(_));
+            return if is_disk { 6 } else { 5 };
         }
         if cause.is::<std::io::Error>() {
             return 6;

@@ -5,7 +5,8 @@
 //! not there, so that the same command goes on wherever it ended.
 
 use crate::exit::Failure;
-use signal_hook::consts::signal::{SIGABRT, SIGXFSZ};
+use signal_hook::consts::signal::{SIGABRT, SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
+use signal_hook::iterator::Signals;
 use signal_hook::low_level;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Once};
@@ -29,15 +30,10 @@ are kept. Give the program more memory, or ask for less: smaller photos, --memor
 /// Starts listening; harmless when called twice.
 pub fn listen() {
     INSTALL.call_once(|| {
-        let installed = ctrlc::set_handler(|| {
-            if STOP.swap(true, Ordering::SeqCst) {
-                end();
-            }
-            // Where no thread can be had, the work at hand is waited for.
-            let _ = Builder::new().spawn(end_in_time);
-            tell!("stopping; once more aborts at once");
+        let listening = Signals::new([SIGINT, SIGTERM, SIGHUP]).and_then(|mut signals| {
+            Builder::new().spawn(move || signals.forever().for_each(|_| stop()))
         });
-        if let Err(error) = installed {
+        if let Err(error) = listening {
             // Without a handler the system's default ends the program, which is resumable too.
             tell!("warning: Ctrl-C cannot be caught: {error}");
         }
@@ -50,8 +46,18 @@ pub fn listen() {
     });
 }
 
-/// Says that the work from here on can be resumed wherever it ends. Where it stops with `others`, the processes tell each
-/// other first.
+/// Asks the work at hand to stop; asked once more, ends the program.
+fn stop() {
+    if STOP.swap(true, Ordering::SeqCst) {
+        end();
+    }
+    // Where no thread can be had, the work at hand is waited for.
+    let _ = Builder::new().spawn(end_in_time);
+    tell!("stopping; once more aborts at once");
+}
+
+/// Says that the work from here on can be resumed wherever it ends. Where it stops with `others`,
+/// the processes inform each other first.
 pub fn is_resumable(others: bool) {
     PATIENCE.store(if others { 8 } else { 4 }, Ordering::Relaxed);
 }

@@ -37,14 +37,14 @@ pub fn to_stdout(line: Arguments<'_>) -> Result<(), Failure> {
     }
 }
 
-/// Writes a line to stderr; what cannot be told there can be told nowhere.
+/// Writes a line to stderr; what cannot be written there can be written nowhere.
 pub fn to_stderr(line: Arguments<'_>) {
     if !is_mute() {
         to_stderr_of_any_rank(line);
     }
 }
 
-/// The same where no other rank can tell it.
+/// The same where no other rank can write it.
 pub fn to_stderr_of_any_rank(line: Arguments<'_>) {
     let _ = writeln!(std::io::stderr().lock(), "{line}");
 }

@@ -1,17 +1,16 @@
 //! The program as a shell calls it: one command, its signals, its exit code.
 
 use crate::{cli, commands, exit, interrupt, panics, pipeline, ranks, raw_child};
-use clap::Parser;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::ExitCode;
 
 /// Exit code of a panic.
 const PANICKED: u8 = 101;
 
-/// Runs the command that this process was started with, and tells its exit code.
+/// Runs the command that this process was started with; returns its exit code.
 pub fn program() -> ExitCode {
     panics::install();
-    let cli = cli::Cli::parse();
+    let cli = cli::Cli::of(std::env::args_os()).unwrap_or_else(|error| error.exit());
     if let cli::Command::DecodeRaw(args) = &cli.command {
         return raw_child::serve(&args.name).into();
     }

@@ -17,9 +17,11 @@
 
 use rilievo_io::{IoError, IoErrorKind, decode_raw_here};
 use rilievo_scene::{DecodedPhoto, Samples};
+use rustix::process::{Resource, Rlimit, Signal, getrlimit, setrlimit};
 use serde::{Deserialize, Serialize};
 use std::ffi::OsString;
 use std::io::{Read, Write};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::OnceLock;
@@ -119,8 +121,7 @@ fn start(path: &Path) -> std::io::Result<Child> {
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .stderr(Stdio::null());
-    #[cfg(unix)]
-    std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    command.process_group(0);
     command.spawn()
 }
 
@@ -129,7 +130,7 @@ fn converse(child: &mut Child, bytes: &[u8]) -> std::io::Result<Result<DecodedPh
     let lost = || std::io::Error::other("its pipes are closed");
     let mut stdin = child.stdin.take().ok_or_else(lost)?;
     let mut stdout = child.stdout.take().ok_or_else(lost)?;
-    // The child reads all before it answers. One that is gone is told of by its status.
+    // The child reads all before it answers. Its status shows one that is gone.
     let _ = stdin.write_all(bytes);
     drop(stdin);
     read_answer(&mut stdout)
@@ -150,29 +151,24 @@ fn failed(path: &Path, status: ExitStatus) -> IoError {
 }
 
 /// Whether a child failed by what it does to itself, or what its own bounds do to it. Every other signal
-/// comes from elsewhere, and an exit code but that of a panic tells of the system.
+/// comes from elsewhere, and an exit code but that of a panic is the system's.
 fn is_files_fault(status: ExitStatus) -> bool {
     /// Of a Rust program that panicked.
     const PANICKED: i32 = 101;
-    #[cfg(unix)]
-    {
-        use rustix::process::Signal;
-        use std::os::unix::process::ExitStatusExt;
-        let own = [
-            Signal::ABORT,
-            Signal::SEGV,
-            Signal::BUS,
-            Signal::FPE,
-            Signal::ILL,
-            Signal::SYS,
-            Signal::TRAP,
-            Signal::XCPU,
-        ];
-        if let Some(signal) = status.signal() {
-            return own.iter().any(|own| own.as_raw() == signal);
-        }
+    let own = [
+        Signal::ABORT,
+        Signal::SEGV,
+        Signal::BUS,
+        Signal::FPE,
+        Signal::ILL,
+        Signal::SYS,
+        Signal::TRAP,
+        Signal::XCPU,
+    ];
+    match status.signal() {
+        Some(signal) => own.iter().any(|own| own.as_raw() == signal),
+        None => status.code() == Some(PANICKED),
     }
-    status.code() == Some(PANICKED)
 }
 
 /// The child: `rilievo decode-raw NAME`. Answers with its exit code.
@@ -191,9 +187,7 @@ pub fn serve(name: &Path) -> u8 {
 }
 
 /// Bounds memory and time of this process by a file's size, and ends it with its parent.
-#[cfg(unix)]
 fn bound_self(file_len: usize) -> std::io::Result<()> {
-    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
     let lower = |resource: Resource, to: u64| {
         // Bounds that the process has already may be lower.
         let Rlimit { current, maximum } = getrlimit(resource);
@@ -210,12 +204,7 @@ fn bound_self(file_len: usize) -> std::io::Result<()> {
     // A file that its decoder fails on is no reason to fill the disk.
     lower(Resource::Core, 0)?;
     #[cfg(target_os = "linux")]
-    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL))?;
-    Ok(())
-}
-
-#[cfg(not(unix))]
-fn bound_self(_: usize) -> std::io::Result<()> {
+    rustix::process::set_parent_process_death_signal(Some(Signal::KILL))?;
     Ok(())
 }
 
@@ -274,7 +263,7 @@ fn read_answer(from: &mut impl Read) -> std::io::Result<Result<DecodedPhoto, Str
 /// Arguments of the child.
 #[derive(Debug, clap::Args)]
 pub struct DecodeRawArgs {
-    /// The file's name, whose ending tells the maker
+    /// The file's name, whose ending shows the maker
     pub name: PathBuf,
 }
 
@@ -315,10 +304,8 @@ mod tests {
         assert_eq!(read_answer(&mut &bytes[..]).unwrap(), Err("no".to_owned()));
     }
 
-    #[cfg(unix)]
     #[test]
     fn whoever_ends_the_decoder_decides_whether_the_file_is_to_blame() {
-        use std::os::unix::process::ExitStatusExt;
         let kind = |status: i32| failed(Path::new("a.dng"), ExitStatus::from_raw(status)).kind;
         // SIGABRT, SIGSEGV, SIGXCPU, and the exit code of a panic.
         for own in [6, 11, 24, 101 << 8] {

@@ -1,4 +1,4 @@
-//! What the program and the system tell of this process.
+//! What the program and the system know of this process.
 
 /// The program with its version, as results name their maker.
 pub const PROGRAM: &str = concat!("rilievo ", env!("CARGO_PKG_VERSION"));
@@ -10,7 +10,7 @@ pub fn cpu_seconds() -> f64 {
 }
 
 /// Largest resident memory since [`forget_peak_memory`], or since the start, bytes; `None` where the
-/// system does not tell.
+/// system does not report it.
 pub fn peak_memory() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
@@ -23,9 +23,10 @@ pub fn peak_memory() -> Option<u64> {
 pub fn give_back_freed_memory() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     {
-        // Blocks of this size and more are mapped one by one; smaller ones are reused faster than the system gives them.
+        // Blocks of this size and more are mapped one by one; smaller ones are reused faster than
+        // the system maps them.
         const LARGE_BLOCK: libc::c_int = 4 << 20;
-        #[expect(unsafe_code, reason = "the allocator is told through the C library")]
+        #[expect(unsafe_code, reason = "the allocator is set through the C library")]
         // SAFETY: both functions may be called at any time, from any thread (mallopt(3), malloc_trim(3)).
         unsafe {
             libc::mallopt(libc::M_MMAP_THRESHOLD, LARGE_BLOCK);
@@ -34,7 +35,7 @@ pub fn give_back_freed_memory() {
     }
 }
 
-/// Starts counting the peak anew, so that each stage tells its own; where the system does not allow
+/// Starts counting the peak anew, so that each stage has its own; where the system does not allow
 /// it, a stage's peak is the largest so far.
 pub fn forget_peak_memory() {
     // proc(5): 5 resets the peak resident set size to the current one.

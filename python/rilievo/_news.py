@@ -1,4 +1,4 @@
-"""What a command tells while it works: events for the caller, sentences for the log."""
+"""What a command reports while it works: events for the caller, sentences for the log."""
 
 from __future__ import annotations
 

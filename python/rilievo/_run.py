@@ -121,7 +121,7 @@ class Run:
 
     @property
     def unit(self) -> str:
-        """Unit of all lengths: ``"metre"``, or ``"arbitrary"`` where nothing tells the size."""
+        """Unit of all lengths: ``"metre"``, or ``"arbitrary"`` where nothing states the size."""
         return self._results.unit()
 
     def depth(self, name: str) -> npt.NDArray[np.float32]:

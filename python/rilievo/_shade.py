@@ -185,8 +185,8 @@ def shade(
     depth, normals, rendered, confidence = (list(maps) for maps in zip(*shaded))
     if single:
         return Shaded(depth[0], normals[0], rendered[0], json.loads(report), confidence[0])
-    told = None if confidence[0] is None else confidence
-    return Shaded(depth, normals, rendered, json.loads(report), told)
+    found = None if confidence[0] is None else confidence
+    return Shaded(depth, normals, rendered, json.loads(report), found)
 
 
 @dataclass(frozen=True)

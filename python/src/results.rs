@@ -39,7 +39,7 @@ impl RunResults {
     /// The cameras of the photos that have a pose.
     fn cameras(&self, py: Python<'_>) -> PyResult<Vec<CameraTuple>> {
         let cameras = self.read(py, embedded::RunResults::cameras)?;
-        let told = cameras.into_iter().map(|camera| {
+        let listed = cameras.into_iter().map(|camera| {
             let (i, d) = (&camera.intrinsics, &camera.intrinsics.distortion);
             (
                 camera.name,
@@ -50,7 +50,7 @@ impl RunResults {
                 embedded::pose_rows(&camera.cam_from_world),
             )
         });
-        Ok(told.collect())
+        Ok(listed.collect())
     }
 
     /// Unit of lengths.

@@ -13,7 +13,7 @@ use rilievo::embedded::{
 pub struct View<'py> {
     /// Name for messages and the report.
     name: String,
-    /// What is put behind an argument's name to tell which view is meant: `[2]`, or nothing.
+    /// What is put behind an argument's name to say which view is meant: `[2]`, or nothing.
     place: String,
     image: Bound<'py, PyAny>,
     mask: Option<Bound<'py, PyAny>>,

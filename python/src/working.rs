@@ -13,7 +13,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 const STOPPING: &str = "stopping as soon as the work at hand has ended; a run may also be killed, and goes on all the same";
 
-/// After how long a stop that lasts is told of.
+/// After how long a stop that lasts is logged.
 const PATIENCE: Duration = Duration::from_secs(2);
 
 /// Does work without Python's lock. Meanwhile `on_news(kind, text)` gets `("event", JSON)`, `("note", sentence)` and

@@ -13,15 +13,7 @@ use crate::ranks;
 use crate::report::{Judgement, Outcome, Report};
 use crate::store::{Look, RunDir};
 use rilievo_scene::{Observer, StageId};
-use serde::Serialize;
 use std::path::Path;
-
-/// What the user allows beyond what is safe.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Allowed {
-    /// Results of other photos may be replaced.
-    pub overwrite: bool,
-}
 
 /// What bringing a run up to date came to.
 pub struct Brought {
@@ -34,8 +26,8 @@ pub struct Brought {
 }
 
 impl Brought {
-    /// Tells where the results are.
-    pub fn tell(self, root: &Path, console: &Console) -> Option<Judgement> {
+    /// Reports where the results are.
+    pub fn report(self, root: &Path, console: &Console) -> Option<Judgement> {
         let root = root.display();
         if self.judgement.is_some() {
             console.note(&if self.redone {
@@ -61,7 +53,6 @@ pub fn bring_run_up_to_date(
     request: &Request,
     root: &Path,
     range: Range,
-    allowed: Allowed,
     work: &WorkArgs,
     console: &Console,
 ) -> anyhow::Result<Brought> {
@@ -71,7 +62,7 @@ pub fn bring_run_up_to_date(
         return Err(Failure::Usage(format!("--from {from} comes after --until {until}")).into());
     }
     let resources = Resources::new(work);
-    check_options(&serde_json::json!({"request": request, "range": range, "allowed": allowed}))?;
+    check_options(&serde_json::json!({"request": request, "range": range}))?;
     let run = open_run(root, || {
         let run = RunDir::create_or_open(root)?;
         if run.is_new() {
@@ -87,7 +78,7 @@ pub fn bring_run_up_to_date(
     }
     interrupt::is_resumable(ranks::team().size() > 1);
     let mut plan = None;
-    let outcome = work_in(&run, request, range, allowed, resources, console, &mut plan);
+    let outcome = work_in(&run, request, range, resources, console, &mut plan);
     let outcome = ranks::agree(outcome);
     if !ranks::team().is_first() {
         return outcome.map(|redone| Brought {
@@ -97,18 +88,13 @@ pub fn bring_run_up_to_date(
         });
     }
     if outcome.is_ok() {
-        // A stop was told already.
+        // A stop was reported already.
         let _ = console
             .of_command(REPORT)
             .progress(StageId::Fusion, WRITING, (0, 1));
     }
-    let told = Outcome::of(outcome.as_ref().err());
-    let report = Report::gather(&run, request, &told, plan.as_ref()).and_then(|report| {
-        if !matches!(&outcome, Ok(false)) || !report.is_told_by(&run) {
-            report.write(&run)?;
-        }
-        Ok(report)
-    });
+    let is_same = matches!(&outcome, Ok(false));
+    let report = write_report(&run, request, plan.as_ref(), &outcome, is_same);
     // A report that cannot be written must not hide why the run failed.
     let (redone, report) = (outcome?, report?);
     Ok(Brought {
@@ -116,6 +102,22 @@ pub fn bring_run_up_to_date(
         size: report.size(),
         judgement: Some(report.into_judgement()),
     })
+}
+
+/// Reports on a run and how its work ended; what is written already stays where the run `is_same`.
+pub fn write_report<T>(
+    run: &RunDir,
+    request: &Request,
+    plan: Option<&Plan>,
+    outcome: &anyhow::Result<T>,
+    is_same: bool,
+) -> anyhow::Result<Report> {
+    let ended = Outcome::of(outcome.as_ref().err());
+    let report = Report::gather(run, request, &ended, plan)?;
+    if !is_same || !report.is_told_by(run) {
+        report.write(run)?;
+    }
+    Ok(report)
 }
 
 /// A finished run of other photos is somebody's work: it is not replaced by accident.
@@ -133,12 +135,11 @@ fn same_object(run: &RunDir, inputs: &Inputs) -> Result<(), Failure> {
     }
 }
 
-/// Brings stages up to date; tells whether anything had to be done.
+/// Brings stages up to date; returns whether anything had to be done.
 fn work_in(
     run: &RunDir,
     request: &Request,
     range: Range,
-    allowed: Allowed,
     resources: Resources,
     console: &Console,
     planned: &mut Option<Plan>,
@@ -146,7 +147,7 @@ fn work_in(
     let inputs = Inputs::scan(request)?;
     let plan = planned.insert(Plan::new(request, &inputs));
     check_inputs(&inputs, plan)?;
-    if !allowed.overwrite {
+    if !range.overwrite {
         same_object(run, &inputs)?;
     }
     if ranks::team().is_first() {

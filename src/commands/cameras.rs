@@ -43,11 +43,7 @@ pub fn import(args: &ImportArgs) -> anyhow::Result<()> {
     let (cameras, format) = read(&args.source, format, args.photos.as_deref())?;
     let file = cameras_file(&output, &cameras).map_err(Failure::from)?;
     output_files::write(&[file], args.overwrite)?;
-    let posed = cameras
-        .cameras
-        .iter()
-        .filter(|camera| camera.cam_from_world.is_some())
-        .count();
+    let posed = num_posed(&cameras);
     say!(
         "{} cameras ({posed} with a pose) from {} ({}) are in {}",
         cameras.cameras.len(),
@@ -69,51 +65,60 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         .exists()
         .then(|| RunDir::open_to_read(&args.source))
         .transpose()?;
-    let format = match args.format {
-        ExportFormat::Cameras(format) => format,
-        ExportFormat::Lp => return export_lights(args, run.as_ref()),
-        ExportFormat::Blender => {
-            export_blender(args, run.as_ref())?;
-            return tell_of_turned_photos(run.as_ref());
-        }
+    if matches!(args.format, ExportFormat::Lp) {
+        return export_lights(args, run.as_ref());
+    }
+    let views = run.as_ref().map(load_poses).transpose()?;
+    let cameras = match &views {
+        Some(views) => CameraFile::from_posed_views(views),
+        None => read(&args.source, None, None)?.0,
     };
-    let (cameras, num_points, files) = match &run {
-        Some(run) => {
-            let views = load_poses(run)?;
-            let cameras = CameraFile::from_posed_views(&views);
-            let model = || ColmapModel::from_posed_views(&views);
+    let output = &args.output;
+    let mut num = cameras.cameras.len();
+    let mut points = String::new();
+    let (files, format) = match args.format {
+        ExportFormat::Cameras(format) => {
             // COLMAP's model has a place for what was triangulated.
-            let (num_points, files) = match format {
-                CameraFormat::Colmap => (views.points.len(), text_files(&args.output, &model())),
-                CameraFormat::ColmapBinary => {
-                    (views.points.len(), binary_files(&args.output, &model()))
+            let files = match (format, &views) {
+                (CameraFormat::Colmap, Some(views)) => {
+                    text_files(output, &ColmapModel::from_posed_views(views))
                 }
-                format => (0, camera_files(&args.output, format, &cameras)),
+                (CameraFormat::ColmapBinary, Some(views)) => {
+                    binary_files(output, &ColmapModel::from_posed_views(views))
+                }
+                (format, _) => camera_files(output, format, &cameras),
             };
-            (cameras, num_points, files)
+            let has_points = matches!(format, CameraFormat::Colmap | CameraFormat::ColmapBinary);
+            let num_points = views
+                .filter(|_| has_points)
+                .map_or(0, |views| views.points.len());
+            if num_points > 0 {
+                points = format!(" and {num_points} points");
+            }
+            (files, format!(" ({})", format.name()))
         }
-        None => {
-            let (cameras, _) = read(&args.source, None, None)?;
-            let files = camera_files(&args.output, format, &cameras);
-            (cameras, 0, files)
+        _ => {
+            num = num_posed(&cameras);
+            let use_of = ": run it in Blender's Text Editor, or with blender --python";
+            let file = blender_file(output, &cameras);
+            (file.map(|file| vec![file]), use_of.to_owned())
         }
     };
     output_files::write(&files.map_err(Failure::from)?, args.overwrite)?;
-    let points = match num_points {
-        0 => String::new(),
-        num => format!(" and {num} points"),
-    };
-    say!(
-        "{} cameras{points} are in {} ({})",
-        cameras.cameras.len(),
-        args.output.display(),
-        format.name()
-    )?;
-    tell_of_turned_photos(run.as_ref())
+    say!("{num} cameras{points} are in {}{format}", output.display())?;
+    warn_of_turned_photos(run.as_ref())
 }
 
-/// Tells of photos that the program which the cameras are for may turn.
-fn tell_of_turned_photos(run: Option<&RunDir>) -> anyhow::Result<()> {
+/// Number of cameras with a pose.
+fn num_posed(file: &CameraFile) -> usize {
+    let cameras = file.cameras.iter();
+    cameras
+        .filter(|camera| camera.cam_from_world.is_some())
+        .count()
+}
+
+/// Warns of photos that the program which the cameras are for may turn.
+fn warn_of_turned_photos(run: Option<&RunDir>) -> anyhow::Result<()> {
     let manifest = run.map(|run| run.manifest(StageId::Photos)).transpose()?;
     let Some(manifest) = manifest.flatten() else {
         return Ok(());
@@ -130,24 +135,6 @@ fn tell_of_turned_photos(run: Option<&RunDir>) -> anyhow::Result<()> {
              JPEG or TIFF, not turned)",
         );
     }
-    Ok(())
-}
-
-fn export_blender(args: &ExportArgs, run: Option<&RunDir>) -> anyhow::Result<()> {
-    let cameras = match run {
-        Some(run) => CameraFile::from_posed_views(&load_poses(run)?),
-        None => read(&args.source, None, None)?.0,
-    };
-    let file = blender_file(&args.output, &cameras).map_err(Failure::from)?;
-    output_files::write(&[file], args.overwrite)?;
-    let posed = cameras.cameras.iter();
-    say!(
-        "{} cameras are in {}: run it in Blender's Text Editor, or with blender --python",
-        posed
-            .filter(|camera| camera.cam_from_world.is_some())
-            .count(),
-        args.output.display(),
-    )?;
     Ok(())
 }
 

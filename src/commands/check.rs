@@ -16,7 +16,7 @@ use rilievo_scene::StageId;
 /// # Errors
 /// [`Failure::Input`] with every file that cannot be used, after the good ones were reported on.
 pub fn check(args: &CheckArgs) -> anyhow::Result<()> {
-    reporting_found(args.work.json, |console| {
+    reporting_found(&Console::new(args.work.json), |console| {
         let mut found = Found::default();
         let outcome = look(args, console, &mut found);
         let Found {
@@ -39,21 +39,21 @@ struct Found {
 }
 
 fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Result<()> {
-    let mut options = StageOptions::read(args.config.as_deref())?;
-    take_over(&mut options.photos.encoding, args.encoding);
+    let mut options = StageOptions::read(args.config.config.as_deref())?;
+    take_over(&mut options.photos.encoding, args.input.encoding.encoding);
     options.validate()?;
     let request = Request {
         masks: args.masks.clone(),
-        cameras: args.cameras.clone(),
+        cameras: args.input.cameras.clone(),
         sphere: SphereInput::from_args(&args.sphere)?,
-        ..Request::of_photos(args.photos.clone(), options)
+        ..Request::of_photos(args.input.photos.clone(), options)
     };
     let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {
         console.note(&format!("  {problem}"));
     }
     let mut of_files = inputs.warnings.clone();
-    of_files.extend(inputs.sphere_warnings.iter().cloned());
+    of_files.extend(inputs.spheres.warnings.iter().cloned());
     of_files.extend(spheres(&inputs, console));
     for warning in &of_files {
         console.note(&format!("  warning: {warning}"));
@@ -79,10 +79,10 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     Err(Failure::Input(problems).into())
 }
 
-/// Tells in how many of the photos each sphere is marked; returns what is wrong with that.
+/// Reports in how many of the photos each sphere is marked; returns what is wrong with that.
 fn spheres(inputs: &Inputs, console: &Console) -> Vec<String> {
     let mut warnings = Vec::new();
-    for sphere in inputs.sphere.iter().flat_map(|file| &file.spheres) {
+    for sphere in inputs.spheres.file.iter().flat_map(|file| &file.spheres) {
         let is_there = |name: &&String| {
             let mut photos = inputs.photos.iter();
             photos.any(|photo| is_mark_of(name, &photo.file_name, &photo.name))

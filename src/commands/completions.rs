@@ -3,9 +3,6 @@
 use crate::cli::{CompletionsArgs, visible};
 
 /// Runs the command.
-///
-/// # Errors
-/// When stdout cannot be written.
 pub fn completions(args: &CompletionsArgs) -> anyhow::Result<()> {
     let mut program = visible();
     let name = program.get_name().to_owned();

@@ -1,7 +1,7 @@
 //! `rilievo demo`: a synthetic scene, photographed to JPEG files, reconstructed from those files
 //! alone through all six stages, and measured against the truth.
 
-use super::bring::{Allowed, bring_run_up_to_date};
+use super::bring::bring_run_up_to_date;
 use super::evaluate::{self, Comparison};
 use super::reporting::reporting_judged;
 use super::synth::{SynthOptions, is_new, is_set, not_ours, write_set};
@@ -16,12 +16,11 @@ use rilievo_synthetic::compare::AlignmentRequest;
 use std::path::Path;
 
 /// Runs the command.
-///
-/// # Errors
-/// When a stage fails, or the folder cannot be written.
 pub fn demo(args: &DemoArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output.display().to_string()});
-    reporting_judged(args.work.json, false, facts, |console| run(args, console))
+    reporting_judged(&Console::new(args.work.json), false, facts, |console| {
+        run(args, console)
+    })
 }
 
 fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> {
@@ -43,13 +42,11 @@ fn run(args: &DemoArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
         ..Request::of_photos(vec![set.join("photos")], StageOptions::default())
     };
     let range = Range {
-        redo_from: None,
-        until: StageId::Fusion,
-        then_masked_until: None,
+        overwrite: true,
+        ..Range::until(StageId::Fusion)
     };
-    let allowed = Allowed { overwrite: true };
-    let brought = bring_run_up_to_date(&request, &run, range, allowed, &args.work, console)?;
-    let judgement = brought.tell(&run, console);
+    let brought = bring_run_up_to_date(&request, &run, range, &args.work, console)?;
+    let judgement = brought.report(&run, console);
     let comparison = Comparison::open(&run, &set.join("truth"), AlignmentRequest::Se3)?;
     let evaluation = comparison.measure()?;
     comparison.show(&evaluation, &|line| tell!("{line}"))?;

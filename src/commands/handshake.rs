@@ -91,11 +91,11 @@ pub fn check_options(asked: &impl Serialize) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Tells of every value that differs, by its keys.
-fn compare(key: &str, first: &Value, own: &Value, tell: &mut impl FnMut(&str, &Value, &Value)) {
+/// Hands every value that differs to `found`, by its keys.
+fn compare(key: &str, first: &Value, own: &Value, found: &mut impl FnMut(&str, &Value, &Value)) {
     let (Value::Object(a), Value::Object(b)) = (first, own) else {
         if first != own {
-            tell(key.trim_start_matches('.'), first, own);
+            found(key.trim_start_matches('.'), first, own);
         }
         return;
     };
@@ -103,7 +103,7 @@ fn compare(key: &str, first: &Value, own: &Value, tell: &mut impl FnMut(&str, &V
     for next in keys {
         let of =
             |values: &serde_json::Map<String, Value>| values.get(next).cloned().unwrap_or_default();
-        compare(&format!("{key}.{next}"), &of(a), &of(b), tell);
+        compare(&format!("{key}.{next}"), &of(a), &of(b), found);
     }
 }
 

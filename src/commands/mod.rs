@@ -25,7 +25,7 @@ mod synth;
 pub use synth::SynthOptions;
 
 pub use evaluate::evaluation;
-pub use reporting::reporting_to;
+pub use reporting::reporting;
 pub use shade::{Described, ViewParts, options as shade_options, solve as solve_shading};
 
 use crate::cli::Command;

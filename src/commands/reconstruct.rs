@@ -1,8 +1,8 @@
 //! `rilievo reconstruct`: photographs to depth maps, a point cloud and a mesh.
 
-use super::bring::{Allowed, bring_run_up_to_date};
-use super::mask::with_own_masks;
-use super::reporting::reporting_judged_to;
+use super::bring::bring_run_up_to_date;
+use super::mask::{with_accepted_masks, with_proposed_masks};
+use super::reporting::reporting_judged;
 use crate::cli::ReconstructArgs;
 use crate::observe::Console;
 use crate::pipeline::{Range, Request};
@@ -17,31 +17,21 @@ pub fn reconstruct(args: &ReconstructArgs) -> anyhow::Result<()> {
 }
 
 /// The same on a console that is there already.
-///
-/// # Errors
-/// As [`reconstruct`].
 pub fn reconstruct_to(args: &ReconstructArgs, console: &Console) -> anyhow::Result<()> {
     let range = Range {
         redo_from: args.from,
-        until: args.until.unwrap_or(StageId::Fusion),
-        then_masked_until: None,
+        overwrite: args.overwrite,
+        ..Range::until(args.until.unwrap_or(StageId::Fusion))
     };
     let facts = serde_json::json!({"run": args.output.display().to_string(), "until": range.until});
-    reporting_judged_to(console, args.strict, facts, |console| {
-        let mut request = Request::from_args(args)?;
-        let allowed = Allowed {
-            overwrite: args.overwrite,
-        };
+    reporting_judged(console, args.strict, facts, |console| {
+        let request = Request::from_args(args)?;
         let (root, work) = (&args.output, &args.work);
-        request = with_own_masks(
-            request,
-            args.masks.is_none(),
-            root,
-            range,
-            (allowed, work),
-            console,
-        )?;
-        let brought = bring_run_up_to_date(&request, root, range, allowed, work, console)?;
-        Ok(brought.tell(root, console))
+        let request = match args.masks {
+            Some(_) => with_accepted_masks(request, root)?,
+            None => with_proposed_masks(request, root, range, work, console)?,
+        };
+        let brought = bring_run_up_to_date(&request, root, range, work, console)?;
+        Ok(brought.report(root, console))
     })
 }

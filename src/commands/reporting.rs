@@ -1,4 +1,4 @@
-//! Telling scripts how a command ended.
+//! Reports how a command ended.
 
 use crate::exit::Failure;
 use crate::observe::Console;
@@ -6,34 +6,18 @@ use crate::ranks;
 use crate::report::Judgement;
 use rilievo_scene::Verdict;
 
-/// Runs a command with a console, and tells scripts how it ended: its exit code, its error, and
-/// what `facts` names of it.
+/// Runs a command, and reports to scripts how it ended: its exit code, its error, and what `facts`
+/// names of it.
 pub fn reporting(
-    json: bool,
-    facts: serde_json::Value,
-    command: impl FnOnce(&Console) -> anyhow::Result<()>,
-) -> anyhow::Result<()> {
-    reporting_to(&Console::new(json), facts, command)
-}
-
-/// As [`reporting`], on a console that is there already.
-pub fn reporting_to(
     console: &Console,
     facts: serde_json::Value,
     command: impl FnOnce(&Console) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    found_to(console, |console| (command(console), facts))
+    reporting_found(console, |console| (command(console), facts))
 }
 
 /// As [`reporting`], with facts that the command finds, whether it fails or not.
 pub fn reporting_found(
-    json: bool,
-    command: impl FnOnce(&Console) -> (anyhow::Result<()>, serde_json::Value),
-) -> anyhow::Result<()> {
-    found_to(&Console::new(json), command)
-}
-
-fn found_to(
     console: &Console,
     command: impl FnOnce(&Console) -> (anyhow::Result<()>, serde_json::Value),
 ) -> anyhow::Result<()> {
@@ -51,25 +35,16 @@ fn found_to(
     outcome
 }
 
-/// As [`reporting`], for a command that judges its result: the verdict is told to people and to scripts.
-/// Of several processes only the first one judges. With `strict`, a result that is not to be trusted is a failure.
+/// As [`reporting`], for a command that judges its result: the verdict goes to people and to
+/// scripts. Of several processes only the first one judges. With `strict`, a result that is not to
+/// be trusted is a failure.
 pub fn reporting_judged(
-    json: bool,
-    strict: bool,
-    facts: serde_json::Value,
-    command: impl FnOnce(&Console) -> anyhow::Result<Option<Judgement>>,
-) -> anyhow::Result<()> {
-    reporting_judged_to(&Console::new(json), strict, facts, command)
-}
-
-/// As [`reporting_judged`], on a console that is there already.
-pub fn reporting_judged_to(
     console: &Console,
     strict: bool,
     mut facts: serde_json::Value,
     command: impl FnOnce(&Console) -> anyhow::Result<Option<Judgement>>,
 ) -> anyhow::Result<()> {
-    found_to(console, |console| {
+    reporting_found(console, |console| {
         let outcome = command(console).and_then(|judgement| {
             let Some(judgement) = judgement else {
                 return Ok(());

@@ -1,5 +1,6 @@
 //! `rilievo run STAGE RUN`: one stage again, with what the run directory says.
 
+use super::bring::write_report;
 use super::handshake::{check_inputs, check_options, open_run};
 use super::reporting::reporting_judged;
 use super::stored::{check_upstream, stored_request};
@@ -7,7 +8,7 @@ use crate::cli::RunArgs;
 use crate::observe::Console;
 use crate::pipeline::{Context, Inputs, Plan, Resources, run_stage};
 use crate::ranks;
-use crate::report::{Judgement, Outcome, Report};
+use crate::report::Judgement;
 use crate::store::RunDir;
 use rilievo_scene::StageId;
 
@@ -17,7 +18,9 @@ use rilievo_scene::StageId;
 /// When a stage that this one reads is missing or stale, or the stage fails.
 pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"run": args.run.display().to_string(), "stage": args.stage});
-    reporting_judged(args.work.json, false, facts, |console| redo(args, console))
+    reporting_judged(&Console::new(args.work.json), false, facts, |console| {
+        redo(args, console)
+    })
 }
 
 fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Option<Judgement>> {
@@ -44,11 +47,7 @@ fn redo(args: &RunArgs, console: &Console) -> anyhow::Result<Option<Judgement>> 
     if !ranks::team().is_first() {
         return outcome.map(|()| None);
     }
-    let told = Outcome::of(outcome.as_ref().err());
-    let report = Report::gather(&run, &request, &told, Some(&plan)).and_then(|report| {
-        report.write(&run)?;
-        Ok(report)
-    });
+    let report = write_report(&run, &request, Some(&plan), &outcome, false);
     // A report that cannot be written must not hide why the stage failed.
     outcome?;
     Ok(Some(report?.into_judgement()))

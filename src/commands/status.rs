@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 ///
 /// # Errors
 /// When the run directory or its inputs cannot be read; where a stage is damaged, after the state of
-/// all stages was told.
+/// all stages was printed.
 pub fn status(args: &StatusArgs) -> anyhow::Result<()> {
     let run = RunDir::open_to_read(&args.run)?;
     let plan = plan(&run)?;

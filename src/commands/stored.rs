@@ -6,8 +6,8 @@ use crate::pipeline::{Plan, Request, StageState, upstream};
 use crate::store::{Look, RunDir, StoreError, absolute};
 use rilievo_scene::StageId;
 
-/// The request that a run directory was made for, as it stands where the run is now; a damage of
-/// `run.json` is told.
+/// The request that a run directory was made for, as it stands where the run is now; warns where
+/// `run.json` is damaged.
 pub fn stored_request(run: &RunDir) -> Result<Request, Failure> {
     let found = run.read_run_file()?;
     if let Some(repaired) = &found.repaired {

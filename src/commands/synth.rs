@@ -12,7 +12,7 @@
 //!                                 lighting.json, mesh.ply, matches/NAME1_NAME2.csv
 //! ```
 
-use super::reporting::reporting_to;
+use super::reporting::reporting;
 use crate::cli::{SynthArgs, SynthFormat};
 use crate::config::{read_toml, take_over};
 use crate::exit::Failure;
@@ -43,12 +43,11 @@ const NUM_TRACKS: usize = 1000;
 pub struct SynthOptions {
     /// The world in front of the camera.
     pub scene: SceneOptions,
-    /// The photographs.
     pub photographs: RenderOptions,
 }
 
 impl SynthOptions {
-    /// Checks every number, so that a wrong one is told before anything is made.
+    /// Checks every number, so that a wrong one is reported before anything is made.
     ///
     /// # Errors
     /// [`Failure::Usage`] with the first one that is out of its range.
@@ -70,12 +69,9 @@ pub fn synth(args: &SynthArgs) -> anyhow::Result<()> {
 }
 
 /// The same on a console that is there already.
-///
-/// # Errors
-/// As [`synth`].
 pub fn synth_to(args: &SynthArgs, console: &Console) -> anyhow::Result<()> {
     let facts = json!({"folder": args.output.display().to_string()});
-    reporting_to(console, facts, |console| {
+    reporting(console, facts, |console| {
         let options = options(args)?;
         if !is_set(&args.output) && !is_new(&args.output)? {
             return Err(not_ours(&args.output, "synth").into());
@@ -123,9 +119,6 @@ pub fn is_set(folder: &Path) -> bool {
 }
 
 /// Whether a folder is absent or empty.
-///
-/// # Errors
-/// When it cannot be read.
 pub fn is_new(folder: &Path) -> Result<bool, StoreError> {
     match std::fs::read_dir(folder) {
         Ok(mut entries) => Ok(entries.next().is_none()),
@@ -143,9 +136,6 @@ pub fn not_ours(folder: &Path, command: &str) -> Failure {
 }
 
 /// Makes a scene, photographs it, and writes photos and truth.
-///
-/// # Errors
-/// As [`synth`].
 pub fn write_set(
     folder: &Path,
     options: &SynthOptions,

@@ -2,7 +2,6 @@
 
 use super::failure::CommandFailure;
 use crate::cli::{Cli, Command};
-use clap::Parser;
 use std::ffi::OsString;
 
 /// The command that arguments stand for, the command's name first.
@@ -11,6 +10,6 @@ use std::ffi::OsString;
 /// When the command line would not take them.
 pub(super) fn parsed(arguments: &[OsString]) -> Result<Command, CommandFailure> {
     let program = OsString::from("rilievo");
-    let cli = Cli::try_parse_from(std::iter::once(&program).chain(arguments))?;
+    let cli = Cli::of([program].into_iter().chain(arguments.iter().cloned()))?;
     Ok(cli.command)
 }

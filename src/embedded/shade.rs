@@ -4,7 +4,7 @@ use super::arguments::parsed;
 use super::failure::CommandFailure;
 use super::host::{NewsSink, Stop, console, guarded, in_own_threads};
 use crate::cli::Command;
-use crate::commands::{Described, ViewParts, reporting_to, shade_options, solve_shading};
+use crate::commands::{Described, ViewParts, reporting, shade_options, solve_shading};
 use rilievo_shading::paper::{SolvedView, ViewMatches};
 use std::ffi::OsString;
 
@@ -42,7 +42,7 @@ pub fn shade(
         let (views, matches) = (request.views, request.matches);
         in_own_threads(args.work.threads, || {
             let (mut shaded, mut report) = (Vec::new(), serde_json::Value::Null);
-            reporting_to(&console, serde_json::json!({}), |console| {
+            reporting(&console, serde_json::json!({}), |console| {
                 let options = shade_options(&args)?;
                 let mut described = Described::default();
                 for view in views {
@@ -57,7 +57,7 @@ pub fn shade(
                     shaded.push(view);
                     Ok(())
                 })?;
-                solved.tell(console);
+                solved.report(console);
                 report = solved.report;
                 Ok(())
             })?;

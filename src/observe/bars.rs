@@ -20,7 +20,7 @@ const SPINNER: &str = "{prefix} {msg} {spinner} {elapsed}";
 /// Characters of the bar of a run.
 const WIDTH: usize = 10;
 
-/// Columns of a terminal that does not tell how many it has.
+/// Columns of a terminal that does not report how many it has.
 const DEFAULT_COLUMNS: usize = 80;
 
 /// Fewest columns that words are wrapped into.
@@ -62,13 +62,13 @@ impl Bars {
     fn run_bar(&mut self) -> &ProgressBar {
         let forecast = self.forecast.clone();
         self.bar(None, || {
-            let told = move |_: &ProgressState, out: &mut dyn Write| {
-                // Nothing is left to tell it to where this fails.
-                let _ = out.write_str(&drawn(outlook(&forecast)));
+            let drawn = move |_: &ProgressState, out: &mut dyn Write| {
+                // Where this fails, there is nowhere left to report it.
+                let _ = out.write_str(&bar_of(outlook(&forecast)));
             };
             let style = ProgressStyle::with_template(RUN)
                 .unwrap_or_else(|_| ProgressStyle::default_bar())
-                .with_key("run", told);
+                .with_key("run", drawn);
             ProgressBar::new_spinner().with_style(style)
         })
     }
@@ -114,7 +114,7 @@ impl Bars {
 }
 
 /// How far the run is, as a bar.
-fn drawn(outlook: Option<Outlook>) -> String {
+fn bar_of(outlook: Option<Outlook>) -> String {
     let Some(Outlook { share, left }) = outlook else {
         return String::new();
     };
@@ -181,14 +181,14 @@ impl Display for Bars {
                 energy,
                 ..
             } => {
-                let told = format!("iterating, energy {energy:.3e}");
+                let text = format!("iterating, energy {energy:.3e}");
                 if self.has_forecast() {
-                    self.run_bar().set_message(format!("{stage}: {told}"));
+                    self.run_bar().set_message(format!("{stage}: {text}"));
                 } else {
                     let bar =
                         self.step_bar(stage.name(), "iterating", *iteration, *max_num_iterations);
                     bar.set_position(*iteration as u64 + 1);
-                    bar.set_message(told);
+                    bar.set_message(text);
                 }
             }
             Event::Warning { stage, message } => {
@@ -254,7 +254,7 @@ mod tests {
                 left: Duration::from_secs(300),
             })
         };
-        assert_eq!(drawn(outlook(0.5)), "[#####-----] 50 %, 5 min left;");
-        assert_eq!(drawn(None), "");
+        assert_eq!(bar_of(outlook(0.5)), "[#####-----] 50 %, 5 min left;");
+        assert_eq!(bar_of(None), "");
     }
 }

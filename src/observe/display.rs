@@ -14,14 +14,26 @@ pub enum StageNews {
     Finished(f64),
 }
 
-/// One way to show events.
+/// One way to show events; what it does not show it passes over.
 pub trait Display: Send {
-    fn stage(&mut self, stage: StageId, news: &StageNews);
+    fn stage(&mut self, _stage: StageId, _news: &StageNews) {}
     /// An iteration or a warning.
-    fn event(&mut self, event: &Event);
+    fn event(&mut self, _event: &Event) {}
     /// Progress of a step of a stage, or of a command where it belongs to none: what is done of how much, and how far the
     /// whole run is.
-    fn progress(&mut self, of: &str, step: &str, counts: (usize, usize), outlook: Option<Outlook>);
-    fn note(&mut self, message: &str);
-    fn finished(&mut self, summary: &serde_json::Value);
+    fn progress(
+        &mut self,
+        _of: &str,
+        _step: &str,
+        _counts: (usize, usize),
+        _outlook: Option<Outlook>,
+    ) {
+    }
+    fn note(&mut self, _message: &str) {}
+    fn finished(&mut self, _summary: &serde_json::Value) {}
 }
+
+/// Shows nothing: another rank shows what all do.
+pub struct Quiet;
+
+impl Display for Quiet {}

@@ -28,7 +28,7 @@ impl JsonSink for Stdout {
     }
 }
 
-/// Tells every event as it is.
+/// Hands every event over as it is.
 pub struct JsonEvents<S>(pub S);
 
 impl<S: JsonSink> Display for JsonEvents<S> {

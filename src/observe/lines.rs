@@ -85,6 +85,4 @@ impl Display for Lines {
     fn note(&mut self, message: &str) {
         tell!("{message}");
     }
-
-    fn finished(&mut self, _summary: &serde_json::Value) {}
 }

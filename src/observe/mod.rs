@@ -10,7 +10,6 @@ mod forecast;
 mod json;
 mod lines;
 mod pace;
-mod quiet;
 
 pub use display::StageNews;
 pub use forecast::ExpectedStep;
@@ -41,7 +40,7 @@ impl Console {
     pub fn new(json: bool) -> Self {
         let forecast = SharedForecast::default();
         let display: Box<dyn Display> = if !ranks::team().is_first() {
-            Box::new(quiet::Quiet)
+            Box::new(display::Quiet)
         } else if json {
             Box::new(JsonEvents(Stdout))
         } else if std::io::stderr().is_terminal() {
@@ -71,8 +70,8 @@ impl Console {
         }
     }
 
-    /// Takes what the run is expected to do from here on, and the seconds of what follows then, so that it can be told
-    /// how long it will take.
+    /// Takes what the run is expected to do from here on, and the seconds of what follows then, so
+    /// that the time it will take can be shown.
     pub fn expect(&self, steps: Vec<ExpectedStep>, later: f64) {
         match &mut *locked(&self.forecast) {
             Some(forecast) => forecast.replace(steps, later),
@@ -89,7 +88,7 @@ impl Console {
         self.with(|display| display.progress(of, step, (done, total), outlook));
     }
 
-    /// Tells where a stage stands.
+    /// Shows where a stage stands.
     pub fn stage(&self, stage: StageId, news: &StageNews) {
         if let (StageNews::Reused | StageNews::Finished(_), Some(forecast)) =
             (news, &mut *locked(&self.forecast))

@@ -31,9 +31,6 @@ struct Row<'a> {
 }
 
 /// Writes both files.
-///
-/// # Errors
-/// When they cannot be written.
 pub fn write(writer: &StageWriter, views: &PosedViews) -> anyhow::Result<()> {
     artifacts::write_json(writer, "anchors.json", &table(views))?;
     Ok(artifacts::write(writer, "anchors.ply", &ply(views))?)

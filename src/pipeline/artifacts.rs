@@ -8,34 +8,22 @@ use serde::de::DeserializeOwned;
 use std::path::Path;
 
 /// Writes bytes to a file of a stage.
-///
-/// # Errors
-/// When it cannot be written.
 pub fn write(writer: &StageWriter, file: &str, bytes: &[u8]) -> Result<(), StoreError> {
     let path = writer.path(file)?;
     std::fs::write(&path, bytes).map_err(StoreError::files("write", &path))
 }
 
 /// Writes a value as JSON.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_json(writer: &StageWriter, file: &str, value: &impl Serialize) -> anyhow::Result<()> {
     Ok(write(writer, file, &serde_json::to_vec(value)?)?)
 }
 
 /// The same with line breaks, for files that people read.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_text(writer: &StageWriter, file: &str, value: &impl Serialize) -> anyhow::Result<()> {
     Ok(write(writer, file, &serde_json::to_vec_pretty(value)?)?)
 }
 
 /// Writes a value in the compact binary form that is kept for descriptors.
-///
-/// # Errors
-/// When the file cannot be written.
 pub fn write_binary(
     writer: &StageWriter,
     file: &str,
@@ -45,9 +33,6 @@ pub fn write_binary(
 }
 
 /// A value of a committed stage that was written as JSON.
-///
-/// # Errors
-/// When the file is missing or damaged.
 pub fn read_json<T: DeserializeOwned>(
     run: &RunDir,
     stage: StageId,
@@ -59,9 +44,6 @@ pub fn read_json<T: DeserializeOwned>(
 }
 
 /// A value of a committed stage that was written in binary form.
-///
-/// # Errors
-/// When the file is missing or damaged.
 pub fn read_binary<T: DeserializeOwned>(
     run: &RunDir,
     stage: StageId,

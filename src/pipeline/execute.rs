@@ -19,12 +19,26 @@ pub struct Range {
     pub redo_from: Option<StageId>,
     /// Last stage.
     pub until: StageId,
-    /// Last stage of the whole run, where it goes on after these with masks that follow from them. Only for how long it
-    /// will take.
+    /// Results of other photos may be replaced.
+    pub overwrite: bool,
+    /// Last stage of the whole run, where it goes on after these with masks that follow from them.
+    /// Only for how long it will take.
     pub then_masked_until: Option<StageId>,
 }
 
-/// Brings stages up to date in order; tells which were redone.
+impl Range {
+    /// All stages up to one, where they are not valid.
+    pub fn until(until: StageId) -> Self {
+        Self {
+            redo_from: None,
+            until,
+            overwrite: false,
+            then_masked_until: None,
+        }
+    }
+}
+
+/// Brings stages up to date in order; returns those that were redone.
 ///
 /// # Errors
 /// The first failure; stages before it stay committed.

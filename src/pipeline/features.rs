@@ -15,9 +15,6 @@ const BYTES_PER_PX: u64 = 260;
 const PAIRS: &str = "pairs.bin";
 
 /// Detects keypoints photo by photo and matches them.
-///
-/// # Errors
-/// When photos cannot be read, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     let photos = super::photos::load(context)?;
     let options = &context.request.options.features;
@@ -60,9 +57,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 }
 
 /// Keypoints and matches of a committed stage 2, for the photos of stage 1.
-///
-/// # Errors
-/// When files are missing or damaged.
 pub fn load(context: &Context<'_>, photos: &[Photo]) -> anyhow::Result<FeatureMatches> {
     let keypoints = photos
         .iter()
@@ -125,17 +119,11 @@ fn one(
 }
 
 /// Keypoints of one photo, by its name without ending.
-///
-/// # Errors
-/// When the file is missing or damaged.
 pub fn load_keypoints(run: &RunDir, name: &str) -> anyhow::Result<PhotoKeypoints> {
     read_binary(run, StageId::Features, &keypoints_file(name))
 }
 
 /// Verified matches of all pairs.
-///
-/// # Errors
-/// When the file is missing or damaged.
 pub fn load_pairs(run: &RunDir) -> anyhow::Result<Vec<PairMatches>> {
     read_binary(run, StageId::Features, PAIRS)
 }

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 /// # Errors
 /// When nothing agrees, the memory does not suffice, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
-    let photos = super::photos::load_without_masks(context)?;
+    let photos = super::photos::load_with(context, false)?;
     let views = super::poses::load(context.run)?;
     let maps = super::shading::MapFiles::open(context.run)?;
     let inputs = Inputs {
@@ -52,9 +52,6 @@ impl CloudSink for Nowhere {
 }
 
 /// Writes a mesh as PLY and in the other formats that are asked for, and the asset, to the paths of their names.
-///
-/// # Errors
-/// When a file cannot be written.
 pub fn write_surface(
     Fused { mesh, asset, .. }: &Fused,
     views: &PosedViews,

@@ -7,8 +7,8 @@ use crate::paths::text_of;
 use crate::store::{hash_file, hash_json};
 use rayon::prelude::*;
 use rilievo_io::{
-    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, SphereFile, import_cameras,
-    masks_among, read_cameras, read_lighting,
+    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, masks_among,
+    read_cameras, read_lighting,
 };
 use rilievo_scene::WorldFrame;
 use std::collections::BTreeMap;
@@ -18,7 +18,6 @@ use std::path::{Path, PathBuf};
 /// One photo file with what belongs to it.
 #[derive(Clone, Debug)]
 pub struct PhotoInput {
-    /// The file.
     pub path: PathBuf,
     /// Its name with ending.
     pub file_name: String,
@@ -45,12 +44,8 @@ pub struct Inputs {
     pub warnings: Vec<String>,
     /// Where the world's axes lie if the cameras' poses are given.
     pub frame: WorldFrame,
-    /// The sphere file.
-    pub sphere: Option<SphereFile>,
-    /// What is odd about what was said of the spheres.
-    pub sphere_warnings: Vec<String>,
-    /// Content hashes of the sphere's files, by role.
-    pub sphere_hashes: BTreeMap<String, String>,
+    /// What was said of the reference spheres.
+    pub spheres: SphereInputs,
     /// Content hashes of the lighting's files, by role.
     pub lighting_hashes: BTreeMap<String, String>,
 }
@@ -78,9 +73,7 @@ impl Inputs {
             skipped,
             warnings,
             frame: cameras.map_or(WorldFrame::Given, |cameras| cameras.frame()),
-            sphere: spheres.file,
-            sphere_warnings: spheres.warnings,
-            sphere_hashes: spheres.hashes,
+            spheres,
             lighting_hashes,
         })
     }
@@ -134,7 +127,7 @@ fn photo_inputs(
                 continue;
             }
         };
-        // The photo's own folder tells two masks of one name apart.
+        // The photo's own folder distinguishes two masks of one name.
         let with_folder = Path::new(&text_of(path.parent().and_then(Path::file_name)))
             .join(&file_name)
             .to_string_lossy()
@@ -194,7 +187,7 @@ fn without_camera(
     }))
 }
 
-/// Cameras of any format that can be told by its name and first words.
+/// Cameras of any format that its name and first words show.
 fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
     match CameraFormat::detect(path) {
         Some(format) => import_cameras(path, format, None),
@@ -311,7 +304,7 @@ impl MaskFolder {
     }
 }
 
-/// Photos of one content: they add nothing, and tell of a file that was copied by mistake.
+/// Photos of one content: they add nothing, and are likely copied by mistake.
 fn twins(photos: &[PhotoInput]) -> Vec<String> {
     let mut by_content = BTreeMap::<&str, &str>::new();
     let mut warnings = Vec::new();

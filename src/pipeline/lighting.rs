@@ -18,9 +18,6 @@ use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, StageId
 const CALIBRATION: &str = "calibration.json";
 
 /// Calibrates the lighting of every view.
-///
-/// # Errors
-/// When the lighting cannot be had, or the user asked to stop.
 pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_json::Value> {
     // Not divided: the others wait for the result.
     if !context.console.team().is_first() {
@@ -49,9 +46,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 }
 
 /// Lighting of a committed stage 4.
-///
-/// # Errors
-/// When it is missing or damaged.
 pub fn load(context: &Context<'_>) -> anyhow::Result<LightingCalibration> {
     read_json(context.run, StageId::Lighting, CALIBRATION)
 }
@@ -94,7 +88,7 @@ fn lighting_request(
             Ok(LightingRequest::Shape(shapes))
         }
         LightingInput::Found => {
-            // Photos that the sphere file names in vain were told by stage 3.
+            // Photos that the sphere file names in vain were reported by stage 3.
             let spheres = super::poses::sphere_request(context, photos)?;
             Ok(spheres.map_or(LightingRequest::OwnShape, |spheres| {
                 LightingRequest::Sphere(spheres.request)

@@ -47,9 +47,6 @@ impl Resources {
 
 /// Starts the threads of the whole program; without a number as many as there are cores, of which ranks on one host
 /// take a share each.
-///
-/// # Errors
-/// When the system refuses them.
 pub fn start_threads(number: Option<u16>) -> anyhow::Result<()> {
     let share = || ranks::threads().map_or(0, NonZeroUsize::get);
     let threads = number.map_or_else(share, usize::from);
@@ -72,7 +69,7 @@ fn half_of_free_memory() -> u64 {
     available.map_or(2 << 30, |kib| kib * 1024 / 2)
 }
 
-/// Maps items in parallel, at most `at_once` at a time, and tells how far it is; results come in
+/// Maps items in parallel, at most `at_once` at a time, and reports progress; results come in
 /// the items' order. `None` when the observer asked to stop.
 pub fn map_items<T: Sync, R: Send>(
     items: &[T],

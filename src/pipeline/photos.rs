@@ -171,11 +171,11 @@ pub fn check(
         return Err(Failure::Input(problems).into());
     }
     // The preflight's table has a place for them.
-    let told = Recorder::default();
+    let events = Recorder::default();
     let (_, mut report) =
-        rilievo_photos::assemble(usable, &request.options.photos, &told).map_err(from_photos)?;
+        rilievo_photos::assemble(usable, &request.options.photos, &events).map_err(from_photos)?;
     report.rejected = problems.iter().map(rejected_photo).collect();
-    Ok((report, told.warnings(), problems))
+    Ok((report, events.warnings(), problems))
 }
 
 /// A photo's linear pixels, without keeping anything.
@@ -193,22 +193,12 @@ pub fn linear_photo(request: &Request, photo: &PhotoInput) -> anyhow::Result<Arc
 }
 
 /// Photos of a committed stage 1.
-///
-/// # Errors
-/// When its files are missing or damaged.
 pub fn load(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
     load_with(context, true)
 }
 
-/// The same without their masks, which all lie in memory.
-///
-/// # Errors
-/// As [`load`].
-pub fn load_without_masks(context: &Context<'_>) -> anyhow::Result<PhotoSet> {
-    load_with(context, false)
-}
-
-fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
+/// The same; without their masks, which all lie in memory, unless `masks`.
+pub fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
     let dir = context.run.stage_dir(StageId::Photos);
     let manifest = context
         .run
@@ -223,34 +213,25 @@ fn load_with(context: &Context<'_>, masks: bool) -> anyhow::Result<PhotoSet> {
             reason: error.to_string(),
         })?;
         if let Kept::Usable { facts, mask } = kept {
-            checked_names(
-                context.run,
-                StageId::Photos,
-                "manifest.json",
-                [&*facts.name],
-            )?;
+            let name = [&*facts.name];
+            checked_names(context.run, StageId::Photos, "manifest.json", name)?;
             usable.push(from_disk(&dir, *facts, mask && masks)?);
         }
     }
-    // Stage 1 has told the warnings.
+    // Stage 1 has issued the warnings.
     let options = &context.request.options.photos;
     let (set, _) = rilievo_photos::assemble(usable, options, &Silent).map_err(from_photos)?;
     Ok(set)
 }
 
 fn from_disk(dir: &Path, facts: PhotoFacts, mask: bool) -> Result<PreparedPhoto, Failure> {
-    let mask = if mask {
-        Some(Arc::new(
-            read_mask(&dir.join(mask_file(&facts.name)))?.packed(),
-        ))
-    } else {
-        None
-    };
+    let mask = mask.then(|| read_mask(&dir.join(mask_file(&facts.name))));
+    let mask = mask.transpose()?;
     Ok(PreparedPhoto {
         pixels: Arc::new(LinearFile {
             path: dir.join(linear_file(&facts.name)),
         }),
-        mask,
+        mask: mask.map(|mask| Arc::new(mask.packed())),
         facts,
     })
 }
@@ -401,8 +382,8 @@ fn write(
     Ok((kept, files))
 }
 
-/// Pixels of the largest photo, by the files' headers; a file whose header does not tell (camera RAW) holds
-/// a byte a pixel and more.
+/// Pixels of the largest photo, by the files' headers; a file whose header lacks them (camera RAW)
+/// holds a byte a pixel and more.
 fn largest_photo_px(inputs: &Inputs) -> u64 {
     inputs
         .photos

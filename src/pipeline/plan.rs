@@ -68,7 +68,7 @@ pub fn upstream(stage: StageId) -> &'static [StageId] {
 /// Ingredients of all stages, as of now.
 pub struct Plan {
     ingredients: BTreeMap<StageId, Ingredients>,
-    /// What a run of all stages is expected to cost, where that was told.
+    /// What a run of all stages is expected to cost, where that was estimated.
     pub expected: Option<Estimate>,
 }
 
@@ -103,9 +103,6 @@ impl Plan {
     }
 
     /// State of a stage's result, whose files are looked at as closely as asked.
-    ///
-    /// # Errors
-    /// When its manifest cannot be read, or is of another version.
     pub fn state(&self, run: &RunDir, stage: StageId, look: Look) -> Result<StageState, Failure> {
         let manifest = match run.manifest(stage) {
             Ok(Some(manifest)) => manifest,
@@ -194,7 +191,7 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
             hashes
         }
         StageId::Poses => {
-            let mut hashes = inputs.sphere_hashes.clone();
+            let mut hashes = inputs.spheres.hashes.clone();
             let frame = inputs.frame.words().to_owned();
             hashes.insert("frame of given cameras".into(), frame);
             hashes
@@ -202,7 +199,7 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
         StageId::Lighting => {
             let mut hashes = inputs.lighting_hashes.clone();
             if request.sphere != SphereInput::None {
-                hashes.extend(inputs.sphere_hashes.clone());
+                hashes.extend(inputs.spheres.hashes.clone());
             }
             hashes
         }

@@ -29,7 +29,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     });
     let (sphere, unused) = spheres.unzip();
     let unused = unused.unwrap_or_default();
-    for warning in &context.inputs.sphere_warnings {
+    for warning in &context.inputs.spheres.warnings {
         context.console.warn(StageId::Poses, warning);
     }
     if !unused.is_empty() {
@@ -87,9 +87,6 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
 }
 
 /// Poses of a committed stage 3.
-///
-/// # Errors
-/// When they are missing or damaged.
 pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
     let views: PosedViews = read_json(run, StageId::Poses, POSED_VIEWS)?;
     let names = views.views.iter();
@@ -117,7 +114,7 @@ pub fn sphere_request(
             ..SpheresInSet::default()
         }));
     }
-    let Some(file) = &context.inputs.sphere else {
+    let Some(file) = &context.inputs.spheres.file else {
         return Ok(None);
     };
     let images = file
@@ -128,7 +125,7 @@ pub fn sphere_request(
     Ok(Some(file.to_request(photos, images)?))
 }
 
-/// What to tell of the frame of marks.
+/// What to warn of about the frame of marks.
 fn of_marks(spheres: &SpheresInSet) -> Option<String> {
     if let Some(names) = first_and_more(spheres.upright.iter().map(String::as_str)) {
         return Some(format!(

@@ -14,7 +14,6 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SphereInput {
-    /// There is none.
     None,
     /// It is to be found in the photos.
     Auto {
@@ -119,9 +118,7 @@ pub struct Request {
     /// Camera file or COLMAP folder.
     #[serde(with = "paths::optional")]
     pub cameras: Option<PathBuf>,
-    /// The sphere.
     pub sphere: SphereInput,
-    /// The lighting.
     pub lighting: LightingInput,
     /// Options of the stages.
     pub options: StageOptions,
@@ -174,9 +171,9 @@ impl Request {
     /// # Errors
     /// Contradictory or invalid options, and paths that do not exist.
     pub fn from_args(args: &ReconstructArgs) -> Result<Self, Failure> {
-        let mut options = StageOptions::read(args.config.as_deref())?;
+        let mut options = StageOptions::read(args.config.config.as_deref())?;
         take_over(&mut options.shading.model, args.model);
-        take_over(&mut options.photos.encoding, args.encoding);
+        take_over(&mut options.photos.encoding, args.input.encoding.encoding);
         if let Some(pairs) = &args.pairs {
             options.features.pairs = pair_choice(pairs)?;
         }
@@ -202,6 +199,7 @@ impl Request {
         };
         Ok(Self {
             photos: args
+                .input
                 .photos
                 .iter()
                 .map(|path| existing(path, "photos"))
@@ -211,7 +209,7 @@ impl Request {
                 folder => optional(folder.as_deref(), "--masks")?,
             },
             masks_from: MaskOrigin::Given,
-            cameras: optional(args.cameras.as_deref(), "--cameras")?,
+            cameras: optional(args.input.cameras.as_deref(), "--cameras")?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,
             options,

@@ -1,5 +1,5 @@
-//! Stage 5: `lighting.json` (the light that was used), `depth/NAME.exr`, `normal/NAME.exr`, and `confidence`, `rendered`, `albedo` where the
-//! stage gives them; a picture in PNG beside each.
+//! Stage 5: `lighting.json` (the light that was used), `depth/NAME.exr`, `normal/NAME.exr`, and
+//! `confidence`, `rendered`, `albedo` where the stage has them; a picture in PNG beside each.
 
 use super::artifacts::{checked_names, read_json, write_text};
 use super::context::Context;
@@ -46,9 +46,6 @@ struct ViewFiles {
 }
 
 /// Finds the dense shape of every view; how far it is goes to the work folder under the stage's `fingerprint`.
-///
-/// # Errors
-/// When it cannot be found, or the user asked to stop.
 pub fn run(
     context: &Context<'_>,
     fingerprint: &str,
@@ -117,11 +114,8 @@ pub fn run(
     })?)
 }
 
-/// Writes the maps of a view, and a picture beside each that can be looked at; `path` gives the place
-/// of `KIND/NAME.ENDING`, in a folder that exists.
-///
-/// # Errors
-/// When one cannot be written.
+/// Writes the maps of a view, and a picture beside each that can be looked at; `path` returns the
+/// place of `KIND/NAME.ENDING`, in a folder that exists.
 pub fn write_maps(
     path: &(dyn Fn(&str) -> Result<PathBuf, StoreError> + Sync),
     view: &ShadedView,
@@ -173,9 +167,6 @@ pub struct MapFiles {
 
 impl MapFiles {
     /// The maps of a run.
-    ///
-    /// # Errors
-    /// When stage 5 is not there or damaged.
     pub fn open(run: &RunDir) -> anyhow::Result<Self> {
         let folder = run.stage_dir(StageId::Shading);
         let views: Vec<ViewFiles> = read_json(run, StageId::Shading, VIEWS)?;

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
 /// What was said of the reference spheres.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 pub struct SphereInputs {
     /// The sphere file, with the radius that is used.
     pub file: Option<SphereFile>,
@@ -61,7 +61,7 @@ impl SphereInputs {
                     warnings.extend(file.spheres.iter().filter_map(odd));
                 }
                 hashes.insert("sphere file".into(), hash_file(path)?);
-                // By the paths that the file gives them: the whole may move.
+                // By the paths that the file names: the whole may move.
                 let folder = path.parent().unwrap_or(path);
                 for named in &file.files {
                     let stated = named.strip_prefix(folder).unwrap_or(named);

@@ -36,9 +36,6 @@ pub fn team() -> &'static dyn Team {
 }
 
 /// The outcome.
-///
-/// # Errors
-/// That of the outcome.
 pub fn agree<T>(outcome: anyhow::Result<T>) -> anyhow::Result<T> {
     outcome
 }

@@ -19,7 +19,6 @@ use std::time::{Duration, Instant};
 pub struct Frame {
     /// What the bytes are.
     pub kind: u64,
-    /// The bytes.
     pub bytes: Vec<u8>,
 }
 
@@ -157,7 +156,7 @@ impl Group {
             None => self.watch_for_interruption(),
         };
         match self.exchange(frame, &watch) {
-            Err(told) => Err(self.failure().unwrap_or_else(|| told.into())),
+            Err(error) => Err(self.failure().unwrap_or_else(|| error.into())),
             Ok(frames) => match frames.iter().position(|frame| frame.kind != DONE) {
                 None => outcome,
                 Some(rank) => Err(anyhow::anyhow!(
@@ -184,7 +183,7 @@ impl Group {
         }
     }
 
-    /// Tells a failure of this rank, and ends all.
+    /// Reports a failure of this rank, and ends all.
     fn end_all(&self, parting: Parting) {
         let (code, place) = (parting.code, self.name(self.rank()));
         let error = parting.into_error(Some(&place));
@@ -192,7 +191,8 @@ impl Group {
         self.wire.abort(code)
     }
 
-    /// Waits for all ranks, so that none is missed before rank 0 has told how the run ended, and ends the team.
+    /// Waits for all ranks, so that none is missed before rank 0 has reported how the run ended,
+    /// and ends the team.
     pub fn end(&self, code: u8) {
         let own = Frame {
             kind: DONE,

@@ -5,9 +5,9 @@
 pub struct Launch {
     /// Processes in all, two or more.
     pub size: usize,
-    /// The number of this one, where the launcher tells.
+    /// The number of this one, where the launcher states it.
     pub rank: usize,
-    /// The variable that tells the size.
+    /// The variable that holds the size.
     pub variable: &'static str,
 }
 

@@ -4,9 +4,10 @@
 //! terminal: it alone takes the lock, commits stages, writes reports and prints. The other ranks write what they make
 //! of their own items into the work folder of the stage at hand, which lies on shared storage.
 //!
-//! A rank that fails comes to the others' next gathering with its failure ([`agree`]): all end with it, and rank 0
-//! tells it. Where the others are busy for longer than `parting::PATIENCE`, it tells the failure itself and has MPI end
-//! them. A rank that is killed is noticed by the launcher, which ends the others.
+//! A rank that fails comes to the others' next gathering with its failure ([`agree`]): all end with
+//! it, and rank 0 reports it. Where the others are busy for longer than `parting::PATIENCE`, it
+//! reports the failure itself and has MPI end them. A rank that is killed is noticed by the
+//! launcher, which ends the others.
 //!
 //! Without the feature `mpi` there is one process, and a start as one of several is refused.
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 /// seconds after a failure nothing of the run shall be left.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
-/// The failure of a rank, as it is told to the others.
+/// The failure of a rank, as it is sent to the others.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Parting {
     /// Exit code.

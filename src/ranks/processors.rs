@@ -6,7 +6,6 @@ use std::num::NonZeroUsize;
 /// Where a rank runs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Place {
-    /// The host.
     pub host: String,
     /// Numbers of the processors that it may run on; launchers bind ranks to some, or to none.
     pub processors: Vec<u32>,

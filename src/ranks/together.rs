@@ -109,9 +109,6 @@ pub fn team() -> &'static dyn Team {
 }
 
 /// The outcome where no rank failed; else the failure of one, the same in all.
-///
-/// # Errors
-/// That failure.
 pub fn agree<T>(outcome: anyhow::Result<T>) -> anyhow::Result<T> {
     match GROUP.get() {
         Some(group) => group.agree(outcome),
@@ -138,7 +135,7 @@ pub fn name() -> Option<String> {
     Some(group.name(group.rank()))
 }
 
-/// Threads that this rank starts unless told otherwise, where several share a host.
+/// Threads that this rank starts by default, where several share a host.
 pub fn threads() -> Option<NonZeroUsize> {
     SHARE.get().map(|share| share.threads)
 }

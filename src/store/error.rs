@@ -11,14 +11,10 @@ pub enum StoreError {
          choose another folder with -o",
         path.display()
     )]
-    NotARun {
-        /// The folder.
-        path: PathBuf,
-    },
+    NotARun { path: PathBuf },
     /// There is no run directory.
     #[error("{} is not a run directory of rilievo: it has no run.json{}", path.display(), results(*.holds_results))]
     Missing {
-        /// The folder.
         path: PathBuf,
         /// Whether stages of a run lie there.
         holds_results: bool,
@@ -30,7 +26,6 @@ pub enum StoreError {
         path.display()
     )]
     OtherVersion {
-        /// The folder.
         path: PathBuf,
         /// Format in the folder.
         found: u64,
@@ -43,31 +38,20 @@ pub enum StoreError {
         path.display()
     )]
     InUse {
-        /// The folder.
         path: PathBuf,
         /// Process id, as written by the owner.
         owner: String,
     },
     /// A file in it cannot be understood.
     #[error("{} is damaged: {reason}; `rilievo clean` the stage and run it again", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    Damaged { path: PathBuf, reason: String },
     /// What was asked for cannot be understood.
     #[error(
         "{} is damaged: {reason}; `rilievo reconstruct` with the options of this run writes it anew \
          and keeps the results",
         path.display()
     )]
-    DamagedRequest {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        reason: String,
-    },
+    DamagedRequest { path: PathBuf, reason: String },
     /// Something else stands in the place of a file or folder of the run.
     #[error(
         "{} is {found}, not {expected} of this run; nothing in a run directory is followed to \
@@ -75,7 +59,6 @@ pub enum StoreError {
         path.display()
     )]
     NotOurs {
-        /// The place.
         path: PathBuf,
         /// What belongs there ("a file").
         expected: &'static str,

@@ -9,9 +9,6 @@ pub fn deviation_file(root: &Path) -> PathBuf {
 }
 
 /// Deletes an evaluation, since the results that it judged go.
-///
-/// # Errors
-/// When it cannot be deleted.
 pub fn drop_evaluation(root: &Path) -> Result<(), StoreError> {
     let file = deviation_file(root);
     match std::fs::remove_file(&file) {

@@ -53,9 +53,6 @@ pub fn own_folder(path: &Path) -> Result<(), StoreError> {
 }
 
 /// Makes a folder with all above it, where it is not there.
-///
-/// # Errors
-/// When it cannot be made.
 pub fn create_folder(path: &Path) -> Result<(), StoreError> {
     std::fs::create_dir_all(path).map_err(StoreError::files("create", path))
 }
@@ -93,7 +90,6 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), StoreError> {
         let mut builder = tempfile::Builder::new();
         builder.prefix(WRITING);
         // Temporary files are private by default; a result is as readable as the umask allows.
-        #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let mut file = builder.tempfile_in(folder)?;
         file.write_all(bytes)?;

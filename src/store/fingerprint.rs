@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 /// Everything that decides a stage's result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Ingredients {
-    /// The stage.
     pub stage: StageId,
     /// Raised whenever the stage's method changes its results.
     pub stage_version: u32,

@@ -30,7 +30,7 @@ impl Lock {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => {
                 let mut owner = String::new();
-                // The id is only told; without it the lock still holds.
+                // The id is only reported; without it the lock still holds.
                 let _ = file.read_to_string(&mut owner);
                 let owner = owner.trim();
                 return Err(StoreError::InUse {

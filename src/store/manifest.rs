@@ -62,15 +62,16 @@ pub struct Manifest {
     /// Wall time of the stage, seconds.
     pub seconds: f64,
     /// CPU time of the process during the stage, seconds; of several processes the first one's. `None` in manifests that
-    /// do not tell it.
+    /// lack it.
     #[serde(default)]
     pub cpu_seconds: Option<f64>,
-    /// What the whole run was expected to cost when the stage was made, where that was told.
+    /// What the whole run was expected to cost when the stage was made, where that was estimated.
     #[serde(default)]
     pub expected: Option<Estimate>,
     /// Threads that worked on it.
     pub threads: usize,
-    /// Largest resident memory while the stage ran, bytes; `None` where the system does not tell.
+    /// Largest resident memory while the stage ran, bytes; `None` where the system does not report
+    /// it.
     pub peak_memory_bytes: Option<u64>,
     /// What the user should know.
     pub warnings: Vec<String>,

@@ -21,6 +21,7 @@ mod files;
 mod fingerprint;
 mod lock;
 mod manifest;
+mod places;
 mod run_dir;
 mod run_file;
 mod scratch;

@@ -5,10 +5,12 @@ use super::evaluation::drop_evaluation;
 use super::files::{WRITING, create_folder, own_file, own_folder, write_atomically};
 use super::lock::Lock;
 use super::manifest::Manifest;
+use super::places::{Places, delete_empty, delete_folders};
 use super::run_file::RunFile;
 use super::writer::StageWriter;
 use rilievo_scene::StageId;
 use serde::Serialize;
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::path::{Path, PathBuf};
 
 /// Folders beside those of the stages.
@@ -22,7 +24,7 @@ const FOLDERS: [&str; 7] = [
     "masks.partial",
 ];
 
-/// File by which processes tell whether they see the same run directory.
+/// File by which processes check that they see the same run directory.
 const MARKER: &str = ".work/ranks";
 
 /// A run directory, locked when it was opened for work.
@@ -113,7 +115,7 @@ impl RunDir {
 
     /// Folder of a committed stage.
     pub fn stage_dir(&self, stage: StageId) -> PathBuf {
-        self.root.join(stage.name())
+        Places::of(&self.root, stage).result
     }
 
     /// Manifest of a committed stage; `None` when the stage has none.
@@ -139,41 +141,28 @@ impl RunDir {
     }
 
     /// Writes what is asked for; untouched where it says the same already.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn write_run_file(&self, request: &impl Serialize) -> Result<(), StoreError> {
         RunFile::write(&self.root, request)
     }
 
-    /// Writes a marker that no other run directory has, so that other processes can tell whether they see this one.
-    ///
-    /// # Errors
-    /// When it cannot be written.
+    /// Writes a marker that no other run directory has, so that other processes can check that they
+    /// see this one.
     pub fn mark(&self) -> Result<String, StoreError> {
         let path = self.root.join(MARKER);
         create_folder(&self.root.join(".work"))?;
-        let mut number = [0; 8];
-        getrandom::fill(&mut number)
-            .map_err(|error| StoreError::files("write", &path)(error.into()))?;
-        let marker = format!("{:016x}", u64::from_le_bytes(number));
+        // The keys of a new hasher are random: so is its hash of nothing.
+        let marker = format!("{:016x}", RandomState::new().build_hasher().finish());
         write_atomically(&path, marker.as_bytes())?;
         Ok(marker)
     }
 
     /// The marker that a process finds in a run directory; `None` where there is none.
-    ///
-    /// # Errors
-    /// When it cannot be read.
     pub fn marker(root: &Path) -> Result<Option<String>, StoreError> {
         let found = own_file(&root.join(MARKER))?;
         Ok(found.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()))
     }
 
     /// Takes the marker away.
-    ///
-    /// # Errors
-    /// When it cannot be deleted.
     pub fn unmark(&self) -> Result<(), StoreError> {
         let path = self.root.join(MARKER);
         std::fs::remove_file(&path).map_err(StoreError::files("delete", &path))?;
@@ -188,17 +177,11 @@ impl RunDir {
     }
 
     /// Starts a stage: its files go to a work folder until they are committed.
-    ///
-    /// # Errors
-    /// When the work folder cannot be prepared.
     pub fn begin(&self, stage: StageId) -> Result<StageWriter, StoreError> {
         StageWriter::begin(&self.root, stage)
     }
 
     /// The folder of work in progress, for working data that belongs to no stage.
-    ///
-    /// # Errors
-    /// When it cannot be made.
     pub fn work_folder(&self) -> Result<PathBuf, StoreError> {
         let folder = self.root.join(".work");
         create_folder(&folder)?;
@@ -206,24 +189,14 @@ impl RunDir {
     }
 
     /// Deletes a stage's results, and an evaluation of them.
-    ///
-    /// # Errors
-    /// When they cannot be deleted.
     pub fn clean(&self, stage: StageId) -> Result<bool, StoreError> {
-        let mut found = false;
-        for folder in [
-            self.stage_dir(stage),
-            self.root.join(".work").join(stage.name()),
-            self.root
-                .join(".work")
-                .join(format!("{}.previous", stage.name())),
-            self.root.join(".old").join(stage.name()),
-        ] {
-            if folder.exists() {
-                found = true;
-                std::fs::remove_dir_all(&folder).map_err(StoreError::files("delete", &folder))?;
-            }
-        }
+        let Places {
+            result,
+            old,
+            work,
+            previous,
+        } = Places::of(&self.root, stage);
+        let found = delete_folders(&[&result, &work, &previous, &old])?;
         if found {
             drop_evaluation(&self.root)?;
         }
@@ -242,40 +215,23 @@ impl RunDir {
             }
         }
         for stage in StageId::ALL {
-            let old = self.root.join(".old").join(stage.name());
-            if !old.exists() {
-                continue;
-            }
-            let place = self.stage_dir(stage);
-            if place.exists() {
-                std::fs::remove_dir_all(&old).map_err(StoreError::files("delete", &old))?;
-            } else {
-                std::fs::rename(&old, &place).map_err(StoreError::files("rename", &old))?;
+            let Places { result, old, .. } = Places::of(&self.root, stage);
+            if result.exists() {
+                delete_folders(&[&old])?;
+            } else if old.exists() {
+                std::fs::rename(&old, &result).map_err(StoreError::files("rename", &old))?;
             }
         }
-        // Fails where there is none.
-        let _ = std::fs::remove_dir(self.root.join(".old"));
+        delete_empty(&self.root);
         Ok(())
     }
 
     /// Deletes what a stopped run left of a stage whose results are valid: it belongs to another request, and
     /// takes space.
-    ///
-    /// # Errors
-    /// When it cannot be deleted.
     pub fn drop_unfinished(&self, stage: StageId) -> Result<(), StoreError> {
-        let work = self.root.join(".work");
-        for name in [
-            stage.name().to_owned(),
-            format!("{}.previous", stage.name()),
-        ] {
-            let folder = work.join(name);
-            if folder.exists() {
-                std::fs::remove_dir_all(&folder).map_err(StoreError::files("delete", &folder))?;
-            }
-        }
-        // Fails where another stage still has something there, as it should.
-        let _ = std::fs::remove_dir(&work);
+        let Places { work, previous, .. } = Places::of(&self.root, stage);
+        delete_folders(&[&work, &previous])?;
+        delete_empty(&self.root);
         Ok(())
     }
 }
@@ -294,11 +250,7 @@ fn own_places(root: &Path) -> Result<(), StoreError> {
         own_folder(&root.join(folder))?;
     }
     for stage in StageId::ALL {
-        let name = stage.name();
-        own_folder(&root.join(name))?;
-        own_folder(&root.join(".old").join(name))?;
-        own_folder(&root.join(".work").join(name))?;
-        own_folder(&root.join(".work").join(format!("{name}.previous")))?;
+        Places::of(root, stage).check()?;
     }
     own_file(&root.join(".lock")).map(|_| ())
 }

@@ -16,7 +16,6 @@ const COPY: &str = ".run.json";
 /// What was asked for, as it was found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunFile {
-    /// The request.
     pub request: Value,
     /// Where the run directory stood when it was written, absolute.
     pub root: Value,
@@ -57,9 +56,6 @@ impl RunFile {
     }
 
     /// Writes what is asked, the copy first; untouched where both say the same already.
-    ///
-    /// # Errors
-    /// When it cannot be written.
     pub fn write(root: &Path, request: &impl Serialize) -> Result<(), StoreError> {
         let file = root.join(RUN_FILE);
         let place = absolute(root)?;

@@ -1,4 +1,4 @@
-//! JSON files that tell of their own damage: an object with a `checksum` over everything else in it.
+//! JSON files that show their own damage: an object with a `checksum` over everything else in it.
 //!
 //! The checksum is the hash of the object's compact JSON without that key, so that it follows the
 //! meaning and not the white space.

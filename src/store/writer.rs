@@ -4,6 +4,7 @@ use super::error::StoreError;
 use super::evaluation::drop_evaluation;
 use super::files::{create_folder, hash_file, is_inside, write_atomically};
 use super::manifest::{FileRecord, Item, MANIFEST, Manifest};
+use super::places::{Places, delete_empty, delete_folders};
 use rayon::prelude::*;
 use rilievo_scene::StageId;
 use std::collections::{BTreeMap, BTreeSet};
@@ -21,8 +22,7 @@ pub(super) const CHECKPOINT: &str = ".checkpoint";
 #[derive(Debug)]
 pub struct StageWriter {
     root: PathBuf,
-    stage: StageId,
-    work: PathBuf,
+    places: Places,
     /// Items that an interrupted or an earlier run finished, with the folder that has their files.
     reusable: BTreeMap<String, (PathBuf, Item)>,
     items: Mutex<BTreeMap<String, Item>>,
@@ -32,14 +32,11 @@ impl StageWriter {
     /// Prepares an empty work folder; what an interrupted run left there is kept as a source of
     /// finished items.
     pub(super) fn begin(root: &Path, stage: StageId) -> Result<Self, StoreError> {
-        let work = root.join(".work").join(stage.name());
-        let previous = root
-            .join(".work")
-            .join(format!("{}.previous", stage.name()));
+        let Places { work, previous, .. } = Places::of(root, stage);
         if work.exists() {
             if previous.exists() {
                 take_along(&previous, &work)?;
-                remove_dir(&previous)?;
+                delete_folders(&[&previous])?;
             }
             std::fs::rename(&work, &previous).map_err(StoreError::files("rename", &work))?;
         }
@@ -51,25 +48,16 @@ impl StageWriter {
 
     /// Works in the folder that another process has prepared, which also commits the stage.
     pub(super) fn take_part(root: &Path, stage: StageId) -> Self {
-        let work = root.join(".work").join(stage.name());
-        let previous = root
-            .join(".work")
-            .join(format!("{}.previous", stage.name()));
-        let committed = root.join(stage.name());
-        let mut reusable = BTreeMap::new();
-        if let Ok(Some(manifest)) = Manifest::read(&committed) {
-            for (name, item) in manifest.items {
-                reusable.insert(name, (committed.clone(), item));
-            }
-        }
-        for (name, item) in finished_items(&previous) {
-            reusable.insert(name, (previous.clone(), item));
-        }
+        let places = Places::of(root, stage);
+        let committed = Manifest::read(&places.result).ok().flatten();
+        let committed = committed.into_iter().flat_map(|manifest| manifest.items);
+        let committed = committed.map(|(name, item)| (name, (places.result.clone(), item)));
+        let left = finished_items(&places.previous).into_iter();
+        let left = left.map(|(name, item)| (name, (places.previous.clone(), item)));
         Self {
             root: root.to_path_buf(),
-            stage,
-            work,
-            reusable,
+            reusable: committed.chain(left).collect(),
+            places,
             items: Mutex::new(BTreeMap::new()),
         }
     }
@@ -92,7 +80,7 @@ impl StageWriter {
     /// # Errors
     /// When the folder cannot be created, or an earlier file not be deleted.
     pub fn path(&self, relative: &str) -> Result<PathBuf, StoreError> {
-        let path = self.work.join(relative);
+        let path = self.places.work.join(relative);
         if let Some(folder) = path.parent() {
             create_folder(folder)?;
         }
@@ -106,7 +94,7 @@ impl StageWriter {
 
     /// The work folder, where artifacts lie until the commit.
     pub fn dir(&self) -> &Path {
-        &self.work
+        &self.places.work
     }
 
     /// Takes over an item that was finished before, when it has the same key and all its files
@@ -140,15 +128,12 @@ impl StageWriter {
     }
 
     /// Records a finished item, so that an interrupted run need not do it again.
-    ///
-    /// # Errors
-    /// When its files cannot be brought to disk.
     pub fn finish(&self, name: &str, mut item: Item) -> Result<(), StoreError> {
         item.hashes = item
             .files
             .iter()
             .map(|file| {
-                let path = self.work.join(file);
+                let path = self.places.work.join(file);
                 Ok(hash_file(&path)?)
             })
             .collect::<Result<_, StoreError>>()?;
@@ -157,9 +142,9 @@ impl StageWriter {
 
     fn record(&self, name: &str, item: Item) -> Result<(), StoreError> {
         for file in &item.files {
-            sync(&self.work.join(file))?;
+            sync(&self.places.work.join(file))?;
         }
-        let record = self.work.join(record_of(name));
+        let record = self.places.work.join(record_of(name));
         let text = serde_json::to_vec(&(name, &item)).unwrap_or_default();
         write_atomically(&record, &text)?;
         let mut items = self.items.lock().unwrap_or_else(PoisonError::into_inner);
@@ -172,55 +157,47 @@ impl StageWriter {
     /// # Errors
     /// When something cannot be written; the earlier result is then untouched.
     pub fn commit(self, mut manifest: Manifest) -> Result<(), StoreError> {
-        remove_dir(&self.work.join(ITEMS))?;
-        manifest.items = match self.items.into_inner() {
-            Ok(items) => items,
-            Err(poisoned) => poisoned.into_inner(),
-        };
-        // How far the stage was is no part of what it gives.
+        delete_folders(&[&self.places.work.join(ITEMS)])?;
+        manifest.items = self
+            .items
+            .into_inner()
+            .unwrap_or_else(PoisonError::into_inner);
+        // How far the stage was is no part of its result.
         if manifest.items.remove(CHECKPOINT).is_some() {
-            remove_dir(&self.work.join(CHECKPOINT))?;
+            delete_folders(&[&self.places.work.join(CHECKPOINT)])?;
         }
         let mut names = Vec::new();
-        collect_and_sync(&self.work, "", &mut names)?;
+        collect_and_sync(&self.places.work, "", &mut names)?;
         let records = names.into_par_iter().map(|(name, bytes)| {
-            let path = self.work.join(&name);
+            let path = self.places.work.join(&name);
             let blake3 = hash_file(&path)?;
             Ok((name, FileRecord { bytes, blake3 }))
         });
         manifest.files = records.collect::<Result<_, StoreError>>()?;
-        let path = self.work.join(MANIFEST);
+        let path = self.places.work.join(MANIFEST);
         let text = manifest.to_text();
         let text = text.map_err(|error| StoreError::files("write", &path)(error.into()))?;
         write_atomically(&path, &text)?;
-        sync(&self.work)?;
+        sync(&self.places.work)?;
 
         drop_evaluation(&self.root)?;
-        let place = self.root.join(self.stage.name());
-        let old = self.root.join(".old").join(self.stage.name());
-        if place.exists() {
-            let folder = self.root.join(".old");
-            create_folder(&folder)?;
-            std::fs::rename(&place, &old).map_err(StoreError::files("rename", &place))?;
+        let Places {
+            result,
+            old,
+            work,
+            previous,
+        } = &self.places;
+        if result.exists() {
+            create_folder(&self.root.join(".old"))?;
+            std::fs::rename(result, old).map_err(StoreError::files("rename", result))?;
         }
-        std::fs::rename(&self.work, &place).map_err(StoreError::files("rename", &self.work))?;
+        std::fs::rename(work, result).map_err(StoreError::files("rename", work))?;
         sync(&self.root)?;
 
         // From here on the stage is committed; leftovers cost only space, and are cleared again
         // by the next run that opens this folder.
-        let previous = self
-            .root
-            .join(".work")
-            .join(format!("{}.previous", self.stage.name()));
-        for leftover in [old, previous] {
-            if leftover.exists() {
-                remove_dir(&leftover)?;
-            }
-        }
-        for folder in [".work", ".old"] {
-            // Fails when another stage still has something there, as it should.
-            let _ = std::fs::remove_dir(self.root.join(folder));
-        }
+        delete_folders(&[old, previous])?;
+        delete_empty(&self.root);
         Ok(())
     }
 }
@@ -321,10 +298,6 @@ fn sync(path: &Path) -> Result<(), StoreError> {
     File::open(path)
         .and_then(|file| file.sync_all())
         .map_err(StoreError::files("write", path))
-}
-
-fn remove_dir(path: &Path) -> Result<(), StoreError> {
-    std::fs::remove_dir_all(path).map_err(StoreError::files("delete", path))
 }
 
 #[cfg(test)]

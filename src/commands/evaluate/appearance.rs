@@ -7,9 +7,6 @@ use rilievo_scene::Raster;
 use rilievo_synthetic::compare::{Evaluation, ImageErrors, compare_light};
 
 /// Fills in the appearance, and why parts of it are missing.
-///
-/// # Errors
-/// When an image cannot be read.
 pub(super) fn compare(
     estimate: &Estimate,
     truth: &Truth,

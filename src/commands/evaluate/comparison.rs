@@ -21,7 +21,6 @@ pub struct Comparison {
     pub(super) run: PathBuf,
     /// What it holds.
     pub(super) estimate: Estimate,
-    /// What the truth tells.
     pub(super) truth: Truth,
     request: AlignmentRequest,
     /// Truth of the views that have any.
@@ -34,9 +33,6 @@ pub struct Comparison {
 
 impl Comparison {
     /// Reads what both hold.
-    ///
-    /// # Errors
-    /// When run or truth cannot be read.
     pub fn open(run: &Path, truth: &Path, request: AlignmentRequest) -> anyhow::Result<Self> {
         let estimate = Estimate::open(run)?;
         let truth = Truth::open(truth)?;
@@ -76,7 +72,7 @@ impl Comparison {
                 self.truth.surface_file().display()
             )),
         };
-        // Without any map, a row of nothing for every view would tell nothing.
+        // Without any map, a row of nothing for every view would say nothing.
         let has_maps = self.views.iter().any(|v| self.estimate.has_map(&v.name));
         let compared = if has_maps { &self.views[..] } else { &[] };
         // Reading errors inside the comparison are kept here, since it knows only its own.
@@ -120,11 +116,8 @@ impl Comparison {
         Ok(evaluation)
     }
 
-    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`. Tells where
-    /// they are by `note`.
-    ///
-    /// # Errors
-    /// When maps cannot be read, or the files cannot be written.
+    /// Shows where the errors lie: a section of the run's report, and `evaluation/deviation.ply`.
+    /// `note` gets their places.
     pub fn show(&self, evaluation: &Evaluation, note: &dyn Fn(&str)) -> anyhow::Result<()> {
         drop_evaluation(&self.run)?;
         let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;

@@ -15,9 +15,6 @@ use rilievo_synthetic::compare::{MeshDistance, Similarity, TruthView};
 use std::path::Path;
 
 /// Error maps of the views that have both maps and truth, "no value" being negative.
-///
-/// # Errors
-/// When a map cannot be read.
 pub(super) fn maps(
     estimate: &Estimate,
     views: &[TruthView],
@@ -89,9 +86,6 @@ pub(super) fn deviations(
 }
 
 /// Writes the cloud coloured from blue (inside by `max` or more) over white to red (outside).
-///
-/// # Errors
-/// When the file cannot be written.
 pub(super) fn write_deviations(
     path: &Path,
     cloud: &PointCloud,
@@ -110,7 +104,7 @@ pub(super) fn write_deviations(
     write_cloud_ply(path, &colored, unit).map_err(Failure::from)
 }
 
-/// Blue at −1, white at 0, red at 1: told apart by the colour-blind too.
+/// Blue at −1, white at 0, red at 1: distinct for the colour-blind too.
 fn diverging(share: f64) -> [u8; 3] {
     const INSIDE: [f64; 3] = [33.0, 102.0, 172.0];
     const OUTSIDE: [f64; 3] = [178.0, 24.0, 43.0];

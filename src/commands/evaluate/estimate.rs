@@ -90,33 +90,21 @@ impl Estimate {
     }
 
     /// Depth map of a view, if it has one.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn depth(&self, name: &str) -> Result<Option<DepthMap>, Failure> {
         read_if_there(&self.maps.join(format!("depth/{name}.exr")), read_depth)
     }
 
     /// Normal map of a view, if it has one.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn normal(&self, name: &str) -> Result<Option<NormalMap>, Failure> {
         read_if_there(&self.maps.join(format!("normal/{name}.exr")), read_normal)
     }
 
     /// Light of the views, if it was found.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn lighting(&self) -> Result<Option<LightingFile>, Failure> {
         read_if_there(&self.light, |path| read_lighting(path, None))
     }
 
     /// Albedo of a view, if it has one.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn albedo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
         read_if_there(&self.albedo_file(name), read_linear)
     }
@@ -127,17 +115,11 @@ impl Estimate {
     }
 
     /// The image that the result explains, if it has one.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn rendered(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
         read_if_there(&self.maps.join(format!("rendered/{name}.exr")), read_linear)
     }
 
     /// The linear photo at the set's exposure, if it is there.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn photo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
         let mut photo = read_if_there(&self.photos.join(format!("{name}.exr")), read_linear)?;
         let gain = self.gains.get(name).copied().unwrap_or(1.0) as f32;

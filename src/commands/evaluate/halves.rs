@@ -1,4 +1,4 @@
-//! `rilievo evaluate RUN --halves`: what relief a run resolves, told from its photos alone.
+//! `rilievo evaluate RUN --halves`: what relief a run resolves, found from its photos alone.
 
 use crate::commands::stored::{check_upstream, stored_request};
 use crate::observe::Console;

@@ -48,9 +48,6 @@ pub fn evaluate(args: &EvaluateArgs) -> anyhow::Result<()> {
 }
 
 /// The numbers without printing them; they are shown in the run's report as [`evaluate`] does.
-///
-/// # Errors
-/// As [`evaluate`].
 pub fn evaluation(
     run: &Path,
     truth: &Path,

@@ -5,9 +5,6 @@ use rilievo_io::IoError;
 use std::path::Path;
 
 /// What a file holds; `None` where there is none.
-///
-/// # Errors
-/// When it is there and cannot be read.
 pub(super) fn read_if_there<T>(
     path: &Path,
     read: impl FnOnce(&Path) -> Result<T, IoError>,

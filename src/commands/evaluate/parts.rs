@@ -16,26 +16,23 @@ struct Part {
 
 impl Comparison {
     /// Why there is nothing to compare: the truth is not of this result, or the result lacks what the
-    /// truth tells. `None` where some part is on both sides.
-    ///
-    /// # Errors
-    /// When a file of either side cannot be read.
+    /// truth has. `None` where some part is on both sides.
     pub fn nothing_in_common(&self) -> Result<Option<Failure>, Failure> {
         let parts = self.parts()?;
         if parts.iter().any(|part| part.in_truth && part.in_result) {
             return Ok(None);
         }
-        let told: Vec<&Part> = parts.iter().filter(|part| part.in_truth).collect();
+        let known: Vec<&Part> = parts.iter().filter(|part| part.in_truth).collect();
         Ok(Some(if self.estimate.expected.is_empty() {
             Failure::NoResult(format!(
                 "there is nothing to compare: {} has no result of any photo yet; `rilievo \
                  reconstruct` makes it",
                 self.run.display()
             ))
-        } else if told.is_empty() {
+        } else if known.is_empty() {
             self.foreign_truth(&parts)
         } else {
-            self.missing_stages(&told)
+            self.missing_stages(&known)
         }))
     }
 
@@ -104,12 +101,12 @@ impl Comparison {
         )
     }
 
-    /// The result has nothing beside what the truth tells.
-    fn missing_stages(&self, told: &[&Part]) -> Failure {
-        let mut stages: Vec<&str> = told.iter().map(|part| part.stage.name()).collect();
+    /// The result has nothing beside what the truth holds.
+    fn missing_stages(&self, known: &[&Part]) -> Failure {
+        let mut stages: Vec<&str> = known.iter().map(|part| part.stage.name()).collect();
         stages.sort_unstable();
         stages.dedup();
-        let files: Vec<&str> = told.iter().map(|part| part.file).collect();
+        let files: Vec<&str> = known.iter().map(|part| part.file).collect();
         Failure::NoResult(format!(
             "there is nothing to compare: the truth holds {}, and {} has no result of {} beside it; \
              `rilievo reconstruct` makes it",

@@ -12,17 +12,13 @@ use std::path::{Path, PathBuf};
 
 /// Ground truth in a folder.
 pub(super) struct Truth {
-    /// The folder.
     pub folder: PathBuf,
-    /// True cameras, none where the folder tells none.
+    /// True cameras, none where the folder has none.
     pub cameras: CameraFile,
 }
 
 impl Truth {
     /// Opens a folder.
-    ///
-    /// # Errors
-    /// When its cameras cannot be read.
     pub fn open(folder: &Path) -> Result<Self, Failure> {
         let cameras = read_if_there(&folder.join("cameras.json"), read_cameras)?;
         Ok(Self {
@@ -45,9 +41,6 @@ impl Truth {
     }
 
     /// The true surface, if there is one.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn surface(&self) -> Result<Option<Mesh>, Failure> {
         read_if_there(&self.surface_file(), read_mesh_ply)
     }
@@ -58,9 +51,6 @@ impl Truth {
     }
 
     /// True light, if it is known.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn lighting(&self) -> Result<Option<LightingFile>, Failure> {
         read_if_there(&self.folder.join("lighting.json"), |path| {
             read_lighting(path, None)
@@ -68,9 +58,6 @@ impl Truth {
     }
 
     /// True albedo of a view, if it is known.
-    ///
-    /// # Errors
-    /// When its file cannot be read.
     pub fn albedo(&self, name: &str) -> Result<Option<LinearImage>, Failure> {
         read_if_there(&self.albedo_file(name), read_linear)
     }
@@ -81,9 +68,6 @@ impl Truth {
     }
 
     /// True maps of the photos that have any.
-    ///
-    /// # Errors
-    /// When a map cannot be read.
     pub fn views(&self, expected: &[String]) -> Result<Vec<TruthView>, Failure> {
         let mut views = Vec::new();
         for name in expected {

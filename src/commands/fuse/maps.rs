@@ -1,6 +1,6 @@
 //! Depth and normal maps of a folder, whichever program wrote them, with their cameras.
 //!
-//! | kind | told by | cameras |
+//! | kind | recognised by | cameras |
 //! |---|---|---|
 //! | OpenMVS | `*.dmap` | in the files |
 //! | COLMAP | `stereo/depth_maps` or `depth_maps` | `sparse` beside them, or `--cameras` |

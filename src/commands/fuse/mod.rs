@@ -33,11 +33,13 @@ const MAX_DEPTH_RATIO: f64 = 200.0;
 /// When maps or cameras cannot be used, nothing agrees, or the results cannot be written.
 pub fn fuse(args: &FuseArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output.display().to_string()});
-    reporting(args.work.json, facts, |console| run(args, console))
+    reporting(&Console::new(args.work.json), facts, |console| {
+        run(args, console)
+    })
 }
 
 fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
-    let mut options = StageOptions::read(args.config.as_deref())?;
+    let mut options = StageOptions::read(args.config.config.as_deref())?;
     args.surface.apply(&mut options.fusion);
     args.work.bound(&mut options.fusion);
     options.validate()?;
@@ -51,7 +53,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
     if unit == Unit::Arbitrary {
         console.warn(
             StageId::Fusion,
-            "the maps tell no unit: lengths are written as they are; --scale METRES makes metres",
+            "the maps name no unit: lengths are written as they are; --scale METRES makes metres",
         );
     }
     if slopes > 0 {

@@ -27,7 +27,7 @@ impl PixelSource for File {
 }
 
 /// The photos of a folder that belong to the views, by name with or without the ending. Views
-/// without one keep no photo and are told of by fusion.
+/// without one keep no photo, and fusion warns of them.
 ///
 /// # Errors
 /// When the folder cannot be read, or holds no photo of any view.

@@ -2,7 +2,7 @@
 
 use super::target::{Target, beside};
 use crate::cli::MaskArgs;
-use crate::commands::bring::{Allowed, bring_run_up_to_date};
+use crate::commands::bring::bring_run_up_to_date;
 use crate::commands::stored::stored_request;
 use crate::exit::{Failure, Problem};
 use crate::observe::Console;
@@ -20,8 +20,8 @@ use std::sync::Arc;
 /// Consistency below which the user is asked to look closely.
 const CLEAR: f64 = 0.9;
 
-/// How well a proposed mask agrees with the object's points and with the other photos. What all photos get wrong alike, it
-/// does not tell.
+/// How well a proposed mask agrees with the object's points and with the other photos. Errors that
+/// all photos share do not show.
 #[derive(Clone)]
 pub struct PosedProposal {
     coverage: f64,
@@ -101,7 +101,7 @@ pub fn propose(
     let views = &posed.views;
     let points = match SeenPoints::new(posed).part(views) {
         Ok(points) => points,
-        Err(error) => return Ok((nor(without, &error.to_string()), Vec::new())),
+        Err(error) => return Ok((without_poses(without, &error.to_string()), Vec::new())),
     };
     let index_of: BTreeMap<&str, usize> = (views.iter().enumerate())
         .map(|(index, view)| (view.file_name.as_str(), index))
@@ -170,8 +170,9 @@ pub fn propose(
 /// What became of a photo that was without a mask.
 pub type Found = Option<Result<PosedProposal, String>>;
 
-/// Why photos are without a mask, and that their poses do not help either.
-pub fn nor(without: &[Option<String>], why: &str) -> Vec<Found> {
+/// Why photos are without a mask: for each the reason that it has already, and why their poses do
+/// not help.
+pub fn without_poses(without: &[Option<String>], why: &str) -> Vec<Found> {
     let both = |reason: &String| match reason.is_empty() {
         true => why.to_owned(),
         false => format!("{reason}; nor do the photos' poses tell it: {why}"),
@@ -196,8 +197,9 @@ struct Cut<'a> {
 }
 
 impl Cut<'_> {
-    /// Works on the views for which `with` has something, given number, that, photo and pixels. A view in which the object
-    /// cannot be told has no result and a reason.
+    /// Works on the views for which `with` returns something: `work` takes the view's number, that,
+    /// the photo and its pixels. A view in which the object is not found has no result and a
+    /// reason.
     fn each<T, R: Send>(
         &mut self,
         step: &str,
@@ -269,11 +271,6 @@ pub fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyh
         "  some photos have no plain backdrop: the object is told by the photos' poses, in {}",
         root.display()
     ));
-    let range = Range {
-        redo_from: None,
-        until: StageId::Poses,
-        then_masked_until: None,
-    };
     if is_of_somebody(&root)? {
         return Err(Failure::Usage(format!(
             "{root} holds a run with masks, a sphere, a light or shapes, which finding poses there would replace: say --run \
@@ -282,12 +279,12 @@ pub fn posed_here(args: &MaskArgs, request: &Request, console: &Console) -> anyh
         ))
         .into());
     }
-    let allowed = Allowed { overwrite: false };
     let request = Request {
-        cameras: args.cameras.clone(),
+        cameras: args.input.cameras.clone(),
         ..request.clone()
     };
-    bring_run_up_to_date(&request, &root, range, allowed, &args.work, console)?;
+    let range = Range::until(StageId::Poses);
+    bring_run_up_to_date(&request, &root, range, &args.work, console)?;
     Ok(RunDir::open_to_read(&root)?)
 }
 

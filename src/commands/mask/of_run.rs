@@ -10,7 +10,7 @@
 use super::by_poses::{PosedProposal, propose};
 use super::target::Target;
 use crate::cli::WorkArgs;
-use crate::commands::bring::{Allowed, bring_run_up_to_date};
+use crate::commands::bring::bring_run_up_to_date;
 use crate::exit::Failure;
 use crate::observe::Console;
 use crate::pipeline::{
@@ -51,37 +51,35 @@ struct Proposed {
     consistency: Option<f64>,
 }
 
-/// The request with the masks that the run proposed for itself, where the user has none (`wanted`) or says that these are
-/// right. Proposes them where they are missing and a stage after the poses is asked for, which takes the photos' poses. As it
-/// was where the photos have masks in themselves, or where the proposals are not sure: then why is told.
+/// The request whose masks are the run's own proposals where the user says so with `--masks
+/// RUN/masks`; else unchanged.
+pub fn with_accepted_masks(request: Request, root: &Path) -> anyhow::Result<Request> {
+    let root = &absolute(root)?;
+    let is_own = request.masks.as_ref() == Some(&root.join(FOLDER)) && is_used(root);
+    Ok(if is_own {
+        own(&request, root, MaskOrigin::Accepted)
+    } else {
+        request
+    })
+}
+
+/// The request with masks that the run proposes for itself, for a user who has none. They are
+/// proposed where a photo lacks one and a stage after the poses is asked for, from poses of the
+/// photos without masks. Unchanged, with a warning, where the proposals are not sure; unchanged
+/// where the photos carry masks themselves.
 ///
 /// # Errors
 /// When a photo cannot be read, there are no poses, or masks cannot be written.
-pub fn with_own_masks(
+pub fn with_proposed_masks(
     request: Request,
-    wanted: bool,
     root: &Path,
     range: Range,
-    (allowed, work): (Allowed, &WorkArgs),
+    work: &WorkArgs,
     console: &Console,
 ) -> anyhow::Result<Request> {
     let root = &absolute(root)?;
     let folder = root.join(FOLDER);
-    let own = |masks_from: MaskOrigin| Request {
-        masks: Some(folder.clone()),
-        masks_from,
-        ..request.clone()
-    };
     let record = record_of(root);
-    let is_used = |record: &Option<Record>| record.as_ref().is_some_and(|r| r.is_used(root));
-    if !wanted {
-        let accepted = request.masks.as_ref() == Some(&folder) && is_used(&record);
-        return Ok(if accepted {
-            own(MaskOrigin::Accepted)
-        } else {
-            request
-        });
-    }
     if record.is_none() && is_filled(&folder) {
         return Err(Failure::Usage(format!(
             "{folder} was not proposed by this run: say --masks {folder} to use it",
@@ -90,34 +88,47 @@ pub fn with_own_masks(
         .into());
     }
     let mut for_poses = request.clone();
-    if let Some(record) = record.as_ref().filter(|record| record.is_used(root)) {
-        for_poses = own(MaskOrigin::Proposed);
+    let mut is_complete = false;
+    if let Some(record) = record.filter(|record| record.is_used(root)) {
+        for_poses = own(&request, root, MaskOrigin::Proposed);
         let inputs = Inputs::scan(&for_poses)?;
         // Where all are there, the poses that they came from need not be made again.
-        if inputs.photos.iter().all(|photo| record.has(photo)) {
-            return Ok(for_poses);
-        }
+        is_complete = inputs.photos.iter().all(|photo| record.has(photo));
     }
-    if range.until <= StageId::Poses {
+    if is_complete || range.until <= StageId::Poses {
         return Ok(for_poses);
     }
     let poses = Range {
-        redo_from: None,
-        until: StageId::Poses,
+        overwrite: range.overwrite,
         then_masked_until: Some(range.until),
+        ..Range::until(StageId::Poses)
     };
-    bring_run_up_to_date(&for_poses, root, poses, allowed, work, console)?;
+    bring_run_up_to_date(&for_poses, root, poses, work, console)?;
     let outcome = if ranks::team().is_first() {
         propose_into(root, &for_poses, work, console)
     } else {
         Ok(())
     };
     ranks::agree(outcome)?;
-    Ok(if is_used(&record_of(root)) {
-        own(MaskOrigin::Proposed)
+    Ok(if is_used(root) {
+        own(&request, root, MaskOrigin::Proposed)
     } else {
         request
     })
+}
+
+/// A request with the run's own masks.
+fn own(request: &Request, root: &Path, masks_from: MaskOrigin) -> Request {
+    Request {
+        masks: Some(root.join(FOLDER)),
+        masks_from,
+        ..request.clone()
+    }
+}
+
+/// Whether the run has proposals that are used.
+fn is_used(root: &Path) -> bool {
+    record_of(root).is_some_and(|record| record.is_used(root))
 }
 
 /// Whether a folder is there and holds something.

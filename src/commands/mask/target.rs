@@ -30,9 +30,6 @@ impl Target {
     }
 
     /// Writes a photo's mask and its picture.
-    ///
-    /// # Errors
-    /// When they cannot be written.
     pub fn write(&self, name: &str, image: &LinearImage, mask: &Mask) -> Result<(), Failure> {
         // Made only now, so that nothing is left where no mask is found.
         for folder in [&self.masks, &self.overlays] {

@@ -7,9 +7,8 @@
 //! **Test.** Depth is smooth but for its edges, so that few neighbours in a column differ by more
 //! than a twentieth, or have a value where the other has none. Read in the wrong order, neighbours in a
 //! column are strangers. The order is taken to be wrong only on evidence that no depth map in the
-//! right order gives: many strangers read by rows, and several times fewer read by columns.
+//! right order has: many strangers read by rows, and several times fewer read by columns.
 
-use crate::cli::DepthOrder;
 use crate::exit::Failure;
 use crate::observe::Console;
 use rilievo_io::read_depth;
@@ -23,38 +22,26 @@ const MIN_STRANGERS: f64 = 0.05;
 /// How many times fewer there must be when it is read by columns.
 const MIN_RATIO: f64 = 4.0;
 
-/// Reads a depth map in the order asked for; without one, says so when it had to be found out.
-///
-/// # Errors
-/// When the file cannot be read.
-pub fn read(
-    path: &Path,
-    order: Option<DepthOrder>,
-    console: &Console,
-) -> Result<DepthMap, Failure> {
+/// Reads a depth map in the order that its values stand in, with a warning where that is column by
+/// column.
+pub fn read(path: &Path, console: &Console) -> Result<DepthMap, Failure> {
     let map = read_depth(path)?;
-    match order {
-        Some(DepthOrder::Rows) => Ok(map),
-        Some(DepthOrder::Columns) => Ok(by_columns(&map)),
-        None => {
-            let turned = by_columns(&map);
-            let (rows, columns) = (strangers(&map), strangers(&turned));
-            if rows < MIN_STRANGERS || rows < MIN_RATIO * columns {
-                return Ok(map);
-            }
-            console.warn(
-                StageId::Shading,
-                format!(
-                    "{}: its values stand column by column ({:.0} % of neighbours disagree read by \
-                     rows, {:.1} % by columns) and are read so; --depth-order rows|columns sets the order",
-                    path.display(),
-                    100.0 * rows,
-                    100.0 * columns
-                ),
-            );
-            Ok(turned)
-        }
+    let turned = by_columns(&map);
+    let (rows, columns) = (strangers(&map), strangers(&turned));
+    if rows < MIN_STRANGERS || rows < MIN_RATIO * columns {
+        return Ok(map);
     }
+    console.warn(
+        StageId::Shading,
+        format!(
+            "{}: its values stand column by column ({:.0} % of neighbours disagree read by rows, {:.1} % by \
+             columns) and are read so",
+            path.display(),
+            100.0 * rows,
+            100.0 * columns
+        ),
+    );
+    Ok(turned)
 }
 
 fn by_columns(map: &DepthMap) -> DepthMap {

@@ -44,7 +44,6 @@ pub fn mask_misfit(mask: &Mask, (width, height): (usize, usize)) -> Option<Strin
 /// The problem, and where each view's lighting came from.
 #[derive(Default)]
 pub struct Described {
-    /// The problem.
     pub problem: ShadingProblem,
     /// One entry per view.
     pub lighting: Vec<serde_json::Value>,
@@ -64,8 +63,8 @@ impl Described {
     ) -> anyhow::Result<()> {
         let (view, source) = shading_view(parts, prior_weight, options)?;
         console.note(&format!("  {}: lighting {source}", view.name));
-        let told = serde_json::json!({"view": view.name, "lighting": source});
-        self.lighting.push(told);
+        let used = serde_json::json!({"view": view.name, "lighting": source});
+        self.lighting.push(used);
         self.problem.views.push(view);
         Ok(())
     }

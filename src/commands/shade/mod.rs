@@ -29,7 +29,9 @@ use std::time::Instant;
 /// Unusable input, or a problem that the solver refuses.
 pub fn shade(args: &ShadeArgs) -> anyhow::Result<()> {
     let facts = serde_json::json!({"folder": args.output.display().to_string()});
-    reporting(args.work.json, facts, |console| run(args, console))
+    reporting(&Console::new(args.work.json), facts, |console| {
+        run(args, console)
+    })
 }
 
 fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
@@ -45,7 +47,7 @@ fn run(args: &ShadeArgs, console: &Console) -> anyhow::Result<()> {
         &args.output.join("report.json"),
         &serde_json::to_vec_pretty(&solved.report)?,
     )?;
-    solved.tell(console);
+    solved.report(console);
     console.note(&format!("results are in {}", args.output.display()));
     Ok(())
 }
@@ -59,8 +61,8 @@ pub struct Solved {
 }
 
 impl Solved {
-    /// Tells that the work is done, and how well it went.
-    pub fn tell(&self, console: &Console) {
+    /// Reports that the work is done, and how well it went.
+    pub fn report(&self, console: &Console) {
         console.stage(StageId::Shading, &StageNews::Finished(self.seconds));
         for view in &self.facts.views {
             console.note(&format!(
@@ -71,7 +73,7 @@ impl Solved {
     }
 }
 
-/// Solves a problem and gives its views to `keep`.
+/// Solves a problem and hands its views to `keep`.
 ///
 /// # Errors
 /// A problem that the solver refuses, or what `keep` fails with.
@@ -106,13 +108,13 @@ pub fn solve(
     })
 }
 
-/// The options of the stages that a command line gives.
+/// The options of the stages that a command line asks for.
 ///
 /// # Errors
 /// A config file that cannot be used, or a value out of its range.
 pub fn options(args: &ShadeArgs) -> Result<StageOptions, Failure> {
-    let mut options = StageOptions::read(args.config.as_deref())?;
-    take_over(&mut options.photos.encoding, args.encoding);
+    let mut options = StageOptions::read(args.config.config.as_deref())?;
+    take_over(&mut options.photos.encoding, args.encoding.encoding);
     let paper = &mut options.shading.paper;
     take_over(&mut paper.splitting, args.splitting);
     take_over(&mut paper.projection, args.projection);

@@ -125,13 +125,13 @@ fn read_view(view: &SceneView, args: &ShadeArgs, console: &Console) -> anyhow::R
             }
         })
         .transpose()?;
-    let depth = |path: &Path| depth_order::read(path, args.depth_order, console);
+    let depth = |path: &Path| depth_order::read(path, console);
     let prior_file = args.prior.as_deref().or(view.prior.as_deref());
     let prior = prior_file.map(depth).transpose()?;
     let init_file = args.init.as_deref().or(view.init.as_deref());
     let init_file = init_file.filter(|init| !is_word(init));
     let initial = match init_file.map(Path::new) {
-        // Read, and told of, once.
+        // Read, and warned of, once.
         same if same == prior_file => prior.clone(),
         other => other.map(depth).transpose()?,
     };

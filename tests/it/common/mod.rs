@@ -2,12 +2,12 @@
 #![allow(dead_code, reason = "every test binary uses its own part")]
 #![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
 
-use assert_cmd::Command;
 use rilievo_io::write_photo_jpeg;
 use rilievo_scene::LinearImage;
 use rilievo_synthetic::testing::Random;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 /// The program, without anything inherited that could change its output.
 pub fn rilievo() -> Command {
@@ -157,7 +157,7 @@ impl SmallDisk {
         let dir = tempfile::tempdir().ok()?;
         let path = dir.path().join("disk");
         std::fs::create_dir(&path).ok()?;
-        let mounted = std::process::Command::new("mount")
+        let mounted = Command::new("mount")
             .args(["-t", "tmpfs", "-o", &format!("size={size_kib}k"), "tmpfs"])
             .arg(&path)
             .output()
@@ -167,7 +167,7 @@ impl SmallDisk {
 
     /// Makes it larger.
     pub fn grow(&self, size_kib: u32) {
-        let status = std::process::Command::new("mount")
+        let status = Command::new("mount")
             .args(["-o", &format!("remount,size={size_kib}k")])
             .arg(&self.path)
             .status();
@@ -177,9 +177,7 @@ impl SmallDisk {
 
 impl Drop for SmallDisk {
     fn drop(&mut self) {
-        let _ = std::process::Command::new("umount")
-            .arg(&self.path)
-            .status();
+        let _ = Command::new("umount").arg(&self.path).status();
     }
 }
 

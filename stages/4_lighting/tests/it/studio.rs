@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-#[path = "../../examples/sphere_report/data.rs"]
+#[path = "../../../../benches/measure/data_set.rs"]
 #[allow(dead_code)]
-mod data;
+mod data_set;
 
-use data::Set;
+use data_set::Set;
 use rilievo_lighting::{LightingOptions, LightingRequest, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_photometry::surface_check::check;
@@ -17,7 +17,7 @@ use rilievo_synthetic::testing::{Random, shared_data};
 const SHRINK: f64 = 0.37;
 
 fn set(name: &str) -> Option<Set> {
-    Some(Set::load(&shared_data(name)?, false).unwrap())
+    Some(Set::load(&shared_data(name)?, false, &[]).unwrap())
 }
 
 fn find(radius: f64) -> SphereRequest {

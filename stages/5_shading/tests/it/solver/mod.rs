@@ -11,7 +11,6 @@ mod robustness;
 mod shared_scene;
 mod special_cases;
 mod surface;
-#[path = "../../../examples/table/mod.rs"]
 mod table;
 
 use rilievo_scene::Silent;

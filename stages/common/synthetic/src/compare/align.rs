@@ -15,10 +15,11 @@
 use crate::error::SyntheticError;
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 use rilievo_scene::RigidTransform;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// How the estimate may be moved before it is compared.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum AlignmentRequest {
     /// Not at all where the estimate already lives in the truth's frame (its cameras stand within 5
     /// % of the rig's extent and 5 degrees of the true ones), a similarity otherwise; the scale is

@@ -1,18 +1,18 @@
-//! Reads a photo set with truth: `photos` or `linear`, `masks`, `sphere_masks`, `truth`.
+//! A photo set with truth: `photos` or `linear`, `masks`, `sphere_masks`, `truth`.
 
 use nalgebra::Vector3;
 use rilievo_io::{decode_photo, read_cameras, read_depth, read_mask, read_normal};
 use rilievo_photometry::sphere::SphereInCamera;
 use rilievo_scene::{
-    Anchor, DepthMap, Intrinsics, Lighting, LinearImage, NormalMap, Photo, PhotoIdx, PhotoSet,
-    PosedViews, ShadedView, ShadedViews, SphereCalibration, SphereMark, ViewIdx,
+    DepthMap, Intrinsics, Lighting, LinearImage, NormalMap, Photo, PhotoIdx, PhotoSet, PosedViews,
+    ShadedView, ShadedViews, SphereCalibration, SphereMark, ViewIdx,
 };
-use rilievo_synthetic::testing::{PosedPhotos, Random, anchors_on_grid, linear_of, photo};
+use rilievo_synthetic::testing::{PosedPhotos, linear_of, photo};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+type Result<T> = std::result::Result<T, Box<dyn std::error::Error + Send + Sync>>;
 
 /// A photo set with its truth.
 pub struct Set {
@@ -42,16 +42,20 @@ fn linear(path: &Path) -> Result<LinearImage> {
 }
 
 impl Set {
-    /// Loads it.
-    pub fn load(folder: &Path, is_linear: bool) -> Result<Self> {
+    /// Loads it; of all views without `names`.
+    pub fn load(folder: &Path, is_linear: bool, names: &[String]) -> Result<Self> {
         let truth = read_cameras(&folder.join("truth/cameras.json"))?;
         // Of some sets nobody knows one: its centre is then no number.
         let sphere = truth.extra.get("sphere").unwrap_or(&Value::Null);
         let gains = truth.extra.get("exposure_gains").and_then(Value::as_array);
         let (mut taken, mut marks) = (PosedPhotos::default(), Vec::new());
-        for (idx, camera) in truth.cameras.iter().enumerate() {
+        for camera in &truth.cameras {
             let file_name = camera.image.as_deref().ok_or("image")?;
             let name = file_name.split('.').next().unwrap_or_default();
+            if !names.is_empty() && names.iter().all(|asked| asked != name) {
+                continue;
+            }
+            let idx = taken.photos.photos.len();
             let path = if is_linear {
                 folder.join(format!("linear/{name}.png"))
             } else {
@@ -94,6 +98,12 @@ impl Set {
         Ok(set)
     }
 
+    /// Sets the value from which on all photos are clipped.
+    pub fn clip(&mut self, level: f32) {
+        let photos = self.photos.photos.iter_mut();
+        photos.for_each(|photo| photo.clip_level = level);
+    }
+
     /// Intersection over union of the sphere's pixels with `sphere_masks`.
     pub fn overlap(
         &self,
@@ -120,7 +130,8 @@ impl Set {
         self.gains.get(view).map(|g| (g.ln() - mean).exp())
     }
 
-    fn true_depth(&self, name: &str) -> Result<DepthMap> {
+    /// True depth of a view, by its name.
+    pub fn true_depth(&self, name: &str) -> Result<DepthMap> {
         let path = self.folder.join(format!("truth/{name}_depth.exr"));
         Ok(read_depth(&path)?)
     }
@@ -130,24 +141,6 @@ impl Set {
         let name = &self.posed.views[view].name;
         let path = self.folder.join(format!("truth/{name}_normal.exr"));
         Ok(read_normal(&path)?)
-    }
-
-    /// Anchors on a grid of pixels, seen by every view that they are visible in, at the true depth
-    /// times `1 + noise` (relative standard deviation).
-    pub fn true_anchors(&self, step: usize, noise: f64) -> Result<Vec<Anchor>> {
-        let views = self.posed.views.iter();
-        let depths = views.map(|view| self.true_depth(&view.name));
-        let depths = depths.collect::<Result<Vec<_>>>()?;
-        let mut random = Random(17);
-        let tolerance = 0.003 + 3.0 * noise;
-        let factor = || 1.0 + noise * random.normal();
-        Ok(anchors_on_grid(
-            &self.posed,
-            &depths,
-            step,
-            tolerance,
-            factor,
-        ))
     }
 
     /// The true shape, as if stage 5 had found it.

@@ -1,9 +1,7 @@
-//! θ-step and z-step against the machine's copy bandwidth, measured in the same run.
-//!
-//! Printed beside criterion's figures: nanoseconds per pixel of a whole solve's θ- and z-steps, and
-//! the z-step's time over that of reading and writing its fields once per sweep at copy bandwidth.
+//! Nanoseconds per pixel of a whole solve's θ- and z-steps, and the z-step's time over that of
+//! reading and writing its fields once per sweep at copy bandwidth.
 
-use criterion::{Criterion, criterion_group, criterion_main};
+use crate::Failure;
 use rilievo_numerics::corner_grid::CornerGrid;
 use rilievo_numerics::corner_poisson::CornerPoisson;
 use rilievo_scene::{DepthMap, Intrinsics, Lighting, Mask, Silent, SphericalHarmonics};
@@ -25,14 +23,13 @@ fn problem() -> ShadingProblem {
         let n = nalgebra::Vector3::new(p, q, -1.0).normalize();
         Some(rows.map(|row| row.evaluate(&n)))
     });
+    let channels = rows.to_vec();
     let mut view = ShadingView::new(
         "bench",
         Arc::new(image),
         Mask::filled(SIZE, SIZE, true),
         camera,
-        ViewLight::Uniform(Lighting {
-            channels: rows.to_vec(),
-        }),
+        ViewLight::Uniform(Lighting { channels }),
     );
     view.initial_depth = Some(DepthMap::filled(SIZE, SIZE, 1.0));
     ShadingProblem {
@@ -41,46 +38,50 @@ fn problem() -> ShadingProblem {
     }
 }
 
+/// Shortest of some runs, seconds.
+fn shortest(num_runs: usize, mut run: impl FnMut()) -> f64 {
+    let one = |_| {
+        let begun = Instant::now();
+        run();
+        begun.elapsed().as_secs_f64()
+    };
+    (0..num_runs).map(one).fold(f64::INFINITY, f64::min)
+}
+
 /// Bytes per second of a copy of 256 MiB, read and write counted.
 fn copy_bandwidth() -> f64 {
     let source = vec![1.0_f32; 1 << 26];
     let mut target = vec![0.0_f32; 1 << 26];
-    (0..3)
-        .map(|_| {
-            let begun = Instant::now();
-            target.copy_from_slice(black_box(&source));
-            black_box(&mut target);
-            8.0 * source.len() as f64 / begun.elapsed().as_secs_f64()
-        })
-        .fold(0.0, f64::max)
+    let seconds = shortest(3, || {
+        target.copy_from_slice(black_box(&source));
+        black_box(&mut target);
+    });
+    8.0 * source.len() as f64 / seconds
 }
 
-fn steps(c: &mut Criterion) {
-    let problem = problem();
-    let options = PaperOptions::default();
-    if let Ok(solution) = solve(&problem, &options, &Silent) {
-        let facts = &solution.report.views[0];
-        // Pixel-iterations over all levels.
-        let work: f64 = facts
-            .iterations
-            .iter()
-            .map(|i| (SIZE * SIZE) as f64 / 4.0_f64.powi(i.level as i32))
-            .sum();
-        let bandwidth = copy_bandwidth();
-        println!(
-            "theta-step {:.1} ns, z-step {:.1} ns per pixel and iteration; copy {:.1} GB/s",
-            1e9 * facts.seconds.theta / work,
-            1e9 * facts.seconds.z / work,
-            bandwidth / 1e9
-        );
-    }
-    c.bench_function("solve_160k_colour", |b| {
-        b.iter(|| solve(&problem, &options, &Silent).map(|s| s.views.len()));
+pub fn measure() -> Result<(), Failure> {
+    let (problem, options) = (problem(), PaperOptions::default());
+    let bandwidth = copy_bandwidth();
+    let solution = solve(&problem, &options, &Silent)?;
+    let facts = &solution.report.views[0];
+    // Pixel-iterations over all levels.
+    let sizes = facts
+        .iterations
+        .iter()
+        .map(|i| 0.25_f64.powi(i.level as i32));
+    let work = (SIZE * SIZE) as f64 * sizes.sum::<f64>();
+    println!(
+        "theta-step {:.1} ns, z-step {:.1} ns per pixel and iteration; copy {:.1} GB/s",
+        1e9 * facts.seconds.theta / work,
+        1e9 * facts.seconds.z / work,
+        bandwidth / 1e9
+    );
+    let solving = shortest(10, || {
+        black_box(solve(&problem, &options, &Silent).is_ok());
     });
+    println!("160 000 pixels in colour: {solving:.3} s");
 
-    let Some(grid) = CornerGrid::new(&Mask::filled(2000, 1000, true)) else {
-        return;
-    };
+    let grid = CornerGrid::new(&Mask::filled(2000, 1000, true)).ok_or("no grid")?;
     let mut system = CornerPoisson::new(&grid, &vec![1.0; grid.num_cells], 0.01);
     let rhs: Vec<f32> = (0..grid.padded_len())
         .map(|i| ((i * 7919) % 13) as f32 - 6.0)
@@ -96,19 +97,7 @@ fn steps(c: &mut Criterion) {
     println!(
         "z-step on 2 M pixels: {:.1} ms a step, {:.2} times the bandwidth bound of its sweeps",
         1e3 * seconds,
-        seconds * copy_bandwidth() / bytes
+        seconds * bandwidth / bytes
     );
-    c.bench_function("z_step_2m", |b| {
-        b.iter(|| {
-            x.fill(0.0);
-            system.solve(&rhs, &mut x, 1e-12, 1)
-        });
-    });
+    Ok(())
 }
-
-criterion_group! {
-    name = benches;
-    config = Criterion::default().sample_size(10);
-    targets = steps
-}
-criterion_main!(benches);

@@ -1,8 +1,7 @@
-//! Time and memory of large colour views: `large [MEGAPIXELS] [--views N]`.
-//!
-//! One view starts from 400 anchors; several stand side by side before the same relief and are tied
-//! by 300 matches between neighbours.
+//! Large colour views: one starts from 400 anchors; several stand side by side before the same
+//! relief and are tied by 300 matches between neighbours.
 
+use crate::{Failure, system};
 use nalgebra::{Point3, Rotation3, Vector3};
 use rilievo_scene::{Intrinsics, Lighting, Mask, RigidTransform, Silent, SphericalHarmonics};
 use rilievo_shading::paper::{
@@ -11,7 +10,13 @@ use rilievo_shading::paper::{
 use rilievo_synthetic::testing::{PAPER_LIGHT, painted};
 use std::sync::Arc;
 
-type Failure = Box<dyn std::error::Error>;
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[arg(default_value_t = 12.0)]
+    megapixels: f64,
+    #[arg(long, default_value_t = 1)]
+    views: usize,
+}
 
 /// Waves per frame height.
 const WAVES: f64 = 12.0;
@@ -127,16 +132,9 @@ impl Relief {
     }
 }
 
-fn main() -> Result<(), Failure> {
-    let (mut megapixels, mut num_views) = (None, 1);
-    let mut args = std::env::args().skip(1);
-    while let Some(arg) = args.next() {
-        match arg.as_str() {
-            "--views" => num_views = args.next().ok_or("--views needs a number")?.parse()?,
-            _ => megapixels = Some(arg.parse::<f64>()?),
-        }
-    }
-    let relief = Relief::new(megapixels.unwrap_or(12.0));
+pub fn measure(arguments: &Arguments) -> Result<(), Failure> {
+    let relief = Relief::new(arguments.megapixels);
+    let num_views = arguments.views;
     let mut problem = ShadingProblem {
         views: (0..num_views).map(|index| relief.view(index)).collect(),
         matches: (1..num_views)
@@ -159,32 +157,28 @@ fn main() -> Result<(), Failure> {
             for x in (0..relief.width).step_by(7) {
                 let (depth, truth) = relief.seen(index, x as f64, y as f64);
                 if let Some(n) = view.normal.normal(x, y) {
-                    angles += n.dot(&truth).clamp(-1.0, 1.0).acos().to_degrees();
+                    angles += n.angle(&truth).to_degrees();
                     away += (f64::from(*view.depth.at(x, y)) / depth - 1.0).abs();
                     count += 1;
                 }
             }
         }
-        let count = f64::from(count.max(1));
-        total += facts.seconds.total;
+        let (seconds, count) = (&facts.seconds, f64::from(count.max(1)));
+        total += seconds.total;
         println!(
             "{} {}x{}: {:.1} s (start {:.1}, theta {:.1}, z {:.1}), mean angle {:.3} deg, depth {:.4} %",
             view.name,
             relief.width,
             relief.height,
-            facts.seconds.total,
-            facts.seconds.start,
-            facts.seconds.theta,
-            facts.seconds.z,
+            seconds.total,
+            seconds.start,
+            seconds.theta,
+            seconds.z,
             angles / count,
             100.0 * away / count,
         );
     }
-    let memory = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = memory
-        .lines()
-        .find(|line| line.starts_with("VmHWM"))
-        .unwrap_or("peak memory unknown");
-    println!("{num_views} view(s): {total:.1} s, {peak}");
+    let peak = system::peak_memory().map_or(f64::NAN, |bytes| bytes as f64 / 1e6);
+    println!("{num_views} view(s): {total:.1} s, peak {peak:.0} MB");
     Ok(())
 }

@@ -1,110 +1,77 @@
-//! The paper's table: `paper_table [--data DIR] [--methods] [--pictures DIR] [CASE...]`, on a head that
-//! it makes itself or on a folder laid out as `shading_table`.
+//! The paper's table, on a head that is made here or on a folder laid out as `shading_table`.
 //!
 //! A case is `L3-rough`, `L3-flat`, `L3-two`, `L3-two-noise`, `L3-two-false`, … or `L3-true`, which
 //! starts from the truth: where that leaves a larger difference of the images than another start, the
 //! image does not tell the two shapes apart.
 //!
 //! Prints mean and median angle of the normals over the whole mask, median relative depth error
-//! without and with one free scale, RMS of the re-rendered image, and CPU seconds; `--methods` adds the
-//! paper's splitting and the fixed point, `--pictures` writes image, normals, depth and error of each, and
-//! the energy of the methods against the iterations (`CASE_methods.svg`).
+//! without and with one free scale, RMS of the re-rendered image, and CPU seconds.
 
-mod paper;
-mod table;
-
-use paper::Source;
+use crate::growth::{mean, quantile};
+use crate::head::Source;
+use crate::{Failure, system, table};
 use rilievo_io::Preview;
 use rilievo_scene::{Raster, Silent};
 use rilievo_shading::paper::{
     PaperOptions, ShadingProblem, ShadingSolution, SolvedView, Splitting, ViewMatches, solve,
 };
+use rilievo_synthetic::testing::Random;
 use std::path::{Path, PathBuf};
-use table::Failure;
 
-/// Seconds of processor time of this process.
-fn cpu_seconds() -> f64 {
-    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let fields: Vec<&str> = stat.rsplit(')').next().unwrap_or("").split(' ').collect();
-    let ticks = |k: usize| {
-        fields
-            .get(k)
-            .and_then(|v| v.parse::<f64>().ok())
-            .unwrap_or(0.0)
-    };
-    (ticks(12) + ticks(13)) / 100.0
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Cases; without any the table
+    cases: Vec<String>,
+    /// A folder laid out as `shading_table`
+    #[arg(long)]
+    data: Option<PathBuf>,
+    /// Adds the paper's splitting and the fixed point
+    #[arg(long)]
+    methods: bool,
+    /// Writes image, normals, depth and error of each case, and the energy of the methods against
+    /// the iterations (`CASE_methods.svg`)
+    #[arg(long)]
+    pictures: Option<PathBuf>,
 }
 
-fn quantile(values: &mut [f64], share: f64) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values
-        .get(((values.len() as f64 - 1.0) * share) as usize)
-        .copied()
-        .unwrap_or(f64::NAN)
-}
-
-/// Angle in degrees between a view's normals and the true ones, −1 outside the truth's mask.
-fn angles(source: &Source, solved: &SolvedView) -> Result<Raster<f32>, Failure> {
-    let (normals, _) = source.truth(&solved.name)?;
-    Ok(Raster::from_fn(normals.width, normals.height, |x, y| {
-        normals.normal(x, y).map_or(-1.0, |truth| {
-            solved.normal.normal(x, y).map_or(90.0, |n| {
-                let cosine = n.normalize().dot(&truth.normalize());
-                cosine.clamp(-1.0, 1.0).acos().to_degrees() as f32
-            })
-        })
-    }))
-}
-
-/// Mean and median angle in degrees, and median relative depth error in per cent.
+/// Mean and median angle in degrees, and median relative depth error in per cent, as it is and
+/// after one scale.
 fn errors(source: &Source, solved: &SolvedView) -> Result<[f64; 4], Failure> {
-    let (_, depths) = source.truth(&solved.name)?;
-    let map = angles(source, solved)?;
-    let (mut angles, mut ratios) = (Vec::new(), Vec::new());
-    for ((&angle, &truth), &depth) in map.data.iter().zip(&depths.data).zip(&solved.depth.data) {
-        if angle >= 0.0 {
-            angles.push(f64::from(angle));
-            ratios.push(f64::from(depth / truth));
-        }
-    }
-    let mean = angles.iter().sum::<f64>() / angles.len() as f64;
+    let (normals, depths) = source.truth(&solved.name)?;
+    let found = table::angles(&normals, solved);
+    let ratio =
+        |&(x, y, _): &(usize, usize, f64)| f64::from(solved.depth.at(x, y) / depths.at(x, y));
+    let mut ratios: Vec<f64> = found.iter().map(ratio).collect();
+    let mut angles: Vec<f64> = found.iter().map(|found| found.2).collect();
     let scale = quantile(&mut ratios, 0.5);
-    let mut raw: Vec<f64> = ratios.iter().map(|r| (r - 1.0).abs() * 100.0).collect();
-    let mut scaled: Vec<f64> = ratios
-        .iter()
-        .map(|r| (r / scale - 1.0).abs() * 100.0)
-        .collect();
+    let off = |scale: f64| {
+        let mut off: Vec<f64> = ratios
+            .iter()
+            .map(|r| 100.0 * (r / scale - 1.0).abs())
+            .collect();
+        quantile(&mut off, 0.5)
+    };
     Ok([
-        mean,
+        mean(&angles),
         quantile(&mut angles, 0.5),
-        quantile(&mut raw, 0.5),
-        quantile(&mut scaled, 0.5),
+        off(1.0),
+        off(scale),
     ])
 }
 
 /// `-noise`: half a pixel of noise on every coordinate; `-false`: that, and every twentieth match
 /// replaced by a false one.
 fn disturbed(mut pixels: Vec<[f64; 4]>, kind: &str) -> Vec<[f64; 4]> {
-    let mut state = 12345_u64;
-    let mut uniform = || {
-        state = state
-            .wrapping_mul(6364136223846793005)
-            .wrapping_add(1442695040888963407);
-        (state >> 11) as f64 / (1_u64 << 53) as f64
-    };
+    let mut random = Random(12345);
     if kind == "-noise" || kind == "-false" {
         for value in pixels.iter_mut().flatten() {
-            let normal = (-2.0 * uniform().max(1e-12).ln()).sqrt()
-                * (std::f64::consts::TAU * uniform()).cos();
-            *value += 0.5 * normal;
+            *value += 0.5 * random.normal();
         }
     }
     if kind == "-false" {
-        let num = pixels.len();
-        for k in (7..num).step_by(20) {
-            let other = pixels[((uniform() * num as f64) as usize).min(num - 1)];
-            pixels[k][2] = other[2];
-            pixels[k][3] = other[3];
+        for k in (7..pixels.len()).step_by(20) {
+            let other = pixels[random.below(pixels.len())];
+            pixels[k][2..].copy_from_slice(&other[2..]);
         }
     }
     pixels
@@ -172,8 +139,13 @@ fn write_pictures(
         rilievo_io::write_preview_png(&path("image"), Preview::Linear(&view.rendered), 0)?;
         rilievo_io::write_preview_png(&path("normal"), Preview::Normal(&view.normal), 0)?;
         rilievo_io::write_preview_png(&path("depth"), Preview::Depth(&view.depth), 0)?;
+        let (normals, _) = source.truth(&view.name)?;
+        let mut map = Raster::filled(normals.width, normals.height, -1.0);
+        for (x, y, angle) in table::angles(&normals, view) {
+            *map.at_mut(x, y) = angle as f32;
+        }
         let error = Preview::Error {
-            map: &angles(source, view)?,
+            map: &map,
             max: WHITE_DEG,
         };
         rilievo_io::write_preview_png(&path("error"), error, 0)?;
@@ -221,36 +193,20 @@ fn figure(title: &str, curves: &[Curve]) -> String {
     svg + "</svg>"
 }
 
-fn main() -> Result<(), Failure> {
-    let (mut source, mut pictures) = (None, None);
-    let mut methods = vec![Splitting::Full];
-    let mut cases: Vec<String> = Vec::new();
-    let mut args = std::env::args().skip(1);
-    while let Some(arg) = args.next() {
-        match arg.as_str() {
-            "--data" => {
-                let folder = args.next().ok_or("--data needs a folder")?;
-                source = Some(Source::Folder(PathBuf::from(folder)));
-            }
-            "--pictures" => {
-                pictures = Some(PathBuf::from(
-                    args.next().ok_or("--pictures needs a folder")?,
-                ));
-            }
-            "--methods" => methods = vec![Splitting::Full, Splitting::Paper, Splitting::FixedPoint],
-            option if option.starts_with('-') => return Err(format!("unknown {option}").into()),
-            _ => cases.push(arg),
-        }
-    }
-    let source = match source {
-        Some(source) => source,
-        None => Source::made(),
+pub fn measure(arguments: &Arguments) -> Result<(), Failure> {
+    let source = arguments
+        .data
+        .clone()
+        .map_or_else(Source::made, Source::Folder);
+    let methods: &[Splitting] = match arguments.methods {
+        true => &[Splitting::Full, Splitting::Paper, Splitting::FixedPoint],
+        false => &[Splitting::Full],
     };
+    let mut cases = arguments.cases.clone();
     if cases.is_empty() {
-        cases = ["rough", "flat", "true", "two"]
-            .iter()
-            .flat_map(|start| ["L3", "L1", "L2"].map(|light| format!("{light}-{start}")))
-            .collect();
+        let starts = ["rough", "flat", "true", "two"];
+        let of_start = |start| ["L3", "L1", "L2"].map(|light| format!("{light}-{start}"));
+        cases = starts.into_iter().flat_map(of_start).collect();
     }
     println!(
         "case           view   method     MAE deg  median  depth %  scaled %  RMS image  CPU s   paper  its code"
@@ -258,14 +214,14 @@ fn main() -> Result<(), Failure> {
     for case in cases {
         let problem = case_problem(&source, &case)?;
         let mut curves: Vec<Curve> = Vec::new();
-        for &splitting in &methods {
+        for &splitting in methods {
             let options = PaperOptions {
                 splitting,
                 ..PaperOptions::default()
             };
-            let begun = cpu_seconds();
+            let begun = system::cpu_seconds();
             let solution = solve(&problem, &options, &Silent)?;
-            let cpu = cpu_seconds() - begun;
+            let cpu = system::cpu_seconds() - begun;
             for (solved, facts) in solution.views.iter().zip(&solution.report.views) {
                 let [mean, median, depth, scaled] = errors(&source, solved)?;
                 println!(
@@ -277,17 +233,15 @@ fn main() -> Result<(), Failure> {
                     known(&AUTHORS_CODE, &case),
                 );
             }
-            if let Some(facts) = solution.report.views.first() {
-                let energies = facts.iterations.iter().map(|i| i.energy);
-                let per_pixel = energies.map(|e| e / facts.num_pixels as f64);
-                curves.push((format!("{splitting:?}"), per_pixel.collect()));
-            }
-            if let Some(folder) = &pictures {
-                let name = format!("{case}_{splitting:?}");
-                write_pictures(folder, &name, &source, &solution)?;
+            let facts = &solution.report.views[0];
+            let energies = facts.iterations.iter().map(|i| i.energy);
+            let per_pixel = energies.map(|e| e / facts.num_pixels as f64);
+            curves.push((format!("{splitting:?}"), per_pixel.collect()));
+            if let Some(folder) = &arguments.pictures {
+                write_pictures(folder, &format!("{case}_{splitting:?}"), &source, &solution)?;
             }
         }
-        if let (Some(folder), true) = (&pictures, curves.len() > 1) {
+        if let (Some(folder), true) = (&arguments.pictures, curves.len() > 1) {
             std::fs::write(
                 folder.join(format!("{case}_methods.svg")),
                 figure(&case, &curves),
