@@ -1,8 +1,6 @@
 //! Cameras of other programs, in and out, as scripts call it: what is in the way, what is missing, what
 //! comes back.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{arg, done, noise_photos, reconstruct_arguments, run, synthetic_set};

@@ -1,7 +1,5 @@
 //! What is made from the definition of the command line, and where it is installed.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{arg, done, run};

@@ -1,7 +1,5 @@
 //! Published data sets become folders of photos, masks and truth.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{arg, done, run};

@@ -1,8 +1,6 @@
 //! `rilievo fuse` on the true maps of a synthetic set, as several programs would write them, and on
 //! maps that cannot be fused.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{arg, done, json_of, run, synthetic_set};

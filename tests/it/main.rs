@@ -1,5 +1,12 @@
 //! Tests of the program as its users call it, and of the workspace's layering.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "helpers of tests fail as tests do"
+)]
+
 mod bad_input;
 mod browser;
 mod camera_files;

@@ -1,8 +1,6 @@
 //! Folders as photographers have them: turned photos, odd names, folders that cannot be written,
 //! masks under any of their usual names, and masks that the program proposes.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{

@@ -1,7 +1,5 @@
 //! One scene in every format of photos: the same light, and the same shape read from it.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{arg, done, json_of, noise_photos, reconstructed_until, run};

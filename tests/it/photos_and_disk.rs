@@ -1,8 +1,6 @@
 //! One photo in every format, exposures that EXIF tells, photos that change under the program, and
 //! disks that are too small.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{

@@ -1,8 +1,6 @@
 //! What stages 3 and 4 leave in the run directory for people and other programs, with a sphere,
 //! without one, and with a distance that was measured.
 
-#![allow(clippy::unwrap_used)]
-
 use crate::common;
 
 use common::{arg, done, json_of, reconstruct_arguments, run, synthetic_set};

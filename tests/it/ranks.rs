@@ -1,7 +1,5 @@
 //! Several processes on one run.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 /// As the launcher of OpenMPI starts the first of three.

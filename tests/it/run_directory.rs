@@ -1,7 +1,5 @@
 //! What is redone, what is kept, and what is told: cache behaviour of the run directory.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{

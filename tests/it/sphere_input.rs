@@ -1,7 +1,5 @@
 //! What is wrong with a reference sphere is told with file, reason and remedy, and what is right goes on.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use crate::common;
 
 use common::{

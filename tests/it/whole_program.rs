@@ -1,8 +1,6 @@
 //! The whole program on a small synthetic set: accuracy, same bytes from any number of threads and
 //! after any number of kills.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use crate::browser;
 use crate::common;
 

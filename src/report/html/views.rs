@@ -307,11 +307,11 @@ fn relative_difference(
 }
 
 /// The entry of a view among those of a stage.
-fn of_view<'a, R, T>(
-    stage: Option<&'a Stage<R>>,
+fn of_view<R, T>(
+    stage: Option<&Stage<R>>,
     entries: fn(&R) -> &[T],
     is_it: impl Fn(&T) -> bool,
-) -> Option<&'a T> {
+) -> Option<&T> {
     entries(&stage?.report).iter().find(|entry| is_it(entry))
 }
 

@@ -114,9 +114,7 @@ fn num_useful_samples(num_matches: usize) -> usize {
     let share = (MIN_NUM_INLIERS as f64 / num_matches.max(1) as f64).min(1.0);
     let all_clean = share.powi(5);
     let needed = (1.0 - RANSAC_CONFIDENCE).ln() / (-all_clean).ln_1p();
-    (needed.ceil() as usize)
-        .max(MIN_NUM_SAMPLES)
-        .min(MAX_NUM_RANSAC_SAMPLES)
+    (needed.ceil() as usize).clamp(MIN_NUM_SAMPLES, MAX_NUM_RANSAC_SAMPLES)
 }
 
 fn ransac_essential(

@@ -48,7 +48,7 @@ impl Pixel {
             *bytes = value.to_le_bytes();
         }
         out[20..23].copy_from_slice(&self.color);
-        out[23] = IS_KEPT | u8::from(self.makes_points) * MAKES_POINTS;
+        out[23] = IS_KEPT | (u8::from(self.makes_points) * MAKES_POINTS);
         let (albedo, ray) = extras(out.len());
         if let Some(at) = albedo {
             out[at..at + 3].copy_from_slice(&self.albedo);

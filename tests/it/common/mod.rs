@@ -1,7 +1,5 @@
 //! What the tests of the whole program share: running it, and small photo folders.
 #![allow(dead_code, reason = "every test binary uses its own part")]
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 use rilievo_io::write_photo_jpeg;
 use rilievo_scene::LinearImage;
 use rilievo_synthetic::testing::Random;

@@ -2,8 +2,6 @@
 //! anything that knows files; the Python package imports the program alone; and no files of a crate import each other
 //! in a circle.
 
-#![allow(clippy::expect_used, reason = "helpers of tests fail as tests do")]
-
 mod circles;
 mod sources;
 

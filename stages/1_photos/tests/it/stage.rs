@@ -1,8 +1,6 @@
 //! Stage 1 as a whole, on made photos and, where they are at hand, on real ones.
 
 // Helpers of the tests may fail as the tests do.
-#![allow(clippy::unwrap_used)]
-
 use rilievo_photos::{
     GivenCamera, GivenMask, PhotosError, PhotosOptions, PhotosReport, PreparedPhoto, assemble,
     prepare,

@@ -1,7 +1,5 @@
 //! Matches that were damaged between the stages: an error that says so, or a result, never a panic.
 
-#![allow(clippy::unwrap_used)]
-
 use crate::common;
 
 use common::{WorldOptions, options, world};

@@ -1,7 +1,5 @@
 //! Input that deceives: copies, repeated texture, wrong intrinsics; and what fixes scale and vertical.
 
-#![allow(clippy::unwrap_used)]
-
 use crate::common;
 
 use common::{World, WorldOptions, arc, camera, from_truth, options, pose_errors, world};

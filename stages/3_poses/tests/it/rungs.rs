@@ -1,7 +1,5 @@
 //! Poses from synthetic correspondences, in rungs of difficulty.
 
-#![allow(clippy::unwrap_used)]
-
 use crate::common;
 
 use common::{

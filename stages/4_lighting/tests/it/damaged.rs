@@ -1,8 +1,6 @@
 //! Poses and light that were damaged between the stages: an error that says so, or a result, never a
 //! panic.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
 use rilievo_lighting::{LightingError, LightingOptions, LightingRequest, overlays, run};
 use rilievo_photometry::surface_check::check;
 use rilievo_scene::{Silent, SphereRequest, StageId};

@@ -1,8 +1,6 @@
 //! Rungs: spheres rendered under a known light, at several angles off the axis and sizes, with
 //! noise, cut by the frame, in shadow, clipped; the light must be recovered.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use nalgebra::{Point2, Point3, Rotation3, Vector3};
 use rilievo_lighting::{LightingError, LightingOptions, LightingRequest, run};
 use rilievo_photometry::harmonics::{dominant_direction, rotate};

@@ -1,8 +1,6 @@
 //! Rungs of two matte spheres in one scene: exact, noise, one in a shadow, another paint, a wrong
 //! radius.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use nalgebra::{Point2, Point3, Vector3};
 use rilievo_lighting::{LightingOptions, LightingReport, LightingRequest, overlays, run};
 use rilievo_photometry::sphere::{

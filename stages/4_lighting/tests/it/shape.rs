@@ -1,8 +1,6 @@
 //! Light from a known shape and from the object's own anchors; the correction of a sphere's light
 //! that is wrong for the object; the check on the surface.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use nalgebra::{Point2, Point3, Vector3};
 use rilievo_lighting::{
     LightingError, LightingOptions, LightingRequest, ObjectLight, fit_on_shape, run,

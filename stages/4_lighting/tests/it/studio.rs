@@ -1,7 +1,5 @@
 //! Sphere, scale, gains and light on the shared photo sets, where they are present.
 
-#![allow(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 #[path = "../../../../benches/measure/data_set.rs"]
 #[allow(dead_code)]
 mod data_set;

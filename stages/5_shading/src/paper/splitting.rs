@@ -256,12 +256,12 @@ impl<'a> State<'a> {
     /// z-step: `u = (∇y + u) − ∇y`, and `∇y = θ − u` is wanted.
     fn z_step(&mut self, beta: f32, y: &mut [f32]) {
         let (grid, aspect) = (&self.level.grid, self.setting.aspect);
-        for axis in 0..2 {
+        for (axis, aspect) in aspect.into_iter().enumerate() {
             let (theta, gradient) = (&self.theta[axis], &self.gradient[axis]);
             let (target, wanted) = (&mut self.target[axis], &mut self.wanted[axis]);
             for k in 0..wanted.len() {
                 target[k] -= gradient[k];
-                wanted[k] = (theta[k] - target[k]) / aspect[axis] * self.stiffness[k];
+                wanted[k] = (theta[k] - target[k]) / aspect * self.stiffness[k];
             }
         }
         self.rhs.fill(0.0);

@@ -260,28 +260,3 @@ fn rays_leave_less_than_nine_harmonics() {
         );
     }
 }
-
-#[test]
-#[ignore = "a measurement"]
-fn light_at_the_truth() {
-    let right = ["IMG_0003", "IMG_0004", "IMG_0005", "IMG_0006"];
-    let first = ["IMG_0001", "IMG_0002", "IMG_0003", "IMG_0004"];
-    for (set, names) in [
-        ("studio_stone", &right),
-        ("studio_smooth", &right),
-        ("studio_stained", &first),
-    ] {
-        let Some(folder) = rilievo_synthetic::testing::shared_data(set) else {
-            continue;
-        };
-        let truth = load(&folder, names);
-        for num_rays in [128, 256] {
-            let began = std::time::Instant::now();
-            let [nine, rays] = residuals(&truth, num_rays);
-            println!(
-                "{set} {num_rays} rays: nine {nine:.4?}, rays {rays:.4?}, {:?}",
-                began.elapsed()
-            );
-        }
-    }
-}

@@ -1,8 +1,6 @@
 //! Poses, anchors and light that were damaged between the stages: an error that says so, or a result,
 //! never a panic.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
 use rilievo_scene::{Silent, StageId};
 use rilievo_shading::photo::Effort;
 use rilievo_shading::{ShadingError, ShadingModel, ShadingOptions, Surroundings, run};

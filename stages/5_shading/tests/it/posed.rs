@@ -1,7 +1,5 @@
 //! Stage 5 on posed views: what the previous stages hand over becomes depth and normals.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 use nalgebra::{Point2, UnitQuaternion, Vector3};
 use rilievo_scene::{
     Anchor, AnchorObservation, AnchorOrigin, Intrinsics, LightKind, LightSource, Lighting,

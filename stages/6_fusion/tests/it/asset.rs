@@ -1,8 +1,6 @@
 //! The asset of a sphere with waves that its normals alone tell, drawn again as a renderer does.
 
 // Helpers outside the test functions may fail as these may.
-#![allow(clippy::expect_used)]
-
 use nalgebra::{Point2, Point3, Vector3};
 use rilievo_fusion::{AssetReport, FusionOptions, Inputs, MeshFormat, run};
 use rilievo_scene::{

@@ -1,8 +1,6 @@
 //! Poses and maps that were damaged between the stages: an error that says so, or a result, never a
 //! panic.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
-
 use rilievo_fusion::{FusionError, FusionOptions, Inputs, run};
 use rilievo_scene::{MemoryScratch, PointCloud, PosedViews, ShadedViews, Silent, StageId};
 use rilievo_synthetic::testing::{Random, SphereWorld, mutated, sphere_world};

@@ -1,5 +1,12 @@
 //! Tests of the stage as a whole.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "helpers of tests fail as tests do"
+)]
+
 mod asset;
 mod damaged;
 mod sphere;

@@ -1,8 +1,6 @@
 //! Fusion of an analytic sphere seen from an arc, in rungs.
 
 // Helpers outside the test functions may fail as these may.
-#![allow(clippy::expect_used, clippy::panic)]
-
 use nalgebra::{Point3, Vector3};
 use rilievo_fusion::{FusionError, FusionOptions, FusionReport, Inputs, MeshFormat, run};
 use rilievo_scene::{

@@ -329,7 +329,7 @@ mod tests {
                 store.read(pages, window.clone(), |row| rows.push(row.to_vec()))?;
                 let [across, down] = window;
                 let expected = down.map(|y| {
-                    let is_kept = |x: usize| k == 0 || x / PAGE_SIDE % 2 == 0;
+                    let is_kept = |x: usize| k == 0 || (x / PAGE_SIDE).is_multiple_of(2);
                     let of = |x: usize| record(k, x, y).into_iter().map(move |b| (x, b));
                     let bytes = across.clone().flat_map(of);
                     bytes.map(|(x, b)| if is_kept(x) { b } else { 0 }).collect()
@@ -352,7 +352,7 @@ mod tests {
                     assert_eq!(found, Some(record(0, x, y)));
                     let (page, at) = pages[1].locate(x, y % 33);
                     let found = cache.page(&pages[1], page).map(|bytes| bytes[at].to_vec());
-                    let is_kept = x / PAGE_SIDE % 2 == 0;
+                    let is_kept = (x / PAGE_SIDE).is_multiple_of(2);
                     assert_eq!(found, is_kept.then(|| record(1, x, y % 33)));
                 }
             })?;

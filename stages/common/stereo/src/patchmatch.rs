@@ -337,13 +337,13 @@ mod tests {
         let planes = search(&level, 1, &masks, &ranges, None, &options);
         // Pixels within four of the edge, and away from the frame.
         let (mut right, mut all) = (0, 0);
-        for p in 0..middle.pixels.len() {
+        for (p, plane) in planes.iter().enumerate() {
             let (x, y) = middle.xy(p);
             let from_edge = (x - 55.5).abs();
             if (0.6..4.0).contains(&from_edge) && (6.0..34.0).contains(&y) {
                 let truth = hit(&cameras[1], x, y);
                 all += 1;
-                right += usize::from((planes[p].inverse_depth * truth as f32 - 1.0).abs() < 0.02);
+                right += usize::from((plane.inverse_depth * truth as f32 - 1.0).abs() < 0.02);
             }
         }
         let share = f64::from(right as u32) / f64::from(all);

@@ -1,7 +1,6 @@
 //! Synthetic photo sets: cameras around points, keypoints and matches without any image.
 
 #![allow(dead_code)]
-
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -1,7 +1,5 @@
 //! The solver on analytic surfaces and on the shared scene.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
 mod analytic;
 mod breaks;
 mod convergence;

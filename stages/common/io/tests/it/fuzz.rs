@@ -5,8 +5,6 @@
 //! A failure names the parser and the number of the round, which repeats it.
 
 // Helpers of the tests may fail as the tests do.
-#![allow(clippy::unwrap_used)]
-
 use rilievo_io::{self as io, CameraFormat};
 use rilievo_scene::{CloudPoint, DepthMap, Intrinsics, Mesh, PointCloud, RigidTransform, Unit};
 use rilievo_synthetic::testing::mat_file;

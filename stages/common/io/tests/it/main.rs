@@ -1,5 +1,12 @@
 //! Tests of the formats from outside: hostile bytes, missing keys, other programs' files.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "helpers of tests fail as tests do"
+)]
+
 mod fuzz;
 mod missing_keys;
 mod mutations;

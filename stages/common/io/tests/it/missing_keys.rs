@@ -2,8 +2,6 @@
 //! with a message that names the file and the place.
 
 // Helpers of the tests may fail as the tests do.
-#![allow(clippy::unwrap_used)]
-
 use rilievo_io::{self as io, CameraFormat, IoError};
 use serde_json::Value;
 use std::path::Path;

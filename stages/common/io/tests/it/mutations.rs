@@ -2,8 +2,6 @@
 //! panic.
 
 // Helpers of the tests may fail as the tests do.
-#![allow(clippy::unwrap_used)]
-
 use rilievo_io as io;
 use std::path::Path;
 

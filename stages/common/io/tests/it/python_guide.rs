@@ -3,8 +3,6 @@
 //! Without `python3` or NumPy there is nothing to run it with, and the tests say so.
 
 // Helpers of the tests may fail as the tests do.
-#![allow(clippy::unwrap_used, clippy::expect_used)]
-
 use nalgebra::{Point2, Point3, Rotation3, Vector3};
 use rilievo_io as io;
 use rilievo_scene::{

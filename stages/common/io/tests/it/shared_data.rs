@@ -1,8 +1,6 @@
 //! The readers on the files in the shared folder beside the repository, where it is there.
 
 // Helpers of the tests may fail as the tests do.
-#![allow(clippy::unwrap_used)]
-
 use nalgebra::{Point3, Vector3};
 use rilievo_io as io;
 use rilievo_scene::{SphereMark, Unit};
