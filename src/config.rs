@@ -63,11 +63,10 @@ impl StageOptions {
 }
 
 /// Keys that the stages' tables had once, by table.
-const RETIRED_KEYS: [(&str, &[RetiredKey]); 7] = [
+const RETIRED_KEYS: [(&str, &[RetiredKey]); 6] = [
     ("photos", rilievo_photos::RETIRED_KEYS),
     ("features", rilievo_features::RETIRED_KEYS),
     ("poses", rilievo_poses::RETIRED_KEYS),
-    ("poses", rilievo_photometry::sphere::RETIRED_KEYS),
     ("lighting", rilievo_lighting::RETIRED_KEYS),
     ("shading", rilievo_shading::RETIRED_KEYS),
     ("fusion", rilievo_fusion::RETIRED_KEYS),

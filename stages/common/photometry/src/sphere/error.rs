@@ -1,13 +1,10 @@
 //! Why a sphere could not be located.
 
-use rilievo_scene::{OptionError, PhotoIdx, PixelError};
+use rilievo_scene::{PhotoIdx, PixelError};
 
 /// Failures of the sphere's geometry.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SphereError {
-    /// An option out of range.
-    #[error(transparent)]
-    InvalidOption(#[from] OptionError),
     /// A radius that no sphere has.
     #[error("sphere radius {radius} is not usable: give a positive length in metres")]
     Radius {

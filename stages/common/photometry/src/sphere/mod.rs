@@ -40,6 +40,6 @@ pub use detect::detect_in_photo;
 pub use error::SphereError;
 pub use locate::{ScaleEstimate, SphereFit, ViewAgreement, WorldScale};
 pub use mark::{check_marked_points, cone_from_mark, outline_of_mark};
-pub use options::{RETIRED_KEYS, SphereOptions};
+pub use options::SphereOptions;
 pub use request::{LocatedSpheres, locate_request};
 pub use several::{CommonScale, ScaleContradiction, ScaleOutcome};

@@ -52,7 +52,6 @@ pub fn locate_request(
     options: &SphereOptions,
     at_once: usize,
 ) -> Result<LocatedSpheres, SphereError> {
-    options.validate()?;
     let mut located = LocatedSpheres::default();
     let mut radii = Vec::new();
     for sphere in &request.spheres {

@@ -146,7 +146,6 @@ pub fn detect(
     options: &SphereOptions,
     at_once: usize,
 ) -> Result<Detected, SphereError> {
-    options.validate()?;
     let mut found: Vec<Vec<Candidate>> = map_few_at_once(views, at_once, |view| {
         let image = PosedImage::load(photos, view)?;
         Ok::<_, SphereError>(candidates(&image.as_photo(), options))
