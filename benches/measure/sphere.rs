@@ -42,6 +42,7 @@ pub fn measure(arguments: &Arguments) -> Result<(), Failure> {
     let request = SphereRequest {
         spheres: arguments.marks.then(marked).into_iter().collect(),
         search_radius: (!arguments.marks).then_some(set.radius),
+        is_unitless: false,
         light: arguments.camera.then_some(LightKind::Camera),
         calibration: set
             .calibration

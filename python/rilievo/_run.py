@@ -52,7 +52,7 @@ class Cloud:
 
     Attributes
     ----------
-    points : (n, 3) float32
+    points : (n, 3) float32, float64 where the cameras stand far from their world's origin
         Positions, in the run's unit.
     normals : (n, 3) float32
         Unit normals, outwards.

@@ -81,8 +81,17 @@ impl RunResults {
     /// Positions, normals, colours, confidence and number of views of all points.
     fn cloud<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let points = self.read(py, embedded::RunResults::cloud)?.points;
+        let offset = self.read(py, embedded::RunResults::offset)?;
+        let positions = points.iter().map(|p| p.position);
+        let positions = if offset == [0.0; 3] {
+            triples_array(py, positions.collect())?
+        } else {
+            // Single precision does not hold coordinates far from the origin.
+            let in_world = |p: [f32; 3]| [0, 1, 2].map(|k| f64::from(p[k]) + offset[k]);
+            triples_array(py, positions.map(in_world).collect())?
+        };
         let arrays = [
-            triples_array(py, points.iter().map(|p| p.position).collect())?,
+            positions,
             triples_array(py, points.iter().map(|p| p.normal).collect())?,
             triples_array(py, points.iter().map(|p| p.color).collect())?,
             PyArray1::from_iter(py, points.iter().map(|p| p.confidence)).into_any(),

@@ -11,7 +11,7 @@ use rilievo_io::{
     is_diligent, light_file, read_lighting,
 };
 use rilievo_photos::PhotosReport;
-use rilievo_scene::{Orientation, StageId, first_and_more};
+use rilievo_scene::{Orientation, PosedViews, StageId, first_and_more};
 use std::path::Path;
 
 /// `rilievo import`
@@ -69,6 +69,7 @@ pub fn export(args: &ExportArgs) -> anyhow::Result<()> {
         return export_lights(args, run.as_ref());
     }
     let views = run.as_ref().map(load_poses).transpose()?;
+    let views = views.map(PosedViews::in_given_unit);
     let cameras = match &views {
         Some(views) => CameraFile::from_posed_views(views),
         None => read(&args.source, None, None)?.0,

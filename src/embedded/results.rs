@@ -40,7 +40,7 @@ impl RunResults {
     /// # Errors
     /// When stage 3 has no result, or it is damaged.
     pub fn cameras(&self) -> Result<Vec<PosedView>, CommandFailure> {
-        guarded(|| Ok(self.posed()?.views))
+        guarded(|| Ok(self.posed()?.in_world().views))
     }
 
     /// Unit of every length, `metre` or `arbitrary`.
@@ -110,7 +110,16 @@ impl RunResults {
         })
     }
 
-    /// The point cloud.
+    /// What is added to the cloud's positions for those of the cameras' world; zero where they stand
+    /// near the origin.
+    ///
+    /// # Errors
+    /// As [`Self::cameras`].
+    pub fn offset(&self) -> Result<[f64; 3], CommandFailure> {
+        guarded(|| Ok(self.posed()?.offset))
+    }
+
+    /// The point cloud, without [`Self::offset`].
     ///
     /// # Errors
     /// When stage 6 has no result, or it cannot be read.

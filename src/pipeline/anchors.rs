@@ -10,6 +10,9 @@ use serde::Serialize;
 struct Table<'a> {
     unit: Unit,
     frame: String,
+    /// To be added to positions for those of the world.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    offset: Option<[f64; 3]>,
     views: Vec<&'a str>,
     columns: Columns,
     anchors: Vec<Row<'a>>,
@@ -42,6 +45,7 @@ fn table(views: &PosedViews) -> Table<'_> {
     Table {
         unit: views.scale.unit,
         frame: views.frame.of_file(),
+        offset: views.coordinates().offset(),
         views: views.views.iter().map(|v| v.file_name.as_str()).collect(),
         columns: Columns {
             covariance: ["xx", "xy", "xz", "yy", "yz", "zz"],
@@ -68,13 +72,12 @@ fn sigma(anchor: &Anchor) -> f64 {
 }
 
 fn ply(views: &PosedViews) -> Vec<u8> {
+    let comments = views.coordinates().comments();
     let mut bytes = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment unit {}\n\
-         comment frame {}\ncomment sigma: root of the covariance's trace\n\
+        "ply\nformat binary_little_endian 1.0\ncomment {}\ncomment sigma: root of the covariance's trace\n\
          element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          property float sigma\nproperty uchar views\nend_header\n",
-        views.scale.unit.name(),
-        views.frame.of_file(),
+        comments.join("\ncomment "),
         views.anchors.len()
     )
     .into_bytes();

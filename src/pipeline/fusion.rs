@@ -51,6 +51,9 @@ impl CloudSink for Nowhere {
     }
 }
 
+/// File of the offset, where there is one.
+pub const OFFSET: &str = "offset.json";
+
 /// Writes a mesh as PLY and in the other formats that are asked for, and the asset, to the paths of their names.
 pub fn write_surface(
     Fused { mesh, asset, .. }: &Fused,
@@ -59,6 +62,18 @@ pub fn write_surface(
     path: &dyn Fn(&str) -> Result<PathBuf, Failure>,
 ) -> Result<(), Failure> {
     let world = views.coordinates();
+    if let Some(offset) = world.offset() {
+        let text = serde_json::json!({
+            "offset": offset,
+            "unit": world.unit,
+            "meaning": "x_world = x_file + offset: of cloud.ply, mesh.ply, mesh.obj and asset/asset.obj; the .glb files \
+                        are turned to y up besides",
+        });
+        let path = path(OFFSET)?;
+        let wrong =
+            |error: std::io::Error| Failure::ReadOrWrite(format!("{}: {error}", path.display()));
+        std::fs::write(&path, format!("{text:#}\n")).map_err(wrong)?;
+    }
     write_mesh_ply(&path("mesh.ply")?, mesh, world)?;
     // An empty mesh is valid PLY, and nothing that a viewer could show.
     if mesh.triangles.is_empty() {
@@ -69,7 +84,7 @@ pub fn write_surface(
     }
     let frame = ViewerFrame::from_views(views);
     if formats.contains(&MeshFormat::Glb) {
-        write_mesh_glb(&path("mesh.glb")?, mesh, world.unit, &frame)?;
+        write_mesh_glb(&path("mesh.glb")?, mesh, world, &frame)?;
     }
     match asset {
         Some(asset) => write_asset(asset, world, &frame, path),

@@ -10,7 +10,7 @@ use rilievo_io::{
     CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, masks_among,
     read_cameras, read_lighting,
 };
-use rilievo_scene::WorldFrame;
+use rilievo_scene::{Unit, WorldCoordinates};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
@@ -42,8 +42,10 @@ pub struct Inputs {
     pub skipped: Vec<Problem>,
     /// Things that the user should know (cameras of photos that are not there).
     pub warnings: Vec<String>,
-    /// Where the world's axes lie if the cameras' poses are given.
-    pub frame: WorldFrame,
+    /// What the coordinates of given cameras mean here: metres, where they state a unit of length.
+    pub given_world: WorldCoordinates,
+    /// The unit in which they were given.
+    pub given_unit: Unit,
     /// What was said of the reference spheres.
     pub spheres: SphereInputs,
     /// Content hashes of the lighting's files, by role.
@@ -57,7 +59,17 @@ impl Inputs {
     /// [`Failure::Input`] with every file that makes the request impossible.
     pub fn scan(request: &Request) -> Result<Self, Failure> {
         let (paths, skipped) = photo_files(&request.photos)?;
-        let cameras = request.cameras.as_deref().map(any_cameras).transpose()?;
+        let mut cameras = request.cameras.as_deref().map(any_cameras).transpose()?;
+        let given_unit = cameras
+            .as_ref()
+            .map_or(Unit::Arbitrary, |cameras| cameras.unit);
+        let given_world = match &mut cameras {
+            Some(cameras) => {
+                cameras.to_metres();
+                cameras.localize([0.0; 3])
+            }
+            None => Unit::Arbitrary.into(),
+        };
         let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
         let (photos, unreadable) = photo_inputs(paths, cameras.as_ref(), masks.as_ref())?;
         let mut warnings = Vec::new();
@@ -72,7 +84,8 @@ impl Inputs {
             unreadable,
             skipped,
             warnings,
-            frame: cameras.map_or(WorldFrame::Given, |cameras| cameras.frame()),
+            given_world,
+            given_unit,
             spheres,
             lighting_hashes,
         })

@@ -192,8 +192,11 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
         }
         StageId::Poses => {
             let mut hashes = inputs.spheres.hashes.clone();
-            let frame = inputs.frame.words().to_owned();
-            hashes.insert("frame of given cameras".into(), frame);
+            let world = inputs.given_world;
+            let (frame, unit) = (world.frame.words(), inputs.given_unit.name());
+            let [x, y, z] = world.offset;
+            let text = format!("{frame}; {unit}; offset {x} {y} {z}");
+            hashes.insert("frame of given cameras".into(), text);
             hashes
         }
         StageId::Lighting => {

@@ -7,9 +7,11 @@ use super::errors::from_poses;
 use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
+use nalgebra::Vector3;
 use rilievo_io::{CameraFile, SpheresInSet, decode_photo, write_cameras, write_colmap_text};
 use rilievo_scene::{
-    LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId, WorldFrame, first_and_more,
+    LinearImage, Observer, PhotoSet, PosedViews, ScaleSource, SphereRequest, StageId,
+    first_and_more,
 };
 
 const POSED_VIEWS: &str = "posed_views.json";
@@ -43,6 +45,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     }
     let mut options = context.request.options.poses.clone();
     options.memory = Some(context.resources.memory);
+    options.given_world = context.inputs.given_world;
     let (mut views, report) = rilievo_poses::run(
         &photos,
         &matches,
@@ -51,9 +54,9 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
         context.console,
     )
     .map_err(from_poses)?;
-    if views.frame == WorldFrame::Given {
-        views.frame = context.inputs.frame;
-    }
+    let unit = context.inputs.given_unit;
+    let is_of_given = views.scale.source == ScaleSource::GivenPoses && unit != views.scale.unit;
+    views.given_unit = is_of_given.then_some(unit);
     if let Some(why) = &mut views.no_sphere
         && !unused.is_empty()
     {
@@ -122,7 +125,14 @@ pub fn sphere_request(
         .iter()
         .map(|calibration| calibration_image(context, &calibration.image))
         .collect::<Result<Vec<_>, _>>()?;
-    Ok(Some(file.to_request(photos, images)?))
+    let mut spheres = file.to_request(photos, images)?;
+    // Centres are stated in the frame and unit of the given cameras.
+    let offset = Vector3::from(context.inputs.given_world.offset);
+    let metres = context.inputs.given_unit.metres().unwrap_or(1.0);
+    for center in (spheres.request.spheres.iter_mut()).filter_map(|s| s.center_in_world.as_mut()) {
+        *center = *center * metres - offset;
+    }
+    Ok(Some(spheres))
 }
 
 /// What to warn of about the frame of marks.

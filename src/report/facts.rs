@@ -78,7 +78,9 @@ impl Stages {
         if scale.unit == Unit::Arbitrary {
             let [x, y, z] = lengths.map(|length| format!("{length:.3}"));
             return Some(format!(
-                "{x} x {y} x {z} in arbitrary units (nothing gave the size)"
+                "{x} x {y} x {z} {} along the world's axes, an arbitrary unit (nothing gave the size); {footprint:.2e} \
+                 a pixel",
+                scale.unit.words()
             ));
         }
         let [x, y, z] = lengths.map(|length| format!("{:.1}", 1e3 * length));

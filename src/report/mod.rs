@@ -29,9 +29,9 @@ pub fn add_evaluation(
     root: &Path,
     table: &str,
     views: &[ViewErrors],
-    deviations_mm: &[f64],
+    deviations: (&[f64], &str),
 ) -> anyhow::Result<bool> {
-    let section = html::evaluation_section(table, views, deviations_mm);
+    let section = html::evaluation_section(table, views, deviations);
     put(root, &[(Addition::Evaluation, section)])
 }
 

@@ -14,6 +14,7 @@ mod command_line;
 mod common;
 mod data_sets;
 mod fuse;
+mod given_cameras;
 mod layering;
 mod photo_folders;
 mod photo_formats;

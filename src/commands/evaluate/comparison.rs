@@ -23,6 +23,8 @@ pub struct Comparison {
     pub(super) estimate: Estimate,
     pub(super) truth: Truth,
     request: AlignmentRequest,
+    /// Whether that follows from worlds that lie far apart.
+    is_apart: bool,
     /// Truth of the views that have any.
     pub(super) views: Vec<TruthView>,
     /// The run's cloud, if there is one.
@@ -35,7 +37,17 @@ impl Comparison {
     /// Reads what both hold.
     pub fn open(run: &Path, truth: &Path, request: AlignmentRequest) -> anyhow::Result<Self> {
         let estimate = Estimate::open(run)?;
-        let truth = Truth::open(truth)?;
+        let offset = estimate.world.map(|world| world.offset);
+        let is_fixed = request == AlignmentRequest::None;
+        let truth = Truth::open(truth, offset, is_fixed)?;
+        // Two local frames whose worlds lie far apart are not one, however alike their numbers are.
+        let is_apart = request == AlignmentRequest::Auto
+            && offset.is_some_and(|offset| offset != truth.offset);
+        let request = if is_apart {
+            AlignmentRequest::Sim3
+        } else {
+            request
+        };
         Ok(Self {
             run: run.to_path_buf(),
             views: truth.views(&estimate.expected)?,
@@ -44,6 +56,7 @@ impl Comparison {
             estimate,
             truth,
             request,
+            is_apart,
         })
     }
 
@@ -78,8 +91,11 @@ impl Comparison {
         // Reading errors inside the comparison are kept here, since it knows only its own.
         let mut unreadable = None;
         let mut evaluation = compare::evaluate(
-            &self.estimate.poses,
-            &self.truth.poses(&self.estimate.expected),
+            (
+                &self.estimate.poses,
+                &self.truth.poses(&self.estimate.expected),
+            ),
+            self.truth.cameras.unit,
             self.request,
             |scale| {
                 let mut errors: Vec<(String, PixelErrors)> = Vec::new();
@@ -106,6 +122,9 @@ impl Comparison {
         if let Some(failure) = unreadable {
             return Err(failure.into());
         }
+        if self.is_apart {
+            "the worlds of both lie far apart".clone_into(&mut evaluation.alignment_reason);
+        }
         if !has_maps && !self.views.is_empty() {
             let reason = "the result has neither depth nor normals of a view that the truth knows";
             evaluation
@@ -121,8 +140,14 @@ impl Comparison {
     pub fn show(&self, evaluation: &Evaluation, note: &dyn Fn(&str)) -> anyhow::Result<()> {
         drop_evaluation(&self.run)?;
         let maps = errors::maps(&self.estimate, &self.views, evaluation.scale)?;
-        let deviations_mm = self.write_deviations(evaluation, note)?;
-        if report::add_evaluation(&self.run, &table(evaluation), &maps, &deviations_mm)? {
+        let deviations = self.write_deviations(evaluation, note)?;
+        // Millimetres where the unit is one of length.
+        let (factor, unit) = match evaluation.unit.metres() {
+            Some(metres) => (1e3 * metres, "mm"),
+            None => (1.0, evaluation.unit.words()),
+        };
+        let sizes: Vec<f64> = deviations.iter().map(|d| factor * d.abs()).collect();
+        if report::add_evaluation(&self.run, &table(evaluation), &maps, (&sizes, unit))? {
             note(&format!(
                 "{} are in {}",
                 if maps.is_empty() {
@@ -136,8 +161,7 @@ impl Comparison {
         Ok(())
     }
 
-    /// Writes the cloud coloured by its signed distance from the truth; those distances in
-    /// millimetres, none where there is no cloud or no true surface, or where these lie apart.
+    /// Writes the cloud coloured by its signed distance from the truth; those distances, none where there is no cloud or no true surface, or where these lie apart.
     fn write_deviations(
         &self,
         evaluation: &Evaluation,
@@ -159,12 +183,13 @@ impl Comparison {
         let path = deviation_file(&self.run);
         let folder = path.parent().unwrap_or(&self.run);
         create_folder(folder)?;
-        errors::write_deviations(&path, cloud, &deviations, max, self.truth.cameras.unit)?;
+        let world = self.estimate.world.unwrap_or_default();
+        errors::write_deviations(&path, cloud, &deviations, max, world)?;
         note(&format!(
-            "signed distances of the cloud, blue inside to red outside at {:.2} mm, are in {}",
-            1e3 * max,
+            "signed distances of the cloud, blue inside to red outside at {}, are in {}",
+            evaluation.unit.length(max, 2),
             path.display()
         ));
-        Ok(deviations.iter().map(|deviation| 1e3 * deviation).collect())
+        Ok(deviations)
     }
 }

@@ -10,7 +10,7 @@ use crate::report::ViewErrors;
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
 use rilievo_io::write_cloud_ply;
-use rilievo_scene::{Mesh, PointCloud, Raster, Unit};
+use rilievo_scene::{Mesh, PointCloud, Raster, WorldCoordinates};
 use rilievo_synthetic::compare::{MeshDistance, Similarity, TruthView};
 use std::path::Path;
 
@@ -91,7 +91,7 @@ pub(super) fn write_deviations(
     cloud: &PointCloud,
     deviations: &[f64],
     max: f64,
-    unit: Unit,
+    world: WorldCoordinates,
 ) -> Result<(), Failure> {
     let points = cloud.points.iter().zip(deviations).map(|(point, &d)| {
         let mut point = *point;
@@ -101,7 +101,7 @@ pub(super) fn write_deviations(
     let colored = PointCloud {
         points: points.collect(),
     };
-    write_cloud_ply(path, &colored, unit).map_err(Failure::from)
+    write_cloud_ply(path, &colored, world).map_err(Failure::from)
 }
 
 /// Blue at −1, white at 0, red at 1: distinct for the colour-blind too.

@@ -5,7 +5,7 @@ use crate::exit::Failure;
 use crate::pipeline::load_poses;
 use crate::store::{Manifest, RunDir};
 use rilievo_io::{LightingFile, read_depth, read_lighting, read_linear, read_normal};
-use rilievo_scene::{DepthMap, LinearImage, NormalMap, StageId};
+use rilievo_scene::{DepthMap, LinearImage, NormalMap, StageId, WorldCoordinates};
 use rilievo_synthetic::compare::NamedPose;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,6 +14,8 @@ use std::path::{Path, PathBuf};
 pub(super) struct Estimate {
     /// Poses of the registered photos.
     pub poses: Vec<NamedPose>,
+    /// What coordinates of poses and cloud mean; none of maps without poses.
+    pub world: Option<WorldCoordinates>,
     /// Names of all photos that a result could be expected of.
     pub expected: Vec<String>,
     maps: PathBuf,
@@ -41,16 +43,17 @@ impl Estimate {
         let run = RunDir::open(root)?;
         let photos = run.manifest(StageId::Photos)?;
         let gains = exposure_gains(photos.as_ref());
-        let (poses, expected) = match run.manifest(StageId::Poses)? {
+        let (poses, world, expected) = match run.manifest(StageId::Poses)? {
             Some(_) => posed(&run)?,
             // Photos at most, from which a result was expected.
             None => {
                 let names = photos.map(|manifest| manifest.items.into_keys().collect());
-                (Vec::new(), names.unwrap_or_default())
+                (Vec::new(), None, names.unwrap_or_default())
             }
         };
         Ok(Self {
             poses,
+            world,
             expected,
             maps: run.stage_dir(StageId::Shading),
             cloud: run.stage_dir(StageId::Fusion).join("cloud.ply"),
@@ -72,6 +75,7 @@ impl Estimate {
         expected.sort();
         Ok(Self {
             poses: Vec::new(),
+            world: None,
             expected,
             maps: root.to_path_buf(),
             cloud: root.join("cloud.ply"),
@@ -130,8 +134,8 @@ impl Estimate {
     }
 }
 
-/// Poses of the registered photos, and the names of all.
-fn posed(run: &RunDir) -> anyhow::Result<(Vec<NamedPose>, Vec<String>)> {
+/// Poses of the registered photos, what their coordinates mean, and the names of all.
+fn posed(run: &RunDir) -> anyhow::Result<(Vec<NamedPose>, Option<WorldCoordinates>, Vec<String>)> {
     let views = load_poses(run)?;
     let unregistered = views.unregistered.iter().map(|photo| {
         let name = Path::new(&photo.file_name).file_stem();
@@ -143,7 +147,7 @@ fn posed(run: &RunDir) -> anyhow::Result<(Vec<NamedPose>, Vec<String>)> {
         name: view.name.clone(),
         cam_from_world: view.cam_from_world,
     });
-    Ok((poses.collect(), expected))
+    Ok((poses.collect(), Some(views.coordinates()), expected))
 }
 
 /// Exposure gains in the report of stage 1.

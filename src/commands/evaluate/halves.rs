@@ -100,11 +100,11 @@ fn table(names: &[Vec<&str>; 2], found: &HalvesComparison, unit: Unit) -> String
     )
 }
 
-/// A wavelength in pixels and, where the scale is known, in millimetres.
+/// A wavelength in pixels and in the world's unit.
 fn size(px: f64, length: Option<f64>, unit: Unit, px_first: bool) -> String {
-    match length.filter(|_| unit == Unit::Metre) {
-        Some(length) if px_first => format!("{px:.1} px ({:.2} mm)", 1e3 * length),
-        Some(length) => format!("{:.2} mm ({px:.1} px)", 1e3 * length),
+    match length.map(|length| unit.length(length, 2)) {
+        Some(length) if px_first => format!("{px:.1} px ({length})"),
+        Some(length) => format!("{length} ({px:.1} px)"),
         None => format!("{px:.1} px"),
     }
 }

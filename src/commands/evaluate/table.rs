@@ -1,9 +1,12 @@
 //! An evaluation as a table for people.
 
+use rilievo_scene::Unit;
 use rilievo_synthetic::compare::{self, Evaluation, MapComparison, RegionError, ReliefBand};
 
 /// The numbers as a table for people.
 pub fn table(evaluation: &Evaluation) -> String {
+    let unit = evaluation.unit;
+    let length = |value: f64| unit.length(value, 3);
     let mut text = format!(
         "alignment: {} (scale {:.5}): {}\n",
         match evaluation.alignment {
@@ -16,12 +19,12 @@ pub fn table(evaluation: &Evaluation) -> String {
     );
     if let Some(poses) = &evaluation.poses {
         text += &format!(
-            "poses: {} of {} cameras; centre error mean {:.3} mm, max {:.3} mm; rotation error mean \
+            "poses: {} of {} cameras; centre error mean {}, max {}; rotation error mean \
              {:.4} deg, max {:.4} deg\n",
             poses.num_cameras,
             poses.num_cameras + poses.num_missing,
-            1e3 * poses.center_error_mean,
-            1e3 * poses.center_error_max,
+            length(poses.center_error_mean),
+            length(poses.center_error_max),
             poses.rotation_error_mean_deg,
             poses.rotation_error_max_deg
         );
@@ -43,15 +46,15 @@ pub fn table(evaluation: &Evaluation) -> String {
     if let Some(all) = &evaluation.all {
         text += &row("all", all, width);
         text += &regions(&all.regions);
-        text += &relief(&all.relief);
+        text += &relief(&all.relief, unit);
     }
     if let Some(cloud) = &evaluation.cloud {
         text += &format!(
-            "cloud: accuracy median {:.3} mm; completeness {:.1} %, F {:.3} at {:.2} mm\n",
-            1e3 * cloud.accuracy_median,
+            "cloud: accuracy median {}; completeness {:.1} %, F {:.3} at {}\n",
+            length(cloud.accuracy_median),
             100.0 * cloud.completeness,
             cloud.f_score,
-            1e3 * cloud.threshold
+            unit.length(cloud.threshold, 2)
         );
     }
     let appearance = &evaluation.appearance;
@@ -96,7 +99,7 @@ fn regions(regions: &[RegionError]) -> String {
 }
 
 /// The relief of all views by wavelength.
-fn relief(bands: &[ReliefBand]) -> String {
+fn relief(bands: &[ReliefBand], unit: Unit) -> String {
     if bands.is_empty() {
         return String::new();
     }
@@ -105,7 +108,7 @@ fn relief(bands: &[ReliefBand]) -> String {
     for band in bands {
         let size = band
             .wavelength
-            .map_or(String::new(), |w| format!(" ({:.2} mm)", 1e3 * w));
+            .map_or(String::new(), |w| format!(" ({})", unit.length(w, 2)));
         text += &format!(
             "{:>24}  {:>9}  {:>6}  {:>6}   {:>6}\n",
             format!("{:.1} px{size}", band.wavelength_px),

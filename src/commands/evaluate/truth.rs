@@ -3,8 +3,8 @@
 use super::optional_file::read_if_there;
 use crate::exit::Failure;
 use rilievo_io::{
-    CameraFile, LightingFile, read_cameras, read_depth, read_lighting, read_linear, read_mesh_ply,
-    read_normal,
+    CameraFile, LightingFile, read_cameras, read_depth, read_lighting, read_linear,
+    read_mesh_ply_near, read_normal,
 };
 use rilievo_scene::{Intrinsics, LinearImage, Mesh};
 use rilievo_synthetic::compare::{NamedPose, TruthMaps, TruthView};
@@ -13,18 +13,37 @@ use std::path::{Path, PathBuf};
 /// Ground truth in a folder.
 pub(super) struct Truth {
     pub folder: PathBuf,
-    /// True cameras, none where the folder has none.
+    /// True cameras, none where the folder has none; as a run has them, in metres where their unit is
+    /// one of length, and near the origin.
     pub cameras: CameraFile,
+    /// Metres per unit of the folder's files, 1 where that is unknown.
+    metres: f64,
+    /// What is added to coordinates here for those of the folder's cameras.
+    pub offset: [f64; 3],
 }
 
 impl Truth {
-    /// Opens a folder.
-    pub fn open(folder: &Path) -> Result<Self, Failure> {
+    /// Opens a folder. `offset` is that of the result, none where it has no world and thus the files'
+    /// own unit; `is_fixed` where it must be the truth's, since nothing may be moved.
+    pub fn open(folder: &Path, offset: Option<[f64; 3]>, is_fixed: bool) -> Result<Self, Failure> {
         let cameras = read_if_there(&folder.join("cameras.json"), read_cameras)?;
-        Ok(Self {
+        let mut truth = Self {
             folder: folder.to_path_buf(),
             cameras: cameras.unwrap_or_default(),
-        })
+            metres: 1.0,
+            offset: [0.0; 3],
+        };
+        if let Some(offset) = offset {
+            truth.metres = truth.cameras.unit.metres().unwrap_or(1.0);
+            truth.cameras.to_metres();
+            truth.offset = truth.cameras.localize(offset).offset;
+            if is_fixed {
+                let further = [0, 1, 2].map(|k| offset[k] - truth.offset[k]);
+                truth.cameras.move_origin(further);
+                truth.offset = offset;
+            }
+        }
+        Ok(truth)
     }
 
     /// Poses of the photos that a result could be expected of.
@@ -42,7 +61,9 @@ impl Truth {
 
     /// The true surface, if there is one.
     pub fn surface(&self) -> Result<Option<Mesh>, Failure> {
-        read_if_there(&self.surface_file(), read_mesh_ply)
+        read_if_there(&self.surface_file(), |path| {
+            read_mesh_ply_near(path, self.metres, self.offset)
+        })
     }
 
     /// The true surface's file, there or not.
@@ -85,6 +106,11 @@ impl Truth {
             ["depth_true.exr", "normal_true.exr"].map(|map| self.folder.join(name).join(map))
         };
         let depth = read_if_there(&depth, read_depth)?;
+        let depth = depth.map(|mut depth| {
+            let metres = self.metres as f32;
+            depth.data.iter_mut().for_each(|z| *z *= metres);
+            depth
+        });
         let Some(maps) = TruthMaps::new(depth, read_if_there(&normal, read_normal)?) else {
             return Ok(None);
         };

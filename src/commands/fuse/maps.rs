@@ -15,7 +15,7 @@ use rilievo_io::{
 use rilievo_numerics::robust::median;
 use rilievo_scene::{
     ConfidenceMap, DepthMap, Intrinsics, MapSource, NormalMap, PixelError, RigidTransform,
-    ShadedImages, ShadedView, Unit, ViewIdx, WorldFrame,
+    ShadedImages, ShadedView, Unit, ViewIdx, WorldFrame, local_offset,
 };
 use std::path::{Path, PathBuf};
 
@@ -55,6 +55,8 @@ pub struct Views {
     pub unit: Unit,
     /// Where the world's axes lie.
     pub frame: WorldFrame,
+    /// What is added to coordinates here for those of the cameras' world, in the maps' unit.
+    pub offset: [f64; 3],
     /// The views, in the cameras' order.
     pub views: Vec<View>,
     /// Factor of all depths on the way out.
@@ -212,10 +214,16 @@ fn of_openmvs(files: &[PathBuf]) -> Result<Views, Failure> {
         let camera = (file.image, file.intrinsics, file.cam_from_world);
         views.push(View::checked(Format::OpenMvs, files, camera)?);
     }
+    let poses: Vec<RigidTransform> = views.iter().map(|view| view.cam_from_world).collect();
+    let offset = local_offset(&poses, [0.0; 3]);
+    for view in &mut views {
+        view.cam_from_world = view.cam_from_world.with_origin_at(offset);
+    }
     Ok(Views {
         format: Format::OpenMvs,
         unit: Unit::Arbitrary,
         frame: WorldFrame::Given,
+        offset,
         views,
         factor: 1.0,
     })
@@ -240,7 +248,7 @@ fn of_colmap(folder: &Path, maps: &Path, cameras: Option<&Path>) -> Result<Views
             })
         })
     };
-    assemble(Format::Colmap, folder, &cameras, &find)
+    assemble(Format::Colmap, folder, cameras, &find)
 }
 
 fn of_exr(folder: &Path, cameras: Option<&Path>) -> Result<Views, Failure> {
@@ -272,7 +280,7 @@ fn of_exr(folder: &Path, cameras: Option<&Path>) -> Result<Views, Failure> {
             confidence: confidence.exists().then_some(confidence),
         })
     };
-    assemble(Format::OpenExr, folder, &cameras, &find)
+    assemble(Format::OpenExr, folder, cameras, &find)
 }
 
 /// Cameras as given, or from the first place beside the maps that has some.
@@ -305,9 +313,10 @@ fn read_cameras_of(
 fn assemble(
     format: Format,
     folder: &Path,
-    cameras: &CameraFile,
+    mut cameras: CameraFile,
     find: &dyn Fn(&str) -> Option<Files>,
 ) -> Result<Views, Failure> {
+    let world = cameras.localize([0.0; 3]);
     let mut views = Vec::new();
     for camera in &cameras.cameras {
         let (Some(image), Some(cam_from_world)) = (&camera.image, camera.cam_from_world) else {
@@ -335,8 +344,9 @@ fn assemble(
     }
     Ok(Views {
         format,
-        unit: cameras.unit,
-        frame: cameras.frame(),
+        unit: world.unit,
+        frame: world.frame,
+        offset: world.offset,
         views,
         factor: 1.0,
     })

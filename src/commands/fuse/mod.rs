@@ -8,7 +8,7 @@ use crate::cli::FuseArgs;
 use crate::config::StageOptions;
 use crate::exit::Failure;
 use crate::observe::{Console, StageNews};
-use crate::pipeline::{from_fusion, write_surface};
+use crate::pipeline::{OFFSET, from_fusion, write_surface};
 use crate::store::{
     FileScratch, StoreError, create_folder, own_file, own_folder, write_atomically,
 };
@@ -139,7 +139,7 @@ fn run(args: &FuseArgs, console: &Console) -> anyhow::Result<()> {
 }
 
 /// Files of the surface beside the asset's.
-const SURFACE: [&str; 4] = ["cloud.ply", "mesh.ply", "mesh.obj", "mesh.glb"];
+const SURFACE: [&str; 5] = ["cloud.ply", "mesh.ply", "mesh.obj", "mesh.glb", OFFSET];
 
 /// Files that are written.
 fn surface() -> impl Iterator<Item = &'static str> {
@@ -186,13 +186,19 @@ fn own_results(folder: &Path, overwrite: bool) -> Result<Vec<&'static str>, Fail
 /// Unit of the results, and the factor from the maps' lengths to it.
 fn scale(asked: Option<f64>, unit: Unit) -> Result<(Unit, f64), Failure> {
     match (asked, unit) {
-        (None, unit) => Ok((unit, 1.0)),
+        (None, unit) => Ok(match unit.metres() {
+            Some(metres) => (Unit::Metre, metres),
+            None => (unit, 1.0),
+        }),
         (Some(factor), _) if !(factor.is_finite() && factor > 0.0) => Err(Failure::Usage(format!(
             "--scale {factor} must be a positive number of metres"
         ))),
-        (Some(factor), Unit::Metre) if factor != 1.0 => Err(Failure::Usage(format!(
-            "--scale {factor}: the cameras say that their unit is the metre"
-        ))),
+        (Some(factor), _) if unit.metres().is_some_and(|metres| metres != factor) => {
+            Err(Failure::Usage(format!(
+                "--scale {factor}: the cameras say that their unit is the {}",
+                unit.name()
+            )))
+        }
         (Some(factor), _) => Ok((Unit::Metre, factor)),
     }
 }
@@ -218,6 +224,7 @@ fn posed(views: &Views, unit: Unit) -> PosedViews {
     PosedViews {
         scale,
         frame: views.frame,
+        offset: views.offset.map(|v| v * views.factor),
         views: posed.collect(),
         ..PosedViews::default()
     }

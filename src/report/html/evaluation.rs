@@ -36,10 +36,10 @@ fn values<'a>(maps: impl Iterator<Item = &'a Raster<f32>>, factor: f64) -> Vec<f
         .collect()
 }
 
-/// The section: the table of numbers, distributions, and maps. `deviations` are the cloud's signed
-/// distances in millimetres.
-pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Markup {
-    let sizes: Vec<f64> = deviations_mm.iter().map(|d| d.abs()).collect();
+/// The section: the table of numbers, distributions, and maps. `deviations` are the sizes of the
+/// cloud's distances, and their unit.
+pub fn section(table: &str, views: &[ViewErrors], deviations: (&[f64], &str)) -> Markup {
+    let (sizes, length) = deviations;
     let depth = values(views.iter().filter_map(|v| v.depth_rel.as_ref()), 100.0);
     let normal = values(views.iter().filter_map(|v| v.normal_deg.as_ref()), 1.0);
     let curves = [
@@ -55,8 +55,8 @@ pub fn section(table: &str, views: &[ViewErrors], deviations_mm: &[f64]) -> Mark
         ),
         (
             "Share of the cloud's points within a distance from the surface",
-            "mm",
-            sizes,
+            length,
+            sizes.to_vec(),
         ),
     ];
     let every = views.len().div_ceil(MAX_NUM_VIEWS).max(1);
@@ -112,7 +112,7 @@ mod tests {
             depth_rel: Some(map.clone()),
             normal_deg: Some(map),
         };
-        let html = section("a < b", &[view], &[0.1, -0.2]).into_string();
+        let html = section("a < b", &[view], (&[0.1, 0.2], "mm")).into_string();
         assert_eq!(html.matches("<img").count(), 2);
         assert_eq!(html.matches("<svg").count(), 3);
         assert!(html.contains("a &lt; b") && html.contains("Errors of &lt;a&gt;"));

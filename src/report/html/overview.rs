@@ -99,14 +99,8 @@ fn key_numbers(facts: &Facts, posed: Option<&PosedViews>) -> [(&'static str, Str
     let photos = stages.photos.as_ref().map(|stage| &stage.report);
     let poses = stages.poses.as_ref().map(|stage| &stage.report);
     let fusion = stages.fusion.as_ref().map(|stage| &stage.report);
-    let metric = posed.is_some_and(|posed| posed.scale.unit == Unit::Metre);
-    let length = |value: f64| {
-        if metric {
-            format!("{:.3} mm", 1e3 * value)
-        } else {
-            format!("{value:.2e} (no scale)")
-        }
-    };
+    let unit = posed.map_or(Unit::Arbitrary, |posed| posed.scale.unit);
+    let length = |value: f64| unit.length(value, 3);
     let anchors = poses.and_then(|poses| poses.anchors.as_ref());
     let mesh = fusion.and_then(|fusion| fusion.mesh.as_ref());
     let asset = fusion.and_then(|fusion| fusion.asset.as_ref());

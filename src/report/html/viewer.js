@@ -138,7 +138,7 @@
   const named = (length) => data.metric
     ? (length < 1e-3 ? `${(1e6 * length).toPrecision(3)} µm` : length < 1 ? `${(1e3 * length).toPrecision(4)} mm`
       : `${length.toPrecision(4)} m`)
-    : `${length.toPrecision(4)} (no scale)`;
+    : `${length.toPrecision(4)} of the cameras' units`;
   // A bar of 1, 2 or 5 times a power of ten, at the distance of the object's middle.
   const showScale = (pixels) => {
     const most = 140 / pixels, power = 10 ** Math.floor(Math.log10(most));
@@ -146,7 +146,7 @@
     const bar = document.getElementById("viewer-scale");
     bar.style.width = `${length * pixels}px`;
     bar.firstElementChild.textContent = data.metric
-      ? (length < 1 ? `${Number((1e3 * length).toPrecision(3))} mm` : `${length} m`) : "no scale";
+      ? (length < 1 ? `${Number((1e3 * length).toPrecision(3))} mm` : `${length} m`) : `${length} of the cameras' units`;
   };
   const ruler = gl.createBuffer();
   let chosen = [];

@@ -267,14 +267,11 @@ fn depth_legend(depth: &Raster<f32>, unit: Unit) -> Markup {
     let (low, high) = known.fold((f32::INFINITY, 0.0_f32), |(low, high), &z| {
         (low.min(z), high.max(z))
     });
-    let unit = match unit {
-        Unit::Metre => " m",
-        Unit::Arbitrary => "",
-    };
+    let unit = unit.words();
     bar(
         "viridis",
-        &format!("far: {high:.4}{unit}"),
-        &format!("near: {low:.4}{unit}"),
+        &format!("far: {high:.4} {unit}"),
+        &format!("near: {low:.4} {unit}"),
     )
 }
 

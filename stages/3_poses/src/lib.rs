@@ -45,13 +45,11 @@ use incremental::Reconstruction;
 use matched::MatchedPhotos;
 use model::AdjustmentScope;
 use projection::FOCAL;
-use rilievo_scene::{
-    FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, WorldFrame,
-};
+use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest};
 use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 15;
+pub const VERSION: u32 = 16;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
@@ -121,7 +119,7 @@ pub fn run(
             report.vertical.as_mut(),
         );
     } else {
-        posed.frame = WorldFrame::Given;
+        posed.frame = options.given_world.frame;
     }
     let left_out = posed.unregistered.iter();
     let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));

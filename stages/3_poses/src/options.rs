@@ -2,7 +2,7 @@
 
 use crate::anchors::options::AnchorOptions;
 use crate::known_distance::KnownDistance;
-use rilievo_scene::{InTable, OptionError, RetiredKey, in_range};
+use rilievo_scene::{InTable, OptionError, RetiredKey, Unit, WorldCoordinates, in_range};
 use serde::{Deserialize, Serialize};
 
 /// Which intrinsics the adjustment may change.
@@ -84,6 +84,9 @@ pub struct PosesOptions {
     pub max_reprojection_error_px: f64,
     /// A distance measured in the scene, which makes the world metric.
     pub known_distance: Option<KnownDistance>,
+    /// What coordinates of the given poses mean.
+    #[serde(skip)]
+    pub given_world: WorldCoordinates,
     /// Bytes that the photos worked on at once may take; a few photos' where nothing is said. Changes no result.
     #[serde(skip)]
     pub memory: Option<u64>,
@@ -104,6 +107,7 @@ impl Default for PosesOptions {
             given_poses: GivenPoses::Keep,
             max_reprojection_error_px: 3.0,
             known_distance: None,
+            given_world: Unit::Arbitrary.into(),
             memory: None,
             matches_only: false,
             seed: 1,

@@ -2,8 +2,8 @@
 //! arbitrary.
 //!
 //! A sphere of known radius `R` that measures `r` in the world's unit makes one unit `R/r` metres;
-//! centres, points and the sphere are multiplied by that. Given poses are metres already, and the
-//! sphere is then only located.
+//! centres, points and the sphere are multiplied by that. Where given poses are metric already, the
+//! sphere is only located.
 //!
 //! The spheres are located after the adjustment, not in it. Linearised over poses, points and sphere,
 //! with the residuals' own 0.07 px and 0.1 px for the outline, two sets of eight photos and 7000
@@ -17,7 +17,7 @@ use crate::error::PosesError;
 use crate::error::warn;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 use rilievo_photometry::sphere::{
     LocatedSpheres, ScaleContradiction, ScaleOutcome, SphereError, SphereFit, SphereOptions,
     WorldScale, locate_request,
@@ -43,14 +43,17 @@ pub(crate) fn apply(
 ) -> Result<(), PosesError> {
     if has_given_poses {
         posed.scale = Scale {
-            unit: Unit::Metre,
+            unit: options.given_world.unit,
             source: ScaleSource::GivenPoses,
             relative_sigma: None,
         };
+        posed.offset = options.given_world.offset;
     }
+    // Of the world in which a sphere's centre may be stated.
+    let mut metres_per_given = 1.0;
     if let Some(known) = &options.known_distance {
         let (metres_per_unit, relative_sigma) = known.metres_per_unit(posed, report)?;
-        if has_given_poses {
+        if posed.scale.unit == Unit::Metre {
             let apart = (metres_per_unit - 1.0).abs();
             if apart > (3.0 * relative_sigma).max(0.01) {
                 let message = format!(
@@ -61,11 +64,18 @@ pub(crate) fn apply(
             }
         } else {
             multiply(posed, report, metres_per_unit);
+            metres_per_given = metres_per_unit;
             posed.scale = Scale {
                 unit: Unit::Metre,
                 source: ScaleSource::KnownDistance,
                 relative_sigma: Some(relative_sigma),
             };
+            if has_given_poses {
+                warn(
+                    observer,
+                    became_metric("the known distance", metres_per_unit),
+                )?;
+            }
         }
     }
     let is_metric = posed.scale.unit == Unit::Metre;
@@ -77,7 +87,11 @@ pub(crate) fn apply(
         } else {
             WorldScale::Free
         };
-        let (placed, frameless) = in_known_frame(request, has_given_poses);
+        let (placed, frameless) = in_known_frame(
+            request,
+            has_given_poses.then_some(metres_per_given),
+            is_metric,
+        );
         let at_once = num_at_once(photos, options.memory);
         let found = locate_request(
             photos,
@@ -93,13 +107,14 @@ pub(crate) fn apply(
                 Ok(located)
             }
             // What was said of the sphere is more to the point than that nothing is left of it.
-            Err(SphereError::NoView) if !frameless.is_empty() => Err(SphereError::NoFrame),
+            Err(SphereError::NoView) if let Some((_, why)) = frameless.first() => Err(why.clone()),
             Err(error) => Err(error),
         };
         match found {
             Ok(located) => {
                 let mut warnings = warnings_of(photos, request, &located, is_metric);
-                warnings.extend(centers_of(request, &located, has_given_poses));
+                let given = has_given_poses.then_some(metres_per_given);
+                warnings.extend(centers_of(request, &located, given, posed));
                 for message in warnings {
                     warn(observer, message)?;
                 }
@@ -107,14 +122,27 @@ pub(crate) fn apply(
                 // Centres that were merely stated say nothing of the scale.
                 if let Some(estimate) = located.scale.estimate.filter(|_| !is_metric) {
                     multiply(posed, report, estimate.metres_per_unit);
+                    let unit = match request.is_unitless {
+                        true => Unit::Arbitrary,
+                        false => Unit::Metre,
+                    };
+                    if has_given_poses && unit == Unit::Metre {
+                        warn(
+                            observer,
+                            became_metric("the sphere", estimate.metres_per_unit),
+                        )?;
+                    }
                     posed.scale = Scale {
-                        unit: Unit::Metre,
+                        unit,
                         source: ScaleSource::Sphere,
                         relative_sigma: Some(estimate.relative_sigma),
                     };
                 }
             }
-            Err(error) => {
+            Err(mut error) => {
+                if let SphereError::OutOfSight { center, .. } = &mut error {
+                    *center = in_world(*center, posed).into();
+                }
                 let why = format!("{error}{}", of_photos(photos, &request.spheres, &error));
                 let message = format!(
                     "the reference sphere was not located, the scale stays {}: {why}",
@@ -130,33 +158,52 @@ pub(crate) fn apply(
     Ok(())
 }
 
-/// The request without the spheres of which a centre alone is known, in a frame that is not the world's;
-/// and these.
+/// What to say of given cameras that got a unit.
+fn became_metric(by: &str, metres_per_unit: f64) -> String {
+    format!(
+        "the given cameras have no unit of length: {by} makes one of theirs {metres_per_unit:.6} m, and all \
+         results are in metres"
+    )
+}
+
+/// A place of the world here in that of the given cameras.
+fn in_world(place: [f64; 3], posed: &PosedViews) -> Point3<f64> {
+    Point3::from(place) + Vector3::from(posed.offset)
+}
+
+/// The request without the spheres of which a centre alone is known, in a frame that is not the world's or
+/// with a radius in another unit; and these. `given` is the world's unit over that of given cameras.
 fn in_known_frame(
     request: &SphereRequest,
-    has_given_poses: bool,
+    given: Option<f64>,
+    is_metric: bool,
 ) -> (SphereRequest, Vec<(String, SphereError)>) {
+    let is_comparable = is_metric || request.is_unitless;
     let is_placed = |sphere: &MarkedSphere| {
-        has_given_poses || !sphere.marks.is_empty() || sphere.center_in_world.is_none()
+        let is_usable = given.is_some() && is_comparable;
+        is_usable || !sphere.marks.is_empty() || sphere.center_in_world.is_none()
+    };
+    let why = match given {
+        Some(_) => SphereError::NoUnit,
+        None => SphereError::NoFrame,
     };
     let (placed, frameless): (Vec<MarkedSphere>, Vec<MarkedSphere>) =
         request.spheres.iter().cloned().partition(is_placed);
     // Where the poses were found, a centre cannot stand in for marks either.
     let spheres = placed.into_iter().map(|sphere| MarkedSphere {
-        center_in_world: sphere.center_in_world.filter(|_| has_given_poses),
+        center_in_world: (sphere.center_in_world.zip(given))
+            .map(|(center, factor)| center * factor),
         ..sphere
     });
     let placed = SphereRequest {
         spheres: spheres.collect(),
         search_radius: request.search_radius,
         light: request.light,
+        is_unitless: request.is_unitless,
         calibration: Vec::new(),
     };
     let frameless = frameless.into_iter();
-    (
-        placed,
-        frameless.map(|s| (s.name, SphereError::NoFrame)).collect(),
-    )
+    (placed, frameless.map(|s| (s.name, why.clone())).collect())
 }
 
 /// Share of the radius by which a stated centre may differ from that of the marks: the normals differ by
@@ -167,23 +214,27 @@ const MAX_CENTER_SHIFT: f64 = 0.1;
 fn centers_of(
     request: &SphereRequest,
     located: &LocatedSpheres,
-    has_given_poses: bool,
+    given: Option<f64>,
+    posed: &PosedViews,
 ) -> Vec<String> {
     let warnings = located.fits.iter().filter_map(|fit| {
         let sphere = request.spheres.iter().find(|s| s.name == fit.sphere.name)?;
         let stated = sphere.center_in_world.filter(|_| !fit.views.is_empty())?;
-        if !has_given_poses {
+        let Some(factor) = given else {
             return Some(format!(
                 "the stated centre of {} is not used: it stands in the frame of given cameras, but the \
                  poses were found from the photos; its marks are used",
                 sphere.name
             ));
-        }
+        };
+        let stated = stated * factor;
         let found = fit.sphere.center_in_world;
         let shift = (stated - Point3::from(found)).norm();
+        let unit = posed.scale.unit.words();
+        let (stated, found) = (in_world(stated.into(), posed), in_world(found, posed));
         (shift > MAX_CENTER_SHIFT * fit.sphere.radius).then(|| {
             format!(
-                "the stated centre of {} ({:.4}, {:.4}, {:.4}) lies {shift:.4} m from where its outlines \
+                "the stated centre of {} ({:.4}, {:.4}, {:.4}) lies {shift:.4} {unit} from where its outlines \
                  put it ({:.4}, {:.4}, {:.4}), {:.1} times its radius: the outlines are used; check the \
                  centre, its frame and its unit",
                 sphere.name,
@@ -336,24 +387,7 @@ fn of_photos(photos: &PhotoSet, spheres: &[MarkedSphere], error: &SphereError) -
 
 /// Multiplies every length of the world.
 fn multiply(posed: &mut PosedViews, report: &mut PosesReport, factor: f64) {
-    for view in &mut posed.views {
-        view.cam_from_world.translation *= factor;
-    }
-    for point in &mut posed.points {
-        for v in &mut point.position {
-            *v *= factor;
-        }
-    }
-    for sphere in &mut posed.spheres {
-        for v in sphere
-            .center_in_world
-            .iter_mut()
-            .chain(&mut sphere.center_sigma)
-        {
-            *v *= factor;
-        }
-        sphere.radius *= factor;
-    }
+    posed.multiply(factor);
     report.median_point_sigma = report.median_point_sigma.map(|s| s * factor);
     for view in &mut report.views {
         view.center_sigma = view.center_sigma.map(|s| s * factor);

@@ -240,17 +240,14 @@ const COARSE_SPACING_SHARE: f64 = 0.1;
 fn coarse(facts: &CloudFacts, unit: Unit, options: &FusionOptions) -> Option<String> {
     let sides = [0, 1, 2].map(|k| (f64::from(facts.high[k]) - f64::from(facts.low[k])).max(0.0));
     let extent = sides[0].hypot(sides[1]).hypot(sides[2]);
-    let unit = match unit {
-        Unit::Metre => "m",
-        Unit::Arbitrary => "units",
-    };
+    let words = unit.words();
     (options.spacing > COARSE_SPACING_SHARE * extent).then(|| {
         format!(
-            "a spacing of {} {unit} leaves {} points of a cloud that is {extent:.3} {unit} across: it \
+            "a spacing of {} {words} leaves {} points of a cloud that is {extent:.3} {words} across: it \
              is stated in {}",
             options.spacing,
             facts.num_points,
-            if unit == "m" {
+            if unit == Unit::Metre {
                 "metres"
             } else {
                 "the cameras' unit"

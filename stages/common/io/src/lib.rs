@@ -87,7 +87,8 @@ pub use photo::{
 };
 pub use photo_writer::{write_photo_deep, write_photo_jpeg};
 pub use ply::{
-    CloudPlyWriter, mesh_ply_file, read_cloud_ply, read_mesh_ply, write_cloud_ply, write_mesh_ply,
+    CloudPlyWriter, mesh_ply_file, read_cloud_ply, read_mesh_ply, read_mesh_ply_near,
+    write_cloud_ply, write_mesh_ply,
 };
 pub use preview::{Preview, encode_preview_jpeg, picture_as_jpeg, write_preview_png};
 pub use scene_file::{

@@ -6,7 +6,7 @@ use crate::sphere::LocatedSphere;
 use crate::transform::RigidTransform;
 use serde::{Deserialize, Serialize};
 
-/// Unit of the world frame.
+/// Unit of the world frame. A run works in metres or in arbitrary units; the others are of files.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unit {
@@ -15,14 +15,81 @@ pub enum Unit {
     /// Unknown scale.
     #[default]
     Arbitrary,
+    /// Millimetres.
+    Millimetre,
+    /// Centimetres.
+    Centimetre,
+    /// Inches.
+    Inch,
+    /// International feet.
+    Foot,
 }
 
 impl Unit {
+    /// All, in the order in which messages name them.
+    pub const ALL: [Self; 6] = [
+        Self::Metre,
+        Self::Centimetre,
+        Self::Millimetre,
+        Self::Inch,
+        Self::Foot,
+        Self::Arbitrary,
+    ];
+
     /// Name, as in files.
     pub fn name(self) -> &'static str {
         match self {
             Self::Metre => "metre",
             Self::Arbitrary => "arbitrary",
+            Self::Millimetre => "millimetre",
+            Self::Centimetre => "centimetre",
+            Self::Inch => "inch",
+            Self::Foot => "foot",
+        }
+    }
+
+    /// The unit of a name or of a usual short form.
+    pub fn of_name(name: &str) -> Option<Self> {
+        Some(match name {
+            "meter" | "metres" | "meters" | "m" => Self::Metre,
+            "millimeter" | "millimetres" | "millimeters" | "mm" => Self::Millimetre,
+            "centimeter" | "centimetres" | "centimeters" | "cm" => Self::Centimetre,
+            "inches" | "in" => Self::Inch,
+            "feet" | "ft" => Self::Foot,
+            name => return Self::ALL.into_iter().find(|unit| unit.name() == name),
+        })
+    }
+
+    /// Its length in metres, where it is one.
+    pub fn metres(self) -> Option<f64> {
+        Some(match self {
+            Self::Metre => 1.0,
+            Self::Arbitrary => return None,
+            Self::Millimetre => 1e-3,
+            Self::Centimetre => 1e-2,
+            Self::Inch => 0.0254,
+            Self::Foot => 0.3048,
+        })
+    }
+
+    /// What stands behind a length.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Metre => "m",
+            Self::Arbitrary => "of the cameras' units",
+            Self::Millimetre => "mm",
+            Self::Centimetre => "cm",
+            Self::Inch => "in",
+            Self::Foot => "ft",
+        }
+    }
+
+    /// A length with its unit: millimetres with `digits` decimals, or two significant decimals of
+    /// an unknown unit.
+    pub fn length(self, value: f64, digits: usize) -> String {
+        match self.metres() {
+            Some(metres) => format!("{:.digits$} mm", 1e3 * metres * value),
+            None => format!("{value:.2e} {}", self.words()),
         }
     }
 }
@@ -84,19 +151,45 @@ impl WorldFrame {
 }
 
 /// What coordinates in the world mean.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct WorldCoordinates {
     /// Unit of every length.
     pub unit: Unit,
     /// Where the axes lie.
     pub frame: WorldFrame,
+    /// What is added to local coordinates for those of the world: [`crate::local_offset`].
+    pub offset: [f64; 3],
+}
+
+impl WorldCoordinates {
+    /// The offset, where there is one.
+    pub fn offset(&self) -> Option<[f64; 3]> {
+        (self.offset != [0.0; 3]).then_some(self.offset)
+    }
+
+    /// Lines on unit, frame and offset for a file's comments.
+    pub fn comments(&self) -> Vec<String> {
+        let mut lines = vec![
+            format!("unit {}", self.unit.name()),
+            format!("frame {}", self.frame.of_file()),
+        ];
+        lines.extend(self.offset().map(|[x, y, z]| {
+            format!("offset {x} {y} {z} is to be added to coordinates for those of the world")
+        }));
+        lines
+    }
 }
 
 /// In the frame of cameras that are given.
 impl From<Unit> for WorldCoordinates {
     fn from(unit: Unit) -> Self {
         let frame = WorldFrame::Given;
-        Self { unit, frame }
+        let offset = [0.0; 3];
+        Self {
+            unit,
+            frame,
+            offset,
+        }
     }
 }
 
@@ -106,6 +199,7 @@ impl PosedViews {
         WorldCoordinates {
             unit: self.scale.unit,
             frame: self.frame,
+            offset: self.offset,
         }
     }
 }
@@ -212,9 +306,20 @@ pub struct PosedViews {
     /// Where the axes lie.
     #[serde(default)]
     pub frame: WorldFrame,
+    /// What is added to coordinates here for those of the given cameras, in the unit here:
+    /// [`crate::local_offset`].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub offset: [f64; 3],
+    /// Unit of the given cameras, where it is another unit of length than that of the world here.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub given_unit: Option<Unit>,
     /// The reference spheres that were located.
     pub spheres: Vec<LocatedSphere>,
     /// Why none of the reference spheres that were asked for was located.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub no_sphere: Option<String>,
+}
+
+fn is_zero(offset: &[f64; 3]) -> bool {
+    *offset == [0.0; 3]
 }

@@ -92,6 +92,8 @@ pub struct SphereRequest {
     pub spheres: Vec<MarkedSphere>,
     /// Search the photos for all matte spheres of this radius, metres.
     pub search_radius: Option<f64>,
+    /// Whether the stated radii are in an unknown unit: they set the size then, and no unit.
+    pub is_unitless: bool,
     /// What the light is fixed to, where it is stated; else the spheres show it, and where they
     /// cannot the light is taken to rest.
     pub light: Option<LightKind>,

@@ -114,6 +114,8 @@ mod tests {
                 relative_sigma: None,
             },
             frame: WorldFrame::Level,
+            offset: [0.0; 3],
+            given_unit: None,
             spheres: Vec::new(),
             no_sphere: None,
         }

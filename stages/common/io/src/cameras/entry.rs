@@ -1,6 +1,8 @@
 //! What camera files of every kind hold.
 
-use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit, WorldFrame};
+use rilievo_scene::{
+    Intrinsics, PosedViews, RigidTransform, Unit, WorldCoordinates, WorldFrame, local_offset,
+};
 
 /// One camera of a file.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +28,9 @@ pub struct CameraFile {
     pub extra: serde_json::Map<String, serde_json::Value>,
 }
 
+/// Key of the offset of a run's surface, cloud and anchors in its `cameras.json`.
+const SURFACE_OFFSET: &str = "surface_offset";
+
 impl CameraEntry {
     pub(crate) fn posed(image: String, intrinsics: Intrinsics, pose: RigidTransform) -> Self {
         Self {
@@ -44,9 +49,16 @@ impl CameraEntry {
 impl CameraFile {
     /// What stage 3 writes: every posed view, and the photos that got no pose.
     pub fn from_posed_views(views: &PosedViews) -> Self {
+        let back = views.offset.map(|v| -v);
         let cameras = views.views.iter().map(|view| {
-            CameraEntry::posed(view.file_name.clone(), view.intrinsics, view.cam_from_world)
+            let cam_from_world = view.cam_from_world.with_origin_at(back);
+            CameraEntry::posed(view.file_name.clone(), view.intrinsics, cam_from_world)
         });
+        let mut extra = serde_json::Map::new();
+        extra.insert("frame".to_owned(), views.frame.words().into());
+        if let Some(offset) = views.coordinates().offset() {
+            extra.insert(SURFACE_OFFSET.to_owned(), offset.to_vec().into());
+        }
         let unregistered = views.unregistered.iter();
         Self {
             unit: views.scale.unit,
@@ -54,10 +66,54 @@ impl CameraFile {
             unregistered: unregistered
                 .map(|photo| (photo.file_name.clone(), photo.reason.clone()))
                 .collect(),
-            extra: [("frame".to_owned(), views.frame.words().into())]
-                .into_iter()
-                .collect(),
+            extra,
         }
+    }
+
+    /// Puts the lengths into metres, where the file's unit is one of length.
+    pub fn to_metres(&mut self) {
+        let Some(metres) = self.unit.metres() else {
+            return;
+        };
+        self.unit = Unit::Metre;
+        for pose in self.poses_mut() {
+            pose.translation *= metres;
+        }
+        if let Some(stated) = self.surface_offset() {
+            let offset = stated.map(|v| v * metres);
+            self.extra
+                .insert(SURFACE_OFFSET.to_owned(), offset.to_vec().into());
+        }
+    }
+
+    /// Moves the cameras to a local frame: at `known` or at the offset that the file states where they
+    /// stand near that, else near their own place. What their coordinates mean then.
+    pub fn localize(&mut self, known: [f64; 3]) -> WorldCoordinates {
+        let poses: Vec<RigidTransform> = self.posed().map(|(_, pose)| pose).collect();
+        let offset = local_offset(&poses, self.surface_offset().unwrap_or(known));
+        self.move_origin(offset);
+        WorldCoordinates {
+            unit: self.unit,
+            frame: self.frame(),
+            offset,
+        }
+    }
+
+    /// Subtracts an offset from the cameras' places.
+    pub fn move_origin(&mut self, offset: [f64; 3]) {
+        for pose in self.poses_mut() {
+            *pose = pose.with_origin_at(offset);
+        }
+    }
+
+    fn surface_offset(&self) -> Option<[f64; 3]> {
+        let stated = self.extra.get(SURFACE_OFFSET)?;
+        serde_json::from_value(stated.clone()).ok()
+    }
+
+    fn poses_mut(&mut self) -> impl Iterator<Item = &mut RigidTransform> {
+        let cameras = self.cameras.iter_mut();
+        cameras.filter_map(|entry| entry.cam_from_world.as_mut())
     }
 
     /// Where the world's axes lie: level where the file's key `frame` states it.

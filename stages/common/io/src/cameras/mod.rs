@@ -1,7 +1,7 @@
 //! Cameras: `cameras.json`, the `camera.json` of one view, and COLMAP folders as camera files.
 //!
 //! ```text
-//! {"unit": "metre" | "arbitrary", "cameras": [{"image": "IMG_0001.jpg", "width": 1280, "height": 960,
+//! {"unit": "metre" | "arbitrary" | "millimetre" | "centimetre" | "inch" | "foot", "cameras": [{"image": "IMG_0001.jpg", "width": 1280, "height": 960,
 //!   "K": [[fx,0,cx],[0,fy,cy],[0,0,1]], "distortion": {"model": "opencv", "coefficients": [k1,k2,p1,p2,k3]},
 //!   "world_from_camera_rotation": [[..],[..],[..]], "camera_center": [x,y,z]}]}
 //! ```

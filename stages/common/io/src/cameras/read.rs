@@ -67,11 +67,10 @@ pub(crate) fn unit(root: &Node<'_>) -> Result<Unit, IoError> {
     let Some(node) = root.opt("unit")? else {
         return Ok(Unit::Arbitrary);
     };
-    match node.text()? {
-        "metre" | "meter" | "m" => Ok(Unit::Metre),
-        "arbitrary" => Ok(Unit::Arbitrary),
-        _ => Err(node.refuse("is not a unit; say \"metre\" or \"arbitrary\"")),
-    }
+    Unit::of_name(node.text()?).ok_or_else(|| {
+        let known = Unit::ALL.map(|unit| format!("\"{}\"", unit.name()));
+        node.refuse(format!("is not a unit; say one of {}", known.join(", ")))
+    })
 }
 
 fn camera(node: &Node<'_>) -> Result<CameraEntry, IoError> {

@@ -4,6 +4,7 @@ use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPo
 use crate::cameras::entry::{CameraEntry, CameraFile};
 use crate::cameras::index::DistinctCameras;
 use crate::error::IoError;
+use nalgebra::{Point3, Vector3};
 use rilievo_scene::{Distortion, Intrinsics, PosedViews, Unit};
 use std::collections::HashMap;
 use std::path::Path;
@@ -144,6 +145,7 @@ impl ColmapModel {
     /// The model of posed views with their sparse points.
     pub fn from_posed_views(views: &PosedViews) -> Self {
         let mut model = Self::from_cameras(&CameraFile::from_posed_views(views));
+        let [x, y, z] = views.offset;
         for (i, point) in views.points.iter().enumerate() {
             let id = i as u64 + 1;
             let mut track = Vec::with_capacity(point.track.len());
@@ -156,7 +158,7 @@ impl ColmapModel {
             }
             model.points.push(ColmapPoint {
                 id,
-                position: point.position,
+                position: (Point3::from(point.position) + Vector3::new(x, y, z)).into(),
                 color: point.color,
                 error_px: point.error_px,
                 track,

@@ -44,7 +44,7 @@ pub fn write_asset<E: From<IoError>>(
     let glb = path("asset.glb")?;
     check_asset(&glb, asset)?;
     let images = images(&glb, asset)?;
-    write_asset_glb(&glb, asset, &images, world.unit, frame)?;
+    write_asset_glb(&glb, asset, &images, world, frame)?;
     let textured = Textured {
         material: ("asset.mtl", "matte"),
         coords: &asset.texture_coords,

@@ -14,7 +14,7 @@ use super::check::check;
 use crate::error::IoError;
 use crate::files::write_pieces;
 use nalgebra::{Matrix3, Vector3};
-use rilievo_scene::{Asset, Mesh, PosedViews, Unit, WorldFrame, srgb};
+use rilievo_scene::{Asset, Mesh, PosedViews, Unit, WorldCoordinates, WorldFrame, srgb};
 use serde_json::{Value, json};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -110,7 +110,7 @@ pub(super) struct AssetImages {
 pub fn write_mesh_glb(
     path: &Path,
     mesh: &Mesh,
-    unit: Unit,
+    world: impl Into<WorldCoordinates>,
     frame: &ViewerFrame,
 ) -> Result<(), IoError> {
     let mut file = Glb::of(path, mesh, frame)?;
@@ -127,7 +127,7 @@ pub fn write_mesh_glb(
         "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1},
         "doubleSided": true,
     });
-    file.write(path, mesh, (material, unit))
+    file.write(path, mesh, (material, world.into()))
 }
 
 /// Writes an asset as GLB, its textures inside.
@@ -135,7 +135,7 @@ pub(super) fn write_asset_glb(
     path: &Path,
     asset: &Asset,
     images: &AssetImages,
-    unit: Unit,
+    world: WorldCoordinates,
     frame: &ViewerFrame,
 ) -> Result<(), IoError> {
     let mut file = Glb::of(path, &asset.mesh, frame)?;
@@ -173,7 +173,7 @@ pub(super) fn write_asset_glb(
             "normal_map": "OpenGL convention, green up; tangents by MikkTSpace",
         },
     });
-    file.write(path, &asset.mesh, (material, unit))
+    file.write(path, &asset.mesh, (material, world))
 }
 
 /// A part of the binary chunk: its length, and its bytes in pieces.
@@ -287,7 +287,7 @@ impl<'a> Glb<'a> {
         mut self,
         path: &Path,
         mesh: &'a Mesh,
-        (material, unit): (Value, Unit),
+        (material, world): (Value, WorldCoordinates),
     ) -> Result<(), IoError> {
         let num = 3 * mesh.triangles.len();
         let corners = mesh.triangles.iter().flatten().copied();
@@ -296,15 +296,19 @@ impl<'a> Glb<'a> {
         self.accessors.push(json!({
             "componentType": UNSIGNED_INT, "count": num, "type": "SCALAR", "bufferView": view,
         }));
-        let unit = match unit {
-            Unit::Metre => unit.name(),
+        let mut extras = json!({"unit": match world.unit {
             Unit::Arbitrary => "arbitrary: the scale is unknown",
-        };
+            unit => unit.name(),
+        }});
+        // In the world's axes, as of the PLY; as a node's place, single precision would lose it.
+        if let Some(offset) = world.offset() {
+            extras["offset_in_world"] = json!(offset);
+        }
         let mut document = json!({
             "asset": {
                 "version": "2.0",
                 "generator": concat!("rilievo ", env!("CARGO_PKG_VERSION")),
-                "extras": {"unit": unit},
+                "extras": extras,
             },
             "scene": 0,
             "scenes": [{"nodes": [0]}],

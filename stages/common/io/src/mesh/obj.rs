@@ -42,8 +42,9 @@ pub(super) fn write_obj(
 ) -> Result<(), IoError> {
     check(path, mesh)?;
     write_pieces(path, |out| {
-        let (unit, frame) = (world.unit.name(), world.frame.of_file());
-        writeln!(out, "# unit {unit}\n# frame {frame}")?;
+        for line in world.comments() {
+            writeln!(out, "# {line}")?;
+        }
         if let Some(Textured { material, .. }) = &textured {
             writeln!(out, "mtllib {}", material.0)?;
         }

@@ -74,6 +74,8 @@ pub(super) struct Header {
     pub format: Format,
     pub elements: Vec<Element>,
     pub body_at: usize,
+    /// What a comment says is to be added to positions for those of the world.
+    pub offset: [f64; 3],
 }
 
 impl Header {
@@ -86,6 +88,7 @@ impl Header {
         let mut elements: Vec<Element> = Vec::new();
         let mut at = 0;
         let mut number = 0;
+        let mut offset = [0.0; 3];
         loop {
             let rest = bytes.get(at..).unwrap_or_default();
             let len = rest
@@ -116,6 +119,14 @@ impl Header {
                         _ => return Err(wrong()),
                     });
                 }
+                ["comment", "offset", x, y, z, ..] => {
+                    // Other programs' comments may begin so too.
+                    if let [Ok(x), Ok(y), Ok(z)] = [x, y, z].map(str::parse::<f64>)
+                        && [x, y, z].iter().all(|v| v.is_finite())
+                    {
+                        offset = [x, y, z];
+                    }
+                }
                 ["comment" | "obj_info", ..] | [] => {}
                 ["element", name, count] => elements.push(Element {
                     name: name.to_owned(),
@@ -144,6 +155,7 @@ impl Header {
             format: format.ok_or("the header has no format")?,
             elements,
             body_at: at,
+            offset,
         })
     }
 }

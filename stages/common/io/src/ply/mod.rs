@@ -12,7 +12,7 @@ mod header;
 mod read;
 mod write;
 
-pub use read::{read_cloud_ply, read_mesh_ply};
+pub use read::{read_cloud_ply, read_mesh_ply, read_mesh_ply_near};
 pub use write::{CloudPlyWriter, mesh_ply_file, write_cloud_ply, write_mesh_ply};
 
 #[cfg(test)]

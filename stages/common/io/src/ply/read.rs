@@ -105,15 +105,22 @@ struct Content {
     /// Which of the vertex's values the file has.
     has: [bool; VERTEX_PROPERTIES.len()],
     triangles: Vec<[u32; 3]>,
+    /// Metres or the like per unit of the file, and what is taken off then.
+    local: Option<(f64, [f64; 3])>,
+    /// What the file says is to be added to its positions.
+    offset: [f64; 3],
 }
 
-fn parse(bytes: &[u8]) -> Result<Content, String> {
+/// `local`: see [`read_mesh_ply_near`]; nothing where positions are taken as they stand.
+fn parse(bytes: &[u8], local: Option<(f64, [f64; 3])>) -> Result<Content, String> {
     let header = Header::parse(bytes)?;
     let mut body = Body::new(&header, bytes)?;
     let mut content = Content {
         vertices: Vec::new(),
         has: [false; VERTEX_PROPERTIES.len()],
         triangles: Vec::new(),
+        local,
+        offset: header.offset,
     };
     let mut seen_vertices = false;
     for element in &header.elements {
@@ -205,7 +212,13 @@ fn parse_vertices(
         for (property, slot) in element.properties.iter().zip(&slots) {
             body.property(property, &mut values)?;
             if let (Some((slot, scale)), [value]) = (slot, &values[..]) {
-                vertex[*slot] = (value * scale) as f32;
+                let value = match (content.local, content.offset.get(*slot)) {
+                    (Some((factor, origin)), Some(offset)) => {
+                        (value + offset) * factor - origin[*slot]
+                    }
+                    _ => value * scale,
+                };
+                vertex[*slot] = value as f32;
             }
         }
         content.vertices.push(vertex);
@@ -244,9 +257,9 @@ fn parse_faces(
     Ok(())
 }
 
-fn load(path: &Path) -> Result<Content, IoError> {
+fn load(path: &Path, local: Option<(f64, [f64; 3])>) -> Result<Content, IoError> {
     let bytes = read_regular(path)?;
-    parse(&bytes).map_err(|reason| IoError::input(path, reason))
+    parse(&bytes, local).map_err(|reason| IoError::input(path, reason))
 }
 
 /// A colour or count; the cast saturates, as one out of range should.
@@ -259,7 +272,7 @@ fn byte(value: f32) -> u8 {
 /// # Errors
 /// When the file cannot be read or is no PLY with `x y z`.
 pub fn read_cloud_ply(path: &Path) -> Result<PointCloud, IoError> {
-    let content = load(path)?;
+    let content = load(path, None)?;
     let points = content.vertices.iter().map(point).collect();
     Ok(PointCloud { points })
 }
@@ -269,7 +282,19 @@ pub fn read_cloud_ply(path: &Path) -> Result<PointCloud, IoError> {
 /// # Errors
 /// When the file cannot be read or is no PLY with `x y z`.
 pub fn read_mesh_ply(path: &Path) -> Result<Mesh, IoError> {
-    let content = load(path)?;
+    Ok(mesh_of(load(path, None)?))
+}
+
+/// The same in a local frame: `factor · (x + offset) − origin` in double precision, where `offset` is
+/// the one that the file states.
+///
+/// # Errors
+/// As [`read_mesh_ply`].
+pub fn read_mesh_ply_near(path: &Path, factor: f64, origin: [f64; 3]) -> Result<Mesh, IoError> {
+    Ok(mesh_of(load(path, Some((factor, origin)))?))
+}
+
+fn mesh_of(content: Content) -> Mesh {
     let vertices = content.vertices.iter();
     let triple = |at: usize| -> Vec<[f32; 3]> {
         let has = content.has[at..at + 3].iter().all(|&has| has);
@@ -277,10 +302,10 @@ pub fn read_mesh_ply(path: &Path) -> Result<Mesh, IoError> {
         if has { values.collect() } else { Vec::new() }
     };
     let colors = triple(6).into_iter();
-    Ok(Mesh {
+    Mesh {
         vertices: triple(0),
         normals: triple(3),
         colors: colors.map(|color| color.map(byte)).collect(),
         triangles: content.triangles,
-    })
+    }
 }

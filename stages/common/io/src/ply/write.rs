@@ -9,12 +9,11 @@ use std::io::{BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 
 fn preamble(world: WorldCoordinates) -> String {
-    format!(
-        "ply\nformat binary_little_endian 1.0\ncomment unit {}\n\
-         comment frame {}\n",
-        world.unit.name(),
-        world.frame.of_file()
-    )
+    let mut text = "ply\nformat binary_little_endian 1.0\n".to_owned();
+    for line in world.comments() {
+        text += &format!("comment {line}\n");
+    }
+    text
 }
 
 fn put(out: &mut impl Write, values: [f32; 3]) -> std::io::Result<()> {

@@ -6,7 +6,7 @@ use crate::error::IoError;
 use nalgebra::Point3;
 use rilievo_scene::{
     LinearImage, MarkedSphere, Orientation, Photo, PhotoIdx, PhotoSet, SphereCalibration,
-    SphereMark, SphereRequest,
+    SphereMark, SphereRequest, Unit,
 };
 
 /// What a sphere file asks for in a set of photos.
@@ -94,6 +94,7 @@ impl SphereFile {
             ..SpheresInSet::default()
         };
         in_set.request.light = self.light;
+        in_set.request.is_unitless = self.unit == Unit::Arbitrary;
         for entry in &self.spheres {
             let sphere = self.marked(entry, photos, is_upright == Some(true), &mut in_set)?;
             in_set.request.spheres.push(sphere);

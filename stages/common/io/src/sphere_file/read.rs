@@ -39,10 +39,15 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
         files: Vec::new(),
         left_out: Vec::new(),
     };
-    let spheres = reader.spheres(&root)?;
+    let mut spheres = reader.spheres(&root)?;
     let calibration = root.list("calibration")?;
     let calibration = calibration.iter().map(|node| reader.calibration(node));
-    let calibration = calibration.collect::<Result<Vec<_>, _>>()?;
+    let mut calibration = calibration.collect::<Result<Vec<_>, _>>()?;
+    let metres = unit.metres().unwrap_or(1.0);
+    let radii = spheres.iter_mut().map(|sphere| &mut sphere.radius);
+    for radius in radii.chain(calibration.iter_mut().map(|c| &mut c.radius)) {
+        *radius *= metres;
+    }
     if spheres.is_empty() && calibration.is_empty() {
         return Err(IoError::input(
             path,
@@ -66,7 +71,7 @@ pub fn read_sphere_file(path: &Path) -> Result<SphereFile, IoError> {
     }
     Ok(SphereFile {
         path: path.to_path_buf(),
-        unit,
+        unit: unit.metres().map_or(unit, |_| Unit::Metre),
         light,
         spheres,
         calibration,

@@ -86,6 +86,13 @@ pub enum SphereError {
          give cameras with a pose for every photo (--cameras), or mark it in two photos"
     )]
     NoFrame,
+    /// A stated centre and a radius in another unit.
+    #[error(
+        "its centre is stated in the unit of the given cameras, which they do not name, and its radius is \
+         stated in metres: name the cameras' unit, mark it in two photos, or state the radius in the \
+         cameras' unit with \"unit\": \"arbitrary\""
+    )]
+    NoUnit,
     /// The sphere in one view alone does not fix the scale of several views.
     #[error(
         "the sphere is marked in one posed photo only: scale needs two, seen from directions \

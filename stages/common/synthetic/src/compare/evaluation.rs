@@ -6,7 +6,7 @@ use super::cloud::{CloudComparison, TrueSurface, compare_cloud};
 use super::maps::{MapComparison, PixelErrors, aggregate};
 use crate::error::SyntheticError;
 use rilievo_numerics::robust::median;
-use rilievo_scene::CloudPoint;
+use rilievo_scene::{CloudPoint, Unit};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -19,6 +19,8 @@ pub struct Evaluation {
     pub alignment: Alignment,
     /// Lengths of the estimate are multiplied by this before comparison.
     pub scale: f64,
+    /// Unit of all lengths here.
+    pub unit: Unit,
     /// Why this motion.
     pub alignment_reason: String,
     /// Camera poses.
@@ -40,8 +42,8 @@ pub struct Evaluation {
 /// Median factor between the depths of both sides from which they are not of one scale.
 const MAX_DEPTH_FACTOR: f64 = 2.0;
 
-/// A length in a sentence.
-fn length(value: f64) -> String {
+/// A number in a sentence.
+fn number(value: f64) -> String {
     if (0.01..1e4).contains(&value) {
         format!("{value:.3}")
     } else {
@@ -53,6 +55,7 @@ fn mismatches(
     alignment: Alignment,
     errors: &[(String, PixelErrors)],
     cloud: Option<&CloudComparison>,
+    unit: Unit,
 ) -> Vec<String> {
     let remedy = match alignment {
         Alignment::Sim3 => {
@@ -69,14 +72,14 @@ fn mismatches(
     if let Some(factor) = median(&mut factors)
         && !(1.0 / MAX_DEPTH_FACTOR..=MAX_DEPTH_FACTOR).contains(&factor)
     {
-        let factor = length(factor);
+        let factor = number(factor);
         found.push(format!(
             "the depths are {factor} times the true ones: they do not match in scale; {remedy}"
         ));
     }
     if let Some(apart) = cloud.and_then(|cloud| cloud.apart) {
-        let [cloud, surface, offset] =
-            [apart.cloud_size, apart.surface_size, apart.offset].map(length);
+        let [cloud, surface, offset] = [apart.cloud_size, apart.surface_size, apart.offset]
+            .map(|v| format!("{} {}", number(v), unit.words()));
         found.push(format!(
             "the cloud is {cloud} across, the true surface {surface}, and their middles lie {offset} apart: \
              they do not match in scale or frame; {remedy}"
@@ -92,8 +95,8 @@ fn mismatches(
 /// # Errors
 /// Those of the alignment.
 pub fn evaluate(
-    estimated: &[NamedPose],
-    truth: &[NamedPose],
+    (estimated, truth): (&[NamedPose], &[NamedPose]),
+    unit: Unit,
     request: AlignmentRequest,
     views: impl FnOnce(f64) -> Result<Vec<(String, PixelErrors)>, SyntheticError>,
     cloud: Result<(&[CloudPoint], TrueSurface<'_>), String>,
@@ -125,10 +128,11 @@ pub fn evaluate(
             None
         }
     };
-    let mismatches = mismatches(similarity.alignment, &errors, cloud.as_ref());
+    let mismatches = mismatches(similarity.alignment, &errors, cloud.as_ref(), unit);
     Ok(Evaluation {
         alignment: similarity.alignment,
         scale: similarity.scale,
+        unit,
         alignment_reason: similarity.reason.clone(),
         poses,
         views: errors
@@ -161,7 +165,7 @@ mod tests {
                 regions: Default::default(),
                 relief: Vec::new(),
             };
-            mismatches(alignment, &[("a".to_owned(), errors)], None).join("; ")
+            mismatches(alignment, &[("a".to_owned(), errors)], None, Unit::Metre).join("; ")
         };
         assert_eq!(told(1.3, Alignment::None), "");
         for (factor, shown) in [(1000.0, "1000.000 times"), (0.001, "1.00e-3 times")] {
