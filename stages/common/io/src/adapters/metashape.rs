@@ -230,8 +230,8 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
     text.push_str("    </sensors>\n    <cameras>\n");
     text.push_str(&entries);
     text.push_str("    </cameras>\n");
-    if cameras.unit == Unit::Metre {
-        text.push_str("    <transform><scale>1</scale></transform>\n");
+    if let Some(metres) = cameras.unit.metres() {
+        text += &format!("    <transform><scale>{metres}</scale></transform>\n");
     }
     text.push_str("  </chunk>\n</document>\n");
     Ok(OutputFile::new(path, text))

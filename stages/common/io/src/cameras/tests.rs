@@ -145,8 +145,8 @@ fn wrong_values_are_refused_with_file_key_and_value() {
             "coefficients[5]: 0.1",
         ),
         (
-            r#"{"unit": "inch", "cameras": []}"#.to_owned(),
-            "unit: \"inch\"",
+            r#"{"unit": "yard", "cameras": []}"#.to_owned(),
+            "unit: \"yard\"",
         ),
     ] {
         let error = read_text(&text).unwrap_err();
