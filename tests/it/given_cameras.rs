@@ -15,9 +15,8 @@ fn true_cameras() -> CameraFile {
     read_cameras(&synthetic_set().join("truth/cameras.json")).expect("cameras")
 }
 
-/// The same in another unit, `per_metre` of which are a metre, and moved in that.
-fn changed(unit: Unit, per_metre: f64, offset: [f64; 3]) -> CameraFile {
-    let mut cameras = true_cameras();
+/// Cameras in metres in another unit, `per_metre` of which are a metre, and moved in that.
+fn changed(mut cameras: CameraFile, unit: Unit, per_metre: f64, offset: [f64; 3]) -> CameraFile {
     cameras.unit = unit;
     for pose in (cameras.cameras.iter_mut()).filter_map(|c| c.cam_from_world.as_mut()) {
         pose.translation *= per_metre;
@@ -26,17 +25,15 @@ fn changed(unit: Unit, per_metre: f64, offset: [f64; 3]) -> CameraFile {
     cameras
 }
 
-/// Reconstructs the shared set with cameras; the run, stdout and stderr.
-fn reconstructed(folder: &Path, name: &str, cameras: &Path, more: &[&str]) -> (PathBuf, String) {
-    let set = synthetic_set();
-    let run_dir = folder.join(name);
+/// Reconstructs a set with cameras; the run, and what was said.
+fn reconstructed(set: &Path, run_dir: &Path, cameras: &Path, more: &[&str]) -> (PathBuf, String) {
     let [photos, masks] = ["photos", "masks"].map(|part| set.join(part));
-    let mut arguments = vec!["reconstruct", arg(&photos), "-o", arg(&run_dir)];
+    let mut arguments = vec!["reconstruct", arg(&photos), "-o", arg(run_dir)];
     arguments.extend(["--masks", arg(&masks), "--cameras", arg(cameras)]);
     arguments.extend(more);
     let (code, stdout, stderr) = run(&arguments);
-    assert_eq!(code, 0, "{name}: {stderr}");
-    (run_dir, stdout + &stderr)
+    assert_eq!(code, 0, "{}: {stderr}", run_dir.display());
+    (run_dir.to_path_buf(), stdout + &stderr)
 }
 
 const LIGHT_ONLY: [&str; 2] = ["--until", "4_lighting"];
@@ -56,78 +53,144 @@ fn positions(mesh: &Mesh) -> Vec<[f64; 3]> {
     mesh.vertices.iter().map(|v| v.map(f64::from)).collect()
 }
 
+/// A small set of its own: whole runs.
+fn small_set(folder: &Path) -> PathBuf {
+    let set = folder.join("set");
+    done(&[
+        "synth",
+        arg(&set),
+        "--views",
+        "3",
+        "--size",
+        "240x180",
+        "--seed",
+        "5",
+    ]);
+    set
+}
+
+/// The truth of a set in a world that was moved, its surface in double precision.
+fn moved_truth(set: &Path, offset: [f64; 3], to: &Path) {
+    let truth = set.join("truth");
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(&truth).unwrap().flatten() {
+        if entry.path().is_file() {
+            std::fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        }
+    }
+    let cameras = read_cameras(&truth.join("cameras.json")).unwrap();
+    let far = changed(cameras, Unit::Metre, 1.0, offset);
+    write_cameras(&to.join("cameras.json"), &far).unwrap();
+    let surface = read_mesh_ply(&truth.join("mesh.ply")).unwrap();
+    write_double_ply(&to.join("mesh.ply"), &surface, offset);
+}
+
+fn evaluated(run_dir: &Path, truth: &Path) -> serde_json::Value {
+    let command = ["evaluate", arg(run_dir), "--truth", arg(truth), "--json"];
+    serde_json::from_str(&done(&command)).unwrap()
+}
+
+/// Size of the object, metres, at least.
+const SIZE: f64 = 0.1;
+
+fn offset_of(folder: &Path) -> [f64; 3] {
+    serde_json::from_value(json_of(&folder.join("offset.json"))["offset"].clone()).unwrap()
+}
+
+/// Compares a mesh that stands at an offset with the one at the origin.
+fn same_shape(far: &Path, near: &Path, offset: [f64; 3]) {
+    let [far_mesh, near_mesh] = [far, near].map(|f| read_mesh_ply(&f.join("mesh.ply")).unwrap());
+    let stated = offset_of(far);
+    assert_eq!(far_mesh.triangles, near_mesh.triangles, "{offset:?}");
+    let back = positions(&far_mesh).into_iter();
+    let back: Vec<[f64; 3]> = back
+        .map(|v| [0, 1, 2].map(|k| v[k] + (stated[k] - offset[k])))
+        .collect();
+    let difference = largest_difference(&back, &positions(&near_mesh));
+    assert!(difference < 1e-5 * SIZE, "{offset:?}: {difference}");
+}
+
 #[test]
-fn a_surface_far_from_the_origin_has_the_shape_of_one_at_it() {
+fn a_fused_surface_far_from_the_origin_has_the_shape_of_one_at_it() {
     let dir = tempfile::tempdir().unwrap();
-    let near = synthetic_set().join("truth/cameras.json");
-    let (near_run, _) = reconstructed(dir.path(), "near", &near, &[]);
-    assert!(!near_run.join("6_fusion/offset.json").exists());
-    let near_mesh = read_mesh_ply(&near_run.join("6_fusion/mesh.ply")).unwrap();
-    let near_vertices = positions(&near_mesh);
-    let evaluated = |run_dir: &Path, truth: &Path| -> serde_json::Value {
-        let command = ["evaluate", arg(run_dir), "--truth", arg(truth), "--json"];
-        serde_json::from_str(&done(&command)).unwrap()
+    let set = small_set(dir.path());
+    let fused = |maps: &Path, name: &str| {
+        let out = dir.path().join(name);
+        done(&["fuse", arg(maps), "-o", arg(&out), "--formats", "obj"]);
+        out
     };
-    let truth = synthetic_set().join("truth");
-    let near_numbers = evaluated(&near_run, &truth);
+    let near = fused(&set.join("truth"), "near");
+    assert!(!near.join("offset.json").exists());
     for offset in [
         [3200.0, 7800.0, 120.0],
-        [1e4, 0.0, -1e4],
+        [1e4; 3],
         [1e6, 5.1e6, 200.0],
         [1e8; 3],
     ] {
         let name = format!("at {}", offset[0]);
-        // The truth in the same far world, its surface in double precision.
-        let far_truth = dir.path().join(format!("truth {name}"));
-        std::fs::create_dir_all(&far_truth).unwrap();
-        for entry in std::fs::read_dir(&truth).unwrap().flatten() {
-            if entry.path().is_file() {
-                std::fs::copy(entry.path(), far_truth.join(entry.file_name())).unwrap();
-            }
-        }
-        let cameras = far_truth.join("cameras.json");
-        write_cameras(&cameras, &changed(Unit::Metre, 1.0, offset)).unwrap();
-        let surface = read_mesh_ply(&truth.join("mesh.ply")).unwrap();
-        write_double_ply(&far_truth.join("mesh.ply"), &surface, offset);
+        let truth = dir.path().join(format!("truth {name}"));
+        moved_truth(&set, offset, &truth);
+        let far = fused(&truth, &name);
+        same_shape(&far, &near, offset);
+        let text = std::fs::read_to_string(far.join("mesh.obj")).unwrap();
+        assert!(
+            text.lines()
+                .take(3)
+                .any(|line| line.starts_with("# offset "))
+        );
+    }
+}
 
-        let (run_dir, said) = reconstructed(dir.path(), &name, &cameras, &[]);
-        let stated = json_of(&run_dir.join("6_fusion/offset.json"));
-        let stated: [f64; 3] = serde_json::from_value(stated["offset"].clone()).unwrap();
-        let mesh = read_mesh_ply(&run_dir.join("6_fusion/mesh.ply")).unwrap();
-        assert_eq!(mesh.triangles, near_mesh.triangles, "{name}: {said}");
-        let world: Vec<[f64; 3]> = positions(&mesh)
-            .into_iter()
-            .map(|v| [0, 1, 2].map(|k| v[k] + (stated[k] - offset[k])))
-            .collect();
-        let size = 0.1;
-        let difference = largest_difference(&world, &near_vertices);
-        assert!(difference < 1e-5 * size, "{name}: {difference}");
+#[test]
+fn a_run_far_from_the_origin_has_the_shape_of_one_at_it() {
+    run_far_from_the_origin(&[[1e8; 3]]);
+}
+
+#[test]
+#[ignore = "slow: four whole runs"]
+fn runs_at_many_distances_have_the_shape_of_one_at_the_origin() {
+    run_far_from_the_origin(&[
+        [3200.0, 7800.0, 120.0],
+        [1e4, 0.0, -1e4],
+        [1e6, 5.1e6, 200.0],
+    ]);
+}
+
+fn run_far_from_the_origin(offsets: &[[f64; 3]]) {
+    let dir = tempfile::tempdir().unwrap();
+    let set = small_set(dir.path());
+    let truth = set.join("truth");
+    let (near, _) = reconstructed(
+        &set,
+        &dir.path().join("near"),
+        &truth.join("cameras.json"),
+        &[],
+    );
+    let near_numbers = evaluated(&near, &truth);
+    for &offset in offsets {
+        let name = format!("at {}", offset[0]);
+        let far_truth = dir.path().join(format!("truth {name}"));
+        moved_truth(&set, offset, &far_truth);
+        let cameras = far_truth.join("cameras.json");
+        let (far, _) = reconstructed(&set, &dir.path().join(&name), &cameras, &[]);
+        same_shape(&far.join("6_fusion"), &near.join("6_fusion"), offset);
+        let [x, y, z] = offset_of(&far.join("6_fusion"));
         for file in [
             "6_fusion/mesh.ply",
             "6_fusion/cloud.ply",
             "3_poses/anchors.ply",
         ] {
-            let bytes = std::fs::read(run_dir.join(file)).unwrap();
-            let header = String::from_utf8_lossy(&bytes[..600]).into_owned();
-            let [x, y, z] = stated;
-            assert!(
-                header.contains(&format!("comment offset {x} {y} {z} ")),
-                "{file}: {header}"
-            );
+            let bytes = std::fs::read(far.join(file)).unwrap();
+            let header = String::from_utf8_lossy(&bytes[..400]).into_owned();
+            let comment = format!("comment offset {x} {y} {z} ");
+            assert!(header.contains(&comment), "{file}: {header}");
         }
         // What other programs get stands in the world.
-        let given = centers(&changed(Unit::Metre, 1.0, offset));
+        let given = centers(&read_cameras(&cameras).unwrap());
         let out = dir.path().join(format!("{name}.json"));
-        done(&[
-            "export",
-            arg(&run_dir),
-            "--format",
-            "cameras",
-            "-o",
-            arg(&out),
-        ]);
-        let sparse = run_dir.join("3_poses/sparse");
-        for file in [&run_dir.join("3_poses/cameras.json"), &out, &sparse] {
+        done(&["export", arg(&far), "--format", "cameras", "-o", arg(&out)]);
+        let sparse = far.join("3_poses/sparse");
+        for file in [&far.join("3_poses/cameras.json"), &out, &sparse] {
             let back = centers(&read_cameras(file).unwrap());
             let difference = largest_difference(&back, &given);
             assert!(
@@ -136,17 +199,16 @@ fn a_surface_far_from_the_origin_has_the_shape_of_one_at_it() {
                 file.display()
             );
         }
-        let model = rilievo_io::colmap::read_model(&sparse).unwrap();
-        let near_model = rilievo_io::colmap::read_model(&near_run.join("3_poses/sparse")).unwrap();
-        let of = |model: &rilievo_io::colmap::ColmapModel, offset: [f64; 3]| -> Vec<[f64; 3]> {
+        let points = |run_dir: &Path, offset: [f64; 3]| -> Vec<[f64; 3]> {
+            let model = rilievo_io::colmap::read_model(&run_dir.join("3_poses/sparse")).unwrap();
             let points = model.points.iter();
             points
                 .map(|p| [0, 1, 2].map(|k| p.position[k] - offset[k]))
                 .collect()
         };
-        let difference = largest_difference(&of(&model, offset), &of(&near_model, [0.0; 3]));
-        assert!(difference < 1e-5 * size, "{name}: {difference}");
-        let numbers = evaluated(&run_dir, &far_truth);
+        let difference = largest_difference(&points(&far, offset), &points(&near, [0.0; 3]));
+        assert!(difference < 1e-5 * SIZE, "{name}: {difference}");
+        let numbers = evaluated(&far, &far_truth);
         assert_eq!(numbers["alignment"], "none", "{numbers}");
         for (part, key) in [
             ("cloud", "accuracy_median"),
@@ -160,10 +222,25 @@ fn a_surface_far_from_the_origin_has_the_shape_of_one_at_it() {
             );
         }
         // Beside a truth elsewhere the frames are told apart.
-        let apart = evaluated(&run_dir, &truth);
+        let apart = evaluated(&far, &truth);
         assert_eq!(apart["alignment"], "sim3", "{apart}");
         let accuracy = apart["cloud"]["accuracy_median"].as_f64().unwrap();
         assert!(accuracy < 1e-3, "{accuracy}");
+        // From the run's own cameras, and from a later stage, it is the same world.
+        let again = dir.path().join(format!("{name} again"));
+        let own = far.join("3_poses/cameras.json");
+        let (again, _) = reconstructed(&set, &again, &own, &["--until", "3_poses"]);
+        let key = |run_dir: &Path| {
+            json_of(&run_dir.join("3_poses/cameras.json"))["surface_offset"].clone()
+        };
+        assert_eq!(key(&again), key(&far));
+        // Cameras elsewhere make the poses anew, though local numbers may be the same.
+        let elsewhere = dir.path().join("elsewhere");
+        moved_truth(&set, offset.map(|v| v + 1e5), &elsewhere);
+        let cameras = elsewhere.join("cameras.json");
+        reconstructed(&set, &far, &cameras, &["--until", "3_poses"]);
+        let moved = centers(&read_cameras(&far.join("3_poses/cameras.json")).unwrap());
+        assert!(moved[0][0] > given[0][0] + 9e4, "{moved:?}");
     }
 }
 
@@ -192,7 +269,7 @@ fn write_double_ply(path: &Path, mesh: &Mesh, offset: [f64; 3]) {
 fn every_importer_brings_far_cameras_near() {
     let dir = tempfile::tempdir().unwrap();
     let offset = [600_000.0, 5_100_000.0, 200.0];
-    let far = changed(Unit::Arbitrary, 1.0, offset);
+    let far = changed(true_cameras(), Unit::Arbitrary, 1.0, offset);
     let near: Vec<RigidTransform> = true_cameras()
         .cameras
         .iter()
@@ -235,10 +312,15 @@ fn units_of_length_become_metres_and_come_back() {
         ("metre", 1.0),
     ] {
         let kind = Unit::of_name(unit).unwrap();
-        let given = changed(kind, per_metre, [0.0; 3]);
+        let given = changed(true_cameras(), kind, per_metre, [0.0; 3]);
         let cameras = dir.path().join(format!("{unit}.json"));
         write_cameras(&cameras, &given).unwrap();
-        let (run_dir, _) = reconstructed(dir.path(), unit, &cameras, &["--until", "3_poses"]);
+        let (run_dir, _) = reconstructed(
+            &synthetic_set(),
+            &dir.path().join(unit),
+            &cameras,
+            &["--until", "3_poses"],
+        );
         let of_run = read_cameras(&run_dir.join("3_poses/cameras.json")).unwrap();
         assert_eq!(of_run.unit, Unit::Metre, "{unit}");
         let difference = largest_difference(&centers(&of_run), &plain);
@@ -265,12 +347,18 @@ fn units_of_length_become_metres_and_come_back() {
 #[test]
 fn cameras_without_a_unit_claim_none_and_a_sphere_gives_them_one() {
     let dir = tempfile::tempdir().unwrap();
-    let set = synthetic_set();
+    let set = small_set(dir.path());
+    let plain_cameras = read_cameras(&set.join("truth/cameras.json")).unwrap();
     // As of structure from motion: any size, and far from the origin too.
-    let given = changed(Unit::Arbitrary, 37.0, [5000.0, 0.0, 0.0]);
+    let given = changed(
+        plain_cameras.clone(),
+        Unit::Arbitrary,
+        37.0,
+        [5000.0, 0.0, 0.0],
+    );
     let model = dir.path().join("model");
     export_cameras(&model, CameraFormat::Colmap, &given).unwrap();
-    let (run_dir, said) = reconstructed(dir.path(), "run", &model, &[]);
+    let (run_dir, said) = reconstructed(&set, &dir.path().join("run"), &model, &[]);
     assert!(!said.contains(" mm"), "{said}");
     let page = std::fs::read_to_string(run_dir.join("report.html")).unwrap();
     assert!(page.contains("of the cameras&#39; units") || page.contains("of the cameras' units"));
@@ -292,13 +380,13 @@ fn cameras_without_a_unit_claim_none_and_a_sphere_gives_them_one() {
 
     let sphere = set.join("sphere.json");
     let with_sphere = [&LIGHT_ONLY[..], &["--sphere", arg(&sphere)]].concat();
-    let (metric, said) = reconstructed(dir.path(), "metric", &model, &with_sphere);
+    let (metric, said) = reconstructed(&set, &dir.path().join("metric"), &model, &with_sphere);
     assert!(said.contains("no unit of length"), "{said}");
     assert_eq!(unit(&metric), "metre");
     // Sizes are the true ones, in the given axes.
     let cameras = read_cameras(&metric.join("3_poses/cameras.json")).unwrap();
-    let (found, plain) = (centers(&cameras), centers(&true_cameras()));
-    for (a, b) in [(0, 1), (0, 3), (1, 2)] {
+    let (found, plain) = (centers(&cameras), centers(&plain_cameras));
+    for (a, b) in [(0, 1), (0, 2), (1, 2)] {
         let length = |c: &[[f64; 3]]| {
             (0..3)
                 .map(|k| (c[a][k] - c[b][k]).powi(2))
@@ -308,9 +396,9 @@ fn cameras_without_a_unit_claim_none_and_a_sphere_gives_them_one() {
         let ratio = length(&found) / length(&plain);
         assert!((ratio - 1.0).abs() < 0.01, "{ratio}");
     }
-    let distance = ["--known-distance", "IMG_0001.jpg,IMG_0004.jpg,0.5"];
+    let distance = ["--known-distance", "IMG_0001.jpg,IMG_0003.jpg,0.5"];
     let known = [&["--until", "3_poses"][..], &distance].concat();
-    let (known, _) = reconstructed(dir.path(), "known", &model, &known);
+    let (known, _) = reconstructed(&set, &dir.path().join("known"), &model, &known);
     assert_eq!(unit(&known), "metre");
 
     // A centre alone in an unknown unit, beside a radius in metres, is no sphere.
@@ -358,7 +446,7 @@ fn maps_in_a_far_world_of_millimetres_are_fused_in_metres_near_the_object() {
         out
     };
     let far = fused(
-        &changed(Unit::Millimetre, 1000.0, [6e8, 5e9, 0.0]),
+        &changed(true_cameras(), Unit::Millimetre, 1000.0, [6e8, 5e9, 0.0]),
         &maps,
         "far",
     );

@@ -15,6 +15,7 @@
 
 use crate::error::PosesError;
 use crate::error::warn;
+use crate::known_distance::KnownDistance;
 use crate::options::PosesOptions;
 use crate::report::PosesReport;
 use nalgebra::{Point3, Vector3};
@@ -49,112 +50,135 @@ pub(crate) fn apply(
         };
         posed.offset = options.given_world.offset;
     }
-    // Of the world in which a sphere's centre may be stated.
-    let mut metres_per_given = 1.0;
-    if let Some(known) = &options.known_distance {
-        let (metres_per_unit, relative_sigma) = known.metres_per_unit(posed, report)?;
-        if posed.scale.unit == Unit::Metre {
-            let apart = (metres_per_unit - 1.0).abs();
-            if apart > (3.0 * relative_sigma).max(0.01) {
-                let message = format!(
-                    "the known distance is {:.1} % of what the given cameras say; check it, or their unit",
-                    100.0 * metres_per_unit
-                );
-                warn(observer, message)?;
-            }
-        } else {
-            multiply(posed, report, metres_per_unit);
-            metres_per_given = metres_per_unit;
-            posed.scale = Scale {
-                unit: Unit::Metre,
-                source: ScaleSource::KnownDistance,
-                relative_sigma: Some(relative_sigma),
-            };
-            if has_given_poses {
-                warn(
-                    observer,
-                    became_metric("the known distance", metres_per_unit),
-                )?;
-            }
-        }
-    }
-    let is_metric = posed.scale.unit == Unit::Metre;
+    let metres_per_given = match &options.known_distance {
+        Some(known) => by_distance(known, has_given_poses, posed, report, observer)?,
+        None => 1.0,
+    };
+    // What a sphere's centre may be stated in.
+    let given = has_given_poses.then_some(metres_per_given);
     if let Some(request) = sphere
         && (!request.spheres.is_empty() || request.search_radius.is_some())
     {
-        let world_scale = if is_metric {
-            WorldScale::Metric
-        } else {
-            WorldScale::Free
-        };
-        let (placed, frameless) = in_known_frame(
-            request,
-            has_given_poses.then_some(metres_per_given),
-            is_metric,
-        );
         let at_once = num_at_once(photos, options.memory);
-        let found = locate_request(
-            photos,
-            &posed.views,
-            &placed,
-            world_scale,
-            &SphereOptions::default(),
-            at_once,
-        );
-        let found = match found {
-            Ok(mut located) => {
-                located.missing.extend(frameless);
-                Ok(located)
-            }
-            // What was said of the sphere is more to the point than that nothing is left of it.
-            Err(SphereError::NoView) if let Some((_, why)) = frameless.first() => Err(why.clone()),
-            Err(error) => Err(error),
-        };
-        match found {
-            Ok(located) => {
-                let mut warnings = warnings_of(photos, request, &located, is_metric);
-                let given = has_given_poses.then_some(metres_per_given);
-                warnings.extend(centers_of(request, &located, given, posed));
-                for message in warnings {
-                    warn(observer, message)?;
-                }
-                posed.spheres = located.fits.into_iter().map(|fit| fit.sphere).collect();
-                // Centres that were merely stated say nothing of the scale.
-                if let Some(estimate) = located.scale.estimate.filter(|_| !is_metric) {
-                    multiply(posed, report, estimate.metres_per_unit);
-                    let unit = match request.is_unitless {
-                        true => Unit::Arbitrary,
-                        false => Unit::Metre,
-                    };
-                    if has_given_poses && unit == Unit::Metre {
-                        warn(
-                            observer,
-                            became_metric("the sphere", estimate.metres_per_unit),
-                        )?;
-                    }
-                    posed.scale = Scale {
-                        unit,
-                        source: ScaleSource::Sphere,
-                        relative_sigma: Some(estimate.relative_sigma),
-                    };
-                }
-            }
-            Err(mut error) => {
-                if let SphereError::OutOfSight { center, .. } = &mut error {
-                    *center = in_world(*center, posed).into();
-                }
-                let why = format!("{error}{}", of_photos(photos, &request.spheres, &error));
-                let message = format!(
-                    "the reference sphere was not located, the scale stays {}: {why}",
-                    if is_metric { "as it is" } else { "arbitrary" },
-                );
-                warn(observer, message)?;
-                // Whoever needs the sphere later ends for this reason.
-                posed.no_sphere = Some(why);
-            }
-        }
+        by_spheres(photos, request, given, at_once, posed, report, observer)?;
     }
     report.scale = posed.scale;
+    Ok(())
+}
+
+/// Sets the scale from a known distance, or compares it with the one that there is; the new unit of the world over
+/// the old one.
+fn by_distance(
+    known: &KnownDistance,
+    has_given_poses: bool,
+    posed: &mut PosedViews,
+    report: &mut PosesReport,
+    observer: &dyn Observer,
+) -> Result<f64, PosesError> {
+    let (metres_per_unit, relative_sigma) = known.metres_per_unit(posed, report)?;
+    if posed.scale.unit == Unit::Metre {
+        let apart = (metres_per_unit - 1.0).abs();
+        if apart > (3.0 * relative_sigma).max(0.01) {
+            let message = format!(
+                "the known distance is {:.1} % of what the given cameras say; check it, or their unit",
+                100.0 * metres_per_unit
+            );
+            warn(observer, message)?;
+        }
+        return Ok(1.0);
+    }
+    multiply(posed, report, metres_per_unit);
+    posed.scale = Scale {
+        unit: Unit::Metre,
+        source: ScaleSource::KnownDistance,
+        relative_sigma: Some(relative_sigma),
+    };
+    if has_given_poses {
+        warn(
+            observer,
+            became_metric("the known distance", metres_per_unit),
+        )?;
+    }
+    Ok(metres_per_unit)
+}
+
+/// Locates the spheres, which set the scale where nothing did. `given` is the world's unit over that of given
+/// cameras.
+fn by_spheres(
+    photos: &PhotoSet,
+    request: &SphereRequest,
+    given: Option<f64>,
+    at_once: usize,
+    posed: &mut PosedViews,
+    report: &mut PosesReport,
+    observer: &dyn Observer,
+) -> Result<(), PosesError> {
+    let is_metric = posed.scale.unit == Unit::Metre;
+    let world_scale = if is_metric {
+        WorldScale::Metric
+    } else {
+        WorldScale::Free
+    };
+    let (placed, unplaced) = in_known_frame(request, given, is_metric);
+    let found = locate_request(
+        photos,
+        &posed.views,
+        &placed,
+        world_scale,
+        &SphereOptions::default(),
+        at_once,
+    );
+    let found = match (found, unplaced.first()) {
+        (Ok(mut located), _) => {
+            located.missing.extend(unplaced);
+            Ok(located)
+        }
+        // What was said of the sphere is more to the point than that nothing is left of it.
+        (Err(SphereError::NoView), Some((_, why))) => Err(why.clone()),
+        (Err(error), _) => Err(error),
+    };
+    match found {
+        Ok(located) => {
+            let mut warnings = warnings_of(photos, request, &located, is_metric);
+            warnings.extend(centers_of(request, &located, given, posed));
+            for message in warnings {
+                warn(observer, message)?;
+            }
+            posed.spheres = located.fits.into_iter().map(|fit| fit.sphere).collect();
+            // Centres that were merely stated say nothing of the scale.
+            if let Some(estimate) = located.scale.estimate.filter(|_| !is_metric) {
+                multiply(posed, report, estimate.metres_per_unit);
+                let unit = match request.is_unitless {
+                    true => Unit::Arbitrary,
+                    false => Unit::Metre,
+                };
+                posed.scale = Scale {
+                    unit,
+                    source: ScaleSource::Sphere,
+                    relative_sigma: Some(estimate.relative_sigma),
+                };
+                if given.is_some() && unit == Unit::Metre {
+                    warn(
+                        observer,
+                        became_metric("the sphere", estimate.metres_per_unit),
+                    )?;
+                }
+            }
+        }
+        Err(mut error) => {
+            if let SphereError::OutOfSight { center, .. } = &mut error {
+                *center = in_world(*center, posed).into();
+            }
+            let why = format!("{error}{}", of_photos(photos, &request.spheres, &error));
+            let message = format!(
+                "the reference sphere was not located, the scale stays {}: {why}",
+                if is_metric { "as it is" } else { "arbitrary" },
+            );
+            warn(observer, message)?;
+            // Whoever needs the sphere later ends for this reason.
+            posed.no_sphere = Some(why);
+        }
+    }
     Ok(())
 }
 
