@@ -157,7 +157,12 @@ fn poses(facts: &PosesReport) -> Markup {
         ("points", &|v| v.num_points.to_string()),
         ("error, px", &|v| number(v.mean_error_px, 3)),
         ("rotation sigma, deg", &|v| number(v.rotation_sigma_deg, 4)),
-        ("centre sigma, world's unit", &|v| number(v.center_sigma, 6)),
+        ("centre sigma", &|v| {
+            text(
+                v.center_sigma
+                    .map(|sigma| facts.scale.unit.length(sigma, 3)),
+            )
+        }),
     ];
     let anchored = facts.anchors.iter().flat_map(|anchors| &anchors.views);
     let anchors = table(

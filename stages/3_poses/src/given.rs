@@ -30,9 +30,10 @@ pub(crate) fn poses(photos: &PhotoSet, options: &PosesOptions) -> Option<Vec<Rig
 /// Distance of two centres over their distance from the origin below which rounding made it.
 const SAME_PLACE: f64 = 1e-12;
 
-/// The centre that all cameras share, where they do.
-fn common_place(poses: &[RigidTransform]) -> Option<[f64; 3]> {
-    let mut centers = poses.iter().map(RigidTransform::center_in_source);
+/// The centre that all cameras share in the world that they were given in, where they do.
+fn common_place(poses: &[RigidTransform], offset: [f64; 3]) -> Option<[f64; 3]> {
+    let centers = poses.iter().map(RigidTransform::center_in_source);
+    let mut centers = centers.map(|center| center + Vector3::from(offset));
     let first = centers.next()?;
     let limit = SAME_PLACE * first.coords.norm();
     centers
@@ -117,7 +118,7 @@ pub(crate) fn reconstruct(
     options: &PosesOptions,
 ) -> Result<Reconstruction, PosesError> {
     let max_error_px = 3.0 * options.max_reprojection_error_px;
-    if let Some(place) = common_place(poses) {
+    if let Some(place) = common_place(poses, options.given_world.offset) {
         return Err(PosesError::GivenPosesAtOnePlace { place });
     }
     if let Some(share) = consistent_share(matched, poses, max_error_px)

@@ -85,8 +85,9 @@ impl KnownDistance {
             None => between_marks(&self.marks, posed)?,
         };
         if distance <= 3.0 * sigma {
+            let unit = posed.scale.unit.words();
             return Err(unusable(format!(
-                "the two ends are {distance:.4} apart in the model, with a standard deviation of \
+                "the two ends are {distance:.4} {unit} apart in the model, with a standard deviation of \
                  {sigma:.4}; measure a longer distance"
             )));
         }

@@ -58,11 +58,14 @@ scene.frame_start, scene.frame_end = 1, len(CAMERAS)
 scene.frame_set(1)
 "#;
 
-/// The script for cameras with a pose.
+/// The script for cameras with a pose, in the unit and the local frame of the meshes: Blender has single precision.
 ///
 /// # Errors
 /// When a camera has lens distortion, which Blender does not.
 pub fn blender_file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
+    let mut cameras = cameras.clone();
+    cameras.to_metres();
+    let world = cameras.localize([0.0; 3]);
     let mut list = Vec::new();
     let mut centers = Vec::new();
     for (entry, pose) in cameras.posed() {
@@ -100,15 +103,14 @@ pub fn blender_file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoE
     let entries: Vec<String> = list.iter().map(|entry| format!("    {entry},\n")).collect();
     let text = format!(
         "# Cameras for Blender: run this in the Text Editor, or with blender --python.\n\
-         # Unit {}; frame {}: that of mesh.ply, and of mesh.glb where it is level.\n\n\
+         # {}: that of mesh.ply, and of mesh.glb where it is level.\n\n\
          # Folder of the photos, to see each behind its camera.\n\
          PHOTOS = \"\"\n\
          SENSOR_MM = {SENSOR_MM:?}\n\
          # Length of the cameras' drawing.\n\
          SIZE = {}\n\
          CAMERAS = [\n{}]\n{SCRIPT}",
-        cameras.unit.name(),
-        cameras.frame().words(),
+        world.comments().join("; "),
         if size > 0.0 { size } else { 1.0 },
         entries.concat(),
     );
