@@ -97,6 +97,9 @@ pub struct PosesReport {
     pub refined_focals_px: Vec<(usize, f64, f64)>,
     /// Unit and origin of the scale.
     pub scale: Scale,
+    /// To be added to coordinates of all reports for those of the given cameras' world.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub offset: Option<[f64; 3]>,
     /// The vertical, where ground or cameras show it.
     pub vertical: Option<Vertical>,
     /// Distortion that given intrinsics leave.

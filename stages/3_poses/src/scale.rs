@@ -63,6 +63,7 @@ pub(crate) fn apply(
         by_spheres(photos, request, given, at_once, posed, report, observer)?;
     }
     report.scale = posed.scale;
+    report.offset = posed.coordinates().offset();
     Ok(())
 }
 
