@@ -40,7 +40,8 @@ pub fn local_offset(poses: &[RigidTransform], known: [f64; 3]) -> [f64; 3] {
         return offset;
     }
     let step = round_step(8.0 * spread);
-    middle.map(|c| (c / step).round() * step).into()
+    // Without negative zeros.
+    middle.map(|c| (c / step).round() * step + 0.0).into()
 }
 
 /// The next 1, 2 or 5 times a power of ten; below one the next power of two, which is exact.
