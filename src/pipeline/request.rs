@@ -109,6 +109,9 @@ pub struct Request {
     /// Folders and files, absolute.
     #[serde(with = "paths::list")]
     pub photos: Vec<PathBuf>,
+    /// Whether folders inside them are searched too.
+    #[serde(default)]
+    pub recursive: bool,
     /// Folder of masks.
     #[serde(with = "paths::optional")]
     pub masks: Option<PathBuf>,
@@ -129,6 +132,7 @@ impl Request {
     pub fn of_photos(photos: Vec<PathBuf>, options: StageOptions) -> Self {
         Self {
             photos,
+            recursive: false,
             masks: None,
             masks_from: MaskOrigin::Given,
             cameras: None,
@@ -204,6 +208,7 @@ impl Request {
                 .iter()
                 .map(|path| existing(path, "photos"))
                 .collect::<Result<_, _>>()?,
+            recursive: args.input.recursive,
             masks: match &args.masks {
                 Some(word) if word.to_str() == Some("none") => None,
                 folder => optional(folder.as_deref(), "--masks")?,

@@ -174,7 +174,7 @@ fn middle(values: impl Iterator<Item = f64>) -> f64 {
 #[derive(Clone, Debug, PartialEq)]
 enum GroupKey {
     /// Intrinsics given by the user.
-    Given([u64; 11]),
+    Given([u64; 18]),
     /// Body, lens and zoom, by EXIF; photos without any of it and of one size are one group.
     Exif {
         texts: [Option<String>; 4],

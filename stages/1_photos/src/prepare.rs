@@ -8,7 +8,7 @@ use crate::report::PhotoFacts;
 use crate::{edges, mask, measures, outline};
 use rilievo_scene::{
     DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Orientation,
-    PackedMask, PixelSource, RigidTransform,
+    PackedMask, PixelSource, RigidTransform, artifact_name,
 };
 use std::sync::Arc;
 
@@ -138,7 +138,7 @@ pub fn prepare(
     let (mask, mask_was_upright) = mask.map_or((None, false), |(mask, was)| (Some(mask), was));
     let measured = measures::measure(&image, mask.as_ref(), clip_level);
     let facts = PhotoFacts {
-        name: name_of(&decoded.file_name).to_owned(),
+        name: artifact_name(&decoded.file_name),
         width: size.0,
         height: size.1,
         channels: decoded.channels,
@@ -172,14 +172,6 @@ pub fn prepare(
         file_name: decoded.file_name,
     };
     Ok(PreparedPhoto::in_memory(image, mask, facts))
-}
-
-/// File name without its ending.
-fn name_of(file_name: &str) -> &str {
-    match file_name.rfind('.') {
-        Some(dot) if dot > 0 => &file_name[..dot],
-        _ => file_name,
-    }
 }
 
 fn check_frame(decoded: &DecodedPhoto) -> Result<(), PhotosError> {

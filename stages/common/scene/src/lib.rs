@@ -56,7 +56,7 @@ pub use ids::{PhotoIdx, PointIdx, ViewIdx};
 pub use lighting::{Lighting, SphericalHarmonics};
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};
 pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
-pub use naming::first_and_more;
+pub use naming::{artifact_name, first_and_more};
 pub use options::{InTable, OptionError, RetiredKey, fulfils, in_range};
 pub use orientation::Orientation;
 pub use packed_mask::PackedMask;

@@ -9,6 +9,7 @@
 //!
 //! Source: AliceVision, `src/aliceVision/sfmDataIO/jsonIO.cpp`.
 
+use super::limits::refuse_wide_lens;
 use super::photos::{Photos, folder_of};
 use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
 use crate::error::IoError;
@@ -161,7 +162,14 @@ fn read_camera(node: &Node<'_>, before: &dyn Fn(f64, f64) -> bool) -> Result<Int
         }
     };
     Ok(Intrinsics {
-        distortion: Distortion { k1, k2, p1, p2, k3 },
+        distortion: Distortion {
+            k1,
+            k2,
+            p1,
+            p2,
+            k3,
+            ..Distortion::default()
+        },
         ..Intrinsics::undistorted((width, height), [fx, fy, cx, cy])
     })
 }
@@ -187,6 +195,7 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
         let id = (index + 1).to_string();
         let name = entry.name();
         Names::Path.check(path, "AliceVision", name)?;
+        refuse_wide_lens(path, entry, "AliceVision's file")?;
         views.push(json!({
             "viewId": id, "poseId": id, "frameId": id, "intrinsicId": (camera + 1).to_string(),
             "path": image_path(path, name),
