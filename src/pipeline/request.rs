@@ -101,6 +101,8 @@ pub enum MaskOrigin {
     Proposed,
     /// The same, and the user said so.
     Accepted,
+    /// The user said that there are none: the whole frame is meant, whatever it looks like.
+    None,
 }
 
 /// A reconstruction, as asked for.
@@ -213,7 +215,10 @@ impl Request {
                 Some(word) if word.to_str() == Some("none") => None,
                 folder => optional(folder.as_deref(), "--masks")?,
             },
-            masks_from: MaskOrigin::Given,
+            masks_from: match &args.masks {
+                Some(word) if word.to_str() == Some("none") => MaskOrigin::None,
+                _ => MaskOrigin::Given,
+            },
             cameras: optional(args.input.cameras.as_deref(), "--cameras")?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,

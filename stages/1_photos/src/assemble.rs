@@ -6,7 +6,7 @@ use crate::measures::ratio;
 use crate::options::PhotosOptions;
 use crate::outline::MaskOutline;
 use crate::prepare::PreparedPhoto;
-use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
+use crate::report::{AppliedEncoding, CameraGroup, CutOut, PhotoFacts, PhotosReport};
 use rilievo_numerics::robust::median;
 use rilievo_scene::{FocalSource, Observer, Orientation, Photo, PhotoSet, StageId, first_and_more};
 use std::sync::Arc;
@@ -245,7 +245,17 @@ type Condition = fn(&PhotoFacts, &Comparison) -> bool;
 
 /// What the user should know of single photos: the condition, and what the warning says after their
 /// names.
-const ABOUT_PHOTOS: [(Condition, &str); 10] = [
+const ABOUT_PHOTOS: [(Condition, &str); 12] = [
+    (
+        |f, _| f.cut_out == Some(CutOut::Taken),
+        "the surroundings are exactly black or white up to the frame, as programs cut objects out: what they leave is \
+         taken for the mask, as an alpha channel is; --masks none takes the whole frame",
+    ),
+    (
+        |f, _| f.cut_out == Some(CutOut::Unsure),
+        "the surroundings are exactly black or white, as programs cut objects out, but the object itself is as black or \
+         white along its outline: they are not taken for its mask; give one with --masks",
+    ),
     (
         |f, _| f.focal_source == FocalSource::Guess,
         "focal length unknown, guessed and then refined with the poses; depth and normals depend \

@@ -151,6 +151,7 @@ pub fn prepare(
         given_cam_from_world: camera.and_then(|camera| camera.cam_from_world),
         orientation,
         mask_was_upright,
+        cut_out: None,
         mask_coverage: mask.as_ref().map(Mask::coverage),
         mask_edge_ratio: mask
             .as_ref()
