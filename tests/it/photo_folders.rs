@@ -292,6 +292,30 @@ fn write_ball(path: &Path, backdrop: f32) -> Mask {
 }
 
 #[test]
+fn what_was_cut_out_to_black_or_white_is_the_mask() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    let truth = write_ball(&photos.join("black.jpg"), 0.0);
+    write_ball(&photos.join("white.jpg"), 1.0);
+    let run_dir = dir.path().join("run");
+    let stderr = reconstructed_until("1_photos", &photos, &run_dir, &[]);
+    assert!(
+        stderr.contains("black.jpg, white.jpg: the surroundings are exactly black or white"),
+        "{stderr}"
+    );
+    assert!(stderr.contains("masks: 2/2 matched"), "{stderr}");
+    for name in ["black", "white"] {
+        let found = read_mask(&run_dir.join(format!("1_photos/masks/{name}.png"))).unwrap();
+        let overlap = overlap(&found, &truth);
+        assert!(overlap > 0.98, "{name}: {overlap}");
+    }
+    let whole = reconstructed_until("1_photos", &photos, &run_dir, &["--masks", "none"]);
+    assert!(!whole.contains("surroundings are exactly"), "{whole}");
+    assert!(!run_dir.join("1_photos/masks").exists());
+}
+
+#[test]
 fn masks_are_proposed_shown_and_never_written_over() {
     let dir = tempfile::tempdir().unwrap();
     let photos = dir.path().join("photos");
