@@ -245,7 +245,15 @@ type Condition = fn(&PhotoFacts, &Comparison) -> bool;
 
 /// What the user should know of single photos: the condition, and what the warning says after their
 /// names.
-const ABOUT_PHOTOS: [(Condition, &str); 12] = [
+/// Share of an object beyond which what its straightened photo loses is told: some rows of pixels at its rim.
+const BEYOND_WARNING: f64 = 0.02;
+
+const ABOUT_PHOTOS: [(Condition, &str); 13] = [
+    (
+        |f, _| f.mask_coverage.is_some() && f.beyond_pinhole > BEYOND_WARNING,
+        "the lens bends so much that a part of the object lies outside the straightened photo, a pinhole of the same focal \
+         length and size: it gets no surface from this photo; keep the object in the middle",
+    ),
     (
         |f, _| f.cut_out == Some(CutOut::Taken),
         "the surroundings are exactly black or white up to the frame, as programs cut objects out: what they leave is \

@@ -152,6 +152,7 @@ pub fn prepare(
         orientation,
         mask_was_upright,
         cut_out: None,
+        beyond_pinhole: beyond_pinhole(&first.intrinsics, mask.as_ref()),
         mask_coverage: mask.as_ref().map(Mask::coverage),
         mask_edge_ratio: mask
             .as_ref()
@@ -173,6 +174,35 @@ pub fn prepare(
         file_name: decoded.file_name,
     };
     Ok(PreparedPhoto::in_memory(image, mask, facts))
+}
+
+/// Steps between the pixels that are looked at for [`beyond_pinhole`].
+const LENS_STEP_PX: usize = 8;
+
+/// Share of the object, else of the frame, whose rays a pinhole of the same matrix and size does not show.
+fn beyond_pinhole(camera: &Intrinsics, mask: Option<&Mask>) -> f64 {
+    if camera.distortion.is_none() {
+        return 0.0;
+    }
+    let (mut num, mut beyond) = (0usize, 0usize);
+    for y in (0..camera.height).step_by(LENS_STEP_PX) {
+        for x in (0..camera.width).step_by(LENS_STEP_PX) {
+            if mask.is_some_and(|mask| !*mask.at(x, y)) {
+                continue;
+            }
+            let bent = [
+                (x as f64 - camera.cx) / camera.fx,
+                (y as f64 - camera.cy) / camera.fy,
+            ];
+            let ray = camera.distortion.undistort(bent[0], bent[1]);
+            let (u, v) = (camera.fx * ray.0 + camera.cx, camera.fy * ray.1 + camera.cy);
+            let inside = u > -0.5 && v > -0.5;
+            let inside = inside && u < camera.width as f64 - 0.5 && v < camera.height as f64 - 0.5;
+            num += 1;
+            beyond += usize::from(!inside);
+        }
+    }
+    beyond as f64 / num.max(1) as f64
 }
 
 fn check_frame(decoded: &DecodedPhoto) -> Result<(), PhotosError> {

@@ -61,6 +61,10 @@ pub struct PhotoFacts {
     /// What became of surroundings that are exactly black or white, where no mask was given.
     #[serde(default)]
     pub cut_out: Option<CutOut>,
+    /// Share of the object, else of the frame, that the photo straightened to a pinhole of its focal length and size does
+    /// not show.
+    #[serde(default)]
+    pub beyond_pinhole: f64,
     /// Share of the frame that the mask marks, where there is a mask.
     pub mask_coverage: Option<f64>,
     /// How much stronger brightness changes along the mask's border than along the same border shifted,
