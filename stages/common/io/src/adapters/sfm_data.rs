@@ -11,7 +11,7 @@
 
 use super::limits::refuse_wide_lens;
 use super::photos::{Photos, folder_of};
-use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, rigid_from_world_pose};
 use crate::error::IoError;
 use crate::files::OutputFile;
 use crate::json::{self, Node};
@@ -103,7 +103,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         let pose = node.opt("poseId")?;
         let pose = pose.and_then(|pose| poses.get(&id(&pose)).copied());
         file.cameras.push(CameraEntry {
-            image: Some(last_part(image).to_owned()),
+            image: Some(image.replace('\\', "/")),
             intrinsics: *camera,
             cam_from_world: pose,
         });
@@ -111,6 +111,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     if file.cameras.is_empty() {
         return Err(IoError::input(path, "holds no views"));
     }
+    CameraEntry::without_folders(&mut file.cameras);
     file.cameras.sort_by(|a, b| a.image.cmp(&b.image));
     Ok(file)
 }

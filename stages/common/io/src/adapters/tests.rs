@@ -133,6 +133,39 @@ fn lens_distortion_is_kept_or_refused() {
 }
 
 #[test]
+fn photos_of_two_folders_keep_their_own_cameras() {
+    let folder = folder();
+    let frame = |path: &str, x: f64| {
+        format!(
+            r#"{{"file_path": "{path}", "w": 4, "h": 3, "fl_x": 5,
+            "transform_matrix": [[1,0,0,{x}],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}"#
+        )
+    };
+    let path = folder.path().join("transforms.json");
+    let read = |frames: &[String]| {
+        let text = format!(r#"{{"frames": [{}]}}"#, frames.join(","));
+        std::fs::write(&path, text).unwrap();
+        import_cameras(&path, CameraFormat::Transforms, None).unwrap()
+    };
+    let both = read(&[
+        frame("images/100/x.jpg", 1.0),
+        frame("./images/101/x.jpg", 2.0),
+    ]);
+    let place = |photo: &str| {
+        let pose = both.find(photo)?.cam_from_world?;
+        Some(pose.center_in_source().x)
+    };
+    assert_eq!(place("100/x.jpg"), Some(1.0));
+    assert_eq!(place("101/x.jpg"), Some(2.0));
+    assert_eq!(place("101/x"), Some(2.0));
+    // Neither of another folder nor of both.
+    assert_eq!(place("102/x.jpg"), None);
+    assert_eq!(place("x.jpg"), None);
+    let one = read(&[frame("images/100/x.jpg", 1.0)]);
+    assert_eq!(one.cameras[0].image.as_deref(), Some("x.jpg"));
+}
+
+#[test]
 fn wide_lenses_are_kept_or_refused() {
     let rational = Distortion {
         k1: 0.1,

@@ -51,12 +51,10 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
         let center = m.map(|[.., last]| last);
         let pose = rigid_from_world_pose(&(rotation * flip()), center)
             .map_err(|reason| node.refuse(reason))?;
-        file.cameras.push(CameraEntry::posed(
-            last_part(name).to_owned(),
-            intrinsics,
-            pose,
-        ));
+        file.cameras
+            .push(CameraEntry::posed(name.to_owned(), intrinsics, pose));
     }
+    CameraEntry::without_folders(&mut file.cameras);
     Ok(file)
 }
 
