@@ -24,6 +24,9 @@ pub struct PhotoArgs {
     /// A folder of photos, or any number of files
     #[arg(required = true, value_name = "PHOTOS")]
     pub photos: Vec<PathBuf>,
+    /// Reads the folders inside a folder too (100CANON, 101CANON); their photos are called by the path below it
+    #[arg(long)]
+    pub recursive: bool,
     /// Cameras: cameras.json, the folder of a COLMAP model, or another program's file
     #[arg(long, value_name = "FILE|COLMAP_DIR")]
     pub cameras: Option<PathBuf>,

@@ -1,5 +1,6 @@
 //! The files that a request names, found and checked before anything is computed.
 
+use super::photo_files::{PhotoFile, photo_files};
 use super::request::{LightingInput, Request};
 use super::spheres::SphereInputs;
 use crate::exit::{Failure, Problem};
@@ -7,10 +8,10 @@ use crate::paths::text_of;
 use crate::store::{hash_file, hash_json};
 use rayon::prelude::*;
 use rilievo_io::{
-    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, masks_among,
-    read_cameras, read_lighting,
+    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, read_cameras,
+    read_lighting,
 };
-use rilievo_scene::WorldFrame;
+use rilievo_scene::{WorldFrame, artifact_name, first_and_more};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
@@ -19,9 +20,9 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub struct PhotoInput {
     pub path: PathBuf,
-    /// Its name with ending.
+    /// Its name with ending, of one in a subfolder its path below the folder that was given.
     pub file_name: String,
-    /// Its name without ending: names its artifacts.
+    /// [`artifact_name`] of that.
     pub name: String,
     /// Content hash.
     pub hash: String,
@@ -56,10 +57,15 @@ impl Inputs {
     /// # Errors
     /// [`Failure::Input`] with every file that makes the request impossible.
     pub fn scan(request: &Request) -> Result<Self, Failure> {
-        let (paths, skipped) = photo_files(&request.photos)?;
+        let (files, skipped) = photo_files(request)?;
         let cameras = request.cameras.as_deref().map(any_cameras).transpose()?;
         let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
-        let (photos, unreadable) = photo_inputs(paths, cameras.as_ref(), masks.as_ref())?;
+        let (photos, unreadable) = photo_inputs(files, cameras.as_ref(), masks.as_ref())?;
+        let of_masks = |photo: &PhotoInput| photo.mask.as_ref().map(|(path, _)| path.clone());
+        refuse_shared(&photos, "mask", of_masks)?;
+        let of_cameras =
+            |photo: &PhotoInput| photo.camera.as_ref()?.image.clone().map(PathBuf::from);
+        refuse_shared(&photos, "camera", of_cameras)?;
         let mut warnings = Vec::new();
         if let (Some(cameras), Some(path)) = (&cameras, &request.cameras) {
             warnings.extend(without_camera(&photos, cameras, path)?);
@@ -92,24 +98,30 @@ impl Inputs {
 /// The photos that can be read, ordered by file name, with their masks and cameras; and those that
 /// cannot.
 fn photo_inputs(
-    paths: Vec<PathBuf>,
+    files: Vec<PhotoFile>,
     cameras: Option<&CameraFile>,
     masks: Option<&MaskFolder>,
 ) -> Result<(Vec<PhotoInput>, Vec<Problem>), Failure> {
     let cameras = cameras.map(CameraFile::index);
     let mut problems = Vec::new();
     let mut unreadable = Vec::new();
-    let mut photos = Vec::with_capacity(paths.len());
+    let mut photos = Vec::with_capacity(files.len());
     let mut by_name = BTreeMap::<String, PathBuf>::new();
-    let hashes: Vec<_> = paths.par_iter().map(|path| hash_file(path)).collect();
-    for (path, hash) in paths.into_iter().zip(hashes) {
-        let file_name = text_of(path.file_name());
-        let name = text_of(path.file_stem());
+    let hashes: Vec<_> = files.par_iter().map(|file| hash_file(&file.path)).collect();
+    for (file, hash) in files.into_iter().zip(hashes) {
+        // Without one, it may also be the photo's own alpha channel, which only decoding shows.
+        let mask = masks.and_then(|folder| folder.find(&file));
+        let PhotoFile {
+            path,
+            name: file_name,
+        } = file;
+        let name = artifact_name(&file_name);
         if let Some(other) = by_name.insert(name.clone(), path.clone()) {
             problems.push(Problem {
                 file: path,
                 reason: format!(
-                    "has the same name as {}; names tell results apart, so rename one",
+                    "has the same name as {}; names tell results apart, so rename one, or give the folder above both \
+                     and --recursive",
                     other.display()
                 ),
             });
@@ -127,17 +139,13 @@ fn photo_inputs(
                 continue;
             }
         };
-        // The photo's own folder distinguishes two masks of one name.
-        let with_folder = Path::new(&text_of(path.parent().and_then(Path::file_name)))
-            .join(&file_name)
-            .to_string_lossy()
-            .into_owned();
-        // Without one, it may also be the photo's own alpha channel, which only decoding shows.
-        let mask = masks.and_then(|folder| folder.find(&with_folder));
         let hashed = |mask: PathBuf| hash_file(&mask).map(|hash| (mask, hash));
         let mask = mask.map(hashed).transpose()?;
         let camera = cameras.as_ref();
-        let camera = camera.and_then(|index| index.find(&file_name).cloned());
+        let in_folder = || within_folder(&path, &file_name);
+        let found =
+            camera.and_then(|index| index.find(&file_name).or_else(|| index.find(&in_folder()?)));
+        let camera = found.cloned();
         photos.push(PhotoInput {
             path,
             file_name,
@@ -156,6 +164,35 @@ fn photo_inputs(
     }
     photos.sort_by(|a, b| a.file_name.cmp(&b.file_name));
     Ok((photos, unreadable))
+}
+
+/// A photo's name with the folder that it is in, where its name has none.
+fn within_folder(path: &Path, file_name: &str) -> Option<String> {
+    let folder = path
+        .parent()?
+        .file_name()
+        .filter(|_| !file_name.contains('/'))?;
+    Some(format!("{}/{file_name}", text_of(Some(folder))))
+}
+
+/// Refuses a mask or a camera that two photos would have by its name.
+fn refuse_shared(
+    photos: &[PhotoInput],
+    what: &str,
+    of: impl Fn(&PhotoInput) -> Option<PathBuf>,
+) -> Result<(), Failure> {
+    let mut owners = BTreeMap::<PathBuf, &str>::new();
+    for photo in photos {
+        let Some(own) = of(photo) else { continue };
+        if let Some(other) = owners.insert(own.clone(), &photo.file_name) {
+            let reason = format!(
+                "is by its name the {what} of both {other} and {}; name it by the photo's folder too",
+                photo.file_name
+            );
+            return Err(Failure::input(&own, reason));
+        }
+    }
+    Ok(())
 }
 
 /// A warning of the photos that a camera file says nothing of.
@@ -182,7 +219,7 @@ fn without_camera(
     Ok((!without.is_empty()).then(|| {
         format!(
             "the camera file has no entry for {}; their focal length comes from EXIF",
-            without.join(", ")
+            first_and_more(without).unwrap_or_default()
         )
     }))
 }
@@ -195,77 +232,6 @@ fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
     }
 }
 
-/// Photo files of folders and arguments, in the order of their names.
-fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Failure> {
-    let mut files = Vec::new();
-    let mut skipped = Vec::new();
-    for argument in arguments {
-        if !argument.is_dir() {
-            if !argument.exists() {
-                return Err(Failure::input(argument, "there is no such file or folder"));
-            }
-            files.push(argument.clone());
-            continue;
-        }
-        let unreadable =
-            |error| Failure::ReadOrWrite(format!("cannot read {}: {error}", argument.display()));
-        let mut found = Vec::new();
-        let mut folders = Vec::new();
-        for entry in std::fs::read_dir(argument).map_err(unreadable)? {
-            let path = entry.map_err(unreadable)?.path();
-            if text_of(path.file_name()).starts_with('.') {
-                continue;
-            }
-            if path.is_dir() {
-                folders.push(text_of(path.file_name()));
-                continue;
-            }
-            if rilievo_io::is_photo_name(&path) {
-                found.push(path);
-            } else {
-                skipped.push(Problem {
-                    file: path,
-                    reason: "is no photo by its name; passed over".to_owned(),
-                });
-            }
-        }
-        let names: Vec<String> = found.iter().map(|path| text_of(path.file_name())).collect();
-        let mut masks = masks_among(&names).into_iter();
-        found.retain(|path| {
-            let mask = masks.next().unwrap_or(false);
-            if mask {
-                skipped.push(Problem {
-                    file: path.clone(),
-                    reason: "is a mask by its name, not a photo; passed over".to_owned(),
-                });
-            }
-            !mask
-        });
-        if found.is_empty() {
-            folders.sort();
-            let inside = match folders.as_slice() {
-                [] => String::new(),
-                folders => format!(
-                    "; folders inside it ({}) are not searched, name those that hold photos",
-                    folders.join(", ")
-                ),
-            };
-            return Err(Failure::input(
-                argument,
-                format!(
-                    "the folder holds no photo (JPEG, PNG, TIFF, OpenEXR or camera RAW){inside}"
-                ),
-            ));
-        }
-        files.extend(found);
-    }
-    files.sort();
-    files.dedup();
-    skipped.sort_by(|a, b| a.file.cmp(&b.file));
-    skipped.dedup();
-    Ok((files, skipped))
-}
-
 /// The folder of masks with the names of its files.
 struct MaskFolder {
     names: MaskNames,
@@ -274,21 +240,9 @@ struct MaskFolder {
 
 impl MaskFolder {
     fn open(folder: &Path) -> Result<Self, Failure> {
-        let entries = std::fs::read_dir(folder)
-            .map_err(|error| Failure::input(folder, format!("cannot be read: {error}")))?;
         let mut files = BTreeMap::new();
-        for entry in entries.flatten() {
-            let name = text_of(Some(&entry.file_name()));
-            if entry.path().is_dir() {
-                let inside = std::fs::read_dir(entry.path());
-                for entry in inside.into_iter().flatten().flatten() {
-                    let name = format!("{name}/{}", text_of(Some(&entry.file_name())));
-                    files.insert(name, entry.path());
-                }
-            } else {
-                files.insert(name, entry.path());
-            }
-        }
+        files_below(folder, "", &mut files)
+            .map_err(|error| Failure::input(folder, format!("cannot be read: {error}")))?;
         if files.is_empty() {
             return Err(Failure::input(folder, "the folder of masks is empty"));
         }
@@ -298,10 +252,31 @@ impl MaskFolder {
         })
     }
 
-    fn find(&self, photo: &str) -> Option<PathBuf> {
-        let name = self.names.find(photo)?;
+    /// The mask of a photo by its name, which may carry folders; without any, the folder that it is in distinguishes two
+    /// masks of one name.
+    fn find(&self, photo: &PhotoFile) -> Option<PathBuf> {
+        let within = photo.path.parent().and_then(Path::file_name);
+        let name = self.names.find(&photo.name, &text_of(within))?;
         self.files.get(name).cloned()
     }
+}
+
+/// Files of a folder and of the folders inside it, links to folders left out, by their path below it.
+fn files_below(
+    folder: &Path,
+    prefix: &str,
+    files: &mut BTreeMap<String, PathBuf>,
+) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)?.flatten() {
+        let name = format!("{prefix}{}", text_of(Some(&entry.file_name())));
+        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            // One that cannot be read holds no mask that can be.
+            let _ = files_below(&entry.path(), &format!("{name}/"), files);
+        } else {
+            files.insert(name, entry.path());
+        }
+    }
+    Ok(())
 }
 
 /// Photos of one content: they add nothing, and are likely copied by mistake.

@@ -37,7 +37,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             StageId::Poses,
             format!(
                 "the sphere is marked in photos that are not used: {}",
-                unused.join(", ")
+                first_and_more(unused.iter().map(String::as_str)).unwrap_or_default()
             ),
         );
     }
@@ -59,7 +59,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     {
         *why += &format!(
             " (the sphere file names photos that are not used: {})",
-            unused.join(", ")
+            first_and_more(unused.iter().map(String::as_str)).unwrap_or_default()
         );
     }
     context.console.note(&format!(

@@ -101,6 +101,8 @@ pub enum MaskOrigin {
     Proposed,
     /// The same, and the user said so.
     Accepted,
+    /// The user said that there are none: the whole frame is meant, whatever it looks like.
+    None,
 }
 
 /// A reconstruction, as asked for.
@@ -109,6 +111,9 @@ pub struct Request {
     /// Folders and files, absolute.
     #[serde(with = "paths::list")]
     pub photos: Vec<PathBuf>,
+    /// Whether folders inside them are searched too.
+    #[serde(default)]
+    pub recursive: bool,
     /// Folder of masks.
     #[serde(with = "paths::optional")]
     pub masks: Option<PathBuf>,
@@ -129,6 +134,7 @@ impl Request {
     pub fn of_photos(photos: Vec<PathBuf>, options: StageOptions) -> Self {
         Self {
             photos,
+            recursive: false,
             masks: None,
             masks_from: MaskOrigin::Given,
             cameras: None,
@@ -204,11 +210,15 @@ impl Request {
                 .iter()
                 .map(|path| existing(path, "photos"))
                 .collect::<Result<_, _>>()?,
+            recursive: args.input.recursive,
             masks: match &args.masks {
                 Some(word) if word.to_str() == Some("none") => None,
                 folder => optional(folder.as_deref(), "--masks")?,
             },
-            masks_from: MaskOrigin::Given,
+            masks_from: match &args.masks {
+                Some(word) if word.to_str() == Some("none") => MaskOrigin::None,
+                _ => MaskOrigin::Given,
+            },
             cameras: optional(args.input.cameras.as_deref(), "--cameras")?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,

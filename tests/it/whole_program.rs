@@ -3,6 +3,7 @@
 
 use crate::browser;
 use crate::common;
+use rilievo_synthetic::testing::not_tested;
 
 use common::{arg, differences, done, reconstruct_arguments, rilievo, run, synthetic_set};
 use std::io::{BufRead, BufReader};
@@ -257,7 +258,7 @@ fn the_report_works_in_a_browser() {
     let _alone = alone();
     let run_dir = reference();
     let Some(seen) = browser::open(&run_dir.join("report.html")) else {
-        eprintln!("skipped: there is no Chromium here to open the report in");
+        not_tested("Chromium, to open the report in");
         return;
     };
     assert_eq!(seen.errors, Vec::<String>::new(), "console");

@@ -27,7 +27,7 @@ use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_scene::{
     DividedStep, FeatureMatches, Flow, Observer, PairMatches, Photo, PhotoIdx, PhotoKeypoints,
-    PhotoSet, StageId, check_descriptors, check_keypoints, divided,
+    PhotoSet, StageId, check_descriptors, check_keypoints, divided, first_and_more,
 };
 use std::collections::BTreeSet;
 
@@ -64,7 +64,7 @@ pub fn match_photos(
         let names: Vec<&str> = unknown.into_iter().collect();
         let message = format!(
             "listed pairs are left out for names that are none of the photos: {}",
-            names.join(", ")
+            first_and_more(names).unwrap_or_default()
         );
         let flow = observer.warn(StageId::Features, message);
         flow.ok_or(FeaturesError::Interrupted)?;

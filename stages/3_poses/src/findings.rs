@@ -189,7 +189,9 @@ mod tests {
     #[test]
     fn contradicted_focal_lengths_are_found() {
         assert_eq!(verdict(focal_change(1000.0, 1030.0)), Verdict::Good);
-        assert_eq!(verdict(focal_change(1000.0, 1400.0)), Verdict::Usable);
+        // Found and used: a note.
+        assert_eq!(verdict(focal_change(1000.0, 1400.0)), Verdict::Good);
+        assert!(focal_change(1000.0, 1400.0).is_some());
         let refined = PosesReport {
             refined_focals_px: vec![(0, 1000.0, 1400.0)],
             ..PosesReport::default()

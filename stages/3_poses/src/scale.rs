@@ -24,7 +24,8 @@ use rilievo_photometry::sphere::{
 };
 use rilievo_scene::loading::num_at_once;
 use rilievo_scene::{
-    MarkedSphere, Observer, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
+    MarkedSphere, Observer, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest,
+    Unit, first_and_more,
 };
 use std::collections::BTreeSet;
 
@@ -228,7 +229,7 @@ fn unconfirmed(photos: &PhotoSet, fit: &SphereFit) -> Option<String> {
              {:.0} % unexplained are expected; check that they follow its outline, and that nothing \
              stands before it",
             fit.sphere.name,
-            photos.join(", "),
+            first_and_more(photos.iter().map(String::as_str)).unwrap_or_default(),
             100.0 * MIN_EDGE_SHARE,
             100.0 * MAX_SHADING_RESIDUAL
         )
@@ -330,7 +331,7 @@ fn of_photos(photos: &PhotoSet, spheres: &[MarkedSphere], error: &SphereError) -
     match error {
         SphereError::Contradiction { worst, .. } => format!(" (the worst is {})", name(*worst)),
         _ if names.is_empty() => String::new(),
-        _ => format!(" (marked in {})", names.join(", ")),
+        _ => format!(" (marked in {})", first_and_more(names).unwrap_or_default()),
     }
 }
 

@@ -62,7 +62,8 @@ impl Checker {
         self.that(camera.width > 0 && camera.height > 0, || {
             format!("{name} has no pixels")
         })?;
-        self.finite([fx, fy, cx, cy, &d.k1, &d.k2, &d.p1, &d.p2, &d.k3], || {
+        let numbers = d.numbers();
+        self.finite([fx, fy, cx, cy].into_iter().chain(&numbers), || {
             format!("the camera of {name}")
         })?;
         self.that(*fx > 0.0 && *fy > 0.0, || {

@@ -43,7 +43,7 @@ impl Verdict {
     }
 }
 
-/// A fact that speaks against a result. As JSON it has `code`, `severity`, `subject`, `numbers`
+/// A fact that speaks against a result, or a note. As JSON it has `code`, `severity`, `subject`, `numbers`
 /// where there are any, and `sentence`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
@@ -122,7 +122,7 @@ macro_rules! findings {
         }
 
         impl Finding {
-            /// The best verdict that it allows.
+            /// The best verdict that it allows: `Good` of a note, on what the run has mended itself.
             pub fn severity(&self) -> Verdict {
                 match self.code {
                     $(FindingCode::$code { .. } => Verdict::$severity),+
@@ -178,9 +178,8 @@ findings! { first, names;
         photo keeps {usual_percent:.0}: its matches contradict its camera (a zoom, a crop, a mirrored photo, or \
         something moved), and its shape and its neighbours' may be wrong; leave it out, or give its focal length \
         with --cameras"
-    StatedFocalContradicted { stated_px, found_px } Usable "the photos contradict the stated focal length: \
-        {stated_px:.0} px stated, {found_px:.0} px found (a crop, or EXIF data of another photo); give the right one \
-        with --cameras"
+    StatedFocalContradicted { stated_px, found_px } Good "the photos contradict the focal length that EXIF states: \
+        {stated_px:.0} px stated, {found_px:.0} px found and used (a crop, or EXIF data of another photo)"
     GivenFocalContradicted { given_px, found_px, change_percent } Usable "a focal length of {given_px:.0} px was given \
         for {first}, the photos say {found_px:.0} px ({change_percent:+.0} %): that of another lens, zoom or size of \
         photo? Depth and normals err by per cents; correct it, or give none (--cameras, photos.focal_35mm)"

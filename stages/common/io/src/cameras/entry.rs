@@ -1,6 +1,8 @@
 //! What camera files of every kind hold.
 
+use super::photo_names::last_part;
 use rilievo_scene::{Intrinsics, PosedViews, RigidTransform, Unit, WorldFrame};
+use std::collections::HashSet;
 
 /// One camera of a file.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +34,19 @@ impl CameraEntry {
             image: Some(image),
             intrinsics,
             cam_from_world: Some(pose),
+        }
+    }
+
+    /// Leaves out the folders of all cameras' photos, unless two photos are then called alike.
+    pub(crate) fn without_folders(cameras: &mut [Self]) {
+        let names = cameras
+            .iter()
+            .map(|entry| last_part(entry.name()).to_owned());
+        let names: Vec<String> = names.collect();
+        if names.iter().collect::<HashSet<_>>().len() == cameras.len() {
+            for (entry, name) in cameras.iter_mut().zip(names) {
+                entry.image = Some(name);
+            }
         }
     }
 
