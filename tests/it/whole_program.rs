@@ -228,7 +228,7 @@ fn verdict(run_dir: &Path) -> (serde_json::Value, Vec<String>) {
 fn the_verdict_is_good_of_a_good_set_and_not_of_one_without_masks() {
     let _alone = alone();
     let good = reference();
-    let nothing = serde_json::json!({ "level": "good", "reasons": [] });
+    let nothing = serde_json::json!({ "level": "good", "notes": [], "reasons": [] });
     assert_eq!(verdict(good), (nothing, Vec::new()));
     let said = reconstruct(&synthetic_set(), good, &[]);
     assert!(said.ends_with("verdict: good\n"), "{said}");

@@ -200,10 +200,10 @@ impl Distortion {
     }
 
     /// The point of the plane that the coefficients act on, and whether it is found.
-    pub(crate) fn to_plane(&self, x_distorted: f64, y_distorted: f64) -> (Vector2<f64>, bool) {
+    pub(crate) fn to_plane(self, x_distorted: f64, y_distorted: f64) -> (Vector2<f64>, bool) {
         let flat = Self {
             fisheye: false,
-            ..*self
+            ..self
         };
         let wanted = Vector2::new(x_distorted, y_distorted);
         let missed = |plane: Vector2<f64>| {

@@ -1,5 +1,5 @@
-//! TIFF of the kinds that the image library leaves out: floating point of one channel, or of 16 or 64 bits; integers of
-//! 32 bits; and brightness with colour differences, as JPEG in TIFF has them.
+//! TIFF of the kinds that the image library leaves out: floating point of one channel, or of 16 or 64 bits; and
+//! brightness with colour differences, as JPEG in TIFF has them.
 
 use crate::claims;
 use rilievo_scene::Samples;
@@ -11,7 +11,7 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 pub(super) type Picture = ((usize, usize, usize), Samples);
 
 /// The picture of a TIFF of such a kind, floating point with white at 1; `None` where the file is no such TIFF or is
-/// damaged. Integers of 32 bits become floating point, which holds the counts of an instrument however few they are.
+/// damaged.
 pub(super) fn read(bytes: &[u8]) -> Option<Picture> {
     let mut decoder = Decoder::new(Cursor::new(bytes)).ok()?;
     let (stored, channels) = match decoder.colortype().ok()? {
@@ -48,10 +48,6 @@ pub(super) fn read(bytes: &[u8]) -> Option<Picture> {
                 .for_each(|pixel| *pixel = rgb_of(*pixel));
             return (v.len() == size.0 * size.1 * 3).then_some((size, Samples::U8(v)));
         }
-        DecodingResult::U32(v) => v
-            .into_iter()
-            .map(|value| (f64::from(value) / f64::from(u32::MAX)) as f32)
-            .collect(),
         DecodingResult::F16(v) => v.into_iter().map(f32::from).collect(),
         DecodingResult::F32(v) => v,
         DecodingResult::F64(v) => v.into_iter().map(|value| value as f32).collect(),
