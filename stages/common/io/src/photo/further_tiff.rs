@@ -1,17 +1,34 @@
-//! TIFF of the kinds that the image library leaves out: floating point of one channel, or of 16 or 64 bits; and
-//! brightness with colour differences, as JPEG in TIFF has them.
+//! TIFF of the kinds that the image library leaves out: floating point of one channel, or of 16 or 64 bits; integers of
+//! 32 bits; and brightness with colour differences, as JPEG in TIFF has them.
 
 use crate::claims;
 use rilievo_scene::Samples;
 use std::io::Cursor;
 use tiff::ColorType;
 use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::{SampleFormat, Tag};
 
 /// Width, height and channels (1 or 3, alpha left out) of a picture, and its samples.
 pub(super) type Picture = ((usize, usize, usize), Samples);
 
+/// Whether samples are integers of 32 bits, whose bits the image library would take for those of floating point.
+pub(super) fn has_wide_integers(bytes: &[u8]) -> bool {
+    let Ok(mut decoder) = Decoder::new(Cursor::new(bytes)) else {
+        return false;
+    };
+    if !decoder
+        .colortype()
+        .is_ok_and(|color| color.bit_depth() == 32)
+    {
+        return false;
+    }
+    let formats = decoder.find_tag_unsigned_vec::<u16>(Tag::SampleFormat);
+    let float = SampleFormat::IEEEFP.to_u16();
+    !matches!(formats, Ok(Some(formats)) if formats.contains(&float))
+}
+
 /// The picture of a TIFF of such a kind, floating point with white at 1; `None` where the file is no such TIFF or is
-/// damaged.
+/// damaged. Integers of 32 bits become floating point, which holds the counts of an instrument however few they are.
 pub(super) fn read(bytes: &[u8]) -> Option<Picture> {
     let mut decoder = Decoder::new(Cursor::new(bytes)).ok()?;
     let (stored, channels) = match decoder.colortype().ok()? {
@@ -48,6 +65,10 @@ pub(super) fn read(bytes: &[u8]) -> Option<Picture> {
                 .for_each(|pixel| *pixel = rgb_of(*pixel));
             return (v.len() == size.0 * size.1 * 3).then_some((size, Samples::U8(v)));
         }
+        DecodingResult::U32(v) => v
+            .into_iter()
+            .map(|value| (f64::from(value) / f64::from(u32::MAX)) as f32)
+            .collect(),
         DecodingResult::F16(v) => v.into_iter().map(f32::from).collect(),
         DecodingResult::F32(v) => v,
         DecodingResult::F64(v) => v.into_iter().map(|value| value as f32).collect(),

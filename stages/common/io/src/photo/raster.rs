@@ -39,11 +39,15 @@ pub(super) fn png(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
 
 pub(super) fn tiff(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
     let profile = tiff_profile(bytes).map_err(|reason| IoError::input(path, reason))?;
-    let decoder = open(path, bytes, ImageFormat::Tiff);
-    let decoded = decoder.and_then(|decoder| decode(path, bytes, decoder, profile.clone(), None));
-    let refusal = match decoded {
-        Err(refusal) => refusal,
-        decoded => return decoded,
+    let refusal = if further_tiff::has_wide_integers(bytes) {
+        let reason = "holds integers of 32 bits of a kind that cannot be read";
+        IoError::input(path, reason).with_hint("save it with 16 bits a sample")
+    } else {
+        let decoder = open(path, bytes, ImageFormat::Tiff);
+        match decoder.and_then(|decoder| decode(path, bytes, decoder, profile.clone(), None)) {
+            Err(refusal) => refusal,
+            decoded => return decoded,
+        }
     };
     let Some((size, samples)) = further_tiff::read(bytes) else {
         return Err(refusal);

@@ -384,11 +384,13 @@ fn tiff_of_other_programs_is_read_whatever_its_kind() {
     let big = include_bytes!("samples/big.tif");
     let zstd = include_bytes!("samples/zstd.tif");
     let jpeg = include_bytes!("samples/ycbcr.tif");
-    let cases: [(&str, &[u8], u32, f32); 3] = [
+    let u32 = include_bytes!("samples/u32.tif");
+    let cases: [(&str, &[u8], u32, f32); 4] = [
         ("big", big, 8, 0.0),
         ("zstd", zstd, 8, 0.0),
         // JPEG with halved colours; libtiff reads it to 3.
         ("ycbcr", jpeg, 8, 6.0),
+        ("u32", u32, 32, 1e-4),
     ];
     for (name, bytes, bits, tolerance) in cases {
         let photo = decode("a.tif", bytes).unwrap();
@@ -400,7 +402,8 @@ fn tiff_of_other_programs_is_read_whatever_its_kind() {
         assert_eq!(photo.samples.bits(), bits, "{name}");
         let value = |index: usize| match &photo.samples {
             Samples::U8(v) => f32::from(v[index]),
-            Samples::F32(_) | Samples::U16(_) => f32::NAN,
+            Samples::F32(v) => 255.0 * v[index],
+            Samples::U16(_) => f32::NAN,
         };
         for (y, x) in (0..48).flat_map(|y| (0..64).map(move |x| (y, x))) {
             for (c, expected) in [3 * x, 4 * y, 2 * (x + y)].into_iter().enumerate() {
