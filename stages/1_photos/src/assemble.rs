@@ -243,11 +243,11 @@ struct Comparison {
 
 type Condition = fn(&PhotoFacts, &Comparison) -> bool;
 
-/// What the user should know of single photos: the condition, and what the warning says after their
-/// names.
 /// Share of an object beyond which what its straightened photo loses is told: some rows of pixels at its rim.
 const BEYOND_WARNING: f64 = 0.02;
 
+/// What the user should know of single photos: the condition, and what the warning says after their
+/// names.
 const ABOUT_PHOTOS: [(Condition, &str); 13] = [
     (
         |f, _| f.mask_coverage.is_some() && f.beyond_pinhole > BEYOND_WARNING,

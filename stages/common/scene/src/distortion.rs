@@ -57,6 +57,18 @@ const MAX_NUM_STEPS: usize = 50;
 const FOUND: f64 = 1e-9;
 
 impl Distortion {
+    /// Of k1, k2, p1, p2 and k3, OpenCV's order.
+    pub fn plain([k1, k2, p1, p2, k3]: [f64; 5]) -> Self {
+        Self {
+            k1,
+            k2,
+            p1,
+            p2,
+            k3,
+            ..Self::default()
+        }
+    }
+
     /// Whether the lens is free of distortion.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
@@ -67,15 +79,7 @@ impl Distortion {
         let Self {
             k1, k2, p1, p2, k3, ..
         } = *self;
-        *self
-            == Self {
-                k1,
-                k2,
-                p1,
-                p2,
-                k3,
-                ..Self::default()
-            }
+        *self == Self::plain([k1, k2, p1, p2, k3])
     }
 
     /// All coefficients.

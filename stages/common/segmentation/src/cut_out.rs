@@ -73,11 +73,17 @@ pub fn surroundings(photo: &DecodedPhoto) -> Result<Surroundings, SegmentationEr
         if white && matches!(photo.samples, Samples::F32(_)) {
             continue;
         }
+        let (width, height) = (photo.width, photo.height);
         let away = away_from(photo, white);
-        let flat = Mask::from_fn(away.width, away.height, |x, y| away.at(x, y)[0] <= FLAT);
-        let border: Vec<bool> = flat.frame().map(|(x, y)| *flat.at(x, y)).collect();
-        let num_flat = border.iter().filter(|&&is| is).count();
-        if num_flat as f64 >= MIN_BORDER_SHARE * border.len() as f64 {
+        // Most photos have no flat border: of those no more is looked at.
+        let mut border = Mask::filled(width, height, false);
+        let frame: Vec<(usize, usize)> = border.frame().collect();
+        for (x, y) in frame {
+            *border.at_mut(x, y) = away(x, y)[0] <= FLAT;
+        }
+        if border.frame_share() >= MIN_BORDER_SHARE {
+            let away = Away::from_fn(width, height, away);
+            let flat = Mask::from_fn(width, height, |x, y| away.at(x, y)[0] <= FLAT);
             return Ok(cut(&away, &flat, white)?);
         }
     }
@@ -86,8 +92,8 @@ pub fn surroundings(photo: &DecodedPhoto) -> Result<Surroundings, SegmentationEr
 
 type Away = rilievo_scene::Raster<[u8; 2]>;
 
-/// How far each pixel is from black or white, of 255: the channel that is farthest, and the brightness.
-fn away_from(photo: &DecodedPhoto, white: bool) -> Away {
+/// How far a pixel is from black or white, of 255: the channel that is farthest, and the brightness.
+fn away_from(photo: &DecodedPhoto, white: bool) -> impl Fn(usize, usize) -> [u8; 2] {
     // Linear values are compared as they look, by their square root.
     let shown = |value: f32| {
         let value = if photo.linear_by_metadata {
@@ -97,14 +103,14 @@ fn away_from(photo: &DecodedPhoto, white: bool) -> Away {
         };
         (255.0 * value).round().clamp(0.0, 255.0) as u8
     };
-    let level = |index: usize| match &photo.samples {
+    let level = move |index: usize| match &photo.samples {
         Samples::U8(v) if !photo.linear_by_metadata => v[index],
         Samples::U8(v) => shown(f32::from(v[index]) / 255.0),
         Samples::U16(v) => shown(f32::from(v[index]) / 65535.0),
         Samples::F32(v) => shown(v[index]),
     };
     let channels = photo.channels;
-    Away::from_fn(photo.width, photo.height, |x, y| {
+    move |x, y| {
         let first = (y * photo.width + x) * channels;
         let of = |channel: usize| {
             let level = level(first + channel.min(channels - 1));
@@ -114,7 +120,7 @@ fn away_from(photo: &DecodedPhoto, white: bool) -> Away {
         // Weights of JPEG's brightness.
         let luma = (299 * u32::from(r) + 587 * u32::from(g) + 114 * u32::from(b)) / 1000;
         [r.max(g).max(b), luma as u8]
-    })
+    }
 }
 
 fn cut(away: &Away, flat: &Mask, white: bool) -> opencv::Result<Surroundings> {

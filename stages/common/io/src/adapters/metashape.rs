@@ -156,14 +156,13 @@ fn intrinsics(sensor: Node<'_, '_>) -> Result<Intrinsics, String> {
     let cx = 0.5 * width as f64 + value("cx")? - 0.5;
     let cy = 0.5 * height as f64 + value("cy")? - 0.5;
     Ok(Intrinsics {
-        distortion: Distortion {
-            k1: value("k1")?,
-            k2: value("k2")?,
-            p1: value("p2")?,
-            p2: value("p1")?,
-            k3: value("k3")?,
-            ..Distortion::default()
-        },
+        distortion: Distortion::plain([
+            value("k1")?,
+            value("k2")?,
+            value("p2")?,
+            value("p1")?,
+            value("k3")?,
+        ]),
         ..Intrinsics::undistorted((width, height), [fx, f, cx, cy])
     })
 }

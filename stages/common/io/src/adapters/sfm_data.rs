@@ -163,14 +163,7 @@ fn read_camera(node: &Node<'_>, before: &dyn Fn(f64, f64) -> bool) -> Result<Int
         }
     };
     Ok(Intrinsics {
-        distortion: Distortion {
-            k1,
-            k2,
-            p1,
-            p2,
-            k3,
-            ..Distortion::default()
-        },
+        distortion: Distortion::plain([k1, k2, p1, p2, k3]),
         ..Intrinsics::undistorted((width, height), [fx, fy, cx, cy])
     })
 }

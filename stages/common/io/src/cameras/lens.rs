@@ -37,14 +37,7 @@ impl LensModel {
             *value = *coefficient;
         }
         let [k1, k2, p1, p2, k3, k4, k5, k6] = all;
-        let plain = Distortion {
-            k1,
-            k2,
-            p1,
-            p2,
-            k3,
-            ..Distortion::default()
-        };
+        let plain = Distortion::plain([k1, k2, p1, p2, k3]);
         match self {
             Self::OpenCv => Distortion {
                 denominator: [k4, k5, k6],
