@@ -51,7 +51,7 @@ use rilievo_scene::{
 use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 15;
+pub const VERSION: u32 = 16;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
@@ -138,6 +138,7 @@ pub fn run(
         .chain(contradicted_exif(&matched, &reconstruction))
         .chain(own_focal::warnings(&matched, &reconstruction.model))
         .chain(narrow::warning(&posed))
+        .chain(report.same_place_warning())
         .chain(left_out)
     {
         error::warn(observer, message)?;
