@@ -181,7 +181,7 @@ fn without_camera(
     }
     Ok((!without.is_empty()).then(|| {
         format!(
-            "the camera file has no entry for {}; their focal length comes from EXIF",
+            "the camera file has no entry for {}: their focal length comes from EXIF or is guessed, their poses are found",
             without.join(", ")
         )
     }))

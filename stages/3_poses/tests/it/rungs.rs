@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use rilievo_poses::{GivenPoses, PosesError, RefineIntrinsics, run};
 use rilievo_scene::{
     FocalSource, MarkedSphere, PhotoIdx, PosedViews, Recorder, RigidTransform, ScaleSource, Silent,
-    SphereMark, SphereRequest, Unit,
+    SphereMark, SphereRequest, Unit, WorldFrame,
 };
 use rilievo_synthetic::testing::Impatient;
 
@@ -372,6 +372,47 @@ fn given_poses_are_kept_to_the_bit_or_refined() {
     let (posed, _) = run(&world.photos, &world.matches, None, &refine, &Silent).unwrap();
     let (center, rotation) = pose_errors(&posed, &world.cam_from_world);
     assert!(center < 1e-3 && rotation < 0.03, "{center} {rotation}");
+}
+
+#[test]
+fn photos_without_a_given_pose_are_posed_in_the_frame_of_the_others() {
+    let mut world = world(&WorldOptions {
+        noise_px: 0.3,
+        ..WorldOptions::default()
+    });
+    let num = world.cam_from_world.len();
+    for given in [num - 1, 2, 1] {
+        give(&mut world, |p| *p);
+        for photo in &mut world.photos.photos[given..] {
+            photo.given_cam_from_world = None;
+        }
+        let told = Recorder::default();
+        let (posed, _) = run(&world.photos, &world.matches, None, &options(), &told).unwrap();
+        let told = told.warnings().join("\n");
+        assert_eq!(posed.views.len(), num, "{told}");
+        assert!(
+            told.contains(&world.photos.photos[given].file_name) || given == 1,
+            "{told}"
+        );
+        if given == 1 {
+            assert_ne!(posed.frame, WorldFrame::Given);
+            assert!(told.contains("alone and not used"), "{told}");
+            continue;
+        }
+        assert_eq!(posed.frame, WorldFrame::Given);
+        for (k, (view, pose)) in posed.views.iter().zip(&world.cam_from_world).enumerate() {
+            if k < given {
+                assert_eq!(view.cam_from_world, *pose);
+            }
+            let apart = (view.cam_from_world.center_in_source() - pose.center_in_source()).norm();
+            let turned = (view.cam_from_world.rotation.angle_to(&pose.rotation)).to_degrees();
+            // As far as .3 px of noise move a photo among exact ones.
+            assert!(
+                apart < 3e-3 && turned < 0.1,
+                "{k} of {given}: {apart} m, {turned} degrees"
+            );
+        }
+    }
 }
 
 #[test]
