@@ -24,6 +24,7 @@ mod own_focal;
 mod p3p;
 mod projection;
 mod ranking;
+mod reference;
 mod refinement;
 mod relative_pose;
 mod report;
@@ -37,6 +38,7 @@ mod vertical;
 pub use error::PosesError;
 pub use known_distance::{KnownDistance, MarkedPoints};
 pub use options::{GivenPoses, PosesOptions, RETIRED_KEYS, RefineIntrinsics};
+pub use reference::ReferenceFrame;
 pub use report::{AdjustmentReport, ContradictedFocal, LensReport, PosesReport, ViewReport};
 pub use vertical::{Vertical, VerticalSource};
 
@@ -132,6 +134,10 @@ pub fn run(
     } else {
         posed.frame = WorldFrame::Given;
     }
+    report.knows_object = object.len() >= level::MIN_OBJECT_POINTS;
+    let frame = options.reference.as_ref().and_then(|reference| {
+        reference::apply(reference, report.knows_object, &mut posed, &mut report)
+    });
     let left_out = posed.unregistered.iter();
     let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));
     for message in report
@@ -148,6 +154,7 @@ pub fn run(
         .chain(own_focal::warnings(&matched, &reconstruction.model))
         .chain(narrow::warning(&posed))
         .chain(report.same_place_warning())
+        .chain(frame)
         .chain(left_out)
     {
         error::warn(observer, message)?;

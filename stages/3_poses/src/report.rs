@@ -120,6 +120,12 @@ pub struct PosesReport {
     pub scale: Scale,
     /// The vertical, where ground or cameras show it.
     pub vertical: Option<Vertical>,
+    /// Whether masks show where the object stands.
+    #[serde(default)]
+    pub knows_object: bool,
+    /// Cameras in common with an earlier result, or with those of `--frame-of`, that its frame was taken over by.
+    #[serde(default)]
+    pub num_frame_cameras: Option<usize>,
     /// Distortion that given intrinsics leave.
     pub lens: Option<LensReport>,
     /// The given focal length, where the photos contradict it.
