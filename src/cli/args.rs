@@ -185,7 +185,8 @@ pub struct ReconstructArgs {
     pub output: PathBuf,
     /// Folder of object masks (white on black), named as the photos; `none` takes the whole frame.
     /// Without it, masks are proposed after stage 3 and used where they are sure: RUN/masks, with
-    /// pictures to look at in RUN/masks-overlays
+    /// pictures to look at in RUN/masks-overlays. Where the object turns before a background that stands still,
+    /// features.region = "object" (--config) finds the poses from what the masks show alone
     #[arg(long, value_name = "DIR|none")]
     pub masks: Option<PathBuf>,
     #[command(flatten)]

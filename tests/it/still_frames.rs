@@ -195,3 +195,94 @@ fn copies_confirm_nothing() {
     );
     assert_eq!(of_two, verdict(&four));
 }
+
+/// Camera centres by photo.
+fn centers(run_dir: &Path) -> std::collections::BTreeMap<String, [f64; 3]> {
+    let file = json_of(&run_dir.join("3_poses/cameras.json"));
+    let cameras = file["cameras"].as_array().unwrap().iter();
+    let center = |camera: &serde_json::Value| {
+        let name = camera["image"].as_str().unwrap().to_owned();
+        let at = [0, 1, 2].map(|k| camera["camera_center"][k].as_f64().unwrap());
+        (name, at)
+    };
+    cameras.map(center).collect()
+}
+
+/// Farthest that a camera of the first run lies from the same one of the second.
+fn farthest(first: &Path, second: &Path) -> f64 {
+    let second = centers(second);
+    let apart = |(name, at): (String, [f64; 3])| {
+        let squares = at.iter().zip(second[&name]).map(|(a, b)| (a - b).powi(2));
+        squares.sum::<f64>().sqrt()
+    };
+    centers(first).into_iter().map(apart).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_photo_added_to_a_run_leaves_the_world_where_it_was() {
+    let set = Repainted::new(|_, _, _| {});
+    let sphere = synthetic_set().join("sphere.json");
+    let until_poses = |run_dir: &Path, more: &[&str]| {
+        let arguments = set.arguments(&["--sphere", arg(&sphere)]);
+        let arguments = arguments
+            .iter()
+            .map(String::as_str)
+            .chain(more.iter().copied());
+        let arguments: Vec<&str> = arguments.collect();
+        reconstructed_until("poses", &set.path("photos"), run_dir, &arguments)
+    };
+    let fourth = set.path("photos/IMG_0004.jpg");
+    std::fs::rename(&fourth, set.path("fourth.jpg")).unwrap();
+    let (three, four) = (set.path("three"), set.path("four"));
+    until_poses(&three, &[]);
+    let copied = set.path("kept");
+    until_poses(&copied, &[]);
+    std::fs::rename(set.path("fourth.jpg"), &fourth).unwrap();
+    until_poses(&four, &[]);
+    let said = until_poses(&copied, &[]);
+    assert!(
+        said.contains("of the result before is kept: 3 cameras"),
+        "{said}"
+    );
+    // What the photo more changes the poses by; metres.
+    let (kept, new) = (farthest(&three, &copied), farthest(&three, &four));
+    assert!(
+        kept < 1e-3 && kept < new,
+        "{kept} with the frame, {new} without"
+    );
+    let said = until_poses(&four, &["--frame-of", arg(&three)]);
+    assert!(said.contains("of --frame-of is kept"), "{said}");
+    assert!(farthest(&copied, &four) < 1e-9);
+}
+
+#[test]
+fn a_mirrored_photo_leaves_the_others_as_they_are() {
+    let set = Repainted::new(|_, _, _| {});
+    let (three, four) = (set.path("three"), set.path("four"));
+    let until_poses = |run_dir: &Path| {
+        let arguments = set.arguments(&["--sphere", "none"]);
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        reconstructed_until("poses", &set.path("photos"), run_dir, &arguments)
+    };
+    let photo = set.path("photos/IMG_0004.jpg");
+    let mut image = linear_of(&decode_photo(&photo).unwrap());
+    let mut mask = read_mask(&set.path("masks/IMG_0004.png")).unwrap();
+    std::fs::remove_file(&photo).unwrap();
+    until_poses(&three);
+    let (width, channels) = (image.width, image.channels);
+    for row in image.data.chunks_mut(width * channels) {
+        row.reverse();
+        row.chunks_mut(channels).for_each(<[f32]>::reverse);
+    }
+    mask.data.chunks_mut(width).for_each(<[bool]>::reverse);
+    set.put("IMG_0004", &image, &mask, 95);
+    let said = until_poses(&four);
+    assert!(said.contains("IMG_0004.jpg: "), "{said}");
+    let num_anchors = |run_dir: &Path| {
+        let table = json_of(&run_dir.join("3_poses/anchors.json"));
+        table["anchors"].as_array().unwrap().len()
+    };
+    assert_eq!(centers(&three), centers(&four));
+    assert_eq!(num_anchors(&three), num_anchors(&four));
+    assert!(num_anchors(&four) > 50);
+}

@@ -8,7 +8,7 @@ use common::{
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rilievo_poses::{GivenPoses, PosesError, RefineIntrinsics, run};
+use rilievo_poses::{GivenPoses, PosesError, ReferenceFrame, RefineIntrinsics, run};
 use rilievo_scene::{
     FocalSource, MarkedSphere, PhotoIdx, PosedViews, Recorder, RigidTransform, ScaleSource, Silent,
     SphereMark, SphereRequest, Unit, WorldFrame,
@@ -413,6 +413,69 @@ fn photos_without_a_given_pose_are_posed_in_the_frame_of_the_others() {
             );
         }
     }
+}
+
+#[test]
+fn the_frame_of_earlier_cameras_is_kept_where_those_in_common_agree() {
+    let world = world(&WorldOptions {
+        noise_px: 0.3,
+        ..WorldOptions::default()
+    });
+    let (own, _) = solve(&world);
+    let turn = UnitQuaternion::from_euler_angles(0.3, 0.8, -0.4);
+    let moved = |view: &rilievo_scene::PosedView| {
+        let center = turn * (view.cam_from_world.center_in_source() * 2.5);
+        let rotation = view.cam_from_world.rotation * turn.inverse();
+        let center = center.coords + Vector3::new(5.0, -3.0, 1.0);
+        RigidTransform {
+            rotation,
+            translation: -(rotation * center),
+        }
+    };
+    let told_with = |change: &dyn Fn(usize, RigidTransform) -> RigidTransform| {
+        let cameras = own.views.iter().enumerate();
+        let cameras = cameras.map(|(k, view)| (view.file_name.clone(), change(k, moved(view))));
+        let reference = ReferenceFrame {
+            cameras: cameras.collect(),
+            unit: Unit::Metre,
+            frame: WorldFrame::Level,
+            knows_object: true,
+            is_asked: false,
+        };
+        let options = rilievo_poses::PosesOptions {
+            reference: Some(reference),
+            ..options()
+        };
+        let told = Recorder::default();
+        let (posed, report) = run(&world.photos, &world.matches, None, &options, &told).unwrap();
+        (posed, report, told.warnings().join("\n"))
+    };
+    // One photo was replaced by one from elsewhere.
+    let replaced = |k: usize, pose: RigidTransform| match k {
+        2 => look_at(Point3::new(9.0, 9.0, 9.0), Point3::origin()),
+        _ => pose,
+    };
+    let (posed, report, told) = told_with(&replaced);
+    assert!(told.contains("5 cameras in common agree"), "{told}");
+    assert_eq!(report.num_frame_cameras, Some(5));
+    assert_eq!(
+        (posed.frame, posed.scale.unit),
+        (WorldFrame::Level, Unit::Metre)
+    );
+    for (view, before) in posed.views.iter().zip(&own.views) {
+        let (now, before) = (
+            view.cam_from_world.center_in_source(),
+            moved(before).center_in_source(),
+        );
+        assert!((now - before).norm() < 1e-9, "{now} {before}");
+    }
+    let scrambled = |k: usize, pose: RigidTransform| RigidTransform {
+        rotation: UnitQuaternion::from_euler_angles(0.0, 0.5 * k as f64, 0.0) * pose.rotation,
+        ..pose
+    };
+    let (posed, report, told) = told_with(&scrambled);
+    assert!(told.contains("not taken over"), "{told}");
+    assert_eq!((posed.frame, report.num_frame_cameras), (own.frame, None));
 }
 
 #[test]
