@@ -138,25 +138,7 @@ pub fn run(
     let frame = options.reference.as_ref().and_then(|reference| {
         reference::apply(reference, report.knows_object, &mut posed, &mut report)
     });
-    let left_out = posed.unregistered.iter();
-    let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));
-    for message in report
-        .lens
-        .iter()
-        .map(LensReport::advice)
-        .chain(
-            report
-                .contradicted_focal
-                .iter()
-                .map(|focal| focal.finding().sentence()),
-        )
-        .chain(contradicted_exif(&matched, &reconstruction))
-        .chain(own_focal::warnings(&matched, &reconstruction.model))
-        .chain(narrow::warning(&posed))
-        .chain(report.same_place_warning())
-        .chain(frame)
-        .chain(left_out)
-    {
+    for message in warnings(&matched, &reconstruction, &posed, &report, frame) {
         error::warn(observer, message)?;
     }
     if !options.matches_only {
@@ -166,6 +148,29 @@ pub fn run(
         report.anchors = Some(anchor_report);
     }
     Ok((posed, report))
+}
+
+/// What the user should know of the poses, with what became of an earlier `frame`.
+fn warnings(
+    matched: &MatchedPhotos<'_>,
+    reconstruction: &Reconstruction,
+    posed: &PosedViews,
+    report: &PosesReport,
+    frame: Option<String>,
+) -> Vec<String> {
+    let left_out = posed.unregistered.iter();
+    let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));
+    let focal = report.contradicted_focal.iter();
+    let focal = focal.map(|focal| focal.finding().sentence());
+    let lens = report.lens.iter().map(LensReport::advice);
+    lens.chain(focal)
+        .chain(contradicted_exif(matched, reconstruction))
+        .chain(own_focal::warnings(matched, &reconstruction.model))
+        .chain(narrow::warning(posed))
+        .chain(report.same_place_warning())
+        .chain(frame)
+        .chain(left_out)
+        .collect()
 }
 
 /// A model with the photos of the others.
