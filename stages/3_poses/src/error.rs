@@ -54,7 +54,7 @@ pub enum PosesError {
     },
     /// No pair gives enough well-conditioned points to start from.
     #[error(
-        "none of {num_pairs} matching pairs gives a start: best has {best_points} points at {best_angle_deg:.1} degrees, needed are {needed_points} at {needed_angle_deg:.1}; {}",
+        "none of {num_pairs} matching pairs gives a start: best has {best_points} points at {best_angle_deg:.1} degrees, needed are {needed_points} at {needed_angle_deg:.1}; {}, or give poses that are known (--cameras)",
         pair_advice(*.best_points >= *.needed_points, *.best_angle_deg >= *.needed_angle_deg)
     )]
     NoInitialPair {
@@ -103,7 +103,7 @@ pub enum PosesError {
         place: [f64; 3],
     },
     /// The measured distance cannot be found in the model.
-    #[error("the known distance cannot be used: {reason}")]
+    #[error("the known distance cannot be used: {reason} (--known-distance)")]
     KnownDistance {
         /// Which photo or point, and why.
         reason: String,
@@ -162,6 +162,59 @@ mod tests {
             needed_angle_deg: 3.0,
         };
         error.to_string()
+    }
+
+    #[test]
+    fn every_message_names_the_option_that_helps() {
+        let known = "cameras".to_owned();
+        let cases = [
+            (
+                PosesError::NoMatches {
+                    num_photos: 3,
+                    best: 2,
+                    needed: 30,
+                },
+                "features.contrast_threshold",
+            ),
+            (
+                PosesError::StandsStill { percent: 90.0 },
+                "features.region = \"object\"",
+            ),
+            (
+                PosesError::OnlyHomographies {
+                    num_pairs: 3,
+                    least_share: 98.0,
+                },
+                "--cameras",
+            ),
+            (
+                PosesError::NoStableStart {
+                    num_pairs: 3,
+                    best_points: 4,
+                    needed_points: 15,
+                },
+                "photos.focal_35mm",
+            ),
+            (
+                PosesError::GivenPosesInconsistent {
+                    share_consistent: 20.0,
+                    hint: known.clone(),
+                },
+                "poses.given_poses = \"ignore\"",
+            ),
+            (
+                PosesError::GivenPosesAtOnePlace { place: [0.0; 3] },
+                "poses.given_poses = \"ignore\"",
+            ),
+            (
+                PosesError::KnownDistance { reason: known },
+                "--known-distance",
+            ),
+        ];
+        for (error, option) in cases {
+            assert!(error.to_string().contains(option), "{error}");
+        }
+        assert!(told(200, 0.4).contains("--cameras"));
     }
 
     #[test]
