@@ -11,7 +11,7 @@ use rilievo_io::{
     CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, read_cameras,
     read_lighting,
 };
-use rilievo_scene::{WorldFrame, artifact_name, first_and_more};
+use rilievo_scene::{StageId, WorldFrame, artifact_name, first_and_more};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
@@ -45,6 +45,8 @@ pub struct Inputs {
     pub warnings: Vec<String>,
     /// Where the world's axes lie if the cameras' poses are given.
     pub frame: WorldFrame,
+    /// Cameras whose frame is to be taken over.
+    pub frame_of: Option<CameraFile>,
     /// What was said of the reference spheres.
     pub spheres: SphereInputs,
     /// Content hashes of the lighting's files, by role.
@@ -79,6 +81,7 @@ impl Inputs {
             skipped,
             warnings,
             frame: cameras.map_or(WorldFrame::Given, |cameras| cameras.frame()),
+            frame_of: request.frame_of.as_deref().map(frame_of).transpose()?,
             spheres,
             lighting_hashes,
         })
@@ -218,7 +221,7 @@ fn without_camera(
     }
     Ok((!without.is_empty()).then(|| {
         format!(
-            "the camera file has no entry for {}; their focal length comes from EXIF",
+            "the camera file has no entry for {}: their focal length comes from EXIF or is guessed, their poses are found",
             first_and_more(without).unwrap_or_default()
         )
     }))
@@ -229,6 +232,15 @@ fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
     match CameraFormat::detect(path) {
         Some(format) => import_cameras(path, format, None),
         None => read_cameras(path),
+    }
+}
+
+/// Cameras of a run, or of a file.
+fn frame_of(path: &Path) -> Result<CameraFile, IoError> {
+    let of_run = path.join(StageId::Poses.name()).join("cameras.json");
+    match of_run.is_file() {
+        true => read_cameras(&of_run),
+        false => any_cameras(path),
     }
 }
 

@@ -197,6 +197,11 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
             let mut hashes = inputs.spheres.hashes.clone();
             let frame = inputs.frame.words().to_owned();
             hashes.insert("frame of given cameras".into(), frame);
+            if let Some(cameras) = &inputs.frame_of {
+                let posed = cameras.cameras.iter().map(|c| (&c.image, c.cam_from_world));
+                let world = (cameras.unit, cameras.frame(), posed.collect::<Vec<_>>());
+                hashes.insert("frame asked for".into(), hash_json(&world));
+            }
             hashes
         }
         StageId::Lighting => {

@@ -8,6 +8,7 @@ use super::request::SphereInput;
 use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
 use rilievo_io::{CameraFile, SpheresInSet, decode_photo, write_cameras, write_colmap_text};
+use rilievo_poses::ReferenceFrame;
 use rilievo_scene::{
     LinearImage, Observer, PhotoSet, PosedViews, SphereRequest, StageId, WorldFrame, first_and_more,
 };
@@ -43,6 +44,10 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     }
     let mut options = context.request.options.poses.clone();
     options.memory = Some(context.resources.memory);
+    options.reference = match &context.inputs.frame_of {
+        Some(cameras) => Some(reference_of(cameras, true)),
+        None => earlier_frame(context.run),
+    };
     let (mut views, report) = rilievo_poses::run(
         &photos,
         &matches,
@@ -93,6 +98,30 @@ pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
     let names = names.flat_map(|view| [view.name.as_str(), view.file_name.as_str()]);
     checked_names(run, StageId::Poses, POSED_VIEWS, names)?;
     Ok(views)
+}
+
+/// The frame of cameras; whether it was asked for.
+fn reference_of(cameras: &CameraFile, is_asked: bool) -> ReferenceFrame {
+    let posed = cameras.cameras.iter();
+    let posed = posed.filter_map(|camera| Some((camera.image.clone()?, camera.cam_from_world?)));
+    ReferenceFrame {
+        cameras: posed.collect(),
+        unit: cameras.unit,
+        frame: cameras.frame(),
+        knows_object: true,
+        is_asked,
+    }
+}
+
+/// The frame of the poses that the run has already; `None` where there are none that can be read.
+fn earlier_frame(run: &RunDir) -> Option<ReferenceFrame> {
+    let manifest = run.manifest(StageId::Poses).ok()??;
+    let views = load(run).ok()?;
+    Some(ReferenceFrame {
+        frame: views.frame,
+        knows_object: manifest.report["knows_object"].as_bool().unwrap_or(true),
+        ..reference_of(&CameraFile::from_posed_views(&views), false)
+    })
 }
 
 /// What the user said of the reference spheres, for a set of photos.

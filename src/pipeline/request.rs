@@ -123,6 +123,9 @@ pub struct Request {
     /// Camera file or COLMAP folder.
     #[serde(with = "paths::optional")]
     pub cameras: Option<PathBuf>,
+    /// Run or cameras whose frame the world is to have.
+    #[serde(default, with = "paths::optional")]
+    pub frame_of: Option<PathBuf>,
     pub sphere: SphereInput,
     pub lighting: LightingInput,
     /// Options of the stages.
@@ -138,6 +141,7 @@ impl Request {
             masks: None,
             masks_from: MaskOrigin::Given,
             cameras: None,
+            frame_of: None,
             sphere: SphereInput::None,
             lighting: LightingInput::Found,
             options,
@@ -161,6 +165,7 @@ impl Request {
         self.photos.iter_mut().for_each(relocate);
         self.masks.iter_mut().for_each(relocate);
         self.cameras.iter_mut().for_each(relocate);
+        self.frame_of.iter_mut().for_each(relocate);
         if let SphereInput::File { path, .. } = &mut self.sphere {
             relocate(path);
         }
@@ -220,6 +225,7 @@ impl Request {
                 _ => MaskOrigin::Given,
             },
             cameras: optional(args.input.cameras.as_deref(), "--cameras")?,
+            frame_of: optional(args.frame_of.as_deref(), "--frame-of")?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,
             options,

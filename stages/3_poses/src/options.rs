@@ -2,6 +2,7 @@
 
 use crate::anchors::options::AnchorOptions;
 use crate::known_distance::KnownDistance;
+use crate::reference::ReferenceFrame;
 use rilievo_scene::{InTable, OptionError, RetiredKey, in_range};
 use serde::{Deserialize, Serialize};
 
@@ -84,6 +85,9 @@ pub struct PosesOptions {
     pub max_reprojection_error_px: f64,
     /// A distance measured in the scene, which makes the world metric.
     pub known_distance: Option<KnownDistance>,
+    /// A world that the result is to share, where its cameras agree.
+    #[serde(skip)]
+    pub reference: Option<ReferenceFrame>,
     /// Bytes that the photos worked on at once may take; a few photos' where nothing is said. Changes no result.
     #[serde(skip)]
     pub memory: Option<u64>,
@@ -104,6 +108,7 @@ impl Default for PosesOptions {
             given_poses: GivenPoses::Keep,
             max_reprojection_error_px: 3.0,
             known_distance: None,
+            reference: None,
             memory: None,
             matches_only: false,
             seed: 1,

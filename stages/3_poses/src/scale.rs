@@ -336,7 +336,7 @@ fn of_photos(photos: &PhotoSet, spheres: &[MarkedSphere], error: &SphereError) -
 }
 
 /// Multiplies every length of the world.
-fn multiply(posed: &mut PosedViews, report: &mut PosesReport, factor: f64) {
+pub(crate) fn multiply(posed: &mut PosedViews, report: &mut PosesReport, factor: f64) {
     for view in &mut posed.views {
         view.cam_from_world.translation *= factor;
     }

@@ -213,7 +213,7 @@ impl FeatureMatches {
             check.finite(numbers.chain([&pair.homography_share]), || {
                 format!("the geometry of pair {k}")
             })?;
-            for &[i, j] in &pair.matches {
+            for &[i, j] in pair.matches.iter().chain(&pair.standing) {
                 for (photo, keypoint) in [(first, i), (second, j)] {
                     let count = self.photos[photo].keypoints.len();
                     check.index(keypoint as usize, count, || {

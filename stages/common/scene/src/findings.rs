@@ -170,7 +170,8 @@ findings! { first, names;
     // Poses.
     SomeNotPosed { posed, photos } Usable "only {posed} of {photos} photos got a pose"
     MostNotPosed { posed, photos } NotToBeTrusted "only {posed} of {photos} photos got a pose"
-    OnlyTwoPosed Usable "two photos confirm each other, and nothing confirms both: take a third from another side"
+    OnlyTwoPosed Usable "two photos confirm each other, and nothing confirms both (others from the same two places do \
+        not): take a third from another side"
     ReprojectionError { error_px } Usable "the mean reprojection error is {error_px:.2} px; good poses are below 1 px"
     FewPoints { points, usual } Usable "{first} is held by {points} points where a usual photo has {usual}: its pose \
         may be wrong (a zoom or a crop, or too far from its neighbours); leave it out, or take photos between"

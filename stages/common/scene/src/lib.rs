@@ -57,7 +57,7 @@ pub use findings::{Finding, FindingCode, Verdict};
 pub use ids::{PhotoIdx, PointIdx, ViewIdx};
 pub use lighting::{Lighting, SphericalHarmonics};
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};
-pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
+pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints, motion_in_frame};
 pub use naming::{artifact_name, first_and_more};
 pub use options::{InTable, OptionError, RetiredKey, fulfils, in_range};
 pub use orientation::Orientation;
@@ -65,8 +65,9 @@ pub use packed_mask::PackedMask;
 pub use page_store::{PAGE_SIDE, PageCache, PageCaches, PageStore, Pages};
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
 pub use poses::{
-    Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,
-    SparsePoint, TrackElement, Unit, Unregistered, WorldCoordinates, WorldFrame,
+    Anchor, AnchorObservation, AnchorOrigin, MIN_TRIANGULATION_ANGLE_DEG, PosedView, PosedViews,
+    Scale, ScaleSource, SparsePoint, TrackElement, Unit, Unregistered, WorldCoordinates,
+    WorldFrame,
 };
 pub use raster::{LinearImage, Mask, Raster, bilinear};
 pub use scratch::{MemoryScratch, Room, Scratch, ScratchError};
