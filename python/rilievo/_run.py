@@ -23,8 +23,9 @@ class Camera:
         Intrinsics, pixels.
     cam_from_world : (3, 4) float64, optional
         Pose ``[R | t]``: ``x_in_cam = R @ x_in_world + t``, in the world's unit.
-    distortion : (5,) float64, optional
-        OpenCV's ``k1, k2, p1, p2, k3``; ``None`` for none.
+    distortion : (5,) or (12,) float64, optional
+        OpenCV's ``k1, k2, p1, p2, k3``; ``None`` for none. Wide lenses have behind them k4, the denominator's three
+        coefficients, two of thin prisms, and 1 for a fisheye.
     size : (int, int), optional
         Width and height of the image, pixels.
     image : str, optional

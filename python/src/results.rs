@@ -29,7 +29,7 @@ type CameraTuple = (
     String,
     String,
     [f64; 4],
-    [f64; 5],
+    Vec<f64>,
     (usize, usize),
     [[f64; 4]; 3],
 );
@@ -41,11 +41,16 @@ impl RunResults {
         let cameras = self.read(py, embedded::RunResults::cameras)?;
         let listed = cameras.into_iter().map(|camera| {
             let (i, d) = (&camera.intrinsics, &camera.intrinsics.distortion);
+            let mut coefficients = d.numbers().to_vec();
+            coefficients.push(f64::from(d.fisheye));
+            if d.is_plain() {
+                coefficients.truncate(5);
+            }
             (
                 camera.name,
                 camera.file_name,
                 [i.fx, i.fy, i.cx, i.cy],
-                [d.k1, d.k2, d.p1, d.p2, d.k3],
+                coefficients,
                 (i.width, i.height),
                 embedded::pose_rows(&camera.cam_from_world),
             )

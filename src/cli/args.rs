@@ -24,6 +24,9 @@ pub struct PhotoArgs {
     /// A folder of photos, or any number of files
     #[arg(required = true, value_name = "PHOTOS")]
     pub photos: Vec<PathBuf>,
+    /// Reads the folders inside a folder too (100CANON, 101CANON); their photos are called by the path below it
+    #[arg(long)]
+    pub recursive: bool,
     /// Cameras: cameras.json, the folder of a COLMAP model, or another program's file
     #[arg(long, value_name = "FILE|COLMAP_DIR")]
     pub cameras: Option<PathBuf>,
@@ -185,7 +188,8 @@ pub struct ReconstructArgs {
     pub output: PathBuf,
     /// Folder of object masks (white on black), named as the photos; `none` takes the whole frame.
     /// Without it, masks are proposed after stage 3 and used where they are sure: RUN/masks, with
-    /// pictures to look at in RUN/masks-overlays
+    /// pictures to look at in RUN/masks-overlays. Where the object turns before a background that stands still,
+    /// features.region = "object" (--config) finds the poses from what the masks show alone
     #[arg(long, value_name = "DIR|none")]
     pub masks: Option<PathBuf>,
     #[command(flatten)]
@@ -206,6 +210,10 @@ pub struct ReconstructArgs {
     /// What explains the photos: photo (visibility and the photos' agreement) or paper
     #[arg(long, value_name = "MODEL", value_parser = words::<ShadingModel>(MODELS))]
     pub model: Option<ShadingModel>,
+    /// Puts the world where another run, or cameras of the same photos, have it; by default a run that is done once more,
+    /// with a photo more, keeps its own where the cameras in common agree
+    #[arg(long, value_name = "RUN|CAMERAS")]
+    pub frame_of: Option<PathBuf>,
     /// Which pairs of photos are matched: auto (all of up to 20 photos, else those that look alike
     /// and those that follow from what matched), all, sequential (neighbours in the order of
     /// names), or a file of pairs: two file names a line, separated by a comma or white space.

@@ -43,6 +43,7 @@ fn look(args: &CheckArgs, console: &Console, found: &mut Found) -> anyhow::Resul
     take_over(&mut options.photos.encoding, args.input.encoding.encoding);
     options.validate()?;
     let request = Request {
+        recursive: args.input.recursive,
         masks: args.masks.clone(),
         cameras: args.input.cameras.clone(),
         sphere: SphereInput::from_args(&args.sphere)?,

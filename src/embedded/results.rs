@@ -10,6 +10,7 @@ use rilievo_io::{
 };
 use rilievo_scene::{
     DepthMap, LinearImage, NormalMap, PointCloud, PosedView, PosedViews, Raster, StageId,
+    first_and_more,
 };
 use std::path::Path;
 
@@ -102,7 +103,10 @@ impl RunResults {
             // Names are compared before one becomes part of a path.
             if !views.iter().any(|view| view.name == name) {
                 let names: Vec<_> = views.iter().map(|view| view.name.as_str()).collect();
-                let reason = format!("has no view {name:?}; there are {}", names.join(", "));
+                let reason = format!(
+                    "has no view {name:?}; there are {}",
+                    first_and_more(names).unwrap_or_default()
+                );
                 return Err(anyhow::Error::from(Failure::input(self.run.root(), reason)).into());
             }
             let file = format!("{kind}/{name}.exr");

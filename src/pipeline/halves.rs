@@ -18,8 +18,8 @@ pub struct ShapedHalf {
     pub shaded: ShadedViews,
 }
 
-/// Shapes the views of even and of odd number, each half alone: in the order of the photos, so that both see the object
-/// from all around where the photos were taken in turn.
+/// Shapes the views of even and of odd viewpoints, each half alone: in the order of the photos, so that both see the object
+/// from all around where the photos were taken in turn, and neither a copy of what the other sees.
 ///
 /// # Errors
 /// When there are too few views, a half cannot be shaped, or the user asked to stop.
@@ -28,16 +28,25 @@ pub fn shaped_halves(context: &Context<'_>) -> anyhow::Result<[ShapedHalf; 2]> {
     let posed = super::poses::load(context.run)?;
     let lighting = super::lighting::load(context)?;
     let num_views = posed.views.len();
-    if num_views < 2 * MIN_VIEWS {
+    let viewpoints = posed.viewpoints();
+    let mut first_views = viewpoints.clone();
+    first_views.sort_unstable();
+    first_views.dedup();
+    if first_views.len() < 2 * MIN_VIEWS {
         return Err(Failure::NoResult(format!(
-            "{num_views} views cannot be shaped in two halves: it takes {} with a pose",
+            "views from {} places cannot be shaped in two halves: it takes {} with a pose",
+            first_views.len(),
             2 * MIN_VIEWS
         ))
         .into());
     }
     let scratch = FileScratch::new(&context.run.work_folder()?);
     let shaped = |first: usize| -> anyhow::Result<ShapedHalf> {
-        let kept: Vec<ViewIdx> = (first..num_views).step_by(2).map(ViewIdx).collect();
+        let is_kept = |view: &ViewIdx| {
+            let place = first_views.binary_search(&viewpoints[view.0]);
+            place.is_ok_and(|place| place % 2 == first)
+        };
+        let kept: Vec<ViewIdx> = (0..num_views).map(ViewIdx).filter(is_kept).collect();
         let half = posed.of_views(&kept);
         let names: Vec<&str> = half.views.iter().map(|view| view.name.as_str()).collect();
         context

@@ -1,5 +1,6 @@
 //! The files that a request names, found and checked before anything is computed.
 
+use super::photo_files::{PhotoFile, photo_files};
 use super::request::{LightingInput, Request};
 use super::spheres::SphereInputs;
 use crate::exit::{Failure, Problem};
@@ -7,10 +8,12 @@ use crate::paths::text_of;
 use crate::store::{hash_file, hash_json};
 use rayon::prelude::*;
 use rilievo_io::{
-    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, masks_among,
-    read_cameras, read_lighting,
+    CameraEntry, CameraFile, CameraFormat, IoError, MaskNames, import_cameras, read_cameras,
+    read_lighting,
 };
-use rilievo_scene::{Unit, WorldCoordinates};
+use rilievo_scene::{
+    RigidTransform, StageId, Unit, WorldCoordinates, artifact_name, first_and_more,
+};
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
@@ -19,9 +22,9 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug)]
 pub struct PhotoInput {
     pub path: PathBuf,
-    /// Its name with ending.
+    /// Its name with ending, of one in a subfolder its path below the folder that was given.
     pub file_name: String,
-    /// Its name without ending: names its artifacts.
+    /// [`artifact_name`] of that.
     pub name: String,
     /// Content hash.
     pub hash: String,
@@ -46,6 +49,8 @@ pub struct Inputs {
     pub given_world: WorldCoordinates,
     /// The unit in which they were given.
     pub given_unit: Unit,
+    /// Cameras whose frame is to be taken over.
+    pub frame_of: Option<CameraFile>,
     /// What was said of the reference spheres.
     pub spheres: SphereInputs,
     /// Content hashes of the lighting's files, by role.
@@ -58,20 +63,25 @@ impl Inputs {
     /// # Errors
     /// [`Failure::Input`] with every file that makes the request impossible.
     pub fn scan(request: &Request) -> Result<Self, Failure> {
-        let (paths, skipped) = photo_files(&request.photos)?;
+        let (files, skipped) = photo_files(request)?;
         let mut cameras = request.cameras.as_deref().map(any_cameras).transpose()?;
         let given_unit = cameras
             .as_ref()
             .map_or(Unit::Arbitrary, |cameras| cameras.unit);
-        let given_world = match &mut cameras {
-            Some(cameras) => {
-                cameras.to_metres();
-                cameras.localize([0.0; 3])
-            }
+        if let Some(cameras) = &mut cameras {
+            cameras.to_metres();
+        }
+        let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
+        let (mut photos, unreadable) = photo_inputs(files, cameras.as_ref(), masks.as_ref())?;
+        let of_masks = |photo: &PhotoInput| photo.mask.as_ref().map(|(path, _)| path.clone());
+        refuse_shared(&photos, "mask", of_masks)?;
+        let of_cameras =
+            |photo: &PhotoInput| photo.camera.as_ref()?.image.clone().map(PathBuf::from);
+        refuse_shared(&photos, "camera", of_cameras)?;
+        let given_world = match &cameras {
+            Some(cameras) => localized(&mut photos, cameras),
             None => Unit::Arbitrary.into(),
         };
-        let masks = request.masks.as_deref().map(MaskFolder::open).transpose()?;
-        let (photos, unreadable) = photo_inputs(paths, cameras.as_ref(), masks.as_ref())?;
         let mut warnings = Vec::new();
         if let (Some(cameras), Some(path)) = (&cameras, &request.cameras) {
             warnings.extend(without_camera(&photos, cameras, path)?);
@@ -86,6 +96,7 @@ impl Inputs {
             warnings,
             given_world,
             given_unit,
+            frame_of: request.frame_of.as_deref().map(frame_of).transpose()?,
             spheres,
             lighting_hashes,
         })
@@ -105,24 +116,30 @@ impl Inputs {
 /// The photos that can be read, ordered by file name, with their masks and cameras; and those that
 /// cannot.
 fn photo_inputs(
-    paths: Vec<PathBuf>,
+    files: Vec<PhotoFile>,
     cameras: Option<&CameraFile>,
     masks: Option<&MaskFolder>,
 ) -> Result<(Vec<PhotoInput>, Vec<Problem>), Failure> {
     let cameras = cameras.map(CameraFile::index);
     let mut problems = Vec::new();
     let mut unreadable = Vec::new();
-    let mut photos = Vec::with_capacity(paths.len());
+    let mut photos = Vec::with_capacity(files.len());
     let mut by_name = BTreeMap::<String, PathBuf>::new();
-    let hashes: Vec<_> = paths.par_iter().map(|path| hash_file(path)).collect();
-    for (path, hash) in paths.into_iter().zip(hashes) {
-        let file_name = text_of(path.file_name());
-        let name = text_of(path.file_stem());
+    let hashes: Vec<_> = files.par_iter().map(|file| hash_file(&file.path)).collect();
+    for (file, hash) in files.into_iter().zip(hashes) {
+        // Without one, it may also be the photo's own alpha channel, which only decoding shows.
+        let mask = masks.and_then(|folder| folder.find(&file));
+        let PhotoFile {
+            path,
+            name: file_name,
+        } = file;
+        let name = artifact_name(&file_name);
         if let Some(other) = by_name.insert(name.clone(), path.clone()) {
             problems.push(Problem {
                 file: path,
                 reason: format!(
-                    "has the same name as {}; names tell results apart, so rename one",
+                    "has the same name as {}; names tell results apart, so rename one, or give the folder above both \
+                     and --recursive",
                     other.display()
                 ),
             });
@@ -140,17 +157,13 @@ fn photo_inputs(
                 continue;
             }
         };
-        // The photo's own folder distinguishes two masks of one name.
-        let with_folder = Path::new(&text_of(path.parent().and_then(Path::file_name)))
-            .join(&file_name)
-            .to_string_lossy()
-            .into_owned();
-        // Without one, it may also be the photo's own alpha channel, which only decoding shows.
-        let mask = masks.and_then(|folder| folder.find(&with_folder));
         let hashed = |mask: PathBuf| hash_file(&mask).map(|hash| (mask, hash));
         let mask = mask.map(hashed).transpose()?;
         let camera = cameras.as_ref();
-        let camera = camera.and_then(|index| index.find(&file_name).cloned());
+        let in_folder = || within_folder(&path, &file_name);
+        let found =
+            camera.and_then(|index| index.find(&file_name).or_else(|| index.find(&in_folder()?)));
+        let camera = found.cloned();
         photos.push(PhotoInput {
             path,
             file_name,
@@ -169,6 +182,48 @@ fn photo_inputs(
     }
     photos.sort_by(|a, b| a.file_name.cmp(&b.file_name));
     Ok((photos, unreadable))
+}
+
+/// A photo's name with the folder that it is in, where its name has none.
+fn within_folder(path: &Path, file_name: &str) -> Option<String> {
+    let folder = path
+        .parent()?
+        .file_name()
+        .filter(|_| !file_name.contains('/'))?;
+    Some(format!("{}/{file_name}", text_of(Some(folder))))
+}
+
+/// Refuses a mask or a camera that two photos would have by its name.
+fn refuse_shared(
+    photos: &[PhotoInput],
+    what: &str,
+    of: impl Fn(&PhotoInput) -> Option<PathBuf>,
+) -> Result<(), Failure> {
+    let mut owners = BTreeMap::<PathBuf, &str>::new();
+    for photo in photos {
+        let Some(own) = of(photo) else { continue };
+        if let Some(other) = owners.insert(own.clone(), &photo.file_name) {
+            let reason = format!(
+                "is by its name the {what} of both {other} and {}; name it by the photo's folder too",
+                photo.file_name
+            );
+            return Err(Failure::input(&own, reason));
+        }
+    }
+    Ok(())
+}
+
+/// Moves the photos' cameras to a local frame near them, wherever others of the file stand; what its coordinates mean.
+fn localized(photos: &mut [PhotoInput], cameras: &CameraFile) -> WorldCoordinates {
+    let given = photos.iter_mut().filter_map(|photo| photo.camera.as_mut());
+    let mut poses: Vec<&mut RigidTransform> = given
+        .filter_map(|camera| camera.cam_from_world.as_mut())
+        .collect();
+    let world = cameras.local_world(poses.iter().map(|pose| **pose), [0.0; 3]);
+    for pose in &mut poses {
+        **pose = pose.with_origin_at(world.offset);
+    }
+    world
 }
 
 /// A warning of the photos that a camera file says nothing of.
@@ -194,8 +249,8 @@ fn without_camera(
     }
     Ok((!without.is_empty()).then(|| {
         format!(
-            "the camera file has no entry for {}; their focal length comes from EXIF",
-            without.join(", ")
+            "the camera file has no entry for {}: their focal length comes from EXIF or is guessed, their poses are found",
+            first_and_more(without).unwrap_or_default()
         )
     }))
 }
@@ -208,75 +263,13 @@ fn any_cameras(path: &Path) -> Result<CameraFile, IoError> {
     }
 }
 
-/// Photo files of folders and arguments, in the order of their names.
-fn photo_files(arguments: &[PathBuf]) -> Result<(Vec<PathBuf>, Vec<Problem>), Failure> {
-    let mut files = Vec::new();
-    let mut skipped = Vec::new();
-    for argument in arguments {
-        if !argument.is_dir() {
-            if !argument.exists() {
-                return Err(Failure::input(argument, "there is no such file or folder"));
-            }
-            files.push(argument.clone());
-            continue;
-        }
-        let unreadable =
-            |error| Failure::ReadOrWrite(format!("cannot read {}: {error}", argument.display()));
-        let mut found = Vec::new();
-        let mut folders = Vec::new();
-        for entry in std::fs::read_dir(argument).map_err(unreadable)? {
-            let path = entry.map_err(unreadable)?.path();
-            if text_of(path.file_name()).starts_with('.') {
-                continue;
-            }
-            if path.is_dir() {
-                folders.push(text_of(path.file_name()));
-                continue;
-            }
-            if rilievo_io::is_photo_name(&path) {
-                found.push(path);
-            } else {
-                skipped.push(Problem {
-                    file: path,
-                    reason: "is no photo by its name; passed over".to_owned(),
-                });
-            }
-        }
-        let names: Vec<String> = found.iter().map(|path| text_of(path.file_name())).collect();
-        let mut masks = masks_among(&names).into_iter();
-        found.retain(|path| {
-            let mask = masks.next().unwrap_or(false);
-            if mask {
-                skipped.push(Problem {
-                    file: path.clone(),
-                    reason: "is a mask by its name, not a photo; passed over".to_owned(),
-                });
-            }
-            !mask
-        });
-        if found.is_empty() {
-            folders.sort();
-            let inside = match folders.as_slice() {
-                [] => String::new(),
-                folders => format!(
-                    "; folders inside it ({}) are not searched, name those that hold photos",
-                    folders.join(", ")
-                ),
-            };
-            return Err(Failure::input(
-                argument,
-                format!(
-                    "the folder holds no photo (JPEG, PNG, TIFF, OpenEXR or camera RAW){inside}"
-                ),
-            ));
-        }
-        files.extend(found);
+/// Cameras of a run, or of a file.
+fn frame_of(path: &Path) -> Result<CameraFile, IoError> {
+    let of_run = path.join(StageId::Poses.name()).join("cameras.json");
+    match of_run.is_file() {
+        true => read_cameras(&of_run),
+        false => any_cameras(path),
     }
-    files.sort();
-    files.dedup();
-    skipped.sort_by(|a, b| a.file.cmp(&b.file));
-    skipped.dedup();
-    Ok((files, skipped))
 }
 
 /// The folder of masks with the names of its files.
@@ -287,21 +280,9 @@ struct MaskFolder {
 
 impl MaskFolder {
     fn open(folder: &Path) -> Result<Self, Failure> {
-        let entries = std::fs::read_dir(folder)
-            .map_err(|error| Failure::input(folder, format!("cannot be read: {error}")))?;
         let mut files = BTreeMap::new();
-        for entry in entries.flatten() {
-            let name = text_of(Some(&entry.file_name()));
-            if entry.path().is_dir() {
-                let inside = std::fs::read_dir(entry.path());
-                for entry in inside.into_iter().flatten().flatten() {
-                    let name = format!("{name}/{}", text_of(Some(&entry.file_name())));
-                    files.insert(name, entry.path());
-                }
-            } else {
-                files.insert(name, entry.path());
-            }
-        }
+        files_below(folder, "", &mut files)
+            .map_err(|error| Failure::input(folder, format!("cannot be read: {error}")))?;
         if files.is_empty() {
             return Err(Failure::input(folder, "the folder of masks is empty"));
         }
@@ -311,10 +292,31 @@ impl MaskFolder {
         })
     }
 
-    fn find(&self, photo: &str) -> Option<PathBuf> {
-        let name = self.names.find(photo)?;
+    /// The mask of a photo by its name, which may carry folders; without any, the folder that it is in distinguishes two
+    /// masks of one name.
+    fn find(&self, photo: &PhotoFile) -> Option<PathBuf> {
+        let within = photo.path.parent().and_then(Path::file_name);
+        let name = self.names.find(&photo.name, &text_of(within))?;
         self.files.get(name).cloned()
     }
+}
+
+/// Files of a folder and of the folders inside it, links to folders left out, by their path below it.
+fn files_below(
+    folder: &Path,
+    prefix: &str,
+    files: &mut BTreeMap<String, PathBuf>,
+) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(folder)?.flatten() {
+        let name = format!("{prefix}{}", text_of(Some(&entry.file_name())));
+        if entry.file_type().is_ok_and(|kind| kind.is_dir()) {
+            // One that cannot be read holds no mask that can be.
+            let _ = files_below(&entry.path(), &format!("{name}/"), files);
+        } else {
+            files.insert(name, entry.path());
+        }
+    }
+    Ok(())
 }
 
 /// Photos of one content: they add nothing, and are likely copied by mistake.

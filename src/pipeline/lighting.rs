@@ -13,7 +13,9 @@ use rilievo_io::{
     IoError, IoErrorKind, Preview, read_depth, read_lighting, write_lighting, write_preview_png,
 };
 use rilievo_lighting::LightingRequest;
-use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews, StageId, ViewIdx};
+use rilievo_scene::{
+    LightingCalibration, Observer, PhotoSet, PosedViews, StageId, ViewIdx, first_and_more,
+};
 
 const CALIBRATION: &str = "calibration.json";
 
@@ -65,7 +67,7 @@ fn lighting_request(
                 return Err(IoError {
                     path: path.clone(),
                     kind: IoErrorKind::Input,
-                    reason: format!("has no lighting for {}", missing.join(", ")),
+                    reason: format!("has no lighting for {}", first_and_more(missing).unwrap_or_default()),
                     hint: Some(
                         "its views go by the photos' names; FILE:NAME picks one lighting for all views"
                             .to_owned(),

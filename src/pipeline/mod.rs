@@ -15,6 +15,7 @@ mod halves;
 mod inputs;
 mod lighting;
 mod parallel;
+mod photo_files;
 mod photos;
 mod plan;
 mod poses;

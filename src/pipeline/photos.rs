@@ -15,9 +15,11 @@ use rilievo_io::{
     write_linear_half, write_mask,
 };
 use rilievo_photos::{
-    GivenCamera, GivenMask, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto, RejectedPhoto,
+    CutOut, GivenCamera, GivenMask, PhotoFacts, PhotosError, PhotosReport, PreparedPhoto,
+    RejectedPhoto,
 };
 use rilievo_scene::{LinearImage, Observer, PhotoSet, Recorder, Silent, StageId};
+use rilievo_segmentation::{Surroundings, surroundings};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;
@@ -70,6 +72,7 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             &options,
             Inputs::photo_hash(photo),
             photo.mask.is_some() || context.request.needs_masks(),
+            context.request.masks_from == MaskOrigin::None,
         ));
         match one(context, writer, photo, key) {
             Ok(kept) => Ok(Ok(kept)),
@@ -299,6 +302,7 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
         })?;
     decoded.file_name.clone_from(&photo.file_name);
     let mut mask_path = photo.path.clone();
+    let mut cut_out = None;
     let mask = match &photo.mask {
         Some((path, _)) => {
             mask_path = path.clone();
@@ -316,7 +320,21 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
                     photo.name
                 ))));
             }
-            _ => None,
+            _ if request.masks_from == MaskOrigin::None => None,
+            _ => {
+                let found = surroundings(&decoded);
+                match found.map_err(|error| Trouble::Fatal(error.into()))? {
+                    Surroundings::Photographed => None,
+                    Surroundings::Unsure { .. } => {
+                        cut_out = Some(CutOut::Unsure);
+                        None
+                    }
+                    Surroundings::Flat { mask, .. } => {
+                        cut_out = Some(CutOut::Taken);
+                        Some(GivenMask::as_stored(mask))
+                    }
+                }
+            }
         },
     };
     let camera = photo.camera.as_ref().map(|camera| GivenCamera {
@@ -324,7 +342,12 @@ fn prepare(request: &Request, photo: &PhotoInput) -> Result<PreparedPhoto, Troub
         cam_from_world: camera.cam_from_world,
     });
     let options = &request.options.photos;
-    rilievo_photos::prepare(decoded, mask, camera, options).map_err(|error| match error {
+    let prepared = rilievo_photos::prepare(decoded, mask, camera, options);
+    let prepared = prepared.map(|mut prepared| {
+        prepared.facts.cut_out = cut_out;
+        prepared
+    });
+    prepared.map_err(|error| match error {
         PhotosError::MaskMissing { .. }
         | PhotosError::MaskSize { .. }
         | PhotosError::MaskEmpty { .. }

@@ -1,7 +1,7 @@
 //! What each stage is made from, and whether its result in the run directory is still that.
 
 use super::inputs::Inputs;
-use super::request::{Request, SphereInput};
+use super::request::{MaskOrigin, Request, SphereInput};
 use crate::cost::Estimate;
 use crate::exit::Failure;
 use crate::store::{Ingredients, Look, RunDir, StoreError, hash_json};
@@ -183,6 +183,9 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
                 "masks asked for".into(),
                 (masked || request.needs_masks()).to_string(),
             );
+            if !masked && request.masks_from == MaskOrigin::None {
+                hashes.insert("the whole frame asked for".into(), true.to_string());
+            }
             // A build without it leaves those photos out.
             hashes.insert(
                 "camera RAW decoded".into(),
@@ -197,6 +200,11 @@ fn stage_inputs(stage: StageId, request: &Request, inputs: &Inputs) -> BTreeMap<
             let [x, y, z] = world.offset;
             let text = format!("{frame}; {unit}; offset {x} {y} {z}");
             hashes.insert("frame of given cameras".into(), text);
+            if let Some(cameras) = &inputs.frame_of {
+                let posed = cameras.cameras.iter().map(|c| (&c.image, c.cam_from_world));
+                let world = (cameras.unit, cameras.frame(), posed.collect::<Vec<_>>());
+                hashes.insert("frame asked for".into(), hash_json(&world));
+            }
             hashes
         }
         StageId::Lighting => {

@@ -9,6 +9,7 @@ use crate::exit::Failure;
 use crate::store::{RunDir, StageWriter};
 use nalgebra::Vector3;
 use rilievo_io::{CameraFile, SpheresInSet, decode_photo, write_cameras, write_colmap_text};
+use rilievo_poses::ReferenceFrame;
 use rilievo_scene::{
     LinearImage, Observer, PhotoSet, PosedViews, ScaleSource, SphereRequest, StageId,
     first_and_more,
@@ -39,13 +40,17 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
             StageId::Poses,
             format!(
                 "the sphere is marked in photos that are not used: {}",
-                unused.join(", ")
+                first_and_more(unused.iter().map(String::as_str)).unwrap_or_default()
             ),
         );
     }
     let mut options = context.request.options.poses.clone();
     options.memory = Some(context.resources.memory);
     options.given_world = context.inputs.given_world;
+    options.reference = match &context.inputs.frame_of {
+        Some(cameras) => Some(frame_asked_for(cameras)),
+        None => earlier_frame(context.run),
+    };
     let (mut views, report) = rilievo_poses::run(
         &photos,
         &matches,
@@ -55,14 +60,16 @@ pub fn run(context: &Context<'_>, writer: &StageWriter) -> anyhow::Result<serde_
     )
     .map_err(from_poses)?;
     let unit = context.inputs.given_unit;
-    let is_of_given = views.scale.source == ScaleSource::GivenPoses && unit != views.scale.unit;
+    let is_of_given = views.scale.source == ScaleSource::GivenPoses
+        && unit != views.scale.unit
+        && unit.metres().is_some();
     views.given_unit = is_of_given.then_some(unit);
     if let Some(why) = &mut views.no_sphere
         && !unused.is_empty()
     {
         *why += &format!(
             " (the sphere file names photos that are not used: {})",
-            unused.join(", ")
+            first_and_more(unused.iter().map(String::as_str)).unwrap_or_default()
         );
     }
     context.console.note(&format!(
@@ -96,6 +103,35 @@ pub fn load(run: &RunDir) -> anyhow::Result<PosedViews> {
     let names = names.flat_map(|view| [view.name.as_str(), view.file_name.as_str()]);
     checked_names(run, StageId::Poses, POSED_VIEWS, names)?;
     Ok(views)
+}
+
+/// The frame of cameras that the user asked for.
+fn frame_asked_for(cameras: &CameraFile) -> ReferenceFrame {
+    let mut cameras = cameras.clone();
+    cameras.to_metres();
+    let world = cameras.localize([0.0; 3]);
+    let posed = cameras.cameras.into_iter();
+    let posed = posed.filter_map(|camera| Some((camera.image?, camera.cam_from_world?)));
+    ReferenceFrame {
+        cameras: posed.collect(),
+        world,
+        knows_object: true,
+        is_asked: true,
+    }
+}
+
+/// The frame of the poses that the run has already; `None` where there are none that can be read.
+fn earlier_frame(run: &RunDir) -> Option<ReferenceFrame> {
+    let manifest = run.manifest(StageId::Poses).ok()??;
+    let views = load(run).ok()?;
+    let posed = views.views.iter();
+    let posed = posed.map(|view| (view.file_name.clone(), view.cam_from_world));
+    Some(ReferenceFrame {
+        cameras: posed.collect(),
+        world: views.coordinates(),
+        knows_object: manifest.report["knows_object"].as_bool().unwrap_or(true),
+        is_asked: false,
+    })
 }
 
 /// What the user said of the reference spheres, for a set of photos.

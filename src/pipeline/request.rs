@@ -101,6 +101,8 @@ pub enum MaskOrigin {
     Proposed,
     /// The same, and the user said so.
     Accepted,
+    /// The user said that there are none: the whole frame is meant, whatever it looks like.
+    None,
 }
 
 /// A reconstruction, as asked for.
@@ -109,6 +111,9 @@ pub struct Request {
     /// Folders and files, absolute.
     #[serde(with = "paths::list")]
     pub photos: Vec<PathBuf>,
+    /// Whether folders inside them are searched too.
+    #[serde(default)]
+    pub recursive: bool,
     /// Folder of masks.
     #[serde(with = "paths::optional")]
     pub masks: Option<PathBuf>,
@@ -118,6 +123,9 @@ pub struct Request {
     /// Camera file or COLMAP folder.
     #[serde(with = "paths::optional")]
     pub cameras: Option<PathBuf>,
+    /// Run or cameras whose frame the world is to have.
+    #[serde(default, with = "paths::optional")]
+    pub frame_of: Option<PathBuf>,
     pub sphere: SphereInput,
     pub lighting: LightingInput,
     /// Options of the stages.
@@ -129,9 +137,11 @@ impl Request {
     pub fn of_photos(photos: Vec<PathBuf>, options: StageOptions) -> Self {
         Self {
             photos,
+            recursive: false,
             masks: None,
             masks_from: MaskOrigin::Given,
             cameras: None,
+            frame_of: None,
             sphere: SphereInput::None,
             lighting: LightingInput::Found,
             options,
@@ -155,6 +165,7 @@ impl Request {
         self.photos.iter_mut().for_each(relocate);
         self.masks.iter_mut().for_each(relocate);
         self.cameras.iter_mut().for_each(relocate);
+        self.frame_of.iter_mut().for_each(relocate);
         if let SphereInput::File { path, .. } = &mut self.sphere {
             relocate(path);
         }
@@ -204,12 +215,17 @@ impl Request {
                 .iter()
                 .map(|path| existing(path, "photos"))
                 .collect::<Result<_, _>>()?,
+            recursive: args.input.recursive,
             masks: match &args.masks {
                 Some(word) if word.to_str() == Some("none") => None,
                 folder => optional(folder.as_deref(), "--masks")?,
             },
-            masks_from: MaskOrigin::Given,
+            masks_from: match &args.masks {
+                Some(word) if word.to_str() == Some("none") => MaskOrigin::None,
+                _ => MaskOrigin::Given,
+            },
             cameras: optional(args.input.cameras.as_deref(), "--cameras")?,
+            frame_of: optional(args.frame_of.as_deref(), "--frame-of")?,
             sphere: SphereInput::from_args(&args.sphere)?,
             lighting,
             options,

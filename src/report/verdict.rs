@@ -10,29 +10,38 @@ use rilievo_poses::PosesReport;
 use rilievo_scene::{Finding, FindingCode, FocalSource, PhotoIdx, Verdict};
 use serde::Serialize;
 
-/// The verdict, and everything that made it worse.
+/// The verdict, everything that made it worse, and what the run has mended itself.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Judgement {
     /// The worst of the findings' severities.
     #[serde(rename = "level")]
     pub verdict: Verdict,
-    /// Their sentences.
+    /// The sentences of those that made it worse.
     pub reasons: Vec<String>,
+    /// Those of the others.
+    pub notes: Vec<String>,
 }
 
 impl Judgement {
     /// Judges a run by its findings.
     pub fn of(findings: &[Finding]) -> Self {
+        let (notes, reasons): (Vec<_>, Vec<_>) = findings
+            .iter()
+            .partition(|finding| finding.severity() == Verdict::Good);
+        let sentences = |found: Vec<&Finding>| found.into_iter().map(Finding::sentence).collect();
         Self {
             verdict: Verdict::of(findings),
-            reasons: findings.iter().map(Finding::sentence).collect(),
+            reasons: sentences(reasons),
+            notes: sentences(notes),
         }
     }
 
     /// The verdict and its reasons, a line each.
     pub fn lines(&self) -> impl Iterator<Item = String> {
         let verdict = format!("verdict: {}", self.verdict.words());
-        std::iter::once(verdict).chain(self.reasons.iter().map(|reason| format!("  - {reason}")))
+        let reasons = self.reasons.iter().map(|reason| format!("  - {reason}"));
+        let notes = self.notes.iter().map(|note| format!("  note: {note}"));
+        std::iter::once(verdict).chain(reasons).chain(notes)
     }
 }
 
@@ -139,11 +148,30 @@ mod tests {
     }
 
     #[test]
+    fn what_the_run_has_mended_is_a_note() {
+        let mended = FindingCode::StatedFocalContradicted {
+            stated_px: 1000.0,
+            found_px: 1520.0,
+        };
+        let alone = Judgement::of(&[mended.into()]);
+        assert_eq!((alone.verdict, alone.reasons.len()), (Verdict::Good, 0));
+        let lines: Vec<String> = alone.lines().collect();
+        assert!(
+            lines[1].starts_with("  note: the photos contradict the focal length"),
+            "{lines:?}"
+        );
+        let both = Judgement::of(&[mended.into(), FindingCode::OnlyTwoPosed.into()]);
+        assert_eq!((both.reasons.len(), both.notes.len()), (1, 1));
+        assert_eq!(both.verdict, Verdict::Usable);
+    }
+
+    #[test]
     fn programs_read_one_of_three_levels() {
         let level = |verdict| {
             serde_json::json!(Judgement {
                 verdict,
-                reasons: Vec::new()
+                reasons: Vec::new(),
+                notes: Vec::new(),
             })
         };
         assert_eq!(level(Verdict::Good)["level"], "good");

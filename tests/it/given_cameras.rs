@@ -3,11 +3,13 @@
 use crate::common;
 
 use common::{arg, done, json_of, run, synthetic_set};
+use nalgebra::Point3;
 use rilievo_io::{
     CameraFile, CameraFormat, export_cameras, import_cameras, read_cameras, read_cloud_ply,
     read_mesh_ply, write_cameras,
 };
 use rilievo_scene::{Mesh, RigidTransform, Unit};
+use rilievo_synthetic::compare::MeshDistance;
 use std::path::{Path, PathBuf};
 
 /// The true cameras of the shared set.
@@ -36,7 +38,7 @@ fn reconstructed(set: &Path, run_dir: &Path, cameras: &Path, more: &[&str]) -> (
     (run_dir.to_path_buf(), stdout + &stderr)
 }
 
-const LIGHT_ONLY: [&str; 2] = ["--until", "4_lighting"];
+const POSES_ONLY: [&str; 2] = ["--until", "3_poses"];
 
 fn centers(cameras: &CameraFile) -> Vec<[f64; 3]> {
     let poses = cameras.cameras.iter().filter_map(|c| c.cam_from_world);
@@ -97,17 +99,25 @@ fn offset_of(folder: &Path) -> [f64; 3] {
     serde_json::from_value(json_of(&folder.join("offset.json"))["offset"].clone()).unwrap()
 }
 
-/// Compares a mesh that stands at an offset with the one at the origin.
-fn same_shape(far: &Path, near: &Path, offset: [f64; 3]) {
-    let [far_mesh, near_mesh] = [far, near].map(|f| read_mesh_ply(&f.join("mesh.ply")).unwrap());
+/// Sorted distances of the vertices of a mesh that stands at an offset from the surface of the one at the origin, and the
+/// other way.
+fn distances(far: &Path, near: &Path, offset: [f64; 3]) -> Vec<f64> {
+    let [mut far_mesh, near_mesh] =
+        [far, near].map(|f| read_mesh_ply(&f.join("mesh.ply")).unwrap());
     let stated = offset_of(far);
-    assert_eq!(far_mesh.triangles, near_mesh.triangles, "{offset:?}");
-    let back = positions(&far_mesh).into_iter();
-    let back: Vec<[f64; 3]> = back
-        .map(|v| [0, 1, 2].map(|k| v[k] + (stated[k] - offset[k])))
-        .collect();
-    let difference = largest_difference(&back, &positions(&near_mesh));
-    assert!(difference < 1e-5 * SIZE, "{offset:?}: {difference}");
+    for v in far_mesh.vertices.iter_mut() {
+        for k in 0..3 {
+            v[k] = (f64::from(v[k]) + (stated[k] - offset[k])) as f32;
+        }
+    }
+    let mut distances = Vec::new();
+    for [mesh, other] in [[&far_mesh, &near_mesh], [&near_mesh, &far_mesh]] {
+        let surface = MeshDistance::new(other, 1e-3).unwrap();
+        let vertices = positions(mesh).into_iter().map(Point3::from);
+        distances.extend(vertices.map(|v| surface.nearest(&v).0));
+    }
+    distances.sort_by(f64::total_cmp);
+    distances
 }
 
 #[test]
@@ -131,7 +141,8 @@ fn a_fused_surface_far_from_the_origin_has_the_shape_of_one_at_it() {
         let truth = dir.path().join(format!("truth {name}"));
         moved_truth(&set, offset, &truth);
         let far = fused(&truth, &name);
-        same_shape(&far, &near, offset);
+        let largest = distances(&far, &near, offset).pop().unwrap();
+        assert!(largest < 1e-5 * SIZE, "{offset:?}: {largest}");
         let text = std::fs::read_to_string(far.join("mesh.obj")).unwrap();
         assert!(
             text.lines()
@@ -160,11 +171,13 @@ fn run_far_from_the_origin(offsets: &[[f64; 3]]) {
     let dir = tempfile::tempdir().unwrap();
     let set = small_set(dir.path());
     let truth = set.join("truth");
+    let sphere = set.join("sphere.json");
+    let with_sphere = ["--sphere", arg(&sphere)];
     let (near, _) = reconstructed(
         &set,
         &dir.path().join("near"),
         &truth.join("cameras.json"),
-        &[],
+        &with_sphere,
     );
     let near_numbers = evaluated(&near, &truth);
     for &offset in offsets {
@@ -172,8 +185,11 @@ fn run_far_from_the_origin(offsets: &[[f64; 3]]) {
         let far_truth = dir.path().join(format!("truth {name}"));
         moved_truth(&set, offset, &far_truth);
         let cameras = far_truth.join("cameras.json");
-        let (far, _) = reconstructed(&set, &dir.path().join(&name), &cameras, &[]);
-        same_shape(&far.join("6_fusion"), &near.join("6_fusion"), offset);
+        let (far, _) = reconstructed(&set, &dir.path().join(&name), &cameras, &with_sphere);
+        // What one photo alone sees at a limb hangs on the last bit of the cameras, the rest does not.
+        let distances = distances(&far.join("6_fusion"), &near.join("6_fusion"), offset);
+        let at = |share: f64| distances[(share * distances.len() as f64) as usize] / SIZE;
+        assert!(at(0.5) < 5e-4 && at(0.9) < 5e-3, "{} {}", at(0.5), at(0.9));
         let [x, y, z] = offset_of(&far.join("6_fusion"));
         for file in [
             "6_fusion/mesh.ply",
@@ -181,7 +197,7 @@ fn run_far_from_the_origin(offsets: &[[f64; 3]]) {
             "3_poses/anchors.ply",
         ] {
             let bytes = std::fs::read(far.join(file)).unwrap();
-            let header = String::from_utf8_lossy(&bytes[..400]).into_owned();
+            let header = String::from_utf8_lossy(&bytes[..bytes.len().min(400)]).into_owned();
             let comment = format!("comment offset {x} {y} {z} ");
             assert!(header.contains(&comment), "{file}: {header}");
         }
@@ -217,7 +233,7 @@ fn run_far_from_the_origin(offsets: &[[f64; 3]]) {
         ] {
             let [far, near] = [&numbers, &near_numbers].map(|n| n[part][key].as_f64().unwrap());
             assert!(
-                (far / near - 1.0).abs() < 1e-2,
+                (far / near - 1.0).abs() < 0.03,
                 "{name}: {key} {far} instead of {near}"
             );
         }
@@ -347,7 +363,7 @@ fn units_of_length_become_metres_and_come_back() {
 #[test]
 fn cameras_without_a_unit_claim_none_and_a_sphere_gives_them_one() {
     let dir = tempfile::tempdir().unwrap();
-    let set = small_set(dir.path());
+    let set = synthetic_set();
     let plain_cameras = read_cameras(&set.join("truth/cameras.json")).unwrap();
     // As of structure from motion: any size, and far from the origin too.
     let given = changed(
@@ -364,7 +380,7 @@ fn cameras_without_a_unit_claim_none_and_a_sphere_gives_them_one() {
     assert!(page.contains("of the cameras&#39; units") || page.contains("of the cameras' units"));
     for file in ["6_fusion/mesh.ply", "6_fusion/cloud.ply"] {
         let bytes = std::fs::read(run_dir.join(file)).unwrap();
-        let header = String::from_utf8_lossy(&bytes[..300]).into_owned();
+        let header = String::from_utf8_lossy(&bytes[..bytes.len().min(300)]).into_owned();
         assert!(header.contains("comment unit arbitrary"), "{header}");
     }
     let unit = |run_dir: &Path| json_of(&run_dir.join("3_poses/cameras.json"))["unit"].clone();
@@ -379,7 +395,7 @@ fn cameras_without_a_unit_claim_none_and_a_sphere_gives_them_one() {
     assert!(table.contains("sim3"), "{table}");
 
     let sphere = set.join("sphere.json");
-    let with_sphere = [&LIGHT_ONLY[..], &["--sphere", arg(&sphere)]].concat();
+    let with_sphere = [&POSES_ONLY[..], &["--sphere", arg(&sphere)]].concat();
     let (metric, said) = reconstructed(&set, &dir.path().join("metric"), &model, &with_sphere);
     assert!(said.contains("no unit of length"), "{said}");
     assert_eq!(unit(&metric), "metre");
@@ -416,10 +432,10 @@ fn cameras_without_a_unit_claim_none_and_a_sphere_gives_them_one() {
         "--sphere",
         arg(&center),
         "--until",
-        "4_lighting",
+        "3_poses",
     ]);
     assert!(
-        code == 4 && stderr.contains("do not name"),
+        code == 0 && stderr.contains("which they do not name"),
         "{code}: {stderr}"
     );
 }
@@ -463,5 +479,29 @@ fn maps_in_a_far_world_of_millimetres_are_fused_in_metres_near_the_object() {
     for k in 0..3 {
         let difference = middle(&far, k) + stated[k] - [6e5, 5e6, 0.0][k] - middle(&near, k);
         assert!(difference.abs() < 1e-4, "{difference}");
+    }
+}
+
+#[test]
+fn cameras_of_other_photos_do_not_say_where_the_object_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let far = [600_000.0, 5_100_000.0, 200.0];
+    let mut given = changed(true_cameras(), Unit::Metre, 1.0, far);
+    // A survey of the whole site, of which the photos show one object.
+    for k in 0..40 {
+        let mut entry = given.cameras[0].clone();
+        entry.image = Some(format!("SITE_{k}.jpg"));
+        let pose = entry.cam_from_world.as_mut().unwrap();
+        *pose = pose.with_origin_at([-1000.0 - 50.0 * f64::from(k), 3000.0, 0.0]);
+        given.cameras.push(entry);
+    }
+    let cameras = dir.path().join("cameras.json");
+    write_cameras(&cameras, &given).unwrap();
+    let run_dir = dir.path().join("run");
+    let (run_dir, _) = reconstructed(&synthetic_set(), &run_dir, &cameras, &POSES_ONLY);
+    let of_run = json_of(&run_dir.join("3_poses/cameras.json"));
+    let offset: [f64; 3] = serde_json::from_value(of_run["surface_offset"].clone()).unwrap();
+    for k in 0..3 {
+        assert!((offset[k] - far[k]).abs() < 10.0, "{offset:?}");
     }
 }

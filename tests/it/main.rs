@@ -23,4 +23,5 @@ mod poses_and_light;
 mod ranks;
 mod run_directory;
 mod sphere_input;
+mod still_frames;
 mod whole_program;

@@ -169,6 +169,85 @@ fn masks_are_found_under_all_usual_names() {
     }
 }
 
+/// Photos of equal names in folders as cameras number them, one of their masks beside them.
+fn card(dir: &Path) -> std::path::PathBuf {
+    let card = dir.join("DCIM");
+    let folders = [("100CANON", [1, 2]), ("101CANON", [1, 3])];
+    for (k, (folder, numbers)) in folders.into_iter().enumerate() {
+        std::fs::create_dir_all(card.join(folder)).expect("a folder");
+        for number in numbers {
+            let photo = card.join(format!("{folder}/IMG_{number}.JPG"));
+            write_noise_photo(&photo, 10 * k as u64 + number);
+        }
+    }
+    write_mask(&card.join("100CANON/IMG_1_mask.png"), &object()).expect("a mask");
+    card
+}
+
+#[test]
+fn photos_in_subfolders_are_told_or_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let card = card(dir.path());
+    let (code, _, stderr) = run(&["check", arg(&card)]);
+    assert_eq!(code, 3, "{stderr}");
+    let told = "4 photos in 2 subfolders not read (100CANON, 101CANON): --recursive reads them";
+    assert!(stderr.contains(told), "{stderr}");
+    write_noise_photo(&card.join("IMG_0.jfif"), 30);
+    let (code, _, stderr) = run(&["check", arg(&card)]);
+    assert_eq!(code, 0, "{stderr}");
+    assert!(stderr.contains(told), "{stderr}");
+    assert!(stderr.contains("all 1 photos"), "{stderr}");
+
+    // Masks by the same path; results are called by folder and name. What a run left among the photos is none.
+    let masks = card.join("masks");
+    for name in [
+        "100CANON/IMG_1.png",
+        "100CANON/IMG_2.png",
+        "101CANON/IMG_1.png",
+        "101CANON_IMG_3.png",
+        "IMG_0.png",
+    ] {
+        let path = masks.join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        write_mask(&path, &object()).unwrap();
+    }
+    let run_dir = card.join("run");
+    let more = ["--masks", arg(&masks), "--recursive"];
+    let stderr = reconstructed_until("1_photos", &card, &run_dir, &more);
+    assert!(stderr.contains("5/5 matched"), "{stderr}");
+    assert!(stderr.contains("101CANON/IMG_1.JPG"), "{stderr}");
+    for name in [
+        "100CANON_IMG_1",
+        "100CANON_IMG_2",
+        "101CANON_IMG_1",
+        "101CANON_IMG_3",
+        "IMG_0",
+    ] {
+        assert!(
+            run_dir.join(format!("1_photos/linear/{name}.exr")).exists(),
+            "{name}"
+        );
+    }
+    let again = reconstructed_until("1_photos", &card, &run_dir, &more);
+    assert!(again.contains("nothing to do"), "{again}");
+
+    // A mask that two photos would have is nobody's.
+    std::fs::remove_dir_all(masks.join("101CANON")).unwrap();
+    let (code, _, stderr) = run(&["check", arg(&card), "--masks", arg(&masks), "--recursive"]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(
+        stderr.contains("101CANON/IMG_1.JPG") || stderr.contains("IMG_1"),
+        "{stderr}"
+    );
+    std::fs::rename(masks.join("100CANON/IMG_1.png"), masks.join("IMG_1.png")).unwrap();
+    let (code, _, stderr) = run(&["check", arg(&card), "--masks", arg(&masks), "--recursive"]);
+    assert_eq!(code, 3, "{stderr}");
+    assert!(
+        stderr.contains("the mask of both 100CANON/IMG_1.JPG and 101CANON/IMG_1.JPG"),
+        "{stderr}"
+    );
+}
+
 #[test]
 fn nothing_of_the_environment_is_needed() {
     let dir = tempfile::tempdir().unwrap();
@@ -210,6 +289,30 @@ fn write_ball(path: &Path, backdrop: f32) -> Mask {
     }
     write_photo_jpeg(path, &image, 95).expect("a photo");
     mask
+}
+
+#[test]
+fn what_was_cut_out_to_black_or_white_is_the_mask() {
+    let dir = tempfile::tempdir().unwrap();
+    let photos = dir.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    let truth = write_ball(&photos.join("black.jpg"), 0.0);
+    write_ball(&photos.join("white.jpg"), 1.0);
+    let run_dir = dir.path().join("run");
+    let stderr = reconstructed_until("1_photos", &photos, &run_dir, &[]);
+    assert!(
+        stderr.contains("black.jpg, white.jpg: the surroundings are exactly black or white"),
+        "{stderr}"
+    );
+    assert!(stderr.contains("masks: 2/2 matched"), "{stderr}");
+    for name in ["black", "white"] {
+        let found = read_mask(&run_dir.join(format!("1_photos/masks/{name}.png"))).unwrap();
+        let overlap = overlap(&found, &truth);
+        assert!(overlap > 0.98, "{name}: {overlap}");
+    }
+    let whole = reconstructed_until("1_photos", &photos, &run_dir, &["--masks", "none"]);
+    assert!(!whole.contains("surroundings are exactly"), "{whole}");
+    assert!(!run_dir.join("1_photos/masks").exists());
 }
 
 #[test]

@@ -2,6 +2,7 @@
 //! disks that are too small.
 
 use crate::common;
+use rilievo_synthetic::testing::not_tested;
 
 use common::{
     SmallDisk, arg, differences, json_of, noise_photos, reconstruct_until, reconstructed_until,
@@ -130,7 +131,7 @@ fn a_photo_replaced_while_the_program_runs_is_told() {
 #[test]
 fn a_full_disk_ends_the_run_and_loses_nothing() {
     let Some(disk) = SmallDisk::new(512) else {
-        eprintln!("skipped: no file system can be mounted here");
+        not_tested("the right to mount a file system");
         return;
     };
     let dir = tempfile::tempdir().unwrap();
@@ -150,7 +151,7 @@ fn a_full_disk_ends_the_run_and_loses_nothing() {
 #[test]
 fn a_full_disk_keeps_an_earlier_surface() {
     let Some(disk) = SmallDisk::new(64 << 10) else {
-        eprintln!("skipped: no file system can be mounted here");
+        not_tested("the right to mount a file system");
         return;
     };
     let truth = synthetic_set().join("truth");

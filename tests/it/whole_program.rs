@@ -3,6 +3,7 @@
 
 use crate::browser;
 use crate::common;
+use rilievo_synthetic::testing::not_tested;
 
 use common::{arg, differences, done, reconstruct_arguments, rilievo, run, synthetic_set};
 use std::io::{BufRead, BufReader};
@@ -227,7 +228,7 @@ fn verdict(run_dir: &Path) -> (serde_json::Value, Vec<String>) {
 fn the_verdict_is_good_of_a_good_set_and_not_of_one_without_masks() {
     let _alone = alone();
     let good = reference();
-    let nothing = serde_json::json!({ "level": "good", "reasons": [] });
+    let nothing = serde_json::json!({ "level": "good", "notes": [], "reasons": [] });
     assert_eq!(verdict(good), (nothing, Vec::new()));
     let said = reconstruct(&synthetic_set(), good, &[]);
     assert!(said.ends_with("verdict: good\n"), "{said}");
@@ -257,7 +258,7 @@ fn the_report_works_in_a_browser() {
     let _alone = alone();
     let run_dir = reference();
     let Some(seen) = browser::open(&run_dir.join("report.html")) else {
-        eprintln!("skipped: there is no Chromium here to open the report in");
+        not_tested("Chromium, to open the report in");
         return;
     };
     assert_eq!(seen.errors, Vec::<String>::new(), "console");

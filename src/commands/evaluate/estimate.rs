@@ -5,7 +5,7 @@ use crate::exit::Failure;
 use crate::pipeline::load_poses;
 use crate::store::{Manifest, RunDir};
 use rilievo_io::{LightingFile, read_depth, read_lighting, read_linear, read_normal};
-use rilievo_scene::{DepthMap, LinearImage, NormalMap, StageId, WorldCoordinates};
+use rilievo_scene::{DepthMap, LinearImage, NormalMap, StageId, WorldCoordinates, artifact_name};
 use rilievo_synthetic::compare::NamedPose;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -137,10 +137,8 @@ impl Estimate {
 /// Poses of the registered photos, what their coordinates mean, and the names of all.
 fn posed(run: &RunDir) -> anyhow::Result<(Vec<NamedPose>, Option<WorldCoordinates>, Vec<String>)> {
     let views = load_poses(run)?;
-    let unregistered = views.unregistered.iter().map(|photo| {
-        let name = Path::new(&photo.file_name).file_stem();
-        name.map_or(String::new(), |name| name.to_string_lossy().into_owned())
-    });
+    let unregistered = views.unregistered.iter();
+    let unregistered = unregistered.map(|photo| artifact_name(&photo.file_name));
     let names = views.views.iter().map(|view| view.name.clone());
     let expected = names.chain(unregistered).collect();
     let poses = views.views.iter().map(|view| NamedPose {

@@ -45,7 +45,9 @@ pub fn find(folder: &Path, posed: &mut PosedViews) -> Result<PhotoSet, Failure> 
         let fits = |path: &&PathBuf| {
             text_of(path.file_name()) == view.file_name || text_of(path.file_stem()) == view.name
         };
-        let Some(path) = files.iter().find(fits) else {
+        // One of a run of subfolders is called by its path below the folder.
+        let below = Some(folder.join(&view.file_name)).filter(|path| path.is_file());
+        let Some(path) = below.as_ref().or_else(|| files.iter().find(fits)) else {
             view.photo = PhotoIdx(usize::MAX);
             continue;
         };

@@ -63,7 +63,10 @@ fn propose(
     if let Some(cameras) = args.input.cameras.as_ref().filter(|path| !path.exists()) {
         return Err(Failure::input(cameras, "does not exist").into());
     }
-    let request = Request::of_photos(args.input.photos.clone(), options);
+    let request = Request {
+        recursive: args.input.recursive,
+        ..Request::of_photos(args.input.photos.clone(), options)
+    };
     let inputs = Inputs::scan(&request)?;
     for problem in &inputs.skipped {
         console.note(&format!("  {problem}"));

@@ -6,7 +6,7 @@ use crate::measures::ratio;
 use crate::options::PhotosOptions;
 use crate::outline::MaskOutline;
 use crate::prepare::PreparedPhoto;
-use crate::report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport};
+use crate::report::{AppliedEncoding, CameraGroup, CutOut, PhotoFacts, PhotosReport};
 use rilievo_numerics::robust::median;
 use rilievo_scene::{FocalSource, Observer, Orientation, Photo, PhotoSet, StageId, first_and_more};
 use std::sync::Arc;
@@ -174,7 +174,7 @@ fn middle(values: impl Iterator<Item = f64>) -> f64 {
 #[derive(Clone, Debug, PartialEq)]
 enum GroupKey {
     /// Intrinsics given by the user.
-    Given([u64; 11]),
+    Given([u64; 18]),
     /// Body, lens and zoom, by EXIF; photos without any of it and of one size are one group.
     Exif {
         texts: [Option<String>; 4],
@@ -243,9 +243,27 @@ struct Comparison {
 
 type Condition = fn(&PhotoFacts, &Comparison) -> bool;
 
+/// Share of an object beyond which what its straightened photo loses is told: some rows of pixels at its rim.
+const BEYOND_WARNING: f64 = 0.02;
+
 /// What the user should know of single photos: the condition, and what the warning says after their
 /// names.
-const ABOUT_PHOTOS: [(Condition, &str); 10] = [
+const ABOUT_PHOTOS: [(Condition, &str); 13] = [
+    (
+        |f, _| f.mask_coverage.is_some() && f.beyond_pinhole > BEYOND_WARNING,
+        "the lens bends so much that a part of the object lies outside the straightened photo, a pinhole of the same focal \
+         length and size: it gets no surface from this photo; keep the object in the middle",
+    ),
+    (
+        |f, _| f.cut_out == Some(CutOut::Taken),
+        "the surroundings are exactly black or white up to the frame, as programs cut objects out: what they leave is \
+         taken for the mask, as an alpha channel is; --masks none takes the whole frame",
+    ),
+    (
+        |f, _| f.cut_out == Some(CutOut::Unsure),
+        "the surroundings are exactly black or white, as programs cut objects out, but the object itself is as black or \
+         white along its outline: they are not taken for its mask; give one with --masks",
+    ),
     (
         |f, _| f.focal_source == FocalSource::Guess,
         "focal length unknown, guessed and then refined with the poses; depth and normals depend \

@@ -41,7 +41,7 @@ pub use error::PhotosError;
 pub use options::{Encoding, PhotosOptions, RETIRED_KEYS};
 pub use outline::MaskOutline;
 pub use prepare::{GivenCamera, GivenMask, PreparedPhoto, prepare};
-pub use report::{AppliedEncoding, CameraGroup, PhotoFacts, PhotosReport, RejectedPhoto};
+pub use report::{AppliedEncoding, CameraGroup, CutOut, PhotoFacts, PhotosReport, RejectedPhoto};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 7;
+pub const VERSION: u32 = 8;

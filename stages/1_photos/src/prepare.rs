@@ -8,7 +8,7 @@ use crate::report::PhotoFacts;
 use crate::{edges, mask, measures, outline};
 use rilievo_scene::{
     DecodedPhoto, FocalSource, InMemoryPixels, Intrinsics, LinearImage, Mask, Orientation,
-    PackedMask, PixelSource, RigidTransform,
+    PackedMask, PixelSource, RigidTransform, artifact_name,
 };
 use std::sync::Arc;
 
@@ -138,7 +138,7 @@ pub fn prepare(
     let (mask, mask_was_upright) = mask.map_or((None, false), |(mask, was)| (Some(mask), was));
     let measured = measures::measure(&image, mask.as_ref(), clip_level);
     let facts = PhotoFacts {
-        name: name_of(&decoded.file_name).to_owned(),
+        name: artifact_name(&decoded.file_name),
         width: size.0,
         height: size.1,
         channels: decoded.channels,
@@ -151,6 +151,8 @@ pub fn prepare(
         given_cam_from_world: camera.and_then(|camera| camera.cam_from_world),
         orientation,
         mask_was_upright,
+        cut_out: None,
+        beyond_pinhole: beyond_pinhole(&first.intrinsics, mask.as_ref()),
         mask_coverage: mask.as_ref().map(Mask::coverage),
         mask_edge_ratio: mask
             .as_ref()
@@ -174,12 +176,33 @@ pub fn prepare(
     Ok(PreparedPhoto::in_memory(image, mask, facts))
 }
 
-/// File name without its ending.
-fn name_of(file_name: &str) -> &str {
-    match file_name.rfind('.') {
-        Some(dot) if dot > 0 => &file_name[..dot],
-        _ => file_name,
+/// Steps between the pixels that are looked at for [`beyond_pinhole`].
+const LENS_STEP_PX: usize = 8;
+
+/// Share of the object, else of the frame, whose rays a pinhole of the same matrix and size does not show.
+fn beyond_pinhole(camera: &Intrinsics, mask: Option<&Mask>) -> f64 {
+    if camera.distortion.is_none() {
+        return 0.0;
     }
+    let (mut num, mut beyond) = (0usize, 0usize);
+    for y in (0..camera.height).step_by(LENS_STEP_PX) {
+        for x in (0..camera.width).step_by(LENS_STEP_PX) {
+            if mask.is_some_and(|mask| !*mask.at(x, y)) {
+                continue;
+            }
+            let bent = [
+                (x as f64 - camera.cx) / camera.fx,
+                (y as f64 - camera.cy) / camera.fy,
+            ];
+            let ray = camera.distortion.undistort(bent[0], bent[1]);
+            let (u, v) = (camera.fx * ray.0 + camera.cx, camera.fy * ray.1 + camera.cy);
+            let inside = u > -0.5 && v > -0.5;
+            let inside = inside && u < camera.width as f64 - 0.5 && v < camera.height as f64 - 0.5;
+            num += 1;
+            beyond += usize::from(!inside);
+        }
+    }
+    beyond as f64 / num.max(1) as f64
 }
 
 fn check_frame(decoded: &DecodedPhoto) -> Result<(), PhotosError> {

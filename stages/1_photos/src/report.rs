@@ -4,6 +4,16 @@ use crate::outline::MaskOutline;
 use rilievo_scene::{ExifFacts, FocalSource, Intrinsics, Orientation, RigidTransform};
 use serde::{Deserialize, Serialize};
 
+/// What becomes of the surroundings of an object that was cut out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CutOut {
+    /// What they leave is the mask.
+    Taken,
+    /// The object is as black or white itself along its outline: they are not used.
+    Unsure,
+}
+
 /// Which curve was undone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -48,6 +58,13 @@ pub struct PhotoFacts {
     /// Whether the mask was given upright, as EXIF turns the photo, and was turned back.
     #[serde(default)]
     pub mask_was_upright: bool,
+    /// What became of surroundings that are exactly black or white, where no mask was given.
+    #[serde(default)]
+    pub cut_out: Option<CutOut>,
+    /// Share of the object, else of the frame, that the photo straightened to a pinhole of its focal length and size does
+    /// not show.
+    #[serde(default)]
+    pub beyond_pinhole: f64,
     /// Share of the frame that the mask marks, where there is a mask.
     pub mask_coverage: Option<f64>,
     /// How much stronger brightness changes along the mask's border than along the same border shifted,

@@ -3,7 +3,8 @@
 //! Per photo: SIFT keypoints over the whole frame with a low contrast threshold, spread over a
 //! grid, RootSIFT descriptors in bytes ([`detect`]). Per pair: mutual nearest neighbours, among
 //! bright blobs and among dark ones, that pass the ratio test find an essential matrix; those, and
-//! less distinctive ones, that agree with it are kept ([`match_photos`]). Which pairs are matched, [`PairChoice`] says.
+//! less distinctive ones, that agree with it are kept ([`match_photos`]), but for those that stand still in the frame while
+//! others move ([`standing`]). Which pairs are matched, [`PairChoice`] says.
 
 mod candidates;
 mod descriptors;
@@ -14,6 +15,7 @@ mod options;
 mod polarity;
 mod report;
 mod retention;
+mod standing;
 mod two_view;
 
 pub use detect::detect;
@@ -22,17 +24,20 @@ pub use options::{FeaturesOptions, KeypointRegion, PairChoice, PairLimits, RETIR
 pub use report::{FeaturesReport, PairReport, PhotoFeatures};
 
 use candidates::Pair;
-use matching::{PhotoDescriptors, match_descriptors};
+use matching::{DescriptorMatch, PhotoDescriptors, match_descriptors};
 use nalgebra::Point2;
 use rayon::prelude::*;
 use rilievo_scene::{
     DividedStep, FeatureMatches, Flow, Observer, PairMatches, Photo, PhotoIdx, PhotoKeypoints,
-    PhotoSet, StageId, check_descriptors, check_keypoints, divided,
+    PhotoSet, StageId, check_descriptors, check_keypoints, divided, first_and_more,
+    motion_in_frame,
 };
+use standing::StandingKeypoints;
 use std::collections::BTreeSet;
+use two_view::TwoViewGeometry;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 
 /// A photo with fewer keypoints than this deserves a warning.
 const FEW_KEYPOINTS: usize = 100;
@@ -64,13 +69,13 @@ pub fn match_photos(
         let names: Vec<&str> = unknown.into_iter().collect();
         let message = format!(
             "listed pairs are left out for names that are none of the photos: {}",
-            names.join(", ")
+            first_and_more(names).unwrap_or_default()
         );
         let flow = observer.warn(StageId::Features, message);
         flow.ok_or(FeaturesError::Interrupted)?;
     }
     let begun = candidates::first(photos, &keypoints, options)?;
-    let mut matched = matcher.pairs(&matcher.alike(&begun, observer)?, 0, observer)?;
+    let mut matched = matcher.pairs(&matcher.alike(&begun, observer)?, 0, None, observer)?;
     if matcher.has_previews() {
         let mut tried: BTreeSet<Pair> = begun.iter().copied().collect();
         loop {
@@ -80,12 +85,13 @@ pub fn match_photos(
                 break;
             }
             let alike = matcher.alike(&next, observer)?;
-            matched.extend(matcher.pairs(&alike, matched.len(), observer)?);
+            matched.extend(matcher.pairs(&alike, matched.len(), None, observer)?);
             tried.extend(next);
         }
         let refused = refused_of_lonely(&begun, &matched, keypoints.len());
-        matched.extend(matcher.pairs(&refused, matched.len(), observer)?);
+        matched.extend(matcher.pairs(&refused, matched.len(), None, observer)?);
     }
+    leave_out_standing(&matcher, &mut matched, observer)?;
     matched.sort_by_key(|pair| (pair.first, pair.second));
     let pair_reports = matched.iter().map(PairReport::of).collect();
     let pairs: Vec<PairMatches> = matched
@@ -111,6 +117,7 @@ pub fn match_photos(
 /// What every pair of photos is matched from.
 struct Matcher<'a> {
     photos: &'a PhotoSet,
+    keypoints: &'a [PhotoKeypoints],
     options: &'a FeaturesOptions,
     descriptors: Vec<PhotoDescriptors>,
     /// Those of the largest keypoints, where pairs are looked at before they are matched; else none.
@@ -122,7 +129,7 @@ struct Matcher<'a> {
 impl<'a> Matcher<'a> {
     fn new(
         photos: &'a PhotoSet,
-        keypoints: &[PhotoKeypoints],
+        keypoints: &'a [PhotoKeypoints],
         options: &'a FeaturesOptions,
     ) -> Self {
         let normalized = |(list, photo): (&PhotoKeypoints, &Photo)| {
@@ -135,6 +142,7 @@ impl<'a> Matcher<'a> {
         let has_previews = is_auto && !candidates::is_exhaustive(keypoints.len(), options);
         Self {
             photos,
+            keypoints,
             options,
             descriptors: keypoints.par_iter().map(PhotoDescriptors::new).collect(),
             previews: if has_previews {
@@ -173,55 +181,137 @@ impl<'a> Matcher<'a> {
         Ok(alike.map(|(&pair, _)| pair).collect())
     }
 
-    /// Matches of many pairs, after `num_before` others.
+    /// Matches of many pairs, after `num_before` others, without those of keypoints that are known to stand still.
     fn pairs(
         &self,
         pairs: &[Pair],
         num_before: usize,
+        standing: Option<&StandingKeypoints>,
         observer: &dyn Observer,
     ) -> Result<Vec<PairMatches>, FeaturesError> {
         let step = DividedStep::new(observer, StageId::Features, "matching pairs");
         let interrupted = || FeaturesError::Interrupted;
         step.after(num_before)
             .run(pairs.len(), usize::MAX, interrupted, |idx| {
-                let (first, second) = pairs[idx];
-                self.pair(first, second)
+                self.pair(pairs[idx], standing)
             })
     }
 
     /// Matches of two photos that agree with a two-view geometry; none where nothing agrees.
-    fn pair(&self, first: usize, second: usize) -> Result<PairMatches, FeaturesError> {
-        let options = self.options;
-        let widest_ratio = options.max_ratio.max(MAX_VERIFIED_RATIO);
+    fn pair(
+        &self,
+        pair @ (first, second): Pair,
+        known: Option<&StandingKeypoints>,
+    ) -> Result<PairMatches, FeaturesError> {
+        let widest_ratio = self.options.max_ratio.max(MAX_VERIFIED_RATIO);
         let [a, b] = [first, second].map(|photo| &self.descriptors[photo]);
-        let putative = match_descriptors(a, b, widest_ratio);
+        let mut matches = match_descriptors(a, b, widest_ratio);
+        let is_near = |m: &DescriptorMatch| standing::is_near(self.motion(pair, m.pair));
+        if let Some(known) = known {
+            matches.retain(|m| !(is_near(m) && known.has([first, second], m.pair)));
+        }
+        let distinctive = matches.iter().filter(|m| self.is_distinctive(m));
+        let num_putative = distinctive.clone().count();
+        let motions = distinctive.map(|m| self.motion(pair, m.pair));
+        let mut found = None;
+        let mut standing = Vec::new();
+        if known.is_none() && standing::have_peak(motions) {
+            let (near, moving): (Vec<_>, Vec<_>) = matches.iter().copied().partition(is_near);
+            // False matches agree by chance with few of their like.
+            let num_moving = moving.iter().filter(|m| self.is_distinctive(m)).count();
+            let agree = |g: &TwoViewGeometry| {
+                let agreeing = g.inliers.iter().map(|&k| &moving[k]);
+                2 * agreeing.filter(|m| self.is_distinctive(m)).count() >= num_moving
+            };
+            found = self.geometry(pair, &moving)?.filter(agree);
+            if found.is_some() {
+                standing = near.iter().map(|m| m.pair).collect();
+                matches = moving;
+            }
+        }
+        if found.is_none() {
+            found = self.geometry(pair, &matches)?;
+        }
+        Ok(PairMatches {
+            first: PhotoIdx(first),
+            second: PhotoIdx(second),
+            matches: found.as_ref().map_or(Vec::new(), |g| {
+                g.inliers.iter().map(|&k| matches[k].pair).collect()
+            }),
+            essential: found.as_ref().map(|g| g.essential),
+            homography_share: found.as_ref().map_or(0.0, |g| g.homography_share),
+            num_putative,
+            standing,
+        })
+    }
+
+    fn is_distinctive(&self, found: &DescriptorMatch) -> bool {
+        found.ratio < self.options.max_ratio
+    }
+
+    /// As of [`motion_in_frame`].
+    fn motion(&self, (first, second): Pair, [i, j]: [u32; 2]) -> f64 {
+        let keypoint = |photo: usize, k: u32| &self.keypoints[photo].keypoints[k as usize];
+        let cameras = [first, second].map(|photo| &self.photos.photos[photo].intrinsics);
+        motion_in_frame([keypoint(first, i), keypoint(second, j)], cameras)
+    }
+
+    /// The two-view geometry that matches agree with, if any.
+    fn geometry(
+        &self,
+        (first, second): Pair,
+        matches: &[DescriptorMatch],
+    ) -> Result<Option<TwoViewGeometry>, FeaturesError> {
         let pick = |side: usize, photo: usize| -> Vec<Point2<f64>> {
-            putative
-                .iter()
-                .map(|m| self.normalized[photo][m.pair[side] as usize])
-                .collect()
+            let ends = matches.iter().map(|m| m.pair[side] as usize);
+            ends.map(|k| self.normalized[photo][k]).collect()
         };
         let focal_px = |photo: usize| self.photos.photos[photo].intrinsics.focal_px();
-        let distinctive: Vec<usize> = (0..putative.len())
-            .filter(|&k| putative[k].ratio < options.max_ratio)
+        let distinctive: Vec<usize> = (0..matches.len())
+            .filter(|&k| self.is_distinctive(&matches[k]))
             .collect();
-        let geometry = two_view::verify(
+        two_view::verify(
             &pick(0, first),
             &pick(1, second),
             &distinctive,
             0.5 * (focal_px(first) + focal_px(second)),
-        )?;
-        Ok(PairMatches {
-            first: PhotoIdx(first),
-            second: PhotoIdx(second),
-            matches: geometry.as_ref().map_or(Vec::new(), |g| {
-                g.inliers.iter().map(|&k| putative[k].pair).collect()
-            }),
-            essential: geometry.as_ref().map(|g| g.essential),
-            homography_share: geometry.as_ref().map_or(0.0, |g| g.homography_share),
-            num_putative: distinctive.len(),
-        })
+        )
     }
+}
+
+/// Matches pairs once more that have matches of keypoints which other pairs show to stand still, without these; a warning.
+fn leave_out_standing(
+    matcher: &Matcher<'_>,
+    matched: &mut [PairMatches],
+    observer: &dyn Observer,
+) -> Result<(), FeaturesError> {
+    let standing = StandingKeypoints::of(matched, matcher.keypoints);
+    // Fewer hold no geometry of their own.
+    if standing.num < two_view::MIN_NUM_INLIERS {
+        return Ok(());
+    }
+    let is_doubtful = |pair: &PairMatches| {
+        let photos = [pair.first.0, pair.second.0];
+        let mut matches = pair.matches.iter();
+        let stands = |m: [u32; 2]| standing::is_near(matcher.motion(photos.into(), m));
+        pair.standing.is_empty() && matches.any(|&m| standing.has(photos, m) && stands(m))
+    };
+    let doubtful: Vec<usize> = (0..matched.len())
+        .filter(|&k| is_doubtful(&matched[k]))
+        .collect();
+    let pairs = doubtful.iter().map(|&k| &matched[k]);
+    let pairs: Vec<Pair> = pairs.map(|p| (p.first.0, p.second.0)).collect();
+    let again = matcher.pairs(&pairs, matched.len(), Some(&standing), observer)?;
+    for (k, pair) in doubtful.into_iter().zip(again) {
+        matched[k] = pair;
+    }
+    let message = format!(
+        "{} matches of {} pairs stand still in the frame while others move: a caption, a time stamp, dust on the sensor, \
+         or a background that does not turn with the object; they are left out",
+        standing.num, standing.num_pairs
+    );
+    let flow = observer.warn(StageId::Features, message);
+    flow.ok_or(FeaturesError::Interrupted)
 }
 
 /// The pair, where it matches well enough to suggest other pairs.

@@ -27,6 +27,9 @@ pub struct PairReport {
     pub num_putative: usize,
     /// Matches that agree with the pair's geometry; 0 where the pair was dropped.
     pub num_verified: usize,
+    /// Matches that were left out since they stand still in the frame while others move.
+    #[serde(default)]
+    pub num_standing: usize,
     /// Share of the verified matches that a homography explains as well.
     pub homography_share: f64,
 }
@@ -39,6 +42,7 @@ impl PairReport {
             second: pair.second,
             num_putative: pair.num_putative,
             num_verified: pair.matches.len(),
+            num_standing: pair.standing.len(),
             homography_share: pair.homography_share,
         }
     }

@@ -21,7 +21,7 @@ pub enum PosesError {
     },
     /// No two photos have enough matches in common.
     #[error(
-        "no two of {num_photos} photos match (best pair: {best} matches, {needed} needed); take photos closer together, 10 to 20 degrees apart, or put a printed mat under the object"
+        "no two of {num_photos} photos match (best pair: {best} matches, {needed} needed); take photos closer together, 10 to 20 degrees apart, put a printed mat under the object, or have fainter texture used (features.contrast_threshold = 0.005 in the file of --config)"
     )]
     NoMatches {
         /// Photos in the set.
@@ -31,9 +31,20 @@ pub enum PosesError {
         /// Matches needed.
         needed: usize,
     },
+    /// Most matches do not move in the frame.
+    #[error(
+        "{percent:.0} % of all matches stand still in the frame: where the object turns before a background that stands \
+         still (a turntable), give masks (--masks) with features.region = \"object\" in the file of --config, or cover \
+         the background, or put a printed mat under the object that turns with it; where the camera stood still, move \
+         it 10 to 20 degrees between photos"
+    )]
+    StandsStill {
+        /// Share of the matches, per cent.
+        percent: f64,
+    },
     /// Every pair that matches is explained by a homography.
     #[error(
-        "all {num_pairs} matching pairs show a pure rotation or a flat scene (a homography explains {least_share:.0} % or more of their matches); move the camera sideways between photos"
+        "all {num_pairs} matching pairs show a pure rotation or a flat scene (a homography explains {least_share:.0} % or more of their matches); move the camera sideways between photos, or give poses that are known (--cameras)"
     )]
     OnlyHomographies {
         /// Pairs with enough matches.
@@ -43,7 +54,7 @@ pub enum PosesError {
     },
     /// No pair gives enough well-conditioned points to start from.
     #[error(
-        "none of {num_pairs} matching pairs gives a start: best has {best_points} points at {best_angle_deg:.1} degrees, needed are {needed_points} at {needed_angle_deg:.1}; {}",
+        "none of {num_pairs} matching pairs gives a start: best has {best_points} points at {best_angle_deg:.1} degrees, needed are {needed_points} at {needed_angle_deg:.1}; {}, or give poses that are known (--cameras)",
         pair_advice(*.best_points >= *.needed_points, *.best_angle_deg >= *.needed_angle_deg)
     )]
     NoInitialPair {
@@ -60,7 +71,7 @@ pub enum PosesError {
     },
     /// Pairs began well, but their points do not hold.
     #[error(
-        "none of {num_pairs} pairs to start from holds: at most {best_points} of their points agree with the cameras' poses, {needed_points} are needed; take photos closer together, 10 to 20 degrees apart, with more texture in the picture, and check the focal length"
+        "none of {num_pairs} pairs to start from holds: at most {best_points} of their points agree with the cameras' poses, {needed_points} are needed; take photos closer together, 10 to 20 degrees apart, with more texture in the picture, and give the focal length where it is known (--cameras, photos.focal_35mm)"
     )]
     NoStableStart {
         /// Pairs tried.
@@ -71,7 +82,10 @@ pub enum PosesError {
         needed_points: usize,
     },
     /// Given poses contradict the photos.
-    #[error("the given cameras do not explain the matches ({share_consistent:.0} % agree); {hint}")]
+    #[error(
+        "the given cameras do not explain the matches ({share_consistent:.0} % agree); {hint}; or have the poses found \
+         from the photos (poses.given_poses = \"ignore\" in the file of --config)"
+    )]
     GivenPosesInconsistent {
         /// Share of verified matches consistent with the given poses, per cent.
         share_consistent: f64,
@@ -81,15 +95,15 @@ pub enum PosesError {
     /// Given poses without a baseline.
     #[error(
         "the given cameras all stand at one place ({:.4}, {:.4}, {:.4}): cameras at one place determine no \
-         depth, whatever they see; check the camera centres, or leave the poses out of the camera file so \
-         that they are found from the photos", place[0], place[1], place[2]
+         depth, whatever they see; check the camera centres, or have the poses found from the \
+         photos (poses.given_poses = \"ignore\" in the file of --config)", place[0], place[1], place[2]
     )]
     GivenPosesAtOnePlace {
         /// Their common centre.
         place: [f64; 3],
     },
     /// The measured distance cannot be found in the model.
-    #[error("the known distance cannot be used: {reason}")]
+    #[error("the known distance cannot be used: {reason} (--known-distance)")]
     KnownDistance {
         /// Which photo or point, and why.
         reason: String,
@@ -148,6 +162,59 @@ mod tests {
             needed_angle_deg: 3.0,
         };
         error.to_string()
+    }
+
+    #[test]
+    fn every_message_names_the_option_that_helps() {
+        let known = "cameras".to_owned();
+        let cases = [
+            (
+                PosesError::NoMatches {
+                    num_photos: 3,
+                    best: 2,
+                    needed: 30,
+                },
+                "features.contrast_threshold",
+            ),
+            (
+                PosesError::StandsStill { percent: 90.0 },
+                "features.region = \"object\"",
+            ),
+            (
+                PosesError::OnlyHomographies {
+                    num_pairs: 3,
+                    least_share: 98.0,
+                },
+                "--cameras",
+            ),
+            (
+                PosesError::NoStableStart {
+                    num_pairs: 3,
+                    best_points: 4,
+                    needed_points: 15,
+                },
+                "photos.focal_35mm",
+            ),
+            (
+                PosesError::GivenPosesInconsistent {
+                    share_consistent: 20.0,
+                    hint: known.clone(),
+                },
+                "poses.given_poses = \"ignore\"",
+            ),
+            (
+                PosesError::GivenPosesAtOnePlace { place: [0.0; 3] },
+                "poses.given_poses = \"ignore\"",
+            ),
+            (
+                PosesError::KnownDistance { reason: known },
+                "--known-distance",
+            ),
+        ];
+        for (error, option) in cases {
+            assert!(error.to_string().contains(option), "{error}");
+        }
+        assert!(told(200, 0.4).contains("--cameras"));
     }
 
     #[test]

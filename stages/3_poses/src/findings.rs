@@ -34,9 +34,12 @@ impl PosesReport {
     ) -> Vec<Finding> {
         let changed = self.refined_focals_px.iter();
         let changed = changed.filter(|(group, ..)| !is_guess(*group));
+        let num_viewpoints = self.views.len() - self.same_place.len();
         let posed = [
             not_posed(self.views.len(), num_photos),
-            (self.views.len() == 2).then(|| FindingCode::OnlyTwoPosed.into()),
+            (1..=2)
+                .contains(&num_viewpoints)
+                .then(|| FindingCode::OnlyTwoPosed.into()),
             large_error(self.mean_reprojection_error_px),
             self.few_points(),
             few_kept(kept),
@@ -151,6 +154,12 @@ mod tests {
         assert_eq!(of(1.3, 0), Verdict::Usable);
         assert_eq!(of(0.3, 2), Verdict::NotToBeTrusted);
         assert_eq!(Verdict::of(&found(&[800, 800, 800], 4)), Verdict::Usable);
+        let same = |photo, of| (format!("IMG_{photo}.jpg"), format!("IMG_{of}.jpg"));
+        let twice = PosesReport {
+            same_place: vec![same(1, 0), same(3, 2)],
+            ..poses(&[800, 800, 800, 800])
+        };
+        assert_eq!(twice.findings(4, &[], |_| false), found(&[800, 800], 2));
     }
 
     #[test]
@@ -189,7 +198,9 @@ mod tests {
     #[test]
     fn contradicted_focal_lengths_are_found() {
         assert_eq!(verdict(focal_change(1000.0, 1030.0)), Verdict::Good);
-        assert_eq!(verdict(focal_change(1000.0, 1400.0)), Verdict::Usable);
+        // Found and used: a note.
+        assert_eq!(verdict(focal_change(1000.0, 1400.0)), Verdict::Good);
+        assert!(focal_change(1000.0, 1400.0).is_some());
         let refined = PosesReport {
             refined_focals_px: vec![(0, 1000.0, 1400.0)],
             ..PosesReport::default()

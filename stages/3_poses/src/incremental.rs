@@ -259,6 +259,54 @@ fn extend(
     Ok(())
 }
 
+/// Registers photos that have no pose yet, the best seen first, while all others stay where they are: only the new
+/// photo, its camera where that is not given, and its points are adjusted.
+pub(crate) fn extend_around(
+    matched: &MatchedPhotos<'_>,
+    around: &mut Reconstruction,
+    options: &PosesOptions,
+    observer: &dyn Observer,
+) -> Result<(), PosesError> {
+    let limits = limits(options);
+    let available = vec![true; matched.num_photos()];
+    let mut ranking = Ranking::new(matched.num_photos());
+    loop {
+        let Reconstruction {
+            model,
+            adjustments,
+            failed,
+            ..
+        } = around;
+        let done = (model.num_views(), matched.num_photos());
+        let flow = observer.progress(StageId::Poses, "registering photos", done);
+        flow.ok_or(PosesError::Interrupted)?;
+        let candidates = ranking.next_views(matched, model, &available, failed);
+        let Some(&photo) = candidates.first() else {
+            return Ok(());
+        };
+        failed.retain(|f| f.0 != photo);
+        match register(matched, model, photo, options) {
+            Ok(pose) => model.poses[photo] = Some(pose),
+            Err((num_visible, num_inliers)) => {
+                failed.push((photo, num_visible, num_inliers));
+                continue;
+            }
+        }
+        let tracks = matched.tracks_of_any(&[photo]);
+        let mut changed = model.triangulate(matched, &tracks, &limits);
+        for _ in 0..2 {
+            let scope = AdjustmentScope {
+                step: "a photo among given ones",
+                photos: Some(&[photo]),
+                intrinsics: IntrinsicsScope::Focal,
+            };
+            adjustments.push(model.adjust(matched, &scope, &BundleOptions::complete(1e-6))?);
+            changed.extend(model.triangulate(matched, &tracks, &limits));
+        }
+        ranking.renew(matched, &changed);
+    }
+}
+
 /// What may change: the focal length once enough views hold it, distortion once it was adopted.
 pub(crate) fn intrinsics_scope(model: &Model) -> IntrinsicsScope {
     let bent = |c: &AdjustedCamera| c.deviation[1..].iter().any(|&d| d != 0.0);

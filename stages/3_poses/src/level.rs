@@ -11,7 +11,7 @@ use rilievo_numerics::robust::quantile;
 use rilievo_scene::{PosedViews, RigidTransform, WorldFrame};
 
 /// Fewest points inside the masks that place the object.
-const MIN_OBJECT_POINTS: usize = 30;
+pub(crate) const MIN_OBJECT_POINTS: usize = 30;
 /// Share of the object's points beyond its middle's box on either side: single wrong ones.
 const BEYOND: f64 = 0.02;
 /// Length of the mean of the directions to the cameras below which they go all round and have no side: the first one is
@@ -37,6 +37,15 @@ pub(crate) fn apply(
     let Some(new_from_old) = level.or(first) else {
         return;
     };
+    move_world(&new_from_old, posed, vertical);
+}
+
+/// Turns and moves the world, the vertical with it.
+pub(crate) fn move_world(
+    new_from_old: &RigidTransform,
+    posed: &mut PosedViews,
+    vertical: Option<&mut Vertical>,
+) {
     let old_from_new = new_from_old.inverse();
     for view in &mut posed.views {
         view.cam_from_world = view.cam_from_world.compose(&old_from_new);

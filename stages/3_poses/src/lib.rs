@@ -24,6 +24,7 @@ mod own_focal;
 mod p3p;
 mod projection;
 mod ranking;
+mod reference;
 mod refinement;
 mod relative_pose;
 mod report;
@@ -36,16 +37,18 @@ mod vertical;
 
 pub use error::PosesError;
 pub use known_distance::{KnownDistance, MarkedPoints};
-pub use options::{GivenPoses, PosesOptions, RETIRED_KEYS, RefineIntrinsics};
+pub use options::{GivenPoses, PosesOptions, RETIRED_KEYS, ReferenceFrame, RefineIntrinsics};
 pub use report::{AdjustmentReport, ContradictedFocal, LensReport, PosesReport, ViewReport};
 pub use vertical::{Vertical, VerticalSource};
 
 use adjustment::BundleOptions;
 use incremental::Reconstruction;
 use matched::MatchedPhotos;
-use model::AdjustmentScope;
+use model::{AdjustmentScope, IntrinsicsScope};
 use projection::FOCAL;
-use rilievo_scene::{FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest};
+use rilievo_scene::{
+    FeatureMatches, FocalSource, Observer, PhotoSet, PosedViews, SphereRequest, motion_in_frame,
+};
 use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
@@ -74,7 +77,10 @@ pub fn run(
     let given = given::poses(photos, options);
     let keeps_given = given.is_some() && options.given_poses == GivenPoses::Keep;
     let (mut reconstruction, other_models) = match &given {
-        Some(poses) => (given::reconstruct(&matched, poses, options)?, Vec::new()),
+        Some(poses) => {
+            let model = given::reconstruct(&mut matched, poses, options, observer)?;
+            (model, Vec::new())
+        }
         None => {
             let first = largest_model(&matched, options, observer)?;
             let found = larger_from_found_focal(&mut matched, first, options, observer)?;
@@ -83,6 +89,11 @@ pub fn run(
     };
     if !keeps_given {
         finish(&matched, &mut reconstruction, options)?;
+    }
+    if options.given_poses != GivenPoses::Ignore
+        && let Some(message) = given::incomplete(photos, given.is_some())
+    {
+        error::warn(observer, message)?;
     }
     if !options.matches_only {
         finish_on_patches(
@@ -121,23 +132,11 @@ pub fn run(
     } else {
         posed.frame = options.given_world.frame;
     }
-    let left_out = posed.unregistered.iter();
-    let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));
-    for message in report
-        .lens
-        .iter()
-        .map(LensReport::advice)
-        .chain(
-            report
-                .contradicted_focal
-                .iter()
-                .map(|focal| focal.finding().sentence()),
-        )
-        .chain(contradicted_exif(&matched, &reconstruction))
-        .chain(own_focal::warnings(&matched, &reconstruction.model))
-        .chain(narrow::warning(&posed))
-        .chain(left_out)
-    {
+    report.knows_object = object.len() >= level::MIN_OBJECT_POINTS;
+    let frame = options.reference.as_ref().and_then(|reference| {
+        reference::apply(reference, report.knows_object, &mut posed, &mut report)
+    });
+    for message in warnings(&matched, &reconstruction, &posed, &report, frame) {
         error::warn(observer, message)?;
     }
     if !options.matches_only {
@@ -147,6 +146,29 @@ pub fn run(
         report.anchors = Some(anchor_report);
     }
     Ok((posed, report))
+}
+
+/// What the user should know of the poses, with what became of an earlier `frame`.
+fn warnings(
+    matched: &MatchedPhotos<'_>,
+    reconstruction: &Reconstruction,
+    posed: &PosedViews,
+    report: &PosesReport,
+    frame: Option<String>,
+) -> Vec<String> {
+    let left_out = posed.unregistered.iter();
+    let left_out = left_out.map(|u| format!("{}: {}", u.file_name, u.reason));
+    let focal = report.contradicted_focal.iter();
+    let focal = focal.map(|focal| focal.finding().sentence());
+    let lens = report.lens.iter().map(LensReport::advice);
+    lens.chain(focal)
+        .chain(contradicted_exif(matched, reconstruction))
+        .chain(own_focal::warnings(matched, &reconstruction.model))
+        .chain(narrow::warning(posed))
+        .chain(report.same_place_warning())
+        .chain(frame)
+        .chain(left_out)
+        .collect()
 }
 
 /// A model with the photos of the others.
@@ -275,7 +297,7 @@ fn largest_model(
                 models.push(found);
             }
             Err(PosesError::Interrupted) => return Err(PosesError::Interrupted),
-            Err(error) if models.is_empty() => return Err(error),
+            Err(error) if models.is_empty() => return Err(standing_still(matched).unwrap_or(error)),
             Err(_) => break,
         }
         if available.iter().filter(|&&a| a).count() < 2 {
@@ -290,6 +312,23 @@ fn largest_model(
         photos.filter(|&p| found.model.poses[p].is_some()).collect()
     };
     Ok((kept, models.iter().map(posed).collect()))
+}
+
+/// Why there is no model where most matches do not move in the frame: neither narrow angles nor flatness say it.
+fn standing_still(matched: &MatchedPhotos<'_>) -> Option<PosesError> {
+    let (mut num_still, mut num_matches) = (0_usize, 0_usize);
+    for pair in &matched.matches.pairs {
+        let photos = [pair.first.0, pair.second.0];
+        let cameras = photos.map(|photo| &matched.photos.photos[photo].intrinsics);
+        let stands = |&&[i, j]: &&[u32; 2]| {
+            let [first, second] = photos.map(|photo| &matched.matches.photos[photo].keypoints);
+            motion_in_frame([&first[i as usize], &second[j as usize]], cameras) < 1.0
+        };
+        num_still += pair.matches.iter().filter(stands).count();
+        num_matches += pair.matches.len();
+    }
+    let percent = 100.0 * num_still as f64 / num_matches.max(1) as f64;
+    (percent > 50.0).then_some(PosesError::StandsStill { percent })
 }
 
 /// Rounds of adjustment and outlier removal with ever tighter limits, the last ones converged.
@@ -330,13 +369,26 @@ fn finish_on_patches(
     model.refined = Some(refinement::refine_tracks(
         matched, model, at_once, observer,
     )?);
+    let has_no_given = |&p: &usize| {
+        model.poses[p].is_some() && matched.photos.photos[p].given_cam_from_world.is_none()
+    };
+    let found: Vec<usize> = (0..matched.num_photos()).filter(has_no_given).collect();
     for round in 0..2 {
         let step = "on aligned patches";
+        let bundle_options = BundleOptions::complete(if round == 0 { 1e-5 } else { 1e-8 });
+        if keeps_poses && !found.is_empty() {
+            let scope = AdjustmentScope {
+                step,
+                photos: Some(&found),
+                intrinsics: IntrinsicsScope::Focal,
+            };
+            let adjusted = model.adjust(matched, &scope, &bundle_options)?;
+            reconstruction.adjustments.push(adjusted);
+        }
         let scope = match keeps_poses {
             true => AdjustmentScope::points(step),
             false => AdjustmentScope::all(step, incremental::intrinsics_scope(model)),
         };
-        let bundle_options = BundleOptions::complete(if round == 0 { 1e-5 } else { 1e-8 });
         let adjusted = model.adjust(matched, &scope, &bundle_options)?;
         reconstruction.adjustments.push(adjusted);
         if round == 0 {

@@ -2,7 +2,9 @@
 
 use crate::anchors::options::AnchorOptions;
 use crate::known_distance::KnownDistance;
-use rilievo_scene::{InTable, OptionError, RetiredKey, Unit, WorldCoordinates, in_range};
+use rilievo_scene::{
+    InTable, OptionError, RetiredKey, RigidTransform, Unit, WorldCoordinates, in_range,
+};
 use serde::{Deserialize, Serialize};
 
 /// Which intrinsics the adjustment may change.
@@ -71,6 +73,19 @@ pub const RETIRED_KEYS: &[RetiredKey] = &[
     ),
 ];
 
+/// A world that the result is to share.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReferenceFrame {
+    /// Poses by the photos' file names.
+    pub cameras: Vec<(String, RigidTransform)>,
+    /// What coordinates of that world mean.
+    pub world: WorldCoordinates,
+    /// Whether masks showed where the object stands when it was found.
+    pub knows_object: bool,
+    /// Whether the user asked for it; else it is that of the result before.
+    pub is_asked: bool,
+}
+
 /// How poses are found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -87,6 +102,9 @@ pub struct PosesOptions {
     /// What coordinates of the given poses mean.
     #[serde(skip)]
     pub given_world: WorldCoordinates,
+    /// A world that the result is to share, where its cameras agree.
+    #[serde(skip)]
+    pub reference: Option<ReferenceFrame>,
     /// Bytes that the photos worked on at once may take; a few photos' where nothing is said. Changes no result.
     #[serde(skip)]
     pub memory: Option<u64>,
@@ -108,6 +126,7 @@ impl Default for PosesOptions {
             max_reprojection_error_px: 3.0,
             known_distance: None,
             given_world: Unit::Arbitrary.into(),
+            reference: None,
             memory: None,
             matches_only: false,
             seed: 1,

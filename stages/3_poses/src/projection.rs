@@ -99,18 +99,7 @@ pub(crate) fn project_with_jacobian(
     }
     let inverse_depth = 1.0 / in_cam.z;
     let (u, v) = (in_cam.x * inverse_depth, in_cam.y * inverse_depth);
-    let d = &camera.distortion;
-    let r2 = u * u + v * v;
-    let radial = 1.0 + r2 * (d.k1 + r2 * (d.k2 + r2 * d.k3));
-    let radial_by_r2 = d.k1 + r2 * (2.0 * d.k2 + 3.0 * r2 * d.k3);
-    let (ud, vd) = d.distort(u, v);
-    // Derivative of the distorted by the undistorted coordinates.
-    let by_undistorted = Matrix2::new(
-        radial + 2.0 * u * u * radial_by_r2 + 2.0 * d.p1 * v + 6.0 * d.p2 * u,
-        2.0 * u * v * radial_by_r2 + 2.0 * d.p1 * u + 2.0 * d.p2 * v,
-        2.0 * u * v * radial_by_r2 + 2.0 * d.p1 * u + 2.0 * d.p2 * v,
-        radial + 2.0 * v * v * radial_by_r2 + 6.0 * d.p1 * v + 2.0 * d.p2 * u,
-    );
+    let bend = camera.distortion.bend(u, v);
     let undistorted_by_cam = Matrix2x3::new(
         inverse_depth,
         0.0,
@@ -120,7 +109,7 @@ pub(crate) fn project_with_jacobian(
         -v * inverse_depth,
     );
     let focal = Matrix2::new(camera.fx, 0.0, 0.0, camera.fy);
-    let by_cam = focal * by_undistorted * undistorted_by_cam;
+    let by_cam = focal * bend.by_undistorted * undistorted_by_cam;
     let rotation: Matrix3<f64> = pose.rotation.to_rotation_matrix().into_inner();
     let by_point = by_cam * rotation;
     // d(exp(ω) x)/dω = −[x]ₓ at ω = 0.
@@ -129,12 +118,14 @@ pub(crate) fn project_with_jacobian(
     by_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&by_rotation);
     by_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_point);
     let (fx, fy) = (camera.fx, camera.fy);
+    let (u, v, ud, vd) = (bend.plane.x, bend.plane.y, bend.at.x, bend.at.y);
+    let (r2, below) = (u * u + v * v, bend.denominator);
     #[rustfmt::skip]
     let by_intrinsics = SMatrix::<f64, 2, NUM_INTRINSICS>::from_row_slice(&[
         fx * ud, 1.0, 0.0,
-        fx * u * r2, fx * u * r2 * r2, fx * 2.0 * u * v, fx * (r2 + 2.0 * u * u), fx * u * r2 * r2 * r2,
+        fx * u * r2 / below, fx * u * r2 * r2 / below, fx * 2.0 * u * v, fx * (r2 + 2.0 * u * u), fx * u * r2 * r2 * r2 / below,
         fy * vd, 0.0, 1.0,
-        fy * v * r2, fy * v * r2 * r2, fy * (r2 + 2.0 * v * v), fy * 2.0 * u * v, fy * v * r2 * r2 * r2,
+        fy * v * r2 / below, fy * v * r2 * r2 / below, fy * (r2 + 2.0 * v * v), fy * 2.0 * u * v, fy * v * r2 * r2 * r2 / below,
     ]);
     Some((
         Point2::new(camera.fx * ud + camera.cx, camera.fy * vd + camera.cy),
@@ -154,16 +145,33 @@ mod tests {
 
     #[test]
     fn derivatives_agree_with_differences() {
-        let camera = Intrinsics {
-            distortion: Distortion {
-                k1: -0.15,
-                k2: 0.06,
-                p1: 2e-3,
-                p2: -1e-3,
-                k3: 0.02,
-            },
-            ..Intrinsics::pinhole(1000, 800, 900.0, 505.0, 395.0)
+        let plain = Distortion {
+            k1: -0.15,
+            k2: 0.06,
+            p1: 2e-3,
+            p2: -1e-3,
+            k3: 0.02,
+            ..Distortion::default()
         };
+        let rational = Distortion {
+            denominator: [0.2, -0.03, 0.01],
+            ..plain
+        };
+        let fisheye = Distortion {
+            k4: -0.01,
+            prism: [3e-3, -2e-3],
+            fisheye: true,
+            ..plain
+        };
+        for distortion in [plain, rational, fisheye] {
+            agrees(Intrinsics {
+                distortion,
+                ..Intrinsics::pinhole(1000, 800, 900.0, 505.0, 395.0)
+            });
+        }
+    }
+
+    fn agrees(camera: Intrinsics) {
         let pose = CenteredPose {
             rotation: UnitQuaternion::from_euler_angles(0.2, -0.4, 0.1),
             center: Point3::new(0.3, -0.2, -3.0),

@@ -3,7 +3,7 @@
 use crate::anchors::report::AnchorReport;
 use crate::vertical::Vertical;
 use rilievo_numerics::least_squares::SolveReport;
-use rilievo_scene::Scale;
+use rilievo_scene::{Scale, first_and_more};
 use serde::{Deserialize, Serialize};
 
 /// One bundle adjustment.
@@ -74,6 +74,24 @@ pub struct ContradictedFocal {
     pub found_px: f64,
 }
 
+impl PosesReport {
+    /// What the user should know of photos from one place.
+    pub(crate) fn same_place_warning(&self) -> Option<String> {
+        let pairs = self.same_place.iter();
+        let pairs: Vec<String> = pairs
+            .map(|(photo, of)| format!("{photo} as {of}"))
+            .collect();
+        let names = first_and_more(pairs.iter().map(String::as_str))?;
+        let num_views = self.views.len();
+        Some(format!(
+            "{} of {num_views} photos were taken from the same place as another ({names}): together they count as one and \
+             confirm nothing; the photos have {} viewpoints",
+            pairs.len(),
+            num_views - pairs.len()
+        ))
+    }
+}
+
 /// Facts about a run of stage 3.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PosesReport {
@@ -81,6 +99,9 @@ pub struct PosesReport {
     pub initial_pair: Option<(String, String)>,
     /// Views in the order of the result.
     pub views: Vec<ViewReport>,
+    /// Photos that were taken from the place of another before them, with that one: copies, bursts. They confirm nothing.
+    #[serde(default)]
+    pub same_place: Vec<(String, String)>,
     /// Sparse points.
     pub num_points: usize,
     /// Mean number of sightings of a point.
@@ -102,6 +123,12 @@ pub struct PosesReport {
     pub offset: Option<[f64; 3]>,
     /// The vertical, where ground or cameras show it.
     pub vertical: Option<Vertical>,
+    /// Whether masks show where the object stands.
+    #[serde(default)]
+    pub knows_object: bool,
+    /// Cameras in common with an earlier result, or with those of `--frame-of`, that its frame was taken over by.
+    #[serde(default)]
+    pub num_frame_cameras: Option<usize>,
     /// Distortion that given intrinsics leave.
     pub lens: Option<LensReport>,
     /// The given focal length, where the photos contradict it.

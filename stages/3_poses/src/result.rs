@@ -90,6 +90,7 @@ pub(crate) fn assemble(
     let report = PosesReport {
         initial_pair: reconstruction.initial_pair.map(|(a, b)| (name(a), name(b))),
         views: views.collect(),
+        same_place: same_place(&posed),
         num_points: posed.points.len(),
         mean_track_length: all.num as f64 / posed.points.len().max(1) as f64,
         mean_reprojection_error_px: all.mean_px(),
@@ -105,6 +106,16 @@ pub(crate) fn assemble(
         ..PosesReport::default()
     };
     (posed, report)
+}
+
+/// The views that are not the first of their viewpoint, with the first.
+fn same_place(posed: &PosedViews) -> Vec<(String, String)> {
+    let name = |view: usize| posed.views[view].file_name.clone();
+    let viewpoints = posed.viewpoints().into_iter().enumerate();
+    let others = viewpoints.filter(|&(view, first)| view != first.0);
+    others
+        .map(|(view, first)| (name(view), name(first.0)))
+        .collect()
 }
 
 /// Adds the points with two sightings or more; the reprojection errors of each view.

@@ -25,7 +25,8 @@ use rilievo_photometry::sphere::{
 };
 use rilievo_scene::loading::num_at_once;
 use rilievo_scene::{
-    MarkedSphere, Observer, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest, Unit,
+    MarkedSphere, Observer, PhotoIdx, PhotoSet, PosedViews, Scale, ScaleSource, SphereRequest,
+    Unit, first_and_more,
 };
 use std::collections::BTreeSet;
 
@@ -304,7 +305,7 @@ fn unconfirmed(photos: &PhotoSet, fit: &SphereFit) -> Option<String> {
              {:.0} % unexplained are expected; check that they follow its outline, and that nothing \
              stands before it",
             fit.sphere.name,
-            photos.join(", "),
+            first_and_more(photos.iter().map(String::as_str)).unwrap_or_default(),
             100.0 * MIN_EDGE_SHARE,
             100.0 * MAX_SHADING_RESIDUAL
         )
@@ -406,12 +407,12 @@ fn of_photos(photos: &PhotoSet, spheres: &[MarkedSphere], error: &SphereError) -
     match error {
         SphereError::Contradiction { worst, .. } => format!(" (the worst is {})", name(*worst)),
         _ if names.is_empty() => String::new(),
-        _ => format!(" (marked in {})", names.join(", ")),
+        _ => format!(" (marked in {})", first_and_more(names).unwrap_or_default()),
     }
 }
 
 /// Multiplies every length of the world.
-fn multiply(posed: &mut PosedViews, report: &mut PosesReport, factor: f64) {
+pub(crate) fn multiply(posed: &mut PosedViews, report: &mut PosesReport, factor: f64) {
     posed.multiply(factor);
     report.median_point_sigma = report.median_point_sigma.map(|s| s * factor);
     for view in &mut report.views {

@@ -205,6 +205,7 @@ mod tests {
             essential: None,
             homography_share: 0.0,
             num_putative: matches.len(),
+            standing: Vec::new(),
         }
     }
 

@@ -12,9 +12,7 @@ use rilievo_numerics::lines::normal_equations;
 use rilievo_numerics::robust::RobustLoss;
 use rilievo_scene::Intrinsics;
 
-/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the point
-/// too far.
-pub(crate) const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
+pub(crate) use rilievo_scene::MIN_TRIANGULATION_ANGLE_DEG;
 
 /// A sighting: camera, pose and pixel.
 #[derive(Clone, Copy)]

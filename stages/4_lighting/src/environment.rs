@@ -11,7 +11,7 @@ use crate::side::Side;
 use rilievo_photometry::harmonics::{LightingFit, dominant_direction, rotate};
 use rilievo_photometry::surface_check::MAX_SAMPLES;
 use rilievo_scene::{
-    LightSource, Lighting, Observer, PosedView, PosedViews, ViewIdx, ViewLighting,
+    LightSource, Lighting, Observer, PosedView, PosedViews, ViewIdx, ViewLighting, first_and_more,
 };
 
 /// Gains of one.
@@ -75,7 +75,7 @@ pub(crate) fn report_gains(
             let message = format!(
                 "the photos' exposures differ, but the sphere does not tell the gain of {}: taken \
                  as 1; fix exposure and white balance, or keep the sphere in every photo",
-                unknown.join(", ")
+                first_and_more(unknown).unwrap_or_default()
             );
             warn(observer, message)?;
         }

@@ -2,7 +2,7 @@
 
 use rilievo_photometry::harmonics::FitError;
 use rilievo_photometry::sphere::SphereError;
-use rilievo_scene::{Inconsistent, Observer, OptionError, PixelError, StageId};
+use rilievo_scene::{Inconsistent, Observer, OptionError, PixelError, StageId, first_and_more};
 
 /// Failures of stage 4.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -57,7 +57,7 @@ pub enum LightingError {
         camera: String,
     },
     /// The file has no lighting for some views.
-    #[error("the lighting given has no entry for {}", views.join(", "))]
+    #[error("the lighting given has no entry for {}", first_and_more(views.iter().map(String::as_str)).unwrap_or_default())]
     GivenMissing {
         /// Their names.
         views: Vec<String>,

@@ -1,6 +1,6 @@
 //! Errors of the stage.
 
-use rilievo_scene::{Inconsistent, LightSource, Observer, OptionError, StageId};
+use rilievo_scene::{Inconsistent, LightSource, Observer, OptionError, StageId, first_and_more};
 
 /// How badly a given light fits a view.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,7 +18,8 @@ fn described(views: &[LightMisfit]) -> String {
         let (given, fitted) = (100.0 * m.given, 100.0 * m.fitted);
         format!("{} ({given:.0} % against {fitted:.0} %)", m.view)
     };
-    views.iter().map(one).collect::<Vec<_>>().join(", ")
+    let described: Vec<String> = views.iter().map(one).collect();
+    first_and_more(described.iter().map(String::as_str)).unwrap_or_default()
 }
 
 fn origin(source: LightSource) -> &'static str {

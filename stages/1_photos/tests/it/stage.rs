@@ -100,6 +100,30 @@ fn photos_of_the_same_second_are_different_photos() {
 }
 
 #[test]
+fn what_a_fisheye_shows_beyond_its_pinhole_is_told() {
+    let mut intrinsics = Intrinsics::pinhole(64, 48, 30.0, 31.5, 23.5);
+    intrinsics.distortion.fisheye = true;
+    let camera = Some(GivenCamera {
+        intrinsics,
+        cam_from_world: None,
+    });
+    let options = PhotosOptions::default();
+    // All but a corner: rays from 47 degrees on are beyond, along x from column 57.
+    let mask = Mask::from_fn(64, 48, |x, y| x + y > 8);
+    let mask = Some(GivenMask::as_stored(mask));
+    let done = prepare(photo("a.jpg", zoom(20.0)), mask, camera, &options).unwrap();
+    let beyond = done.facts.beyond_pinhole;
+    assert!((0.2..0.6).contains(&beyond), "{beyond}");
+    let (_, _, warnings) = assembled(vec![done], &options);
+    assert!(
+        warnings
+            .iter()
+            .any(|w| w.contains("outside the straightened photo")),
+        "{warnings:?}"
+    );
+}
+
+#[test]
 fn a_given_camera_is_kept_bit_for_bit() {
     let mut intrinsics = Intrinsics::pinhole(64, 48, 71.123_456_789, 31.4, 23.7);
     intrinsics.distortion.k1 = -0.1;
@@ -117,6 +141,7 @@ fn a_given_camera_is_kept_bit_for_bit() {
     .unwrap();
     assert_eq!(done.facts.intrinsics, intrinsics);
     assert_eq!(done.facts.focal_source, FocalSource::CameraFile);
+    assert_eq!(done.facts.beyond_pinhole, 0.0);
     assert!(
         done.facts
             .mask_coverage

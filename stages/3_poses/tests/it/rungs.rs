@@ -8,10 +8,10 @@ use common::{
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use rilievo_poses::{GivenPoses, PosesError, RefineIntrinsics, run};
+use rilievo_poses::{GivenPoses, PosesError, ReferenceFrame, RefineIntrinsics, run};
 use rilievo_scene::{
     FocalSource, MarkedSphere, PhotoIdx, PosedViews, Recorder, RigidTransform, ScaleSource, Silent,
-    SphereMark, SphereRequest, Unit,
+    SphereMark, SphereRequest, Unit, WorldCoordinates, WorldFrame,
 };
 use rilievo_synthetic::testing::Impatient;
 
@@ -373,6 +373,113 @@ fn given_poses_are_kept_to_the_bit_or_refined() {
     let (posed, _) = run(&world.photos, &world.matches, None, &refine, &Silent).unwrap();
     let (center, rotation) = pose_errors(&posed, &world.cam_from_world);
     assert!(center < 1e-3 && rotation < 0.03, "{center} {rotation}");
+}
+
+#[test]
+fn photos_without_a_given_pose_are_posed_in_the_frame_of_the_others() {
+    let mut world = world(&WorldOptions {
+        noise_px: 0.3,
+        ..WorldOptions::default()
+    });
+    let num = world.cam_from_world.len();
+    for given in [num - 1, 2, 1] {
+        give(&mut world, |p| *p);
+        for photo in &mut world.photos.photos[given..] {
+            photo.given_cam_from_world = None;
+        }
+        let told = Recorder::default();
+        let (posed, _) = run(&world.photos, &world.matches, None, &options(), &told).unwrap();
+        let told = told.warnings().join("\n");
+        assert_eq!(posed.views.len(), num, "{told}");
+        assert!(
+            told.contains(&world.photos.photos[given].file_name) || given == 1,
+            "{told}"
+        );
+        if given == 1 {
+            assert_ne!(posed.frame, WorldFrame::Given);
+            assert!(told.contains("alone and not used"), "{told}");
+            continue;
+        }
+        assert_eq!(posed.frame, WorldFrame::Given);
+        for (k, (view, pose)) in posed.views.iter().zip(&world.cam_from_world).enumerate() {
+            if k < given {
+                assert_eq!(view.cam_from_world, *pose);
+            }
+            let apart = (view.cam_from_world.center_in_source() - pose.center_in_source()).norm();
+            let turned = (view.cam_from_world.rotation.angle_to(&pose.rotation)).to_degrees();
+            // As far as .3 px of noise move a photo among exact ones.
+            assert!(
+                apart < 3e-3 && turned < 0.1,
+                "{k} of {given}: {apart} m, {turned} degrees"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_frame_of_earlier_cameras_is_kept_where_those_in_common_agree() {
+    let world = world(&WorldOptions {
+        noise_px: 0.3,
+        ..WorldOptions::default()
+    });
+    let (own, _) = solve(&world);
+    let turn = UnitQuaternion::from_euler_angles(0.3, 0.8, -0.4);
+    let moved = |view: &rilievo_scene::PosedView| {
+        let center = turn * (view.cam_from_world.center_in_source() * 2.5);
+        let rotation = view.cam_from_world.rotation * turn.inverse();
+        let center = center.coords + Vector3::new(5.0, -3.0, 1.0);
+        RigidTransform {
+            rotation,
+            translation: -(rotation * center),
+        }
+    };
+    let told_with = |change: &dyn Fn(usize, RigidTransform) -> RigidTransform| {
+        let cameras = own.views.iter().enumerate();
+        let cameras = cameras.map(|(k, view)| (view.file_name.clone(), change(k, moved(view))));
+        let reference = ReferenceFrame {
+            cameras: cameras.collect(),
+            world: WorldCoordinates {
+                unit: Unit::Metre,
+                frame: WorldFrame::Level,
+                offset: [0.0; 3],
+            },
+            knows_object: true,
+            is_asked: false,
+        };
+        let options = rilievo_poses::PosesOptions {
+            reference: Some(reference),
+            ..options()
+        };
+        let told = Recorder::default();
+        let (posed, report) = run(&world.photos, &world.matches, None, &options, &told).unwrap();
+        (posed, report, told.warnings().join("\n"))
+    };
+    // One photo was replaced by one from elsewhere.
+    let replaced = |k: usize, pose: RigidTransform| match k {
+        2 => look_at(Point3::new(9.0, 9.0, 9.0), Point3::origin()),
+        _ => pose,
+    };
+    let (posed, report, told) = told_with(&replaced);
+    assert!(told.contains("5 cameras in common agree"), "{told}");
+    assert_eq!(report.num_frame_cameras, Some(5));
+    assert_eq!(
+        (posed.frame, posed.scale.unit),
+        (WorldFrame::Level, Unit::Metre)
+    );
+    for (view, before) in posed.views.iter().zip(&own.views) {
+        let (now, before) = (
+            view.cam_from_world.center_in_source(),
+            moved(before).center_in_source(),
+        );
+        assert!((now - before).norm() < 1e-9, "{now} {before}");
+    }
+    let scrambled = |k: usize, pose: RigidTransform| RigidTransform {
+        rotation: UnitQuaternion::from_euler_angles(0.0, 0.5 * k as f64, 0.0) * pose.rotation,
+        ..pose
+    };
+    let (posed, report, told) = told_with(&scrambled);
+    assert!(told.contains("not taken over"), "{told}");
+    assert_eq!((posed.frame, report.num_frame_cameras), (own.frame, None));
 }
 
 #[test]

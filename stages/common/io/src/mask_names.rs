@@ -73,25 +73,40 @@ impl MaskNames {
 
     /// The mask of a photo.
     ///
-    /// Names may carry folders before them (`a/x.jpg`, `masks/a/x.png`). Among equally good names
-    /// one whose last folder is the photo's wins, then the first in alphabetical order.
-    pub fn find(&self, photo: &str) -> Option<&str> {
-        let whole = last_part(photo);
+    /// Names may carry folders before them (`a/x.jpg`, `masks/a/x.png`); of a photo whose name does, the mask is called
+    /// by the same ones, by them joined to its name (`a_x.png`), or by none. Among equally good names of one without
+    /// folders, a mask that lies in a folder of the name `within` wins, then the first in alphabetical order.
+    pub fn find(&self, photo: &str, within: &str) -> Option<&str> {
+        let (whole, own) = (last_part(photo), folders_of(photo));
+        if own.is_empty() {
+            return self.best(whole, &|folders| folders.last() == Some(&within), true);
+        }
+        let in_own = |folders: &[&str]| {
+            folders.ends_with(&own) || !folders.is_empty() && own.ends_with(folders)
+        };
+        self.best(whole, &in_own, false)
+            .or_else(|| self.best(&photo.replace('/', "_"), &|_| true, false))
+            .or_else(|| self.best(whole, &|folders: &[&str]| folders.is_empty(), false))
+    }
+
+    /// The first mask of a file name that lies in folders which fit, else, where any will do, the first of all.
+    fn best(&self, whole: &str, fits: &dyn Fn(&[&str]) -> bool, any: bool) -> Option<&str> {
         let (name, _) = split(whole);
-        let photo_parent = parent(photo);
         (0..=AFFIXES.len()).find_map(|place| {
             let key = (place, if place == 0 { whole } else { name }.to_owned());
             let files = self.masks.get(&key)?;
-            let own = |file: &&String| photo_parent.is_none() || parent(file) == photo_parent;
-            let best = files.iter().find(own).or(files.first())?;
+            let best = files.iter().find(|file| fits(&folders_of(file)));
+            let best = best.or(files.first().filter(|_| any))?;
             Some(best.as_str())
         })
     }
 }
 
-/// The last folder before a name.
-fn parent(path: &str) -> Option<&str> {
-    path.rsplit('/').nth(1)
+/// The folders before a name.
+fn folders_of(path: &str) -> Vec<&str> {
+    let mut parts: Vec<&str> = path.split('/').collect();
+    parts.pop();
+    parts
 }
 
 /// Which of the files lying among photos are other photos' masks by their names (`x_mask.png` or
@@ -115,7 +130,7 @@ mod tests {
     use super::*;
 
     fn find_mask(photo: &str, files: &[String]) -> Option<String> {
-        MaskNames::new(files).find(photo).map(str::to_owned)
+        MaskNames::new(files).find(photo, "b").map(str::to_owned)
     }
 
     fn names(list: &[&str]) -> Vec<String> {
@@ -158,10 +173,23 @@ mod tests {
         assert_eq!(find_mask("x.jpg", &files).as_deref(), Some("x.jpg.png"));
         assert_eq!(find_mask("x.png", &files).as_deref(), Some("x.png.png"));
         let files = names(&["masks/a/x.png", "masks/b/x.png"]);
-        assert_eq!(
-            find_mask("photos/b/x.jpg", &files).as_deref(),
-            Some("masks/b/x.png")
-        );
+        assert_eq!(find_mask("x.jpg", &files).as_deref(), Some("masks/b/x.png"));
+    }
+
+    #[test]
+    fn photos_of_subfolders_have_masks_of_the_same_path() {
+        let all = ["100/x.png", "101/x_mask.png", "x.png", "102_x.png"];
+        for (photo, mask) in [
+            ("100/x.jpg", Some("100/x.png")),
+            ("101/x.jpg", Some("101/x_mask.png")),
+            ("102/x.jpg", Some("102_x.png")),
+            ("a/100/x.jpg", Some("100/x.png")),
+            ("103/x.jpg", Some("x.png")),
+        ] {
+            assert_eq!(find_mask(photo, &names(&all)).as_deref(), mask, "{photo}");
+        }
+        // Never that of another folder.
+        assert_eq!(find_mask("103/x.jpg", &names(&all[..2])), None);
     }
 
     #[test]

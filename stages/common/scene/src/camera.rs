@@ -1,58 +1,8 @@
-//! Pinhole intrinsics with OpenCV distortion.
+//! Pinhole intrinsics with lens distortion.
 
+use crate::distortion::{Distortion, STEEPEST_RAD};
 use nalgebra::{Point2, Point3, Vector3};
 use serde::{Deserialize, Serialize};
-
-/// OpenCV's radial and tangential lens distortion; all zero means none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Distortion {
-    /// First radial coefficient.
-    pub k1: f64,
-    /// Second radial coefficient.
-    pub k2: f64,
-    /// First tangential coefficient.
-    pub p1: f64,
-    /// Second tangential coefficient.
-    pub p2: f64,
-    /// Third radial coefficient.
-    pub k3: f64,
-}
-
-impl Distortion {
-    /// Whether the lens is free of distortion.
-    pub fn is_none(&self) -> bool {
-        *self == Self::default()
-    }
-
-    /// Distorted normalised coordinates of undistorted ones.
-    pub fn distort(&self, x: f64, y: f64) -> (f64, f64) {
-        let r2 = x * x + y * y;
-        let radial = 1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3));
-        (
-            x * radial + 2.0 * self.p1 * x * y + self.p2 * (r2 + 2.0 * x * x),
-            y * radial + self.p1 * (r2 + 2.0 * y * y) + 2.0 * self.p2 * x * y,
-        )
-    }
-
-    /// Undistorted normalised coordinates of distorted ones, by fixed-point iteration
-    /// (it contracts for every lens whose distortion is monotonic over the frame).
-    pub fn undistort(&self, x_distorted: f64, y_distorted: f64) -> (f64, f64) {
-        if self.is_none() {
-            return (x_distorted, y_distorted);
-        }
-        let (mut x, mut y) = (x_distorted, y_distorted);
-        for _ in 0..50 {
-            let (xd, yd) = self.distort(x, y);
-            let (dx, dy) = (x_distorted - xd, y_distorted - yd);
-            x += dx;
-            y += dy;
-            if dx.abs() + dy.abs() < 1e-14 {
-                break;
-            }
-        }
-        (x, y)
-    }
-}
 
 /// Where a focal length was taken from; a guess is refined with the poses, the others are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -118,14 +68,52 @@ impl Intrinsics {
     }
 
     /// All numbers as bits: equal for equal cameras.
-    pub fn key(&self) -> [u64; 11] {
-        let d = &self.distortion;
-        let [fx, fy, cx, cy] = [self.fx, self.fy, self.cx, self.cy];
+    pub fn key(&self) -> [u64; 18] {
+        let Self { fx, fy, cx, cy, .. } = *self;
+        let of_lens = self.distortion.numbers();
+        let numbers = [fx, fy, cx, cy].into_iter().chain(of_lens);
         // Zero has two signs, and is one number.
-        let [fx, fy, cx, cy, k1, k2, p1, p2, k3] =
-            [fx, fy, cx, cy, d.k1, d.k2, d.p1, d.p2, d.k3].map(|value| (value + 0.0).to_bits());
-        let (width, height) = (self.width as u64, self.height as u64);
-        [width, height, fx, fy, cx, cy, k1, k2, p1, p2, k3]
+        let bits = numbers.map(|value| (value + 0.0).to_bits());
+        let sizes = [self.width as u64, self.height as u64];
+        let mut all = sizes.into_iter().chain(bits);
+        let mut key = [u64::from(self.distortion.fisheye); 18];
+        key[..17].fill_with(|| all.next().unwrap_or(0));
+        key
+    }
+
+    /// Why the lens model shows no ray, or more than one, for some pixel at the frame's border; of a fisheye also where it
+    /// sees 180 degrees or more across.
+    ///
+    /// # Errors
+    /// The reason, in words.
+    pub fn check_lens(&self) -> Result<(), String> {
+        let d = &self.distortion;
+        if d.is_plain() {
+            return Ok(());
+        }
+        let (right, lower) = (self.width as f64 - 0.5, self.height as f64 - 0.5);
+        let along = |end: f64| {
+            (0..=NUM_CHECKED).map(move |i| -0.5 + (end + 0.5) * i as f64 / NUM_CHECKED as f64)
+        };
+        let upright = along(lower).flat_map(|y| [(-0.5, y), (right, y)]);
+        let across = along(right).flat_map(|x| [(x, -0.5), (x, lower)]);
+        for (x, y) in upright.chain(across) {
+            let (plane, found) = d.to_plane((x - self.cx) / self.fx, (y - self.cy) / self.fy);
+            if d.fisheye && found && plane.norm() >= STEEPEST_RAD {
+                return Err(format!(
+                    "the lens sees {:.0} degrees across the frame; fields of view of 180 degrees and more are not \
+                     supported: crop the photos, or undistort them",
+                    2.0 * plane.norm().to_degrees()
+                ));
+            }
+            if !found {
+                return Err(format!(
+                    "the lens model shows no single ray at pixel ({x:.0}, {y:.0}): its coefficients do not hold up to \
+                     the frame's border"
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Focal lengths over the frame's longer side that a lens can have: from 157 degrees across the frame
@@ -178,9 +166,13 @@ impl Intrinsics {
     }
 }
 
+/// Places along each side of the frame at which a lens model is tried.
+const NUM_CHECKED: usize = 64;
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::{Matrix2, Vector2};
 
     #[test]
     fn unprojection_inverts_projection_with_distortion() {
@@ -191,6 +183,7 @@ mod tests {
                 p1: 1e-3,
                 p2: -7e-4,
                 k3: -0.01,
+                ..Distortion::default()
             },
             ..Intrinsics::pinhole(1280, 960, 1100.0, 639.5, 479.5)
         };
@@ -200,5 +193,115 @@ mod tests {
             assert!(back.is_some_and(|b| (b - pixel).norm() < 1e-9), "{back:?}");
         }
         assert!(camera.project(&Point3::new(0.0, 0.0, -1.0)).is_none());
+    }
+
+    /// Numbers of pycolmap 4.2.1: `Camera.img_from_cam` of the point (0.62, -0.41, 1) on a camera of 640 x 480 with
+    /// fx 300, fy 310, cx 322, cy 238, less its half pixel.
+    fn lenses() -> [(Distortion, [f64; 2]); 4] {
+        let none = Distortion::default();
+        [
+            (
+                Distortion {
+                    k1: 0.11,
+                    k2: -0.02,
+                    p1: 1e-3,
+                    p2: -2e-3,
+                    k3: 0.004,
+                    denominator: [0.21, 0.015, -0.001],
+                    ..none
+                },
+                [495.749193348259, 118.374467878689],
+            ),
+            (
+                Distortion {
+                    k1: 0.05,
+                    k2: -0.012,
+                    k3: 0.004,
+                    k4: -0.0007,
+                    fisheye: true,
+                    ..none
+                },
+                [484.437840581966, 126.159142268990],
+            ),
+            (
+                Distortion {
+                    k1: 0.05,
+                    k2: -0.012,
+                    p1: 1e-3,
+                    p2: -2e-3,
+                    k3: 0.004,
+                    k4: -0.0007,
+                    prism: [3e-3, -2e-3],
+                    fisheye: true,
+                    ..none
+                },
+                [484.106503692982, 126.342655059272],
+            ),
+            (
+                Distortion {
+                    fisheye: true,
+                    ..none
+                },
+                [481.450130405226, 128.200744223096],
+            ),
+        ]
+    }
+
+    #[test]
+    fn wide_lenses_bend_as_colmaps_do() {
+        for (distortion, [x, y]) in lenses() {
+            let camera = Intrinsics {
+                distortion,
+                ..Intrinsics::undistorted((640, 480), [300.0, 310.0, 321.5, 237.5])
+            };
+            let pixel = camera.project(&Point3::new(0.62, -0.41, 1.0)).unwrap();
+            let error = (pixel - Point2::new(x, y)).norm();
+            assert!(error < 1e-9, "{distortion:?}: {error}");
+            let steep = camera.project(&Point3::new(-1.7, 0.9, 1.0)).unwrap();
+            for pixel in [
+                pixel,
+                steep,
+                Point2::new(321.5, 237.5),
+                Point2::new(0.0, 479.0),
+            ] {
+                let back = camera.project(&camera.unproject(&pixel, 2.5)).unwrap();
+                assert!(
+                    (back - pixel).norm() < 1e-7,
+                    "{distortion:?}: {back} {pixel}"
+                );
+            }
+            for (x, y) in [(0.62, -0.41), (-1.7, 0.9), (2e-4, -1e-4), (0.0, 0.0)] {
+                let bend = distortion.bend(x, y);
+                let step = 1e-6;
+                let at = |x, y| Vector2::from(<[f64; 2]>::from(distortion.distort(x, y)));
+                let by_x = (at(x + step, y) - at(x - step, y)) / (2.0 * step);
+                let by_y = (at(x, y + step) - at(x, y - step)) / (2.0 * step);
+                let error = (bend.by_undistorted - Matrix2::from_columns(&[by_x, by_y])).amax();
+                assert!(error < 1e-8, "{distortion:?} ({x}, {y}): {error}");
+            }
+            assert_eq!(camera.check_lens(), Ok(()));
+        }
+    }
+
+    #[test]
+    fn lenses_that_show_no_single_ray_are_refused() {
+        let of = |focal, distortion| Intrinsics {
+            distortion,
+            ..Intrinsics::pinhole(640, 480, focal, 319.5, 239.5)
+        };
+        let fisheye = Distortion {
+            fisheye: true,
+            ..Distortion::default()
+        };
+        assert_eq!(of(270.0, fisheye).check_lens(), Ok(()));
+        let error = of(200.0, fisheye).check_lens().unwrap_err();
+        assert!(error.contains("sees 229 degrees"), "{error}");
+        // Turns back before the corners: 1 - 3 * 0.4 s = 0 at s = .83.
+        let turning = Distortion {
+            k1: -0.4,
+            ..fisheye
+        };
+        let error = of(300.0, turning).check_lens().unwrap_err();
+        assert!(error.contains("no single ray"), "{error}");
     }
 }

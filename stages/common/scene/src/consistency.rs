@@ -62,7 +62,8 @@ impl Checker {
         self.that(camera.width > 0 && camera.height > 0, || {
             format!("{name} has no pixels")
         })?;
-        self.finite([fx, fy, cx, cy, &d.k1, &d.k2, &d.p1, &d.p2, &d.k3], || {
+        let numbers = d.numbers();
+        self.finite([fx, fy, cx, cy].into_iter().chain(&numbers), || {
             format!("the camera of {name}")
         })?;
         self.that(*fx > 0.0 && *fy > 0.0, || {
@@ -212,7 +213,7 @@ impl FeatureMatches {
             check.finite(numbers.chain([&pair.homography_share]), || {
                 format!("the geometry of pair {k}")
             })?;
-            for &[i, j] in &pair.matches {
+            for &[i, j] in pair.matches.iter().chain(&pair.standing) {
                 for (photo, keypoint) in [(first, i), (second, j)] {
                     let count = self.photos[photo].keypoints.len();
                     check.index(keypoint as usize, count, || {

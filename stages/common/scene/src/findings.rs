@@ -43,7 +43,7 @@ impl Verdict {
     }
 }
 
-/// A fact that speaks against a result. As JSON it has `code`, `severity`, `subject`, `numbers`
+/// A fact that speaks against a result, or a note. As JSON it has `code`, `severity`, `subject`, `numbers`
 /// where there are any, and `sentence`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
@@ -122,7 +122,7 @@ macro_rules! findings {
         }
 
         impl Finding {
-            /// The best verdict that it allows.
+            /// The best verdict that it allows: `Good` of a note, on what the run has mended itself.
             pub fn severity(&self) -> Verdict {
                 match self.code {
                     $(FindingCode::$code { .. } => Verdict::$severity),+
@@ -170,7 +170,8 @@ findings! { first, names;
     // Poses.
     SomeNotPosed { posed, photos } Usable "only {posed} of {photos} photos got a pose"
     MostNotPosed { posed, photos } NotToBeTrusted "only {posed} of {photos} photos got a pose"
-    OnlyTwoPosed Usable "two photos confirm each other, and nothing confirms both: take a third from another side"
+    OnlyTwoPosed Usable "two photos confirm each other, and nothing confirms both (others from the same two places do \
+        not): take a third from another side"
     ReprojectionError { error_px } Usable "the mean reprojection error is {error_px:.2} px; good poses are below 1 px"
     FewPoints { points, usual } Usable "{first} is held by {points} points where a usual photo has {usual}: its pose \
         may be wrong (a zoom or a crop, or too far from its neighbours); leave it out, or take photos between"
@@ -178,9 +179,8 @@ findings! { first, names;
         photo keeps {usual_percent:.0}: its matches contradict its camera (a zoom, a crop, a mirrored photo, or \
         something moved), and its shape and its neighbours' may be wrong; leave it out, or give its focal length \
         with --cameras"
-    StatedFocalContradicted { stated_px, found_px } Usable "the photos contradict the stated focal length: \
-        {stated_px:.0} px stated, {found_px:.0} px found (a crop, or EXIF data of another photo); give the right one \
-        with --cameras"
+    StatedFocalContradicted { stated_px, found_px } Good "the photos contradict the focal length that EXIF states: \
+        {stated_px:.0} px stated, {found_px:.0} px found and used (a crop, or EXIF data of another photo)"
     GivenFocalContradicted { given_px, found_px, change_percent } Usable "a focal length of {given_px:.0} px was given \
         for {first}, the photos say {found_px:.0} px ({change_percent:+.0} %): that of another lens, zoom or size of \
         photo? Depth and normals err by per cents; correct it, or give none (--cameras, photos.focal_35mm)"

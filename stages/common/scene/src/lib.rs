@@ -18,6 +18,7 @@ pub mod checkpoint;
 pub mod cloud;
 pub mod consistency;
 pub mod decoded;
+mod distortion;
 pub mod division;
 pub mod events;
 mod findings;
@@ -45,11 +46,12 @@ pub mod transform;
 
 pub use asset::{Asset, BaseColor};
 pub use calibration::{LightSample, LightSource, LightingCalibration, SphereLight, ViewLighting};
-pub use camera::{Distortion, FocalSource, Intrinsics};
+pub use camera::{FocalSource, Intrinsics};
 pub use checkpoint::{Checkpoint, CheckpointError, NoCheckpoint, StatePart};
 pub use cloud::{CloudError, CloudPoint, CloudSink, Mesh, PointCloud};
 pub use consistency::{Inconsistent, check_descriptors, check_keypoints};
 pub use decoded::{DecodedPhoto, ExifFacts, Samples};
+pub use distortion::{Bend, Distortion};
 pub use division::DividedStep;
 pub use events::{Event, Flow, Observer, Recorder, Silent, StageId};
 pub use findings::{Finding, FindingCode, Verdict};
@@ -57,16 +59,17 @@ pub use ids::{PhotoIdx, PointIdx, ViewIdx};
 pub use lighting::{Lighting, SphericalHarmonics};
 pub use local::local_offset;
 pub use maps::{ConfidenceMap, DepthMap, NormalMap};
-pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints};
-pub use naming::first_and_more;
+pub use matches::{FeatureMatches, Keypoint, PairMatches, PhotoKeypoints, motion_in_frame};
+pub use naming::{artifact_name, first_and_more};
 pub use options::{InTable, OptionError, RetiredKey, fulfils, in_range};
 pub use orientation::Orientation;
 pub use packed_mask::PackedMask;
 pub use page_store::{PAGE_SIDE, PageCache, PageCaches, PageStore, Pages};
 pub use photos::{InMemoryPixels, Photo, PhotoSet, PixelError, PixelSource};
 pub use poses::{
-    Anchor, AnchorObservation, AnchorOrigin, PosedView, PosedViews, Scale, ScaleSource,
-    SparsePoint, TrackElement, Unit, Unregistered, WorldCoordinates, WorldFrame,
+    Anchor, AnchorObservation, AnchorOrigin, MIN_TRIANGULATION_ANGLE_DEG, PosedView, PosedViews,
+    Scale, ScaleSource, SparsePoint, TrackElement, Unit, Unregistered, WorldCoordinates,
+    WorldFrame,
 };
 pub use raster::{LinearImage, Mask, Raster, bilinear};
 pub use scratch::{MemoryScratch, Room, Scratch, ScratchError};

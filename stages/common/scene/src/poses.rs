@@ -4,6 +4,7 @@ use crate::camera::Intrinsics;
 use crate::ids::{PhotoIdx, ViewIdx};
 use crate::sphere::LocatedSphere;
 use crate::transform::RigidTransform;
+use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 
 /// Unit of the world frame. A run works in metres or in arbitrary units; the others are of files.
@@ -290,6 +291,10 @@ pub struct Anchor {
     pub observations: Vec<AnchorObservation>,
 }
 
+/// Smallest angle between two rays of a triangulated point, degrees: below it a pixel moves the point too far. Views
+/// that are no farther apart are of one viewpoint: none of them confirms what another shows.
+pub const MIN_TRIANGULATION_ANGLE_DEG: f64 = 1.5;
+
 /// Posed views with everything that hangs on the poses.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PosedViews {
@@ -322,4 +327,100 @@ pub struct PosedViews {
 
 fn is_zero(offset: &[f64; 3]) -> bool {
     *offset == [0.0; 3]
+}
+
+impl PosedViews {
+    /// Of every view the first view of its viewpoint, itself where none before it was taken from there: copies of a photo,
+    /// bursts, and frames of a video that hardly moves. The way from view to view is held against the smaller of the
+    /// median depths of the points that they see; views without points share a viewpoint only at the very same place.
+    pub fn viewpoints(&self) -> Vec<ViewIdx> {
+        let mut depths: Vec<Vec<f64>> = vec![Vec::new(); self.views.len()];
+        for point in &self.points {
+            for seen in &point.track {
+                if let Some(view) = self.views.get(seen.view.0) {
+                    let in_camera = view.cam_from_world.apply(&Point3::from(point.position));
+                    depths[seen.view.0].push(in_camera.z);
+                }
+            }
+        }
+        let median = |depths: &mut Vec<f64>| {
+            depths.sort_by(f64::total_cmp);
+            depths.get(depths.len() / 2).copied().unwrap_or(0.0)
+        };
+        let depths: Vec<f64> = depths.iter_mut().map(median).collect();
+        let centers = self
+            .views
+            .iter()
+            .map(|v| v.cam_from_world.center_in_source());
+        let centers: Vec<Point3<f64>> = centers.collect();
+        let widest = MIN_TRIANGULATION_ANGLE_DEG.to_radians().tan();
+        let mut first_views: Vec<usize> = Vec::new();
+        let of_viewpoint = |view: usize| {
+            let is_same = |&&other: &&usize| {
+                let apart = (centers[view] - centers[other]).norm();
+                apart <= widest * depths[view].min(depths[other])
+            };
+            let found = first_views.iter().find(is_same).copied();
+            let first = found.unwrap_or(view);
+            if first == view {
+                first_views.push(view);
+            }
+            ViewIdx(first)
+        };
+        (0..self.views.len()).map(of_viewpoint).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    /// Views beside each other at these places, metres, that see a point one metre away.
+    fn at(places: &[f64]) -> PosedViews {
+        let view = |(k, &x): (usize, &f64)| PosedView {
+            photo: PhotoIdx(k),
+            name: format!("{k}"),
+            file_name: format!("{k}.jpg"),
+            intrinsics: Intrinsics::pinhole(4, 3, 5.0, 1.5, 1.0),
+            cam_from_world: RigidTransform {
+                rotation: UnitQuaternion::identity(),
+                translation: Vector3::new(-x, 0.0, 0.0),
+            },
+        };
+        let seen = |k: usize| TrackElement {
+            view: ViewIdx(k),
+            keypoint_idx: 0,
+            pixel: [0.0; 2],
+        };
+        PosedViews {
+            views: places.iter().enumerate().map(view).collect(),
+            points: vec![SparsePoint {
+                position: [0.0, 0.0, 1.0],
+                color: [0; 3],
+                error_px: 0.0,
+                track: (0..places.len()).map(seen).collect(),
+            }],
+            ..PosedViews::default()
+        }
+    }
+
+    #[test]
+    fn views_from_one_place_are_one_viewpoint() {
+        let of = |places: &[f64]| -> Vec<usize> {
+            at(places).viewpoints().iter().map(|view| view.0).collect()
+        };
+        // 1.5 degrees are 26 mm at a metre.
+        assert_eq!(of(&[0.0, 0.0, 0.2, 0.22, 0.4]), [0, 0, 2, 2, 4]);
+        // A video that moves slowly does move.
+        assert_eq!(of(&[0.0, 0.02, 0.04, 0.06, 0.08]), [0, 0, 2, 2, 4]);
+        let without_points = PosedViews {
+            points: Vec::new(),
+            ..at(&[0.0, 0.0, 0.01])
+        };
+        assert_eq!(
+            without_points.viewpoints(),
+            [ViewIdx(0), ViewIdx(0), ViewIdx(2)]
+        );
+    }
 }

@@ -16,11 +16,13 @@
 //! 4. What the others' outlines leave of a photo's own, what of the object's points lies in it, and what of it lies near
 //!    such points say how sure it is.
 //!
-//! Photos without poses: [`propose_mask`], where the object stands before a plain backdrop.
+//! Photos without poses: [`propose_mask`], where the object stands before a plain backdrop; [`surroundings`], where it was
+//! cut out.
 
 mod backdrop;
 mod consensus;
 mod cut;
+mod cut_out;
 mod error;
 mod outline;
 mod points;
@@ -28,6 +30,7 @@ mod raster;
 
 pub use backdrop::{Backdrop, MaskProposal, propose_mask};
 pub use consensus::{Consensus, Sketch};
+pub use cut_out::{Surroundings, surroundings};
 pub use error::SegmentationError;
 pub use outline::{Outline, outline, sketch};
 pub use points::{ObjectPoints, SeenPoints};

@@ -3,7 +3,7 @@
 use crate::camera::Landing;
 use crate::level::{Level, LevelView};
 use nalgebra::Point3;
-use rilievo_scene::Raster;
+use rilievo_scene::{MIN_TRIANGULATION_ANGLE_DEG, Raster};
 
 /// Another view that has a surface where a point lands.
 #[derive(Clone, Copy, Debug)]
@@ -81,8 +81,8 @@ pub const MAX_SOURCES: usize = 8;
 /// For every view the others whose line of sight to a point `target` in the world differs by about
 /// 20°, best first.
 ///
-/// A narrow angle measures depth badly, a wide one sees another side. At most [`MAX_SOURCES`] are
-/// chosen.
+/// A narrow angle measures depth badly, a wide one sees another side; one below [`MIN_TRIANGULATION_ANGLE_DEG`], of
+/// copies, measures none, and is taken only where there is no other. At most [`MAX_SOURCES`] are chosen.
 pub fn choose_sources(
     views: &[LevelView],
     target: &Point3<f64>,
@@ -92,9 +92,13 @@ pub fn choose_sources(
         .iter()
         .map(|v| (v.camera.center - target).normalize())
         .collect();
-    let misfit = |i: usize, j: usize| {
+    let degrees = |i: usize, j: usize| {
         let angle = directions[i].dot(&directions[j]).clamp(-1.0, 1.0).acos();
-        let degrees = angle.to_degrees();
+        angle.to_degrees()
+    };
+    let is_apart = |i: usize, j: usize| degrees(i, j) >= MIN_TRIANGULATION_ANGLE_DEG;
+    let misfit = |i: usize, j: usize| {
+        let degrees = degrees(i, j);
         if degrees < 20.0 {
             (20.0 - degrees) / 10.0
         } else {
@@ -106,6 +110,9 @@ pub fn choose_sources(
             let others = (0..views.len()).filter(|&j| j != i);
             let mut ranked: Vec<(f64, usize)> = others.map(|j| (misfit(i, j), j)).collect();
             ranked.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            if ranked.iter().any(|&(_, j)| is_apart(i, j)) {
+                ranked.retain(|&(_, j)| is_apart(i, j));
+            }
             let chosen = ranked.into_iter().take(max_num_sources.min(MAX_SOURCES));
             chosen.map(|(_, j)| j).collect()
         })

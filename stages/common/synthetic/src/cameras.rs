@@ -26,9 +26,8 @@ pub(crate) fn look_at(center: &Point3<f64>, target: &Point3<f64>, roll: f64) -> 
 }
 
 pub(crate) fn intrinsics(options: &RenderOptions) -> Intrinsics {
-    let [k1, k2, p1, p2, k3] = options.distortion;
     Intrinsics {
-        distortion: Distortion { k1, k2, p1, p2, k3 },
+        distortion: Distortion::plain(options.distortion),
         ..Intrinsics::pinhole(
             options.width,
             options.height,

@@ -158,6 +158,7 @@ pub fn from_truth(
                 first: PhotoIdx(i),
                 second: PhotoIdx(j),
                 num_putative: matches.len(),
+                standing: Vec::new(),
                 matches,
                 essential: direction.map(|t| t.cross_matrix() * relative.rotation_matrix()),
                 homography_share: if options.planar || direction.is_none() {
@@ -333,6 +334,7 @@ pub fn rings(options: &RingsOptions) -> World {
             first: PhotoIdx(i),
             second: PhotoIdx(j),
             num_putative: matches.len(),
+            standing: Vec::new(),
             matches,
             essential: Some(essential),
             homography_share: 0.3,

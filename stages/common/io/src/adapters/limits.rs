@@ -19,6 +19,19 @@ pub(super) fn rows_of(rotation: &Matrix3<f64>, center: &Point3<f64>) -> [[f64; 4
     })
 }
 
+/// Refuses a camera whose lens has more than OpenCV's five coefficients.
+pub(super) fn refuse_wide_lens(
+    path: &Path,
+    entry: &CameraEntry,
+    format: &str,
+) -> Result<(), IoError> {
+    if entry.intrinsics.distortion.is_plain() {
+        return Ok(());
+    }
+    let reason = format!("{format} has no lens model like that of {}", entry.name());
+    Err(IoError::input(path, reason).with_hint("choose cameras, colmap or colmap-binary"))
+}
+
 /// Refuses a camera with lens distortion, which a format without cannot hold.
 pub(super) fn refuse_distortion(
     path: &Path,

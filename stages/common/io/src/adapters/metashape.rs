@@ -11,7 +11,7 @@
 //! which is kept: the chunk's transform into the earth's frame would cost six digits. Only its
 //! scale is applied, and makes lengths metres. Source: Metashape manual, appendix "Camera models".
 
-use super::limits::rows_of;
+use super::limits::{refuse_wide_lens, rows_of};
 use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, rigid_from_world_pose};
 use crate::error::IoError;
 use crate::files::{OutputFile, read_regular_text};
@@ -156,13 +156,13 @@ fn intrinsics(sensor: Node<'_, '_>) -> Result<Intrinsics, String> {
     let cx = 0.5 * width as f64 + value("cx")? - 0.5;
     let cy = 0.5 * height as f64 + value("cy")? - 0.5;
     Ok(Intrinsics {
-        distortion: Distortion {
-            k1: value("k1")?,
-            k2: value("k2")?,
-            p1: value("p2")?,
-            p2: value("p1")?,
-            k3: value("k3")?,
-        },
+        distortion: Distortion::plain([
+            value("k1")?,
+            value("k2")?,
+            value("p2")?,
+            value("p1")?,
+            value("k3")?,
+        ]),
         ..Intrinsics::undistorted((width, height), [fx, f, cx, cy])
     })
 }
@@ -189,6 +189,7 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
     for (i, entry) in cameras.cameras.iter().enumerate() {
         let sensor = sensors.place(&entry.intrinsics);
         Names::Xml.check(path, "Metashape's XML", entry.name())?;
+        refuse_wide_lens(path, entry, "Metashape's XML")?;
         let label = escaped(entry.name());
         let _ = write!(
             entries,

@@ -9,8 +9,9 @@
 //!
 //! Source: AliceVision, `src/aliceVision/sfmDataIO/jsonIO.cpp`.
 
+use super::limits::refuse_wide_lens;
 use super::photos::{Photos, folder_of};
-use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, last_part, rigid_from_world_pose};
+use crate::cameras::{CameraEntry, CameraFile, DistinctCameras, rigid_from_world_pose};
 use crate::error::IoError;
 use crate::files::OutputFile;
 use crate::json::{self, Node};
@@ -102,7 +103,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
         let pose = node.opt("poseId")?;
         let pose = pose.and_then(|pose| poses.get(&id(&pose)).copied());
         file.cameras.push(CameraEntry {
-            image: Some(last_part(image).to_owned()),
+            image: Some(image.replace('\\', "/")),
             intrinsics: *camera,
             cam_from_world: pose,
         });
@@ -110,6 +111,7 @@ pub(super) fn read(path: &Path) -> Result<CameraFile, IoError> {
     if file.cameras.is_empty() {
         return Err(IoError::input(path, "holds no views"));
     }
+    CameraEntry::without_folders(&mut file.cameras);
     file.cameras.sort_by(|a, b| a.image.cmp(&b.image));
     Ok(file)
 }
@@ -161,7 +163,7 @@ fn read_camera(node: &Node<'_>, before: &dyn Fn(f64, f64) -> bool) -> Result<Int
         }
     };
     Ok(Intrinsics {
-        distortion: Distortion { k1, k2, p1, p2, k3 },
+        distortion: Distortion::plain([k1, k2, p1, p2, k3]),
         ..Intrinsics::undistorted((width, height), [fx, fy, cx, cy])
     })
 }
@@ -187,6 +189,7 @@ pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoEr
         let id = (index + 1).to_string();
         let name = entry.name();
         Names::Path.check(path, "AliceVision", name)?;
+        refuse_wide_lens(path, entry, "AliceVision's file")?;
         views.push(json!({
             "viewId": id, "poseId": id, "frameId": id, "intrinsicId": (camera + 1).to_string(),
             "path": image_path(path, name),

@@ -107,6 +107,7 @@ fn lens_distortion_is_kept_or_refused() {
             p1: 1e-3,
             p2: -2e-3,
             k3: 0.01,
+            ..Distortion::default()
         },
         ..plain()
     };
@@ -127,6 +128,90 @@ fn lens_distortion_is_kept_or_refused() {
                 ),
                 "{error}"
             ),
+        }
+    }
+}
+
+#[test]
+fn photos_of_two_folders_keep_their_own_cameras() {
+    let folder = folder();
+    let frame = |path: &str, x: f64| {
+        format!(
+            r#"{{"file_path": "{path}", "w": 4, "h": 3, "fl_x": 5,
+            "transform_matrix": [[1,0,0,{x}],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}}"#
+        )
+    };
+    let path = folder.path().join("transforms.json");
+    let read = |frames: &[String]| {
+        let text = format!(r#"{{"frames": [{}]}}"#, frames.join(","));
+        std::fs::write(&path, text).unwrap();
+        import_cameras(&path, CameraFormat::Transforms, None).unwrap()
+    };
+    let both = read(&[
+        frame("images/100/x.jpg", 1.0),
+        frame("./images/101/x.jpg", 2.0),
+    ]);
+    let place = |photo: &str| {
+        let pose = both.find(photo)?.cam_from_world?;
+        Some(pose.center_in_source().x)
+    };
+    assert_eq!(place("100/x.jpg"), Some(1.0));
+    assert_eq!(place("101/x.jpg"), Some(2.0));
+    assert_eq!(place("101/x"), Some(2.0));
+    // Neither of another folder nor of both.
+    assert_eq!(place("102/x.jpg"), None);
+    assert_eq!(place("x.jpg"), None);
+    let one = read(&[frame("images/100/x.jpg", 1.0)]);
+    assert_eq!(one.cameras[0].image.as_deref(), Some("x.jpg"));
+}
+
+#[test]
+fn wide_lenses_are_kept_or_refused() {
+    let rational = Distortion {
+        k1: 0.1,
+        p1: 1e-3,
+        denominator: [0.2, 0.01, 0.0],
+        ..Distortion::default()
+    };
+    let fisheye = Distortion {
+        k1: 0.05,
+        k4: -7e-4,
+        fisheye: true,
+        ..Distortion::default()
+    };
+    let prism = Distortion {
+        prism: [2e-3, -1e-3],
+        ..fisheye
+    };
+    let [json, colmap, binary, nerfstudio] = [
+        CameraFormat::CamerasJson,
+        CameraFormat::Colmap,
+        CameraFormat::ColmapBinary,
+        CameraFormat::Transforms,
+    ];
+    for (distortion, kept) in [
+        (rational, &[json, colmap, binary][..]),
+        (fisheye, &[json, colmap, binary, nerfstudio]),
+        (prism, &[json, colmap, binary]),
+    ] {
+        let original = cameras(Intrinsics {
+            distortion,
+            ..plain()
+        });
+        for format in CameraFormat::ALL {
+            let folder = folder();
+            let path = path_of(&folder, format);
+            let written = export_cameras(&path, format, &original);
+            assert_eq!(
+                written.is_ok(),
+                kept.contains(&format),
+                "{format:?}: {written:?}"
+            );
+            if written.is_ok() {
+                let back = import_cameras(&path, format, None).unwrap();
+                let worst = largest_projection_difference(&original, &back);
+                assert!(worst < SAME_PX, "{format:?}: {worst}");
+            }
         }
     }
 }
@@ -176,6 +261,7 @@ fn metashape_by_its_manuals_formula() {
             p1: 1e-2,
             p2: -2e-2,
             k3: 0.01,
+            ..Distortion::default()
         },
         ..plain()
     };
@@ -273,8 +359,8 @@ fn refusals_name_file_and_place() {
             "transforms.json",
             CameraFormat::Transforms,
             r#"{"frames": [{"file_path": "a.png", "w": 4, "h": 3, "fl_x": 5,
-                "camera_model": "OPENCV_FISHEYE"}]}"#,
-            "OPENCV_FISHEYE",
+                "camera_model": "EQUIRECTANGULAR"}]}"#,
+            "EQUIRECTANGULAR",
         ),
         (
             "transforms.json",

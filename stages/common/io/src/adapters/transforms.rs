@@ -8,20 +8,26 @@
 //! may stand at the top or in a frame, `camera_angle_x` instead of a focal length. Source:
 //! nerfstudio documentation, "Data conventions".
 
-use super::limits::{flip, rows_of};
+use super::limits::{flip, refuse_wide_lens, rows_of};
 use super::photos::{Photos, folder_of, size_of};
+use crate::cameras::lens::LensModel;
 use crate::cameras::{CameraEntry, CameraFile, last_part, rigid_from_world_pose, unit};
 use crate::error::IoError;
 use crate::files::OutputFile;
 use crate::json::{self, Node};
 use crate::names::Names;
 use nalgebra::Matrix3;
-use rilievo_scene::{Distortion, Intrinsics};
+use rilievo_scene::Intrinsics;
 use serde_json::json;
 use std::path::Path;
 
-/// Keys of lens coefficients that we cannot hold, and must therefore be zero.
-const FOREIGN_COEFFICIENTS: [&str; 3] = ["k4", "k5", "k6"];
+/// Keys of a model's coefficients, and of those that we cannot hold, and must therefore be zero.
+fn coefficients_of(lens: LensModel) -> (&'static [&'static str], &'static [&'static str]) {
+    match lens {
+        LensModel::Fisheye => (&["k1", "k2", "k3", "k4"], &["p1", "p2", "k5", "k6"]),
+        _ => (&["k1", "k2", "p1", "p2", "k3"], &["k4", "k5", "k6"]),
+    }
+}
 
 pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoError> {
     let photos = Photos::new(photos, folder_of(path), &[""]);
@@ -45,12 +51,10 @@ pub(super) fn read(path: &Path, photos: Option<&Path>) -> Result<CameraFile, IoE
         let center = m.map(|[.., last]| last);
         let pose = rigid_from_world_pose(&(rotation * flip()), center)
             .map_err(|reason| node.refuse(reason))?;
-        file.cameras.push(CameraEntry::posed(
-            last_part(name).to_owned(),
-            intrinsics,
-            pose,
-        ));
+        file.cameras
+            .push(CameraEntry::posed(name.to_owned(), intrinsics, pose));
     }
+    CameraEntry::without_folders(&mut file.cameras);
     Ok(file)
 }
 
@@ -68,10 +72,12 @@ fn intrinsics(
     photos: &Photos,
     name: &str,
 ) -> Result<Intrinsics, IoError> {
+    let mut lens = LensModel::OpenCv;
     if let Some(model) = key(root, frame, "camera_model")? {
         match model.text()? {
             "OPENCV" | "PINHOLE" | "SIMPLE_PINHOLE" | "SIMPLE_RADIAL" | "RADIAL"
             | "FULL_OPENCV" => {}
+            "OPENCV_FISHEYE" => lens = LensModel::Fisheye,
             _ => return Err(model.refuse("is a camera model that is not supported")),
         }
     }
@@ -93,7 +99,8 @@ fn intrinsics(
     if !(fx.is_finite() && fx > 0.0 && fy > 0.0) {
         return Err(frame.refuse(format!("has the focal lengths {fx}, {fy}")));
     }
-    for name in FOREIGN_COEFFICIENTS {
+    let (known, foreign) = coefficients_of(lens);
+    for name in foreign {
         if number(name)?.is_some_and(|value| value != 0.0) {
             return Err(frame.refuse(format!("has the lens coefficient {name}")));
         }
@@ -101,33 +108,43 @@ fn intrinsics(
     let coefficient = |name: &str| number(name).map(|value| value.unwrap_or(0.0));
     let cx = number("cx")?.unwrap_or(0.5 * width as f64) - 0.5;
     let cy = number("cy")?.unwrap_or(0.5 * height as f64) - 0.5;
-    Ok(Intrinsics {
-        distortion: Distortion {
-            k1: coefficient("k1")?,
-            k2: coefficient("k2")?,
-            p1: coefficient("p1")?,
-            p2: coefficient("p2")?,
-            k3: coefficient("k3")?,
-        },
+    let coefficients = known.iter().map(|name| coefficient(name));
+    let camera = Intrinsics {
+        distortion: lens.distortion(&coefficients.collect::<Result<Vec<_>, _>>()?),
         ..Intrinsics::undistorted((width, height), [fx, fy, cx, cy])
-    })
+    };
+    match camera.check_lens() {
+        Ok(()) => Ok(camera),
+        Err(reason) => Err(frame.refuse(format!("has a lens that cannot be used: {reason}"))),
+    }
 }
 
 pub(super) fn file(path: &Path, cameras: &CameraFile) -> Result<OutputFile, IoError> {
     for entry in &cameras.cameras {
         Names::Path.check(path, "transforms.json", entry.name())?;
+        let d = &entry.intrinsics.distortion;
+        if LensModel::of(d).0 != LensModel::Fisheye {
+            refuse_wide_lens(path, entry, "transforms.json")?;
+        }
     }
     let frames = cameras.posed().map(|(entry, pose)| {
         let rotation = pose.inverse().rotation_matrix() * flip();
         let [first, second, third] = rows_of(&rotation, &pose.center_in_source());
         let (i, d) = (&entry.intrinsics, &entry.intrinsics.distortion);
-        json!({
+        let (lens, coefficients) = LensModel::of(d);
+        let mut frame = json!({
             "file_path": entry.name(),
             "w": i.width, "h": i.height,
             "fl_x": i.fx, "fl_y": i.fy, "cx": i.cx + 0.5, "cy": i.cy + 0.5,
-            "k1": d.k1, "k2": d.k2, "p1": d.p1, "p2": d.p2, "k3": d.k3,
             "transform_matrix": [first, second, third, [0.0, 0.0, 0.0, 1.0]],
-        })
+        });
+        if lens == LensModel::Fisheye {
+            frame["camera_model"] = json!("OPENCV_FISHEYE");
+        }
+        for (name, value) in coefficients_of(lens).0.iter().zip(coefficients) {
+            frame[*name] = json!(value);
+        }
+        frame
     });
     let frames: Vec<serde_json::Value> = frames.collect();
     let unit = cameras.unit.name();

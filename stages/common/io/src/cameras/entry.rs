@@ -1,8 +1,10 @@
 //! What camera files of every kind hold.
 
+use super::photo_names::last_part;
 use rilievo_scene::{
     Intrinsics, PosedViews, RigidTransform, Unit, WorldCoordinates, WorldFrame, local_offset,
 };
+use std::collections::HashSet;
 
 /// One camera of a file.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,6 +39,19 @@ impl CameraEntry {
             image: Some(image),
             intrinsics,
             cam_from_world: Some(pose),
+        }
+    }
+
+    /// Leaves out the folders of all cameras' photos, unless two photos are then called alike.
+    pub(crate) fn without_folders(cameras: &mut [Self]) {
+        let names = cameras
+            .iter()
+            .map(|entry| last_part(entry.name()).to_owned());
+        let names: Vec<String> = names.collect();
+        if names.iter().collect::<HashSet<_>>().len() == cameras.len() {
+            for (entry, name) in cameras.iter_mut().zip(names) {
+                entry.image = Some(name);
+            }
         }
     }
 
@@ -86,16 +101,25 @@ impl CameraFile {
         }
     }
 
-    /// Moves the cameras to a local frame: at `known` or at the offset that the file states where they
-    /// stand near that, else near their own place. What their coordinates mean then.
+    /// Moves the cameras to a local frame as of [`CameraFile::local_world`]; what their coordinates mean then.
     pub fn localize(&mut self, known: [f64; 3]) -> WorldCoordinates {
-        let poses: Vec<RigidTransform> = self.posed().map(|(_, pose)| pose).collect();
-        let offset = local_offset(&poses, self.surface_offset().unwrap_or(known));
-        self.move_origin(offset);
+        let world = self.local_world(self.posed().map(|(_, pose)| pose), known);
+        self.move_origin(world.offset);
+        world
+    }
+
+    /// A local frame for cameras of this file at these poses: at the offset that the file states, else at `known`, where
+    /// they stand near that, else near their own place.
+    pub fn local_world(
+        &self,
+        poses: impl Iterator<Item = RigidTransform>,
+        known: [f64; 3],
+    ) -> WorldCoordinates {
+        let poses: Vec<RigidTransform> = poses.collect();
         WorldCoordinates {
             unit: self.unit,
             frame: self.frame(),
-            offset,
+            offset: local_offset(&poses, self.surface_offset().unwrap_or(known)),
         }
     }
 

@@ -6,10 +6,12 @@
 //!   "world_from_camera_rotation": [[..],[..],[..]], "camera_center": [x,y,z]}]}
 //! ```
 //! Pixel centres at integers; camera x right, y down, z forward. A camera without a pose fixes the
-//! intrinsics alone. Numbers are written so that they are read back bit for bit.
+//! intrinsics alone. Further lens models: "opencv" with k4 k5 k6 too, "opencv_fisheye" with k1 k2 k3 k4, and
+//! "thin_prism_fisheye" with COLMAP's k1 k2 p1 p2 k3 k4 sx sy. Numbers are written so that they are read back bit for bit.
 
 pub(crate) mod entry;
 pub(crate) mod index;
+pub(crate) mod lens;
 mod photo_names;
 mod read;
 mod write;

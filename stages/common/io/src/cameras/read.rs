@@ -1,6 +1,7 @@
 //! Reading and checking camera files.
 
 use super::entry::{CameraEntry, CameraFile};
+use super::lens::LensModel;
 use crate::colmap;
 use crate::error::IoError;
 use crate::json::{self, Node};
@@ -81,6 +82,9 @@ fn camera(node: &Node<'_>) -> Result<CameraEntry, IoError> {
         distortion: distortion(node)?,
         ..intrinsics_of(&k.matrix()?, size).map_err(|reason| k.refuse(reason))?
     };
+    intrinsics
+        .check_lens()
+        .map_err(|reason| node.refuse(format!("has a lens that cannot be used: {reason}")))?;
     let rotation = node.opt("world_from_camera_rotation")?;
     let center = node.opt("camera_center")?;
     let cam_from_world = match (rotation, center) {
@@ -134,27 +138,33 @@ fn distortion(node: &Node<'_>) -> Result<Distortion, IoError> {
     let Some(node) = node.opt("distortion")? else {
         return Ok(Distortion::default());
     };
+    let mut lens = LensModel::OpenCv;
     if let Some(model) = node.opt("model")? {
-        match model.text()? {
-            "opencv" => {}
-            "none" => return Ok(Distortion::default()),
-            _ => return Err(model.refuse("is not a known model; say \"opencv\" or \"none\"")),
+        let name = model.text()?;
+        if name == "none" {
+            return Ok(Distortion::default());
         }
+        let known = LensModel::ALL.into_iter().find(|lens| lens.name() == name);
+        lens = known.ok_or_else(|| {
+            let names = LensModel::ALL.map(|lens| format!("\"{}\"", lens.name()));
+            let reason = format!("is not a known model; say {} or \"none\"", names.join(", "));
+            model.refuse(reason)
+        })?;
     }
-    let list = node.get("coefficients")?;
-    let mut values = [0.0; 5];
-    for (i, coefficient) in list.array()?.iter().enumerate() {
+    let mut values = Vec::new();
+    for coefficient in node.get("coefficients")?.array()? {
         let number = coefficient.number()?;
-        match values.get_mut(i) {
-            Some(value) => *value = number,
-            None if number == 0.0 => {}
-            None => {
-                return Err(coefficient.refuse("is beyond k1 k2 p1 p2 k3, which is all we model"));
-            }
+        if values.len() < lens.num_coefficients() {
+            values.push(number);
+        } else if number != 0.0 {
+            return Err(coefficient.refuse(format!(
+                "is beyond the {} coefficients that {} has",
+                lens.num_coefficients(),
+                lens.name()
+            )));
         }
     }
-    let [k1, k2, p1, p2, k3] = values;
-    Ok(Distortion { k1, k2, p1, p2, k3 })
+    Ok(lens.distortion(&values))
 }
 
 /// [`rigid_from_world_pose`] of a camera that is given by `x_cam = R x_world + t`.

@@ -15,6 +15,7 @@ fn file() -> CameraFile {
                 p1: 1e-4,
                 p2: -2e-4,
                 k3: if i == 2 { 1e-3 } else { 0.0 },
+                ..Distortion::default()
             },
             ..Intrinsics::pinhole(1280, 960, 1_100.123_456_789_012, 639.4, 480.7)
         },
@@ -141,8 +142,11 @@ fn wrong_values_are_refused_with_file_key_and_value() {
             "fisheye",
         ),
         (
-            with(k, r#", "distortion": {"coefficients": [0,0,0,0,0,0.1]}"#),
-            "coefficients[5]: 0.1",
+            with(
+                k,
+                r#", "distortion": {"coefficients": [0,0,0,0,0,0,0,0,0.1]}"#,
+            ),
+            "coefficients[8]: 0.1",
         ),
         (
             r#"{"unit": "yard", "cameras": []}"#.to_owned(),

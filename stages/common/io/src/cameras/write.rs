@@ -1,6 +1,7 @@
 //! Writing `cameras.json`.
 
 use super::entry::{CameraEntry, CameraFile};
+use super::lens::LensModel;
 use crate::error::IoError;
 use crate::files::OutputFile;
 use crate::json;
@@ -44,8 +45,8 @@ fn camera(entry: &CameraEntry) -> Value {
         object["image"] = json!(image);
     }
     if !d.is_none() {
-        object["distortion"] =
-            json!({"model": "opencv", "coefficients": [d.k1, d.k2, d.p1, d.p2, d.k3]});
+        let (model, coefficients) = LensModel::of(d);
+        object["distortion"] = json!({"model": model.name(), "coefficients": coefficients});
     }
     if let Some(pose) = &entry.cam_from_world {
         let r = pose.inverse().rotation_matrix();

@@ -3,9 +3,10 @@
 use super::model::{CameraModel, ColmapCamera, ColmapImage, ColmapModel, ColmapPoint};
 use crate::cameras::entry::{CameraEntry, CameraFile};
 use crate::cameras::index::DistinctCameras;
+use crate::cameras::lens::LensModel;
 use crate::error::IoError;
 use nalgebra::{Point3, Vector3};
-use rilievo_scene::{Distortion, Intrinsics, PosedViews, Unit};
+use rilievo_scene::{Intrinsics, PosedViews, Unit};
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -31,7 +32,7 @@ impl ColmapCamera {
         if let Some(value) = p.iter().find(|value| !value.is_finite()) {
             return Err(format!("camera {} has the parameter {value}", self.id));
         }
-        // Focal lengths, principal point, then k1 k2 p1 p2 k3 as far as the model goes.
+        // Focal lengths, principal point, then the lens's coefficients.
         let (focals, rest) = p.split_at(self.model.num_focals);
         let (fx, fy) = (focals[0], focals[focals.len() - 1]);
         if fx <= 0.0 || fy <= 0.0 || self.width == 0 || self.height == 0 {
@@ -40,19 +41,18 @@ impl ColmapCamera {
                 self.id, self.width, self.height
             ));
         }
-        if let Some(k) = rest.iter().skip(2 + 5).find(|&&k| k != 0.0) {
-            return Err(format!(
-                "camera {} has the coefficient {k} beyond k3, which is not supported",
-                self.id
-            ));
-        }
-        let coefficient = |i: usize| rest.get(2 + i).copied().unwrap_or(0.0);
-        let [k1, k2, p1, p2, k3] = [0, 1, 2, 3, 4].map(coefficient);
         let (cx, cy) = (rest[0] - HALF_PIXEL, rest[1] - HALF_PIXEL);
-        Ok(Intrinsics {
-            distortion: Distortion { k1, k2, p1, p2, k3 },
+        let camera = Intrinsics {
+            distortion: self.model.lens.distortion(&rest[2..]),
             ..Intrinsics::undistorted((self.width, self.height), [fx, fy, cx, cy])
-        })
+        };
+        match camera.check_lens() {
+            Ok(()) => Ok(camera),
+            Err(reason) => Err(format!(
+                "camera {} ({}): {reason}",
+                self.id, self.model.name
+            )),
+        }
     }
 
     /// COLMAP's camera of ours.
@@ -64,17 +64,16 @@ impl ColmapCamera {
             camera.cx + HALF_PIXEL,
             camera.cy + HALF_PIXEL,
         ];
-        let model = if d.is_none() {
-            CameraModel::PINHOLE
-        } else {
-            params.extend([d.k1, d.k2, d.p1, d.p2]);
-            if d.k3 == 0.0 {
-                CameraModel::OPENCV
-            } else {
-                params.extend([d.k3, 0.0, 0.0, 0.0]);
-                CameraModel::FULL_OPENCV
-            }
+        let (lens, mut coefficients) = LensModel::of(d);
+        let model = match lens {
+            _ if d.is_none() => CameraModel::PINHOLE,
+            LensModel::OpenCv if d.is_plain() && d.k3 == 0.0 => CameraModel::OPENCV,
+            LensModel::OpenCv => CameraModel::FULL_OPENCV,
+            LensModel::Fisheye => CameraModel::OPENCV_FISHEYE,
+            LensModel::ThinPrismFisheye => CameraModel::THIN_PRISM_FISHEYE,
         };
+        coefficients.resize(model.num_params - params.len(), 0.0);
+        params.extend(coefficients);
         Self {
             id,
             model,

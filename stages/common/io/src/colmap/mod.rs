@@ -11,10 +11,12 @@
 //! | `SIMPLE_PINHOLE` f cx cy, `PINHOLE` fx fy cx cy | no distortion |
 //! | `SIMPLE_RADIAL` f cx cy k, `RADIAL` f cx cy k1 k2 | k1 k2 |
 //! | `OPENCV` fx fy cx cy k1 k2 p1 p2 | k1 k2 p1 p2 |
-//! | `FULL_OPENCV` … k3 k4 k5 k6 | k1 k2 p1 p2 k3, where k4 k5 k6 are zero |
+//! | `FULL_OPENCV` … k3 k4 k5 k6 | the same, the last three in the denominator |
+//! | `OPENCV_FISHEYE` fx fy cx cy k1 k2 k3 k4, `THIN_PRISM_FISHEYE` … k1 k2 p1 p2 k3 k4 sx1 sy1 | the same of the angle |
+//! | `SIMPLE_RADIAL_FISHEYE` f cx cy k, `RADIAL_FISHEYE` f cx cy k1 k2, `SIMPLE_FISHEYE`, `FISHEYE` | the same, less of it |
 //!
-//! Fish-eye and other models are refused by name. Written are `PINHOLE`, `OPENCV` and, with k3,
-//! `FULL_OPENCV`. Files of rigs and frames beside the model are not needed: the images carry their
+//! Others are refused by name, and so is a lens of 180 degrees and more. Written are `PINHOLE`, `OPENCV`, with more
+//! coefficients `FULL_OPENCV`, and of fisheyes `OPENCV_FISHEYE` or `THIN_PRISM_FISHEYE`. Files of rigs and frames beside the model are not needed: the images carry their
 //! poses.
 //!
 //! Source: COLMAP documentation, "Output format"; `src/colmap/scene/reconstruction_io*.cc`.

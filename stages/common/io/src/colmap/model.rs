@@ -1,5 +1,6 @@
 //! A model with the numbers of its files: pixel centres at halves.
 
+use crate::cameras::lens::LensModel;
 use rilievo_scene::RigidTransform;
 
 /// A camera model that can be converted.
@@ -11,6 +12,8 @@ pub struct CameraModel {
     pub num_focals: usize,
     /// How many parameters it has.
     pub num_params: usize,
+    /// What the parameters behind the principal point are the first of.
+    pub lens: LensModel,
 }
 
 impl CameraModel {
@@ -21,11 +24,23 @@ impl CameraModel {
     /// fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
     pub const FULL_OPENCV: Self = Self::new("FULL_OPENCV", 2, 12);
 
-    /// The last three have f in the place of fx fy, and k, or k1 k2, behind cy.
-    const ALL: [Self; 6] = [
+    /// fx fy cx cy k1 k2 k3 k4
+    pub const OPENCV_FISHEYE: Self = Self::new("OPENCV_FISHEYE", 2, 8).bent(LensModel::Fisheye);
+    /// fx fy cx cy k1 k2 p1 p2 k3 k4 sx1 sy1
+    pub const THIN_PRISM_FISHEYE: Self =
+        Self::new("THIN_PRISM_FISHEYE", 2, 12).bent(LensModel::ThinPrismFisheye);
+
+    /// Those that begin with SIMPLE or RADIAL have f in the place of fx fy, and k, or k1 k2, behind cy.
+    const ALL: [Self; 12] = [
         Self::PINHOLE,
         Self::OPENCV,
         Self::FULL_OPENCV,
+        Self::OPENCV_FISHEYE,
+        Self::THIN_PRISM_FISHEYE,
+        Self::new("SIMPLE_RADIAL_FISHEYE", 1, 4).bent(LensModel::Fisheye),
+        Self::new("RADIAL_FISHEYE", 1, 5).bent(LensModel::Fisheye),
+        Self::new("SIMPLE_FISHEYE", 1, 3).bent(LensModel::Fisheye),
+        Self::new("FISHEYE", 2, 4).bent(LensModel::Fisheye),
         Self::new("SIMPLE_PINHOLE", 1, 3),
         Self::new("SIMPLE_RADIAL", 1, 4),
         Self::new("RADIAL", 1, 5),
@@ -42,7 +57,12 @@ impl CameraModel {
             name,
             num_focals,
             num_params,
+            lens: LensModel::OpenCv,
         }
+    }
+
+    const fn bent(self, lens: LensModel) -> Self {
+        Self { lens, ..self }
     }
 
     /// The model of a name; the reason where it cannot be converted.

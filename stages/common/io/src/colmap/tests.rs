@@ -22,6 +22,7 @@ fn views() -> PosedViews {
             p1: 1e-4,
             p2: -3e-4,
             k3: 0.0,
+            ..Distortion::default()
         },
         ..plain
     };
@@ -144,7 +145,17 @@ fn every_convertible_model_is_understood_and_others_are_named() {
         ("1 RADIAL 100 80 90 50 40 0.1 0.01", 0.1, 90.0),
         ("1 OPENCV 100 80 90 91 50 40 0.1 0 0 0", 0.1, 91.0),
         (
-            "1 FULL_OPENCV 100 80 90 91 50 40 0.1 0 0 0 0.2 0 0 0",
+            "1 FULL_OPENCV 100 80 90 91 50 40 0.1 0 0 0 0.2 0.2 0 0",
+            0.1,
+            91.0,
+        ),
+        ("1 SIMPLE_FISHEYE 100 80 90 50 40", 0.0, 90.0),
+        ("1 FISHEYE 100 80 90 91 50 40", 0.0, 91.0),
+        ("1 SIMPLE_RADIAL_FISHEYE 100 80 90 50 40 0.1", 0.1, 90.0),
+        ("1 RADIAL_FISHEYE 100 80 90 50 40 0.1 0.01", 0.1, 90.0),
+        ("1 OPENCV_FISHEYE 100 80 90 91 50 40 0.1 0 0 0", 0.1, 91.0),
+        (
+            "1 THIN_PRISM_FISHEYE 100 80 90 91 50 40 0.1 0 0 0 0 0 1e-3 0",
             0.1,
             91.0,
         ),
@@ -154,21 +165,22 @@ fn every_convertible_model_is_understood_and_others_are_named() {
         let found = entry.intrinsics;
         assert_eq!((found.cx, found.cy, found.fy), (49.5, 39.5, fy), "{line}");
         assert_eq!(found.distortion.k1, k1, "{line}");
+        assert_eq!(found.distortion.fisheye, line.contains("FISHEYE"), "{line}");
+        // What is written is the same lens again.
+        let again = ColmapCamera::from_intrinsics(1, &found);
+        assert_eq!(again.intrinsics().as_ref(), Ok(&found), "{line}");
     }
     for (line, expected) in [
+        ("1 FOV 100 80 90 91 50 40 0.9", "FOV is not supported"),
         (
-            "1 OPENCV_FISHEYE 100 80 90 91 50 40 0 0 0 0",
-            "OPENCV_FISHEYE is not supported",
+            "1 OPENCV_FISHEYE 100 80 30 31 50 40 0 0 0 0",
+            "camera 1 (OPENCV_FISHEYE): the lens sees 2",
         ),
         ("1 PINHOLE 100 80 90 91 50", "3 parameters"),
         ("1 PINHOLE 100 80 90 nan 50 40", "line 2"),
         ("1 PINHOLE 100 80 -90 91 50 40", "focal"),
         ("1 PINHOLE x 80 90 91 50 40", "WIDTH is \"x\""),
         ("2 PINHOLE 100 80 90 91 50 40", "refers to camera 1"),
-        (
-            "1 FULL_OPENCV 100 80 90 91 50 40 0 0 0 0 0 0.2 0 0",
-            "beyond k3",
-        ),
     ] {
         let message = with(line).unwrap_err().to_string();
         assert!(message.contains(expected), "{message}");

@@ -11,6 +11,9 @@ const HEIF_BRANDS: [&[u8; 4]; 8] = [
     b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1",
 ];
 
+/// Beginnings of TIFF with places of 64 bits, in both orders of bytes.
+const BIG_TIFF: [&[u8; 4]; 2] = [b"II+\0", b"MM\0+"];
+
 /// Bytes by which a format is recognised; those of PNG hold the size already.
 pub(super) const HEAD_LEN: usize = 24;
 
@@ -41,6 +44,9 @@ impl Format {
             .any(|brand| head.get(8..12) == Some(*brand));
         if head.get(4..8) == Some(b"ftyp") && is_heif {
             return Some(Self::Heif);
+        }
+        if BIG_TIFF.iter().any(|begin| head.starts_with(*begin)) {
+            return Some(Self::Tiff);
         }
         match image::guess_format(head).ok()? {
             ImageFormat::OpenExr => Some(Self::OpenExr),

@@ -12,8 +12,8 @@
 //! | 16 bit | the same; and also when the file says nothing of its colours: programs that encode for a display write the profile or `sRGB`, those that store measurements write none |
 
 mod exif_facts;
-mod float_tiff;
 mod format;
+mod further_tiff;
 pub(crate) mod guard;
 mod heic;
 mod icc;

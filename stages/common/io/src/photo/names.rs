@@ -3,8 +3,8 @@
 use std::path::Path;
 
 /// Endings of photos that can be decoded.
-const PHOTO_ENDINGS: [&str; 11] = [
-    "jpg", "jpeg", "jpe", "png", "tif", "tiff", "exr", "hdr", "heic", "heif", "hif",
+const PHOTO_ENDINGS: [&str; 12] = [
+    "jpg", "jpeg", "jpe", "jfif", "png", "tif", "tiff", "exr", "hdr", "heic", "heif", "hif",
 ];
 
 /// Endings of photos that people have and this program cannot decode.

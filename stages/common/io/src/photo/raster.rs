@@ -4,7 +4,7 @@ use super::icc::{self, MAX_PROFILE_BYTES, ToneCurve, profile_too_large};
 use super::names::file_name;
 use super::parts::{alpha_mask, of_floats};
 use super::png_chunks::{self, PngColor};
-use super::{exif_facts, float_tiff, jpeg};
+use super::{exif_facts, further_tiff, jpeg};
 use crate::claims;
 use crate::error::IoError;
 use image::{
@@ -38,17 +38,29 @@ pub(super) fn png(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
 }
 
 pub(super) fn tiff(path: &Path, bytes: &[u8]) -> Result<DecodedPhoto, IoError> {
-    let refusal = match open(path, bytes, ImageFormat::Tiff) {
-        Ok(decoder) => {
-            let profile = tiff_profile(bytes).map_err(|reason| IoError::input(path, reason))?;
-            return decode(path, bytes, decoder, profile, None);
+    let profile = tiff_profile(bytes).map_err(|reason| IoError::input(path, reason))?;
+    let refusal = if further_tiff::has_wide_integers(bytes) {
+        let reason = "holds integers of 32 bits of a kind that cannot be read";
+        IoError::input(path, reason).with_hint("save it with 16 bits a sample")
+    } else {
+        let decoder = open(path, bytes, ImageFormat::Tiff);
+        match decoder.and_then(|decoder| decode(path, bytes, decoder, profile.clone(), None)) {
+            Err(refusal) => refusal,
+            decoded => return decoded,
         }
-        Err(refusal) => refusal,
     };
-    let (width, height, channels, data) = float_tiff::read(bytes).ok_or(refusal)?;
+    let Some((size, samples)) = further_tiff::read(bytes) else {
+        return Err(refusal);
+    };
+    let (linear_by_metadata, encoding_reason, profile_curve) =
+        encoding(&samples, profile.as_deref(), None);
     Ok(DecodedPhoto {
         exif: exif_facts::read(bytes),
-        ..of_floats(path, (width, height, channels), data, "floating point")
+        linear_by_metadata,
+        encoding_reason,
+        profile_curve,
+        samples,
+        ..of_floats(path, size, Vec::new(), "")
     })
 }
 

@@ -377,3 +377,49 @@ fn a_single_pixel_decodes() {
     let photo = decode("a.png", &encoded(rgb8(1, 1), ImageFormat::Png)).unwrap();
     assert_eq!((photo.width, photo.height), (1, 1));
 }
+
+/// Made by tifffile and Pillow (libtiff): 64 x 48 pixels with red 3x, green 4y, blue 2(x + y).
+#[test]
+fn tiff_of_other_programs_is_read_whatever_its_kind() {
+    let big = include_bytes!("samples/big.tif");
+    let zstd = include_bytes!("samples/zstd.tif");
+    let jpeg = include_bytes!("samples/ycbcr.tif");
+    let u32 = include_bytes!("samples/u32.tif");
+    let cases: [(&str, &[u8], u32, f32); 4] = [
+        ("big", big, 8, 0.0),
+        ("zstd", zstd, 8, 0.0),
+        // JPEG with halved colours; libtiff reads it to 3.
+        ("ycbcr", jpeg, 8, 6.0),
+        ("u32", u32, 32, 1e-4),
+    ];
+    for (name, bytes, bits, tolerance) in cases {
+        let photo = decode("a.tif", bytes).unwrap();
+        assert_eq!(
+            (photo.width, photo.height, photo.channels),
+            (64, 48, 3),
+            "{name}"
+        );
+        assert_eq!(photo.samples.bits(), bits, "{name}");
+        let value = |index: usize| match &photo.samples {
+            Samples::U8(v) => f32::from(v[index]),
+            Samples::F32(v) => 255.0 * v[index],
+            Samples::U16(_) => f32::NAN,
+        };
+        for (y, x) in (0..48).flat_map(|y| (0..64).map(move |x| (y, x))) {
+            for (c, expected) in [3 * x, 4 * y, 2 * (x + y)].into_iter().enumerate() {
+                let error = (value(3 * (64 * y + x) + c) - expected as f32).abs();
+                assert!(error <= tolerance, "{name} ({x}, {y}, {c}): {error}");
+            }
+        }
+        assert_eq!(photo_size_of(bytes), Some((64, 48)), "{name}");
+    }
+    let error = decode("a.tif", include_bytes!("samples/i16.tif")).unwrap_err();
+    assert!(error.to_string().contains("not supported"), "{error}");
+}
+
+fn photo_size_of(bytes: &[u8]) -> Option<(usize, usize)> {
+    let folder = folder();
+    let path = folder.path().join("a.tif");
+    std::fs::write(&path, bytes).unwrap();
+    photo_size(&path)
+}

@@ -10,6 +10,7 @@ use rilievo_scene::{
     LinearImage, Mesh, NormalMap, PhotoIdx, PointCloud, PosedView, PosedViews, RigidTransform,
     SphericalHarmonics, Unit, ViewIdx, ViewLighting,
 };
+use rilievo_synthetic::testing::not_tested;
 use std::path::Path;
 use std::process::Command;
 
@@ -32,7 +33,7 @@ fn python(folder: &Path, script: &str) {
         command.args(["-c", script]).current_dir(folder).output()
     };
     if !run("import numpy").is_ok_and(|output| output.status.success()) {
-        eprintln!("skipped: there is no python3 with NumPy");
+        not_tested("python3 with NumPy");
         return;
     }
     let output = run(script).unwrap();

@@ -324,6 +324,7 @@ mod tests {
                 p1: 5e-4,
                 p2: -3e-4,
                 k3: 0.0,
+                ..Distortion::default()
             },
             ..Intrinsics::pinhole(1600, 1200, 1500.0, 799.5, 599.5)
         }

@@ -21,5 +21,5 @@ pub use photos::{
 };
 pub use posed_sphere::{SphereWorld, sphere_world};
 pub use random::Random;
-pub use shared_data::shared_data;
+pub use shared_data::{not_tested, shared_data};
 pub use surfaces::{Maps, anchors_on_grid, on_sphere, painted};

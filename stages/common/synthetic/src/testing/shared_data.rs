@@ -17,17 +17,33 @@ pub fn shared_data(name: &str) -> Option<PathBuf> {
     if folder.is_dir() {
         return Some(folder);
     }
-    let thread = std::thread::current();
-    let test = thread.name().unwrap_or("a test");
     let data = folder.display();
     assert!(
         named.is_none(),
-        "{test} needs {data}, which RILIEVO_DATA promises"
+        "{} needs {data}, which RILIEVO_DATA promises",
+        this_test()
     );
-    let line = format!("NOT TESTED: {test} needs {data}, which is not there\n");
+    not_tested(&format!("{data}, which is not there"));
+    None
+}
+
+/// Says that the test that runs needs something and does nothing without: in a line on stderr that the test harness does not
+/// capture, and in the file that `RILIEVO_NOT_TESTED` names, whose lines a suite can count at its end.
+pub fn not_tested(needs: &str) {
+    let line = format!("NOT TESTED: {} needs {needs}\n", this_test());
     // Written as it is, since the harness would swallow `eprintln`.
     let _ = std::io::stderr().lock().write_all(line.as_bytes());
-    None
+    if let Some(list) = std::env::var_os("RILIEVO_NOT_TESTED") {
+        let list = std::fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(list);
+        let _ = list.and_then(|mut list| list.write_all(line.as_bytes()));
+    }
+}
+
+fn this_test() -> String {
+    std::thread::current().name().unwrap_or("a test").to_owned()
 }
 
 /// The topmost folder above this crate that has a manifest.
