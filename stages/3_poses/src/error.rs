@@ -35,8 +35,8 @@ pub enum PosesError {
     #[error(
         "{percent:.0} % of all matches stand still in the frame: where the object turns before a background that stands \
          still (a turntable), give masks (--masks) with features.region = \"object\" in the file of --config, or cover \
-         the background, or put a printed mat under the object that turns with it; where the camera stood still, move \
-         it 10 to 20 degrees between photos"
+         the background, or put a printed mat under the object that turns with it; where the camera stood still, or \
+         photos are copies of one, take them 10 to 20 degrees apart"
     )]
     StandsStill {
         /// Share of the matches, per cent.

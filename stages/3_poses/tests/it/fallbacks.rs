@@ -47,7 +47,7 @@ fn only_copies_of_one_photo_have_no_parallax() {
     let set = from_truth(&WorldOptions::default(), poses, &points, &mut rng);
     let result = run(&set.photos, &set.matches, None, &options(), &Silent);
     assert!(
-        matches!(result, Err(PosesError::OnlyHomographies { .. })),
+        matches!(result, Err(PosesError::StandsStill { .. })),
         "{result:?}"
     );
 }
