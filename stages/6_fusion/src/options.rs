@@ -78,8 +78,8 @@ pub struct FusionOptions {
     pub formats: Vec<MeshFormat>,
     /// Triangles that about are left of the asset's mesh.
     pub asset_faces: usize,
-    /// Largest side of the asset's textures, texels. They are smaller where the views resolve no
-    /// more.
+    /// Largest side of the asset's textures, texels; the power of two below it. They are smaller
+    /// where the views resolve no more.
     pub asset_texture: usize,
     /// Memory that fusion may take, MiB; the mesh's cells are made larger where it would need more,
     /// and the report says so. Less than one view needs to be loaded is an error. `--memory` sets

@@ -60,7 +60,7 @@ pub(crate) fn make(
     normals::smooth(&mut light);
     step("laying the surface out")?;
     let texel = TEXEL_PX * footprint;
-    let side = memory::texture_side(options);
+    let (allowed, side) = memory::texture_sides(options);
     let Some(unwrapped) = unwrap::unwrap(&light, texel, side, observer)? else {
         return Ok(None);
     };
@@ -72,7 +72,7 @@ pub(crate) fn make(
         ..
     } = &unwrapped;
     let is_bounded = size.0 >= side && unwrapped.texel > texel;
-    if is_bounded && side < options.asset_texture {
+    if is_bounded && side < allowed {
         let message = format!(
             "the asset's textures are no larger than {side} texels a side, to stay within {} MiB; raise the memory for \
              more detail",
