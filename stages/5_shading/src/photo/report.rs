@@ -1,5 +1,6 @@
 //! Facts on a run of the photo model.
 
+use super::findings::{MOST_BLURRED_PX, SHARP_PX};
 use super::steps::PhotoStep;
 use super::validation::ValidationReport;
 use rilievo_scene::ViewLighting;
@@ -135,6 +136,15 @@ impl PhotoReport {
     /// Sharpness of every view.
     pub(crate) fn sharpness(&self) -> Vec<f64> {
         self.views.iter().map(|view| view.sharpness).collect()
+    }
+
+    /// Pixels below which the maps hold no relief: those of the last level, or by how much larger the area of alike
+    /// residuals is than a sharp photo's.
+    pub fn resolved_px(&self) -> f64 {
+        let last = self.steps.iter().rev().find(|step| step.num_rounds > 0);
+        let pixel = last.map_or(1.0, |step| (step.level as f64).exp2());
+        let blurred = self.alike_px().unwrap_or(0.0).min(MOST_BLURRED_PX) / SHARP_PX;
+        pixel.max(blurred)
     }
 
     /// Side of the area over which the residuals between the photos are alike in the last step, pixels:

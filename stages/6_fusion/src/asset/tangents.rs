@@ -113,7 +113,10 @@ mod tests {
                 let [x, y, z, sign] = *tangent;
                 let tangent = Vector3::new(x, y, z);
                 assert!((tangent.norm() - 1.0).abs() < 1e-5, "{tangent}");
-                assert!(tangent.dot(&Vector3::from(*normal)).abs() < 1e-5, "{tangent}");
+                assert!(
+                    tangent.dot(&Vector3::from(*normal)).abs() < 1e-5,
+                    "{tangent}"
+                );
                 assert_eq!(sign.abs(), 1.0);
             }
         }
