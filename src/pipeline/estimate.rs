@@ -301,8 +301,8 @@ impl Work {
 fn surface_bytes(options: &FusionOptions) -> f64 {
     let has = |format| f64::from(u8::from(options.formats.contains(&format)));
     let mesh = 345.0 + 1140.0 * has(MeshFormat::Obj) + 365.0 * has(MeshFormat::Glb);
-    // What is left of a stone's triangles where flat places are coarser.
-    let share = if options.full { 1.0 } else { 0.2 };
+    // What is left of the demo's triangles where flat places are coarser.
+    let share = if options.full { 1.0 } else { 0.15 };
     440.0 + share * mesh
 }
 
