@@ -50,7 +50,7 @@ def test_it_has_the_bytes_of_the_command_line(interrupted, run_of_command_line):
     ours, theirs = files(Path(interrupted[0].path)), files(run_of_command_line[0])
     assert sorted(ours) == sorted(theirs)
     assert [name for name in ours if ours[name] != theirs[name]] == []
-    assert any(name.endswith("mesh.glb") for name in ours)
+    assert any(name.endswith("asset.glb") for name in ours)
 
 
 def test_events_are_those_of_json(interrupted, run_of_command_line):

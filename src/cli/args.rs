@@ -249,9 +249,13 @@ pub struct SurfaceArgs {
     #[arg(long, value_name = "LENGTH")]
     pub spacing: Option<f64>,
     /// Leaves about N triangles of the mesh, such as 200000 for the web and phones; its vertices
-    /// keep the normals of the dense mesh
-    #[arg(long, value_name = "N", value_parser = RangedU64ValueParser::<usize>::new().range(100..))]
+    /// keep the normals of the dense mesh. By default flat places are coarser, as far as that moves
+    /// the surface by no more than a tenth of a pixel
+    #[arg(long, value_name = "N", conflicts_with = "full", value_parser = RangedU64ValueParser::<usize>::new().range(100..))]
     pub triangles: Option<usize>,
+    /// Keeps all triangles of the mesh, as fine as the photos' pixels everywhere
+    #[arg(long)]
+    pub full: bool,
     /// Closes the mesh where no view saw anything
     #[arg(long)]
     pub watertight: bool,
@@ -262,7 +266,7 @@ pub struct SurfaceArgs {
     /// [default: 4096]
     #[arg(long, value_name = "TEXELS", value_parser = RangedU64ValueParser::<usize>::new().range(64..=16_384))]
     pub texture: Option<usize>,
-    /// Formats of the mesh, separated by commas. [default: ply,obj,glb,asset]
+    /// Formats of the mesh, separated by commas. ply is always there. [default: ply,asset]
     #[arg(long, value_name = "FORMATS", value_delimiter = ',', value_parser = words::<MeshFormat>(MESH_FORMATS))]
     pub formats: Option<Vec<MeshFormat>>,
 }
@@ -272,6 +276,7 @@ impl SurfaceArgs {
     pub fn apply(&self, options: &mut FusionOptions) {
         take_over(&mut options.spacing, self.spacing);
         options.watertight |= self.watertight;
+        options.full |= self.full;
         take_over(&mut options.max_num_triangles, self.triangles);
         take_over(&mut options.asset_faces, self.faces);
         take_over(&mut options.asset_texture, self.texture);
@@ -302,7 +307,7 @@ pub struct FuseArgs {
     /// Writes over files in DIR that no earlier `rilievo fuse` wrote
     #[arg(long)]
     pub overwrite: bool,
-    /// Folder for cloud.ply, mesh.ply, mesh.obj, mesh.glb, asset.glb, asset/ and report.json
+    /// Folder for cloud.ply, mesh.ply, asset.glb, asset/, report.json, and mesh.obj, mesh.glb where asked for
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
     #[command(flatten)]

@@ -11,6 +11,7 @@ use crate::cost::{Cost, Estimate};
 use crate::observe::{Console, ExpectedStep};
 use crate::system::cpu_seconds;
 use rayon::prelude::*;
+use rilievo_fusion::{FusionOptions, MeshFormat};
 use rilievo_io::{photo_size, read_mask};
 use rilievo_numerics::plate_solver::PlateSolver;
 use rilievo_numerics::plate_system::{PixelNumbering, PlateSystem};
@@ -56,6 +57,8 @@ struct Work {
     pairs: f64,
     /// Triangles of the asset, 0 where none is made.
     asset_faces: f64,
+    /// Bytes of cloud and mesh for a pixel of the surface.
+    surface_bytes: f64,
 }
 
 /// What a request is expected to cost, told to the user with the forecast that it will take up to a stage; `None` where no
@@ -159,6 +162,7 @@ impl Work {
             } else {
                 all_pairs
             },
+            surface_bytes: surface_bytes(&request.options.fusion),
             asset_faces: match request.options.fusion.makes_asset() {
                 true => request.options.fusion.asset_faces as f64,
                 false => 0.0,
@@ -288,9 +292,18 @@ impl Work {
         6.0 * self.photo_px
             + 45.0 * self.object_px
             + 4.5e6 * self.photos
-            + 2300.0 * surface
+            + self.surface_bytes * surface
             + 200.0 * self.asset_faces
     }
+}
+
+/// Bytes of cloud and mesh for a pixel of the surface that is seen.
+fn surface_bytes(options: &FusionOptions) -> f64 {
+    let has = |format| f64::from(u8::from(options.formats.contains(&format)));
+    let mesh = 345.0 + 1140.0 * has(MeshFormat::Obj) + 365.0 * has(MeshFormat::Glb);
+    // What is left of the demo's triangles where flat places are coarser.
+    let share = if options.full { 1.0 } else { 0.15 };
+    440.0 + share * mesh
 }
 
 /// Share of the object in the photos, by some of the masks; `None` where there are none.

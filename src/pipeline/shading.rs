@@ -163,6 +163,7 @@ pub fn shown_albedo(albedo: &LinearImage) -> LinearImage {
 pub struct MapFiles {
     folder: PathBuf,
     views: Vec<ViewFiles>,
+    resolved_px: f64,
 }
 
 impl MapFiles {
@@ -172,7 +173,15 @@ impl MapFiles {
         let views: Vec<ViewFiles> = read_json(run, StageId::Shading, VIEWS)?;
         let names = views.iter().map(|view| view.name.as_str());
         checked_names(run, StageId::Shading, VIEWS, names)?;
-        Ok(Self { folder, views })
+        let manifest = run.manifest(StageId::Shading)?;
+        let facts = manifest.and_then(|manifest| serde_json::from_value(manifest.report).ok());
+        let photo = facts.and_then(|facts: ShadingFacts| facts.solver.photo);
+        let resolved_px = photo.map_or(1.0, |photo| photo.resolved_px());
+        Ok(Self {
+            folder,
+            views,
+            resolved_px,
+        })
     }
 }
 
@@ -196,6 +205,10 @@ impl MapFiles {
 impl MapSource for MapFiles {
     fn num_views(&self) -> usize {
         self.views.len()
+    }
+
+    fn resolved_px(&self) -> f64 {
+        self.resolved_px
     }
 
     fn load(&self, idx: usize) -> Result<ShadedView, PixelError> {

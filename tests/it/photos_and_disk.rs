@@ -170,8 +170,6 @@ fn a_full_disk_keeps_an_earlier_surface() {
     let files = [
         "cloud.ply",
         "mesh.ply",
-        "mesh.obj",
-        "mesh.glb",
         "asset.glb",
         "asset/asset.obj",
         "asset/asset.mtl",

@@ -201,8 +201,6 @@ fn the_result_is_accurate() {
         "5_shading/normal/IMG_0001.exr",
         "6_fusion/cloud.ply",
         "6_fusion/mesh.ply",
-        "6_fusion/mesh.obj",
-        "6_fusion/mesh.glb",
         "6_fusion/asset.glb",
         "6_fusion/asset/asset.obj",
         "6_fusion/asset/normal.png",

@@ -59,7 +59,7 @@ use rilievo_scene::{
 use views::LoadedViews;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 10;
+pub const VERSION: u32 = 11;
 
 /// Smooth distance between views, in footprints, from which the layers show.
 const VISIBLE_LAYERING_PX: f64 = 1.0;
@@ -110,6 +110,13 @@ pub fn run(
         scratch,
     } = inputs;
     options.validate()?;
+    let options = &FusionOptions {
+        voxel_px: match options.full {
+            true => options.voxel_px,
+            false => options.voxel_px.max(maps.resolved_px()),
+        },
+        ..options.clone()
+    };
     photos.check()?;
     posed.check()?;
     memory::refuse_too_little(posed, options)?;
@@ -226,6 +233,13 @@ fn shape(
         let message = format!(
             "the mesh has {} triangles where about {asked} were asked for: its pieces and holes need them",
             report.num_triangles
+        );
+        warn(observer, message)?;
+    }
+    if options.watertight && report.num_open_loops > 0 {
+        let message = format!(
+            "the mesh is not watertight: {} loops stay open; try another number of triangles",
+            report.num_open_loops
         );
         warn(observer, message)?;
     }

@@ -11,6 +11,9 @@ use nalgebra::Vector3;
 use rilievo_scene::Mesh;
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Share of the way to its triangles' other corners by which a copy moves: programs that join equal
+/// vertices leave the sheets apart, and no cell shows it.
+const APART: f32 = 1.0 / 16.0;
 /// Edges that are looked at together: 12 bytes each.
 const EDGES_AT_ONCE: usize = 1 << 23;
 
@@ -132,6 +135,14 @@ fn split_vertices(mesh: &mut Mesh, edges: &BTreeMap<Edge, Vec<u32>>, pairs: &Pai
     }
     for (v, fan) in replaced {
         let copy = add_copy(mesh, v);
+        let corners = fan.iter().flat_map(|&t| mesh.triangles[t as usize]);
+        let others: Vec<u32> = corners.filter(|c| *c != v).collect();
+        let here = Vector3::from(mesh.vertices[v as usize]);
+        let steps = others
+            .iter()
+            .map(|&c| Vector3::from(mesh.vertices[c as usize]) - here);
+        let step = steps.sum::<Vector3<f32>>() * (APART / others.len().max(1) as f32);
+        mesh.vertices[copy as usize] = (here + step).into();
         for t in fan {
             let corners = &mut mesh.triangles[t as usize];
             corners
@@ -273,6 +284,15 @@ mod tests {
         let num_vertices = mesh.vertices.len();
         assert_eq!(separate(&mut mesh), 1);
         assert_eq!(counts(&mesh), [0, 36, 0]);
+        // Copies lie apart, so that they stay two where equal vertices are joined.
+        let mut places = mesh
+            .vertices
+            .iter()
+            .map(|v| v.map(f32::to_bits))
+            .collect::<Vec<_>>();
+        places.sort_unstable();
+        places.dedup();
+        assert_eq!(places.len(), mesh.vertices.len());
         assert_eq!(mesh.vertices.len(), num_vertices + 2);
     }
 

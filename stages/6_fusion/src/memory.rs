@@ -78,10 +78,12 @@ pub(crate) fn asset_triangles(options: &FusionOptions) -> (usize, usize) {
     (options.asset_faces.min(faces).max(100), lightened.max(1000))
 }
 
-/// Largest side of textures that the memory holds.
-pub(crate) fn texture_side(options: &FusionOptions) -> usize {
-    let side = (share(options, MESH_SHARE) / TEXEL_BYTES).isqrt();
-    options.asset_texture.min(side).max(64)
+/// Largest side of textures that is allowed, and of those that the memory holds: powers of two.
+pub(crate) fn texture_sides(options: &FusionOptions) -> (usize, usize) {
+    let held = (share(options, MESH_SHARE) / TEXEL_BYTES).isqrt();
+    let power_below = |side: usize| 1 << side.max(64).ilog2();
+    let allowed = power_below(options.asset_texture);
+    (allowed, power_below(held).min(allowed))
 }
 
 /// Points that may be sorted at once, of so many bytes each.

@@ -68,8 +68,11 @@ pub struct FusionOptions {
     /// costs memory with its square.
     pub voxel_px: f64,
     /// Triangles that about are left of the mesh, more where its pieces and holes need them;
-    /// vertices keep their normals. 0 keeps all.
+    /// vertices keep their normals. 0 does not bound them.
     pub max_num_triangles: usize,
+    /// Whether the mesh has all triangles of its cells, and cells as fine as `voxel_px` also where the
+    /// maps hold no such relief; else flat places are coarser, within .1 pixel footprints.
+    pub full: bool,
     /// Whether the mesh is closed where no view saw anything.
     pub watertight: bool,
     /// What the colours show.
@@ -78,8 +81,8 @@ pub struct FusionOptions {
     pub formats: Vec<MeshFormat>,
     /// Triangles that about are left of the asset's mesh.
     pub asset_faces: usize,
-    /// Largest side of the asset's textures, texels. They are smaller where the views resolve no
-    /// more.
+    /// Largest side of the asset's textures, texels; the power of two below it. They are smaller
+    /// where the views resolve no more.
     pub asset_texture: usize,
     /// Memory that fusion may take, MiB; the mesh's cells are made larger where it would need more,
     /// and the report says so. Less than one view needs to be loaded is an error. `--memory` sets
@@ -95,14 +98,10 @@ impl Default for FusionOptions {
             mesh: true,
             voxel_px: 1.0,
             max_num_triangles: 0,
+            full: false,
             watertight: false,
             color: ColorMode::Photographed,
-            formats: vec![
-                MeshFormat::Ply,
-                MeshFormat::Obj,
-                MeshFormat::Glb,
-                MeshFormat::Asset,
-            ],
+            formats: vec![MeshFormat::Ply, MeshFormat::Asset],
             asset_faces: 100_000,
             asset_texture: 4096,
             memory_mib: 4096,

@@ -7,8 +7,58 @@
 
 use crate::pieces::drop_unused;
 use meshopt::{SimplifyOptions, simplify_decoder, simplify_scale_decoder, simplify_sloppy_decoder};
+use rayon::prelude::*;
 use rilievo_scene::Mesh;
 use rilievo_scene::cloud::renumber;
+
+/// Triangles that [`coarsen`] looks at together: about 100 bytes each.
+const CHUNK: usize = 1 << 18;
+/// Share of the deviation that the first of two rounds may use up.
+const FIRST_SHARE: f64 = 0.75;
+
+/// Takes triangles away where the surface is flat, as long as it moves by no more than `deviation`,
+/// as the quadrics estimate it; returns by how much it did, world's unit. Chunks of triangles that
+/// follow each other are looked at alone, with borders that stay; a second round has its borders
+/// elsewhere. So the memory does not grow with the mesh.
+pub(crate) fn coarsen(mesh: &mut Mesh, deviation: f64) -> f64 {
+    let mut moved = 0.0;
+    for (first, share) in [(CHUNK, FIRST_SHARE), (CHUNK / 2, 1.0)] {
+        let is_whole = mesh.triangles.len() <= CHUNK;
+        let (first, share, options) = match is_whole {
+            true => (CHUNK, 1.0, SimplifyOptions::ErrorAbsolute),
+            false => {
+                let options = SimplifyOptions::ErrorAbsolute | SimplifyOptions::LockBorder;
+                (first, share, options)
+            }
+        };
+        let allowed = (share * deviation - moved) as f32;
+        let (head, tail) = mesh.triangles.split_at(first.min(mesh.triangles.len()));
+        let chunks: Vec<&[[u32; 3]]> = std::iter::once(head).chain(tail.chunks(CHUNK)).collect();
+        let vertices = &mesh.vertices;
+        let coarser = chunks.into_par_iter().map(|chunk| {
+            let mut used = chunk.as_flattened().to_vec();
+            used.sort_unstable();
+            used.dedup();
+            let number = |v: &u32| used.partition_point(|other| other < v) as u32;
+            let corners: Vec<u32> = chunk.as_flattened().iter().map(number).collect();
+            let places: Vec<[f32; 3]> = used.iter().map(|&v| vertices[v as usize]).collect();
+            let mut error = 0.0;
+            let kept = simplify_decoder(&corners, &places, 0, allowed, options, Some(&mut error));
+            let triangles = kept.as_chunks::<3>().0.iter();
+            let triangles = triangles.map(|t| t.map(|v| used[v as usize]));
+            (triangles.collect::<Vec<[u32; 3]>>(), f64::from(error))
+        });
+        let (triangles, errors): (Vec<_>, Vec<f64>) = coarser.unzip();
+        moved += errors.into_iter().fold(0.0, f64::max);
+        mesh.triangles = triangles.concat();
+        if is_whole {
+            break;
+        }
+    }
+    let index = vec![0; mesh.vertices.len()];
+    drop_unused(mesh, index);
+    moved
+}
 
 /// Leaves about `max_num_triangles`, more where the surface's pieces and holes need them; returns
 /// by how much the surface moved, as the quadrics estimate it, world's unit.
@@ -160,6 +210,32 @@ mod tests {
         assert!(moved > error && moved < 0.2, "{moved}");
         for at in &thinned.vertices {
             assert!((nalgebra::Vector3::from(*at).norm() - 1.0).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn flat_places_become_coarser_within_the_deviation() {
+        // One chunk, and several.
+        for num in [100, 260] {
+            let mut mesh = sphere(num);
+            let num_before = mesh.triangles.len();
+            assert_eq!(num_before > CHUNK, num == 260);
+            let deviation = 1e-3;
+            let moved = coarsen(&mut mesh, deviation);
+            assert!(moved > 0.2 * deviation && moved <= deviation, "{moved}");
+            // Triangles of equal edges h lie h²/6 below the sphere: some 6000 suffice.
+            let num_left = mesh.triangles.len();
+            assert!(
+                num_left > 1000 && num_left * 10 < num_before,
+                "{num_left} of {num_before}"
+            );
+            assert!(rim::boundary_loops(&mesh).is_empty());
+            assert_eq!(manifold::separate(&mut mesh), 0);
+            for t in &mesh.triangles {
+                let [a, b, c] = t.map(|v| nalgebra::Vector3::from(mesh.vertices[v as usize]));
+                let middle = f64::from(((a + b + c) / 3.0).norm());
+                assert!(1.0 - middle < 4.0 * deviation, "{middle}");
+            }
         }
     }
 

@@ -36,6 +36,11 @@ const CELLS: u32 = SIDE as u32 + 1;
 const VERTEX_BYTES: usize = 12 + 12 + 3;
 const TRIANGLE_BYTES: usize = 3 * 2;
 
+/// Deviation from the surface of all cells within which flat places are coarser, pixel footprints.
+/// Leaves .15 of the demo's triangles.
+const DEVIATION_PX: f64 = 0.1;
+/// Rounds of mending: a filling may open what touches it, and one round more closes that.
+const MAX_MENDINGS: usize = 8;
 /// Blocks that are worked on one after the other.
 const BLOCKS_IN_ROW: usize = 32;
 
@@ -126,17 +131,19 @@ pub(crate) fn extract(
     let short = loops
         .into_iter()
         .filter(|ring| holes::length(&mesh, ring) <= longest);
-    let closed: Vec<Vec<u32>> = short.collect();
-    let closed = holes::close(&mut mesh, &closed);
-    report.num_closed_holes = closed.num_holes;
-    report.closed_area = closed.area;
-    // A filling may run along an edge that is there already.
-    manifold::separate(&mut mesh);
+    let short: Vec<Vec<u32>> = short.collect();
+    close(&mut mesh, &short, &mut report);
+    mend(&mut mesh, options, &mut report);
+    let num_before = mesh.triangles.len();
     if options.max_num_triangles > 0 {
-        let num_before = mesh.triangles.len();
-        report.num_triangles_before = Some(num_before).filter(|&n| n > options.max_num_triangles);
         report.simplified_by = simplify::simplify(&mut mesh, options.max_num_triangles);
+    } else if !options.full {
+        step("making flat places coarser", 0, 1)?;
+        let deviation = DEVIATION_PX * loaded.median_footprint;
+        report.simplified_by = simplify::coarsen(&mut mesh, deviation);
     }
+    report.num_triangles_before = Some(num_before).filter(|&n| n > mesh.triangles.len());
+    mend(&mut mesh, options, &mut report);
     let open = rim::boundary_loops(&mesh);
     report.num_open_loops = open.len();
     report.boundary_length = open.iter().map(|ring| holes::length(&mesh, ring)).sum();
@@ -144,6 +151,29 @@ pub(crate) fn extract(
     report.num_vertices = mesh.vertices.len();
     report.num_triangles = mesh.triangles.len();
     Ok((mesh, report))
+}
+
+/// Closes loops, and counts them.
+fn close(mesh: &mut Mesh, loops: &[Vec<u32>], report: &mut MeshReport) {
+    let closed = holes::close(mesh, loops);
+    report.num_closed_holes += closed.num_holes;
+    report.closed_area += closed.area;
+}
+
+/// Separates sheets that a filling or a collapsed edge has joined, and closes what that opens where
+/// the mesh shall be watertight.
+fn mend(mesh: &mut Mesh, options: &FusionOptions, report: &mut MeshReport) {
+    for _ in 0..MAX_MENDINGS {
+        manifold::separate(mesh);
+        let open = match options.watertight {
+            true => rim::boundary_loops(mesh),
+            false => Vec::new(),
+        };
+        if open.is_empty() {
+            break;
+        }
+        close(mesh, &open, report);
+    }
 }
 
 fn extract_block(

@@ -1,6 +1,6 @@
 //! What speaks against the shape that the photo model found.
 
-use super::report::{PhotoReport, PhotoViewReport};
+use super::report::{MOST_BLURRED_PX, PhotoReport, PhotoViewReport};
 use rilievo_numerics::robust::median;
 use rilievo_photometry::surface_check::{DOUBTFUL_RESIDUAL, missed_photos};
 use rilievo_scene::{Finding, FindingCode};
@@ -13,8 +13,6 @@ const NOT_MATTE: f64 = 0.04;
 /// enlarged. Sharp JPEG photos have 2 to 7; blurred by three pixels all of them have 17. A single
 /// photo is held against the sharpest one instead, by the `BLURRED` of `solve.rs`.
 const BLURRED_PX: f64 = 10.0;
-/// More is not reported: residuals are alike without end where nothing differs.
-const MOST_BLURRED_PX: f64 = 50.0;
 /// Share of a view that no other view sees, above which the shape has too little to check it.
 const DOUBTFUL_SEEN_ALONE: f64 = 0.4;
 /// Share of the surface that several views confirm, below which most of it is a guess.
@@ -155,6 +153,21 @@ mod tests {
         assert_eq!(sharp(Some(0.74)), Verdict::Good);
         assert_eq!(sharp(Some(0.89)), Verdict::Usable);
         assert_eq!(sharp(Some(1.0)), Verdict::Usable);
+        let resolved = |level, correlation| {
+            let mut photo = PhotoReport::default();
+            photo.steps.push(StepReport {
+                level,
+                num_rounds: 3,
+                match_correlation: correlation,
+                ..Default::default()
+            });
+            photo.resolved_px()
+        };
+        assert_eq!(PhotoReport::default().resolved_px(), 1.0);
+        assert_eq!(resolved(0, Some(0.74)), 1.0);
+        // Blurred by three pixels: 17 pixels are alike where sharp photos have 7 at most.
+        assert!((resolved(0, Some(0.889)) - 17.0 / 7.0).abs() < 0.01);
+        assert_eq!(resolved(2, Some(0.99)), 4.0);
     }
 
     #[test]

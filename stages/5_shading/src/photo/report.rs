@@ -6,6 +6,11 @@ use rilievo_scene::ViewLighting;
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
+/// Pixels over which the residuals of sharp photos are alike, at most.
+const SHARP_PX: f64 = 7.0;
+/// More is not reported: residuals are alike without end where nothing differs.
+pub(super) const MOST_BLURRED_PX: f64 = 50.0;
+
 /// Facts on one view.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhotoViewReport {
@@ -135,6 +140,15 @@ impl PhotoReport {
     /// Sharpness of every view.
     pub(crate) fn sharpness(&self) -> Vec<f64> {
         self.views.iter().map(|view| view.sharpness).collect()
+    }
+
+    /// Pixels below which the maps hold no relief: those of the last level, or by how much larger the area of alike
+    /// residuals is than a sharp photo's.
+    pub fn resolved_px(&self) -> f64 {
+        let last = self.steps.iter().rev().find(|step| step.num_rounds > 0);
+        let pixel = last.map_or(1.0, |step| (step.level as f64).exp2());
+        let blurred = self.alike_px().unwrap_or(0.0).min(MOST_BLURRED_PX) / SHARP_PX;
+        pixel.max(blurred)
     }
 
     /// Side of the area over which the residuals between the photos are alike in the last step, pixels:

@@ -60,7 +60,7 @@ pub(crate) fn make(
     normals::smooth(&mut light);
     step("laying the surface out")?;
     let texel = TEXEL_PX * footprint;
-    let side = memory::texture_side(options);
+    let (allowed, side) = memory::texture_sides(options);
     let Some(unwrapped) = unwrap::unwrap(&light, texel, side, observer)? else {
         return Ok(None);
     };
@@ -72,7 +72,7 @@ pub(crate) fn make(
         ..
     } = &unwrapped;
     let is_bounded = size.0 >= side && unwrapped.texel > texel;
-    if is_bounded && side < options.asset_texture {
+    if is_bounded && side < allowed {
         let message = format!(
             "the asset's textures are no larger than {side} texels a side, to stay within {} MiB; raise the memory for \
              more detail",
@@ -130,4 +130,64 @@ pub(crate) fn make(
         occlusion,
     };
     Ok(Some((asset, report)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rilievo_scene::Silent;
+
+    /// The first triangles of a cube.
+    fn of_cube(num: usize) -> Mesh {
+        let corner = |i: u32| [i & 1, i >> 1 & 1, i >> 2].map(|c| c as f32 - 0.5);
+        let faces = [
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+        ];
+        let triangles = faces
+            .iter()
+            .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]);
+        let vertices: Vec<[f32; 3]> = (0..8).map(corner).collect();
+        Mesh {
+            normals: vertices.clone(),
+            vertices,
+            colors: Vec::new(),
+            triangles: triangles.take(num).collect(),
+        }
+    }
+
+    /// What Khronos' validator asks of an asset's vertices.
+    #[test]
+    fn the_smallest_meshes_are_laid_out_with_frames_of_unit_vectors() {
+        // A triangle, a square, a cube with a hole and a whole one.
+        for num in [1, 2, 11, 12] {
+            let mut mesh = of_cube(num);
+            normals::smooth(&mut mesh);
+            let laid = unwrap::unwrap(&mesh, 0.01, 1024, &Silent)
+                .expect("in time")
+                .expect("laid out");
+            assert_eq!(laid.mesh.triangles.len(), num);
+            assert!(laid.size.0.is_power_of_two() && laid.size.1.is_power_of_two());
+            let tangents = tangents::tangents(&laid.mesh, &laid.texture_coords);
+            for (v, tangent) in tangents.iter().enumerate() {
+                let length = |t: &[f32]| t.iter().map(|c| c * c).sum::<f32>().sqrt();
+                assert!(
+                    (length(&tangent[..3]) - 1.0).abs() < 1e-5,
+                    "{num}: {tangent:?}"
+                );
+                assert!((length(&laid.mesh.normals[v]) - 1.0).abs() < 1e-5, "{num}");
+                assert_eq!(tangent[3].abs(), 1.0);
+                assert!(
+                    laid.texture_coords[v]
+                        .iter()
+                        .all(|c| (0.0..=1.0).contains(c)),
+                    "{num}"
+                );
+            }
+        }
+    }
 }

@@ -8,6 +8,9 @@ use bevy_mikktspace::{Geometry, TangentSpace, generate_tangents};
 use nalgebra::Vector3;
 use rilievo_scene::Mesh;
 
+/// Shorter ones across the normal, of unit length as found, are rounding.
+const MIN_TANGENT: f32 = 1e-3;
+
 struct Surface<'a> {
     mesh: &'a Mesh,
     texture_coords: &'a [[f32; 2]],
@@ -43,9 +46,10 @@ impl Geometry for Surface<'_> {
     }
 
     fn set_tangent(&mut self, tangent_space: Option<TangentSpace>, face: usize, vert: usize) {
-        if let Some(space) = tangent_space {
-            let vertex = self.vertex(face, vert);
-            self.tangents[vertex] = space.tangent_encoded();
+        let vertex = self.vertex(face, vert);
+        let encoded = tangent_space.map(|space| space.tangent_encoded());
+        if let Some(tangent) = encoded.and_then(|t| across(self.mesh.normals[vertex], t)) {
+            self.tangents[vertex] = tangent;
         }
     }
 }
@@ -63,13 +67,58 @@ pub(super) fn tangents(mesh: &Mesh, texture_coords: &[[f32; 2]]) -> Vec<[f32; 4]
     surface.tangents
 }
 
+/// A tangent across the normal and of unit length, with its bitangent's sign; `None` where the
+/// library found no direction, as around triangles without area on the texture.
+fn across(normal: [f32; 3], [x, y, z, sign]: [f32; 4]) -> Option<[f32; 4]> {
+    let (normal, tangent) = (Vector3::from(normal), Vector3::new(x, y, z));
+    let [x, y, z] = (tangent - normal * normal.dot(&tangent))
+        .try_normalize(MIN_TANGENT)?
+        .into();
+    Some([x, y, z, sign])
+}
+
 fn any_along(normal: [f32; 3]) -> [f32; 4] {
-    let normal = Vector3::from(normal);
-    let axis = match normal.x.abs() < 0.7 {
-        true => Vector3::x(),
-        false => Vector3::y(),
+    let axis = match normal[0].abs() < 0.7 {
+        true => [1.0, 0.0, 0.0, 1.0],
+        false => [0.0, 1.0, 0.0, 1.0],
     };
-    let along = (axis - normal * normal.dot(&axis)).try_normalize(0.0);
-    let [x, y, z]: [f32; 3] = along.unwrap_or(axis).into();
-    [x, y, z, 1.0]
+    across(normal, axis).unwrap_or(axis)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn triangles_without_area_on_the_texture_have_unit_tangents_across_their_normals() {
+        // The first has its corners in one point of the texture, the second on a line, the third none in space.
+        let mesh = Mesh {
+            vertices: vec![
+                [0.0, 0.0, 0.0],
+                [1.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0],
+                [1.0, 1.0, 0.0],
+                [1.0, 1.0, 0.0],
+            ],
+            normals: vec![[0.0, 0.6, 0.8]; 5],
+            colors: Vec::new(),
+            triangles: vec![[0, 1, 2], [1, 3, 2], [3, 4, 3]],
+        };
+        for coords in [
+            [[0.5, 0.5]; 5],
+            [[0.1, 0.1], [0.2, 0.2], [0.3, 0.3], [0.4, 0.4], [0.4, 0.4]],
+            [[0.1, 0.1], [0.9, 0.1], [0.1, 0.9], [0.1, 0.9], [0.1, 0.9]],
+        ] {
+            for (tangent, normal) in tangents(&mesh, &coords).iter().zip(&mesh.normals) {
+                let [x, y, z, sign] = *tangent;
+                let tangent = Vector3::new(x, y, z);
+                assert!((tangent.norm() - 1.0).abs() < 1e-5, "{tangent}");
+                assert!(
+                    tangent.dot(&Vector3::from(*normal)).abs() < 1e-5,
+                    "{tangent}"
+                );
+                assert_eq!(sign.abs(), 1.0);
+            }
+        }
+    }
 }

@@ -23,8 +23,9 @@ pub(super) struct Unwrapped {
     pub texel: f64,
 }
 
-/// Lays a mesh out on a texture of about `texel` (world's unit) a texel, or of more where it would
-/// be larger than `max_side` texels. `None` where no triangle can be laid out.
+/// Lays a mesh out on a texture of `texel` (world's unit) a texel or less, or of more where it would
+/// be larger than `max_side` texels. The sides are powers of two, which every renderer takes as they
+/// are; it rescales others. `None` where no triangle can be laid out.
 pub(super) fn unwrap(
     mesh: &Mesh,
     texel: f64,
@@ -36,7 +37,8 @@ pub(super) fn unwrap(
         return Ok(None);
     }
     let max_side = max_side.max(MIN_SIDE);
-    let mut side = (num_texels.sqrt().ceil() as usize).clamp(MIN_SIDE, max_side);
+    let wanted = (num_texels.sqrt().ceil() as usize).clamp(MIN_SIDE, max_side);
+    let mut side = wanted.next_power_of_two().min(max_side);
     let input = MeshInput::new(&mesh.vertices, mesh.triangles.as_flattened());
     let go_on = |progress: uvunwrap::Progress| {
         let done = (
@@ -69,6 +71,10 @@ pub(super) fn unwrap(
     }) else {
         return Ok(None);
     };
+    // What the charts do not fill of the texture is to their right and below.
+    let filled = [atlas.width, atlas.height].map(f64::from);
+    let size = [atlas.width, atlas.height].map(u32::next_power_of_two);
+    let share = [0, 1].map(|k| (filled[k] / f64::from(size[k])) as f32);
     let pick = |from: &[[f32; 3]]| -> Vec<[f32; 3]> {
         let vertices = laid.vertices.iter();
         vertices.map(|v| from[v.xref as usize]).collect()
@@ -76,7 +82,7 @@ pub(super) fn unwrap(
     Ok(Some(Unwrapped {
         // The library looks at its charts from below where v points down.
         texture_coords: (laid.vertices.iter())
-            .map(|v| [v.uv[0], 1.0 - v.uv[1]])
+            .map(|v| [v.uv[0] * share[0], (1.0 - v.uv[1]) * share[1]])
             .collect(),
         mesh: Mesh {
             vertices: pick(&mesh.vertices),
@@ -84,7 +90,7 @@ pub(super) fn unwrap(
             colors: Vec::new(),
             triangles: laid.indices.as_chunks::<3>().0.to_vec(),
         },
-        size: (atlas.width as usize, atlas.height as usize),
+        size: (size[0] as usize, size[1] as usize),
         num_charts: atlas.chart_count as usize,
         texel: 1.0 / f64::from(atlas.texels_per_unit),
     }))

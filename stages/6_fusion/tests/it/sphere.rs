@@ -4,8 +4,9 @@
 use nalgebra::{Point3, Vector3};
 use rilievo_fusion::{FusionError, FusionOptions, FusionReport, Inputs, MeshFormat, run};
 use rilievo_scene::{
-    CloudPoint, ConfidenceMap, Intrinsics, LinearImage, MemoryScratch, Mesh, NormalMap, Observer,
-    PhotoSet, PointCloud, PosedViews, Recorder, ShadedViews, Silent,
+    CloudPoint, ConfidenceMap, Intrinsics, LinearImage, MapSource, MemoryScratch, Mesh, NormalMap,
+    Observer, PhotoSet, PixelError, PointCloud, PosedViews, Recorder, ShadedImages, ShadedView,
+    ShadedViews, Silent,
 };
 use rilievo_synthetic::testing::{Impatient, Maps, Random, look_at, on_sphere, photo, posed_view};
 use std::collections::BTreeMap;
@@ -156,8 +157,133 @@ fn the_mesh_ends_in_one_clean_rim() {
     let share = inwards / area;
     assert!(share < 0.001, "{share} of the area faces inwards");
     // One boundary runs round what was seen, and nothing else is open.
-    let open = num_open_edges(&fused.mesh) as f64 * mesh.voxel;
+    let open = mesh.boundary_length;
     assert!((2.0..14.0).contains(&open), "boundary of length {open}");
+    assert_eq!(mesh.num_open_loops, 1);
+}
+
+#[test]
+fn flat_places_are_coarser_within_a_tenth_of_a_pixel() {
+    let (posed, shaded) = views(&ARC, 1.0);
+    let with = |full: bool| {
+        let options = FusionOptions {
+            full,
+            ..FusionOptions::default()
+        };
+        let (fused, report) = fuse(&posed, &shaded, &options).expect("fused");
+        (fused.mesh, report.mesh.expect("a mesh"))
+    };
+    let ((_, all), (mesh, coarser)) = (with(true), with(false));
+    assert_eq!(coarser.num_triangles_before, Some(all.num_triangles));
+    assert!((all.num_triangles_before, all.simplified_by) == (None, 0.0));
+    assert!(coarser.num_triangles * 4 < all.num_triangles, "{coarser:?}");
+    let stated = coarser.simplified_by / footprint();
+    assert!(stated > 0.02 && stated <= 0.1, "{stated} footprints");
+    let off = mesh.triangles.iter().map(|t| {
+        let [a, b, c] = t.map(|v| Vector3::from(mesh.vertices[v as usize].map(f64::from)));
+        (((a + b + c) / 3.0).norm() - 1.0).abs() / footprint()
+    });
+    let mut off: Vec<f64> = off.collect();
+    off.sort_by(f64::total_cmp);
+    let p99 = off[off.len() * 99 / 100];
+    assert!(p99 < 0.2, "{p99} footprints at 99 %");
+    assert!((coarser.boundary_length / all.boundary_length - 1.0).abs() < 0.02);
+}
+
+/// Maps that hold no relief below so many pixels.
+struct Blurred(ShadedViews, f64);
+
+impl MapSource for Blurred {
+    fn num_views(&self) -> usize {
+        self.0.num_views()
+    }
+
+    fn load(&self, idx: usize) -> Result<ShadedView, PixelError> {
+        self.0.load(idx)
+    }
+
+    fn images(&self, idx: usize) -> Result<ShadedImages, PixelError> {
+        self.0.images(idx)
+    }
+
+    fn resolved_px(&self) -> f64 {
+        self.1
+    }
+}
+
+#[test]
+fn cells_are_no_finer_than_the_relief_that_the_maps_hold() {
+    let (posed, shaded) = views(&ARC, 1.0);
+    let maps = Blurred(shaded, 3.0);
+    let voxel = |full: bool| {
+        let inputs = Inputs {
+            photos: &PhotoSet::default(),
+            posed: &posed,
+            maps: &maps,
+            scratch: &MemoryScratch,
+        };
+        let options = FusionOptions {
+            full,
+            ..FusionOptions::default()
+        };
+        let fused = run(inputs, &mut PointCloud::default(), &options, &Silent).expect("fused");
+        fused.report.mesh.expect("a mesh").voxel
+    };
+    assert!((voxel(false) / voxel(true) - 3.0).abs() < 1e-9);
+}
+
+/// How many edges have other than two triangles which run through them against each other, equal
+/// places being one vertex as other programs take them.
+fn num_unpaired_edges(mesh: &Mesh) -> usize {
+    let mut numbers: BTreeMap<[u32; 3], u32> = BTreeMap::new();
+    let joined = mesh.vertices.iter().map(|v| {
+        let next = numbers.len() as u32;
+        *numbers.entry(v.map(f32::to_bits)).or_insert(next)
+    });
+    let joined: Vec<u32> = joined.collect();
+    let mut edges: BTreeMap<(u32, u32), [u32; 2]> = BTreeMap::new();
+    for t in mesh.triangles.iter().map(|t| t.map(|v| joined[v as usize])) {
+        for k in 0..3 {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            edges.entry((a.min(b), a.max(b))).or_default()[usize::from(a < b)] += 1;
+        }
+    }
+    edges.values().filter(|&&n| n != [1, 1]).count()
+}
+
+#[test]
+fn a_rough_mesh_is_watertight_also_when_it_is_made_light() {
+    let (posed, mut shaded) = views(&ARC, 1.0);
+    for (v, view) in shaded.views.iter_mut().enumerate() {
+        for (i, z) in view.depth.data.iter_mut().enumerate() {
+            let rough = 3.0 * footprint() * noise(v / 5, i);
+            *z = match noise(v + 40, i) {
+                n if n > 0.96 => 0.0,
+                _ if *z > 0.0 => *z + rough as f32,
+                _ => 0.0,
+            };
+        }
+    }
+    for (max_num_triangles, full) in [
+        (0, true),
+        (0, false),
+        (5000, false),
+        (1000, false),
+        (200, false),
+    ] {
+        let options = FusionOptions {
+            watertight: true,
+            max_num_triangles,
+            full,
+            ..FusionOptions::default()
+        };
+        let told = Recorder::default();
+        let result = fuse_with(&PhotoSet::default(), (&posed, &shaded), &options, &told);
+        let (fused, report) = result.expect("fused");
+        let num = num_unpaired_edges(&fused.mesh);
+        assert_eq!(num, 0, "{max_num_triangles}: {:?}", report.mesh);
+        assert!(!told.warnings().iter().any(|w| w.contains("watertight")));
+    }
 }
 
 #[test]
@@ -215,7 +341,12 @@ fn lengths_are_footprints_so_that_the_unit_does_not_matter() {
         .iter()
         .map(|&radius| {
             let (posed, shaded) = views(&ARC, radius);
-            let (fused, _) = fuse(&posed, &shaded, &FusionOptions::default()).expect("fused");
+            // What is left of flat places depends on rounding.
+            let options = FusionOptions {
+                full: true,
+                ..FusionOptions::default()
+            };
+            let (fused, _) = fuse(&posed, &shaded, &options).expect("fused");
             (fused.points.len(), fused.mesh.triangles.len())
         })
         .collect();

@@ -57,6 +57,11 @@ pub trait MapSource: Sync {
     /// # Errors
     /// When the backing store cannot be read.
     fn images(&self, idx: usize) -> Result<ShadedImages, PixelError>;
+
+    /// Pixels below which the maps hold no relief: 1, or more where it is known.
+    fn resolved_px(&self) -> f64 {
+        1.0
+    }
 }
 
 impl ShadedViews {
