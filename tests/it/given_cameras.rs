@@ -126,7 +126,15 @@ fn a_fused_surface_far_from_the_origin_has_the_shape_of_one_at_it() {
     let set = small_set(dir.path());
     let fused = |maps: &Path, name: &str| {
         let out = dir.path().join(name);
-        done(&["fuse", arg(maps), "-o", arg(&out), "--formats", "obj"]);
+        done(&[
+            "fuse",
+            arg(maps),
+            "-o",
+            arg(&out),
+            "--full",
+            "--formats",
+            "obj",
+        ]);
         out
     };
     let near = fused(&set.join("truth"), "near");
@@ -172,7 +180,7 @@ fn run_far_from_the_origin(offsets: &[[f64; 3]]) {
     let set = small_set(dir.path());
     let truth = set.join("truth");
     let sphere = set.join("sphere.json");
-    let with_sphere = ["--sphere", arg(&sphere)];
+    let with_sphere = ["--full", "--sphere", arg(&sphere)];
     let (near, _) = reconstructed(
         &set,
         &dir.path().join("near"),
