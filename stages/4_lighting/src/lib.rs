@@ -64,7 +64,7 @@ pub use shape::fit_on_shape;
 use rilievo_scene::{LightingCalibration, Observer, PhotoSet, PosedViews};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 7;
+pub const VERSION: u32 = 8;
 
 /// Lighting of all posed views.
 ///

@@ -8,7 +8,7 @@ use data_set::Set;
 use rilievo_lighting::{LightingOptions, LightingRequest, run};
 use rilievo_photometry::sphere::{SphereInCamera, SphereOptions, WorldScale, locate_request};
 use rilievo_photometry::surface_check::check;
-use rilievo_scene::{ShadedViews, Silent, SphereRequest};
+use rilievo_scene::{MarkedSphere, ShadedViews, Silent, SphereRequest};
 use rilievo_synthetic::testing::{Random, shared_data};
 
 /// The world's unknown unit: poses without scale.
@@ -62,6 +62,32 @@ fn no_sphere_is_found_where_there_is_none() {
         2,
     );
     assert!(result.is_err(), "{result:?}");
+}
+
+#[test]
+fn masks_of_a_sphere_cut_by_the_frame_give_the_size_whatever_edges_the_photos_show() {
+    for name in ["studio_real", "studio_near"] {
+        let Some(set) = set(name) else {
+            return;
+        };
+        let request = SphereRequest {
+            spheres: vec![MarkedSphere {
+                name: MarkedSphere::ONLY.to_owned(),
+                radius: set.radius,
+                marks: set.marks.clone(),
+                center_in_world: None,
+            }],
+            ..SphereRequest::default()
+        };
+        let (views, options) = (&set.posed.views, SphereOptions::default());
+        let found = locate_request(&set.photos, views, &request, WorldScale::Free, &options, 2);
+        let found = found.unwrap().scale.estimate.unwrap();
+        let (off, sigma) = (found.metres_per_unit - 1.0, found.relative_sigma);
+        assert!(
+            off.abs() < 1e-3 && off.abs() < sigma,
+            "{name}: {off}, stated {sigma}"
+        );
+    }
 }
 
 /// Finds the sphere in a world of unknown unit, and checks in how many photos, overlap, place and

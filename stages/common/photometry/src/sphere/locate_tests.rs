@@ -2,10 +2,11 @@
 
 use super::known::PosedOutline;
 use super::locate::{WorldScale, locate, locate_with};
+use super::mark::{OUTLINE_BIAS_PX, distance_px, outline_of_mark};
 use super::outline_fit::residual;
 use super::{SphereError, SphereInCamera};
 use nalgebra::{Point2, Point3, Rotation3, Vector3};
-use rilievo_scene::{Intrinsics, PhotoIdx, RigidTransform};
+use rilievo_scene::{Intrinsics, Mask, PhotoIdx, RigidTransform, SphereMark};
 
 const RADIUS: f64 = 0.04;
 
@@ -186,4 +187,119 @@ fn residual_derivatives_match_differences() {
             "axis {axis}: {numeric} {analytic}"
         );
     }
+}
+
+/// Random numbers: a linear congruential generator, and the sum of twelve as a normal one.
+struct Random(u64);
+
+impl Random {
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        low + (high - low) * (self.0 >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    fn normal(&mut self) -> f64 {
+        (0..12).map(|_| self.between(-0.5, 0.5)).sum()
+    }
+}
+
+/// Mask of a sphere behind what hides all columns from `hidden_from` on. Its outline lies `wider` outwards and
+/// is moved as a whole, as blur and threshold do it; every pixel's own distance has an error of `noise_px`.
+fn mask_of(
+    random: &mut Random,
+    sphere: &SphereInCamera,
+    camera: &Intrinsics,
+    (wider, noise_px): (f64, f64),
+    hidden_from: f64,
+) -> Option<Mask> {
+    let cone = sphere.cone()?;
+    let [columns, rows] = sphere.part_of_frame(camera, 64, 4.0)?;
+    let moved = [(); 2].map(|()| OUTLINE_BIAS_PX * random.normal());
+    let mut mask = Mask::filled(camera.width, camera.height, false);
+    for y in rows {
+        for x in columns.clone().take_while(|x| (*x as f64) < hidden_from) {
+            let ray = camera.ray(&Point2::new(x as f64, y as f64)).normalize();
+            let around = (ray - cone.axis * ray.dot(&cone.axis)).xy().normalize();
+            let limit = wider + around.x * moved[0] + around.y * moved[1];
+            let distance = distance_px(&cone, &ray, camera) + noise_px * random.normal();
+            *mask.at_mut(x, y) = distance < limit;
+        }
+    }
+    Some(mask)
+}
+
+#[test]
+fn the_stated_deviation_of_the_size_holds_in_random_placements() {
+    let camera = Intrinsics::pinhole(320, 240, 400.0, 159.5, 119.5);
+    let mut random = Random(5);
+    let (mut ratios, mut num_cut, mut num_hidden) = (Vec::new(), 0, 0);
+    while ratios.len() < 200 {
+        let radius = random.between(0.02, 0.1);
+        let center = Point3::new(
+            random.between(-0.4, 0.4),
+            random.between(-0.3, 0.3),
+            random.between(-0.2, 0.2),
+        );
+        let wider = OUTLINE_BIAS_PX * random.normal();
+        let noise_px = [0.0, 0.3][ratios.len() % 2];
+        let mut outlines = Vec::new();
+        for k in 0..4 {
+            let angle = -0.45 + 0.3 * f64::from(k) + random.between(-0.1, 0.1);
+            let eye = Point3::new(angle.sin(), random.between(-0.3, 0.3), angle.cos());
+            let forward = -eye.coords.normalize();
+            let right = forward.cross(&Vector3::y()).normalize();
+            let axes = [right, forward.cross(&right), forward];
+            let turn = Rotation3::from_basis_unchecked(&axes);
+            let cam_from_world = RigidTransform::from_world_pose(turn, eye);
+            let sphere = SphereInCamera {
+                center: cam_from_world.apply(&center),
+                radius,
+            };
+            let (at, size) = (camera.project(&sphere.center), sphere.radius_px(&camera));
+            let Some(at) = at else { continue };
+            let is_hidden = random.between(0.0, 1.0) < 0.25;
+            let hidden_from = if is_hidden {
+                at.x + size * random.between(0.0, 1.0)
+            } else {
+                f64::INFINITY
+            };
+            let errors = (wider, noise_px);
+            let mask = mask_of(&mut random, &sphere, &camera, errors, hidden_from);
+            // A sphere outside the frame is marked by nobody.
+            let Some(mask) = mask.filter(|mask| mask.count() > 40) else {
+                continue;
+            };
+            num_hidden += usize::from(is_hidden);
+            num_cut += usize::from(
+                at.x + size > 319.0 || at.y + size > 239.0 || at.x < size || at.y < size,
+            );
+            outlines.push(PosedOutline {
+                photo: PhotoIdx(k as usize),
+                intrinsics: camera,
+                cam_from_world,
+                outline: outline_of_mark(&SphereMark::Mask(mask)),
+            });
+        }
+        // Seen in one photo, or on short arcs alone, it gives no scale.
+        let Ok(fit) = locate(&outlines, radius, WorldScale::Free) else {
+            continue;
+        };
+        let scale = fit.scale.unwrap();
+        ratios.push((scale.metres_per_unit - 1.0) / scale.relative_sigma);
+    }
+    let square = ratios.iter().map(|r| r * r).sum::<f64>();
+    let spread = (square / ratios.len() as f64).sqrt();
+    let largest = ratios.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
+    println!("spread {spread}, largest {largest}, {num_cut} cut, {num_hidden} hidden");
+    assert!(
+        (0.7..1.3).contains(&spread),
+        "spread {spread}, largest {largest}"
+    );
+    assert!(
+        num_cut > 100 && num_hidden > 100,
+        "{num_cut} cut, {num_hidden} hidden"
+    );
 }

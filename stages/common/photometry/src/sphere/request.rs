@@ -5,7 +5,7 @@
 //!    ([`super::detect`]), or taken from a stated centre.
 //! 2. The outline that the common sphere predicts in *every* posed photo is looked for on the
 //!    image, so that marks in two photos suffice for all, and the fit is repeated on these edge
-//!    points, with a narrower search each time.
+//!    points, with a narrower search each time. Masks stay where they agree better with one sphere.
 //! 3. All together give the world's scale ([`super::common_scale`]).
 
 use super::around::load_around;
@@ -17,10 +17,12 @@ use super::known::PosedOutline;
 use super::locate::{SphereFit, WorldScale, locate};
 use super::mark::outline_of_mark;
 use super::options::SphereOptions;
-use super::refit::refine_in_views;
+use super::refit::{refine_in_views, refine_masks};
 use super::several::{CommonScale, common_scale, without_doubles};
 use rayon::prelude::*;
-use rilievo_scene::{LocatedSphere, MarkedSphere, PhotoIdx, PhotoSet, PosedView, SphereRequest};
+use rilievo_scene::{
+    LocatedSphere, MarkedSphere, PhotoIdx, PhotoSet, PosedView, SphereMark, SphereRequest,
+};
 
 /// The spheres of a request.
 #[derive(Clone, Debug, Default)]
@@ -58,7 +60,7 @@ pub fn locate_request(
         match locate_marked(views, sphere, scale) {
             Ok(fit) => {
                 located.fits.push(fit);
-                radii.push((&sphere.name, sphere.radius));
+                radii.push((sphere, sphere.radius));
             }
             Err(error) => located.missing.push((sphere.name.clone(), error)),
         }
@@ -66,19 +68,25 @@ pub fn locate_request(
     let around = load_around(photos, views, &located.fits, options.search_px)?;
     // Robust fits of the brightness inside take most of the time; no sphere depends on another.
     let each = located.fits.par_iter_mut().zip(&around).zip(&radii);
-    each.for_each(|((fit, images), (_, radius))| {
+    each.for_each(|((fit, images), (sphere, radius))| {
         let unused_marks = fit.unused_marks.clone();
         let marked = fit.views.iter().filter(|view| view.used);
         let marked: Vec<PhotoIdx> = marked.map(|view| view.photo).collect();
-        let refined = refine_in_views(images, fit.clone(), *radius, scale, options.search_px);
+        let all_masks = (sphere.marks.iter()).all(|(_, mark)| matches!(mark, SphereMark::Mask(_)));
+        let refine = if all_masks {
+            refine_masks
+        } else {
+            refine_in_views
+        };
+        let refined = refine(images, fit.clone(), *radius, scale, options.search_px);
         *fit = SphereFit {
             unused_marks,
             evidence: confirm(images, &marked, &refined.sphere, options.search_px),
             ..refined
         };
     });
-    for (fit, (name, _)) in located.fits.iter_mut().zip(&radii) {
-        fit.sphere.name.clone_from(name);
+    for (fit, (sphere, _)) in located.fits.iter_mut().zip(&radii) {
+        fit.sphere.name.clone_from(&sphere.name);
     }
     if let Some(radius) = request.search_radius {
         let found = detect(photos, views, radius, scale, options, at_once)?;

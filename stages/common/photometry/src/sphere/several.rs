@@ -62,7 +62,7 @@ pub struct CommonScale {
 /// its error for a contradiction.
 const RADIUS_SIGMA: f64 = 0.003;
 /// Standard deviations of a difference beyond which two scales contradict each other.
-const MAX_DEVIATIONS: f64 = 3.0;
+pub(super) const MAX_DEVIATIONS: f64 = 3.0;
 /// Two scales that differ by more than this factor have no mean worth the name: another unit, a
 /// diameter for a radius.
 const MAX_RATIO: f64 = 1.25;
