@@ -2,6 +2,7 @@
 
 use crate::error::PhotosError;
 use crate::exposure::{self, Exposed};
+use crate::focal::cropped_from;
 use crate::measures::ratio;
 use crate::options::PhotosOptions;
 use crate::outline::MaskOutline;
@@ -248,7 +249,7 @@ const BEYOND_WARNING: f64 = 0.02;
 
 /// What the user should know of single photos: the condition, and what the warning says after their
 /// names.
-const ABOUT_PHOTOS: [(Condition, &str); 13] = [
+const ABOUT_PHOTOS: [(Condition, &str); 14] = [
     (
         |f, _| f.mask_coverage.is_some() && f.beyond_pinhole > BEYOND_WARNING,
         "the lens bends so much that a part of the object lies outside the straightened photo, a pinhole of the same focal \
@@ -272,6 +273,14 @@ const ABOUT_PHOTOS: [(Condition, &str); 13] = [
     (
         |f, _| f.clipped_share_on_object.unwrap_or(f.clipped_share) > CLIPPED_WARNING,
         "many clipped pixels, which say nothing of the shape; expose less",
+    ),
+    (
+        |f, _| {
+            let is_known = f.focal_source == FocalSource::CameraFile;
+            !is_known && cropped_from(f.width, f.height, &f.exif).is_some()
+        },
+        "EXIF says that it was cropped, and not where: the optical axis is taken to meet its middle, and \
+         shape and size are off where it does not; give the whole photo, or its camera (--cameras)",
     ),
     (
         |f, _| f.num_invalid_px > 0,

@@ -9,6 +9,8 @@
 //! 3. EXIF focal length and focal-plane resolution, `f_px = f · r`, scaled to the image's size;
 //! 4. EXIF focal length and the sensor of a known camera;
 //! 5. a guess, `1.2 · max(w, h)`, which is refined with the poses.
+//!
+//! Of a photo that was cropped, by the pixels that the camera recorded, EXIF describes the whole frame.
 
 use rilievo_scene::{ExifFacts, FocalSource, Intrinsics};
 
@@ -73,8 +75,10 @@ pub(crate) fn first_camera(
     exif: &ExifFacts,
     given_35mm: Option<f64>,
 ) -> FirstCamera {
-    let side = width.max(height) as f64;
-    let diagonal = (width as f64).hypot(height as f64);
+    let cropped_from = cropped_from(width, height, exif);
+    let (whole_width, whole_height) = cropped_from.unwrap_or((width, height));
+    let side = whole_width.max(whole_height) as f64;
+    let diagonal = (whole_width as f64).hypot(whole_height as f64);
     let plausible = |focal_px: f64| PLAUSIBLE_FOCAL_OVER_SIDE.contains(&(focal_px / side));
     let camera = |focal_px: f64, source: FocalSource, note: String| FirstCamera {
         intrinsics: Intrinsics::pinhole(
@@ -102,6 +106,10 @@ pub(crate) fn first_camera(
     ];
     for (focal_px, source, note) in candidates.into_iter().flatten() {
         if plausible(focal_px) {
+            let note = match cropped_from {
+                Some((w, h)) => format!("{note}, cropped from {w} x {h}"),
+                None => note,
+            };
             return camera(focal_px, source, note);
         }
         implausible.get_or_insert(note);
@@ -112,6 +120,21 @@ pub(crate) fn first_camera(
         note += &format!(" ({what} is not plausible)");
     }
     camera(GUESS_OVER_SIDE * side, FocalSource::Guess, note)
+}
+
+/// Size of the frame that a photo was cropped from without resizing: one of its sides is as the camera recorded
+/// it, the other shorter by more than the 16 pixels that a JPEG's blocks are padded to.
+pub(crate) fn cropped_from(
+    width: usize,
+    height: usize,
+    exif: &ExifFacts,
+) -> Option<(usize, usize)> {
+    let recorded = (exif.pixel_x_dimension?, exif.pixel_y_dimension?);
+    let (whole_width, whole_height) = (recorded.0 as usize, recorded.1 as usize);
+    let is_cut = |is: usize, was: usize| is + 16 < was;
+    let is_cropped = (width == whole_width && is_cut(height, whole_height))
+        || (height == whole_height && is_cut(width, whole_width));
+    is_cropped.then_some((whole_width, whole_height))
 }
 
 type Candidate = Option<(f64, FocalSource, String)>;
@@ -217,6 +240,39 @@ mod tests {
         });
         assert_eq!(found.source, FocalSource::ExifSensor);
         close(found.intrinsics.fx, 50.0 / 22.0 * 2832.0);
+    }
+
+    #[test]
+    fn a_cropped_photo_keeps_the_focal_length_of_the_whole() {
+        let exif = |columns: u32, rows: u32| ExifFacts {
+            focal_mm: Some(5.85),
+            focal_35mm: Some(35.0),
+            pixel_x_dimension: Some(columns),
+            pixel_y_dimension: Some(rows),
+            ..ExifFacts::default()
+        };
+        let whole = first_camera(2832, 2128, &exif(2832, 2128), None);
+        for (width, height) in [(2360, 2128), (2832, 1600)] {
+            let cut = first_camera(width, height, &exif(2832, 2128), None);
+            close(cut.intrinsics.fx, whole.intrinsics.fx);
+            assert!(
+                cut.note.contains("cropped from 2832 x 2128"),
+                "{}",
+                cut.note
+            );
+        }
+        // Resized, turned, and padded by a JPEG's blocks.
+        for (width, height, exif) in [
+            (1416, 1064, exif(2832, 2128)),
+            (2128, 2832, exif(2832, 2128)),
+            (2832, 2128, exif(2832, 2144)),
+        ] {
+            assert_eq!(
+                cropped_from(width, height, &exif),
+                None,
+                "{width} x {height}"
+            );
+        }
     }
 
     #[test]
