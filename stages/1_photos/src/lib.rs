@@ -44,4 +44,4 @@ pub use prepare::{GivenCamera, GivenMask, PreparedPhoto, prepare};
 pub use report::{AppliedEncoding, CameraGroup, CutOut, PhotoFacts, PhotosReport, RejectedPhoto};
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 8;
+pub const VERSION: u32 = 9;

@@ -52,7 +52,7 @@ use rilievo_scene::{
 use std::cmp::Reverse;
 
 /// Raised with every change of the stage that changes its results.
-pub const VERSION: u32 = 16;
+pub const VERSION: u32 = 17;
 
 /// Finds the poses of a photo set, its sparse points, its scale and its anchors.
 ///
